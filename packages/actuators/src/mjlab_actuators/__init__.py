@@ -1,0 +1,1 @@
+"""Actuator models for batched MuJoCo: native servos, ideal PD, delay."""

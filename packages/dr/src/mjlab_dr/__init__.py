@@ -1,0 +1,1 @@
+"""Domain randomisation of MuJoCo models and batched tensors."""

@@ -1,0 +1,1 @@
+"""The manager-based environment and its generic term library."""

@@ -1,0 +1,1 @@
+"""Action, command, curriculum, event, metrics, observation, recorder, reward and termination managers."""

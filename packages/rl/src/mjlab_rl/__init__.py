@@ -1,0 +1,1 @@
+"""Training with rsl-rl: vec-env adapter, runner, checkpoints, run manifests."""

@@ -1,0 +1,1 @@
+"""Robot models: Unitree Go1."""

@@ -1,0 +1,1 @@
+"""Entities, terrain and sensors composed into one MuJoCo scene."""

@@ -1,0 +1,1 @@
+"""Native, contact and terrain-height sensors over batched MuJoCo worlds."""

@@ -1,0 +1,1 @@
+"""Terrain for any MuJoCo model: adds itself to an MjSpec. NumPy and MuJoCo only."""

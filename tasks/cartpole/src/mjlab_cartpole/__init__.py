@@ -1,0 +1,1 @@
+"""Cartpole balance and swing-up tasks."""
