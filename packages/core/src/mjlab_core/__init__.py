@@ -1,1 +1,119 @@
-"""Rotations, name matching, ring buffers, masked writes and seeding for GPU robot learning."""
+"""Rotations, name matching, ring buffers, masked writes, sampling, seeding and state for batched robot learning.
+
+Every public name is importable from here. The imports are lazy, so that `from mjlab_core import nearest` in a command
+line does not import torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+  from mjlab_core.buffers import DelayBuffer, HistoryBuffer
+  from mjlab_core.frames import combine_frames, heading, subtract_frames, transform_points, velocity_at
+  from mjlab_core.masking import fill_, where_
+  from mjlab_core.names import NameMatchError, match_names, match_values, match_values_full, nearest, unknown
+  from mjlab_core.rotations import (
+    euler_xyz_from_quat,
+    matrix_from_quat,
+    normalize,
+    quat_apply,
+    quat_apply_inverse,
+    quat_box_minus,
+    quat_box_plus,
+    quat_conjugate,
+    quat_error_magnitude,
+    quat_from_euler_xyz,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_integrate,
+    quat_inverse,
+    quat_mul,
+    quat_slerp,
+    quat_unique,
+    quat_yaw,
+    random_quat,
+    rotvec_from_quat,
+    wrap_to_pi,
+  )
+  from mjlab_core.sampling import check_range, gaussian, log_uniform, truncated_normal, uniform
+  from mjlab_core.seeding import draw_seed, make_generator, seed_everything
+  from mjlab_core.state import StateError, Stateful
+
+__all__ = [
+  "DelayBuffer",
+  "HistoryBuffer",
+  "NameMatchError",
+  "StateError",
+  "Stateful",
+  "check_range",
+  "combine_frames",
+  "draw_seed",
+  "euler_xyz_from_quat",
+  "fill_",
+  "gaussian",
+  "heading",
+  "log_uniform",
+  "make_generator",
+  "match_names",
+  "match_values",
+  "match_values_full",
+  "matrix_from_quat",
+  "nearest",
+  "normalize",
+  "quat_apply",
+  "quat_apply_inverse",
+  "quat_box_minus",
+  "quat_box_plus",
+  "quat_conjugate",
+  "quat_error_magnitude",
+  "quat_from_euler_xyz",
+  "quat_from_matrix",
+  "quat_from_rotvec",
+  "quat_integrate",
+  "quat_inverse",
+  "quat_mul",
+  "quat_slerp",
+  "quat_unique",
+  "quat_yaw",
+  "random_quat",
+  "rotvec_from_quat",
+  "seed_everything",
+  "subtract_frames",
+  "transform_points",
+  "truncated_normal",
+  "uniform",
+  "unknown",
+  "velocity_at",
+  "where_",
+  "wrap_to_pi",
+]
+
+_MODULES = {
+  "buffers": "DelayBuffer HistoryBuffer",
+  "frames": "combine_frames heading subtract_frames transform_points velocity_at",
+  "masking": "fill_ where_",
+  "names": "NameMatchError match_names match_values match_values_full nearest unknown",
+  "rotations": (
+    "euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
+    "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
+    "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
+  ),
+  "sampling": "check_range gaussian log_uniform truncated_normal uniform",
+  "seeding": "draw_seed make_generator seed_everything",
+  "state": "StateError Stateful",
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> object:
+  if name not in _HOME:
+    raise AttributeError(f"module 'mjlab_core' has no attribute {name!r}")
+  value = getattr(import_module(f"mjlab_core.{_HOME[name]}"), name)
+  globals()[name] = value
+  return value
+
+
+def __dir__() -> list[str]:
+  return sorted({*globals(), *__all__})

@@ -1,0 +1,139 @@
+"""The one rule by which patterns select names.
+
+A pattern is a regular expression that must match a whole name (`re.fullmatch`). Each name is hit by at most one pattern
+and each pattern hits at least one name; anything else is a `NameMatchError` that lists what there is.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, TypeVar, cast
+
+T = TypeVar("T")
+
+
+class NameMatchError(ValueError):
+  """Patterns and names do not fit: nothing matched, a name matched twice, or a pattern is not a regular expression."""
+
+
+class _Required:
+  """Type of the mark for "no default was given"."""
+
+
+_REQUIRED: Final = _Required()
+_MAX_LISTED: Final = 60
+
+
+def match_names(
+  patterns: str | Sequence[str], names: Sequence[str], *, what: str, owner: str = "", preserve_order: bool = False
+) -> tuple[list[int], list[str]]:
+  """Indices and names selected by `patterns`, in the order of `names`, or of `patterns` if `preserve_order`.
+
+  `what` says in messages what the names are ("joint"), `owner` whose they are ("entity 'robot'").
+
+  Raises:
+    NameMatchError: a pattern matches no name, or two patterns match one name.
+  """
+  patterns = [patterns] if isinstance(patterns, str) else list(patterns)
+  owner_of = _assign(patterns, names, what=what, owner=owner)
+  picked = [i for i in range(len(names)) if owner_of[i] >= 0]
+  if preserve_order:
+    picked.sort(key=lambda i: owner_of[i])
+  return picked, [names[i] for i in picked]
+
+
+def match_values(
+  values: Mapping[str, T], names: Sequence[str], *, what: str, owner: str = ""
+) -> tuple[list[int], list[str], list[T]]:
+  """Indices, names and values of the names that a pattern of `values` selects, in the order of `names`.
+
+  Raises:
+    NameMatchError: a pattern matches no name, or two patterns match one name.
+  """
+  patterns = list(values)
+  owner_of = _assign(patterns, names, what=what, owner=owner)
+  picked = [i for i in range(len(names)) if owner_of[i] >= 0]
+  return picked, [names[i] for i in picked], [values[patterns[owner_of[i]]] for i in picked]
+
+
+def match_values_full(
+  values: T | Mapping[str, T], names: Sequence[str], *, what: str, owner: str = "", default: T | _Required = _REQUIRED
+) -> list[T]:
+  """One value per name: `values` itself for all, or by pattern, with `default` where no pattern matches.
+
+  Raises:
+    NameMatchError: as `match_values`, or a name is left without a value and there is no default.
+  """
+  if not isinstance(values, Mapping):
+    return [cast(T, values)] * len(names)
+  table = cast("Mapping[str, T]", values)
+  picked, _, found = match_values(table, names, what=what, owner=owner)
+  by_index = dict(zip(picked, found, strict=True))
+  left = [name for i, name in enumerate(names) if i not in by_index]
+  if left and isinstance(default, _Required):
+    raise NameMatchError(
+      f"{_prefix(owner)}no pattern gives a value for {what} {_listing(left)}. Patterns: {_listing(list(table))}."
+    )
+  return [by_index[i] if i in by_index else cast(T, default) for i in range(len(names))]
+
+
+def nearest(name: str, candidates: Iterable[str], n: int = 3) -> list[str]:
+  """Up to `n` candidates most like `name`, best first; empty when none is like it."""
+  matcher = difflib.SequenceMatcher(b=name.lower())
+  scored: list[tuple[float, str]] = []
+  for candidate in candidates:
+    matcher.set_seq1(candidate.lower())
+    if matcher.quick_ratio() >= 0.5 and (ratio := matcher.ratio()) >= 0.5:
+      scored.append((ratio, candidate))
+  # The sort is stable: equally good candidates keep their order.
+  return [candidate for _, candidate in sorted(scored, key=lambda pair: -pair[0])[:n]]
+
+
+def unknown(what: str, name: str, candidates: Iterable[str], owner: str = "") -> str:
+  """The message for a name that does not exist: "owner: what 'x' does not exist. Nearest: a, b. All 12: ..."."""
+  return f"{_prefix(owner)}{what} {name!r} does not exist. {_offer(name, list(candidates))}"
+
+
+def _assign(patterns: Sequence[str], names: Sequence[str], *, what: str, owner: str) -> list[int]:
+  """For each name the index of the pattern that selects it, or -1."""
+  owner_of = [-1] * len(names)
+  for p, pattern in enumerate(patterns):
+    try:
+      matches = re.compile(pattern).fullmatch
+    except re.error as error:
+      raise NameMatchError(f"{_prefix(owner)}pattern {pattern!r} is not a regular expression: {error}.") from error
+    hit = False
+    for i, name in enumerate(names):
+      if matches(name) is None:
+        continue
+      hit = True
+      if owner_of[i] >= 0:
+        raise NameMatchError(
+          f"{_prefix(owner)}{what} {name!r} is matched by two patterns, {patterns[owner_of[i]]!r} and {pattern!r}; "
+          f"each name may match one. {_all(names)}"
+        )
+      owner_of[i] = p
+    if not hit:
+      raise NameMatchError(f"{_prefix(owner)}pattern {pattern!r} matches no {what}. {_offer(pattern, names)}")
+  return owner_of
+
+
+def _prefix(owner: str) -> str:
+  return f"{owner}: " if owner else ""
+
+
+def _offer(name: str, candidates: Sequence[str]) -> str:
+  # Quantifiers and anchors say nothing about the name meant; what is left of a pattern often does.
+  close = nearest(re.sub(r"[\\^$.*+?()\[\]{}|]+", "", name) or name, candidates)
+  return (f"Nearest: {', '.join(close)}. " if close else "") + _all(candidates)
+
+
+def _all(candidates: Sequence[str]) -> str:
+  return f"All {len(candidates)}: {_listing(candidates)}." if candidates else "There are none."
+
+
+def _listing(names: Sequence[str]) -> str:
+  shown = ", ".join(names[:_MAX_LISTED])
+  return shown if len(names) <= _MAX_LISTED else f"{shown}, and {len(names) - _MAX_LISTED} more"

@@ -1,0 +1,178 @@
+"""Rotations as unit quaternions (w, x, y, z), pure functions over any leading shape.
+
+All functions broadcast their leading dimensions, keep dtype and device, and run without a host sync, so they may be
+recorded in a CUDA graph. Quaternions are taken to be unit; `normalize` makes them so. A quaternion and its negative are
+the same rotation, and every function that returns an angle or a rotation vector treats them alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+
+def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
+  """`x` scaled to unit length along its last dimension, (..., n); vectors shorter than `eps` shrink towards zero."""
+  return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True).clamp_min(eps)
+
+
+def wrap_to_pi(angle: Tensor) -> Tensor:
+  """The same angle in [-pi, pi], (...) [rad]; angles already inside come back bit-identical."""
+  return angle - torch.round(angle / (2.0 * math.pi)) * (2.0 * math.pi)
+
+
+def quat_mul(a: Tensor, b: Tensor) -> Tensor:
+  """Hamilton product, (..., 4): the rotation `b` followed by the rotation `a`."""
+  aw, av = a[..., :1], a[..., 1:]
+  bw, bv = b[..., :1], b[..., 1:]
+  w = aw * bw - (av * bv).sum(-1, keepdim=True)
+  v = aw * bv + bw * av + torch.linalg.cross(av, bv)
+  return torch.cat((w, v), dim=-1)
+
+
+def quat_conjugate(q: Tensor) -> Tensor:
+  """(w, -x, -y, -z), (..., 4); for unit quaternions the inverse rotation."""
+  return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
+
+
+def quat_inverse(q: Tensor) -> Tensor:
+  """Multiplicative inverse, (..., 4), also for quaternions that are not unit."""
+  return quat_conjugate(q) / q.square().sum(-1, keepdim=True)
+
+
+def quat_apply(q: Tensor, v: Tensor) -> Tensor:
+  """`v` rotated by `q`, (..., 3): takes coordinates in the rotated frame to coordinates in the parent frame."""
+  axis = q[..., 1:]
+  t = 2.0 * torch.linalg.cross(axis, v)
+  return v + q[..., :1] * t + torch.linalg.cross(axis, t)
+
+
+def quat_apply_inverse(q: Tensor, v: Tensor) -> Tensor:
+  """`v` rotated by the inverse of `q`, (..., 3): takes parent coordinates to coordinates in the rotated frame."""
+  axis = q[..., 1:]
+  t = 2.0 * torch.linalg.cross(axis, v)
+  return v - q[..., :1] * t + torch.linalg.cross(axis, t)
+
+
+def quat_unique(q: Tensor) -> Tensor:
+  """The representative with w >= 0, (..., 4)."""
+  return torch.where(q[..., :1] < 0.0, -q, q)
+
+
+def quat_from_euler_xyz(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+  """Quaternion of Rz(yaw) Ry(pitch) Rx(roll), (..., 4); angles (...) [rad], about the fixed axes x, then y, then z."""
+  half = 0.5 * torch.stack(torch.broadcast_tensors(roll, pitch, yaw), dim=-1)
+  (cr, cp, cy), (sr, sp, sy) = half.cos().unbind(-1), half.sin().unbind(-1)
+  cpcy, spsy, cpsy, spcy = cp * cy, sp * sy, cp * sy, sp * cy
+  return torch.stack(
+    (cr * cpcy + sr * spsy, sr * cpcy - cr * spsy, cr * spcy + sr * cpsy, cr * cpsy - sr * spcy), dim=-1
+  )
+
+
+def euler_xyz_from_quat(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+  """Roll, pitch and yaw, each (...) [rad], of Rz(yaw) Ry(pitch) Rx(roll).
+
+  Pitch is in [-pi/2, pi/2], the others in [-pi, pi]. In gimbal lock roll and yaw are not unique; the returned triple
+  still gives the rotation back. After Bernardes and Viollet, "Quaternion to Euler angles conversion: a direct, general
+  and computationally efficient method" (2022).
+  """
+  w, x, y, z = q.unbind(-1)
+  a, b, c, d = w - y, x + z, w + y, z - x
+  half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
+  pitch = 2.0 * torch.atan2(torch.hypot(c, d), torch.hypot(a, b)) - 0.5 * math.pi
+  return wrap_to_pi(half_sum - half_difference), pitch, wrap_to_pi(half_sum + half_difference)
+
+
+def quat_from_rotvec(rotvec: Tensor) -> Tensor:
+  """Exponential map, (..., 4): rotation about `rotvec`, (..., 3), by its length [rad]."""
+  angle = torch.linalg.vector_norm(rotvec, dim=-1, keepdim=True)
+  # sinc keeps sin(angle / 2) / angle exact through zero without a branch.
+  return torch.cat((torch.cos(0.5 * angle), 0.5 * torch.sinc(angle / (2.0 * math.pi)) * rotvec), dim=-1)
+
+
+def rotvec_from_quat(q: Tensor) -> Tensor:
+  """Logarithmic map, (..., 3) [rad]: the rotation vector of length at most pi; `q` and `-q` give the same."""
+  q = quat_unique(q)
+  w, v = q[..., :1], q[..., 1:]
+  s = torch.linalg.vector_norm(v, dim=-1, keepdim=True)
+  small = s < 1e-12
+  scale = 2.0 * torch.atan2(s, w) / torch.where(small, 1.0, s)
+  return torch.where(small, 2.0, scale) * v
+
+
+def matrix_from_quat(q: Tensor) -> Tensor:
+  """Rotation matrix, (..., 3, 3); its columns are the rotated axes in the parent frame."""
+  axes = torch.eye(3, dtype=q.dtype, device=q.device)
+  return quat_apply(q.unsqueeze(-2), axes).mT.contiguous()
+
+
+def quat_from_matrix(matrix: Tensor) -> Tensor:
+  """Quaternion with w >= 0 of rotation matrices (..., 3, 3), (..., 4); accurate for every angle, pi included.
+
+  The four rows below are 4 q_i q; the one with the largest q_i is free of cancellation (Shepperd, 1978).
+  """
+  m00, m01, m02, m10, m11, m12, m20, m21, m22 = matrix.flatten(-2).unbind(-1)
+  wx, wy, wz = m21 - m12, m02 - m20, m10 - m01
+  xy, xz, yz = m10 + m01, m02 + m20, m21 + m12
+  ww, xx = 1.0 + m00 + m11 + m22, 1.0 + m00 - m11 - m22
+  yy, zz = 1.0 - m00 + m11 - m22, 1.0 - m00 - m11 + m22
+  rows = torch.stack((ww, wx, wy, wz, wx, xx, xy, xz, wy, xy, yy, yz, wz, xz, yz, zz), dim=-1).unflatten(-1, (4, 4))
+  best = torch.stack((ww, xx, yy, zz), dim=-1).argmax(-1)
+  row = rows.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
+  return quat_unique(normalize(row))
+
+
+def quat_yaw(q: Tensor) -> Tensor:
+  """The yaw of roll-pitch-yaw as a quaternion about z, (..., 4): where the rotated x axis points, seen from above."""
+  w, x, y, z = q.unbind(-1)
+  half = 0.5 * torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+  zero = torch.zeros_like(half)
+  return torch.stack((half.cos(), zero, zero, half.sin()), dim=-1)
+
+
+def quat_box_minus(a: Tensor, b: Tensor) -> Tensor:
+  """Shortest rotation vector from `b` to `a` in the parent (world) frame, (..., 3) [rad]."""
+  return rotvec_from_quat(quat_mul(a, quat_conjugate(b)))
+
+
+def quat_box_plus(q: Tensor, rotvec: Tensor) -> Tensor:
+  """`q` turned by a rotation vector in the parent (world) frame, (..., 4); undoes `quat_box_minus`."""
+  return quat_mul(quat_from_rotvec(rotvec), q)
+
+
+def quat_error_magnitude(a: Tensor, b: Tensor) -> Tensor:
+  """Angle of the shortest rotation between `a` and `b`, (...) [rad], in [0, pi]."""
+  relative = quat_mul(a, quat_conjugate(b))
+  return 2.0 * torch.atan2(torch.linalg.vector_norm(relative[..., 1:], dim=-1), relative[..., 0].abs())
+
+
+def quat_slerp(a: Tensor, b: Tensor, t: Tensor | float) -> Tensor:
+  """The rotation a share `t` of the shortest way from `a` to `b`, (..., 4); `t` is a number or a tensor (...)."""
+  if isinstance(t, Tensor):
+    t = t.unsqueeze(-1)
+  return quat_box_plus(a, t * quat_box_minus(b, a))
+
+
+def quat_integrate(q: Tensor, angular_velocity: Tensor, dt: Tensor | float) -> Tensor:
+  """`q` after turning for `dt` [s] at a constant angular velocity in the body frame (MuJoCo's qvel), (..., 4).
+
+  `angular_velocity` is (..., 3) [rad/s]. For a velocity in the world frame use `quat_box_plus(q, velocity * dt)`.
+  """
+  if isinstance(dt, Tensor):
+    dt = dt.unsqueeze(-1)
+  return normalize(quat_mul(q, quat_from_rotvec(angular_velocity * dt)))
+
+
+def random_quat(
+  shape: int | Sequence[int],
+  *,
+  generator: torch.Generator | None = None,
+  device: torch.device | str | None = None,
+  dtype: torch.dtype = torch.float32,
+) -> Tensor:
+  """Rotations uniform over SO(3), (*shape, 4)."""
+  shape = (shape,) if isinstance(shape, int) else tuple(shape)
+  return normalize(torch.randn(*shape, 4, generator=generator, device=device, dtype=dtype))
