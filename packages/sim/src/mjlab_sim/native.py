@@ -1,0 +1,189 @@
+"""MuJoCo's own engine: every world on all cores of a CPU, in float64, with nothing to compile."""
+
+import copy
+import ctypes
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import batch
+
+from mjlab_sim.config import SimulationCfg
+from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.rays import RayHits
+from mjlab_sim.torch_array import TorchArray
+
+_NONE = mujoco.mjtStage.mjSTAGE_NONE.value
+_VEL = mujoco.mjtStage.mjSTAGE_VEL.value
+_DIVERGED = b"Nan, Inf or huge value"
+
+
+def _quiet(message: str) -> None:
+  # A diverged world is reset and counted by whoever owns it; MuJoCo would add a file to the working directory.
+  if not message.encode().startswith(_DIVERGED):
+    print(f"MuJoCo: {message}")
+
+
+def _writable(array: np.ndarray) -> np.ndarray:
+  """An alias of an array that the batch marks read-only: torch has no read-only tensors."""
+  memory = (ctypes.c_byte * array.nbytes).from_address(array.ctypes.data)
+  return np.frombuffer(memory, dtype=array.dtype).reshape(array.shape)
+
+
+def _matrices(array: np.ndarray, name: str) -> np.ndarray:
+  return array.reshape(*array.shape[:-1], 3, 3) if name.endswith("mat") and array.shape[-1] == 9 else array
+
+
+class NativeEngine:
+  """`mujoco.batch.Batch` behind the engine protocol."""
+
+  dtype = torch.float64
+
+  def __init__(self, model: mujoco.MjModel, num_envs: int, cfg: SimulationCfg) -> None:
+    model = copy.copy(model)
+    # MuJoCo C would silently restart a diverged world; whoever terminates worlds must see it instead.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    if mujoco.get_mju_user_warning() is None:
+      mujoco.set_mju_user_warning(_quiet)
+    self._model = model
+    self._num_envs = num_envs
+    self._batch = batch.Batch(model, num_envs, cfg.num_threads, persistent=True)
+    self._data: dict[str, TorchArray] = {}
+    self._per_world: dict[str, TorchArray] = {}
+    self._shared: dict[str, tuple[TorchArray, int]] = {}
+    self._batch.reset(stage=_VEL)
+    self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
+    self._seen = [array.copy() for array in self._kinematic]
+    self._stale = np.zeros(num_envs, dtype=bool)
+    self._reported = self._batch.warning.copy()
+
+  def data_field(self, name: str) -> TorchArray:
+    if name not in self._data:
+      if name not in batch.DATA_FIELDS:
+        raise KeyError(name)
+      array = self._batch.bind(name)
+      if name not in STATE:
+        array = _writable(array)
+        # An output bound between calls holds nothing until the next one.
+        self._batch.forward(stage=_VEL)
+      self._data[name] = TorchArray.over(torch.from_numpy(_matrices(array, name)))
+    return self._data[name]
+
+  def model_field(self, name: str) -> TorchArray:
+    if name in self._per_world:
+      return self._per_world[name]
+    if name not in self._shared:
+      if name not in PER_WORLD:
+        raise KeyError(name)
+      source: Any = self._model.opt if name.startswith("opt.") else self._model
+      value = np.array(getattr(source, name.removeprefix("opt.")))[None]
+      field = TorchArray.over(torch.from_numpy(value))
+      self._shared[name] = (field, field._version)
+    return self._shared[name][0]
+
+  def expand(self, name: str) -> None:
+    shared = self.model_field(name)
+    rows = self._batch.expand(name)
+    field = TorchArray.over(torch.from_numpy(rows))
+    field.copy_(shared)
+    self._shared.pop(name, None)
+    self._per_world[name] = field
+
+  def step(self) -> None:
+    self._push_shared()
+    self._batch.step(stage=_VEL)
+    self._remember()
+
+  def forward(self, model_changed: bool) -> None:
+    self._push_shared()
+    if model_changed:
+      self._stale[:] = True
+    for array, seen in zip(self._kinematic, self._seen, strict=True):
+      # NaN compares unequal to itself, so a world that holds one always counts as written.
+      self._stale |= (array != seen).reshape(self._num_envs, -1).any(axis=1)
+    if self._stale.any():
+      self._batch.forward(self._stale, stage=_VEL)
+      self._remember()
+
+  def _remember(self) -> None:
+    for array, seen in zip(self._kinematic, self._seen, strict=True):
+      np.copyto(seen, array)
+    self._stale[:] = False
+
+  def _push_shared(self) -> None:
+    # The batch runs on its own copy of the model: a write to a shared field reaches it as equal values for all worlds.
+    for name, (field, version) in self._shared.items():
+      if field._version != version:
+        self._batch.expand(name)[:] = field.numpy()
+        self._shared[name] = (field, field._version)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    worlds = mask.numpy()
+    if worlds.any():
+      self._batch.reset(worlds, stage=_NONE)
+      for name, field in self._data.items():
+        if name == "sensordata":
+          field.numpy()[worlds] = 0.0
+      self._stale |= worlds
+
+  def recompute_constants(self, mask: torch.Tensor | None) -> None:
+    self._push_shared()
+    worlds = None if mask is None else mask.numpy()
+    if worlds is None or worlds.any():
+      self._batch.set_const(worlds)
+      self._stale |= True if worlds is None else worlds
+
+  def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> "NativeRayCaster":
+    return NativeRayCaster(self._batch, self._num_envs, num_rays, geomgroup, bodyexclude)
+
+  def count_overflow(self) -> None:
+    """Nothing to do: the batch counts warnings itself."""
+
+  def overflow_report(self) -> list[str]:
+    new = self._batch.warning[:, :, 1] - self._reported[:, :, 1]
+    np.copyto(self._reported, self._batch.warning)
+    report = []
+    for kind, what in (
+      (mujoco.mjtWarning.mjWARN_CONTACTFULL, "contact"),
+      (mujoco.mjtWarning.mjWARN_CNSTRFULL, "constraint"),
+    ):
+      worlds = int((new[:, kind.value] > 0).sum())
+      if worlds:
+        report.append(
+          f"{what} buffer: {worlds} of {self._num_envs} worlds ran out of MuJoCo's memory and dropped {what}s."
+          ' Set <size memory="..."/> in the model.'
+        )
+    return report
+
+  def close(self) -> None:
+    self._data.clear()
+    self._per_world.clear()
+    self._shared.clear()
+    self._kinematic.clear()
+    del self._batch
+
+
+class NativeRayCaster:
+  """`mj_ray` in every world, on all cores."""
+
+  def __init__(
+    self, engine_batch: batch.Batch, num_envs: int, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int
+  ) -> None:
+    self._batch = engine_batch
+    self._geomgroup = None if geomgroup is None else np.array(geomgroup, dtype=np.uint8)
+    self._bodyexclude = bodyexclude
+    self._hits = RayHits(
+      distance=torch.full((num_envs, num_rays), -1.0, dtype=torch.float64),
+      geomid=torch.full((num_envs, num_rays), -1, dtype=torch.int32),
+      normal=torch.zeros((num_envs, num_rays, 3), dtype=torch.float64),
+    )
+
+  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
+    distance, geomid, normal = self._batch.ray(
+      origins.numpy(), directions.numpy(), self._geomgroup, bodyexclude=self._bodyexclude, normal=True
+    )
+    self._hits.distance.copy_(torch.from_numpy(distance))
+    self._hits.geomid.copy_(torch.from_numpy(geomid))
+    self._hits.normal.copy_(torch.from_numpy(normal))
+    return self._hits

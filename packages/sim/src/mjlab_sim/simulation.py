@@ -1,0 +1,412 @@
+"""Many worlds of one model, stepped together, as PyTorch tensors."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import torch
+from mjlab_core.names import unknown
+
+from mjlab_sim.config import SimulationCfg
+from mjlab_sim.engine import Engine
+from mjlab_sim.errors import SimulationError
+from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
+from mjlab_sim.rays import RayCaster
+from mjlab_sim.torch_array import TorchArray
+
+if TYPE_CHECKING:
+  from mjlab_sim.graph import Recorder
+
+_WARM_UP_CALLS = 3
+
+
+class Simulation:
+  """`num_envs` worlds of one MuJoCo model on one device.
+
+  On a GPU MuJoCo Warp runs them, on a CPU MuJoCo's own batch engine; fields, names, shapes and meaning are the same.
+
+  Nothing read from here is stale. State (`qpos`, `qvel`, `ctrl`, ...) is plain memory that anybody may write. All
+  else follows from it, and whoever reads it after a write gets it recomputed first: in-place writes are seen through
+  torch's version counters, whatever view they go through. After `step` positions, velocities and what follows from
+  them describe the new state; accelerations, forces and contact sensors describe the substep just done.
+
+  Args:
+    num_envs: Number of worlds.
+    spec: The model; `cfg`'s options are written over its own.
+    cfg: Options and buffer sizes.
+    device: Where to run, "cpu" or "cuda[:i]".
+
+  Raises:
+    SimulationError: an option, model or device that the engine cannot serve.
+  """
+
+  def __init__(
+    self, num_envs: int, spec: mujoco.MjSpec, cfg: SimulationCfg | None = None, device: str | torch.device = "cpu"
+  ) -> None:
+    if num_envs < 1:
+      raise SimulationError(f"num_envs must be at least 1, got {num_envs}")
+    self.cfg = SimulationCfg() if cfg is None else cfg
+    self.num_envs = num_envs
+    self.device = _resolve_device(device)
+    self.engine = self.cfg.engine_for(self.device.type)
+    self.cfg.validate(self.engine)
+    spec = spec.copy()
+    self.cfg.apply(spec)
+    self.mj_model: mujoco.MjModel = spec.compile()
+    """The compiled model on the host. Never written to."""
+    self.timestep: float = self.mj_model.opt.timestep
+    """Duration of one physics step [s]."""
+    self._engine = _make_engine(self)
+    self.dtype = self._engine.dtype
+    """Precision of state and derived quantities: float64 on the native engine, float32 on MuJoCo Warp."""
+    self.data = DataView(self)
+    self.model = ModelView(self._engine)
+    self.on_model_change: list[Callable[[], None]] = []
+    """Called after model fields were expanded: recorded graphs hold the memory that was."""
+    self._kinematic = [self._engine.data_field(name) for name in KINEMATIC_STATE]
+    self._expanded: dict[str, TorchArray] = {}
+    self._epoch = 0
+    self._model_changed = False
+    self._state_version = self._versions(self._kinematic)
+    self._model_version = 0
+    self._recorder: Recorder | None = None
+    self._graphs: list[StepGraph] = []
+    self._closed = False
+
+  # Stepping
+
+  def step(self) -> None:
+    """Advance every world by one physics step under `data.ctrl`."""
+    self._check_open()
+    self._refresh()
+    self._engine.step()
+    self._settled()
+
+  def forward(self) -> None:
+    """Bring derived quantities up to date with written state now rather than when they are next read."""
+    self._check_open()
+    self._refresh()
+
+  def reset(self, mask: torch.Tensor | None = None) -> None:
+    """Set worlds to the model's initial state: qpos0, at rest, no controls, forces or contacts.
+
+    Args:
+      mask: Which worlds, bool (num_envs,); all by default. The others stay bit-identical.
+    """
+    self._check_open()
+    if mask is None:
+      mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+    if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
+      raise SimulationError(
+        f"reset: mask must be bool of shape ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
+      )
+    self._engine.reset(mask)
+    self._state_version = -1
+    self._epoch += 1
+
+  @property
+  def epoch(self) -> int:
+    """A number that changes whenever derived quantities change; reading it brings them up to date first."""
+    self._refresh()
+    return self._epoch
+
+  # Model fields
+
+  def expand_model_fields(self, names: Iterable[str]) -> None:
+    """Give model fields one value per world, with every field derived from them.
+
+    Graphs recorded before hold the old memory and are recorded anew.
+
+    Args:
+      names: Fields of MjModel, or `opt.<name>`.
+
+    Raises:
+      SimulationError: a name that cannot differ per world.
+    """
+    self._check_open()
+    fresh = [name for name in closure(list(names)) if name not in self._expanded and self.model[name].numel() > 0]
+    for name in fresh:
+      self._engine.expand(name)
+      self._expanded[name] = self._engine.model_field(name)
+    if fresh:
+      self._model_version = self._versions(self._expanded.values())
+      for graph in self._graphs:
+        graph.invalidate()
+      for callback in self.on_model_change:
+        callback()
+
+  @property
+  def expanded_fields(self) -> tuple[str, ...]:
+    """Names of the model fields that have one value per world."""
+    return tuple(self._expanded)
+
+  def is_expanded(self, name: str) -> bool:
+    """Whether a model field has one value per world."""
+    return name in self._expanded
+
+  def default_field(self, name: str) -> torch.Tensor:
+    """The compiled value of a model field, (1, ...), as a fresh tensor."""
+    view = self.model[name]
+    owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
+    value = torch.as_tensor(getattr(owner, name.removeprefix("opt.")), dtype=view.dtype, device=self.device)
+    return value.reshape(1, *view.shape[1:]).clone()
+
+  def recompute_constants(self, mask: torch.Tensor | None = None) -> None:
+    """Recompute what MuJoCo's compiler derives (inverse weights, subtree masses, ...) after a model field changed.
+
+    Args:
+      mask: Worlds whose fields changed, bool (num_envs,); all by default.
+    """
+    self._check_open()
+    self._engine.recompute_constants(mask)
+    self._model_changed = True
+    self._state_version = -1
+
+  # Rays, overflow
+
+  def make_ray_caster(
+    self, num_rays: int, *, geomgroup: Sequence[bool] | None = None, bodyexclude: int = -1
+  ) -> RayCaster:
+    """A caster of `num_rays` rays in every world.
+
+    Args:
+      num_rays: Rays of each world.
+      geomgroup: Which of the six geom groups rays see; all by default.
+      bodyexclude: A body that rays pass through, -1 for none.
+    """
+    if geomgroup is not None and len(geomgroup) != mujoco.mjNGROUP:
+      raise SimulationError(f"geomgroup needs {mujoco.mjNGROUP} entries, got {len(geomgroup)}")
+    return self._engine.ray_caster(num_rays, None if geomgroup is None else tuple(geomgroup), bodyexclude)
+
+  def count_overflow(self) -> None:
+    """Note contacts and constraints that did not fit. On the device; once an env step is enough."""
+    self._engine.count_overflow()
+
+  def overflow_report(self) -> list[str]:
+    """What did not fit since the last report, one sentence each with the setting to raise. Reads the device."""
+    return self._engine.overflow_report()
+
+  # Graphs
+
+  def capture(
+    self,
+    fn: Callable[[], None],
+    *,
+    generators: Sequence[torch.Generator] = (),
+    on_capture: Callable[[], None] | None = None,
+  ) -> "StepGraph":
+    """`fn` as a step graph: recorded once with torch operations and physics together, then replayed.
+
+    Where nothing can be recorded, on a CPU or with `capture` off, the same code runs eagerly.
+
+    Args:
+      fn: Takes no argument and works in fixed memory.
+      generators: Random generators that `fn` draws from.
+      on_capture: Called after each recording.
+    """
+    graph = StepGraph(self, fn, generators, on_capture)
+    self._graphs.append(graph)
+    return graph
+
+  def graph_break(self, fn: Callable[[], None]) -> None:
+    """Inside a step graph: call `fn` eagerly at this point of every replay. Elsewhere simply call it."""
+    if self._recorder is None:
+      fn()
+    else:
+      self._recorder.interrupt(fn)
+
+  @property
+  def is_capturing(self) -> bool:
+    """Whether a step graph is being recorded right now: operations are noted, not run."""
+    return self._recorder is not None
+
+  def close(self) -> None:
+    """Release threads, graphs and memory. Tensors taken from here must not be used afterwards."""
+    if not self._closed:
+      self._closed = True
+      self._graphs.clear()
+      self._engine.close()
+
+  # Freshness
+
+  @staticmethod
+  def _versions(tensors: Iterable[torch.Tensor]) -> int:
+    return sum(tensor._version for tensor in tensors)
+
+  def _refresh(self) -> None:
+    """Recompute derived quantities if state or a per-world model field was written since."""
+    if self._expanded:
+      version = self._versions(self._expanded.values())
+      if version != self._model_version:
+        self._model_version = version
+        self._model_changed = True
+        self._state_version = -1
+    if self._versions(self._kinematic) != self._state_version:
+      self._engine.forward(self._model_changed)
+      self._settled()
+
+  def _settled(self) -> None:
+    self._state_version = self._versions(self._kinematic)
+    self._model_changed = False
+    self._epoch += 1
+
+  def _check_open(self) -> None:
+    if self._closed:
+      raise SimulationError("this simulation is closed")
+
+
+class DataView:
+  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3).
+
+  A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
+  """
+
+  def __init__(self, sim: Simulation) -> None:
+    object.__setattr__(self, "_sim", sim)
+
+  def __getattr__(self, name: str) -> TorchArray:
+    sim: Simulation = self._sim
+    if name.startswith("__"):
+      raise AttributeError(name)
+    if name not in STATE:
+      sim._refresh()
+    try:
+      return sim._engine.data_field(name)
+    except KeyError:
+      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
+
+  def __setattr__(self, name: str, value: torch.Tensor) -> None:
+    field = getattr(self, name)
+    # `data.qpos += x` adds in place and then assigns the result to the name it came from.
+    if value is not field:
+      field.copy_(value)
+
+
+class ModelView:
+  """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded."""
+
+  def __init__(self, engine: Engine, prefix: str = "") -> None:
+    object.__setattr__(self, "_engine", engine)
+    object.__setattr__(self, "_prefix", prefix)
+
+  def __getattr__(self, name: str) -> TorchArray:
+    if name.startswith("__"):
+      raise AttributeError(name)
+    return self[name]
+
+  def __getitem__(self, name: str) -> TorchArray:
+    try:
+      return self._engine.model_field(self._prefix + name)
+    except KeyError:
+      raise AttributeError(
+        unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
+        + " Others are the same in every world: read them from sim.mj_model."
+      ) from None
+
+  def __setattr__(self, name: str, value: torch.Tensor) -> None:
+    field = self[name]
+    if value is not field:
+      field.copy_(value)
+
+  @property
+  def opt(self) -> "ModelView":
+    """Options that may differ per world: `sim.model.opt.gravity`."""
+    return ModelView(self._engine, "opt.")
+
+
+class StepGraph:
+  """A function that is recorded on a GPU and replayed; made by `Simulation.capture`."""
+
+  def __init__(
+    self,
+    sim: Simulation,
+    fn: Callable[[], None],
+    generators: Sequence[torch.Generator],
+    on_capture: Callable[[], None] | None,
+  ) -> None:
+    self._sim = sim
+    self._fn = fn
+    self._generators = generators
+    self._on_capture = on_capture
+    self._calls = 0
+    self._recorder: Recorder | None = None
+    self.recorded = sim.device.type == "cuda" and sim.cfg.capture
+    """Whether calls are replays of a recording."""
+
+  def __call__(self) -> None:
+    sim = self._sim
+    sim._check_open()
+    sim._refresh()
+    if not self.recorded:
+      self._fn()
+      sim._refresh()
+      return
+    if self._recorder is None:
+      if self._calls < _WARM_UP_CALLS:
+        # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
+        self._calls += 1
+        self._fn()
+        sim._refresh()
+        return
+      self._record()
+    assert self._recorder is not None
+    self._recorder.replay()
+    sim._epoch += 1
+
+  def invalidate(self) -> None:
+    """Record anew before the next replay: memory or behaviour changed."""
+    self._recorder = None
+    self._calls = min(self._calls, _WARM_UP_CALLS - 1)
+
+  @property
+  def num_graphs(self) -> int:
+    """How many graphs the recording consists of: one, and one more for every eager call between."""
+    return 0 if self._recorder is None else self._recorder.num_graphs
+
+  def _record(self) -> None:
+    from mjlab_sim.graph import Recorder
+
+    sim = self._sim
+    recorder = Recorder(sim.device, self._generators)
+    sim._recorder = recorder
+    try:
+      recorder.record(self._body)
+    finally:
+      sim._recorder = None
+    self._recorder = recorder
+    if self._on_capture is not None:
+      self._on_capture()
+
+  def _body(self) -> None:
+    self._fn()
+    self._sim._refresh()
+
+
+def _resolve_device(device: str | torch.device) -> torch.device:
+  resolved = torch.device(device)
+  if resolved.type not in ("cpu", "cuda"):
+    raise SimulationError(f"device '{device}' is not supported; use 'cpu' or 'cuda'")
+  if resolved.type == "cuda":
+    if not torch.cuda.is_available():
+      raise SimulationError(f"device '{device}' was asked for, but torch finds no GPU; use 'cpu'")
+    if resolved.index is None:
+      resolved = torch.device("cuda", torch.cuda.current_device())
+  return resolved
+
+
+def _make_engine(sim: Simulation) -> Engine:
+  if sim.engine == "native":
+    from mjlab_sim.native import NativeEngine
+
+    return NativeEngine(sim.mj_model, sim.num_envs, sim.cfg)
+  from mjlab_sim.warp_engine import WarpEngine
+
+  return WarpEngine(sim.mj_model, sim.num_envs, sim.cfg, sim.device)
+
+
+_DATA_FIELDS = (
+  *STATE,
+  *"""qacc xpos xquat xmat xipos ximat geom_xpos geom_xmat site_xpos site_xmat cam_xpos cam_xmat subtree_com cvel
+  subtree_linvel subtree_angmom sensordata actuator_force actuator_length actuator_velocity qfrc_actuator qfrc_bias
+  qfrc_passive qfrc_constraint qfrc_smooth ten_length ten_velocity xanchor xaxis nefc energy""".split(),
+)

@@ -1,0 +1,332 @@
+"""MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mujoco_warp._src.types import vec6
+
+from mjlab_sim import warp_kernels
+from mjlab_sim.config import SimulationCfg
+from mjlab_sim.errors import SimulationError
+from mjlab_sim.fields import PER_WORLD
+from mjlab_sim.graph import Recorder
+from mjlab_sim.rays import RayHits
+from mjlab_sim.torch_array import TorchArray
+
+wp.config.log_level = wp.LOG_WARNING
+
+_CONSTANTS = mjw.SetConstGroup.FIXED | mjw.SetConstGroup.KIN0 | mjw.SetConstGroup.INERT0
+
+# Bits of `overflow` that mean dropped physics, with what was short and the setting to raise.
+_BUFFERS = (
+  (mjw.OverflowType.NEFC, "constraint buffer", "njmax"),
+  (mjw.OverflowType.NJMAX_NNZ, "sparse constraint buffer", "njmax"),
+  (mjw.OverflowType.BROADPHASE, "candidate-pair buffer", "nconmax"),
+  (mjw.OverflowType.NARROWPHASE, "contact buffer", "nconmax"),
+  (mjw.OverflowType.CONTACT_MATCH, "contact-sensor match buffer", "contact_sensor_maxmatch"),
+)
+_OTHER = (
+  (mjw.OverflowType.CCD, "convex collision ran out of its buffer", "nconmax"),
+  (mjw.OverflowType.HFIELD, "a geom spans too many height-field cells; use coarser cells", None),
+  (mjw.OverflowType.EPA_HORIZON, "convex collision gave up on a deep contact", None),
+)
+
+
+class WarpEngine:
+  """MuJoCo Warp behind the engine protocol."""
+
+  dtype = torch.float32
+
+  def __init__(self, model: mujoco.MjModel, num_envs: int, cfg: SimulationCfg, device: torch.device) -> None:
+    wp.init()
+    self._device = device
+    self._wp_device = wp.device_from_torch(device)
+    self._num_envs = num_envs
+    self._capture = cfg.capture
+    self._graphs: dict[str, Callable[[], None]] = {}
+    self._data_views: dict[str, TorchArray] = {}
+    self._model_views: dict[str, TorchArray] = {}
+    if cfg.capture:
+      check_capture(self._wp_device)
+    host = mujoco.MjData(model)
+    mujoco.mj_forward(model, host)
+    with wp.ScopedDevice(self._wp_device):
+      try:
+        self._m = mjw.put_model(model)
+        self._d = mjw.put_data(model, host, nworld=num_envs, nconmax=cfg.nconmax, njmax=cfg.njmax)
+      except (NotImplementedError, ValueError) as error:
+        raise SimulationError(f"MuJoCo Warp cannot run this model: {error}") from error
+      self._m.opt.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
+      # Printing from the device is slow and floods the terminal; overflow is counted instead.
+      self._m.opt.warn_overflow = 0
+      self._reset_mask = wp.zeros(num_envs, dtype=wp.bool)
+      columns = np.zeros(model.nsensordata, dtype=bool)
+      for adr, dim, stage in zip(model.sensor_adr, model.sensor_dim, model.sensor_needstage, strict=True):
+        columns[adr : adr + dim] = stage == mujoco.mjtStage.mjSTAGE_ACC
+      self._has_acceleration_sensors = bool(columns.any())
+      self._is_acceleration = wp.array(columns, dtype=wp.bool)
+      self._saved_sensors = wp.zeros((num_envs, model.nsensordata), dtype=wp.float32)
+      self._overflow_seen = wp.zeros(num_envs, dtype=wp.int32)
+      self._overflow_wanted = wp.zeros(3, dtype=wp.int32)
+    self._reset_mask_torch = wp.to_torch(self._reset_mask)
+    self._run("forward", self._forward)
+
+  # Fields
+
+  def data_field(self, name: str) -> TorchArray:
+    if name not in self._data_views:
+      array = getattr(self._d, name, None)
+      if not isinstance(array, wp.array) or array.shape[0] != self._num_envs:
+        raise KeyError(name)
+      self._data_views[name] = TorchArray.over(wp.to_torch(array, requires_grad=False))
+    return self._data_views[name]
+
+  def _owner(self, name: str) -> tuple[Any, str]:
+    return (self._m.opt, name.removeprefix("opt.")) if name.startswith("opt.") else (self._m, name)
+
+  def model_field(self, name: str) -> TorchArray:
+    if name not in self._model_views:
+      if name not in PER_WORLD:
+        raise KeyError(name)
+      owner, attribute = self._owner(name)
+      self._model_views[name] = TorchArray.over(wp.to_torch(getattr(owner, attribute), requires_grad=False))
+    return self._model_views[name]
+
+  def expand(self, name: str) -> None:
+    owner, attribute = self._owner(name)
+    shared = getattr(owner, attribute)
+    if shared.shape[0] == self._num_envs:
+      return
+    with wp.ScopedDevice(self._wp_device):
+      rows = wp.zeros((self._num_envs, *shared.shape[1:]), dtype=shared.dtype)
+    view = TorchArray.over(wp.to_torch(rows, requires_grad=False))
+    view.copy_(self.model_field(name))
+    setattr(owner, attribute, rows)
+    self._model_views[name] = view
+    self._graphs.clear()
+
+  # Stages
+
+  def step(self) -> None:
+    self._run("step", self._step)
+
+  def forward(self, model_changed: bool) -> None:
+    del model_changed  # Every world is recomputed; one that nothing wrote to gets the values it had.
+    self._run("forward", self._forward)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    self._reset_mask_torch.copy_(mask)
+    self._run("reset", self._reset)
+
+  def recompute_constants(self, mask: torch.Tensor | None) -> None:
+    del mask  # A world whose inputs did not change gets the constants it had.
+    self._run("constants", self._recompute)
+
+  def count_overflow(self) -> None:
+    self._run("overflow", self._count_overflow)
+
+  def _step(self) -> None:
+    mjw.step2(self._m, self._d)
+    self._forward()
+
+  def _forward(self) -> None:
+    # step1 clears all of sensordata and fills in only what follows from positions and velocities. The rest belongs
+    # to the substep just done: it is put aside and written back.
+    if self._has_acceleration_sensors:
+      wp.launch(
+        warp_kernels.save_sensors,
+        dim=self._saved_sensors.shape,
+        inputs=[self._d.sensordata],
+        outputs=[self._saved_sensors],
+        device=self._wp_device,
+      )
+    mjw.step1(self._m, self._d)
+    if self._has_acceleration_sensors:
+      wp.launch(
+        warp_kernels.restore_acceleration_sensors,
+        dim=self._saved_sensors.shape,
+        inputs=[self._saved_sensors, self._is_acceleration],
+        outputs=[self._d.sensordata],
+        device=self._wp_device,
+      )
+
+  def _reset(self) -> None:
+    mjw.reset_data(self._m, self._d, self._reset_mask)
+
+  def _recompute(self) -> None:
+    mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=True)
+
+  def _count_overflow(self) -> None:
+    d = self._d
+    wp.launch(
+      warp_kernels.count_overflow,
+      dim=self._num_envs,
+      inputs=[d.overflow, d.nefc, d.nacon, d.ncollision],
+      outputs=[self._overflow_seen, self._overflow_wanted],
+      device=self._wp_device,
+    )
+
+  def overflow_report(self) -> list[str]:
+    seen, wanted = self._overflow_seen.numpy(), self._overflow_wanted.numpy()
+    self._overflow_seen.zero_()
+    self._overflow_wanted.zero_()
+    report = []
+    rows, contacts, pairs = (int(x) for x in wanted)
+    average = -(-max(contacts, pairs) // self._num_envs)
+    fits = {"njmax": self._d.njmax, "nconmax": self._d.naconmax // self._num_envs}
+    want = {"njmax": rows, "nconmax": average}
+    for bit, what, setting in _BUFFERS:
+      worlds = int((seen & bit.value != 0).sum())
+      if not worlds:
+        continue
+      head = f"{what}: {worlds} of {self._num_envs} worlds"
+      if setting in want and want[setting] > fits[setting]:
+        per = "" if setting == "njmax" else " on average"
+        report.append(
+          f"{head} wanted up to {want[setting]} {'rows' if setting == 'njmax' else 'contacts'}{per}, {fits[setting]}"
+          f" fit; the rest were dropped. Set --env.sim.{setting} {_round_up(want[setting])}."
+        )
+      else:
+        report.append(f"{head} overflowed. Raise --env.sim.{setting.replace('_', '-')}.")
+    for bit, what, setting in _OTHER:
+      worlds = int((seen & bit.value != 0).sum())
+      if worlds:
+        hint = f" Raise --env.sim.{setting}." if setting else ""
+        report.append(f"{what}: {worlds} of {self._num_envs} worlds.{hint}")
+    return report
+
+  def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> "WarpRayCaster":
+    return WarpRayCaster(self, num_rays, geomgroup, bodyexclude)
+
+  def close(self) -> None:
+    self._graphs.clear()
+    self._data_views.clear()
+    self._model_views.clear()
+
+  # Running
+
+  def _run(self, name: str, stage: Callable[[], None]) -> None:
+    """Replay `stage`'s graph, recording it first if need be; inside a larger capture simply record its kernels."""
+    if not self._capture:
+      with self._stream():
+        stage()
+      return
+    if self._device.type == "cuda":
+      if torch.cuda.is_current_stream_capturing():
+        stage()
+        return
+      if name not in self._graphs:
+        # Kernels compile and load on their first launch, which a capture does not allow.
+        with self._preserved(), self._stream():
+          stage()
+        self._graphs[name] = capture_cuda(stage, self._device)
+    elif name not in self._graphs:
+      with wp.ScopedDevice(self._wp_device), wp.ScopedCapture(device=self._wp_device) as capture:
+        stage()
+      graph: Any = capture.graph
+      self._graphs[name] = lambda: wp.capture_launch(graph)
+    self._graphs[name]()
+
+  @contextlib.contextmanager
+  def _stream(self) -> Iterator[None]:
+    """Warp's launches go to torch's current stream, so the two need no synchronisation."""
+    with wp.ScopedDevice(self._wp_device):
+      if self._device.type == "cuda":
+        stream = wp.stream_from_torch(torch.cuda.current_stream(self._device))
+        with wp.ScopedStream(stream, sync_enter=False, sync_exit=False):
+          yield
+      else:
+        yield
+
+  @contextlib.contextmanager
+  def _preserved(self) -> Iterator[None]:
+    """Undo what a warm-up launch does to any array of the data."""
+    saved = []
+    for owner in (self._d, self._d.contact, self._d.efc):
+      for field in dataclasses.fields(owner):
+        array = getattr(owner, field.name)
+        if isinstance(array, wp.array) and array.size:
+          saved.append((array, wp.clone(array)))
+    yield
+    for array, before in saved:
+      wp.copy(array, before)
+
+
+class WarpRayCaster:
+  """MuJoCo Warp's rays against every geom of every world."""
+
+  def __init__(self, engine: WarpEngine, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> None:
+    self._engine = engine
+    n, device = engine._num_envs, engine._wp_device
+    # A group is cast against unless its entry is 0; -1 everywhere means no filter.
+    self._groups = vec6(*([-1] * 6 if geomgroup is None else [-1 if group else 0 for group in geomgroup]))
+    with wp.ScopedDevice(device):
+      self._origins: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
+      self._directions: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
+      self._bodyexclude: Any = wp.full(num_rays, bodyexclude, dtype=wp.int32)
+      self._distance: Any = wp.full((n, num_rays), -1.0, dtype=wp.float32)
+      self._geomid: Any = wp.full((n, num_rays), -1, dtype=wp.int32)
+      self._normal: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
+    self._origins_torch = wp.to_torch(self._origins)
+    self._directions_torch = wp.to_torch(self._directions)
+    self._hits = RayHits(
+      distance=wp.to_torch(self._distance), geomid=wp.to_torch(self._geomid), normal=wp.to_torch(self._normal)
+    )
+
+  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
+    self._origins_torch.copy_(origins)
+    self._directions_torch.copy_(directions)
+    self._engine._run(f"rays {id(self)}", self._cast)
+    return self._hits
+
+  def _cast(self) -> None:
+    mjw.rays(
+      self._engine._m,
+      self._engine._d,
+      self._origins,
+      self._directions,
+      self._groups,
+      True,
+      self._bodyexclude,
+      self._distance,
+      self._geomid,
+      self._normal,
+    )
+
+
+def check_capture(device: Any) -> None:
+  """Refuse a GPU that cannot replay a step as one graph, rather than run it slowly in silence.
+
+  Raises:
+    SimulationError: naming what is missing and the switch that runs without graphs.
+  """
+  if not device.is_cuda:
+    return
+  missing = []
+  if not wp.is_mempool_enabled(device):
+    missing.append("Warp's memory pool is disabled on it")
+  if not wp.is_conditional_graph_supported():
+    missing.append("the driver has no conditional graph nodes (CUDA 12.4 or newer has)")
+  if missing:
+    raise SimulationError(
+      f"{device.name} cannot capture a step: {' and '.join(missing)}. Run without graphs with --env.sim.no-capture."
+    )
+
+
+def capture_cuda(stage: Callable[[], None], device: torch.device) -> Callable[[], None]:
+  """`stage` as one CUDA graph, recorded on a stream of its own."""
+  recorder = Recorder(device, generators=())
+  recorder.record(stage)
+  return recorder.replay
+
+
+def _round_up(count: int) -> int:
+  """A little room above what was wanted, to a multiple of eight."""
+  return -(-(count + count // 8) // 8) * 8
