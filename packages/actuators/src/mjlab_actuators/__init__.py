@@ -1,1 +1,49 @@
-"""Actuator models for batched MuJoCo: native servos, ideal PD, delay."""
+"""Actuator models for batched MuJoCo: native servos, ideal PD, wrapped MJCF actuators, delay."""
+
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, DelaySettings, PerTarget, fuse
+from mjlab_actuators.actuator_set import ActuatorSet, scalar_joints
+from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
+from mjlab_actuators.motor_design import (
+  LinearMotor,
+  PdGains,
+  gains_from_frequency,
+  reflected_inertia,
+  reflected_inertia_of_stages,
+  rotary_to_linear,
+)
+from mjlab_actuators.native import (
+  NativeMotorActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  PassThrough,
+)
+from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, joints_with_actuator
+
+__all__ = [
+  "Actuator",
+  "ActuatorCfg",
+  "ActuatorCmd",
+  "ActuatorGroup",
+  "ActuatorSet",
+  "CommandField",
+  "DelaySettings",
+  "IdealPd",
+  "IdealPdActuatorCfg",
+  "LinearMotor",
+  "NativeMotorActuatorCfg",
+  "NativePositionActuatorCfg",
+  "NativeVelocityActuatorCfg",
+  "PassThrough",
+  "PdGains",
+  "PerTarget",
+  "XmlActuatorCfg",
+  "command_fields_of",
+  "fuse",
+  "gains_from_frequency",
+  "joints_with_actuator",
+  "reflected_inertia",
+  "reflected_inertia_of_stages",
+  "rotary_to_linear",
+  "scalar_joints",
+]

@@ -1,0 +1,263 @@
+"""All actuators of one entity: from joint set-points to the entity's part of ctrl, once a substep."""
+
+from collections.abc import Sequence
+
+import mujoco
+import torch
+from mjlab_core.state import Stateful
+
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, fuse
+from mjlab_actuators.command import ActuatorCmd
+from mjlab_actuators.native import PassThrough
+from mjlab_actuators.xml import XmlActuatorCfg, joints_with_actuator
+
+
+class ActuatorSet(Stateful):
+  """Builds, fuses and runs the actuators of an entity.
+
+  `edit_spec` before the model is compiled, `build` after, then `compute` in every substep and `reset` for worlds that
+  start anew. Set-points and measurements have one column per target (the entity's joints, in the order given to
+  `build`); where each command goes in ctrl is a map made at build by name, so the order of MuJoCo's elements, of the
+  configs and of the joints may all differ.
+
+  Attributes, after `build`:
+    groups: The runtime laws, one per law and delay setting.
+    target_names: Names of the set-point columns.
+    ctrl_ids: Indices into the model's ctrl that this set drives, ascending.
+    ctrl_targets: Target of each driven ctrl, in the order of `ctrl_ids`.
+    ctrl: Commands of the last substep, (num_envs, len(ctrl_ids)), fixed memory; a view of the simulation's ctrl where
+      `build` was given that and the driven indices are contiguous.
+    needs_feedback: Whether any law reads measurements; if not, `compute` may be given any tensors for them.
+  """
+
+  _children = ("groups",)
+  # Rewritten in every substep before anybody reads it.
+  _constants = frozenset({"ctrl"})
+
+  groups: tuple[Actuator, ...]
+  target_names: tuple[str, ...]
+  ctrl_ids: tuple[int, ...]
+  ctrl_targets: tuple[str, ...]
+  ctrl: torch.Tensor
+  needs_feedback: bool
+
+  def __init__(self, cfgs: Sequence[ActuatorCfg], owner: str = "") -> None:
+    """`owner` names whose actuators these are in messages, e.g. "entity 'robot'"."""
+    self.cfgs = tuple(cfgs)
+    self.owner = owner
+
+  def edit_spec(self, spec: mujoco.MjSpec, target_names: Sequence[str] | None = None) -> None:
+    """Adds the configured MuJoCo actuators and joint properties, after the actuators that the MJCF declares.
+
+    Args:
+      spec: The entity alone, its names without prefix.
+      target_names: Joints that patterns may match; None for all hinges and slides.
+
+    Raises:
+      NameMatchError: A pattern matches no joint.
+      ValueError: A number is impossible, or a joint is driven twice.
+    """
+    names = scalar_joints(spec) if target_names is None else list(target_names)
+    joint = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    actuated = [actuator.target for actuator in spec.actuators if actuator.trntype in joint]
+    for cfg in self.cfgs:
+      matched = (
+        cfg.match(names, self.owner, actuated) if isinstance(cfg, XmlActuatorCfg) else cfg.match(names, self.owner)
+      )
+      cfg.edit_spec(spec, matched)
+
+  def build(
+    self,
+    model: mujoco.MjModel,
+    *,
+    target_names: Sequence[str] | None = None,
+    num_envs: int,
+    device: torch.device | str,
+    dtype: torch.dtype,
+    generator: torch.Generator | None = None,
+    prefix: str = "",
+    ctrl: torch.Tensor | None = None,
+  ) -> "ActuatorSet":
+    """Makes the laws and their memory for a compiled model.
+
+    Args:
+      model: The compiled model, of this entity alone or of a whole scene.
+      target_names: Columns of set-points and measurements, without prefix; None for all hinges and slides.
+      num_envs: Number of worlds.
+      device: Where set-points and ctrl live.
+      dtype: Type of set-points and ctrl.
+      generator: Source of delay lags; None takes torch's global one.
+      prefix: What the scene puts before the entity's names, such as "robot/".
+      ctrl: The simulation's ctrl, (num_envs, model.nu), to be written into; None keeps the commands in `self.ctrl`.
+
+    Returns:
+      Itself.
+
+    Raises:
+      ValueError: An actuator is missing in the model, or is driven by two configs.
+    """
+    self.num_envs = num_envs
+    names = scalar_joints(model, prefix) if target_names is None else list(target_names)
+    self.target_names = tuple(names)
+    groups = self._groups(model, names, prefix)
+    target_of = _target_of_ctrl(groups, self.owner)
+    self.ctrl_ids = tuple(sorted(target_of))
+    self.ctrl_targets = tuple(target_of[index] for index in self.ctrl_ids)
+    self._place_ctrl(ctrl, device=device, dtype=dtype)
+    column = {name: index for index, name in enumerate(names)}
+    position = {index: place for place, index in enumerate(self.ctrl_ids)}
+    laws, self._routes = [], []
+    for group in fuse(groups):
+      # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
+      # columns are plain slices when they keep the order of the targets.
+      order = sorted(
+        range(len(group.target_names)),
+        key=group.ctrl_ids.__getitem__
+        if issubclass(group.law, PassThrough)
+        else [column[name] for name in group.target_names].__getitem__,
+      )
+      group = group.reordered(order)
+      law = group.law(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+      laws.append(law)
+      columns = [column[name] for name in group.target_names]
+      places = [position[index] for index in group.ctrl_ids]
+      self._routes.append(_Route(law, columns, places, len(names), self.ctrl))
+    self.groups = tuple(laws)
+    self.needs_feedback = any(law.needs_feedback for law in laws)
+    return self
+
+  def compute(
+    self,
+    position_target: torch.Tensor,
+    velocity_target: torch.Tensor,
+    effort_target: torch.Tensor,
+    position: torch.Tensor,
+    velocity: torch.Tensor,
+  ) -> torch.Tensor:
+    """Commands of this substep, (num_envs, len(ctrl_ids)), in `self.ctrl` and in the ctrl given to `build`.
+
+    To be called exactly once a substep: it advances delays. All arguments are (num_envs, len(target_names)).
+    """
+    cmd = ActuatorCmd(position_target, velocity_target, effort_target, position, velocity)
+    for route in self._routes:
+      route.run(cmd)
+    if self._scatter is not None:
+      target, ids = self._scatter
+      target.index_copy_(1, ids, self.ctrl)
+    return self.ctrl
+
+  def reset(
+    self,
+    mask: torch.Tensor,
+    position_target: torch.Tensor,
+    velocity_target: torch.Tensor,
+    effort_target: torch.Tensor,
+  ) -> None:
+    """Starts masked worlds as if these set-points, (num_envs, len(target_names)), had always been given.
+
+    Time does not pass: nothing is pushed, and worlds outside `mask` (num_envs,) stay bit-identical. The entity gives
+    its default pose, so that a delayed robot holds it rather than driving to zero.
+    """
+    # Measurements play no part in a reset.
+    cmd = ActuatorCmd(position_target, velocity_target, effort_target, position_target, velocity_target)
+    for route in self._routes:
+      route.reset(mask, cmd)
+
+  def _groups(self, model: mujoco.MjModel, names: Sequence[str], prefix: str) -> list[ActuatorGroup]:
+    matches = [cfg.match(names, self.owner) if not isinstance(cfg, XmlActuatorCfg) else None for cfg in self.cfgs]
+    # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
+    added = {prefix + name for matched in matches if matched is not None for name in matched}
+    actuated = joints_with_actuator(model, prefix, without=added)
+    groups: list[ActuatorGroup] = []
+    for cfg, matched in zip(self.cfgs, matches, strict=True):
+      if isinstance(cfg, XmlActuatorCfg):
+        groups += cfg.groups(model, cfg.match(names, self.owner, actuated), prefix, without=added)
+      elif matched is not None:
+        groups += cfg.groups(model, matched, prefix)
+    return groups
+
+  def _place_ctrl(self, ctrl: torch.Tensor | None, *, device: torch.device | str, dtype: torch.dtype) -> None:
+    width = len(self.ctrl_ids)
+    self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
+    if ctrl is not None and width and self.ctrl_ids[-1] - self.ctrl_ids[0] == width - 1:
+      self.ctrl = ctrl[:, self.ctrl_ids[0] : self.ctrl_ids[-1] + 1]
+      return
+    self.ctrl = torch.zeros(self.num_envs, width, device=device, dtype=dtype)
+    if ctrl is not None and width:
+      self._scatter = (ctrl, torch.tensor(self.ctrl_ids, device=device))
+
+
+class _Route:
+  """The way of one fused law from the set-point columns into ctrl."""
+
+  def __init__(
+    self, law: Actuator, columns: Sequence[int], places: Sequence[int], num_targets: int, ctrl: torch.Tensor
+  ) -> None:
+    self._law = law
+    self._all = list(columns) == list(range(num_targets))
+    self._slice = _as_slice(columns)
+    self._index = torch.tensor(columns, device=ctrl.device)
+    place = _as_slice(places)
+    self._ctrl = ctrl
+    self._into = ctrl[:, place] if place is not None else None
+    self._places = torch.tensor(places, device=ctrl.device)
+    self._direct = isinstance(law, PassThrough) and law.delay is None and self._into is not None
+    self._fields = law.group.command_fields
+
+  def run(self, cmd: ActuatorCmd) -> None:
+    if self._direct and self._into is not None and not self._all:
+      torch.index_select(getattr(cmd, self._fields[0]), 1, self._index, out=self._into)
+      return
+    value = self._law.compute(self._select(cmd))
+    if self._into is not None:
+      self._into.copy_(value)
+    else:
+      self._ctrl.index_copy_(1, self._places, value)
+
+  def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
+    if self._law.delay is not None or type(self._law).reset is not Actuator.reset:
+      self._law.reset(mask, self._select(cmd))
+
+  def _select(self, cmd: ActuatorCmd) -> ActuatorCmd:
+    """The columns of this law; fields that it does not read are handed over whole."""
+    if self._all:
+      return cmd
+    fields = (*self._fields, "position", "velocity") if self._law.needs_feedback else self._fields
+    selected = ActuatorCmd(cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity)
+    if self._slice is not None:
+      for field in fields:
+        setattr(selected, field, getattr(cmd, field)[:, self._slice])
+    elif len(fields) == 1:
+      setattr(selected, fields[0], getattr(cmd, fields[0]).index_select(1, self._index))
+    else:
+      gathered = torch.stack([getattr(cmd, field) for field in fields]).index_select(2, self._index)
+      for field, value in zip(fields, gathered.unbind(0), strict=True):
+        setattr(selected, field, value)
+    return selected
+
+
+def scalar_joints(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[str]:
+  """Names of all hinges and slides that begin with `prefix`, without it, in the source's order."""
+  scalar = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+  if isinstance(source, mujoco.MjSpec):
+    names = [joint.name for joint in source.joints if joint.type in scalar]
+  else:
+    names = [
+      source.joint(index).name for index in range(source.njnt) if mujoco.mjtJoint(source.jnt_type[index]) in scalar
+    ]
+  return [name.removeprefix(prefix) for name in names if name and name.startswith(prefix)]
+
+
+def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, str]:
+  target_of: dict[int, str] = {}
+  for group in groups:
+    for index, name in zip(group.ctrl_ids, group.target_names, strict=True):
+      if index in target_of:
+        raise ValueError(f"{owner + ': ' if owner else ''}joint {name!r} is driven by two actuator configs")
+      target_of[index] = name
+  return target_of
+
+
+def _as_slice(indices: Sequence[int]) -> slice | None:
+  start = indices[0] if indices else 0
+  return slice(start, start + len(indices)) if list(indices) == list(range(start, start + len(indices))) else None

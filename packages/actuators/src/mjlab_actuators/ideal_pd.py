@@ -1,0 +1,82 @@
+"""A PD law in torch, with feed-forward, whose gains and limits may differ per world and change at run time."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import torch
+
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, add_joint_element
+from mjlab_actuators.command import ActuatorCmd
+
+
+class IdealPd(Actuator):
+  """effort = clamp(kp (q* - q) + kd (q*' - q') + effort*, +-effort_limit), set-points delayed, measurements not.
+
+  `stiffness`, `damping` and `effort_limit` are (1, n) until `expand`ed; writes in place act from the next substep on.
+  """
+
+  stiffness: torch.Tensor
+  """kp, (1, n) or (num_envs, n) [N/m or N m/rad]."""
+  damping: torch.Tensor
+  """kd, (1, n) or (num_envs, n) [N s/m or N m s/rad]."""
+  effort_limit: torch.Tensor
+  """Largest effort, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
+
+  def __init__(
+    self,
+    group: ActuatorGroup,
+    *,
+    num_envs: int,
+    device: torch.device | str,
+    dtype: torch.dtype,
+    generator: torch.Generator | None = None,
+  ) -> None:
+    super().__init__(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+    self._clamps = not all(math.isinf(limit) for limit in group.parameters["effort_limit"])
+
+  def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    position, velocity, effort = self._delayed_targets(cmd)
+    effort = torch.addcmul(effort, self.stiffness, position - cmd.position)
+    effort.addcmul_(self.damping, velocity - cmd.velocity)
+    if self._clamps:
+      torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
+    return effort
+
+  def expand(self, name: str) -> torch.Tensor:
+    # Whoever wants limits per world is about to write some.
+    self._clamps = self._clamps or name == "effort_limit"
+    return super().expand(name)
+
+
+@dataclass(kw_only=True)
+class IdealPdActuatorCfg(ActuatorCfg):
+  """PD with feed-forward computed in torch each substep and applied as a torque.
+
+  The limit lives in the law alone: the MuJoCo motor underneath has no range, so a limit raised at run time takes effect
+  (a joint's own `actuatorfrcrange`, where the MJCF has one, still applies). The integrator cannot see the law's
+  derivatives: keep kd below about 2 J / timestep, or take the native servo.
+  """
+
+  stiffness: PerTarget
+  """kp [N/m or N m/rad]."""
+  damping: PerTarget
+  """kd [N s/m or N m s/rad]."""
+  effort_limit: PerTarget | None = None
+  """Largest effort [N or N m]; None for no limit."""
+
+  @property
+  def law(self) -> type[Actuator]:
+    return IdealPd
+
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    return {
+      "stiffness": self._numbers("stiffness", target_names),
+      "damping": self._numbers("damping", target_names),
+      "effort_limit": self._limits("effort_limit", target_names),
+    }
+
+  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
+    for name in target_names:
+      add_joint_element(spec, type(self).__name__, name)

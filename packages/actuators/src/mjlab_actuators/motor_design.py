@@ -1,0 +1,95 @@
+"""Servo gains and reflected inertia from a motor's data sheet.
+
+Sources: K. Lynch and F. Park, *Modern Robotics*, Cambridge 2017, section 8.9.2 (apparent inertia of a geared rotor);
+G. Franklin, J. Powell and A. Emami-Naeini, *Feedback Control of Dynamic Systems*, section 3.3 (second-order response).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class PdGains(NamedTuple):
+  """Gains of a position servo."""
+
+  stiffness: float
+  """Position gain kp [N/m or N m/rad]."""
+  damping: float
+  """Velocity gain kd [N s/m or N m s/rad]."""
+
+
+class LinearMotor(NamedTuple):
+  """What a rotary motor becomes behind a rack or crank of constant radius."""
+
+  mass: float
+  """Apparent mass [kg]."""
+  velocity_limit: float
+  """Top speed [m/s]."""
+  effort_limit: float
+  """Largest force [N]."""
+
+
+def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio: float) -> PdGains:
+  """Gains that give J q'' + kd q' + kp q = 0 the wanted poles: kp = J wn^2, kd = 2 zeta J wn.
+
+  Args:
+    inertia: J, the inertia that the servo feels at its target [kg or kg m^2].
+    natural_frequency: Undamped natural frequency wn / (2 pi) [Hz].
+    damping_ratio: zeta; 1 is critically damped, more is sluggish without overshoot.
+
+  Raises:
+    ValueError: An argument is negative or not finite.
+  """
+  _require_non_negative(inertia=inertia, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
+  omega = 2.0 * math.pi * natural_frequency
+  return PdGains(inertia * omega**2, 2.0 * damping_ratio * inertia * omega)
+
+
+def reflected_inertia(rotor_inertia: float, gear_ratio: float) -> float:
+  """Inertia of a rotor seen behind a reduction, J N^2 [kg m^2]; the MJCF attribute `armature` of a joint.
+
+  Raises:
+    ValueError: An argument is negative or not finite.
+  """
+  _require_non_negative(rotor_inertia=rotor_inertia, gear_ratio=gear_ratio)
+  return rotor_inertia * gear_ratio**2
+
+
+def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence[float]) -> float:
+  """Inertia of a chain of rotating parts seen at the output, sum of J_i (N_i ... N_last)^2 [kg m^2].
+
+  Args:
+    inertias: Inertia of the rotor and of each stage's own turning parts, motor side first [kg m^2]. One more than there
+      are ratios when the last part turns with the output, as in a planetary gearbox.
+    gear_ratios: Reduction between one part and the next, motor side first.
+
+  Raises:
+    ValueError: The lengths do not fit, or a number is negative or not finite.
+  """
+  if len(inertias) not in (len(gear_ratios), len(gear_ratios) + 1):
+    raise ValueError(
+      f"reflected_inertia_of_stages: {len(inertias)} inertias need {len(inertias)} or {len(inertias) - 1} gear ratios, "
+      f"not {len(gear_ratios)}"
+    )
+  total = 0.0
+  for index, inertia in enumerate(inertias):
+    total += reflected_inertia(inertia, math.prod(gear_ratios[index:]))
+  return total
+
+
+def rotary_to_linear(inertia: float, velocity_limit: float, effort_limit: float, radius: float) -> LinearMotor:
+  """A rotary motor seen through a lever arm of `radius` metres per radian: J / r^2, w r, tau / r.
+
+  Raises:
+    ValueError: An argument is negative or not finite, or the radius is zero.
+  """
+  _require_non_negative(inertia=inertia, velocity_limit=velocity_limit, effort_limit=effort_limit, radius=radius)
+  if radius == 0.0:
+    raise ValueError("rotary_to_linear: radius is 0; a lever arm has a length")
+  return LinearMotor(inertia / radius**2, velocity_limit * radius, effort_limit / radius)
+
+
+def _require_non_negative(**values: float) -> None:
+  for name, value in values.items():
+    if not (math.isfinite(value) and value >= 0.0):
+      raise ValueError(f"{name} is {value}; it must be a finite number that is not negative")

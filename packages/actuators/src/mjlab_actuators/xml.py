@@ -1,0 +1,141 @@
+"""Actuators that the MJCF declares itself, kept exactly as they are written."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mjlab_core.names import match_names
+
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup
+from mjlab_actuators.command import CommandField
+from mjlab_actuators.native import PassThrough
+
+# The order in which MuJoCo lays out the inputs of an actuator with several.
+_INPUTS: tuple[tuple[mujoco.mjtCtrlInput, CommandField], ...] = (
+  (mujoco.mjtCtrlInput.mjINPUT_POS, "position_target"),
+  (mujoco.mjtCtrlInput.mjINPUT_VEL, "velocity_target"),
+  (mujoco.mjtCtrlInput.mjINPUT_FF, "effort_target"),
+)
+
+
+@dataclass(kw_only=True)
+class XmlActuatorCfg(ActuatorCfg):
+  """Drives the joint actuators that the MJCF declares; adds nothing and changes nothing on them.
+
+  Which set-point an actuator takes is read from its gain, bias and dynamics. Patterns match names of joints that have
+  an actuator in the MJCF; every actuator of such a joint is driven.
+  """
+
+  command_field: CommandField | None = None
+  """The set-point to hand over, for all; None reads it from each actuator."""
+
+  @property
+  def law(self) -> type[Actuator]:
+    return PassThrough
+
+  def match(self, candidates: Sequence[str], owner: str = "", actuated: Sequence[str] | None = None) -> list[str]:
+    """The driven joints among `candidates`; with `actuated`, only those that have an actuator can match."""
+    if actuated is not None:
+      candidates = [name for name in candidates if name in actuated]
+    return match_names(self.target_names_expr, candidates, what="joint with an MJCF actuator", owner=owner)[1]
+
+  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
+    pass
+
+  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
+    if self.command_field is None:
+      raise ValueError("XmlActuatorCfg: without a model, command_field must say which set-point is handed over")
+    return replace(super()._group(target_names, ctrl_ids), command_fields=(self.command_field,))
+
+  def groups(
+    self,
+    model: mujoco.MjModel,
+    target_names: Sequence[str],
+    prefix: str = "",
+    without: Collection[str] = (),
+  ) -> list[ActuatorGroup]:
+    """One group per kind of set-point among the actuators of these joints, those named in `without` left out.
+
+    Raises:
+      ValueError: A joint has no actuator, or the set-point of one cannot be told and `command_field` does not say.
+    """
+    found: dict[CommandField, tuple[list[str], list[int]]] = {}
+    for target in target_names:
+      joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + target)
+      on_joint = np.flatnonzero(_drives_joint(model, without) & (model.actuator_trnid[:, 0] == joint))
+      if joint < 0 or on_joint.size == 0:
+        raise ValueError(f"XmlActuatorCfg: joint {prefix + target!r} has no actuator in the MJCF")
+      for actuator in on_joint:
+        first = int(model.actuator_ctrladr[actuator])
+        for offset, field in enumerate(self._fields(model, int(actuator))):
+          names, ids = found.setdefault(field, ([], []))
+          names.append(target)
+          ids.append(first + offset)
+    return [
+      ActuatorGroup(
+        law=PassThrough,
+        target_names=tuple(names),
+        command_fields=(field,),
+        parameters={},
+        delay=self.delay,
+        ctrl_ids=tuple(ids),
+      )
+      for field, (names, ids) in found.items()
+    ]
+
+  def _fields(self, model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
+    width = int(model.actuator_ctrlnum[actuator])
+    fields = (self.command_field,) if self.command_field is not None else command_fields_of(model, actuator)
+    if len(fields) != width:
+      name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
+      raise ValueError(
+        f"XmlActuatorCfg: cannot tell which set-point actuator {name!r} takes ({width} inputs, "
+        f"recognised: {', '.join(fields) or 'none'}); set command_field, or leave the actuator out"
+      )
+    return fields
+
+
+def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
+  """The set-points that an actuator of a compiled model takes, one per input; empty when they cannot be told.
+
+  A servo is told from a torque source by its bias: a position servo subtracts its own gain times the length, a velocity
+  servo its own gain times the velocity.
+  """
+  kind = mujoco.mjtGain(model.actuator_gaintype[actuator])
+  bias = mujoco.mjtBias(model.actuator_biastype[actuator])
+  dynamics = mujoco.mjtDyn(model.actuator_dyntype[actuator])
+  gain = float(model.actuator_gainprm[actuator, 0])
+  on_length, on_velocity = (float(value) for value in model.actuator_biasprm[actuator, 1:3])
+  if kind == mujoco.mjtGain.mjGAIN_PID:
+    spec = int(model.actuator_ctrlspec[actuator])
+    return tuple(field for bit, field in _INPUTS if spec & int(bit))
+  if kind == mujoco.mjtGain.mjGAIN_MUSCLE:
+    return ("effort_target",)
+  if kind != mujoco.mjtGain.mjGAIN_FIXED:
+    return ()
+  if dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+    return ("velocity_target",) if bias == mujoco.mjtBias.mjBIAS_AFFINE and on_length == -gain else ()
+  if dynamics not in (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
+    return ()
+  if bias == mujoco.mjtBias.mjBIAS_NONE:
+    return ("effort_target",)
+  if bias == mujoco.mjtBias.mjBIAS_AFFINE and gain != 0.0:
+    if on_length == -gain:
+      return ("position_target",)
+    if on_length == 0.0 and on_velocity == -gain:
+      return ("velocity_target",)
+  return ()
+
+
+def joints_with_actuator(model: mujoco.MjModel, prefix: str = "", without: Collection[str] = ()) -> list[str]:
+  """Names of the joints that an actuator drives which is not named in `without`, prefix removed, in model order."""
+  joints = sorted(set(model.actuator_trnid[_drives_joint(model, without), 0].tolist()))
+  names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or "" for joint in joints]
+  return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+
+
+def _drives_joint(model: mujoco.MjModel, without: Collection[str] = ()) -> np.ndarray:
+  kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+  names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, index) for index in range(model.nactuator)]
+  return np.isin(model.actuator_trntype, kinds) & np.array([name not in without for name in names], dtype=bool)
