@@ -15,6 +15,7 @@ if TYPE_CHECKING:
   from mjlab_core.masking import fill_, where_
   from mjlab_core.names import NameMatchError, match_names, match_values, match_values_full, nearest, unknown
   from mjlab_core.rotations import (
+    cross,
     euler_xyz_from_quat,
     matrix_from_quat,
     normalize,
@@ -49,6 +50,7 @@ __all__ = [
   "Stateful",
   "check_range",
   "combine_frames",
+  "cross",
   "draw_seed",
   "euler_xyz_from_quat",
   "fill_",
@@ -96,7 +98,7 @@ _MODULES = {
   "masking": "fill_ where_",
   "names": "NameMatchError match_names match_values match_values_full nearest unknown",
   "rotations": (
-    "euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
+    "cross euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
     "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
     "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
   ),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from mjlab_core.rotations import quat_apply, quat_apply_inverse, quat_conjugate, quat_mul
+from mjlab_core.rotations import cross, quat_apply, quat_apply_inverse, quat_conjugate, quat_mul
 
 
 def transform_points(points: Tensor, pos: Tensor, quat: Tensor) -> Tensor:
@@ -31,7 +31,7 @@ def velocity_at(linear: Tensor, angular: Tensor, offset: Tensor) -> Tensor:
 
   All three (..., 3) in one frame: `linear` [m/s], `angular` [rad/s], `offset` [m].
   """
-  return linear + torch.linalg.cross(angular, offset)
+  return linear + cross(angular, offset)
 
 
 def heading(quat: Tensor) -> Tensor:

@@ -19,6 +19,13 @@ def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
   return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True).clamp_min(eps)
 
 
+def cross(a: Tensor, b: Tensor) -> Tensor:
+  """Cross product, (..., 3); unlike torch's own it also broadcasts over a different number of leading dimensions."""
+  if a.dim() != b.dim():
+    a, b = torch.broadcast_tensors(a, b)
+  return torch.linalg.cross(a, b)
+
+
 def wrap_to_pi(angle: Tensor) -> Tensor:
   """The same angle in [-pi, pi], (...) [rad]; angles already inside come back bit-identical."""
   return angle - torch.round(angle / (2.0 * math.pi)) * (2.0 * math.pi)
@@ -29,7 +36,7 @@ def quat_mul(a: Tensor, b: Tensor) -> Tensor:
   aw, av = a[..., :1], a[..., 1:]
   bw, bv = b[..., :1], b[..., 1:]
   w = aw * bw - (av * bv).sum(-1, keepdim=True)
-  v = aw * bv + bw * av + torch.linalg.cross(av, bv)
+  v = aw * bv + bw * av + cross(av, bv)
   return torch.cat((w, v), dim=-1)
 
 
@@ -46,15 +53,15 @@ def quat_inverse(q: Tensor) -> Tensor:
 def quat_apply(q: Tensor, v: Tensor) -> Tensor:
   """`v` rotated by `q`, (..., 3): takes coordinates in the rotated frame to coordinates in the parent frame."""
   axis = q[..., 1:]
-  t = 2.0 * torch.linalg.cross(axis, v)
-  return v + q[..., :1] * t + torch.linalg.cross(axis, t)
+  t = 2.0 * cross(axis, v)
+  return v + q[..., :1] * t + cross(axis, t)
 
 
 def quat_apply_inverse(q: Tensor, v: Tensor) -> Tensor:
   """`v` rotated by the inverse of `q`, (..., 3): takes parent coordinates to coordinates in the rotated frame."""
   axis = q[..., 1:]
-  t = 2.0 * torch.linalg.cross(axis, v)
-  return v - q[..., :1] * t + torch.linalg.cross(axis, t)
+  t = 2.0 * cross(axis, v)
+  return v - q[..., :1] * t + cross(axis, t)
 
 
 def quat_unique(q: Tensor) -> Tensor:
