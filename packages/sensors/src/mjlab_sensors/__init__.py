@@ -1,1 +1,28 @@
 """Native, contact and terrain-height sensors over batched MuJoCo worlds."""
+
+from mjlab_sensors.builtin import BuiltinSensor, BuiltinSensorCfg, ObjRef, SensorType
+from mjlab_sensors.contact import ContactData, ContactMatch, ContactSensor, ContactSensorCfg
+from mjlab_sensors.frames import FrameMatch
+from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg, RingPatternCfg
+from mjlab_sensors.sensor import Sensor, SensorCfg
+from mjlab_sensors.terrain_height import TerrainHeightData, TerrainHeightSensor, TerrainHeightSensorCfg
+
+__all__ = [
+  "BuiltinSensor",
+  "BuiltinSensorCfg",
+  "ContactData",
+  "ContactMatch",
+  "ContactSensor",
+  "ContactSensorCfg",
+  "FrameMatch",
+  "GridPatternCfg",
+  "ObjRef",
+  "RayPatternCfg",
+  "RingPatternCfg",
+  "Sensor",
+  "SensorCfg",
+  "SensorType",
+  "TerrainHeightData",
+  "TerrainHeightSensor",
+  "TerrainHeightSensorCfg",
+]

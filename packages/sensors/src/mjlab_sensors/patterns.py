@@ -1,0 +1,71 @@
+"""Where the rays of a frame start and where they point."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+
+
+@dataclass(kw_only=True, frozen=True)
+class RayPatternCfg(ABC):
+  """A fixed set of rays in the coordinates of a frame."""
+
+  @abstractmethod
+  def rays(self) -> tuple[np.ndarray, np.ndarray]:
+    """Starting points and unit directions in the frame, both (num_rays, 3), float64 [m]."""
+
+
+def _downward(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+  starts = np.concatenate((points, np.zeros((len(points), 1))), axis=1)
+  return starts, np.tile((0.0, 0.0, -1.0), (len(points), 1))
+
+
+@dataclass(kw_only=True, frozen=True)
+class RingPatternCfg(RayPatternCfg):
+  """Rays straight down from a circle around the frame; the first sample lies on the x axis, the others follow
+  counter-clockwise."""
+
+  radius: float = 0.1
+  """Radius of the circle [m]."""
+  num_samples: int = 8
+  """Number of rays on the circle."""
+  include_center: bool = True
+  """Put one more ray, the first, at the frame itself."""
+
+  def __post_init__(self) -> None:
+    if self.radius <= 0.0 or self.num_samples < 0 or self.num_samples + self.include_center < 1:
+      raise ValueError(f"RingPatternCfg: needs a positive radius and at least one ray, not {self}")
+
+  def rays(self) -> tuple[np.ndarray, np.ndarray]:
+    angle = 2.0 * np.pi * np.arange(self.num_samples) / max(self.num_samples, 1)
+    ring = self.radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    return _downward(np.concatenate((np.zeros((int(self.include_center), 2)), ring)))
+
+
+@dataclass(kw_only=True, frozen=True)
+class GridPatternCfg(RayPatternCfg):
+  """Rays straight down from a grid centred on the frame; x runs fastest, both from negative to positive.
+
+  A side holds as many steps as fit: (1.6, 1.0) at 0.1 is 17 x 11 rays, 1.0 at 0.3 is -0.45, -0.15, 0.15, 0.45.
+  """
+
+  size: tuple[float, float] = (1.0, 1.0)
+  """Sides along x and y [m]."""
+  resolution: float = 0.1
+  """Distance between neighbours [m]."""
+
+  def __post_init__(self) -> None:
+    if self.resolution <= 0.0 or len(self.size) != 2 or min(self.size) < 0.0:
+      raise ValueError(f"GridPatternCfg: needs a positive resolution and two sides of at least 0, not {self}")
+
+  def rays(self) -> tuple[np.ndarray, np.ndarray]:
+    x, y = (self._side(length) for length in self.size)
+    return _downward(np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1))
+
+  def _side(self, length: float) -> np.ndarray:
+    # 1.6 / 0.1 is a little less than 16 in binary; the slack is far below a step.
+    steps = floor(length / self.resolution + 1e-6)
+    return (np.arange(steps + 1) - steps / 2) * self.resolution

@@ -1,0 +1,156 @@
+"""How high frames are above the ground beneath them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import mujoco
+import torch
+from mjlab_core import unknown
+
+from mjlab_sensors._ray_fan import RayAlignment, RayFan
+from mjlab_sensors.frames import FrameMatch, FrameSet
+from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
+from mjlab_sensors.sensor import Sensor, SensorCfg
+
+if TYPE_CHECKING:
+  from mjlab_sim import Simulation
+
+HeightReduction = Literal["min", "max", "mean", "none"]
+
+
+@dataclass(kw_only=True)
+class TerrainHeightSensorCfg(SensorCfg):
+  """Height of frames above the ground, seen by rays."""
+
+  frames: FrameMatch
+  """The frames whose heights are measured."""
+  pattern: RayPatternCfg = field(default_factory=RingPatternCfg)
+  """The rays of each frame."""
+  alignment: RayAlignment = "yaw"
+  """Whether the pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world")."""
+  reduction: HeightReduction = "min"
+  """How the rays of a frame become one height: that over the highest ground ("min"), the lowest ("max") or the mean;
+  "none" gives all."""
+  max_distance: float = 1.0
+  """How far below their frame rays see [m]. It is also the height that is read where they see nothing."""
+  start_height: float = 0.1
+  """How far behind the frame, against their direction, rays start [m]; ground up to this far above the frame is still
+  seen."""
+  geom_groups: tuple[int, ...] | None = (0,)
+  """Geom groups that count as ground; None for all."""
+  exclude_parent_body: bool = False
+  """Look through the geoms of the body that carries the frames, which must then be one body."""
+
+  def validate(self) -> None:
+    if self.alignment not in get_args(RayAlignment):
+      raise ValueError(unknown("alignment", self.alignment, get_args(RayAlignment), self.label))
+    if self.reduction not in get_args(HeightReduction):
+      raise ValueError(unknown("reduction", self.reduction, get_args(HeightReduction), self.label))
+    if self.max_distance <= 0.0:
+      raise ValueError(f"{self.label}: max_distance must be positive, not {self.max_distance}")
+    if self.start_height < 0.0:
+      raise ValueError(f"{self.label}: start_height must not be negative, but is {self.start_height}")
+    if self.geom_groups is not None and not (
+      self.geom_groups and all(0 <= group < mujoco.mjNGROUP for group in self.geom_groups)
+    ):
+      raise ValueError(
+        f"{self.label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {self.geom_groups}"
+      )
+
+  def _make(self, name: str) -> TerrainHeightSensor:
+    return TerrainHeightSensor(name, self)
+
+
+@dataclass(kw_only=True)
+class TerrainHeightData:
+  """Heights of the frames of a `TerrainHeightSensor`, in the order of its `frame_names`."""
+
+  heights: torch.Tensor
+  """Height of each frame above the ground, 0 when it is in the ground and `max_distance` where no ray sees any,
+  (num_envs, num_frames) [m]; one of each ray, (num_envs, num_frames, num_rays), without reduction."""
+  valid: torch.Tensor
+  """Whether any ray saw ground, or each ray without reduction, bool of the shape of `heights`."""
+
+
+class TerrainHeightSensor(Sensor[TerrainHeightData]):
+  """Height of frames above the ground: z of the frame less z of the point that a ray hits.
+
+  Rays are cast when the data are first asked for after a change of state, so rewards and terminations read the
+  heights of the state they judge. Ground that a ray does not see (nothing there, or farther than `max_distance`) takes
+  no part in the reduction.
+  """
+
+  _constants = frozenset({"_heights", "_valid"})
+  cfg: TerrainHeightSensorCfg
+
+  def __init__(self, name: str, cfg: TerrainHeightSensorCfg) -> None:
+    super().__init__(name, cfg)
+    self.frame_names: tuple[str, ...] = ()
+
+  @property
+  def num_frames(self) -> int:
+    """Number of frames."""
+    return len(self.frame_names)
+
+  @property
+  def num_rays(self) -> int:
+    """Number of rays of each frame."""
+    return self._fan.num_rays
+
+  def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
+    self.frame_names = tuple(self.cfg.frames.resolve(spec, entities, f"{self.label}: frames"))
+
+  def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
+    super().initialize(sim, entities)
+    cfg = self.cfg
+    frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
+    body_exclude = -1
+    if cfg.exclude_parent_body:
+      if len(set(frames.body_ids)) > 1:
+        raise ValueError(
+          f"{self.label}: exclude_parent_body needs all frames on one body, but {', '.join(self.frame_names)} are not. "
+          "Tell ground from robot by geom_groups."
+        )
+      body_exclude = frames.body_ids[0]
+    self._fan = RayFan(
+      sim,
+      frames,
+      cfg.pattern,
+      alignment=cfg.alignment,
+      setback=cfg.start_height,
+      geom_groups=cfg.geom_groups,
+      body_exclude=body_exclude,
+    )
+    shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
+    self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
+    self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
+
+  def _read(self) -> TerrainHeightData:
+    cfg = self.cfg
+    hits, below = self._fan.cast()
+    missed = (hits.distance < 0.0) | (hits.distance > cfg.max_distance + cfg.start_height)
+    # A ray that starts inside the ground leaves it from within, by a face that looks down.
+    heights = below.clamp_(min=0.0).masked_fill_(hits.normal[..., 2] < 0.0, 0.0).masked_fill_(missed, cfg.max_distance)
+    by_ray = (self.num_frames, self.num_rays)
+    heights, missed = heights.unflatten(1, by_ray), missed.unflatten(1, by_ray)
+    if cfg.reduction == "none":
+      torch.logical_not(missed, out=self._valid)
+      self._heights.copy_(heights)
+      return TerrainHeightData(heights=self._heights, valid=self._valid)
+    unseen = missed.all(dim=-1)
+    torch.logical_not(unseen, out=self._valid)
+    if cfg.reduction == "min":
+      # Nothing seen is as high as a reading can be, so it never wins over a hit.
+      torch.amin(heights, dim=-1, out=self._heights)
+    else:
+      seen = heights.masked_fill_(missed, 0.0)
+      if cfg.reduction == "max":
+        torch.amax(seen, dim=-1, out=self._heights)
+      else:
+        count = missed.logical_not().sum(dim=-1).clamp_(min=1)
+        torch.div(seen.sum(dim=-1), count, out=self._heights)
+      self._heights.masked_fill_(unseen, cfg.max_distance)
+    return TerrainHeightData(heights=self._heights, valid=self._valid)
