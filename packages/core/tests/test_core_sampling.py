@@ -20,7 +20,7 @@ def ks(sample: torch.Tensor, distribution: Any) -> float:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_draws_follow_their_distribution(dtype: torch.dtype) -> None:
   rng = core.make_generator("cpu", 0)
-  options = {"generator": rng, "dtype": dtype}
+  options: dict[str, Any] = {"generator": rng, "dtype": dtype}
   assert ks(core.uniform(-1.0, 3.0, (ROWS,), **options), stats.uniform(-1.0, 4.0)) > 0.01
   assert ks(core.log_uniform(0.1, 10.0, (ROWS,), **options), stats.loguniform(0.1, 10.0)) > 0.01
   assert ks(core.gaussian(2.0, 0.5, (ROWS,), **options), stats.norm(2.0, 0.5)) > 0.01
