@@ -27,7 +27,7 @@ def _quiet(message: str) -> None:
 
 def _writable(array: np.ndarray) -> np.ndarray:
   """An alias of an array that the batch marks read-only: torch has no read-only tensors."""
-  memory = (ctypes.c_byte * array.nbytes).from_address(array.ctypes.data)
+  memory: Any = (ctypes.c_byte * array.nbytes).from_address(array.ctypes.data)
   return np.frombuffer(memory, dtype=array.dtype).reshape(array.shape)
 
 

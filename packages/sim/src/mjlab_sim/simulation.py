@@ -162,6 +162,37 @@ class Simulation:
     self._model_changed = True
     self._state_version = -1
 
+  # State
+
+  def state_dict(self) -> dict[str, dict[str, torch.Tensor]]:
+    """All that the next step depends on, as fresh tensors: state of every world, and per-world model fields."""
+    data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
+    return {
+      "data": {name: field for name, field in data.items() if field.numel()},
+      "model": {name: field.detach().clone() for name, field in self._expanded.items()},
+    }
+
+  def load_state_dict(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
+    """Go on from a `state_dict` of the same model and number of worlds.
+
+    Raises:
+      SimulationError: a field that is missing, unknown or of another shape; nothing was changed.
+    """
+    saved = state["model"]
+    self.expand_model_fields([name for name in saved if name not in self._expanded])
+    writes: list[tuple[torch.Tensor, torch.Tensor]] = []
+    for kind, target_of in (("data", self._engine.data_field), ("model", self._engine.model_field)):
+      for name, value in state[kind].items():
+        target = target_of(name)
+        if target.shape != value.shape:
+          raise SimulationError(
+            f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {tuple(target.shape)}"
+          )
+        writes.append((target, value))
+    for target, value in writes:
+      target.copy_(value)
+    self._state_version = -1
+
   # Rays, overflow
 
   def make_ray_caster(
@@ -261,11 +292,13 @@ class DataView:
   A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
   """
 
+  _sim: Simulation
+
   def __init__(self, sim: Simulation) -> None:
     object.__setattr__(self, "_sim", sim)
 
   def __getattr__(self, name: str) -> TorchArray:
-    sim: Simulation = self._sim
+    sim = self._sim
     if name.startswith("__"):
       raise AttributeError(name)
     if name not in STATE:
@@ -284,6 +317,9 @@ class DataView:
 
 class ModelView:
   """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded."""
+
+  _engine: Engine
+  _prefix: str
 
   def __init__(self, engine: Engine, prefix: str = "") -> None:
     object.__setattr__(self, "_engine", engine)

@@ -10,7 +10,8 @@ class TorchArray(torch.Tensor):
   memory alive for as long as the simulation is open.
   """
 
-  __torch_function__ = torch._C._disabled_torch_function_impl
+  # Torch's own switch for "results are plain tensors"; its stub declares a method.
+  __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]  # ty: ignore[incompatible-method-override]
 
   @staticmethod
   def over(tensor: torch.Tensor) -> "TorchArray":

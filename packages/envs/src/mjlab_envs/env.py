@@ -1,0 +1,375 @@
+"""The manager-based environment and its step."""
+
+import copy
+import logging
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from mjlab_core.seeding import draw_seed, make_generator
+from mjlab_managers import (
+  ActionManager,
+  CommandManager,
+  ConfigError,
+  CurriculumManager,
+  EventManager,
+  ManagerBase,
+  MetricsManager,
+  ObservationManager,
+  RecorderManager,
+  RewardManager,
+  TerminationManager,
+  TerminationTermCfg,
+)
+from mjlab_scene import Scene
+from mjlab_sim import Simulation
+
+from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
+from mjlab_envs.mdp.terminations import nan_detection
+from mjlab_envs.worlds import select_worlds
+
+Observations = dict[str, torch.Tensor | dict[str, torch.Tensor]]
+
+_log = logging.getLogger("mjlab")
+
+
+class ManagerBasedRlEnv:
+  """Many worlds of one task behind Gymnasium's vector interface.
+
+  A step is eight stages in a fixed order, `_step_stages`. On a GPU they are recorded once as one graph and replayed;
+  on a CPU the same code runs eagerly. What a step returns are fresh tensors.
+
+  Args:
+    cfg: What the environment is made of; copied.
+    device: "cpu", "cuda[:i]", or "auto" for a GPU if there is one.
+
+  Raises:
+    ConfigError: everything that is wrong with `cfg`, by name.
+  """
+
+  is_vector_env = True
+
+  def __init__(self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto") -> None:
+    self.cfg = copy.deepcopy(cfg)
+    if problems := self.cfg.problems():
+      raise ConfigError("; ".join(problems))
+    if device == "auto":
+      device = "cuda" if torch.cuda.is_available() else "cpu"
+    self.seed: int = draw_seed() if self.cfg.seed is None else self.cfg.seed
+    self.scene = Scene(self.cfg.scene)
+    self.sim = Simulation(self.cfg.scene.num_envs, self.scene.spec, self.cfg.sim, device)
+    self.device = self.sim.device
+    self.num_envs = self.sim.num_envs
+    self.rng = make_generator(self.device, self.seed)
+    self.scene.initialize(self.sim, self.rng)
+
+    self.physics_dt = self.sim.timestep
+    self.step_dt = self.physics_dt * self.cfg.decimation
+    self.max_episode_length_s = self.cfg.episode_length_s
+    # A length that is a whole number of steps must not gain one by rounding.
+    self.max_episode_length = math.ceil(self.max_episode_length_s / self.step_dt - 1e-9)
+    self.metadata: dict[str, Any] = {"render_modes": [], "render_fps": 1.0 / self.step_dt, "autoreset_mode": "SameStep"}
+    self.render_mode: str | None = None
+
+    n, device = self.num_envs, self.device
+    self.episode_length_buf = torch.zeros(n, dtype=torch.int64, device=device)
+    self.common_step_counter = torch.zeros((), dtype=torch.int64, device=device)
+    self.reset_buf = torch.zeros(n, dtype=torch.bool, device=device)
+    self._nobody = torch.zeros(n, dtype=torch.bool, device=device)
+    self._pending = torch.zeros(n, dtype=torch.bool, device=device)
+    self._announced: set[str] = set()
+    self._closed = False
+
+    self._load_managers()
+    self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
+    self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
+    self.event_manager.apply("startup", torch.ones(n, dtype=torch.bool, device=device))
+
+  def _load_managers(self) -> None:
+    terminations = dict(self.cfg.terminations)
+    if not any(term is not None and term.func is nan_detection for term in terminations.values()):
+      # A world that diverged must be ended by somebody, or it stays so for good.
+      terminations.setdefault("nan_detection", TerminationTermCfg(nan_detection))
+    self.event_manager = EventManager(self.cfg.events, self)
+    self.sim.expand_model_fields(self.event_manager.model_fields)
+    self.command_manager = CommandManager(self.cfg.commands, self)
+    self.action_manager = ActionManager(self.cfg.actions, self)
+    self.termination_manager = TerminationManager(terminations, self)
+    self.metrics_manager = MetricsManager(self.cfg.metrics, self)
+    self.reward_manager = RewardManager(self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt)
+    self.curriculum_manager = CurriculumManager(self.cfg.curriculum, self)
+    self.observation_manager = ObservationManager(self.cfg.observations, self)
+    self.recorder_manager = RecorderManager(self.cfg.recorders, self)
+
+  @property
+  def managers(self) -> dict[str, ManagerBase]:
+    """All managers by the name of their part of the config."""
+    return {
+      "events": self.event_manager,
+      "commands": self.command_manager,
+      "actions": self.action_manager,
+      "observations": self.observation_manager,
+      "terminations": self.termination_manager,
+      "rewards": self.reward_manager,
+      "curriculum": self.curriculum_manager,
+      "metrics": self.metrics_manager,
+      "recorders": self.recorder_manager,
+    }
+
+  # The step
+
+  def _step_stages(self) -> None:
+    """One environment step. This order is the contract of every term."""
+    self._act()  # the action becomes targets
+    self._simulate()  # `decimation` physics steps; sensors follow each
+    self._terminate()  # whose episode ends, seen on the fresh terminal state
+    self._reward()  # what the transition was worth, for the command it was made under
+    self._reset(self.reset_buf)  # ended worlds begin anew
+    self._command()  # timers run, commands are drawn and followed up
+    self._event()  # pushes and other interval events
+    self._observe()  # what the policy sees next
+
+  def _act(self) -> None:
+    self.action_manager.process_action(self._action)
+
+  def _simulate(self) -> None:
+    for _ in range(self.cfg.decimation):
+      self.action_manager.apply_action()
+      self.scene.write_ctrl()
+      self.sim.step()
+      self.scene.update(self.physics_dt)
+      self.metrics_manager.compute_substep()
+    self.sim.count_overflow()
+    self.episode_length_buf += 1
+    self.common_step_counter += 1
+
+  def _terminate(self) -> None:
+    self.termination_manager.compute()
+    if self.cfg.auto_reset:
+      self.reset_buf.copy_(self.termination_manager.dones)
+    else:
+      self._pending.copy_(self.termination_manager.dones)
+
+  def _reward(self) -> None:
+    self.reward_manager.compute(self.step_dt)
+    self.metrics_manager.compute()
+
+  def _reset(self, mask: torch.Tensor) -> None:
+    self.recorder_manager.pre_reset(mask)
+    self.curriculum_manager.compute(mask)
+    self.sim.reset(mask)
+    self.scene.reset(mask)
+    self.event_manager.apply("reset", mask)
+    for manager in (
+      self.observation_manager,
+      self.action_manager,
+      self.reward_manager,
+      self.metrics_manager,
+      self.curriculum_manager,
+      self.command_manager,
+      self.event_manager,
+      self.termination_manager,
+    ):
+      manager.reset(mask)
+    self.episode_length_buf.masked_fill_(mask, 0)
+
+  def _command(self) -> None:
+    self.command_manager.compute(self.step_dt, self.reset_buf)
+
+  def _event(self) -> None:
+    self.event_manager.apply("step")
+    self.event_manager.apply("interval")
+
+  def _observe(self) -> None:
+    self.observation_manager.compute(self.reset_buf)
+    self.recorder_manager.post_reset(self.reset_buf)
+    self.recorder_manager.post_step()
+
+  # The Gymnasium interface
+
+  def step(
+    self, action: torch.Tensor
+  ) -> tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """Advance every world by one step.
+
+    Args:
+      action: Raw policy output, (num_envs, action dim). Numbers that are not finite count as zero.
+
+    Returns:
+      Observations by group, reward (num_envs,), terminated and truncated, bool (num_envs,), and an empty dict of
+      extras; all fresh tensors. Observations of worlds that ended are the first of their next episode.
+
+    Raises:
+      ValueError: an action of the wrong shape.
+      RuntimeError: without auto-reset, a world whose episode ended was not reset; it is named.
+    """
+    self._check_open()
+    if action.shape != self._action.shape:
+      raise ValueError(f"action must have shape {tuple(self._action.shape)}, got {tuple(action.shape)}")
+    if not self.cfg.auto_reset and bool(self._pending.any()):
+      worlds = self._pending.nonzero().flatten().tolist()
+      raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
+    self._action.copy_(action)
+    self.reward_manager.sync()
+    self._step_graph()
+    return (
+      self.get_observations(),
+      self.reward_manager.reward.clone(),
+      self.termination_manager.terminated.clone(),
+      self.termination_manager.time_outs.clone(),
+      {},
+    )
+
+  def reset(
+    self,
+    *,
+    seed: int | None = None,
+    env_ids: torch.Tensor | Sequence[int] | None = None,
+    options: dict[str, Any] | None = None,
+  ) -> tuple[Observations, dict[str, Any]]:
+    """Begin new episodes.
+
+    Args:
+      seed: Restart the environment's generator from this seed.
+      env_ids: Which worlds: a bool mask (num_envs,), or world numbers as a tensor or sequence; all by default.
+      options: Must be empty; there are none.
+
+    Returns:
+      Observations of all worlds by group, fresh tensors, and an empty dict. Worlds that were not asked for keep their
+      observations, bit for bit.
+
+    Raises:
+      ValueError: a world number or mask that does not fit; nothing was changed.
+    """
+    self._check_open()
+    if options:
+      raise ValueError(f"reset knows no options, got: {', '.join(options)}")
+    mask = select_worlds(env_ids, self.num_envs, self.device)
+    if seed is not None:
+      self.seed = seed
+      self.rng.manual_seed(seed)
+    self._reset(mask)
+    self._pending.masked_fill_(mask, False)
+    self.command_manager.compute(0.0, mask, only=mask)
+    self.observation_manager.compute(mask, only=mask)
+    self.recorder_manager.post_reset(mask)
+    self.sim.forward()
+    return self.get_observations(), {}
+
+  def get_observations(self) -> Observations:
+    """The current observations by group, as fresh tensors. Asking again changes nothing."""
+    return self.observation_manager.get()
+
+  def close(self) -> None:
+    """Release recorders, threads and graphs. Calling it again does nothing."""
+    if not self._closed:
+      self._closed = True
+      self.recorder_manager.close()
+      self.sim.close()
+
+  def __enter__(self) -> "ManagerBasedRlEnv":
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self.close()
+
+  @property
+  def unwrapped(self) -> "ManagerBasedRlEnv":
+    return self
+
+  @property
+  def single_observation_space(self) -> Any:
+    """Gymnasium Dict of unbounded boxes, one per observation group."""
+    from mjlab_envs.spaces import observation_space
+
+    return observation_space(self.observation_manager)
+
+  @property
+  def single_action_space(self) -> Any:
+    """Unbounded Gymnasium box of the raw action."""
+    from mjlab_envs.spaces import box
+
+    return box((self.action_manager.total_action_dim,))
+
+  # What terms and managers may ask for
+
+  def run_eagerly(self, fn: Callable[[], None], name: str) -> None:
+    """Run code that cannot be recorded: the step graph is split around it. Says so once for each name."""
+    if self.sim.is_capturing and name not in self._announced:
+      self._announced.add(name)
+      _log.warning("%s cannot be recorded: the step graph is split around it and it runs eagerly.", name)
+    self.sim.graph_break(fn)
+
+  def request_recapture(self, reason: str) -> None:
+    """Record the step anew before the next one, because what it does has changed."""
+    _log.info("recording the step anew: %s", reason)
+    if hasattr(self, "_step_graph"):
+      self._step_graph.invalidate()
+
+  def recompute_constants(self, mask: torch.Tensor) -> None:
+    """Recompute the model's derived fields of masked worlds."""
+    self.sim.recompute_constants(mask)
+
+  # Logging and state
+
+  def drain_log(self) -> dict[str, float]:
+    """Averages since the last call over the episodes that ended since, by name; one transfer from the device.
+
+    Buffers that overflowed are reported through the logger "mjlab" with the setting to raise.
+    """
+    names: list[str] = []
+    values: list[torch.Tensor] = []
+    for manager in self.managers.values():
+      manager_names, manager_values = manager.log_tensors()
+      names += manager_names
+      values.append(manager_values)
+    numbers = torch.cat(values).tolist() if names else []
+    for manager in self.managers.values():
+      manager.clear_log()
+    for line in self.sim.overflow_report():
+      _log.warning(line)
+    return {name: number for name, number in zip(names, numbers, strict=True) if not math.isnan(number)}
+
+  def state_dict(self) -> dict[str, Any]:
+    """Everything that the next step depends on, as fresh tensors."""
+    return {
+      "episode_length": self.episode_length_buf.clone(),
+      "pending": self._pending.clone(),
+      "step_counter": self.common_step_counter.clone(),
+      "rng": self.rng.get_state(),
+      "sim": self.sim.state_dict(),
+      "scene": self.scene.state_dict(),
+      **{name: manager.state_dict() for name, manager in self.managers.items()},
+    }
+
+  def load_state_dict(self, state: dict[str, Any]) -> None:
+    """Go on from a `state_dict` of an environment with the same config.
+
+    Raises:
+      StateError: the state belongs to another task or another number of worlds.
+    """
+    self.sim.load_state_dict(state["sim"])
+    self.scene.load_state_dict(state["scene"])
+    for name, manager in self.managers.items():
+      manager.load_state_dict(state[name])
+    self.episode_length_buf.copy_(state["episode_length"])
+    self._pending.copy_(state["pending"])
+    self.load_progress(state)
+    self.rng.set_state(state["rng"].cpu())
+
+  def load_progress(self, state: dict[str, Any]) -> None:
+    """Take over only how far training had come: what a run with another number of worlds can use."""
+    self.common_step_counter.copy_(state["step_counter"])
+
+  def describe(self) -> str:
+    """The environment's parts as tables."""
+    head = (
+      f"{self.num_envs} worlds on {self.device} ({self.sim.engine} engine), physics {self.physics_dt:g} s,"
+      f" step {self.step_dt:g} s, episode {self.max_episode_length} steps, seed {self.seed}"
+    )
+    return "\n".join([head, *(text for manager in self.managers.values() if (text := manager.describe()))])
+
+  def _check_open(self) -> None:
+    if self._closed:
+      raise RuntimeError("this environment is closed")

@@ -1,0 +1,90 @@
+"""Rewards that any task can use."""
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from mjlab_core.names import match_values_full
+from mjlab_managers import ManagerTermBase, RewardTermCfg, SceneEntityCfg
+
+if TYPE_CHECKING:
+  from mjlab_envs.env import ManagerBasedRlEnv
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+def is_alive(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """1 while the episode did not end in failure, (num_envs,)."""
+  return (~env.termination_manager.terminated).float()
+
+
+def is_terminated(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """1 where the episode ended in failure, (num_envs,)."""
+  return env.termination_manager.terminated.float()
+
+
+def action_rate_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """|a_t - a_{t-1}|^2 of raw actions, (num_envs,)."""
+  return (env.action_manager.action - env.action_manager.prev_action).square().sum(-1)
+
+
+def action_acc_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """|a_t - 2 a_{t-1} + a_{t-2}|^2 of raw actions, (num_envs,)."""
+  manager = env.action_manager
+  return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).square().sum(-1)
+
+
+def joint_torques_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Squared actuator forces, summed over actuators, (num_envs,) [N^2 m^2]."""
+  return env.scene[asset.name].data.actuator_force[:, asset.actuator_ids].square().sum(-1)
+
+
+def joint_vel_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Squared joint velocities, summed over joints, (num_envs,) [rad^2/s^2]."""
+  return env.scene[asset.name].data.joint_vel[:, asset.joint_ids].square().sum(-1)
+
+
+def joint_acc_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Squared joint accelerations, summed over joints, (num_envs,) [rad^2/s^4]."""
+  return env.scene[asset.name].data.joint_acc[:, asset.joint_ids].square().sum(-1)
+
+
+def joint_pos_limits(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Distance of joint positions beyond their soft limits, summed over joints, (num_envs,) [rad, m]."""
+  data = env.scene[asset.name].data
+  position = data.joint_pos[:, asset.joint_ids]
+  limits = data.soft_joint_pos_limits[:, asset.joint_ids]
+  return (position - position.clamp(limits[..., 0], limits[..., 1])).abs().sum(-1)
+
+
+def flat_orientation_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Squared horizontal part of the gravity direction in the root frame, (num_envs,)."""
+  return env.scene[asset.name].data.projected_gravity_b[:, :2].square().sum(-1)
+
+
+class posture(ManagerTermBase):
+  """exp(-mean_j((q_j - q_default_j)^2 / std_j^2)), (num_envs,); `std` is a number or one per joint by pattern [rad]."""
+
+  _constants = frozenset({"_inverse_variance"})
+
+  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    asset: SceneEntityCfg = cfg.params.get("asset", _ROBOT)
+    self._inverse_variance = inverse_variance(cfg.params["std"], asset, env)
+
+  def __call__(
+    self, env: "ManagerBasedRlEnv", *, std: float | dict[str, float], asset: SceneEntityCfg = _ROBOT
+  ) -> torch.Tensor:
+    del std  # Resolved at build.
+    data = env.scene[asset.name].data
+    error = data.joint_pos[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
+    return torch.exp(-(error.square() * self._inverse_variance).mean(-1))
+
+
+def inverse_variance(std: float | dict[str, float], asset: SceneEntityCfg, env: Any) -> torch.Tensor:
+  """1 / std^2 of the selected joints, (1, joints)."""
+  entity = env.scene[asset.name]
+  names = entity.joint_names
+  ids = asset.joint_ids
+  chosen = [names[i] for i in (range(len(names))[ids] if isinstance(ids, slice) else ids.tolist())]
+  values = match_values_full(std, chosen, what="joint", owner=f"entity '{asset.name}'")
+  return torch.tensor([values], device=env.device, dtype=env.sim.dtype).pow(-2)
