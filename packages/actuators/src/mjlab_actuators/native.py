@@ -64,8 +64,7 @@ class NativePositionActuatorCfg(ActuatorCfg):
       element.set_to_position(kp=kp, kv=kd)
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
       limit_force(element, limit)
-      joint = joints[name]
-      low, high = (float(bound) for bound in joint.range)
+      low, high = _range(spec, joints[name])
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
       if high > low and kp > 0.0 and math.isfinite(limit):
         element.ctrlrange = [low - limit / kp, high + limit / kp]
@@ -128,3 +127,12 @@ class NativeMotorActuatorCfg(ActuatorCfg):
       limit_force(element, limit)
       if math.isfinite(limit):
         element.ctrlrange = [-limit, limit]
+
+
+def _range(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> tuple[float, float]:
+  """Position limits of a joint [m or rad]; equal when there are none."""
+  if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE:
+    return 0.0, 0.0
+  # A spec holds what the file says; the compiler turns degrees into radians later, in joints but not in actuators.
+  unit = math.pi / 180.0 if spec.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
+  return float(joint.range[0]) * unit, float(joint.range[1]) * unit
