@@ -1,0 +1,389 @@
+"""One class for every physical thing in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import torch
+from mjlab_actuators import ActuatorSet
+from mjlab_core.masking import fill_, where_
+from mjlab_core.names import match_names
+
+from mjlab_scene.collision import apply_collisions
+from mjlab_scene.element_names import KINDS, name_everything, spec_names
+from mjlab_scene.entity_cfg import EntityArticulationCfg, EntityCfg
+from mjlab_scene.entity_data import EntityData
+from mjlab_scene.entity_writes import Columns, EntityWrites
+from mjlab_scene.indexing import EntityIndexing, index_entity
+from mjlab_scene.initial_state import InitialState, read_initial_state
+
+if TYPE_CHECKING:
+  from mjlab_sim import Simulation
+
+MOCAP_BASE = "mocap_base"
+"""Body that the scene puts above a fixed base, to place it per world."""
+
+
+class Entity(EntityWrites):
+  """A robot, an object or a fixture: fixed, floating or mocap base, with or without joints.
+
+  Built from its configuration it is only a spec, edited: everything named, contact presets and actuators applied.
+  `attach` puts it into a scene, `initialize` ties it to the simulation of that scene; from then on `data` can be read
+  and the `write_*` methods used.
+
+  All names are local: what the scene calls "robot/left/elbow" the entity "robot" calls "left/elbow".
+
+  Raises:
+    ValueError: anything wrong in the configuration, by name.
+  """
+
+  _children = ("data", "actuators")
+
+  def __init__(self, cfg: EntityCfg, name: str) -> None:
+    if not name or "/" in name:
+      raise ValueError(f"entity name {name!r} must be a word without '/'")
+    self.cfg = cfg
+    self.name = name
+    owner = f"entity '{name}'"
+    articulation = EntityArticulationCfg() if cfg.articulation is None else cfg.articulation
+    factor = articulation.soft_joint_pos_limit_factor
+    if not 0.0 < factor <= 1.0:
+      raise ValueError(f"{owner}: soft_joint_pos_limit_factor {factor} must be in (0, 1]")
+    self._soft_joint_pos_limit_factor = factor
+    self.spec = cfg.spec_fn()
+    """The entity alone; attaching moves its contents into the scene."""
+    name_everything(self.spec)
+    own_root = _find_root(self.spec, owner)
+    self.is_floating = own_root is not None and _floats(own_root)
+    """Whether the base has a free joint."""
+    self._wrapped = own_root is None or not (self.is_floating or own_root.mocap)
+    apply_collisions(self.spec, cfg.collisions, owner)
+    self.actuators = ActuatorSet(articulation.actuators, owner) if articulation.actuators else None
+    """What drives the joints; None if nothing is configured to."""
+    if self.actuators is not None:
+      self.actuators.edit_spec(self.spec)
+      name_everything(self.spec)
+    self.initial_state: InitialState = read_initial_state(
+      self.spec, cfg.init_state, None if self._wrapped else own_root, self.is_floating, owner
+    )
+    """Where the entity starts, by local name."""
+    self.prefix = f"{name}/"
+    """What the scene puts before the entity's names."""
+    self.root_body_name: str = MOCAP_BASE if self._wrapped or own_root is None else own_root.name
+    """Local name of the body that `root_*` quantities and writes are about."""
+    self._names = {kind: spec_names(self.spec, kind) for kind in KINDS}
+    if self._wrapped:
+      self._names["body"] = (MOCAP_BASE, *self._names["body"])
+    self._indexing: EntityIndexing | None = None
+    self._data: EntityData | None = None
+    self._sim: Simulation | None = None
+    self._columns_of: dict[tuple[object, ...], tuple[object, Columns]] = {}
+    self._target_columns: tuple[torch.Tensor, torch.Tensor] | None = None
+    self._follows_targets_only = False
+    self._written: int | None = None
+
+  # Building
+
+  def attach(self, scene: mujoco.MjSpec) -> None:
+    """Move the entity into the spec of a scene, under its prefix; its keyframes are left behind."""
+    for key in list(self.spec.keys):
+      self.spec.delete(key)
+    pose = self.initial_state.root_pose
+    if self._wrapped:
+      base = scene.worldbody.add_body(name=self.prefix + MOCAP_BASE, mocap=True, pos=pose[:3], quat=pose[3:])
+      scene.attach(self.spec, prefix=self.prefix, frame=base.add_frame())
+      return
+    scene.attach(self.spec, prefix=self.prefix, frame=scene.worldbody.add_frame())
+    if not self.is_floating:
+      root = scene.body(self.prefix + self.root_body_name)
+      root.pos, root.quat = pose[:3], pose[3:]
+      root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+  def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:
+    """Find the entity in the simulation's model and allocate all of its memory.
+
+    Args:
+      sim: The simulation of the scene that the entity is attached to.
+      prefix: What precedes its names in the model; None for the entity's own prefix.
+      rng: Source of randomness, on the simulation's device, for delays.
+    """
+    self.prefix = self.prefix if prefix is None else prefix
+    self.num_envs = sim.num_envs
+    self._sim = sim
+    indexing = index_entity(sim.mj_model, self.prefix, self.prefix + self.root_body_name, sim.device)
+    self._indexing = indexing
+    self._names = indexing.names
+    self._columns_of.clear()
+    data = EntityData(sim, indexing, self.initial_state, self._soft_joint_pos_limit_factor)
+    self._data = data
+    self._target_columns = None
+    if self.actuators is not None:
+      names = indexing.names["joint"]
+      driven = [joint for joint, columns in enumerate(indexing.q_of_joint) if len(columns) == 1]
+      if not indexing.scalar_joints:
+        # Actuators know joints with one position; a ball joint's columns are left out of what they are given.
+        q, v = (
+          torch.tensor([ranges[joint][0] for joint in driven], dtype=torch.long, device=sim.device)
+          for ranges in (indexing.q_of_joint, indexing.v_of_joint)
+        )
+        self._target_columns = (q, v)
+      self.actuators.build(
+        sim.mj_model,
+        target_names=[names[joint] for joint in driven],
+        num_envs=sim.num_envs,
+        device=sim.device,
+        dtype=sim.dtype,
+        generator=rng,
+        prefix=self.prefix,
+        ctrl=sim.data.ctrl,
+      )
+      self._follows_targets_only = not self.actuators.needs_feedback and all(
+        group.delay is None for group in self.actuators.groups
+      )
+    self._written = None
+    self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
+
+  # Running
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Set-points of masked worlds to the default pose, at rest, and delays as if they had always been that.
+
+    The state itself is left to whoever resets it.
+    """
+    data = self.data
+    where_(data.joint_pos_target, mask, data.default_joint_pos)
+    fill_(data.joint_vel_target, mask, 0.0)
+    fill_(data.joint_effort_target, mask, 0.0)
+    if self.actuators is not None:
+      self.actuators.reset(mask, *self._targets())
+    # The simulation's reset clears controls.
+    self._written = None
+
+  def write_default_root_state(self, origins: torch.Tensor | None = None, mask: torch.Tensor | None = None) -> None:
+    """Put the root of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
+    state = self.data.default_root_state
+    if origins is not None:
+      placed = state[:, :3] + origins.to(state.dtype)
+      state = torch.cat((placed, state[:, 3:].expand(placed.shape[0], -1)), dim=-1)
+    self.write_root_state(state, mask)
+
+  def write_default_state(self, origins: torch.Tensor | None = None, mask: torch.Tensor | None = None) -> None:
+    """Put the root and the joints of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
+    self.write_default_root_state(origins, mask)
+    if self.is_articulated:
+      self.write_joint_state(self.data.default_joint_pos, self.data.default_joint_vel, mask)
+
+  def write_ctrl(self) -> None:
+    """Turn set-points into controls; to be called exactly once before each substep."""
+    actuators = self.actuators
+    if actuators is None:
+      return
+    data = self.data
+    if self._follows_targets_only:
+      # Servos inside MuJoCo hold their set-point: within a decimation there is nothing to write twice.
+      written = data.joint_pos_target._version + data.joint_vel_target._version + data.joint_effort_target._version
+      if written == self._written:
+        return
+      self._written = written
+      actuators.compute(*self._targets(), data.joint_pos_target, data.joint_vel_target)
+      return
+    position, velocity = data.joint_pos, data.joint_vel
+    if self._target_columns is not None:
+      position = position.index_select(1, self._target_columns[0])
+      velocity = velocity.index_select(1, self._target_columns[1])
+    actuators.compute(*self._targets(), position, velocity)
+
+  def _targets(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    data = self.data
+    if self._target_columns is None:
+      return data.joint_pos_target, data.joint_vel_target, data.joint_effort_target
+    q, v = self._target_columns
+    return (
+      data.joint_pos_target.index_select(1, q),
+      data.joint_vel_target.index_select(1, v),
+      data.joint_effort_target.index_select(1, v),
+    )
+
+  # What it is
+
+  @property
+  def data(self) -> EntityData:
+    """What can be known about the entity; RuntimeError before `initialize`."""
+    if self._data is None:
+      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
+    return self._data
+
+  @property
+  def sim(self) -> Simulation:
+    """The simulation that the entity is part of; RuntimeError before `initialize`."""
+    if self._sim is None:
+      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
+    return self._sim
+
+  @property
+  def indexing(self) -> EntityIndexing:
+    """Where the entity is in the model; RuntimeError before `initialize`."""
+    if self._indexing is None:
+      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
+    return self._indexing
+
+  @property
+  def is_fixed_base(self) -> bool:
+    """Whether the base does not float; it is then a mocap body, its own or the scene's."""
+    return not self.is_floating
+
+  @property
+  def is_mocap(self) -> bool:
+    """Whether the model itself makes the root a mocap body."""
+    return not self.is_floating and not self._wrapped
+
+  @property
+  def is_articulated(self) -> bool:
+    """Whether it has joints other than the free one."""
+    return bool(self._names["joint"])
+
+  @property
+  def is_actuated(self) -> bool:
+    """Whether actuators are configured to drive its joints."""
+    return self.actuators is not None
+
+  # Names
+
+  @property
+  def body_names(self) -> tuple[str, ...]:
+    """Local names of the bodies, in the model's order; "mocap_base" is the first of a fixed base."""
+    return self._names["body"]
+
+  @property
+  def joint_names(self) -> tuple[str, ...]:
+    """Local names of the joints but the free one, in the model's order."""
+    return self._names["joint"]
+
+  @property
+  def geom_names(self) -> tuple[str, ...]:
+    """Local names of the geoms, in the model's order."""
+    return self._names["geom"]
+
+  @property
+  def site_names(self) -> tuple[str, ...]:
+    """Local names of the sites, in the model's order."""
+    return self._names["site"]
+
+  @property
+  def tendon_names(self) -> tuple[str, ...]:
+    """Local names of the tendons, in the model's order."""
+    return self._names["tendon"]
+
+  @property
+  def actuator_names(self) -> tuple[str, ...]:
+    """Local names of the actuators, in the model's order; configured ones are named after their joint."""
+    return self._names["actuator"]
+
+  @property
+  def camera_names(self) -> tuple[str, ...]:
+    """Local names of the cameras, in the model's order."""
+    return self._names["camera"]
+
+  @property
+  def light_names(self) -> tuple[str, ...]:
+    """Local names of the lights, in the model's order."""
+    return self._names["light"]
+
+  @property
+  def material_names(self) -> tuple[str, ...]:
+    """Local names of the materials, in the model's order."""
+    return self._names["material"]
+
+  @property
+  def num_bodies(self) -> int:
+    """Number of bodies, the scene's mocap base included."""
+    return len(self._names["body"])
+
+  @property
+  def num_joints(self) -> int:
+    """Number of joints, the free one left out."""
+    return len(self._names["joint"])
+
+  @property
+  def num_geoms(self) -> int:
+    """Number of geoms."""
+    return len(self._names["geom"])
+
+  @property
+  def num_sites(self) -> int:
+    """Number of sites."""
+    return len(self._names["site"])
+
+  @property
+  def num_actuators(self) -> int:
+    """Number of actuators in the model."""
+    return len(self._names["actuator"])
+
+  def find_bodies(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of the bodies that patterns match as a whole; a pattern without a match is an error."""
+    return self._find("body", patterns, preserve_order)
+
+  def find_joints(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of joints; see `find_bodies`."""
+    return self._find("joint", patterns, preserve_order)
+
+  def find_geoms(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of geoms; see `find_bodies`."""
+    return self._find("geom", patterns, preserve_order)
+
+  def find_sites(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of sites; see `find_bodies`."""
+    return self._find("site", patterns, preserve_order)
+
+  def find_tendons(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of tendons; see `find_bodies`."""
+    return self._find("tendon", patterns, preserve_order)
+
+  def find_actuators(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of actuators; see `find_bodies`."""
+    return self._find("actuator", patterns, preserve_order)
+
+  def find_cameras(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of cameras; see `find_bodies`."""
+    return self._find("camera", patterns, preserve_order)
+
+  def find_lights(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of lights; see `find_bodies`."""
+    return self._find("light", patterns, preserve_order)
+
+  def find_materials(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
+    """Local ids and names of materials; see `find_bodies`."""
+    return self._find("material", patterns, preserve_order)
+
+  def _find(self, kind: str, patterns: str | Sequence[str], preserve_order: bool) -> tuple[list[int], list[str]]:
+    return match_names(
+      patterns, self._names[kind], what=kind, owner=f"entity '{self.name}'", preserve_order=preserve_order
+    )
+
+  def _selections(self) -> dict[tuple[object, ...], tuple[object, Columns]]:
+    return self._columns_of
+
+
+def _floats(body: mujoco.MjsBody) -> bool:
+  return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
+  """The body with the free joint, wherever it is; else a mocap body on top level; else the first body, if any."""
+  floating = [body for body in spec.bodies if _floats(body)]
+  if len(floating) > 1:
+    names = ", ".join(f"'{body.name}'" for body in floating)
+    raise ValueError(
+      f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make it several"
+    )
+  top = [body for body in spec.bodies[1:] if body.parent.name == "world"]
+  if floating:
+    if floating[0] not in top and floating[0].name not in [body.name for body in top]:
+      raise ValueError(f"{owner}: body '{floating[0].name}' has a free joint but is not on top level")
+    return floating[0]
+  mocap = [body for body in top if body.mocap]
+  if mocap:
+    return mocap[0]
+  return top[0] if top else None
