@@ -1,1 +1,78 @@
 """Training with rsl-rl: vec-env adapter, runner, checkpoints, run manifests."""
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+  from mjlab_rl.checkpoint import CheckpointError
+  from mjlab_rl.config import ConfigError, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
+  from mjlab_rl.console import Console
+  from mjlab_rl.env_protocol import RlEnv
+  from mjlab_rl.iteration_report import IterationReport
+  from mjlab_rl.manifest import ManifestError, RunManifest, load_run
+  from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
+  from mjlab_rl.runner import MjlabOnPolicyRunner
+  from mjlab_rl.task import TaskCfg
+  from mjlab_rl.training import TrainingResult, train
+  from mjlab_rl.vec_env import RslRlVecEnvWrapper
+
+__all__ = [
+  "CheckpointError",
+  "ConfigError",
+  "Console",
+  "IterationReport",
+  "ManifestError",
+  "MjlabOnPolicyRunner",
+  "RlEnv",
+  "RslRlModelCfg",
+  "RslRlOnPolicyRunnerCfg",
+  "RslRlPpoAlgorithmCfg",
+  "RslRlVecEnvWrapper",
+  "RunManifest",
+  "RunNotFoundError",
+  "TaskCfg",
+  "TrainingResult",
+  "checkpoints",
+  "create_run_directory",
+  "find_checkpoint",
+  "load_run",
+  "train",
+]
+
+# rsl-rl imports GitPython, which complains at import where there is no git binary.
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
+# Loaded on first use: a task's configuration needs no rsl-rl, and reading a manifest needs no torch.
+_HOMES = {
+  "CheckpointError": "checkpoint",
+  "ConfigError": "config",
+  "Console": "console",
+  "IterationReport": "iteration_report",
+  "ManifestError": "manifest",
+  "MjlabOnPolicyRunner": "runner",
+  "RlEnv": "env_protocol",
+  "RslRlModelCfg": "config",
+  "RslRlOnPolicyRunnerCfg": "config",
+  "RslRlPpoAlgorithmCfg": "config",
+  "RslRlVecEnvWrapper": "vec_env",
+  "RunManifest": "manifest",
+  "RunNotFoundError": "run_directory",
+  "TaskCfg": "task",
+  "TrainingResult": "training",
+  "checkpoints": "run_directory",
+  "create_run_directory": "run_directory",
+  "find_checkpoint": "run_directory",
+  "load_run": "manifest",
+  "train": "training",
+}
+
+
+def __getattr__(name: str) -> Any:
+  if name not in _HOMES:
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+  return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+  return sorted(__all__)

@@ -1,0 +1,102 @@
+"""Checkpoint files: written whole or not at all, read without running code."""
+
+import os
+import pickle
+import random
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+FORMAT = 1
+
+
+class CheckpointError(ValueError):
+  """A checkpoint that cannot be read or does not fit; the message says why."""
+
+
+def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
+  """Write `state` to `path`: under another name first, so that no crash leaves half a file under this one."""
+  temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+  try:
+    torch.save(state, temporary)
+    os.replace(temporary, path)
+  finally:
+    temporary.unlink(missing_ok=True)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+  """Read a checkpoint onto the host; only tensors and plain values are accepted.
+
+  Raises:
+    CheckpointError: There is no such file, or it is not a checkpoint.
+  """
+  if not path.is_file():
+    raise CheckpointError(f"checkpoint {path}: no such file")
+  try:
+    state = torch.load(path, map_location="cpu", weights_only=True)
+  except pickle.UnpicklingError as error:
+    raise CheckpointError(
+      f"checkpoint {path}: holds objects other than tensors and plain values, not loaded"
+    ) from error
+  except (RuntimeError, EOFError, ValueError, KeyError) as error:
+    raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
+  if not isinstance(state, dict) or "actor_state_dict" not in state:
+    found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
+    raise CheckpointError(f"checkpoint {path}: no 'actor_state_dict' in it; found {found}")
+  return state
+
+
+def check_fit(path: Path, part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
+  """Compare a saved network with the one it is to fill.
+
+  Raises:
+    CheckpointError: Names or shapes differ; the message lists how.
+  """
+  differences = [
+    f"{name} is {_shape(saved[name])} in the file and {_shape(present[name])} here"
+    for name in present
+    if name in saved and _shape(saved[name]) != _shape(present[name])
+  ]
+  differences += [f"{name} is missing in the file" for name in present if name not in saved]
+  differences += [f"{name} is only in the file" for name in saved if name not in present]
+  if differences:
+    shown = "; ".join(differences[:4]) + (f"; and {len(differences) - 4} more" if len(differences) > 4 else "")
+    raise CheckpointError(
+      f"checkpoint {path} does not fit: {part}: {shown}. Observations, actions, agent.{part}.hidden_dims and "
+      f"agent.{part}.obs_normalization must be those it was trained with."
+    )
+
+
+def rng_state(device: torch.device) -> dict[str, Any]:
+  """State of every generator of the process: torch on the host and on `device`, NumPy's and Python's global ones."""
+  name, keys, position, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002
+  state: dict[str, Any] = {
+    "torch": torch.get_rng_state(),
+    "numpy": (name, torch.from_numpy(np.asarray(keys, dtype=np.int64)), int(position), int(has_gauss), float(cached)),
+    "python": random.getstate(),
+  }
+  if device.type == "cuda":
+    state["cuda"] = torch.cuda.get_rng_state(device)
+  return state
+
+
+def restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
+  """Put every generator back; on a device of another kind its own generator stays as it is."""
+  torch.set_rng_state(state["torch"])
+  name, keys, position, has_gauss, cached = state["numpy"]
+  np.random.set_state((name, keys.numpy().astype(np.uint32), position, has_gauss, cached))  # noqa: NPY002
+  version, internal, gauss = state["python"]
+  random.setstate((version, tuple(internal), gauss))
+  if device.type == "cuda" and "cuda" in state:
+    torch.cuda.set_rng_state(state["cuda"], device)
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+  return tuple(getattr(value, "shape", ()))
+
+
+def _first_line(error: BaseException) -> str:
+  return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,64 @@
+"""Where runs lie on disk, and how to find one again: `<log root>/<experiment>/<date_time>[_<run name>]`."""
+
+import itertools
+import re
+from datetime import datetime
+from pathlib import Path
+
+_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+
+
+class RunNotFoundError(FileNotFoundError):
+  """There is no such run or checkpoint; the message lists what there is."""
+
+
+def create_run_directory(log_root: Path, experiment: str, run_name: str = "") -> Path:
+  """Make a new directory named after the present time; two runs never share one, not even within a second."""
+  stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+  suffix = f"_{run_name}" if run_name else ""
+  for attempt in itertools.count(1):
+    path = log_root / experiment / f"{stamp}{'' if attempt == 1 else f'.{attempt}'}{suffix}"
+    try:
+      path.mkdir(parents=True)
+    except FileExistsError:
+      continue
+    return path
+  raise AssertionError("unreachable")
+
+
+def checkpoints(directory: Path) -> list[Path]:
+  """Checkpoints of a run, oldest first."""
+  found = [
+    (int(match[1]), path) for path in directory.glob("model_*.pt") if (match := _CHECKPOINT.fullmatch(path.name))
+  ]
+  return [path for _, path in sorted(found)]
+
+
+def find_checkpoint(run: str, *, log_root: Path, experiment: str) -> Path:
+  """The checkpoint that `run` means.
+
+  Args:
+    run: A checkpoint file, a run directory, the name of a run of the experiment, or "latest": the newest run of the
+      experiment that has a checkpoint. A directory stands for its newest checkpoint.
+    log_root: Folder of all experiments.
+    experiment: Folder of this one, below it.
+
+  Raises:
+    RunNotFoundError: Nothing fits.
+  """
+  folder = log_root / experiment
+  runs = sorted((path for path in folder.iterdir() if path.is_dir()), reverse=True) if folder.is_dir() else []
+  if run == "latest":
+    for directory in runs:
+      if found := checkpoints(directory):
+        return found[-1]
+    raise RunNotFoundError(f"no run with a checkpoint in {folder}")
+  for candidate in (Path(run), folder / run):
+    if candidate.is_file():
+      return candidate
+    if candidate.is_dir():
+      if found := checkpoints(candidate):
+        return found[-1]
+      raise RunNotFoundError(f"run {candidate} has no checkpoint")
+  names = ", ".join(path.name for path in runs[:5]) or "none"
+  raise RunNotFoundError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")

@@ -1,0 +1,43 @@
+"""Stopping a run from outside without losing it."""
+
+import os
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
+
+
+class StopSignals:
+  """While entered, the first Ctrl-C or SIGTERM only sets `received`; a second one ends the process at once.
+
+  Does nothing outside the main thread, where Python allows no signal handlers.
+  """
+
+  def __init__(self) -> None:
+    self.received: str | None = None
+    """Name of the signal that came, such as "SIGINT"."""
+    self._previous: dict[signal.Signals, Any] = {}
+
+  def __enter__(self) -> Self:
+    if threading.current_thread() is threading.main_thread():
+      for number in (signal.SIGINT, signal.SIGTERM):
+        self._previous[number] = signal.signal(number, self._on_signal)
+    return self
+
+  def __exit__(
+    self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+  ) -> None:
+    for number, handler in self._previous.items():
+      # None: the handler before ours was not set from Python.
+      signal.signal(number, signal.SIG_DFL if handler is None else handler)
+    self._previous.clear()
+
+  def _on_signal(self, number: int, frame: FrameType | None) -> None:
+    del frame
+    self.received = signal.Signals(number).name
+    for other in self._previous:
+      signal.signal(other, signal.SIG_DFL)
+    # print() may not be entered again from a handler; a bare write may.
+    os.write(2, _MESSAGE)

@@ -1,0 +1,121 @@
+"""One training run from configuration to checkpoint."""
+
+import copy
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from mjlab_core import seed_everything
+
+from mjlab_rl.config import ConfigError
+from mjlab_rl.console import Console
+from mjlab_rl.env_protocol import RlEnv
+from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
+from mjlab_rl.run_directory import create_run_directory
+from mjlab_rl.runner import MjlabOnPolicyRunner
+from mjlab_rl.task import TaskCfg
+from mjlab_rl.vec_env import RslRlVecEnvWrapper
+
+
+@dataclass(kw_only=True)
+class TrainingResult:
+  """How a run ended."""
+
+  directory: Path | None
+  """Run directory; None where nothing was written."""
+  iterations: int
+  """Iterations done in all, those before a resume included."""
+  checkpoint: Path | None
+  """The last checkpoint."""
+  stopped_by: str | None
+  """Signal that ended it early, such as "SIGINT"; None where it ran to its end."""
+
+
+def train(
+  task: TaskCfg[Any],
+  *,
+  name: str,
+  make_env: Callable[..., RlEnv],
+  device: str = "cpu",
+  log_root: str | os.PathLike[str] | None = "logs",
+  resume: Path | None = None,
+  console: Console | None = None,
+  command: list[str] | None = None,
+  on_ready: Callable[[RlEnv, Path | None], None] | None = None,
+) -> TrainingResult:
+  """Train a task.
+
+  The run directory is made once the environment stands, so a configuration that cannot be built leaves nothing behind.
+
+  Args:
+    task: What to train; not changed.
+    name: Task id, for the manifest.
+    make_env: Builds the environment, called as make_env(cfg, device=device); `task.make_env` wins.
+    device: Device of environment and learner, such as "cuda:0".
+    log_root: Folder of all experiments; None: write nothing.
+    resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
+    console: Where progress is shown; None: standard output.
+    command: Command line, for the manifest.
+    on_ready: Called with the environment and the run directory before the first iteration.
+
+  Raises:
+    ManifestError: The configuration cannot be written down.
+    ConfigError: The learner configuration cannot work.
+    CheckpointError: The checkpoint does not fit.
+  """
+  console = console if console is not None else Console()
+  env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
+  agent.to_rsl_rl()
+  if getattr(env_cfg, "seed", None) is None:
+    env_cfg.seed = agent.seed
+  manifest = RunManifest(
+    task=name,
+    env=copy.deepcopy(env_cfg),
+    agent=copy.deepcopy(agent),
+    runner=task.runner,
+    make_env=task.make_env,
+    play=task.play,
+    seed=agent.seed,
+    device=device,
+    created=datetime.now().astimezone().isoformat(timespec="seconds"),
+    command=list(command or []),
+    resumed_from=None if resume is None else str(resume.resolve()),
+    versions=package_versions(),
+    git=git_state(Path.cwd()),
+  )
+  if log_root is not None:
+    encode_manifest(manifest)
+
+  seed_everything(agent.seed)
+  env = (task.make_env or make_env)(env_cfg, device=device)
+  try:
+    wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
+    runner_class: type[MjlabOnPolicyRunner] = task.runner or MjlabOnPolicyRunner
+    runner = runner_class(wrapped, agent, None, device, console=console)
+    if resume is not None:
+      runner.load(str(resume))
+    remaining = agent.max_iterations - runner.current_learning_iteration
+    if remaining <= 0:
+      raise ConfigError(
+        f"{resume} has {runner.current_learning_iteration} iterations, agent.max_iterations is {agent.max_iterations}; "
+        "nothing is left to do. Raise --agent.max-iterations."
+      )
+    directory: Path | None = None
+    if log_root is not None:
+      directory = create_run_directory(Path(log_root), agent.experiment_name, agent.run_name)
+      write_manifest(directory, manifest)
+      runner.log_dir = directory
+    if on_ready is not None:
+      on_ready(env, directory)
+    runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)
+    return TrainingResult(
+      directory=directory,
+      iterations=runner.current_learning_iteration,
+      checkpoint=runner.checkpoint_path() if directory is not None else None,
+      stopped_by=runner.stopped_by,
+    )
+  finally:
+    env.close()

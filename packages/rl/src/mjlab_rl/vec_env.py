@@ -1,0 +1,86 @@
+"""The environment as rsl-rl wants it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from mjlab_rl.env_protocol import RlEnv
+
+
+class RslRlVecEnvWrapper(VecEnv):
+  """rsl-rl's `VecEnv` over an `RlEnv`. Resets the environment on construction; nothing here waits for the GPU.
+
+  Args:
+    env: The environment. Owned by the caller until `close`.
+    clip_actions: Limit of the absolute value of every action, None for no limit.
+  """
+
+  def __init__(self, env: RlEnv, *, clip_actions: float | None = None):
+    self.env = env
+    self.num_envs = env.num_envs
+    self.num_actions = env.action_manager.total_action_dim
+    self.max_episode_length = env.max_episode_length
+    self.device = env.device
+    self.cfg = env.cfg
+    self.clip_actions = clip_actions
+    # Cutting a finite-horizon episode is its true end: the value behind it must not be bootstrapped.
+    self._is_finite_horizon = bool(getattr(env.cfg, "is_finite_horizon", False))
+    env.reset()
+
+  @property
+  def unwrapped(self) -> RlEnv:
+    """The environment itself."""
+    return self.env
+
+  @property
+  def episode_length_buf(  # pyright: ignore[reportIncompatibleVariableOverride]
+    self,
+  ) -> torch.Tensor:
+    """Steps since the last reset, (num_envs,) int64; assigning copies into the environment's memory."""
+    return self.env.episode_length_buf
+
+  @episode_length_buf.setter
+  def episode_length_buf(self, value: torch.Tensor) -> None:
+    self.env.episode_length_buf.copy_(value)
+
+  def get_observations(self) -> TensorDict:
+    """Observations of the present state, batch size (num_envs,)."""
+    return self._batch(self.env.get_observations())
+
+  def reset(self) -> tuple[TensorDict, dict[str, Any]]:
+    """Reset all worlds; returns (observations, info)."""
+    observations, info = self.env.reset()
+    return self._batch(observations), info
+
+  def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """Advance all worlds by one step.
+
+    Args:
+      actions: (num_envs, num_actions) float32.
+
+    Returns:
+      Observations (batch size (num_envs,)), rewards (num_envs,), dones (num_envs,) int64 and the environment's extras
+      with `time_outs` (num_envs,) bool: cut but not terminated, a termination in the same step wins.
+    """
+    if self.clip_actions is not None:
+      actions = actions.clamp(-self.clip_actions, self.clip_actions)
+    observations, reward, terminated, truncated, extras = self.env.step(actions)
+    dones = (terminated | truncated).to(torch.int64)
+    extras = dict(extras)
+    if not self._is_finite_horizon:
+      extras["time_outs"] = truncated & ~terminated
+    return self._batch(observations), reward, dones, extras
+
+  def drain_log(self) -> dict[str, float]:
+    """Means of the environment's log values since the last call."""
+    return self.env.drain_log()
+
+  def close(self) -> None:
+    """Close the environment."""
+    self.env.close()
+
+  def _batch(self, observations: Mapping[str, Any]) -> TensorDict:
+    return TensorDict(dict(observations), batch_size=[self.num_envs])
