@@ -1,1 +1,70 @@
-"""Action, command, curriculum, event, metrics, observation, recorder, reward and termination managers."""
+"""Action, command, curriculum, event, metrics, observation, recorder, reward and termination managers.
+
+They know an environment only as the protocol `ManagerEnv`. Whatever they do inside a step works on masks over all
+worlds, in fixed memory, without asking the device anything, so that a whole step can be recorded as one CUDA graph.
+"""
+
+from mjlab_managers.action_manager import ActionManager, ActionTerm, ActionTermCfg
+from mjlab_managers.command_manager import CommandManager, CommandTerm, CommandTermCfg
+from mjlab_managers.curriculum_manager import CurriculumManager, CurriculumTermCfg
+from mjlab_managers.env import ManagerEnv, SceneLike
+from mjlab_managers.errors import ConfigError
+from mjlab_managers.event_manager import EventManager, EventMode, EventTermCfg
+from mjlab_managers.log import LogBuffer
+from mjlab_managers.manager import ManagerBase
+from mjlab_managers.metrics_manager import MetricsManager, MetricsTermCfg
+from mjlab_managers.noise import (
+  ConstantNoiseCfg,
+  GaussianNoiseCfg,
+  NoiseCfg,
+  NoiseModelWithAdditiveBiasCfg,
+  UniformNoiseCfg,
+)
+from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
+from mjlab_managers.observation_manager import NonfiniteObservationError, ObservationManager
+from mjlab_managers.recorder_manager import RecorderManager, RecorderTerm, RecorderTermCfg
+from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
+from mjlab_managers.scene_entity import SceneEntityCfg
+from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
+from mjlab_managers.termination_manager import TerminationManager, TerminationTermCfg
+
+__all__ = [
+  "ActionManager",
+  "ActionTerm",
+  "ActionTermCfg",
+  "CommandManager",
+  "CommandTerm",
+  "CommandTermCfg",
+  "ConfigError",
+  "ConstantNoiseCfg",
+  "CurriculumManager",
+  "CurriculumTermCfg",
+  "EventManager",
+  "EventMode",
+  "EventTermCfg",
+  "GaussianNoiseCfg",
+  "LogBuffer",
+  "ManagerBase",
+  "ManagerEnv",
+  "ManagerTermBase",
+  "ManagerTermBaseCfg",
+  "MetricsManager",
+  "MetricsTermCfg",
+  "NoiseCfg",
+  "NoiseModelWithAdditiveBiasCfg",
+  "NonfiniteObservationError",
+  "ObservationGroupCfg",
+  "ObservationManager",
+  "ObservationTermCfg",
+  "RecorderManager",
+  "RecorderTerm",
+  "RecorderTermCfg",
+  "RewardManager",
+  "RewardTermCfg",
+  "SceneEntityCfg",
+  "SceneLike",
+  "TermLayout",
+  "TerminationManager",
+  "TerminationTermCfg",
+  "UniformNoiseCfg",
+]

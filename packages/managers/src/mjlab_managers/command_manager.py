@@ -1,0 +1,198 @@
+"""Commands: what the policy is asked to do, drawn anew from time to time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from mjlab_core.masking import fill_, where_
+from mjlab_core.sampling import check_range
+from mjlab_core.state import Stateful
+
+from mjlab_managers.env import ManagerEnv
+from mjlab_managers.log import LogBuffer
+from mjlab_managers.manager import ManagerBase
+from mjlab_managers.table import table
+
+
+@dataclass(kw_only=True)
+class CommandTermCfg(ABC):
+  """Base of command configs."""
+
+  resampling_time_range: tuple[float, float]
+  """Shortest and longest time between two draws [s]."""
+  debug_vis: bool = False
+  """Whether viewers draw the command."""
+
+  @abstractmethod
+  def build(self, env: Any) -> CommandTerm:
+    """The term, on an environment whose scene is initialised."""
+
+
+class Metrics(dict[str, torch.Tensor]):
+  """Metrics of a command by name, float32 (N,) each, accumulating over an episode.
+
+  `metrics["error"] = x` and `metrics["error"] += x` write into the memory that the first assignment made.
+  """
+
+  def __setitem__(self, name: str, value: torch.Tensor) -> None:
+    mine = self.get(name)
+    if mine is None:
+      super().__setitem__(name, value.to(torch.float32, copy=True))
+    elif mine is not value:
+      mine.copy_(value)
+
+
+class CommandTerm(Stateful, ABC):
+  """Base of command terms. Subclasses name their metrics in `__init__`: `self.metrics["error"] = torch.zeros(...)`."""
+
+  name: str = ""
+
+  def __init__(self, cfg: CommandTermCfg, env: Any) -> None:
+    self.cfg, self.env = cfg, env
+    self.num_envs, self.device = env.num_envs, env.device
+    self.metrics = Metrics()
+    self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
+    self.time_left = torch.zeros(self.num_envs, device=self.device)
+    """Time to the next draw, (N,) [s]."""
+    self.command_counter = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+    """Draws since the reset, int64 (N,)."""
+
+  @property
+  @abstractmethod
+  def command(self) -> torch.Tensor:
+    """The command, (N, d), always in the same memory."""
+
+  @abstractmethod
+  def resample(self, mask: torch.Tensor) -> None:
+    """Draws new commands, for all worlds, and writes them into those of `mask`, bool (N,)."""
+
+  def update(self) -> None:
+    """Follows what the command depends on, every step; no time passes in the worlds of `env.command_manager.fresh`."""
+
+  def update_metrics(self) -> None:
+    """Adds this step to `metrics`."""
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Forgets what belongs to the episodes of the worlds in `mask`, bool (N,), before the command is drawn anew."""
+    del mask
+
+  def _renew(self, mask: torch.Tensor) -> None:
+    lo, hi = self.cfg.resampling_time_range
+    draw = torch.rand(self.num_envs, generator=self.env.rng, device=self.device)
+    where_(self.time_left, mask, draw.mul_(hi - lo).add_(lo))
+    self.command_counter.add_(mask)
+    self.resample(mask)
+
+
+class CommandManager(ManagerBase[CommandTermCfg]):
+  """Keeps the commands and their timers. Everything works on masks; nothing asks how many worlds are in one."""
+
+  cfg_type = CommandTermCfg
+  _constants = frozenset({"fresh", "_none"})
+
+  def __init__(self, cfgs: Mapping[str, CommandTermCfg | None], env: ManagerEnv) -> None:
+    super().__init__(cfgs, env)
+    self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+    """Worlds that do not advance in the current `compute`, bool (N,)."""
+    self._none = self.fresh
+    self._terms: dict[str, CommandTerm] = {}
+    log_names: list[str] = []
+    for name, cfg in self._cfgs.items():
+      try:
+        check_range(f"term '{name}': resampling_time_range", *cfg.resampling_time_range, minimum=0.0)
+      except ValueError as error:
+        self._problem(str(error), error)
+      term = self._build(name, cfg)
+      if term is None:
+        continue
+      self._terms[name] = term
+      log_names += [f"Metrics/{name}/{metric}" for metric in term.metrics]
+      self._check_command(name, term)
+      self._lay_out_metrics(name, term)
+    self._raise_problems()
+    self._log = LogBuffer(log_names, self.device)
+
+  def _check_command(self, name: str, term: CommandTerm) -> None:
+    try:
+      command = term.command
+    except Exception as error:
+      self._problem(f"term '{name}': {type(error).__name__} while reading its command: {error}", error)
+      return
+    what = f"a command of shape ({self.num_envs}, d)"
+    if self._check_tensor(name, command, what, lambda dtype: not dtype.is_complex) and (
+      command.dim() < 2 or command.shape[0] != self.num_envs
+    ):
+      self._problem(f"term '{name}': must return {what}, returned {tuple(command.shape)}.")
+
+  def _lay_out_metrics(self, name: str, term: CommandTerm) -> None:
+    if not term.metrics:
+      return
+    for metric, value in term.metrics.items():
+      if value.shape != (self.num_envs,):
+        self._problem(f"term '{name}': metric '{metric}' must be ({self.num_envs},), is {tuple(value.shape)}.")
+        return
+    # One block per term: one operation to log it, one to reset it.
+    term._metric_values = torch.stack(list(term.metrics.values()), dim=1)
+    for column, metric in enumerate(term.metrics):
+      dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
+
+  def get_term(self, name: str) -> CommandTerm:
+    """A term; KeyError with the nearest names if there is none such."""
+    return self._lookup(self._terms, name)
+
+  def get_command(self, name: str) -> torch.Tensor:
+    """A term's command, (N, d)."""
+    return self._lookup(self._terms, name).command
+
+  def compute(self, dt: float, fresh: torch.Tensor | None = None) -> None:
+    """One step of `dt` [s]: metrics, timers, new draws where a timer ran out, updates.
+
+    Args:
+      dt: time that passed [s].
+      fresh: worlds for which no time passed because they were just reset, bool (N,); None for no world.
+    """
+    if not self._terms:
+      return
+    self.fresh = self._none if fresh is None else fresh
+    passed = dt if fresh is None else (~fresh).float().mul_(dt)
+    for term in self._terms.values():
+      term.update_metrics()
+      term.time_left.sub_(passed)
+      term._renew(term.time_left <= 0.0)
+      term.update()
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Logs the metrics of the worlds in `mask`, bool (N,), zeroes them and draws new commands there."""
+    if not self._terms:
+      return
+    terms = list(self._terms.values())
+    if self._log.names:
+      blocks = [term._metric_values for term in terms if term.metrics]
+      self._log.add(blocks[0] if len(blocks) == 1 else torch.cat(blocks, dim=1), mask)
+    super().reset(mask)
+    for term in terms:
+      if term.metrics:
+        fill_(term._metric_values, mask, 0.0)
+      term.command_counter.masked_fill_(mask, 0)
+      term._renew(mask)
+
+  def log_tensors(self) -> tuple[list[str], torch.Tensor]:
+    """`Metrics/<command>/<metric>`: mean over the episodes that ended."""
+    return self._log.tensors()
+
+  def clear_log(self) -> None:
+    self._log.clear()
+
+  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+    return [(name, term.command[env_idx].flatten().tolist()) for name, term in self._terms.items()]
+
+  def describe(self) -> str:
+    rows = [
+      (name, type(term).__name__, tuple(term.command.shape[1:]), "{} to {} s".format(*term.cfg.resampling_time_range))
+      for name, term in self._terms.items()
+    ]
+    return table("Commands", ("term", "type", "shape", "resampled after"), rows)

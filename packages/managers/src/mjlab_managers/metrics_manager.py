@@ -1,0 +1,145 @@
+"""Metrics: numbers about an episode that nobody optimises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from mjlab_core.masking import fill_, where_
+from mjlab_core.names import unknown
+
+from mjlab_managers.binding import Term
+from mjlab_managers.env import ManagerEnv
+from mjlab_managers.log import LogBuffer
+from mjlab_managers.manager import ManagerBase, is_float
+from mjlab_managers.table import table
+from mjlab_managers.term import ManagerTermBaseCfg
+
+Reduction = Literal["mean", "sum", "last", "max"]
+
+# Columns come in this order, so that each kind is a slice.
+_REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
+
+
+@dataclass
+class MetricsTermCfg(ManagerTermBaseCfg):
+  """A metric: `func(env, **params)` returns float (N,)."""
+
+  reduce: Reduction = "mean"
+  """How an episode's values become one."""
+  per_substep: bool = False
+  """Whether it is evaluated after every physics substep and averaged over the substeps of a step."""
+
+
+class MetricsManager(ManagerBase[MetricsTermCfg]):
+  """Reduces metrics over episodes. A NaN or infinite value counts as 0; an episode without a step is left out."""
+
+  cfg_type = MetricsTermCfg
+  _constants = frozenset({"_raw", "_values", "_initial", "_nonfinite"})
+
+  def __init__(self, cfgs: Mapping[str, MetricsTermCfg | None], env: ManagerEnv) -> None:
+    super().__init__(cfgs, env)
+    for name, cfg in self._cfgs.items():
+      if cfg.reduce not in _REDUCTIONS:
+        self._problem(unknown("reduce", str(cfg.reduce), _REDUCTIONS, owner=f"term '{name}'"))
+    terms: list[Term] = []
+    for name, cfg in self._cfgs.items():
+      term = self._bind(name, cfg)
+      if term is None:
+        continue
+      terms.append(term)
+      self._check_vector(term, "float", is_float)
+    self._raise_problems()
+
+    def rank(term: Term) -> int:
+      return _REDUCTIONS.index(self._cfgs[term.name].reduce)
+
+    self._terms = sorted(terms, key=rank)
+    ranks = [rank(term) for term in self._terms]
+    self._num_mean, self._num_added = ranks.count(0), ranks.count(0) + ranks.count(1)
+    self._max_start = self._num_added + ranks.count(2)
+    self._substep_columns = [i for i, term in enumerate(self._terms) if self._cfgs[term.name].per_substep]
+    self._substeps = round(env.step_dt / env.physics_dt)
+
+    count = len(self._terms)
+    self._raw = torch.zeros(self.num_envs, count, device=self.device)
+    self._values = torch.zeros_like(self._raw)
+    self._initial = torch.zeros(1, count, device=self.device)
+    self._initial[:, self._max_start :] = -torch.inf
+    self._episode = self._initial.repeat(self.num_envs, 1)
+    self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+    self._substep_sums = torch.zeros(self.num_envs, len(self._substep_columns), device=self.device)
+    self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
+    self._log = LogBuffer([f"Episode_Metrics/{term.name}" for term in self._terms], self.device)
+
+  def compute_substep(self) -> None:
+    """Evaluates the per-substep metrics; call after every physics substep."""
+    if self._substep_columns:
+      values = [self._terms[column]() for column in self._substep_columns]
+      self._substep_sums.add_(torch.stack(values, dim=1))
+
+  def compute(self) -> None:
+    """Evaluates the other metrics and takes the step into the episode."""
+    if not self._terms:
+      return
+    values: dict[int, torch.Tensor] = {}
+    if self._substep_columns:
+      means = (self._substep_sums / self._substeps).unbind(1)
+      self._substep_sums.zero_()
+      values = dict(zip(self._substep_columns, means, strict=True))
+    columns = [values[i] if i in values else term() for i, term in enumerate(self._terms)]
+    torch.stack(columns, dim=1, out=self._raw)
+    torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._values)
+    self._nonfinite.add_((self._raw != self._values).sum(0))
+    added, top = self._num_added, self._max_start
+    if added:
+      self._episode[:, :added].add_(self._values[:, :added])
+    if top > added:
+      self._episode[:, added:top].copy_(self._values[:, added:top])
+    if top < len(self._terms):
+      highest = self._episode[:, top:]
+      highest.copy_(torch.maximum(highest, self._values[:, top:]))
+    self._steps.add_(1)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Logs the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and starts over there."""
+    if not self._terms:
+      return
+    episode = self._episode
+    if self._num_mean:
+      # Means divide by the steps, the rest by one.
+      steps = self._steps.clamp(min=1)[:, None]
+      means = episode[:, : self._num_mean] / steps
+      episode = torch.cat([means, episode[:, self._num_mean :]], dim=1)
+    self._log.add(episode, mask & (self._steps > 0))
+    where_(self._episode, mask, self._initial)
+    fill_(self._steps, mask, 0)
+    if self._substep_columns:
+      fill_(self._substep_sums, mask, 0.0)
+    super().reset(mask)
+
+  def _watched_terms(self) -> list[Term]:
+    return self._terms
+
+  def log_tensors(self) -> tuple[list[str], torch.Tensor]:
+    """`Episode_Metrics/<term>`: mean over ended episodes; `Nonfinite/metrics/<term>`: NaN where there were none."""
+    names, means = self._log.tensors()
+    counts = self._nonfinite.double()
+    return (
+      [*names, *(f"Nonfinite/metrics/{term.name}" for term in self._terms)],
+      torch.cat([means, counts.masked_fill(counts == 0, torch.nan)]),
+    )
+
+  def clear_log(self) -> None:
+    self._log.clear()
+    self._nonfinite.zero_()
+
+  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+    values = dict(zip((term.name for term in self._terms), self._values[env_idx].tolist(), strict=True))
+    return [(name, [values[name]]) for name in self._cfgs]
+
+  def describe(self) -> str:
+    rows = [(name, cfg.reduce, "every substep" if cfg.per_substep else "") for name, cfg in self._cfgs.items()]
+    return table("Metrics", ("term", "reduce", "evaluated"), rows)

@@ -1,0 +1,195 @@
+"""Noise on observations: its configs, and the one pass that applies all of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from mjlab_core.masking import where_
+from mjlab_core.names import unknown
+from mjlab_core.sampling import check_range
+
+Operation = Literal["add", "scale", "abs"]
+PerDim = float | tuple[float, ...]
+"""One number for all components of a term, or one per component."""
+
+
+@dataclass(kw_only=True)
+class NoiseCfg(ABC):
+  """Base of noise: x + n, x * n or n, each component n = base + u width + z std, u uniform in [0, 1], z normal."""
+
+  operation: Operation = "add"
+  """`add`: x + n; `scale`: x * n; `abs`: n replaces x."""
+
+  @abstractmethod
+  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
+    """base, width and std.
+
+    Raises:
+      ValueError: the config is wrong.
+    """
+
+
+@dataclass(kw_only=True)
+class ConstantNoiseCfg(NoiseCfg):
+  """A constant."""
+
+  bias: PerDim = 0.0
+
+  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
+    return self.bias, 0.0, 0.0
+
+
+@dataclass(kw_only=True)
+class UniformNoiseCfg(NoiseCfg):
+  """Uniform in [n_min, n_max]."""
+
+  n_min: PerDim = -1.0
+  n_max: PerDim = 1.0
+
+  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
+    lo, hi = _aligned(self.n_min, self.n_max)
+    for a, b in zip(lo, hi, strict=True):
+      check_range("UniformNoiseCfg", a, b)
+    return lo, tuple(b - a for a, b in zip(lo, hi, strict=True)), 0.0
+
+
+@dataclass(kw_only=True)
+class GaussianNoiseCfg(NoiseCfg):
+  """Normal with `mean` and standard deviation `std`."""
+
+  mean: PerDim = 0.0
+  std: PerDim = 1.0
+
+  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
+    if min(_tuple(self.std)) < 0.0:
+      raise ValueError(f"GaussianNoiseCfg: std must not be negative, got {self.std}.")
+    return self.mean, 0.0, self.std
+
+
+@dataclass(kw_only=True)
+class NoiseModelWithAdditiveBiasCfg:
+  """Noise, then a bias that is drawn anew at every reset and added throughout the episode."""
+
+  bias_noise_cfg: NoiseCfg
+  """Distribution of the bias; its `operation` does not matter."""
+  noise_cfg: NoiseCfg | None = None
+  sample_bias_per_component: bool = True
+  """False: all components of the term share one draw."""
+
+
+class FusedNoise:
+  """The noise of many columns, applied together.
+
+  Args:
+    parts: first column, one past the last, and noise of each noisy term.
+    device: where.
+  """
+
+  def __init__(self, parts: Sequence[tuple[int, int, NoiseCfg]], device: torch.device | str) -> None:
+    self.start = min(start for start, _, _ in parts)
+    self.stop = max(stop for _, stop, _ in parts)
+    columns = self.stop - self.start
+    base, width, std = (torch.zeros(1, columns) for _ in range(3))
+    scales, replaces = (torch.zeros(1, columns, dtype=torch.bool) for _ in range(2))
+    for start, stop, cfg in parts:
+      if cfg.operation not in get_args(Operation):
+        raise ValueError(unknown("operation", str(cfg.operation), get_args(Operation), owner=type(cfg).__name__))
+      where = slice(start - self.start, stop - self.start)
+      for vector, value in zip((base, width, std), cfg.affine(), strict=True):
+        vector[0, where] = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
+      scales[0, where] = cfg.operation == "scale"
+      replaces[0, where] = cfg.operation == "abs"
+    self._base = base.to(device)
+    self._width = width.to(device) if width.any() else None
+    self._std = std.to(device) if std.any() else None
+    self._scales = scales.to(device) if scales.any() else None
+    self._replaces = replaces.to(device) if replaces.any() else None
+    self._device = device
+
+  def sample(self, num_envs: int, generator: torch.Generator) -> torch.Tensor:
+    """Noise for columns `start` to `stop`, (num_envs, stop - start), or (1, ...) where nothing is random."""
+    shape = (num_envs, self.stop - self.start)
+    noise = self._base
+    if self._width is not None:
+      noise = torch.addcmul(noise, torch.rand(shape, generator=generator, device=self._device), self._width)
+    if self._std is not None:
+      noise = torch.addcmul(noise, torch.randn(shape, generator=generator, device=self._device), self._std)
+    return noise
+
+  def apply_(self, frame: torch.Tensor, generator: torch.Generator) -> None:
+    """Applies the noise to `frame`, float32 (num_envs, all columns), in place."""
+    x = frame[:, self.start : self.stop]
+    noise = self.sample(frame.shape[0], generator)
+    if self._scales is None and self._replaces is None:
+      x.add_(noise)
+      return
+    y = x + noise
+    if self._scales is not None:
+      y = torch.where(self._scales, x * noise, y)
+    if self._replaces is not None:
+      y = torch.where(self._replaces, noise, y)
+    x.copy_(y)
+
+
+class EpisodeBias:
+  """Biases of many columns, each constant over an episode.
+
+  Args:
+    parts: first column, one past the last, and noise of each term with a bias.
+    values: memory of the biases, (num_envs, all columns), kept by the owner.
+    generator: source of the draws.
+  """
+
+  def __init__(
+    self,
+    parts: Sequence[tuple[int, int, NoiseModelWithAdditiveBiasCfg]],
+    values: torch.Tensor,
+    generator: torch.Generator,
+  ) -> None:
+    self._noise = FusedNoise([(start, stop, cfg.bias_noise_cfg) for start, stop, cfg in parts], values.device)
+    self._values = values[:, self._noise.start : self._noise.stop]
+    self._generator = generator
+    source = list(range(self._noise.stop - self._noise.start))
+    for start, stop, cfg in parts:
+      if cfg.sample_bias_per_component:
+        continue
+      if any(isinstance(value, tuple) and len(set(value)) > 1 for value in cfg.bias_noise_cfg.affine()):
+        raise ValueError("NoiseModelWithAdditiveBiasCfg: one draw for all components needs one distribution for all.")
+      first = start - self._noise.start
+      source[first : stop - self._noise.start] = [first] * (stop - start)
+    shared = source != list(range(len(source)))
+    self._source = torch.tensor(source, device=values.device) if shared else None
+
+  def redraw(self, mask: torch.Tensor) -> None:
+    """Draws for all worlds and takes over the biases of those in `mask`, bool (N,)."""
+    draw = self._noise.sample(self._values.shape[0], self._generator)
+    if self._source is not None:
+      draw = draw.index_select(1, self._source)
+    where_(self._values, mask, draw)
+
+  def add_to(self, frame: torch.Tensor) -> None:
+    """Adds the biases to `frame`, (num_envs, all columns), in place."""
+    frame[:, self._noise.start : self._noise.stop].add_(self._values)
+
+
+def _tuple(value: PerDim) -> tuple[float, ...]:
+  return tuple(value) if isinstance(value, tuple | list) else (float(value),)
+
+
+def _aligned(a: PerDim, b: PerDim) -> tuple[tuple[float, ...], tuple[float, ...]]:
+  a, b = _tuple(a), _tuple(b)
+  length = max(len(a), len(b))
+  return _spread(a, length, "UniformNoiseCfg"), _spread(b, length, "UniformNoiseCfg")
+
+
+def _spread(value: PerDim, length: int, owner: str) -> tuple[float, ...]:
+  values = _tuple(value)
+  if len(values) == 1:
+    return values * length
+  if len(values) != length:
+    raise ValueError(f"{owner}: {len(values)} numbers for {length} components.")
+  return values

@@ -1,0 +1,182 @@
+"""Rewards: a weighted sum of terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+import torch
+from mjlab_core.masking import fill_
+
+from mjlab_managers.binding import Term
+from mjlab_managers.env import ManagerEnv
+from mjlab_managers.log import LogBuffer
+from mjlab_managers.manager import ManagerBase, is_float
+from mjlab_managers.table import table
+from mjlab_managers.term import ManagerTermBaseCfg
+
+
+@dataclass
+class RewardTermCfg(ManagerTermBaseCfg):
+  """A reward: `func(env, **params)` returns float (N,)."""
+
+  _: KW_ONLY
+  weight: float
+  """Factor of the term. At 0 the term is not evaluated; it may be changed at any time."""
+
+
+class RewardManager(ManagerBase[RewardTermCfg]):
+  """Weighs and sums the terms; a NaN or infinite value counts as 0 and is counted.
+
+  Args:
+    cfgs: reward terms by name.
+    env: the environment.
+    scale_by_dt: multiplies rewards by the step time, so that weights are rates per second.
+  """
+
+  cfg_type = RewardTermCfg
+  _constants = frozenset({"_idle", "_raw", "_clean", "_weighted", "_nonfinite"})
+  _extra_state = ("_weights",)
+
+  def __init__(self, cfgs: Mapping[str, RewardTermCfg | None], env: ManagerEnv, *, scale_by_dt: bool = True) -> None:
+    super().__init__(cfgs, env)
+    self._terms: list[Term] = []
+    for name, cfg in self._cfgs.items():
+      term = self._bind(name, cfg)
+      if term is None:
+        continue
+      self._terms.append(term)
+      self._check_vector(term, "float", is_float)
+    self._raise_problems()
+
+    names = [term.name for term in self._terms]
+    count = len(names)
+    self.scale_by_dt = scale_by_dt
+    self._scale = env.step_dt if scale_by_dt else 1.0
+    self._host_weights = self._read_host_weights()
+    self._weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
+    # Terms whose weight is set on the device; the host cannot know when it is 0.
+    self._on_device: set[str] = set()
+    self._active = [weight != 0.0 for weight in self._host_weights]
+
+    self.reward = torch.zeros(self.num_envs, device=self.device)
+    """Reward of the last step, (N,)."""
+    self._idle = torch.zeros(self.num_envs, device=self.device)
+    self._raw = torch.zeros(self.num_envs, count, device=self.device)
+    self._clean = torch.zeros_like(self._raw)
+    self._weighted = torch.zeros_like(self._raw)
+    self._episode_sums = torch.zeros_like(self._raw)
+    self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
+    self._log = LogBuffer([f"Episode_Reward/{name}" for name in names], self.device)
+
+  @property
+  def step_reward(self) -> torch.Tensor:
+    """Value times weight of each term in the last step, (N, R), not scaled by time."""
+    return self._weighted
+
+  @property
+  def episode_sums(self) -> torch.Tensor:
+    """Sum of each term's contribution over the running episode, (N, R)."""
+    return self._episode_sums
+
+  @property
+  def nonfinite_counts(self) -> torch.Tensor:
+    """Values per term that were NaN or infinite since `clear_log`, int64 (R,)."""
+    return self._nonfinite
+
+  def weight(self, name: str) -> torch.Tensor:
+    """The weight of a term on the device, 0-d, for curricula to write inside the step.
+
+    From then on the term is always evaluated. The live config does not follow such writes.
+    """
+    self._lookup(self._cfgs, name)
+    index = [term.name for term in self._terms].index(name)
+    if name not in self._on_device:
+      self._on_device.add(name)
+      self._update_activity()
+    return self._weights[0, index]
+
+  def compute(self) -> torch.Tensor:
+    """Evaluates the step; returns `reward`, (N,), always the same memory."""
+    if not self._terms:
+      return self.reward
+    values = [term() if active else self._idle for term, active in zip(self._terms, self._active, strict=True)]
+    torch.stack(values, dim=1, out=self._raw)
+    torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._clean)
+    self._nonfinite.add_((self._raw != self._clean).sum(0))
+    torch.mul(self._clean, self._weights, out=self._weighted)
+    self._episode_sums.add_(self._weighted, alpha=self._scale)
+    torch.sum(self._weighted, dim=1, out=self.reward)
+    if self.scale_by_dt:
+      self.reward.mul_(self._scale)
+    return self.reward
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Logs the episode sums of the worlds in `mask`, bool (N,), and zeroes them."""
+    if not self._terms:
+      return
+    self._log.add(self._episode_sums, mask)
+    fill_(self._episode_sums, mask, 0.0)
+    super().reset(mask)
+
+  def sync(self) -> None:
+    """Host side, before each step: takes over weights and parameters that were changed in the live configs."""
+    super().sync()
+    weights = self._read_host_weights()
+    if weights == self._host_weights:
+      return
+    for index, (new, old) in enumerate(zip(weights, self._host_weights, strict=True)):
+      if new != old:
+        self._weights[0, index].fill_(new)
+    self._host_weights = weights
+    self._update_activity()
+
+  def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    super().load_state_dict(state)
+    # A saved weight wins over the one in the config, and the config says so.
+    for term, weight in zip(self._terms, self._weights[0].tolist(), strict=True):
+      cfg = self._cfgs[term.name]
+      if torch.tensor(cfg.weight, dtype=torch.float32).item() != weight:
+        cfg.weight = weight
+    self._host_weights = self._read_host_weights()
+    self._update_activity()
+
+  def _read_host_weights(self) -> tuple[float, ...]:
+    return tuple(float(self._cfgs[term.name].weight) for term in self._terms)
+
+  def _update_activity(self) -> None:
+    active = [
+      weight != 0.0 or term.name in self._on_device
+      for weight, term in zip(self._host_weights, self._terms, strict=True)
+    ]
+    changed = [term.name for term, new, old in zip(self._terms, active, self._active, strict=True) if new != old]
+    self._active = active
+    if changed:
+      self.env.request_recapture(f"{self.label}: terms switched on or off: {', '.join(changed)}")
+
+  def _watched_terms(self) -> list[Term]:
+    return self._terms
+
+  def log_tensors(self) -> tuple[list[str], torch.Tensor]:
+    """`Episode_Reward/<term>`: mean over ended episodes of the episode sum per second of the longest possible episode.
+
+    `Nonfinite/reward/<term>`: values replaced by 0, NaN where there were none.
+    """
+    names, means = self._log.tensors()
+    counts = self._nonfinite.double()
+    return (
+      [*names, *(f"Nonfinite/reward/{term.name}" for term in self._terms)],
+      torch.cat([means / self.env.max_episode_length_s, counts.masked_fill(counts == 0, torch.nan)]),
+    )
+
+  def clear_log(self) -> None:
+    self._log.clear()
+    self._nonfinite.zero_()
+
+  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+    values = self._weighted[env_idx].tolist()
+    return [(term.name, [value]) for term, value in zip(self._terms, values, strict=True)]
+
+  def describe(self) -> str:
+    return table("Rewards", ("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()])

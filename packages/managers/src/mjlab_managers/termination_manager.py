@@ -1,0 +1,106 @@
+"""Terminations: when and why episodes end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+
+from mjlab_managers.binding import Term
+from mjlab_managers.env import ManagerEnv
+from mjlab_managers.manager import ManagerBase
+from mjlab_managers.table import table
+from mjlab_managers.term import ManagerTermBaseCfg
+
+
+@dataclass
+class TerminationTermCfg(ManagerTermBaseCfg):
+  """A termination: `func(env, **params)` returns bool (N,)."""
+
+  time_out: bool = False
+  """Whether it truncates the episode (the task could have gone on) instead of terminating it."""
+
+
+class TerminationManager(ManagerBase[TerminationTermCfg]):
+  """Evaluates all reasons for an episode to end; a world may be terminated and timed out at once."""
+
+  cfg_type = TerminationTermCfg
+  _constants = frozenset({"_counts"})
+
+  def __init__(self, cfgs: Mapping[str, TerminationTermCfg | None], env: ManagerEnv) -> None:
+    super().__init__(cfgs, env)
+    self._terms: list[Term] = []
+    for name, cfg in self._cfgs.items():
+      term = self._bind(name, cfg)
+      if term is None:
+        continue
+      self._terms.append(term)
+      self._check_vector(term, "bool", lambda dtype: dtype is torch.bool)
+    self._raise_problems()
+
+    def flags() -> torch.Tensor:
+      return torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+
+    self.terminated = flags()
+    """Worlds that ended for another reason than time in the last `compute`, bool (N,)."""
+    self.time_outs = flags()
+    """Worlds that ran out of time in the last `compute`, bool (N,)."""
+    self.dones = flags()
+    """Worlds that ended in the last `compute`, bool (N,)."""
+    self._masks = torch.zeros(self.num_envs, len(self._terms), dtype=torch.bool, device=self.device)
+    self._counts = torch.zeros(len(self._terms), dtype=torch.int64, device=self.device)
+    self._order()
+
+  def _order(self) -> None:
+    # Columns hold terminations first, so that both unions are over a slice.
+    self._kinds = self._read_kinds()
+    self._columns = sorted(self._terms, key=lambda term: self._kinds[self._terms.index(term)])
+    self._column = {term.name: column for column, term in enumerate(self._columns)}
+    self._num_terminations = self._kinds.count(False)
+
+  def _read_kinds(self) -> tuple[bool, ...]:
+    return tuple(bool(self._cfgs[term.name].time_out) for term in self._terms)
+
+  def get_term(self, name: str) -> torch.Tensor:
+    """Where the term was true in the last `compute`, bool (N,)."""
+    return self._masks[:, self._lookup(self._column, name)]
+
+  def compute(self) -> torch.Tensor:
+    """Evaluates the step; returns `dones`, bool (N,), always the same memory."""
+    if not self._terms:
+      return self.dones
+    torch.stack([term() for term in self._columns], dim=1, out=self._masks)
+    torch.any(self._masks[:, : self._num_terminations], dim=1, out=self.terminated)
+    torch.any(self._masks[:, self._num_terminations :], dim=1, out=self.time_outs)
+    torch.logical_or(self.terminated, self.time_outs, out=self.dones)
+    self._counts.add_(self._masks.sum(0))
+    return self.dones
+
+  def sync(self) -> None:
+    """Host side, before each step: takes over parameters and `time_out` flags that were changed in the live configs."""
+    super().sync()
+    if self._read_kinds() != self._kinds:
+      self._order()
+      self._counts.zero_()
+      self.env.request_recapture(f"{self.label}: time_out of a term changed")
+
+  def _watched_terms(self) -> list[Term]:
+    return self._terms
+
+  def log_tensors(self) -> tuple[list[str], torch.Tensor]:
+    """`Episode_Termination/<term>`: episodes that ended for that reason since `clear_log`; NaN if none ended at all."""
+    counts = self._counts.double()
+    names = [f"Episode_Termination/{term.name}" for term in self._columns]
+    return names, counts.masked_fill(counts.sum() == 0, torch.nan)
+
+  def clear_log(self) -> None:
+    self._counts.zero_()
+
+  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+    values = self._masks[env_idx].tolist()
+    return [(term.name, [float(values[self._column[term.name]])]) for term in self._terms]
+
+  def describe(self) -> str:
+    rows = [(name, "time out" if cfg.time_out else "termination") for name, cfg in self._cfgs.items()]
+    return table("Terminations", ("term", "kind"), rows)
