@@ -1,0 +1,117 @@
+"""Cartpole: keep a pole upright, or swing it up first."""
+
+import math
+from importlib.resources import files
+
+import mujoco
+from mjlab_actuators import XmlActuatorCfg
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import (
+  EventTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  RewardTermCfg,
+  SceneEntityCfg,
+  TerminationTermCfg,
+)
+from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg
+from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
+from mjlab_sim import SimulationCfg
+
+from mjlab_cartpole.observations import joint_angle_cos_sin
+from mjlab_cartpole.rewards import smooth_balance
+
+# Timing
+PHYSICS_DT = 0.01  # s
+DECIMATION = 5
+EPISODE_LENGTH = 50.0  # s
+
+# Where episodes begin: ranges about the default pose [m, rad]
+BALANCE_SLIDER, SWINGUP_SLIDER = (-0.1, 0.1), (0.0, 0.0)
+HINGE = (-0.034, 0.034)
+VELOCITY = (-0.01, 0.01)
+
+_SLIDER = SceneEntityCfg("cartpole", joint_names="slider")
+_HINGE = SceneEntityCfg("cartpole", joint_names="hinge")
+
+
+def cartpole_spec() -> mujoco.MjSpec:
+  """The cart on its rail and the pole on the cart."""
+  return mujoco.MjSpec.from_string(files("mjlab_cartpole").joinpath("cartpole.xml").read_text())
+
+
+def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The pole begins upright and is to stay so."""
+  return TaskCfg(env=_env(hinge=0.0, slider_range=BALANCE_SLIDER), play=_play, agent=_agent())
+
+
+def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The pole begins hanging and is to be swung up and kept there."""
+  return TaskCfg(env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER), play=_play, agent=_agent())
+
+
+def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEnvCfg:
+  return ManagerBasedRlEnvCfg(
+    decimation=DECIMATION,
+    episode_length_s=EPISODE_LENGTH,
+    sim=SimulationCfg(timestep=PHYSICS_DT, iterations=100, ls_iterations=50, nconmax=4, njmax=16),
+    scene=SceneCfg(
+      env_spacing=6.0,
+      entities={
+        "cartpole": EntityCfg(
+          spec_fn=cartpole_spec,
+          init_state=InitialStateCfg(joint_pos={"slider": 0.0, "hinge": hinge}),
+          articulation=EntityArticulationCfg(actuators=(XmlActuatorCfg(target_names_expr=("slider",)),)),
+        )
+      },
+    ),
+    actions={"effort": mdp.JointEffortActionCfg(entity="cartpole", actuators="slider")},
+    observations={"actor": _observations(), "critic": _observations()},
+    rewards={
+      "smooth_balance": RewardTermCfg(smooth_balance, weight=1.0, params={"asset": SceneEntityCfg("cartpole")})
+    },
+    terminations={"time_out": TerminationTermCfg(mdp.time_out, time_out=True)},
+    events={
+      "reset_base": EventTermCfg(mdp.reset_scene_to_default, mode="reset"),
+      "reset_slider": _reset(_SLIDER, slider_range),
+      "reset_hinge": _reset(_HINGE, HINGE),
+    },
+  )
+
+
+def _reset(joint: SceneEntityCfg, position: tuple[float, float]) -> EventTermCfg:
+  params = {"position_range": position, "velocity_range": VELOCITY, "asset": joint}
+  return EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=params)
+
+
+def _observations() -> ObservationGroupCfg:
+  return ObservationGroupCfg(
+    terms={
+      "cart_pos": ObservationTermCfg(mdp.joint_pos_rel, params={"asset": _SLIDER}),
+      "pole_angle": ObservationTermCfg(joint_angle_cos_sin, params={"asset": _HINGE}),
+      "cart_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _SLIDER}),
+      "pole_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _HINGE}),
+    }
+  )
+
+
+def _play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """For watching: episodes without end."""
+  cfg.episode_length_s = 1e10
+  return cfg
+
+
+def _agent() -> RslRlOnPolicyRunnerCfg:
+  actor = RslRlModelCfg(
+    hidden_dims=(64, 64),
+    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
+  )
+  return RslRlOnPolicyRunnerCfg(
+    experiment_name="cartpole",
+    actor=actor,
+    critic=RslRlModelCfg(hidden_dims=(64, 64)),
+    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.01),
+    num_steps_per_env=32,
+    max_iterations=500,
+    save_interval=50,
+  )
