@@ -71,9 +71,13 @@ def test_meshes_sit_where_the_facts_say() -> None:
     index = got[geom["body"]]
     assert model.mesh(model.geom_dataid[index]).name == geom["mesh"]
     assert model.mat(model.geom_matid[index]).name == geom["material"]
-    np.testing.assert_allclose(model.geom_pos[index], geom["compiled_pos"], atol=1e-9)
-    quat = np.array(geom["compiled_quat"])
-    np.testing.assert_allclose(model.geom_quat[index] * np.sign(model.geom_quat[index] @ quat), quat, atol=1e-9)
+    # The compiler moves a mesh into its own inertial frame; undo that to see where its file sits in the body.
+    mesh, inverse = model.geom_dataid[index], (np.zeros(3), np.zeros(4))
+    mujoco.mju_negPose(*inverse, model.mesh_pos[mesh], model.mesh_quat[mesh])
+    pos, quat = np.zeros(3), np.zeros(4)
+    mujoco.mju_mulPose(pos, quat, model.geom_pos[index], model.geom_quat[index], *inverse)
+    np.testing.assert_allclose(pos, geom["attach_pos"], atol=1e-9)
+    np.testing.assert_allclose(abs(quat @ np.array(geom["attach_quat"])), 1.0, atol=1e-12)
 
 
 @needs_meshes

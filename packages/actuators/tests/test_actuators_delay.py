@@ -1,0 +1,144 @@
+"""Set-points arrive late by exactly the lag, from the pose given at reset on, and worlds do not see each other."""
+
+import mujoco
+import pytest
+import torch
+from mjlab_actuators import (
+  ActuatorCfg,
+  ActuatorSet,
+  IdealPdActuatorCfg,
+  NativeMotorActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  XmlActuatorCfg,
+)
+
+PAIR = """
+<mujoco>
+  <worldbody>
+    <body><geom size="0.1"/><joint name="a"/><body><geom size="0.1"/><joint name="b"/></body></body>
+  </worldbody>
+  %s
+</mujoco>
+"""
+MOTORS = '<actuator><motor name="m" joint="a"/><motor name="n" joint="b"/></actuator>'
+WORLDS = 5
+EVERY = torch.ones(WORLDS, dtype=torch.bool)
+
+
+def build(cfg: ActuatorCfg, seed: int = 0) -> ActuatorSet:
+  spec = mujoco.MjSpec.from_string(PAIR % (MOTORS if isinstance(cfg, XmlActuatorCfg) else ""))
+  actuators = ActuatorSet([cfg])
+  actuators.edit_spec(spec)
+  generator = torch.Generator().manual_seed(seed)
+  return actuators.build(spec.compile(), num_envs=WORLDS, device="cpu", dtype=torch.float64, generator=generator)
+
+
+def step(actuators: ActuatorSet, value: float) -> torch.Tensor:
+  """All three set-points at `value`, feedback zero."""
+  target, zero = torch.full((WORLDS, 2), value, dtype=torch.float64), torch.zeros(WORLDS, 2, dtype=torch.float64)
+  return actuators.compute(target, target, target, zero, zero).clone()
+
+
+def reset(actuators: ActuatorSet, value: float, mask: torch.Tensor = EVERY) -> None:
+  target = torch.full((WORLDS, 2), value, dtype=torch.float64)
+  actuators.reset(mask, target, target, target)
+
+
+def delayed(kind: type[ActuatorCfg], **delay: float) -> ActuatorCfg:
+  gains = {
+    NativePositionActuatorCfg: {"stiffness": 1.0, "damping": 0.0},
+    NativeVelocityActuatorCfg: {"damping": 1.0},
+    # Position, velocity and effort targets each count once: the law returns their sum.
+    IdealPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0},
+  }.get(kind, {})
+  return kind(target_names_expr=(".*",), **gains, **delay)  # pyright: ignore[reportArgumentType]
+
+
+KINDS = [
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  NativeMotorActuatorCfg,
+  IdealPdActuatorCfg,
+  XmlActuatorCfg,
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("lag", [1, 3])
+def test_a_constant_lag_shifts_the_set_points_by_exactly_that_many_substeps(kind: type[ActuatorCfg], lag: int) -> None:
+  actuators = build(delayed(kind, delay_min_lag=lag, delay_max_lag=lag))
+  reset(actuators, -1.0)
+  unit = 3.0 if kind is IdealPdActuatorCfg else 1.0
+  got = [step(actuators, float(k))[0, 0].item() for k in range(8)]
+  assert got == [unit * (k - lag if k >= lag else -1.0) for k in range(8)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reset_starts_from_the_given_pose_and_leaves_other_worlds_bit_identical(kind: type[ActuatorCfg]) -> None:
+  mask = torch.tensor([False, True, False, False, True])
+  cfg = delayed(kind, delay_min_lag=1, delay_max_lag=3)
+  runs = []
+  for resets in (False, True):
+    actuators = build(cfg)
+    reset(actuators, 0.0)
+    for k in range(5):
+      step(actuators, float(k))
+    if resets:
+      reset(actuators, 100.0, mask)
+    else:
+      # Draws are made for all worlds at every reset, whoever resets: the twin draws them too.
+      reset(actuators, 100.0, torch.zeros(WORLDS, dtype=torch.bool))
+    runs.append(torch.stack([step(actuators, 50.0 + k) for k in range(4)]))
+  without, with_reset = runs
+  assert torch.equal(without[:, ~mask], with_reset[:, ~mask])
+  unit = 3.0 if kind is IdealPdActuatorCfg else 1.0
+  assert torch.all(with_reset[0, mask] == unit * 100.0)
+
+
+def test_the_lag_stays_within_bounds_in_every_substep_of_every_episode() -> None:
+  cfg = NativeMotorActuatorCfg(
+    target_names_expr=(".*",), delay_min_lag=2, delay_max_lag=4, delay_hold_prob=0.5, delay_update_period=3
+  )
+  actuators = build(cfg)
+  reset(actuators, 0.0)
+  seen = set()
+  for episode in range(6):
+    age = torch.arange(12, dtype=torch.float64)
+    reset(actuators, -1.0)
+    for k in age.tolist():
+      lag = k - step(actuators, k)[:, 0]
+      # Younger than its lag, a world serves the pose given at reset, which was there "for ever".
+      settled = lag[lag <= k]
+      assert torch.all((settled >= 2) & (settled <= 4)), (episode, k)
+      seen.update(settled.tolist())
+      if k < 2:
+        assert settled.numel() == 0
+  assert seen == {2.0, 3.0, 4.0}
+
+
+def test_measurements_are_never_delayed() -> None:
+  actuators = build(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
+  reset(actuators, 0.0)
+  zero = torch.zeros(WORLDS, 2, dtype=torch.float64)
+  position = torch.full((WORLDS, 2), 0.5, dtype=torch.float64)
+  velocity = torch.full((WORLDS, 2), 0.25, dtype=torch.float64)
+  assert torch.all(actuators.compute(zero, zero, zero, position, velocity) == -0.75)
+
+
+def test_gains_changed_at_reset_act_on_set_points_that_are_still_under_way() -> None:
+  actuators = build(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
+  reset(actuators, 1.0)
+  actuators.groups[0].expand("stiffness").fill_(10.0)
+  assert torch.all(step(actuators, 0.0) == 12.0)
+
+
+def test_saved_and_loaded_delays_continue_alike() -> None:
+  cfg = delayed(IdealPdActuatorCfg, delay_min_lag=1, delay_max_lag=1)
+  first, second = build(cfg), build(cfg)
+  reset(first, 3.0)
+  reset(second, 0.0)
+  for k in range(3):
+    step(first, float(k))
+  second.load_state_dict(first.state_dict())
+  assert torch.equal(step(first, 9.0), step(second, 9.0))

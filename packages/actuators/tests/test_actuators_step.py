@@ -1,0 +1,127 @@
+"""What the captured step asks for: fixed memory, no host reads, and few operations."""
+
+from typing import Any
+
+import mujoco
+import pytest
+import torch
+from mjlab_actuators import (
+  ActuatorCfg,
+  ActuatorSet,
+  IdealPdActuatorCfg,
+  NativeMotorActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+)
+from torch.utils._python_dispatch import TorchDispatchMode
+
+CHAIN = """
+<mujoco>
+  <worldbody>
+    <body><geom size="0.1"/><joint name="a"/>
+      <body><geom size="0.1"/><joint name="b"/><body><geom size="0.1"/><joint name="c"/></body></body></body>
+  </worldbody>
+</mujoco>
+"""
+# What stops the host until the device is done, or has a size that only the device knows.
+SYNCS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal.default")
+
+
+class Operations(TorchDispatchMode):
+  def __init__(self) -> None:
+    super().__init__()
+    self.names: list[str] = []
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    self.names.append(str(func))
+    return func(*args, **(kwargs or {}))
+
+
+def build(*cfgs: ActuatorCfg) -> tuple[ActuatorSet, torch.Tensor]:
+  spec = mujoco.MjSpec.from_string(CHAIN)
+  actuators = ActuatorSet(cfgs)
+  actuators.edit_spec(spec)
+  model = spec.compile()
+  ctrl = torch.zeros(4, model.nu, dtype=torch.float64)
+  generator = torch.Generator().manual_seed(0)
+  actuators.build(model, num_envs=4, device="cpu", dtype=torch.float64, generator=generator, ctrl=ctrl)
+  return actuators, ctrl
+
+
+def pd(*joints: str, **delay: int) -> ActuatorCfg:
+  return IdealPdActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, effort_limit=1.0, **delay)
+
+
+def servo(*joints: str, **delay: int) -> ActuatorCfg:
+  return NativePositionActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, **delay)
+
+
+CASES: dict[str, tuple[tuple[ActuatorCfg, ...], int]] = {
+  "servo": ((servo(".*"),), 1),
+  "two servo configs out of order": ((servo("c", "b"), servo("a")), 1),
+  "three native laws": (
+    (
+      servo("a"),
+      NativeVelocityActuatorCfg(target_names_expr=("b",), damping=1.0),
+      NativeMotorActuatorCfg(target_names_expr=("c",)),
+    ),
+    3,
+  ),
+  "servo with delay": ((servo(".*", delay_min_lag=1, delay_max_lag=1),), 10),
+  "servo with random delay": ((servo(".*", delay_max_lag=3),), 12),
+  "pd": ((pd(".*"),), 7),
+  "two pd configs out of order": ((pd("c"), pd("a", "b")), 7),
+  "pd with delay": ((pd(".*", delay_min_lag=1, delay_max_lag=1),), 17),
+  "pd and servo interleaved": ((pd("a"), servo("b"), pd("c")), 11),
+}
+
+
+@pytest.mark.parametrize(("cfgs", "budget"), CASES.values(), ids=CASES.keys())
+def test_a_substep_costs_few_operations_and_none_that_syncs(cfgs: tuple[ActuatorCfg, ...], budget: int) -> None:
+  actuators, _ = build(*cfgs)
+  args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
+  mask = torch.tensor([True, False, True, False])
+  with Operations() as resetting:
+    actuators.reset(mask, *args[:3])
+  with Operations() as stepping:
+    actuators.compute(*args)
+  assert len(stepping.names) <= budget, stepping.names
+  assert not [name for name in stepping.names + resetting.names if any(sync in name for sync in SYNCS)]
+
+
+@pytest.mark.parametrize("cfgs", [cfgs for cfgs, _ in CASES.values()], ids=CASES.keys())
+def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[ActuatorCfg, ...]) -> None:
+  actuators, ctrl = build(*cfgs)
+  args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
+
+  def addresses() -> dict[str, int]:
+    found = {"ctrl": actuators.ctrl.data_ptr()}
+    for i, law in enumerate(actuators.groups):
+      owners = {"law": law, "delay": law.delay}
+      for where, owner in owners.items():
+        for name, value in vars(owner).items() if owner is not None else ():
+          if isinstance(value, torch.Tensor):
+            found[f"{i}.{where}.{name}"] = value.data_ptr()
+    return found
+
+  before = addresses()
+  for k in range(4):
+    actuators.compute(*args)
+    actuators.reset(torch.tensor([k % 2 == 0] * 4), *args[:3])
+  assert addresses() == before
+  assert actuators.ctrl.data_ptr() == ctrl.data_ptr()
+  assert torch.equal(actuators.ctrl, ctrl)
+  assert ctrl.abs().sum() > 0
+
+
+def test_only_laws_in_torch_need_measurements() -> None:
+  assert not build(servo(".*"))[0].needs_feedback
+  assert build(servo("a"), pd("b", "c"))[0].needs_feedback
+
+
+def test_single_precision_follows_the_engine() -> None:
+  spec = mujoco.MjSpec.from_string(CHAIN)
+  actuators = ActuatorSet([pd("a", delay_max_lag=2), servo("b", "c")])
+  actuators.edit_spec(spec)
+  actuators.build(spec.compile(), num_envs=2, device="cpu", dtype=torch.float32)
+  assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
