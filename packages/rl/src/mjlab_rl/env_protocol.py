@@ -26,8 +26,6 @@ class RlEnv(Protocol):
   device: torch.device
   episode_length_buf: torch.Tensor
   """Steps since the last reset, (num_envs,) int64, always the same memory."""
-  common_step_counter: torch.Tensor
-  """Steps since the environment was built, () int64, always the same memory; curricula go by it."""
 
   @property
   def max_episode_length(self) -> int:
@@ -59,6 +57,12 @@ class RlEnv(Protocol):
     """Everything the future depends on: physics, counters, managers, random generators."""
     ...
 
-  def load_state_dict(self, state: dict[str, Any]) -> None: ...
+  def load_state_dict(self, state: dict[str, Any]) -> None:
+    """Go on from a `state_dict` of an environment with as many worlds."""
+    ...
+
+  def load_progress(self, state: dict[str, Any]) -> None:
+    """Take from a `state_dict` only how far training had come; the number of worlds does not matter."""
+    ...
 
   def close(self) -> None: ...

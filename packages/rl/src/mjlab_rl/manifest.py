@@ -105,10 +105,10 @@ def encode(value: object, where: str = "config") -> Json:
       "fields": {name: encode(getattr(value, name), f"{where}.{name}") for name in names},
     }
   if isinstance(value, tuple) and hasattr(value, "_fields"):
-    items: dict[str, Any] = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]  # ty: ignore[missing-attribute]
+    named: dict[str, Any] = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]  # ty: ignore[missing-attribute]
     return {
       "$type": _reference(type(value), where),
-      "fields": {name: encode(item, f"{where}.{name}") for name, item in items.items()},
+      "fields": {name: encode(item, f"{where}.{name}") for name, item in named.items()},
     }
   if isinstance(value, functools.partial):
     return {

@@ -139,7 +139,6 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     state["mjlab"] = {
       "format": checkpoint.FORMAT,
       "num_envs": self.env.num_envs,
-      "common_step_counter": int(self.env.unwrapped.common_step_counter),
       "env": self.env.unwrapped.state_dict(),
       "statistics": self.statistics.state_dict(),
       "hidden_states": [self.alg.actor.get_hidden_state(), self.alg.critic.get_hidden_state()],
@@ -200,7 +199,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         self.env.reset()
     if not is_restored:
       self.console.say(f"World state was not restored: {reason}. Learner and counters were.")
-      self.env.unwrapped.common_step_counter.fill_(state["common_step_counter"])
+      self.env.unwrapped.load_progress(state["env"])
     self.statistics.load_state_dict(state["statistics"], same_worlds=is_restored)
     self.is_world_state_restored = is_restored
     self._elapsed = state["elapsed"]

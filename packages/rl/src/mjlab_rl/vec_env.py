@@ -36,14 +36,14 @@ class RslRlVecEnvWrapper(VecEnv):
     return self.env
 
   @property
-  def episode_length_buf(  # pyright: ignore[reportIncompatibleVariableOverride]
-    self,
-  ) -> torch.Tensor:
+  def episode_length_buf(self) -> torch.Tensor:
     """Steps since the last reset, (num_envs,) int64; assigning copies into the environment's memory."""
     return self.env.episode_length_buf
 
   @episode_length_buf.setter
-  def episode_length_buf(self, value: torch.Tensor) -> None:
+  def episode_length_buf(  # pyright: ignore[reportIncompatibleVariableOverride]
+    self, value: torch.Tensor
+  ) -> None:
     self.env.episode_length_buf.copy_(value)
 
   def get_observations(self) -> TensorDict:

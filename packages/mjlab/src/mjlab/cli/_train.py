@@ -247,12 +247,10 @@ def _gpu_name(device: str) -> str:
 
 def _environment_line(env: Any) -> str:
   sim = getattr(env, "sim", None)
-  engine = getattr(sim, "engine", None)
-  parts = [f"engine {engine}"] if engine is not None else []
-  capture = getattr(env, "capture_status", None)
-  if capture is not None:
-    parts.append(str(capture() if callable(capture) else capture))
-  return ", ".join(parts) or type(env).__name__
+  if sim is None:
+    return f"environment {type(env).__name__}"
+  is_recorded = sim.device.type == "cuda" and sim.cfg.capture
+  return f"engine {sim.engine}, every step {'replayed as one recorded graph' if is_recorded else 'run eagerly'}"
 
 
 def _versions_line() -> str:

@@ -1,0 +1,129 @@
+import enum
+import functools
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+from mjlab_rl import ManifestError, RslRlOnPolicyRunnerCfg, RunManifest, RunNotFoundError, find_checkpoint, load_run
+from mjlab_rl.manifest import decode, encode, write_manifest
+from mjlab_rl.run_directory import create_run_directory
+from rl_point_env import PointEnvCfg
+
+
+def roundtrip(value: Any) -> Any:
+  return decode(json.loads(json.dumps(encode(value), allow_nan=False)))
+
+
+class Colour(enum.Enum):
+  RED = 1
+
+
+class Pair(NamedTuple):
+  low: float
+  high: float
+
+
+@dataclass(frozen=True)
+class Frozen:
+  values: tuple[float, ...] = (1.0,)
+  kept: int = field(default=3, init=False)
+
+
+@pytest.mark.parametrize(
+  "value",
+  [
+    None,
+    True,
+    1,
+    0.1 + 0.2,
+    -0.0,
+    math.inf,
+    "text",
+    [1, [2.0]],
+    (1, (2.0, [3])),
+    {"a": (1,), "$odd": 2},
+    {1: "one", (2, 3): "pair"},
+    {1, 2},
+    frozenset({"x"}),
+    slice(None, 3),
+    range(1, 9, 2),
+    Path("a/b"),
+    RslRlOnPolicyRunnerCfg(clip_actions=100.0),
+    PointEnvCfg(rewards={"f": math.sqrt, "kind": PointEnvCfg}),
+    mujoco.mjtGeom.mjGEOM_BOX,
+  ],
+  ids=repr,
+)
+def test_values_come_back_equal_and_of_the_same_type(value: Any) -> None:
+  back = roundtrip(value)
+  assert back == value
+  assert type(back) is type(value)
+  assert repr(back) == repr(value)
+
+
+def test_nan_and_arrays_and_partials_come_back() -> None:
+  assert math.isnan(roundtrip(math.nan))
+  array = np.array([[1.5, np.inf]], dtype=np.float32)
+  back = roundtrip(array)
+  assert back.dtype == array.dtype
+  assert np.array_equal(back, array)
+  assert roundtrip(np.float64(0.1)) == 0.1
+  partial = roundtrip(functools.partial(math.pow, 2.0))
+  assert partial.func is math.pow
+  assert partial(3.0) == 8.0
+
+
+@pytest.mark.parametrize("value", [(lambda env: env), functools.partial(lambda x: x, 1)])
+def test_a_lambda_is_refused_with_its_field(value: Any) -> None:
+  with pytest.raises(ManifestError, match=r"env.rewards.mine: a lambda has no importable name"):
+    encode(PointEnvCfg(rewards={"mine": value}), "env")
+
+
+def test_an_object_that_cannot_be_rebuilt_is_refused_with_its_field() -> None:
+  with pytest.raises(ManifestError, match=r"env.rewards.a\[1\]: a mujoco.*MjSpec cannot be written"):
+    encode(PointEnvCfg(rewards={"a": [1, mujoco.MjSpec()]}), "env")
+
+
+def test_a_name_that_is_gone_is_named() -> None:
+  with pytest.raises(ManifestError, match="module 'math' has no 'cube_root_of_x'"):
+    decode({"f": {"$ref": "math:cube_root_of_x"}})
+  with pytest.raises(ManifestError, match="has no field 'colour' any more"):
+    decode({"$type": "rl_point_env:PointEnvCfg", "fields": {"colour": 1}})
+  with pytest.raises(ManifestError, match="is not a dataclass"):
+    decode({"$type": "os:system", "fields": {}})
+
+
+def test_a_manifest_is_found_from_its_run_its_checkpoint_and_itself(tmp_path: Path) -> None:
+  manifest = RunManifest(task="T", env=PointEnvCfg(gains=(0.1, 1e-17)), agent=RslRlOnPolicyRunnerCfg())
+  path = write_manifest(tmp_path, manifest)
+  for given in (tmp_path, path, tmp_path / "model_10.pt"):
+    assert load_run(given) == manifest
+  with pytest.raises(FileNotFoundError, match=r"is .* a run directory"):
+    load_run(tmp_path / "elsewhere" / "model_1.pt")
+
+
+def test_run_directories_of_one_second_differ(tmp_path: Path) -> None:
+  made = [create_run_directory(tmp_path, "exp", "name") for _ in range(3)]
+  assert len(set(made)) == 3
+
+
+def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
+  for run, files in {
+    "2026-01-01_00-00-00": ["model_9.pt", "model_10.pt", "model_11.pt.bak"],
+    "2026-01-02_00-00-00": [],
+  }.items():
+    (tmp_path / "exp" / run).mkdir(parents=True)
+    for file in files:
+      (tmp_path / "exp" / run / file).touch()
+  newest = tmp_path / "exp" / "2026-01-01_00-00-00" / "model_10.pt"
+  for run in ("latest", "2026-01-01_00-00-00", str(newest.parent), str(newest)):
+    assert find_checkpoint(run, log_root=tmp_path, experiment="exp") == newest
+  with pytest.raises(RunNotFoundError, match="newest runs: 2026-01-02"):
+    find_checkpoint("2025", log_root=tmp_path, experiment="exp")
+  with pytest.raises(RunNotFoundError, match="no run with a checkpoint"):
+    find_checkpoint("latest", log_root=tmp_path, experiment="other")

@@ -1,0 +1,347 @@
+import csv
+import io
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_rl import (
+  CheckpointError,
+  ConfigError,
+  Console,
+  MjlabOnPolicyRunner,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  RslRlVecEnvWrapper,
+  TaskCfg,
+  checkpoints,
+  load_run,
+  train,
+)
+from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+
+
+def agent(iterations: int = 4, hidden: tuple[int, ...] = (8,), **changes: Any) -> RslRlOnPolicyRunnerCfg:
+  cfg = RslRlOnPolicyRunnerCfg(max_iterations=iterations, num_steps_per_env=6, save_interval=100, logger="none")
+  cfg.actor.hidden_dims = hidden
+  cfg.actor.obs_normalization = True
+  cfg.critic = RslRlModelCfg(hidden_dims=(8,), obs_normalization=True)
+  for name, value in changes.items():
+    setattr(cfg, name, value)
+  return cfg
+
+
+def runner(
+  directory: Path | None, cfg: RslRlOnPolicyRunnerCfg, worlds: int = 4, console: Console | None = None
+) -> MjlabOnPolicyRunner:
+  seed_everything(cfg.seed)
+  env = PointEnv(PointEnvCfg(scene=PointSceneCfg(num_envs=worlds), seed=3))
+  return MjlabOnPolicyRunner(RslRlVecEnvWrapper(env), cfg, directory, "cpu", console=console or Console("quiet"))
+
+
+def learner(path: Path) -> dict[str, Any]:
+  return torch.load(path, weights_only=True)
+
+
+def assert_same(a: Any, b: Any) -> None:
+  if isinstance(a, torch.Tensor):
+    assert torch.equal(a, b)
+  elif isinstance(a, dict):
+    assert a.keys() == b.keys()
+    for key in a:
+      assert_same(a[key], b[key])
+  elif isinstance(a, (list, tuple)):
+    assert len(a) == len(b)
+    for left, right in zip(a, b, strict=True):
+      assert_same(left, right)
+  else:
+    assert a == b
+
+
+@pytest.mark.parametrize("class_name", ["MLPModel", "RNNModel"])
+def test_five_iterations_and_five_more_equal_ten_bit_for_bit(tmp_path: Path, class_name: str) -> None:
+  def configured() -> RslRlOnPolicyRunnerCfg:
+    cfg = agent()
+    if class_name == "RNNModel":
+      for model in (cfg.actor, cfg.critic):
+        model.class_name, model.rnn_type, model.rnn_hidden_dim = class_name, "lstm", 4
+    return cfg
+
+  folders = [tmp_path / name for name in ("whole", "first", "second")]
+  for folder in folders:
+    folder.mkdir()
+  whole = runner(folders[0], configured())
+  whole.learn(10, init_at_random_ep_len=True)
+  first = runner(folders[1], configured())
+  first.learn(5, init_at_random_ep_len=True)
+  second = runner(folders[2], configured())
+  torch.rand(17)
+  second.load(str(folders[1] / "model_5.pt"))
+  second.learn(5)
+  ours, theirs = (learner(folder / "model_10.pt") for folder in (folders[0], folders[2]))
+  for state in (ours, theirs):
+    del state["mjlab"]["elapsed"]
+  assert_same(ours, theirs)
+
+
+def test_statistics_are_those_of_rsl_rl(tmp_path: Path) -> None:
+  from mjlab_rl.episode_statistics import EpisodeStatistics
+  from rsl_rl.utils import LogWriter
+  from rsl_rl.utils.logger import Logger
+
+  class Listening(LogWriter):
+    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None: ...
+
+  logger = Logger(None, {"algorithm": {}}, {}, 60, False, 1, 0, "cpu")
+  logger.writer = Listening()
+  statistics = EpisodeStatistics(60, "cpu")
+  assert statistics.unpack(statistics.packed().tolist()) is None
+  for step in range(40):
+    rewards = torch.randn(60)
+    dones = (torch.rand(60) < (1.0 if step == 20 else 0.1)).long()
+    logger.process_env_step(rewards, dones, {})
+    statistics.add(rewards, dones)
+    means = statistics.unpack(statistics.packed().tolist())
+    assert means is not None
+    assert means[0] == pytest.approx(sum(logger.rewbuffer) / len(logger.rewbuffer), rel=1e-5, abs=1e-5)
+    assert means[1] == pytest.approx(sum(logger.lenbuffer) / len(logger.lenbuffer))
+
+
+def test_more_than_a_window_of_episodes_in_one_step_keeps_the_last() -> None:
+  from mjlab_rl.episode_statistics import WINDOW, EpisodeStatistics
+
+  statistics = EpisodeStatistics(2 * WINDOW + 7, "cpu")
+  rewards = torch.arange(2 * WINDOW + 7.0)
+  statistics.add(rewards, torch.ones_like(rewards))
+  means = statistics.unpack(statistics.packed().tolist())
+  assert means is not None
+  assert means[0] == pytest.approx(float(rewards[-WINDOW:].mean()))
+
+
+def test_termination_beats_time_out() -> None:
+  env = PointEnv(PointEnvCfg())
+  wrapped = RslRlVecEnvWrapper(env)
+  env.state.zero_()
+  env.state[0, 0] = 5.0
+  env.episode_length_buf.fill_(env.max_episode_length - 1)
+  _, _, dones, extras = wrapped.step(torch.zeros(4, 1))
+  assert dones.dtype == torch.int64
+  assert dones.tolist() == [1, 1, 1, 1]
+  assert extras["time_outs"].tolist() == [False, True, True, True]
+
+
+def test_finite_horizon_has_no_time_outs() -> None:
+  wrapped = RslRlVecEnvWrapper(PointEnv(PointEnvCfg(is_finite_horizon=True)))
+  assert "time_outs" not in wrapped.step(torch.zeros(4, 1))[3]
+
+
+def test_assigning_episode_lengths_keeps_their_memory() -> None:
+  env = PointEnv(PointEnvCfg())
+  wrapped = RslRlVecEnvWrapper(env)
+  address = env.episode_length_buf.data_ptr()
+  wrapped.episode_length_buf = torch.arange(4)
+  assert env.episode_length_buf.tolist() == [0, 1, 2, 3]
+  assert env.episode_length_buf.data_ptr() == address
+
+
+def test_actions_are_clipped_before_the_environment_sees_them() -> None:
+  env = PointEnv(PointEnvCfg())
+  actions = torch.tensor([[-9.0], [-0.5], [0.5], [9.0]])
+  RslRlVecEnvWrapper(env, clip_actions=2.0).step(actions)
+  assert env.last_action.flatten().tolist() == [-2.0, -0.5, 0.5, 2.0]
+  assert actions[0, 0] == -9.0
+
+
+def test_observations_of_consecutive_steps_do_not_alias() -> None:
+  wrapped = RslRlVecEnvWrapper(PointEnv(PointEnvCfg()))
+  first = wrapped.step(torch.ones(4, 1))[0]
+  before = first["actor"].clone()
+  wrapped.step(torch.ones(4, 1))
+  assert torch.equal(first["actor"], before)
+
+
+def test_learner_moves_to_another_number_of_worlds_and_says_so(tmp_path: Path) -> None:
+  small = runner(tmp_path, agent())
+  small.learn(2)
+  text = io.StringIO()
+  large = runner(None, agent(), worlds=6, console=Console("normal", text))
+  large.load(str(tmp_path / "model_2.pt"))
+  assert "World state was not restored: it was saved with 4 worlds, there are 6 now" in text.getvalue()
+  assert not large.is_world_state_restored
+  assert large.current_learning_iteration == 2
+  assert int(large.env.unwrapped.state_dict()["steps"]) == 12
+  assert_same(large.alg.actor.state_dict(), small.alg.actor.state_dict())
+  large.learn(1)
+
+
+def test_a_checkpoint_of_other_network_sizes_names_the_difference_and_changes_nothing(tmp_path: Path) -> None:
+  runner(tmp_path, agent()).learn(1)
+  other = runner(None, agent(hidden=(16,)))
+  before = {name: value.clone() for name, value in other.alg.actor.state_dict().items()}
+  with pytest.raises(CheckpointError, match=r"actor: mlp.0.weight is \(8, 2\) in the file and \(16, 2\) here"):
+    other.load(str(tmp_path / "model_1.pt"))
+  assert_same(dict(other.alg.actor.state_dict()), before)
+
+
+def test_a_checkpoint_of_rsl_rl_restores_the_learner(tmp_path: Path) -> None:
+  trained = runner(tmp_path, agent())
+  trained.learn(2)
+  path = tmp_path / "theirs.pt"
+  torch.save(trained.alg.save() | {"iter": 7, "infos": None}, path)
+  text = io.StringIO()
+  fresh = runner(None, agent(), console=Console("normal", text))
+  fresh.load(str(path))
+  assert fresh.current_learning_iteration == 8
+  assert_same(fresh.alg.critic.state_dict(), trained.alg.critic.state_dict())
+  assert "only the learner was restored" in text.getvalue()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint at all"])
+def test_a_damaged_checkpoint_is_a_clear_error(tmp_path: Path, content: bytes) -> None:
+  path = tmp_path / "model_1.pt"
+  path.write_bytes(content)
+  with pytest.raises(CheckpointError, match=r"model_1\.pt"):
+    runner(None, agent()).load(str(path))
+
+
+def test_a_checkpoint_with_code_in_it_is_not_run(tmp_path: Path) -> None:
+  path = tmp_path / "model_1.pt"
+  torch.save({"actor_state_dict": os.system}, path)
+  with pytest.raises(CheckpointError, match="not loaded"):
+    runner(None, agent()).load(str(path))
+
+
+def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  trained = runner(tmp_path, agent())
+  path = tmp_path / "model_0.pt"
+  trained.save(str(path))
+  before = path.read_bytes()
+
+  def half(state: object, file: Path) -> None:
+    Path(file).write_bytes(b"half")
+    raise OSError("disk full")
+
+  monkeypatch.setattr(torch, "save", half)
+  with pytest.raises(OSError, match="disk full"):
+    trained.save(str(path))
+  assert path.read_bytes() == before
+  assert [file.name for file in tmp_path.iterdir()] == ["model_0.pt"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Signals) -> None:
+  interrupted = runner(tmp_path, agent())
+  step, calls = interrupted.env.step, []
+
+  def stepping(actions: torch.Tensor) -> Any:
+    calls.append(1)
+    if len(calls) == 8:
+      os.kill(os.getpid(), number)
+    return step(actions)
+
+  interrupted.env.step = stepping
+  handlers = [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)]
+  interrupted.learn(50)
+  assert interrupted.stopped_by == number.name
+  assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt"]
+  assert [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)] == handlers
+
+
+def test_every_iteration_is_a_row_and_checkpoints_come_at_the_interval(tmp_path: Path) -> None:
+  runner(tmp_path, agent(save_interval=2)).learn(5)
+  with (tmp_path / "progress.csv").open() as file:
+    rows = list(csv.DictReader(file))
+  assert [row["iteration"] for row in rows] == ["0", "1", "2", "3", "4"]
+  assert rows[0]["Train/mean_reward"] == ""
+  assert float(rows[-1]["Train/mean_reward"]) < 12
+  assert float(rows[-1]["Train/mean_episode_length"]) <= 12
+  wanted = {"Loss/value", "Loss/surrogate", "Loss/entropy", "Loss/learning_rate", "Policy/mean_std", "Perf/total_fps"}
+  assert (
+    wanted | {"Perf/collection_time", "Perf/learning_time", "Episode_Reward/point", "Episode/bare"} <= rows[0].keys()
+  )
+  assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt", "model_4.pt", "model_5.pt"]
+
+
+def test_tensorboard_gets_the_same_values(tmp_path: Path) -> None:
+  runner(tmp_path, agent(logger="tensorboard")).learn(3)
+  assert list(tmp_path.glob("events.out.tfevents.*"))
+
+
+def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path) -> None:
+  with pytest.raises(ConfigError, match=r"pip install 'mjlab-rl\[wandb\]'"):
+    runner(tmp_path, agent(logger="wandb")).learn(1)
+
+
+def test_an_actor_without_distribution_is_a_clear_error() -> None:
+  with pytest.raises(ConfigError, match=r"agent\.actor\.distribution_cfg"):
+    RslRlOnPolicyRunnerCfg(actor=RslRlModelCfg()).to_rsl_rl()
+
+
+def test_a_run_directory_rebuilds_and_continues_its_run(tmp_path: Path) -> None:
+  task = TaskCfg(env=PointEnvCfg(noise=0.1), agent=agent(3, experiment_name="point", seed=5))
+  first = train(task, name="Point", make_env=PointEnv, log_root=tmp_path, console=Console("quiet"))
+  assert task.env.seed is None
+  assert first.iterations == 3
+  assert first.directory is not None
+  run = load_run(first.directory)
+  assert run.env == PointEnvCfg(noise=0.1, seed=5)
+  assert run.agent == task.agent
+  assert (run.task, run.seed) == ("Point", 5)
+  longer = TaskCfg(env=run.env, agent=agent(5, experiment_name="point", seed=5))
+  second = train(
+    longer, name="Point", make_env=PointEnv, log_root=tmp_path, resume=first.checkpoint, console=Console("quiet")
+  )
+  assert second.iterations == 5
+  assert second.directory != first.directory
+  with pytest.raises(ConfigError, match="nothing is left to do"):
+    train(longer, name="Point", make_env=PointEnv, resume=second.checkpoint, console=Console("quiet"))
+
+
+def test_a_run_that_cannot_be_built_leaves_no_directory(tmp_path: Path) -> None:
+  def broken(cfg: PointEnvCfg, *, device: str) -> PointEnv:
+    raise ValueError("no such joint")
+
+  task = TaskCfg(env=PointEnvCfg(), agent=agent())
+  with pytest.raises(ValueError, match="no such joint"):
+    train(task, name="Point", make_env=broken, log_root=tmp_path, console=Console("quiet"))
+  assert list(tmp_path.iterdir()) == []
+
+
+def test_the_environment_is_closed_when_training_fails(tmp_path: Path) -> None:
+  made: list[PointEnv] = []
+
+  def fail() -> dict[str, float]:
+    raise ArithmeticError
+
+  def failing(cfg: PointEnvCfg, *, device: str) -> PointEnv:
+    made.append(PointEnv(cfg, device=device))
+    made[0].drain_log = fail
+    return made[0]
+
+  with pytest.raises(ArithmeticError):
+    train(
+      TaskCfg(env=PointEnvCfg(), agent=agent()), name="P", make_env=failing, log_root=None, console=Console("quiet")
+    )
+  assert made[0].is_closed
+
+
+def test_steps_ask_the_device_nothing(tmp_path: Path) -> None:
+  """Reading a value back stops a GPU; a rollout does it not once."""
+  from torch.utils._python_dispatch import TorchDispatchMode
+
+  class Counter(TorchDispatchMode):
+    reads = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+      name = str(func)
+      if any(word in name for word in ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select")):
+        self.reads += 1
+      return func(*args, **(kwargs or {}))
+
+  trained = runner(None, agent())
+  with Counter() as counter:
+    trained._collect(trained.env.get_observations())
+  assert counter.reads == 0
