@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 
@@ -10,25 +10,20 @@ from mjlab_sensors.frames import FrameSet
 from mjlab_sensors.patterns import RayPatternCfg
 
 if TYPE_CHECKING:
-  from mjlab_sim import RayHits, Simulation
+  from mjlab_sim import Simulation
 
 RayAlignment = Literal["base", "yaw", "world"]
 
-# Below this length of its projection to the ground, a frame's x axis no longer tells where it is heading.
-_SHORT = 0.1
 
+class RayReading(NamedTuple):
+  """What the rays of a fan hit, each (num_envs, num_frames * num_rays), frame by frame."""
 
-def _heading(rotation: torch.Tensor) -> torch.Tensor:
-  """Unit direction on the ground in which frames head, (..., 2).
-
-  It is the x axis projected to the ground, or, where that is nearly vertical, the y axis turned back by 90 degrees.
-  """
-  x_axis = rotation[..., :2, 0]
-  y_axis = rotation[..., :2, 1]
-  length = torch.linalg.vector_norm(x_axis, dim=-1, keepdim=True)
-  turned = torch.stack((y_axis[..., 1], -y_axis[..., 0]), dim=-1)
-  axis = torch.where(length > _SHORT, x_axis, turned)
-  return axis / torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
+  distance: torch.Tensor
+  """Distance from where the ray starts, `setback` included; -1 where nothing was hit [m]."""
+  below: torch.Tensor
+  """How far the hit is below the ray's frame; meaningless where nothing was hit [m]."""
+  from_inside: torch.Tensor
+  """Whether the ray started inside what it hit, and leaves it there."""
 
 
 class RayFan:
@@ -65,22 +60,21 @@ class RayFan:
     # Of a hit's height below its frame: the part that is fixed, and that which grows with the distance.
     self._drop_at_start = (-z).expand(self.num_frames, -1)
     self._drop_per_length = (-directions[:, 2]).expand(self.num_frames, -1)
+    straight_down = bool((directions == directions.new_tensor((0.0, 0.0, -1.0))).all())
+    self._points_down = straight_down and alignment != "base"
     self._turns_directions = alignment == "yaw" and bool((directions[:, :2] != 0.0).any())
     groups = None if geom_groups is None else tuple(group in geom_groups for group in range(6))
     self._caster = sim.make_ray_caster(self.num_frames * self.num_rays, geomgroup=groups, bodyexclude=body_exclude)
 
-  def cast(self) -> tuple[RayHits, torch.Tensor]:
-    """What the rays hit now, and how far below its frame, each (num_envs, num_frames * num_rays) [m].
-
-    The second is meaningless where nothing was hit. Distances count from `setback` behind the starting points.
-    """
+  def cast(self) -> RayReading:
+    """What the rays hit now. The simulation must be current (`sim.epoch`)."""
     position = self._frames.positions[:, :, None]
     drop_at_start, drop_per_length = self._drop_at_start, self._drop_per_length
     directions = self._world_directions
     if self._alignment == "world":
       origins = position + self._starts
     elif self._alignment == "yaw":
-      heading = _heading(self._frames.rotations)[:, :, None]
+      heading = self._frames.headings[:, :, None]
       cos, sin = heading[..., :1], heading[..., 1:]
       # Not a matrix product: on a GPU those may run in reduced precision.
       origins = torch.addcmul(position + self._above, cos, self._along).addcmul_(sin, self._across)
@@ -94,9 +88,14 @@ class RayFan:
       directions = (rotation * self._directions[:, None]).sum(-1)
       origins = position + offsets
       drop_at_start, drop_per_length = -offsets[..., 2], -directions[..., 2]
-    hits = self._caster.cast(origins.flatten(1, 2), directions.flatten(1, 2))
+    directions = directions.flatten(1, 2)
+    hits = self._caster.cast(origins.flatten(1, 2), directions)
+    if self._points_down:
+      from_inside = hits.normal[..., 2] < 0.0
+    else:
+      from_inside = (hits.normal * directions).sum(-1) > 0.0
     below = torch.addcmul(drop_at_start, self._by_frame(hits.distance), drop_per_length)
-    return hits, below.flatten(1)
+    return RayReading(distance=hits.distance, below=below.flatten(1), from_inside=from_inside)
 
   def _by_frame(self, values: torch.Tensor) -> torch.Tensor:
     return values.unflatten(1, (self.num_frames, self.num_rays))

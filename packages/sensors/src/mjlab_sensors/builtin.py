@@ -71,6 +71,8 @@ class _Kind(NamedTuple):
   """Name in `mujoco.mjtSensor` where it differs from the sensor's name."""
 
 
+# A rangefinder may report more than the distance; this bit asks for that alone.
+_DISTANCE = 1 << mujoco.mjtRayDataField.mjRAYDATA_DIST.value
 _FRAMES = ("body", "xbody", "geom", "site", "camera")
 
 
@@ -188,6 +190,8 @@ class BuiltinSensor(Sensor[torch.Tensor]):
       )
     enum = _kind(cfg.sensor_type).enum or cfg.sensor_type.upper()
     sensor = spec.add_sensor(name=self._element, type=getattr(mujoco.mjtSensor, f"mjSENS_{enum}"), cutoff=cfg.cutoff)
+    if cfg.sensor_type == "rangefinder":
+      sensor.intprm[0] = _DISTANCE
     if cfg.obj is not None:
       sensor.objtype = getattr(mujoco.mjtObj, f"mjOBJ_{cfg.obj.type.upper()}")
       sensor.objname = cfg.obj.resolve(spec, entities, self.label)

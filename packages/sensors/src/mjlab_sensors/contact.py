@@ -157,7 +157,7 @@ class ContactSensor(Sensor[ContactData]):
   reset: a foot that starts on the ground has not landed, and no air time is credited to it.
   """
 
-  _constants = frozenset({"_views", "_block", "_touch", "_force", "_current", "_last", "_history", "_phases"})
+  _constants = frozenset({"_touch", "_force", "_current", "_last", "_history", "_older", "_phases"})
   cfg: ContactSensorCfg
 
   def __init__(self, name: str, cfg: ContactSensorCfg) -> None:
@@ -225,6 +225,7 @@ class ContactSensor(Sensor[ContactData]):
     if cfg.history_length:
       self._force = columns["force"][:, :, None]
       self._history = self._memory[:, times:].view(num_envs, num_contacts, cfg.history_length, 3)
+      self._older = self._history[:, :, :-1]
       views.force_history = self._history
     self._views = views
 
@@ -242,7 +243,7 @@ class ContactSensor(Sensor[ContactData]):
       torch.where(ended, longer, self._last, out=self._last)
       torch.mul(longer, inside, out=self._current)
     if self.cfg.history_length:
-      self._history.copy_(torch.cat((self._force, self._history[:, :, :-1]), dim=2))
+      self._history.copy_(torch.cat((self._force, self._older), dim=2))
 
   def reset(self, mask: torch.Tensor) -> None:
     if self._memory.shape[1]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
+import numpy as np
 import torch
 from mjlab_core import unknown
 
@@ -22,6 +23,9 @@ _OBJECTS = {
   "body": (mujoco.mjtObj.mjOBJ_BODY, "xpos", "xmat"),
   "geom": (mujoco.mjtObj.mjOBJ_GEOM, "geom_xpos", "geom_xmat"),
 }
+
+# Below this length of its projection to the ground, a frame's x axis no longer tells where it is heading.
+_SHORT = 0.1
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -49,33 +53,45 @@ class FrameMatch:
 
 
 class FrameSet:
-  """The frames of a `FrameMatch` in a simulation."""
+  """The frames of a `FrameMatch` in a simulation.
+
+  It holds on to the simulation's memory, so whoever reads it must have made that current by asking for `sim.epoch`.
+  """
 
   def __init__(self, sim: Simulation, frame_type: FrameType, names: tuple[str, ...], owner: str) -> None:
-    obj, self._position, self._rotation = _OBJECTS[frame_type]
-    ids = [mujoco.mj_name2id(sim.mj_model, obj, name) for name in names]
+    obj, position, rotation = _OBJECTS[frame_type]
+    model = sim.mj_model
+    ids = [mujoco.mj_name2id(model, obj, name) for name in names]
     for name, index in zip(names, ids, strict=True):
       if index < 0:
         raise ValueError(f"{owner}: the simulation's model has no {frame_type} {name!r}")
-    self._sim = sim
-    contiguous = ids == list(range(ids[0], ids[0] + len(ids)))
-    # A slice is a view, an index list a gather.
-    self._index = slice(ids[0], ids[0] + len(ids)) if contiguous else torch.tensor(ids, device=sim.device)
-    match frame_type:
-      case "site":
-        bodies = [int(sim.mj_model.site_bodyid[i]) for i in ids]
-      case "geom":
-        bodies = [int(sim.mj_model.geom_bodyid[i]) for i in ids]
-      case "body":
-        bodies = ids
-    self.body_ids: list[int] = bodies
+    owners = {"site": model.site_bodyid, "geom": model.geom_bodyid, "body": np.arange(model.nbody)}
+    self.body_ids: list[int] = [int(owners[frame_type][index]) for index in ids]
+    self._index = torch.tensor(ids, device=sim.device)
+    self._all_positions: torch.Tensor = getattr(sim.data, position)[:]
+    self._all_rotations: torch.Tensor = getattr(sim.data, rotation)[:]
+    # Of each row-major matrix x and y of the x axis, then of the y axis turned back by 90 degrees but for a sign.
+    columns = 9 * self._index[:, None] + torch.tensor((0, 3, 4, 1), device=sim.device)
+    self._columns = columns.flatten()
+    self._signs = torch.tensor(((1, 1), (1, -1)), dtype=sim.dtype, device=sim.device)
 
   @property
   def positions(self) -> torch.Tensor:
     """Origins, world frame, (num_envs, num_frames, 3) [m]."""
-    return getattr(self._sim.data, self._position)[:, self._index]
+    return self._all_positions.index_select(1, self._index)
 
   @property
   def rotations(self) -> torch.Tensor:
     """Rotation matrices from frame to world, (num_envs, num_frames, 3, 3)."""
-    return getattr(self._sim.data, self._rotation)[:, self._index]
+    return self._all_rotations.index_select(1, self._index)
+
+  @property
+  def headings(self) -> torch.Tensor:
+    """Unit direction on the ground in which frames head, world frame, (num_envs, num_frames, 2).
+
+    It is the x axis projected to the ground, or, where that is nearly vertical, the y axis turned back by 90 degrees.
+    """
+    axes = self._all_rotations.flatten(1).index_select(1, self._columns).unflatten(1, (-1, 2, 2)) * self._signs
+    length = torch.linalg.vector_norm(axes, dim=-1, keepdim=True)
+    units = axes / length
+    return torch.where(length[:, :, 0] > _SHORT, units[:, :, 0], units[:, :, 1])

@@ -126,31 +126,30 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
     )
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
+    self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def _read(self) -> TerrainHeightData:
     cfg = self.cfg
-    hits, below = self._fan.cast()
-    missed = (hits.distance < 0.0) | (hits.distance > cfg.max_distance + cfg.start_height)
-    # A ray that starts inside the ground leaves it from within, by a face that looks down.
-    heights = below.clamp_(min=0.0).masked_fill_(hits.normal[..., 2] < 0.0, 0.0).masked_fill_(missed, cfg.max_distance)
-    by_ray = (self.num_frames, self.num_rays)
-    heights, missed = heights.unflatten(1, by_ray), missed.unflatten(1, by_ray)
+    rays = self._fan.cast()
+    # The distance of a miss is negative.
+    seen = rays.distance == rays.distance.clamp(0.0, cfg.max_distance + cfg.start_height)
+    heights = rays.below.clamp_(min=0.0).masked_fill_(rays.from_inside, 0.0)
+    heights = torch.where(seen, heights, self._unseen)
+    heights, seen = (values.unflatten(1, (self.num_frames, self.num_rays)) for values in (heights, seen))
     if cfg.reduction == "none":
-      torch.logical_not(missed, out=self._valid)
+      self._valid.copy_(seen)
       self._heights.copy_(heights)
       return TerrainHeightData(heights=self._heights, valid=self._valid)
-    unseen = missed.all(dim=-1)
-    torch.logical_not(unseen, out=self._valid)
+    torch.any(seen, dim=-1, out=self._valid)
     if cfg.reduction == "min":
-      # Nothing seen is as high as a reading can be, so it never wins over a hit.
+      # What is not seen is as high as a reading can be, so it never wins over what is.
       torch.amin(heights, dim=-1, out=self._heights)
+      return TerrainHeightData(heights=self._heights, valid=self._valid)
+    heights = heights * seen
+    if cfg.reduction == "max":
+      torch.amax(heights, dim=-1, out=self._heights)
     else:
-      seen = heights.masked_fill_(missed, 0.0)
-      if cfg.reduction == "max":
-        torch.amax(seen, dim=-1, out=self._heights)
-      else:
-        count = missed.logical_not().sum(dim=-1).clamp_(min=1)
-        torch.div(seen.sum(dim=-1), count, out=self._heights)
-      self._heights.masked_fill_(unseen, cfg.max_distance)
+      torch.div(heights.sum(dim=-1), seen.sum(dim=-1).clamp_(min=1), out=self._heights)
+    torch.where(self._valid, self._heights, self._unseen, out=self._heights)
     return TerrainHeightData(heights=self._heights, valid=self._valid)

@@ -1,0 +1,524 @@
+"""Contact sensors: what they report, how long, and that nothing leaks."""
+
+import inspect
+import re
+from typing import Any, get_args
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sensors import ContactData, ContactMatch, ContactSensor, ContactSensorCfg
+from mjlab_sensors.contact import ContactField
+from mjlab_sim import Simulation, SimulationCfg
+from torch.utils._python_dispatch import TorchDispatchMode
+
+TERRAIN = ContactMatch(mode="body", pattern="terrain")
+BOX = ContactMatch(mode="body", pattern="box", entity="robot")
+WEIGHT = 2.0 * 9.81
+
+ROBOT = """
+<mujoco>
+  <worldbody>
+    <body name="box" pos="0 0 0.1">
+      <freejoint/>
+      <geom name="box_geom" type="box" size="0.1 0.1 0.1" mass="2"/>
+    </body>
+    <body name="ball" pos="1 0 0.05">
+      <freejoint/>
+      <geom name="ball_geom" size="0.05" mass="1"/>
+      <geom name="cap" size="0.01" pos="0 0 0.05" mass="0.01"/>
+      <body name="tail" pos="-0.04 0 0.1">
+        <joint axis="0 1 0" stiffness="50"/>
+        <geom name="tail_geom" type="box" size="0.02 0.02 0.02" mass="0.1"/>
+        <geom name="tail_tip" type="sphere" size="0.02" pos="-0.06 0 0" mass="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+# A ball on a slide: its height is state that a test may write, so it can make and break contact at will.
+HOPPER = """
+<mujoco>
+  <worldbody>
+    <body name="foot" pos="0 0 0.1">
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <geom name="foot_geom" size="0.1" mass="1"/>
+    </body>
+    <body name="other" pos="1 0 0.1">
+      <joint name="other_z" type="slide" axis="0 0 1"/>
+      <geom name="other_geom" size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def scene(robot: str) -> mujoco.MjSpec:
+  spec = mujoco.MjSpec()
+  spec.worldbody.add_body(name="terrain").add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+  spec.attach(mujoco.MjSpec.from_string(robot), prefix="robot/", frame=spec.worldbody.add_frame())
+  return spec
+
+
+def build(*cfgs: ContactSensorCfg, robot: str = ROBOT, num_envs: int = 2) -> tuple[Simulation, list[ContactSensor]]:
+  spec, sensors = scene(robot), []
+  for cfg in cfgs:
+    sensor = cfg.build()
+    assert isinstance(sensor, ContactSensor)
+    sensor.edit_spec(spec, {"robot": None})
+    sensors.append(sensor)
+  sim = Simulation(num_envs, spec, SimulationCfg())
+  for sensor in sensors:
+    sensor.initialize(sim, {"robot": None})
+  return sim, sensors
+
+
+def advance(sim: Simulation, sensors: list[ContactSensor], substeps: int = 1) -> None:
+  for _ in range(substeps):
+    sim.step()
+    for sensor in sensors:
+      sensor.update(sim.timestep)
+
+
+def get(value: torch.Tensor | None) -> torch.Tensor:
+  assert value is not None
+  return value
+
+
+def test_a_resting_box_presses_on_the_ground_with_its_weight() -> None:
+  sim, (net, strongest) = build(
+    ContactSensorCfg(name="net", primary=BOX, secondary=TERRAIN, reduce="netforce"),
+    ContactSensorCfg(name="slots", primary=BOX, secondary=TERRAIN, num_slots=4),
+  )
+  advance(sim, [net, strongest], 1000)
+  force = get(net.data.force)
+  torch.testing.assert_close(force[:, 0, 2], torch.full((2,), -WEIGHT, dtype=sim.dtype), rtol=0.01, atol=0.0)
+  assert force[:, 0, :2].abs().max() < 0.01 * WEIGHT
+  # In the frame of a contact the first component presses, and the four corners carry the box together.
+  pressing = get(strongest.data.force)[..., 0]
+  assert (get(strongest.data.found) == 4).all()
+  torch.testing.assert_close(pressing.sum(1), -force[:, 0, 2], rtol=0.01, atol=0.0)
+
+
+@pytest.mark.parametrize("reduce", ["none", "mindist", "maxforce", "netforce"])
+def test_all_fields_equal_those_of_mujoco(reduce: Any) -> None:
+  slots = 1 if reduce == "netforce" else 3
+  fields: tuple[ContactField, ...] = get_args(ContactField)
+  cfg = ContactSensorCfg(
+    name="feet",
+    primary=ContactMatch(mode="geom", pattern="(box|ball)_geom", entity="robot"),
+    fields=fields,
+    reduce=reduce,
+    num_slots=slots,
+  )
+  sim, (sensor,) = build(cfg)
+  spec = scene(ROBOT)
+  for geom in ("robot/box_geom", "robot/ball_geom"):
+    oracle = spec.add_sensor(name=geom, type=mujoco.mjtSensor.mjSENS_CONTACT, objname=geom)
+    oracle.objtype = mujoco.mjtObj.mjOBJ_GEOM
+    oracle.intprm = [0b1111111, ["none", "mindist", "maxforce", "netforce"].index(reduce), slots]
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  # A spin, so that no two corners press alike and the order of the contacts is no accident.
+  spin = [0.5, 0.3, 0.1]
+  sim.data.qvel[:, 3:6] = torch.tensor(spin, dtype=sim.dtype)
+  data.qvel[3:6] = spin
+  touched = set()
+  for _ in range(30):
+    advance(sim, [sensor])
+    mujoco.mj_step(model, data)
+    expected = torch.from_numpy(data.sensordata.reshape(2 * slots, -1).copy())
+    columns = []
+    for field in fields:
+      value = get(getattr(sensor.data, field))[0]
+      columns.append(value[:, None] if value.ndim == 1 else value)
+    torch.testing.assert_close(torch.cat(columns, dim=1), expected, rtol=1e-9, atol=1e-9)
+    touched |= set(expected[:, 0].tolist())
+  assert {0.0, 1.0} < touched or reduce == "netforce"
+  assert max(touched) > 1
+
+
+def test_documented_shapes_are_the_real_ones() -> None:
+  cfg = ContactSensorCfg(
+    name="feet",
+    primary=ContactMatch(mode="geom", pattern=".*", entity="robot", exclude="tail_.*"),
+    fields=("found", "force", "torque", "dist", "pos", "normal", "tangent"),
+    num_slots=2,
+    track_air_time=True,
+    history_length=4,
+  )
+  sim, (sensor,) = build(cfg, num_envs=5)
+  advance(sim, [sensor])
+  sizes = {"num_envs": 5, "num_primaries": 3, "num_contacts": 6, "history_length": 4, "3": 3}
+  documented = re.findall(
+    r'(\w+): torch\.Tensor \| None = None\s+"""(.*?)"""', inspect.getsource(ContactData), re.DOTALL
+  )
+  assert [name for name, _ in documented] == list(vars(sensor.data))
+  for name, text in documented:
+    (shape,) = re.findall(r"\((num_envs[^()]*)\)", text)
+    assert tuple(sizes[size.strip()] for size in shape.split(",")) == tuple(getattr(sensor.data, name).shape), name
+
+
+def test_what_was_not_asked_for_is_none() -> None:
+  _, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX, fields=("force",)))
+  assert [name for name, value in vars(sensor.data).items() if value is not None] == ["force"]
+
+
+def test_air_time_brings_found_along() -> None:
+  sim, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX, fields=("force",), track_air_time=True))
+  advance(sim, [sensor], 3)
+  assert (get(sensor.data.found) > 0).all()
+  assert (get(sensor.data.current_contact_time) > 0).all()
+
+
+def test_one_native_sensor_per_primary_and_all_side_by_side() -> None:
+  feet = ContactSensorCfg(name="feet", primary=ContactMatch(mode="geom", pattern=".*", entity="robot"))
+  same = ContactSensorCfg(name="same", primary=feet.primary, secondary=TERRAIN, track_air_time=True)
+  sim, (first, second) = build(feet, same)
+  assert sim.mj_model.nsensor == 10
+  assert first.primary_names == second.primary_names
+  base = sim.data.sensordata.data_ptr()
+  for sensor, start in ((first, 0), (second, 20)):
+    assert get(sensor.data.found).data_ptr() == base + start * sim.data.sensordata.element_size()
+
+
+def test_a_subtree_sees_the_contacts_within_itself_and_a_body_only_its_own() -> None:
+  crossed_legs = """
+  <mujoco>
+    <option gravity="0 0 0"/>
+    <worldbody>
+      <body name="trunk" pos="0 0 0.5">
+        <geom name="trunk" size="0.1" mass="1"/>
+        <body name="left"><joint name="l" axis="1 0 0"/><geom name="left" size="0.05" pos="0 0.03 -0.45"/></body>
+        <body name="right"><joint name="r" axis="1 0 0"/><geom name="right" size="0.05" pos="0 -0.03 -0.45"/></body>
+      </body>
+    </worldbody>
+  </mujoco>
+  """
+  trunk = ContactMatch(mode="subtree", pattern="trunk", entity="robot")
+  sim, sensors = build(
+    ContactSensorCfg(name="self", primary=trunk, secondary=trunk),
+    ContactSensorCfg(name="ground", primary=trunk, secondary=TERRAIN),
+    ContactSensorCfg(name="body", primary=ContactMatch(mode="body", pattern="trunk", entity="robot")),
+    ContactSensorCfg(name="legs", primary=ContactMatch(mode="geom", pattern="left|right", entity="robot"), num_slots=2),
+    robot=crossed_legs,
+  )
+  advance(sim, sensors)
+  among_itself, ground, body, legs = (get(sensor.data.found)[0].tolist() for sensor in sensors)
+  assert among_itself == [1]
+  assert ground == [2]
+  assert body == [0]
+  assert legs == [2, 2, 2, 2]
+
+
+def test_primaries_come_in_model_order_or_in_that_of_the_patterns() -> None:
+  spec = scene(ROBOT)
+  pattern = ("ball_geom", "box_geom", "tail_.*")
+
+  def names(**kwargs: Any) -> tuple[str, ...]:
+    match = ContactMatch(mode="geom", pattern=pattern, entity="robot", **kwargs)
+    return tuple(name.removeprefix("robot/") for name in match.resolve(spec, {"robot": None}, ""))
+
+  assert names() == ("box_geom", "ball_geom", "tail_geom", "tail_tip")
+  assert names(preserve_order=True) == ("ball_geom", "box_geom", "tail_geom", "tail_tip")
+  assert names(exclude=("tail_tip", "b.*x_geom")) == ("ball_geom", "tail_geom")
+
+
+def test_contacts_are_those_of_the_substep_just_done_whatever_the_fields() -> None:
+  cfgs = [
+    ContactSensorCfg(name="found", primary=BOX, fields=("found",), reduce="none"),
+    ContactSensorCfg(name="deepest", primary=BOX, fields=("found", "dist"), reduce="mindist"),
+    ContactSensorCfg(name="force", primary=BOX),
+  ]
+  sim, sensors = build(*cfgs)
+  advance(sim, sensors, 3)
+  sim.data.qpos[:, 2] += 1.0
+  for sensor in sensors:
+    assert (get(sensor.data.found) == 4).all(), "the box was lifted, but no substep has been done since"
+  advance(sim, sensors)
+  for sensor in sensors:
+    assert (get(sensor.data.found) == 0).all()
+
+
+def test_contacts_are_zero_in_worlds_just_reset_until_the_next_substep() -> None:
+  sim, sensors = build(
+    ContactSensorCfg(name="feet", primary=BOX, history_length=2),
+    ContactSensorCfg(name="only", primary=BOX, fields=("found", "dist"), reduce="none"),
+    num_envs=3,
+  )
+  advance(sim, sensors, 3)
+  before = [[value.clone() for value in vars(sensor.data).values() if value is not None] for sensor in sensors]
+  mask = torch.tensor([False, True, False])
+  sim.reset(mask)
+  for sensor in sensors:
+    sensor.reset(mask)
+  for sensor, old in zip(sensors, before, strict=True):
+    new = [value for value in vars(sensor.data).values() if value is not None]
+    for value, was in zip(new, old, strict=True):
+      assert (value[1] == 0).all()
+      assert torch.equal(value[~mask], was[~mask])
+  advance(sim, sensors)
+  assert (get(sensors[0].data.found) == 4).all()
+  assert (get(sensors[1].data.found) == 4).all()
+
+
+class Stopwatch:
+  """Air and contact times of one foot, spelled out."""
+
+  def __init__(self) -> None:
+    self.phase: str | None = None
+    self.landed = self.lifted = False
+    self.current = {"air": 0.0, "contact": 0.0}
+    self.last = {"air": 0.0, "contact": 0.0}
+
+  def update(self, touching: bool, dt: float) -> None:
+    phase, other = ("contact", "air") if touching else ("air", "contact")
+    if self.phase == other:
+      self.last[other] = self.current[other] + dt
+      self.landed, self.lifted = touching, not touching
+    self.phase = phase
+    self.current[other] = 0.0
+    self.current[phase] += dt
+
+  def just(self, phase: str, dt: float) -> bool:
+    switched = self.landed if phase == "contact" else self.lifted
+    return self.phase == phase and switched and self.current[phase] < dt + 1e-6
+
+
+def test_times_follow_the_contacts_through_random_hops_and_partial_resets() -> None:
+  feet = ContactMatch(mode="body", pattern=".*", entity="robot")
+  cfg = ContactSensorCfg(name="feet", primary=feet, secondary=TERRAIN, track_air_time=True, num_slots=2)
+  num_envs, rng = 4, np.random.default_rng(0)
+  sim, (sensor,) = build(cfg, robot=HOPPER, num_envs=num_envs)
+  watches = [[Stopwatch() for _ in range(2)] for _ in range(num_envs)]
+  dt, touching = sim.timestep, np.zeros((num_envs, 2), dtype=bool)
+  seen = {"contact": 0, "air": 0}
+  for substep in range(200):
+    if substep % 4 == 0:
+      mask = rng.random(num_envs) < 0.1
+      sim.reset(torch.from_numpy(mask))
+      sensor.reset(torch.from_numpy(mask))
+      for world in np.flatnonzero(mask):
+        watches[world] = [Stopwatch() for _ in range(2)]
+    touching ^= rng.random((num_envs, 2)) < 0.2
+    sim.data.qpos[:] = torch.from_numpy(np.where(touching, -0.001, 0.05))
+    sim.data.qvel.zero_()
+    advance(sim, [sensor])
+    data = sensor.data
+    for world in range(num_envs):
+      for foot in range(2):
+        watches[world][foot].update(bool(touching[world, foot]), dt)
+    for field, attribute, phase in (
+      ("current_air_time", "current", "air"),
+      ("current_contact_time", "current", "contact"),
+      ("last_air_time", "last", "air"),
+      ("last_contact_time", "last", "contact"),
+    ):
+      expected = [[getattr(watch, attribute)[phase] for watch in row] for row in watches]
+      torch.testing.assert_close(getattr(data, field), torch.tensor(expected, dtype=sim.dtype), msg=field)
+    for phase, compute in (("contact", sensor.compute_first_contact), ("air", sensor.compute_first_air)):
+      expected = [[watch.just(phase, 4 * dt) for watch in row] for row in watches]
+      assert compute(4 * dt).tolist() == expected
+      seen[phase] += np.sum(expected)
+  assert min(seen.values()) > 50
+
+
+def test_spawning_is_not_a_landing() -> None:
+  cfg = ContactSensorCfg(name="feet", primary=BOX, secondary=TERRAIN, track_air_time=True)
+  sim, (sensor,) = build(cfg)
+  everywhere = torch.ones(2, dtype=torch.bool)
+  for _ in range(2):
+    for _ in range(6):
+      advance(sim, [sensor])
+      assert not sensor.compute_first_contact(0.02).any()
+      assert (get(sensor.data.last_air_time) == 0).all()
+    assert (get(sensor.data.current_contact_time) > 0).all()
+    sim.reset(everywhere)
+    sensor.reset(everywhere)
+
+
+def test_a_spawn_in_the_air_ends_in_a_landing() -> None:
+  cfg = ContactSensorCfg(name="feet", primary=BOX, secondary=TERRAIN, track_air_time=True)
+  sim, (sensor,) = build(cfg)
+  sim.data.qpos[:, 2] += 0.05
+  advance(sim, [sensor], 10)
+  assert not sensor.compute_first_air(1.0).any()
+  landed = torch.zeros(2, 1, dtype=torch.bool)
+  for _ in range(80):
+    advance(sim, [sensor])
+    landed |= sensor.compute_first_contact(sim.timestep)
+  assert landed.all()
+  fall = (2 * 0.05 / 9.81) ** 0.5
+  assert (get(sensor.data.last_air_time) - fall).abs().max() < 3 * sim.timestep
+
+
+def test_force_history_is_the_newest_first_and_empties_at_a_reset() -> None:
+  sim, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX, num_slots=4, history_length=3))
+  mask = torch.tensor([True, False])
+  past = [torch.zeros(2, 4, 3, dtype=sim.dtype)] * 3
+  for substep in range(12):
+    if substep == 6:
+      sensor.reset(mask)
+      past = [torch.where(mask[:, None, None], 0.0, force) for force in past]
+      assert torch.equal(get(sensor.data.force_history), torch.stack(past, dim=2))
+    advance(sim, [sensor])
+    past = [get(sensor.data.force).clone(), *past[:2]]
+    assert torch.equal(get(sensor.data.force_history), torch.stack(past, dim=2))
+  assert past[0].abs().max() > 1.0
+
+
+def test_a_partial_reset_leaves_other_worlds_bit_identical() -> None:
+  cfg = ContactSensorCfg(name="feet", primary=BOX, track_air_time=True, history_length=3)
+  mask = torch.tensor([False, True, False])
+  states = []
+  for resets in (False, True):
+    sim, (sensor,) = build(cfg, num_envs=3)
+    sim.data.qpos[:, 2] += 0.002
+    for substep in range(20):
+      if resets and substep in (5, 11):
+        sim.reset(mask)
+        sensor.reset(mask)
+      advance(sim, [sensor])
+    states.append(sensor.state_dict())
+  assert any(not torch.equal(states[0][name][mask], states[1][name][mask]) for name in states[0])
+  for name in states[0]:
+    assert torch.equal(states[0][name][~mask], states[1][name][~mask])
+
+
+def test_a_saved_state_continues_where_it_was() -> None:
+  cfg = ContactSensorCfg(name="feet", primary=BOX, track_air_time=True, history_length=3)
+  sim, (sensor,) = build(cfg)
+  advance(sim, [sensor], 5)
+  saved = sensor.state_dict()
+  was = [value.clone() for value in vars(sensor.data).values() if value is not None]
+  advance(sim, [sensor], 5)
+  sensor.load_state_dict(saved)
+  names = [name for name, value in vars(sensor.data).items() if value is not None]
+  for name, value in zip(names, was, strict=True):
+    if name not in ("found", "force"):
+      assert torch.equal(getattr(sensor.data, name), value), name
+
+
+class CountOperations(TorchDispatchMode):
+  """Counts operations that compute; views are free on a device."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.count = 0
+
+  def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+    self.count += not func.is_view
+    return func(*args, **(kwargs or {}))
+
+
+def test_a_substep_costs_at_most_ten_operations_and_a_reading_none() -> None:
+  cfg = ContactSensorCfg(
+    name="feet", primary=ContactMatch(mode="geom", pattern=".*", entity="robot"), track_air_time=True, history_length=4
+  )
+  idle = ContactSensorCfg(name="idle", primary=BOX)
+  sim, (sensor, plain) = build(cfg, idle)
+  sim.step()
+  for work, limit in (
+    (lambda: sensor.update(sim.timestep), 10),
+    (lambda: plain.update(sim.timestep), 0),
+    (lambda: sensor.data, 0),
+    (lambda: sensor.reset(torch.tensor([True, False])), 2),
+  ):
+    with CountOperations() as operations:
+      work()
+    assert operations.count <= limit
+
+
+def test_update_and_reset_work_in_memory_that_stays() -> None:
+  cfg = ContactSensorCfg(name="feet", primary=BOX, track_air_time=True, history_length=4)
+  sim, (sensor,) = build(cfg)
+  advance(sim, [sensor])
+  addresses = [value.data_ptr() for value in vars(sensor.data).values() if value is not None]
+  advance(sim, [sensor], 3)
+  sim.reset(torch.tensor([True, False]))
+  sensor.reset(torch.tensor([True, False]))
+  assert [value.data_ptr() for value in vars(sensor.data).values() if value is not None] == addresses
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"fields": ("found", "forse")}, r"field 'forse' does not exist. Nearest: force"),
+    ({"fields": ()}, r"no field is asked for"),
+    ({"fields": ("found", "found")}, r"asked for twice"),
+    ({"reduce": "maxforces"}, r"reduce 'maxforces' does not exist. Nearest: maxforce"),
+    ({"num_slots": 0}, r"num_slots must be at least 1"),
+    ({"reduce": "netforce", "num_slots": 2}, r"num_slots must be 1, not 2"),
+    ({"history_length": -1}, r"must not be negative"),
+    ({"fields": ("found",), "history_length": 4}, r"add 'force' to fields"),
+  ],
+)
+def test_a_wrong_configuration_is_refused_by_name(change: dict[str, Any], message: str) -> None:
+  arguments: dict[str, Any] = {"name": "feet", "primary": BOX, **change}
+  with pytest.raises(ValueError, match=rf"ContactSensorCfg 'feet': .*{message}"):
+    ContactSensorCfg(**arguments)
+  edited = ContactSensorCfg(name="feet", primary=BOX)
+  for field, value in change.items():
+    setattr(edited, field, value)
+  with pytest.raises(ValueError, match=message):
+    edited.build()
+
+
+def test_an_unknown_mode_is_refused_by_name() -> None:
+  typo: Any = "geoms"
+  with pytest.raises(ValueError, match=r"mode 'geoms' does not exist. Nearest: geom"):
+    ContactMatch(mode=typo, pattern=".*")
+
+
+def geoms(pattern: str | tuple[str, ...], **kwargs: Any) -> ContactMatch:
+  return ContactMatch(mode="geom", pattern=pattern, entity="robot", **kwargs)
+
+
+@pytest.mark.parametrize(
+  ("primary", "secondary", "message"),
+  [
+    (geoms("bal_geom"), None, r"primary: pattern 'bal_geom' matches no geom. Nearest: ball_geom"),
+    (
+      geoms("ball_geom", exclude="tial_.*"),
+      None,
+      r"primary: pattern 'tial_.*' matches no excluded geom. Nearest: tail_",
+    ),
+    (geoms(".*", exclude=".*"), None, r"removes every geom"),
+    (geoms(()), None, r"no pattern"),
+    (ContactMatch(mode="geom", pattern=".*", entity="robots"), None, r"entity 'robots' does not exist. Nearest: robot"),
+    (
+      geoms("ball_geom"),
+      ContactMatch(mode="body", pattern="terain"),
+      r"secondary: pattern 'terain' .* Nearest: terrain",
+    ),
+    (geoms("ball_geom"), geoms("tail_.*"), r"must match one geom, but matches 2: robot/tail_geom, robot/tail_tip"),
+  ],
+)
+def test_a_pattern_that_does_not_fit_is_refused_by_name(
+  primary: ContactMatch, secondary: ContactMatch | None, message: str
+) -> None:
+  sensor = ContactSensorCfg(name="feet", primary=primary, secondary=secondary).build()
+  with pytest.raises(ValueError, match=rf"ContactSensorCfg 'feet': .*{message}"):
+    sensor.edit_spec(scene(ROBOT), {"robot": None})
+
+
+def test_names_are_given_once() -> None:
+  cfg = ContactSensorCfg(primary=BOX)
+  with pytest.raises(ValueError, match="needs a name"):
+    cfg.build()
+  assert cfg.build("feet").name == "feet"
+  with pytest.raises(ValueError, match="give one name"):
+    ContactSensorCfg(name="feet", primary=BOX).build("hands")
+
+
+def test_first_contact_needs_air_time() -> None:
+  _, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX))
+  with pytest.raises(ValueError, match="track_air_time=True"):
+    sensor.compute_first_contact(0.02)
+
+
+def test_reading_before_there_is_a_simulation_says_so() -> None:
+  with pytest.raises(RuntimeError, match="'feet': not initialized"):
+    _ = ContactSensorCfg(name="feet", primary=BOX).build().data

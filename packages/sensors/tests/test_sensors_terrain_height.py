@@ -1,0 +1,368 @@
+"""Heights above the ground: against closed forms and mj_ray, fresh, and never polluted by rays that see nothing."""
+
+import inspect
+import re
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sensors import (
+  FrameMatch,
+  GridPatternCfg,
+  RayPatternCfg,
+  RingPatternCfg,
+  TerrainHeightData,
+  TerrainHeightSensor,
+  TerrainHeightSensorCfg,
+)
+from mjlab_sensors.frames import FrameType
+from mjlab_sensors.terrain_height import HeightReduction
+from mjlab_sim import Simulation, SimulationCfg
+from scipy.spatial.transform import Rotation
+from torch.utils._python_dispatch import TorchDispatchMode
+
+FEET = FrameMatch(type="site", pattern="foot_.*", entity="robot")
+ENTITIES = {"robot": None}
+TYPO: Any = "sit"
+REDUCTIONS: tuple[HeightReduction, ...] = ("min", "max", "mean", "none")
+GROUND_Z = 0.3
+PLANE = f'<geom type="plane" size="0 0 1" pos="0 0 {GROUND_Z}"/>'
+
+# Visible shells are in group 1: what counts as ground is told by group.
+ROBOT = """
+<mujoco>
+  <worldbody>
+    <body name="base" pos="0 0 1">
+      <freejoint/>
+      <geom name="shell" group="1" size="0.05"/>
+      <site name="foot_left" pos="0 0.1 0"/>
+      <site name="head" pos="0 0 0.2"/>
+      <site name="foot_right" pos="0 -0.1 0" euler="0 0 30"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+class CountOperations(TorchDispatchMode):
+  """Counts operations that compute; views are free on a device."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.count = 0
+
+  def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+    self.count += not func.is_view
+    return func(*args, **(kwargs or {}))
+
+
+def scene(terrain: str) -> mujoco.MjSpec:
+  spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>')
+  spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
+  return spec
+
+
+def build(
+  *cfgs: TerrainHeightSensorCfg, terrain: str = PLANE, num_envs: int = 3
+) -> tuple[Simulation, list[TerrainHeightSensor]]:
+  spec, sensors = scene(terrain), []
+  for number, cfg in enumerate(cfgs):
+    sensor = cfg.build("" if cfg.name else f"height{number}")
+    assert isinstance(sensor, TerrainHeightSensor)
+    sensor.edit_spec(spec, ENTITIES)
+    sensors.append(sensor)
+  sim = Simulation(num_envs, spec, SimulationCfg())
+  for sensor in sensors:
+    sensor.initialize(sim, ENTITIES)
+  return sim, sensors
+
+
+def place(sim: Simulation, *poses: tuple[Any, ...]) -> None:
+  """Put the base of each world at x, y, z with a `Rotation`, or upright for None."""
+  for world, (x, y, z, rotation) in enumerate(poses):
+    quat = (rotation or Rotation.identity()).as_quat(scalar_first=True)
+    sim.data.qpos[world] = torch.tensor((x, y, z, *quat), dtype=sim.dtype)
+
+
+def test_height_over_a_plane_is_the_height_of_the_frame_wherever_the_plane_is() -> None:
+  sim, sensors = build(*[TerrainHeightSensorCfg(frames=FEET, reduction=how, max_distance=2.0) for how in REDUCTIONS])
+  tilt = Rotation.from_euler("x", 30, degrees=True)
+  place(sim, (0, 0, 1, None), (3, 1, 0.5, Rotation.from_euler("z", 70, degrees=True)), (0, 0, 1, tilt))
+  expected = sim.data.site_xpos[:, [0, 2], 2] - GROUND_Z
+  for sensor in sensors[:3]:
+    torch.testing.assert_close(sensor.data.heights, expected)
+    assert sensor.data.valid.all()
+  torch.testing.assert_close(sensors[3].data.heights, expected[..., None].expand(3, 2, 9))
+  assert sensors[0].frame_names == ("robot/foot_left", "robot/foot_right")
+
+
+def test_a_foot_that_sank_into_the_ground_reads_zero() -> None:
+  box = f'<geom type="box" size="5 5 0.5" pos="0 0 {GROUND_Z - 0.5}"/>'
+  for terrain, depths in ((PLANE, (0.001, 0.05)), (box, (0.001, 0.05, 0.3, 0.7))):
+    sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET), terrain=terrain)
+    for depth in depths:
+      place(sim, (0, 0, GROUND_Z - depth, None), (0, 0, GROUND_Z, None), (0, 0, GROUND_Z + depth, None))
+      heights = sensor.data.heights[:, 0]
+      torch.testing.assert_close(heights, torch.tensor((0.0, 0.0, depth), dtype=sim.dtype), atol=1e-9, rtol=0.0)
+      assert sensor.data.valid.all()
+
+
+def test_heights_are_those_of_the_state_that_is_and_are_cast_once() -> None:
+  sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
+  assert sensor.data.heights[0, 0] == pytest.approx(0.7)
+  sim.data.qpos[0, 2] += 0.1
+  with CountOperations() as operations:
+    assert sensor.data.heights[0, 0].item() == pytest.approx(0.8)
+  assert operations.count > 1
+  with CountOperations() as operations:
+    _ = sensor.data
+  assert operations.count == 0
+  sim.step()
+  torch.testing.assert_close(sensor.data.heights, sim.data.site_xpos[:, [0, 2], 2] - GROUND_Z)
+  sim.reset(torch.tensor([True, False, False]))
+  assert sensor.data.heights[0, 0] == pytest.approx(0.7)
+
+
+def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch) -> None:
+  sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
+  sim.step()
+  _ = sim.epoch
+  # Whatever the engine's caster does is not ours.
+  caster = sensor._fan._caster
+  hits = caster.cast(torch.zeros(3, 18, 3, dtype=sim.dtype), torch.ones(3, 18, 3, dtype=sim.dtype))
+  monkeypatch.setattr(caster, "cast", lambda origins, directions: hits)
+  with CountOperations() as operations:
+    sensor._read()
+  assert operations.count <= 20
+
+
+def test_documented_shapes_are_the_real_ones() -> None:
+  sim, sensors = build(
+    TerrainHeightSensorCfg(frames=FEET), TerrainHeightSensorCfg(frames=FEET, reduction="none"), num_envs=5
+  )
+  source = inspect.getsource(TerrainHeightData)
+  documented = re.findall(r"\((num_envs[^()]*)\)", source)
+  assert len(documented) == 2
+  for sensor, shape in zip(sensors, documented, strict=True):
+    sizes = {"num_envs": 5, "num_frames": sensor.num_frames, "num_rays": sensor.num_rays}
+    real = tuple(sizes[size.strip()] for size in shape.split(","))
+    assert tuple(sensor.data.heights.shape) == tuple(sensor.data.valid.shape) == real
+    assert sensor.data.heights.dtype == sim.dtype
+    assert sensor.data.valid.dtype == torch.bool
+
+
+def oracle(
+  sim: Simulation, world: int, sites: list[int], pattern: RayPatternCfg, alignment: str, start: float, reach: float
+) -> np.ndarray:
+  """Height of each ray of each frame by mj_ray, NaN where it sees nothing."""
+  model = sim.mj_model
+  data = mujoco.MjData(model)
+  data.qpos[:] = sim.data.qpos[world].numpy()
+  mujoco.mj_kinematics(model, data)
+  groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+  points, directions = pattern.rays()
+  heights = np.full((len(sites), len(points)), np.nan)
+  for i, site in enumerate(sites):
+    frame = data.site_xmat[site].reshape(3, 3)
+    if alignment == "world":
+      frame = np.eye(3)
+    elif alignment == "yaw":
+      x, y = frame[:2, 0], frame[:2, 1]
+      yaw = np.arctan2(x[1], x[0]) if np.hypot(*x) > 0.1 else np.arctan2(y[1], y[0]) - np.pi / 2
+      frame = Rotation.from_euler("z", yaw).as_matrix()
+    for j, (point, direction) in enumerate(zip(points, directions, strict=True)):
+      ray = frame @ direction
+      origin = data.site_xpos[site] + frame @ point - start * ray
+      normal = np.zeros(3)
+      distance = mujoco.mj_ray(model, data, origin, ray, groups, 1, -1, np.zeros(1, np.int32), normal)
+      if 0 <= distance <= reach + start:
+        below = data.site_xpos[site][2] - (origin + distance * ray)[2]
+        heights[i, j] = max(0.0, below) if ray @ normal < 0 else 0.0
+  return heights
+
+
+@pytest.mark.parametrize("alignment", ["yaw", "world", "base"])
+def test_rays_equal_mj_ray_in_random_scenes(alignment: Any) -> None:
+  rng = np.random.default_rng(3)
+  geoms = [
+    f'<geom type="{kind}" size="{" ".join(f"{v:.3f}" for v in rng.uniform(0.05, 0.3, 3))}" '
+    f'pos="{" ".join(f"{v:.3f}" for v in (*rng.uniform(-1, 1, 2), rng.uniform(0, 0.2)))}" '
+    f'euler="{" ".join(f"{v:.1f}" for v in rng.uniform(-90, 90, 3))}"/>'
+    for kind in ("box", "sphere", "capsule", "cylinder", "ellipsoid", "box") * 4
+  ]
+  pattern = GridPatternCfg(size=(0.8, 0.4), resolution=0.2)
+  cfgs = [
+    TerrainHeightSensorCfg(
+      frames=FrameMatch(type="site", pattern=("head", "foot_.*"), entity="robot", preserve_order=True),
+      pattern=pattern,
+      alignment=alignment,
+      reduction=reduction,
+      max_distance=0.9,
+      start_height=0.05,
+    )
+    for reduction in REDUCTIONS
+  ]
+  num_envs = 4
+  sim, sensors = build(*cfgs, terrain="".join(geoms), num_envs=num_envs)
+  seen = 0
+  for _ in range(5):
+    poses: list[Any] = [
+      (*rng.uniform(-1, 1, 2), rng.uniform(0.6, 1.3), Rotation.random(rng=rng)) for _ in range(num_envs)
+    ]
+    # One frame that looks straight up, whose heading is that of its y axis.
+    poses[0] = (*poses[0][:3], Rotation.from_euler("zy", (40, -88), degrees=True))
+    place(sim, *poses)
+    rays = np.stack([oracle(sim, world, [1, 0, 2], pattern, alignment, 0.05, 0.9) for world in range(num_envs)])
+    valid = ~np.isnan(rays)
+    filled = torch.from_numpy(np.where(valid, rays, 0.9))
+    assert sensors[3].data.valid.tolist() == valid.tolist()
+    torch.testing.assert_close(sensors[3].data.heights, filled, rtol=0.0, atol=1e-9)
+    any_seen = valid.any(-1)
+    count = np.maximum(valid.sum(-1), 1)
+    for sensor, reduced in zip(
+      sensors[:3],
+      (
+        np.where(valid, rays, np.inf).min(-1),
+        np.where(valid, rays, -np.inf).max(-1),
+        np.where(valid, rays, 0.0).sum(-1) / count,
+      ),
+      strict=True,
+    ):
+      expected = torch.from_numpy(np.where(any_seen, reduced, 0.9))
+      torch.testing.assert_close(sensor.data.heights, expected, rtol=0.0, atol=1e-9)
+      assert sensor.data.valid.tolist() == any_seen.tolist()
+    seen += valid.sum()
+  assert 100 < seen < 5 * num_envs * 3 * 15 - 100
+
+
+def test_rays_over_an_edge_do_not_pollute_the_others() -> None:
+  # Half of the ring is over the void.
+  table = '<geom type="box" size="1 1 0.1" pos="-1 0 0.4"/>'
+  pattern = RingPatternCfg(radius=0.05, num_samples=8, include_center=False)
+  sim, sensors = build(
+    *[
+      TerrainHeightSensorCfg(
+        frames=FrameMatch(type="site", pattern="head", entity="robot"),
+        pattern=pattern,
+        reduction=how,
+        max_distance=3.0,
+      )
+      for how in REDUCTIONS
+    ],
+    terrain=table,
+  )
+  place(sim, (0.001, 0, 1, None), (-0.5, 0, 1, None), (5, 0, 1, None))
+  for sensor in sensors[:3]:
+    torch.testing.assert_close(sensor.data.heights[:, 0], torch.tensor((0.7, 0.7, 3.0), dtype=sim.dtype))
+    assert sensor.data.valid[:, 0].tolist() == [True, True, False]
+  assert sensors[3].data.valid.sum(-1)[:, 0].tolist() == [3, 8, 0]
+
+
+def test_only_the_chosen_groups_are_ground() -> None:
+  terrain = PLANE + '<geom type="box" group="3" size="1 1 0.1" pos="0 0 0.5"/>'
+  sim, sensors = build(
+    TerrainHeightSensorCfg(frames=FEET),
+    TerrainHeightSensorCfg(frames=FEET, geom_groups=(0, 3)),
+    TerrainHeightSensorCfg(frames=FEET, geom_groups=(3,)),
+    terrain=terrain,
+  )
+  del sim
+  for sensor, height in zip(sensors, (0.7, 0.4, 0.4), strict=True):
+    assert sensor.data.heights[0, 0].item() == pytest.approx(height)
+
+
+def test_the_body_of_the_frames_can_be_looked_through() -> None:
+  head = FrameMatch(type="body", pattern="base", entity="robot")
+  sim, (blocked, through) = build(
+    TerrainHeightSensorCfg(frames=head, geom_groups=None, pattern=RingPatternCfg(num_samples=0)),
+    TerrainHeightSensorCfg(
+      frames=head, geom_groups=None, pattern=RingPatternCfg(num_samples=0), exclude_parent_body=True
+    ),
+  )
+  del sim
+  assert blocked.data.heights[0, 0] == 0.0
+  assert through.data.heights[0, 0].item() == pytest.approx(0.7)
+
+
+def test_frames_may_be_sites_bodies_or_geoms() -> None:
+  kinds: tuple[tuple[FrameType, str], ...] = (("site", "head"), ("body", "base"), ("geom", "shell"))
+  sim, sensors = build(
+    *[TerrainHeightSensorCfg(frames=FrameMatch(type=kind, pattern=name, entity="robot")) for kind, name in kinds]
+  )
+  del sim
+  for sensor, height in zip(sensors, (0.9, 0.7, 0.7), strict=True):
+    assert sensor.data.heights[0, 0].item() == pytest.approx(height)
+
+
+def test_a_grid_is_centred_and_counts_its_ends() -> None:
+  points, directions = GridPatternCfg(size=(1.6, 1.0), resolution=0.1).rays()
+  assert points.shape == directions.shape == (187, 3)
+  np.testing.assert_allclose(points[0], (-0.8, -0.5, 0))
+  np.testing.assert_allclose(points[1], (-0.7, -0.5, 0))
+  np.testing.assert_allclose(points[-1], (0.8, 0.5, 0))
+  np.testing.assert_allclose(directions, np.tile((0, 0, -1), (187, 1)))
+  uneven, _ = GridPatternCfg(size=(1.0, 0.0), resolution=0.3).rays()
+  np.testing.assert_allclose(uneven[:, 0], (-0.45, -0.15, 0.15, 0.45))
+  assert (uneven[:, 1] == 0).all()
+
+
+def test_a_ring_is_round_and_may_have_a_centre() -> None:
+  with_centre, _ = RingPatternCfg(radius=0.04, num_samples=4).rays()
+  np.testing.assert_allclose(
+    with_centre, 0.04 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)]), atol=1e-12
+  )
+  assert len(RingPatternCfg(radius=0.04, num_samples=4, include_center=False).rays()[0]) == 4
+
+
+@pytest.mark.parametrize(
+  ("make", "message"),
+  [
+    (lambda: RingPatternCfg(radius=0.0), "positive radius"),
+    (lambda: RingPatternCfg(num_samples=0, include_center=False), "at least one ray"),
+    (lambda: GridPatternCfg(resolution=0.0), "positive resolution"),
+    (lambda: GridPatternCfg(size=(-1.0, 1.0)), "two sides"),
+    (lambda: FrameMatch(type=TYPO, pattern=".*"), "type of frame 'sit' does not exist. Nearest: site"),
+  ],
+)
+def test_a_wrong_pattern_is_refused(make, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    make()
+
+
+@pytest.mark.parametrize(
+  ("fields", "message"),
+  [
+    ({"alignment": "yaws"}, "alignment 'yaws' does not exist. Nearest: yaw"),
+    ({"reduction": "median"}, "reduction 'median' does not exist"),
+    ({"max_distance": 0.0}, "max_distance must be positive"),
+    ({"start_height": -0.1}, "start_height must not be negative"),
+    ({"geom_groups": (0, 6)}, r"geom_groups must name groups from 0 to 5, not \(0, 6\)"),
+    ({"geom_groups": ()}, "geom_groups must name groups"),
+  ],
+)
+def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
+  fields = {"name": "feet", "frames": FEET, **fields}
+  with pytest.raises(ValueError, match=rf"TerrainHeightSensorCfg 'feet': .*{message}"):
+    TerrainHeightSensorCfg(**fields)
+
+
+def test_frames_that_do_not_exist_are_refused_by_name() -> None:
+  cfg = TerrainHeightSensorCfg(name="feet", frames=FrameMatch(type="site", pattern="fot_left", entity="robot"))
+  with pytest.raises(ValueError, match=r"'feet': frames: pattern 'fot_left' matches no site. Nearest: foot_left"):
+    cfg.build().edit_spec(scene(PLANE), ENTITIES)
+
+
+def test_looking_through_several_bodies_is_refused() -> None:
+  cfg = TerrainHeightSensorCfg(
+    name="all", frames=FrameMatch(type="body", pattern=("world", "robot/base")), exclude_parent_body=True
+  )
+  with pytest.raises(ValueError, match=r"'all': exclude_parent_body needs all frames on one body"):
+    build(cfg)
+
+
+def test_nothing_derived_is_saved() -> None:
+  _, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
+  _ = sensor.data
+  assert sensor.state_dict() == {}
