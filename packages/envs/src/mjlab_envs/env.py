@@ -53,7 +53,7 @@ class ManagerBasedRlEnv:
   def __init__(self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto") -> None:
     self.cfg = copy.deepcopy(cfg)
     if problems := self.cfg.problems():
-      raise ConfigError("; ".join(problems))
+      raise ConfigError("env", problems)
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
     self.seed: int = draw_seed() if self.cfg.seed is None else self.cfg.seed
@@ -76,7 +76,7 @@ class ManagerBasedRlEnv:
     self.episode_length_buf = torch.zeros(n, dtype=torch.int64, device=device)
     self.common_step_counter = torch.zeros((), dtype=torch.int64, device=device)
     self.reset_buf = torch.zeros(n, dtype=torch.bool, device=device)
-    self._nobody = torch.zeros(n, dtype=torch.bool, device=device)
+    self._everybody = torch.ones(n, dtype=torch.bool, device=device)
     self._pending = torch.zeros(n, dtype=torch.bool, device=device)
     self._announced: set[str] = set()
     self._closed = False
@@ -84,7 +84,7 @@ class ManagerBasedRlEnv:
     self._load_managers()
     self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
     self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
-    self.event_manager.apply("startup", torch.ones(n, dtype=torch.bool, device=device))
+    self.event_manager.apply("startup")
 
   def _load_managers(self) -> None:
     terminations = dict(self.cfg.terminations)
@@ -101,9 +101,10 @@ class ManagerBasedRlEnv:
     self.curriculum_manager = CurriculumManager(self.cfg.curriculum, self)
     self.observation_manager = ObservationManager(self.cfg.observations, self)
     self.recorder_manager = RecorderManager(self.cfg.recorders, self)
+    self._managers = tuple(self.managers.values())
 
   @property
-  def managers(self) -> dict[str, ManagerBase]:
+  def managers(self) -> dict[str, ManagerBase[Any]]:
     """All managers by the name of their part of the config."""
     return {
       "events": self.event_manager,
@@ -152,7 +153,7 @@ class ManagerBasedRlEnv:
       self._pending.copy_(self.termination_manager.dones)
 
   def _reward(self) -> None:
-    self.reward_manager.compute(self.step_dt)
+    self.reward_manager.compute()
     self.metrics_manager.compute()
 
   def _reset(self, mask: torch.Tensor) -> None:
@@ -211,7 +212,8 @@ class ManagerBasedRlEnv:
       worlds = self._pending.nonzero().flatten().tolist()
       raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
     self._action.copy_(action)
-    self.reward_manager.sync()
+    for manager in self._managers:
+      manager.sync()
     self._step_graph()
     return (
       self.get_observations(),
@@ -251,8 +253,9 @@ class ManagerBasedRlEnv:
       self.rng.manual_seed(seed)
     self._reset(mask)
     self._pending.masked_fill_(mask, False)
-    self.command_manager.compute(0.0, mask, only=mask)
-    self.observation_manager.compute(mask, only=mask)
+    # No time passes in any world, so the others' commands stay as they are.
+    self.command_manager.compute(0.0, self._everybody)
+    self.observation_manager.compute(mask, advance=mask)
     self.recorder_manager.post_reset(mask)
     self.sim.forward()
     return self.get_observations(), {}
@@ -320,12 +323,12 @@ class ManagerBasedRlEnv:
     """
     names: list[str] = []
     values: list[torch.Tensor] = []
-    for manager in self.managers.values():
+    for manager in self._managers:
       manager_names, manager_values = manager.log_tensors()
       names += manager_names
       values.append(manager_values)
     numbers = torch.cat(values).tolist() if names else []
-    for manager in self.managers.values():
+    for manager in self._managers:
       manager.clear_log()
     for line in self.sim.overflow_report():
       _log.warning(line)
@@ -368,7 +371,7 @@ class ManagerBasedRlEnv:
       f"{self.num_envs} worlds on {self.device} ({self.sim.engine} engine), physics {self.physics_dt:g} s,"
       f" step {self.step_dt:g} s, episode {self.max_episode_length} steps, seed {self.seed}"
     )
-    return "\n".join([head, *(text for manager in self.managers.values() if (text := manager.describe()))])
+    return "\n".join([head, *(text for manager in self._managers if (text := manager.describe()))])
 
   def _check_open(self) -> None:
     if self._closed:

@@ -130,7 +130,7 @@ def _actor() -> ObservationGroupCfg:
     return ObservationTermCfg(func, noise=noise, params=params)
 
   return ObservationGroupCfg(
-    enable_corruption=True,
+    corrupt=True,
     terms={
       "base_lin_vel": term(mdp.builtin_sensor, NOISE_LIN_VEL, sensor="robot/imu_lin_vel"),
       "base_ang_vel": term(mdp.builtin_sensor, NOISE_ANG_VEL, sensor="robot/imu_ang_vel"),
@@ -145,7 +145,7 @@ def _actor() -> ObservationGroupCfg:
 
 def _critic() -> ObservationGroupCfg:
   group = _actor()
-  group.enable_corruption = False
+  group.corrupt = False
   group.terms |= {
     "joint_pos": ObservationTermCfg(mdp.joint_pos_rel),
     "foot_height": ObservationTermCfg(velocity.foot_height, params={"sensor": "foot_height_scan"}),
@@ -239,7 +239,7 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   cfg.episode_length_s = 1e9
   actor = cfg.observations["actor"]
   if actor is not None:
-    actor.enable_corruption = False
+    actor.corrupt = False
   cfg.events["push_robot"] = None
   cfg.curriculum = {}
   twist = cfg.commands["twist"]

@@ -26,6 +26,7 @@ from mjlab_envs.mdp.observations import (
   last_action,
   projected_gravity,
 )
+from mjlab_envs.mdp.randomize import randomize
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
   action_rate_l2,
@@ -70,6 +71,7 @@ __all__ = [
   "posture",
   "projected_gravity",
   "push_by_setting_velocity",
+  "randomize",
   "reset_joints_by_offset",
   "reset_root_state_uniform",
   "reset_scene_to_default",

@@ -1,5 +1,6 @@
 """Joint actions: from the policy's output to set-points of joints."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.sampling import check_range
-from mjlab_managers import ActionTerm, ActionTermCfg
+from mjlab_managers import ActionTerm, ActionTermCfg, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -69,11 +70,14 @@ class JointAction(ActionTerm):
     super().__init__(cfg, env)
     self._entity = env.scene[cfg.entity]
     owner = f"entity '{cfg.entity}'"
-    actuated = self._entity.actuated_joint_names
+    driven = () if self._entity.actuators is None else self._entity.actuators.ctrl_targets
+    actuated = [name for name in self._entity.joint_names if name in driven]
     _, self.joint_names = match_names(
       cfg.actuators, actuated, what="actuated joint", owner=owner, preserve_order=cfg.preserve_order
     )
-    self._ids = self._entity.joint_selection(self.joint_names)
+    exactly = tuple(re.escape(name) for name in self.joint_names)
+    selection = SceneEntityCfg(cfg.entity, joint_names=exactly, preserve_order=True)
+    self._ids = selection.resolve(env.scene, env.device).joint_ids
     constant = {"device": env.device, "dtype": env.sim.dtype}
 
     def per_joint(values: float | Mapping[str, float], what: str) -> torch.Tensor:

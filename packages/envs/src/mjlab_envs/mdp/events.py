@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from mjlab_core.names import unknown
-from mjlab_core.rotations import quat_from_euler_xyz, quat_mul
+from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul
 from mjlab_core.sampling import check_range, uniform
 from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
 
@@ -19,19 +19,7 @@ _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 def reset_scene_to_default(env: "ManagerBasedRlEnv", mask: torch.Tensor) -> None:
   """Put every entity into its default state at the origin of its world."""
   for entity in env.scene.entities.values():
-    if entity.is_fixed_base:
-      if entity.is_mocap:
-        pose = entity.data.default_root_state[:, :7].expand(env.num_envs, -1).clone()
-        pose[:, :3] += env.scene.env_origins
-        entity.write_mocap_pose(pose, mask=mask)
-    else:
-      state = entity.data.default_root_state.expand(env.num_envs, -1).clone()
-      state[:, :3] += env.scene.env_origins
-      entity.write_root_state(state, mask=mask)
-    if entity.is_articulated:
-      position = entity.data.default_joint_pos.expand(env.num_envs, -1)
-      velocity = entity.data.default_joint_vel.expand(env.num_envs, -1)
-      entity.write_joint_state(position, velocity, mask=mask)
+    entity.write_default_state(env.scene.env_origins, mask)
 
 
 class reset_root_state_uniform(ManagerTermBase):
@@ -45,12 +33,8 @@ class reset_root_state_uniform(ManagerTermBase):
 
   def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    self._pose_lo, self._pose_hi = axis_bounds(cfg.params.get("pose_range", {}), "pose_range", env)
-    self._vel_lo, self._vel_hi = axis_bounds(cfg.params.get("velocity_range", {}), "velocity_range", env)
-    asset: SceneEntityCfg = cfg.params.get("asset", _ROBOT)
-    entity = env.scene[asset.name]
-    if entity.is_fixed_base and not entity.is_mocap:
-      raise ValueError(f"entity '{asset.name}' has a fixed base, which no event can place")
+    self._pose_lo, self._pose_hi = axis_bounds(cfg.params["pose_range"], "pose_range", env)
+    self._vel_lo, self._vel_hi = axis_bounds(cfg.params["velocity_range"], "velocity_range", env)
 
   def __call__(
     self,
@@ -69,10 +53,10 @@ class reset_root_state_uniform(ManagerTermBase):
     position = default[:, :3] + offset[:, :3] + env.scene.env_origins
     orientation = quat_mul(default[:, 3:7], quat_from_euler_xyz(offset[:, 3], offset[:, 4], offset[:, 5]))
     if entity.is_fixed_base:
-      entity.write_mocap_pose(torch.cat([position, orientation], -1), mask=mask)
+      entity.write_root_pose(torch.cat([position, orientation], -1), mask)
       return
     velocity = default[:, 7:] + uniform(self._vel_lo, self._vel_hi, (env.num_envs, 6), **draw)
-    entity.write_root_state(torch.cat([position, orientation, velocity], -1), mask=mask)
+    entity.write_root_state(torch.cat([position, orientation, velocity], -1), mask)
 
 
 class reset_joints_by_offset(ManagerTermBase):
@@ -104,7 +88,10 @@ class reset_joints_by_offset(ManagerTermBase):
 
 
 class push_by_setting_velocity(ManagerTermBase):
-  """Add a uniform twist to the root's velocity, world frame; ranges by axis as in `reset_root_state_uniform`."""
+  """Add a uniform twist to the root's velocity, world frame; ranges by axis as in `reset_root_state_uniform`.
+
+  Works on state alone, so that a push costs no forward pass of its own.
+  """
 
   _constants = frozenset({"_lo", "_hi"})
 
@@ -125,7 +112,9 @@ class push_by_setting_velocity(ManagerTermBase):
     twist = uniform(
       self._lo, self._hi, (env.num_envs, 6), generator=env.rng, device=env.device, dtype=env.sim.dtype
     )
-    entity.write_root_velocity(entity.data.root_link_vel_w + twist, mask=mask)
+    data = entity.data
+    spin = quat_apply(data.root_link_quat_w, data.root_link_ang_vel_b)
+    entity.write_root_velocity(torch.cat([data.root_link_lin_vel_w, spin], -1) + twist, mask)
 
 
 def axis_bounds(

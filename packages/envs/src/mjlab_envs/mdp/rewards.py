@@ -68,8 +68,7 @@ class posture(ManagerTermBase):
 
   def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    asset: SceneEntityCfg = cfg.params.get("asset", _ROBOT)
-    self._inverse_variance = inverse_variance(cfg.params["std"], asset, env)
+    self._inverse_variance = inverse_variance(cfg.params["std"], cfg.params["asset"], env)
 
   def __call__(
     self, env: "ManagerBasedRlEnv", *, std: float | dict[str, float], asset: SceneEntityCfg = _ROBOT
@@ -82,9 +81,5 @@ class posture(ManagerTermBase):
 
 def inverse_variance(std: float | dict[str, float], asset: SceneEntityCfg, env: Any) -> torch.Tensor:
   """1 / std^2 of the selected joints, (1, joints)."""
-  entity = env.scene[asset.name]
-  names = entity.joint_names
-  ids = asset.joint_ids
-  chosen = [names[i] for i in (range(len(names))[ids] if isinstance(ids, slice) else ids.tolist())]
-  values = match_values_full(std, chosen, what="joint", owner=f"entity '{asset.name}'")
+  values = match_values_full(std, asset.joint_names, what="joint", owner=f"entity '{asset.name}'")
   return torch.tensor([values], device=env.device, dtype=env.sim.dtype).pow(-2)
