@@ -1,0 +1,132 @@
+"""Distributions of a randomised value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Protocol
+
+import torch
+from mjlab_core import check_range, log_uniform, truncated_normal, uniform
+from torch import Tensor
+
+
+class Distribution(Protocol):
+  """What a randomiser asks of a distribution. Any object with these three methods is one."""
+
+  def check(self, name: str) -> None:
+    """Raises ValueError, beginning with `name`, if the parameters are impossible."""
+    ...
+
+  def support(self) -> tuple[float, float]:
+    """Smallest and largest value that may be drawn."""
+    ...
+
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """Independent draws of this shape, without a host sync, always consuming the same amount of randomness."""
+    ...
+
+
+@dataclass(frozen=True)
+class _Parametric:
+  """A dataclass of numbers whose draw is a function of them in their order."""
+
+  _draw: ClassVar[Callable[..., Tensor]]
+
+  def parameters(self) -> tuple[float, ...]:
+    return tuple(getattr(self, f.name) for f in fields(self))
+
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """Independent draws of this shape."""
+    return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
+
+
+@dataclass(frozen=True)
+class Uniform(_Parametric):
+  """Every value of [lo, hi] equally likely."""
+
+  lo: float
+  hi: float
+  _draw = staticmethod(uniform)
+
+  def check(self, name: str) -> None:
+    """Raises ValueError if the range is inverted or not finite."""
+    check_range(name, self.lo, self.hi)
+    _check_finite(name, self.lo, self.hi)
+
+  def support(self) -> tuple[float, float]:
+    """(lo, hi)."""
+    return self.lo, self.hi
+
+
+@dataclass(frozen=True)
+class LogUniform(_Parametric):
+  """Every ratio within [lo, hi] equally likely; for quantities that range over orders of magnitude."""
+
+  lo: float
+  hi: float
+  _draw = staticmethod(log_uniform)
+
+  def check(self, name: str) -> None:
+    """Raises ValueError if the range is inverted, not finite, or not above zero."""
+    check_range(f"{name}, log-uniform", self.lo, self.hi, minimum=0.0, open_minimum=True)
+    _check_finite(name, self.lo, self.hi)
+
+  def support(self) -> tuple[float, float]:
+    """(lo, hi)."""
+    return self.lo, self.hi
+
+
+@dataclass(frozen=True)
+class Gaussian(_Parametric):
+  """Normal with this mean and standard deviation, conditioned on [lo, hi]."""
+
+  mean: float
+  std: float
+  lo: float = -math.inf
+  hi: float = math.inf
+  _draw = staticmethod(truncated_normal)
+
+  def check(self, name: str) -> None:
+    """Raises ValueError if `std` is negative, or [lo, hi] is inverted or more than 5 std away from the mean."""
+    check_range(f"{name}, Gaussian", self.lo, self.hi)
+    _check_finite(name, self.mean, self.std)
+    if self.std < 0.0:
+      raise ValueError(f"{name}: standard deviation must not be negative, got {self.std}.")
+    if not self.lo - 5.0 * self.std <= self.mean <= self.hi + 5.0 * self.std:
+      raise ValueError(
+        f"{name}: mean {self.mean} is more than five standard deviations ({self.std}) outside [{self.lo}, {self.hi}]."
+      )
+
+  def support(self) -> tuple[float, float]:
+    """(lo, hi)."""
+    return self.lo, self.hi
+
+
+def _check_finite(name: str, *numbers: float) -> None:
+  if not all(math.isfinite(x) for x in numbers):
+    raise ValueError(f"{name}: needs finite numbers, got {numbers}.")
+
+
+def joint_sampler(
+  distributions: Sequence[Distribution], *, device: torch.device, dtype: torch.dtype
+) -> Callable[[tuple[int, ...], torch.Generator | None], Tensor]:
+  """A function (shape, generator) -> (*shape, k) that draws one column from each of k distributions.
+
+  Columns of one parametric kind are drawn in one go.
+  """
+  options: dict[str, Any] = {"device": device, "dtype": dtype}
+  first = distributions[0]
+  if isinstance(first, _Parametric) and all(type(d) is type(first) for d in distributions):
+    rows = [d.parameters() for d in distributions if isinstance(d, _Parametric)]
+    columns = [torch.tensor(column, **options) for column in zip(*rows, strict=True)]
+    draw, k = type(first)._draw, len(rows)
+    return lambda shape, generator: draw(*columns, (*shape, k), generator=generator, **options)
+  return lambda shape, generator: torch.stack(
+    [d.sample(shape, generator=generator, **options) for d in distributions], dim=-1
+  )

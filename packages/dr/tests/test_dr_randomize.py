@@ -1,0 +1,282 @@
+"""Randomised models: distribution, independence, no drift, and derived fields against a recompiled model."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_dr import (
+  FieldRandomizer,
+  Gaussian,
+  LogUniform,
+  Uniform,
+  body_com_offset,
+  encoder_bias,
+  geom_friction,
+  randomize,
+  randomize_field,
+)
+from scipy import stats
+
+XML = """
+<mujoco model="mine">
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" condim="6"/>
+    <body name="trunk" pos="0 0 1">
+      <freejoint name="root"/>
+      <geom name="trunk" type="box" size=".1 .2 .3" mass="2"/>
+      <camera name="eye" mode="trackcom" pos="1 0 0"/>
+      <body name="left" pos="0 0 -.3">
+        <joint name="left_knee" axis="0 1 0" armature=".01"/>
+        <geom name="left_foot" type="capsule" size=".05" fromto="0 0 0 0 0 -.4" mass="1" friction=".5 .01 .002"/>
+        <site name="tip" pos="0 0 -.4"/>
+      </body>
+      <body name="right" pos="0 .2 -.3">
+        <joint name="right_knee" axis="0 1 0"/>
+        <geom name="right_foot" type="capsule" size=".05" fromto="0 0 0 0 0 -.4" mass="1"/>
+        <geom type="sphere" size=".01" mass=".01"/>
+      </body>
+    </body>
+    <body name="cube" pos="3 0 1"><freejoint/><geom size=".1" mass="1"/></body>
+    <site name="anchor"/>
+  </worldbody>
+  <tendon>
+    <spatial name="rope"><site site="anchor"/><site site="tip"/></spatial>
+    <fixed name="couple"><joint joint="left_knee" coef="2"/><joint joint="right_knee" coef="1"/></fixed>
+  </tendon>
+  <actuator><motor joint="left_knee" gear="3"/></actuator>
+</mujoco>"""
+ROWS = 2000
+WRONG_DISTRIBUTION: dict[str, Any] = {"distribution": "normal"}
+WRONG_OPERATION: dict[str, Any] = {"operation": "absolut"}
+COM = {"x": (-0.02, 0.03), "y": (0.0, 0.01), "z": (-0.05, -0.01)}
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+  return mujoco.MjModel.from_xml_string(XML)
+
+
+def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+  names = [n for n in dir(model) if not n.startswith("_")]
+  return {n: a.copy() for n in names if isinstance(a := getattr(model, n, None), np.ndarray)}
+
+
+def recompiled(model: mujoco.MjModel) -> mujoco.MjModel:
+  """The same model compiled from a spec with the inertial properties of `model` written out."""
+  spec = mujoco.MjSpec.from_string(XML)
+  for i in range(1, model.nbody):
+    body = spec.bodies[i]
+    body.explicitinertial = True
+    body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+    body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
+  return spec.compile()
+
+
+def test_derived_fields_of_a_plain_model_equal_a_recompiled_one(model: mujoco.MjModel) -> None:
+  untouched = arrays(model)
+  randomize(model, [body_com_offset("trunk|left", COM)], seed=1)
+  oracle = recompiled(model)
+  for name, expected in arrays(oracle).items():
+    actual = getattr(model, name)
+    if expected.dtype.kind == "f":
+      np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-12, err_msg=name)
+    else:
+      np.testing.assert_array_equal(actual, expected, err_msg=name)
+  assert model.stat.meaninertia == pytest.approx(oracle.stat.meaninertia, rel=1e-12)
+  assert not np.array_equal(model.dof_invweight0, untouched["dof_invweight0"])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_derived_tensors_of_every_world_equal_a_recompiled_model(model: mujoco.MjModel, dtype: torch.dtype) -> None:
+  before = arrays(model)
+  fields = randomize(model, [body_com_offset("trunk|left", COM)], num_worlds=3, seed=1, dtype=dtype)
+  for name, value in arrays(model).items():
+    np.testing.assert_array_equal(value, before[name], err_msg=name)
+  assert {"dof_invweight0", "body_invweight0", "actuator_acc0", "tendon_invweight0", "cam_poscom0"} <= fields.keys()
+  compiled = recompiled(model)
+  for world in range(3):
+    model.body_ipos[:] = fields["body_ipos"][world].numpy()
+    oracle = recompiled(model)
+    changed = [n for n, a in arrays(oracle).items() if a.dtype == float and not np.allclose(a, getattr(compiled, n))]
+    # The tree of bounding boxes and the sleep scale belong to MuJoCo's own engine.
+    assert set(changed) - {"bvh_aabb", "dof_length"} <= fields.keys()
+    for name, tensor in fields.items():
+      assert tensor.dtype == dtype
+      np.testing.assert_allclose(tensor[world], getattr(oracle, name), rtol=1e-5 if dtype == torch.float32 else 1e-9)
+
+
+CASES = [
+  (geom_friction(".*_foot", (0.3, 1.2)), stats.uniform(0.3, 0.9), [2, 3], [0]),
+  (geom_friction(".*_foot", LogUniform(1e-4, 2e-2), axes=(1,)), stats.loguniform(1e-4, 2e-2), [2, 3], [1]),
+  (geom_friction("floor", (0.1, 9.0), distribution="log_uniform"), stats.loguniform(0.1, 9.0), [0], [0]),
+  (geom_friction("right_foot", (0.5, 2.0), operation="scale"), stats.uniform(0.5, 1.5), [3], [0]),
+  (geom_friction("right_foot", (0.0, 2.0), operation="add"), stats.uniform(1.0, 2.0), [3], [0]),
+  (geom_friction("left_foot|floor", Gaussian(0.8, 0.2, lo=0.5)), stats.truncnorm(-1.5, np.inf, 0.8, 0.2), [0, 2], [0]),
+  (body_com_offset("trunk", (-0.1, 0.1)), stats.uniform(-0.1, 0.2), [1], [0, 1, 2]),
+  (body_com_offset("trunk", (0.0, 0.1), distribution="gaussian"), stats.norm(0.0, 0.1), [1], [0, 1, 2]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cfg", "distribution", "elements", "axes"), CASES, ids=[c[0].label for c in CASES])
+def test_every_element_axis_and_world_is_its_own_draw_of_the_asked_distribution(
+  model: mujoco.MjModel, cfg: FieldRandomizer, distribution: stats.rv_continuous, elements: list[int], axes: list[int]
+) -> None:  # fmt: skip
+  rows = 300 if cfg.needs_constants else ROWS
+  field = randomize(model, [cfg], num_worlds=rows, seed=4, dtype=torch.float64)[cfg.field].numpy()
+  touched = np.zeros(field.shape[1:], dtype=bool)
+  touched[np.ix_(elements, axes)] = True
+  columns = field[:, touched]
+  for column in columns.T:
+    assert stats.kstest(column, distribution.cdf).pvalue > 1e-3
+  if columns.shape[1] > 1:
+    correlation = np.corrcoef(columns.T) - np.eye(columns.shape[1])
+    assert np.abs(correlation).max() < 4.5 / np.sqrt(rows)
+  default = getattr(model, cfg.field)
+  np.testing.assert_array_equal(field[:, ~touched], np.broadcast_to(default[~touched], field[:, ~touched].shape))
+
+
+def test_a_shared_draw_is_one_for_all_elements_of_a_world(model: mujoco.MjModel) -> None:
+  friction = randomize(model, [geom_friction(".*foot", (0.3, 1.2), shared=True)], num_worlds=50, seed=0)[
+    "geom_friction"
+  ]
+  assert torch.equal(friction[:, 2, 0], friction[:, 3, 0])
+  assert len(friction[:, 2, 0].unique()) == 50
+
+
+def test_a_seed_repeats_and_none_is_drawn_and_told(model: mujoco.MjModel) -> None:
+  cfgs = [geom_friction(".*foot", (0.3, 1.2)), encoder_bias(".*knee", (-0.01, 0.01))]
+  first = randomize(model, cfgs)
+  again = randomize(mujoco.MjModel.from_xml_string(XML), cfgs, seed=first.seed)
+  assert first.changes() == again.changes()
+  assert randomize(mujoco.MjModel.from_xml_string(XML), cfgs).changes() != again.changes()
+
+
+def test_resampling_never_drifts_and_restoring_gives_the_compiled_model_back(model: mujoco.MjModel) -> None:
+  before = arrays(model)
+  cfgs = [geom_friction("left_foot", (0.5, 1.5), operation="scale"), body_com_offset("trunk", COM)]
+  once = randomize(model, cfgs, seed=3)
+  first = once.changes()
+  for _ in range(100):
+    once.resample()
+    assert 0.25 <= model.geom("left_foot").friction[0] <= 0.75
+    assert -0.02 <= model.body("trunk").ipos[0] <= 0.03
+  once.resample(3)
+  assert once.changes() == first
+  once.restore()
+  for name, value in arrays(model).items():
+    np.testing.assert_allclose(value, before[name], rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_several_randomizers_compose_on_axes_and_the_report_tells_before_and_after(model: mujoco.MjModel) -> None:
+  cfgs = [
+    geom_friction("left_foot", {"sliding": (0.7, 0.7), "rolling": (0.001, 0.001)}),
+    geom_friction("left_foot", (0.02, 0.02), axes=("torsional",)),
+    body_com_offset("trunk", {"z": (0.05, 0.05)}),
+    encoder_bias("left_knee", (0.01, 0.01)),
+  ]
+  once = randomize(model, cfgs, seed=0)
+  np.testing.assert_allclose(model.geom("left_foot").friction, (0.7, 0.02, 0.001))
+  np.testing.assert_allclose(once.values("encoder_bias"), (0.0, 0.01, 0.0, 0.0))
+  lines = [line.split() for line in once.report().splitlines()]
+  assert lines[0] == ["field", "element", "axis", "before", "after"]
+  assert lines[1] == ["geom_friction", "left_foot", "sliding", "0.5", "0.7"]
+  assert ["body_ipos", "trunk", "z", "0", "0.05"] in lines
+  assert lines[-1] == ["encoder_bias", "left_knee", "0", "0.01"]
+
+
+def test_one_number_written_twice_is_refused_by_name(model: mujoco.MjModel) -> None:
+  with pytest.raises(
+    ValueError, match=r"geom 'left_foot' is written by two randomizers, geom_friction 'left_foot' and"
+  ):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2)), geom_friction(".*foot", (0.3, 1.2))], seed=0)
+
+
+def test_a_distribution_of_ones_own_works(model: mujoco.MjModel) -> None:
+  class Coin:
+    def check(self, name: str) -> None: ...
+
+    def support(self) -> tuple[float, float]:
+      return 0.5, 1.0
+
+    def sample(self, shape, *, generator, device, dtype) -> torch.Tensor:
+      return 0.5 + 0.5 * torch.randint(2, tuple(shape), generator=generator, device=device).to(dtype)
+
+  values = {"sliding": Coin(), "torsional": Uniform(0.0, 0.1)}
+  friction = randomize(model, [geom_friction("left_foot", values)], num_worlds=100, seed=0)["geom_friction"][:, 2]
+  assert set(friction[:, 0].tolist()) == {0.5, 1.0}
+  assert 0.0 <= friction[:, 1].min() < friction[:, 1].max() <= 0.1
+
+
+@pytest.mark.parametrize(
+  ("make", "message"),
+  [
+    (lambda: randomize_field("geom_fricton", "foot", (0.0, 1.0)), r"not exist\. Nearest: geom_friction"),
+    (lambda: geom_friction("foot", (1.2, 0.3)), r"geom_friction 'foot' sliding: range \(1\.2, 0\.3\) is inverted"),
+    (lambda: geom_friction("foot", (-0.1, 0.3)), r"may fall below the physical minimum 0"),
+    (lambda: geom_friction("foot", (-0.1, 0.3), operation="scale"), r"may fall below the physical minimum 0"),
+    (lambda: geom_friction("foot", (0.5, 0.1), distribution="gaussian"), r"Truncate it, as in Gaussian\("),
+    (lambda: geom_friction("foot", Gaussian(0.5, -0.1, lo=0.0)), "standard deviation must not be negative"),
+    (lambda: geom_friction("foot", Gaussian(0.5, 0.1, lo=2.0)), "more than five standard deviations"),
+    (lambda: body_com_offset("trunk", (-0.1, 0.1), distribution="log_uniform"), r"log-uniform: .* must stay above 0"),
+    (lambda: geom_friction("foot", LogUniform(0.0, 1.0)), "must stay above 0"),
+    (lambda: geom_friction("foot", (0.0, float("inf"))), "finite numbers"),
+    (lambda: geom_friction("foot", (0.0, 1.0), **WRONG_DISTRIBUTION), "distribution 'normal' does not exist"),
+    (lambda: geom_friction("foot", (0.0, 1.0), **WRONG_OPERATION), r"'absolut' does not exist\. Nearest: absolute"),
+    (lambda: body_com_offset("trunk", {"w": (0.0, 1.0)}), "axis 'w' does not exist"),
+    (lambda: geom_friction("foot", (0.0, 1.0), axes=(3,)), "axis 3 does not exist; there are 3"),
+    (lambda: geom_friction("foot", {0: (0.0, 1.0)}, axes=(0,)), "either axes or values by axis"),
+    (lambda: geom_friction("foot", {}), "no axis is given values"),
+  ],
+)  # fmt: skip
+def test_a_randomizer_that_cannot_be_is_refused_when_it_is_made(make, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    make()
+
+
+@pytest.mark.parametrize(
+  ("cfg", "message"),
+  [
+    (geom_friction("hand_.*", (0.3, 1.2)), r"geom_friction: pattern 'hand_\.\*' matches no geom\."),
+    (geom_friction("left_foot", (-0.6, 0.0), operation="add"), r"geom 'left_foot' may get sliding -0\.1, below"),
+    (body_com_offset("world", (0.0, 0.1)), "pattern 'world' matches no body"),
+    (body_com_offset("cube", (0.0, 0.1)), r"body 'cube' was compiled as simple"),
+    (encoder_bias("root", (0.0, 0.1)), r"pattern 'root' matches no joint\..* All 2: left_knee, right_knee"),
+  ],
+)  # fmt: skip
+def test_a_randomizer_that_does_not_fit_the_model_is_refused_before_it_writes(
+  model: mujoco.MjModel, cfg: FieldRandomizer, message: str
+) -> None:
+  before = arrays(model)
+  with pytest.raises(ValueError, match=message):
+    randomize(model, [geom_friction("right_foot", (0.3, 1.2)), cfg], seed=0)
+  for name, value in arrays(model).items():
+    np.testing.assert_array_equal(value, before[name], err_msg=name)
+
+
+def test_friction_that_no_contact_uses_is_refused() -> None:
+  model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom name="g" size=".1"/></worldbody></mujoco>')
+  geom_sliding = randomize(model, [geom_friction("g", (0.3, 1.2))], seed=0)
+  assert geom_sliding.changes()[0].before == 1.0
+  with pytest.raises(ValueError, match="torsional friction has no effect, for no contact can have condim 4"):
+    randomize(model, [geom_friction("g", (0.0, 0.1), axes=(1,))], seed=0)
+
+
+def test_elements_without_a_name_can_still_be_selected(model: mujoco.MjModel) -> None:
+  friction = randomize(model, [geom_friction(".*", (0.3, 0.4))], num_worlds=2, seed=0)["geom_friction"]
+  assert (friction[..., 0] <= 0.4).all()
+  assert "(geom 4)" in randomize(model, [geom_friction(".*", (0.3, 0.4))], seed=0).report()
+
+
+def test_the_example_of_the_readme_runs() -> None:
+  readme = Path(__file__).parents[1] / "README.md"
+  for block in re.findall(r"```python\n(.*?)```", readme.read_text(), re.DOTALL):
+    exec(compile(block, str(readme), "exec"), {})
+
+
+def test_it_needs_no_warp() -> None:
+  source = Path(__file__).parents[1] / "src"
+  assert not any(re.search(r"import warp|mujoco_warp", path.read_text()) for path in source.rglob("*.py"))
