@@ -45,14 +45,14 @@ def reset(actuators: ActuatorSet, value: float, mask: torch.Tensor = EVERY) -> N
   actuators.reset(mask, target, target, target)
 
 
-def delayed(kind: type[ActuatorCfg], **delay: float) -> ActuatorCfg:
+def delayed(kind: type[ActuatorCfg], **delay: int) -> ActuatorCfg:
   gains = {
     NativePositionActuatorCfg: {"stiffness": 1.0, "damping": 0.0},
     NativeVelocityActuatorCfg: {"damping": 1.0},
     # Position, velocity and effort targets each count once: the law returns their sum.
     IdealPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0},
   }.get(kind, {})
-  return kind(target_names_expr=(".*",), **gains, **delay)  # pyright: ignore[reportArgumentType]
+  return kind(target_names_expr=(".*",), **gains, **delay)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
 
 
 KINDS = [
