@@ -20,9 +20,8 @@ def name_everything(spec: mujoco.MjSpec) -> None:
   """
   for body in spec.bodies[1:]:
     _name([body], "body", [other.name for other in spec.bodies], lambda body: f"{body.parent.name}_body")
-  for joint in spec.joints:
-    if joint.type == mujoco.mjtJoint.mjJNT_FREE and not joint.name:
-      joint.name = FREE_JOINT
+  free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+  _name(free, "joint", [joint.name for joint in spec.joints], lambda joint: FREE_JOINT)
   for kind, elements in (
     ("joint", spec.joints),
     ("geom", spec.geoms),

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
 import torch
 from mjlab_actuators import ActuatorSet
 from mjlab_core.masking import fill_, where_
-from mjlab_core.names import match_names
 
 from mjlab_scene.collision import apply_collisions
 from mjlab_scene.element_names import KINDS, name_everything, spec_names
 from mjlab_scene.entity_cfg import EntityArticulationCfg, EntityCfg
 from mjlab_scene.entity_data import EntityData
+from mjlab_scene.entity_names import EntityNames
 from mjlab_scene.entity_writes import Columns, EntityWrites
 from mjlab_scene.indexing import EntityIndexing, index_entity
 from mjlab_scene.initial_state import InitialState, read_initial_state
@@ -26,7 +25,7 @@ MOCAP_BASE = "mocap_base"
 """Body that the scene puts above a fixed base, to place it per world."""
 
 
-class Entity(EntityWrites):
+class Entity(EntityNames, EntityWrites):
   """A robot, an object or a fixture: fixed, floating or mocap base, with or without joints.
 
   Built from its configuration it is only a spec, edited: everything named, contact presets and actuators applied.
@@ -248,119 +247,6 @@ class Entity(EntityWrites):
   def is_actuated(self) -> bool:
     """Whether actuators are configured to drive its joints."""
     return self.actuators is not None
-
-  # Names
-
-  @property
-  def body_names(self) -> tuple[str, ...]:
-    """Local names of the bodies, in the model's order; "mocap_base" is the first of a fixed base."""
-    return self._names["body"]
-
-  @property
-  def joint_names(self) -> tuple[str, ...]:
-    """Local names of the joints but the free one, in the model's order."""
-    return self._names["joint"]
-
-  @property
-  def geom_names(self) -> tuple[str, ...]:
-    """Local names of the geoms, in the model's order."""
-    return self._names["geom"]
-
-  @property
-  def site_names(self) -> tuple[str, ...]:
-    """Local names of the sites, in the model's order."""
-    return self._names["site"]
-
-  @property
-  def tendon_names(self) -> tuple[str, ...]:
-    """Local names of the tendons, in the model's order."""
-    return self._names["tendon"]
-
-  @property
-  def actuator_names(self) -> tuple[str, ...]:
-    """Local names of the actuators, in the model's order; configured ones are named after their joint."""
-    return self._names["actuator"]
-
-  @property
-  def camera_names(self) -> tuple[str, ...]:
-    """Local names of the cameras, in the model's order."""
-    return self._names["camera"]
-
-  @property
-  def light_names(self) -> tuple[str, ...]:
-    """Local names of the lights, in the model's order."""
-    return self._names["light"]
-
-  @property
-  def material_names(self) -> tuple[str, ...]:
-    """Local names of the materials, in the model's order."""
-    return self._names["material"]
-
-  @property
-  def num_bodies(self) -> int:
-    """Number of bodies, the scene's mocap base included."""
-    return len(self._names["body"])
-
-  @property
-  def num_joints(self) -> int:
-    """Number of joints, the free one left out."""
-    return len(self._names["joint"])
-
-  @property
-  def num_geoms(self) -> int:
-    """Number of geoms."""
-    return len(self._names["geom"])
-
-  @property
-  def num_sites(self) -> int:
-    """Number of sites."""
-    return len(self._names["site"])
-
-  @property
-  def num_actuators(self) -> int:
-    """Number of actuators in the model."""
-    return len(self._names["actuator"])
-
-  def find_bodies(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of the bodies that patterns match as a whole; a pattern without a match is an error."""
-    return self._find("body", patterns, preserve_order)
-
-  def find_joints(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of joints; see `find_bodies`."""
-    return self._find("joint", patterns, preserve_order)
-
-  def find_geoms(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of geoms; see `find_bodies`."""
-    return self._find("geom", patterns, preserve_order)
-
-  def find_sites(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of sites; see `find_bodies`."""
-    return self._find("site", patterns, preserve_order)
-
-  def find_tendons(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of tendons; see `find_bodies`."""
-    return self._find("tendon", patterns, preserve_order)
-
-  def find_actuators(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of actuators; see `find_bodies`."""
-    return self._find("actuator", patterns, preserve_order)
-
-  def find_cameras(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of cameras; see `find_bodies`."""
-    return self._find("camera", patterns, preserve_order)
-
-  def find_lights(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of lights; see `find_bodies`."""
-    return self._find("light", patterns, preserve_order)
-
-  def find_materials(self, patterns: str | Sequence[str], preserve_order: bool = False) -> tuple[list[int], list[str]]:
-    """Local ids and names of materials; see `find_bodies`."""
-    return self._find("material", patterns, preserve_order)
-
-  def _find(self, kind: str, patterns: str | Sequence[str], preserve_order: bool) -> tuple[list[int], list[str]]:
-    return match_names(
-      patterns, self._names[kind], what=kind, owner=f"entity '{self.name}'", preserve_order=preserve_order
-    )
 
   def _selections(self) -> dict[tuple[object, ...], tuple[object, Columns]]:
     return self._columns_of

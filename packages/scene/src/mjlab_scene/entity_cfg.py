@@ -24,7 +24,7 @@ class InitialStateCfg:
   """
 
   pos: tuple[float, float, float] | None = None
-  """Position of the root body [m]; None: the keyframe's if `joint_pos` is None, else the model's (fixed base: origin)."""
+  """Position of the root body [m]; None: the keyframe's if `joint_pos` is None, else the model's (fixed base: zero)."""
   rot: tuple[float, float, float, float] | None = None
   """Orientation of the root body, unit quaternion (w, x, y, z); None: as for `pos`."""
   lin_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -107,7 +107,7 @@ class EntityWrites(Stateful):
     _write(view, mask, torch.cat((linear, velocity[:, 3:].expand(self.num_envs, 3)), dim=-1))
 
   def write_root_com_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
-    """Set linear velocity of the root's centre of mass [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
+    """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
     view = self._root_velocity(velocity, "write_root_com_velocity")
     quat = self.data.root_link_quat_w
     arm = quat_apply(quat, self.sim.model.body_ipos[:, self.indexing.root_body])
@@ -303,8 +303,6 @@ def _write_columns(buffer: torch.Tensor, columns: Index, mask: torch.Tensor | No
 
 
 def _columns(columns: Sequence[int], state: Index, quaternions: tuple[slice, ...], device: torch.device) -> Columns:
-  from mjlab_scene.indexing import as_index
-
   local = as_index(columns, device)
   if isinstance(state, slice):
     in_state = as_index([state.start + column for column in columns], device)

@@ -11,7 +11,7 @@ from mjlab_scene.element_names import KINDS
 from mjlab_scene.initial_state import POSITION_WIDTH, VELOCITY_WIDTH
 
 Index = slice | torch.Tensor
-"""Selects along one dimension: a slice where the ids are contiguous, so that selecting gives a view, else a LongTensor."""
+"""Selects along one dimension: a slice where ids are contiguous, so that selecting gives a view, else a LongTensor."""
 
 _OBJECT = {
   "body": mujoco.mjtObj.mjOBJ_BODY,

@@ -37,7 +37,7 @@ class QuantityCache:
     return value
 
 
-class cached_quantity:  # noqa: N801
+class cached_quantity:
   """Decorator of a method without arguments; its object offers a `QuantityCache` as `cache`.
 
   The tensor may be shared by every reader of the epoch and must not be written to.

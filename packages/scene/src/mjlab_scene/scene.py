@@ -161,7 +161,7 @@ class Scene(Stateful):
       sensor.update(dt)
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forget the past of masked worlds (num_envs,): set-points, delays, sensors; to be called after the simulation's reset.
+    """Forget the past of masked worlds (num_envs,): set-points, delays, sensors. After the simulation's own reset.
 
     Bases that do not float go to their place in each world. The rest of the state is left to whoever resets it.
     """

@@ -1,0 +1,212 @@
+"""What an entity makes of a model and a configuration, and what it refuses."""
+
+import mujoco
+import pytest
+from mjlab_core.names import NameMatchError
+from mjlab_scene import CollisionCfg, Entity, EntityArticulationCfg, EntityCfg, InitialStateCfg
+
+ARM = """
+<mujoco>
+  <worldbody>
+    <geom name="table" size=".1"/>
+    <body name="left/arm">
+      <joint name="left/elbow" range="-90 90"/>
+      <geom name="left_collision" size=".1"/>
+    </body>
+    <body name="right/arm">
+      <joint name="right/elbow" range="-90 90"/>
+      <geom name="right_collision" size=".1"/>
+      <geom name="right_foot" size=".1"/>
+    </body>
+  </worldbody>
+  <actuator><position joint="left/elbow" kp="1"/><motor joint="right/elbow"/></actuator>
+</mujoco>
+"""
+
+
+def build(text: str = ARM, name: str = "robot", **kwargs: object) -> Entity:
+  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs).build(name)  # pyright: ignore[reportArgumentType]
+
+
+def geom(entity: Entity, name: str) -> mujoco.MjsGeom:
+  return entity.spec.geom(name)
+
+
+# Names
+
+
+def test_elements_are_addressed_by_their_full_path() -> None:
+  entity = build()
+  assert entity.joint_names == ("left/elbow", "right/elbow")
+  assert entity.find_joints("right/elbow") == ([1], ["right/elbow"])
+  assert entity.find_joints([r"right/.*", r"left/.*"], preserve_order=True)[1] == ["right/elbow", "left/elbow"]
+
+
+def test_unnamed_elements_are_named_so_that_they_can_be_addressed() -> None:
+  text = """
+  <mujoco><worldbody><body name="base"><freejoint/><geom size=".1"/><geom size=".2"/><site/>
+    <body><joint/><geom size=".1"/></body></body></worldbody>
+    <sensor><gyro site="base_site"/><gyro site="base_site"/></sensor></mujoco>
+  """.replace("<site/>", '<site name="base_site"/>')
+  entity = build(text)
+  assert entity.geom_names == ("base_geom", "base_geom_2", "base_body_geom")
+  assert entity.joint_names == ("base_body_joint",)
+  assert [sensor.name for sensor in entity.spec.sensors] == ["gyro_base_site", "gyro_base_site_2"]
+  assert entity.spec.joints[0].name == "floating_base_joint"
+
+
+def test_a_pattern_that_matches_nothing_is_an_error_with_the_nearest_name() -> None:
+  with pytest.raises(
+    NameMatchError, match=r"entity 'robot': pattern 'left/elbw' matches no joint. Nearest: left/elbow"
+  ):
+    build().find_joints("left/elbw")
+
+
+@pytest.mark.parametrize("name", ["", "a/b"])
+def test_an_entity_needs_a_plain_name(name: str) -> None:
+  with pytest.raises(ValueError, match="must be a word"):
+    build(name=name)
+
+
+# Bases
+
+
+def test_a_free_joint_need_not_come_first() -> None:
+  text = """
+  <mujoco><worldbody><body name="stand"><joint name="crank"/><geom size=".1"/></body>
+    <body name="trunk"><freejoint name="root"/><geom size=".1"/></body></worldbody></mujoco>
+  """
+  entity = build(text)
+  assert entity.is_floating
+  assert entity.root_body_name == "trunk"
+  assert entity.joint_names == ("crank",)
+
+
+def test_two_free_joints_are_refused_by_name() -> None:
+  text = """
+  <mujoco><worldbody><body name="a"><freejoint/><geom size=".1"/></body>
+    <body name="b"><freejoint/><geom size=".1"/></body></worldbody></mujoco>
+  """
+  with pytest.raises(ValueError, match="at most one free joint, and bodies 'a', 'b'"):
+    build(text)
+
+
+def test_a_fixed_base_hangs_below_a_mocap_body_and_a_mocap_root_does_not() -> None:
+  assert build().body_names == ("mocap_base", "left/arm", "right/arm")
+  mocap = build('<mujoco><worldbody><body name="goal" mocap="true"><geom size=".1"/></body></worldbody></mujoco>')
+  assert mocap.is_mocap
+  assert mocap.body_names == ("goal",)
+
+
+def test_an_entity_of_world_geoms_alone_is_a_fixture() -> None:
+  entity = build('<mujoco><worldbody><geom name="slab" size=".1"/></worldbody></mujoco>')
+  assert entity.body_names == ("mocap_base",)
+  assert not entity.is_articulated
+
+
+# Initial state
+
+
+def test_typos_in_joint_patterns_are_errors() -> None:
+  for kwargs in ({"joint_pos": {"left/elbo": 0.1}}, {"joint_vel": {"lef.*w?t": 0.1}}, {"ctrl": {"x": 1.0}}):
+    with pytest.raises(NameMatchError, match="entity 'robot': pattern"):
+      build(init_state=InitialStateCfg(**kwargs))
+
+
+def test_a_pattern_must_match_the_whole_name() -> None:
+  with pytest.raises(NameMatchError, match="'left' matches no joint"):
+    build(init_state=InitialStateCfg(joint_pos={"left": 0.1}))
+
+
+def test_an_initial_position_beyond_the_limits_is_refused() -> None:
+  with pytest.raises(ValueError, match=r"initial position 2 of joint 'left/elbow' is outside \[-1.5708, 1.5708\]"):
+    build(init_state=InitialStateCfg(joint_pos={"left/elbow": 2.0}))
+
+
+def test_velocity_of_a_base_that_does_not_float_is_refused() -> None:
+  with pytest.raises(ValueError, match="need a floating base"):
+    build(init_state=InitialStateCfg(lin_vel=(1.0, 0.0, 0.0)))
+
+
+def test_a_zero_quaternion_is_refused_and_any_other_normalised() -> None:
+  with pytest.raises(ValueError, match="rot: the quaternion"):
+    build(init_state=InitialStateCfg(rot=(0.0, 0.0, 0.0, 0.0)))
+  pose = build(init_state=InitialStateCfg(rot=(2.0, 0.0, 0.0, 0.0))).initial_state.root_pose
+  assert pose.tolist() == [0, 0, 0, 1, 0, 0, 0]
+
+
+def test_a_ball_joint_takes_a_quaternion_and_nothing_else() -> None:
+  text = '<mujoco><worldbody><body><joint name="neck" type="ball"/><geom size=".1"/></body></worldbody></mujoco>'
+  entity = build(text, init_state=InitialStateCfg(joint_pos={"neck": (0.0, 0.0, 0.0, 3.0)}))
+  assert entity.initial_state.joint_pos["neck"].tolist() == [0, 0, 0, 1]
+  assert build(text).initial_state.joint_pos["neck"].tolist() == [1, 0, 0, 0]
+  with pytest.raises(ValueError, match=r"joint_pos of 'neck': 0.5 must be a quaternion"):
+    build(text, init_state=InitialStateCfg(joint_pos={"neck": 0.5}))
+
+
+def test_a_joint_without_a_pattern_keeps_the_models_reference() -> None:
+  text = '<mujoco><worldbody><body><joint name="j" ref="90"/><geom size=".1"/></body></worldbody></mujoco>'
+  assert build(text).initial_state.joint_pos["j"][0] == pytest.approx(1.5707963)
+
+
+def test_the_root_of_a_floating_base_starts_where_the_model_puts_it() -> None:
+  text = """
+  <mujoco><worldbody><frame pos="1 0 0" euler="0 0 90"><body name="a" pos="0 0 .5" euler="0 0 90">
+    <freejoint/><geom size=".1"/></body></frame></worldbody></mujoco>
+  """
+  pose = build(text).initial_state.root_pose
+  spec = mujoco.MjSpec.from_string(text)
+  assert pose == pytest.approx(spec.compile().qpos0)
+
+
+def test_no_positions_without_a_keyframe_is_an_error() -> None:
+  with pytest.raises(ValueError, match="takes the model's keyframe, but the model has none"):
+    build(init_state=InitialStateCfg(joint_pos=None))
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.5, -1.0])
+def test_the_soft_limit_factor_is_a_fraction(factor: float) -> None:
+  with pytest.raises(ValueError, match=r"soft_joint_pos_limit_factor .* must be in \(0, 1\]"):
+    build(articulation=EntityArticulationCfg(soft_joint_pos_limit_factor=factor))
+
+
+# Contact presets
+
+
+def test_a_preset_sets_what_matches_and_switches_the_rest_off() -> None:
+  preset = CollisionCfg(
+    geom_names_expr=".*_collision", condim={"left_.*": 4, "right_.*": 1}, friction=(0.6,), solref=(0.01, 1.0)
+  )
+  entity = build(collisions=(preset,))
+  left, right, foot = (geom(entity, name) for name in ("left_collision", "right_collision", "right_foot"))
+  assert (left.condim, right.condim) == (4, 1)
+  assert list(left.friction) == [0.6, 0.005, 0.0001]
+  assert (left.contype, foot.contype, foot.conaffinity) == (1, 0, 0)
+
+
+def test_presets_compose_and_none_disables_the_geoms_of_another() -> None:
+  one, two = (CollisionCfg(geom_names_expr=(name,)) for name in ("left_collision", "right_collision"))
+  entity = build(collisions=(one, two))
+  assert [geom(entity, name).contype for name in entity.geom_names] == [0, 1, 1, 0]
+
+
+def test_a_preset_that_matches_nothing_is_an_error() -> None:
+  with pytest.raises(NameMatchError, match=r"pattern 'foot_.*' matches no geom"):
+    build(collisions=(CollisionCfg(geom_names_expr=(".*_collision", "foot_.*")),))
+  with pytest.raises(NameMatchError, match="condim: pattern 'lft' matches no geom"):
+    build(collisions=(CollisionCfg(geom_names_expr=".*_collision", condim={"lft": 1}),))
+
+
+@pytest.mark.parametrize(
+  ("parameter", "value", "message"),
+  [
+    ("condim", 2, "must be 1, 3, 4 or 6"),
+    ("contype", -1, "must be at least 0"),
+    ("solmix", 1.5, r"must be in \[0, 1\]"),
+    ("friction", (1.0, 1.0, 1.0, 1.0), "must be 1 to 3 numbers"),
+    ("friction", (-1.0,), "must not be negative"),
+  ],
+)
+def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, value: object, message: str) -> None:
+  with pytest.raises(ValueError, match=f"entity 'robot', geom 'left_collision': {parameter} .* {message}"):
+    build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))  # pyright: ignore[reportArgumentType]
