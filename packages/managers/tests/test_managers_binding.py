@@ -1,0 +1,228 @@
+"""What a term is given, and what is said when it cannot be."""
+
+import functools
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from mjlab_managers import (
+  ConfigError,
+  EventManager,
+  EventTermCfg,
+  ManagerTermBase,
+  ObservationGroupCfg,
+  ObservationManager,
+  ObservationTermCfg,
+  RewardManager,
+  RewardTermCfg,
+  SceneEntityCfg,
+  TerminationManager,
+  TerminationTermCfg,
+)
+
+ROBOT = SceneEntityCfg("robot")
+KNEES = SceneEntityCfg("robot", joint_names=".*_knee")
+
+
+def joints(env: Any, *, asset: SceneEntityCfg = KNEES) -> torch.Tensor:
+  return env.values[:, asset.joint_ids].sum(1)
+
+
+def observe(env: Any, func: Any, **params: Any) -> torch.Tensor:
+  group = ObservationGroupCfg(terms={"term": ObservationTermCfg(func, params=params)})
+  observation = ObservationManager({"group": group}, env).compute()["group"]
+  assert isinstance(observation, torch.Tensor)
+  return observation
+
+
+def reward(env: Any, func: Any, **params: Any) -> torch.Tensor:
+  return RewardManager({"term": RewardTermCfg(func, weight=1.0, params=params)}, env, scale_by_dt=False).compute()
+
+
+class TestSelection:
+  def test_everything_and_neighbours_are_slices_and_the_rest_is_an_index_tensor(self, env):
+    def resolve(**names):
+      return SceneEntityCfg("robot", **names).resolve(env.scene, env.device)
+
+    assert resolve().joint_ids == slice(None)
+    assert resolve(joint_names=".*").joint_ids == slice(None)
+    assert resolve(joint_names="F.*").joint_ids == slice(0, 4)
+    assert resolve(joint_names="RL_hip").joint_ids == slice(4, 5)
+    scattered = resolve(joint_names=".*_hip").joint_ids
+    assert scattered.tolist() == [0, 2, 4]
+    assert scattered.dtype is torch.int64
+
+  def test_names_follow_the_model_or_the_patterns(self, env):
+    patterns = ("RL_hip", "FL_.*")
+    natural = SceneEntityCfg("robot", joint_names=patterns).resolve(env.scene, env.device)
+    assert natural.joint_names == ("FL_hip", "FL_knee", "RL_hip")
+    ordered = SceneEntityCfg("robot", joint_names=patterns, preserve_order=True).resolve(env.scene, env.device)
+    assert ordered.joint_names == ("RL_hip", "FL_hip", "FL_knee")
+    assert isinstance(ordered.joint_ids, torch.Tensor)
+    assert ordered.joint_ids.tolist() == [4, 0, 1]
+
+  @pytest.mark.parametrize(("given", "ids"), [(2, slice(2, 3)), ((0, 1), slice(0, 2)), ([3, 1], [1, 3])])
+  def test_indices_may_be_given_instead_of_names(self, env, given, ids):
+    resolved = SceneEntityCfg("robot", joint_names=given).resolve(env.scene, env.device)
+    assert (resolved.joint_ids if isinstance(ids, slice) else resolved.joint_ids.tolist()) == ids  # pyright: ignore
+
+  @pytest.mark.parametrize(
+    ("given", "said"),
+    [
+      ((), "empty selection of joints"),
+      (7, "joint index 7 is outside 0..4"),
+      (-1, "joint index -1 is outside"),
+      ((1, 1), "name one twice"),
+      ((True,), "by patterns or by indices"),
+      ("left_hip", "pattern 'left_hip' matches no joint. Nearest: FL_hip"),
+      (("FL_.*", ".*_hip"), "'FL_hip' is matched by two patterns"),
+    ],
+  )
+  def test_a_selection_that_means_nothing_is_an_error(self, env, given, said):
+    with pytest.raises(ValueError, match=said):
+      SceneEntityCfg("robot", joint_names=given).resolve(env.scene, env.device)
+
+  def test_resolving_makes_a_copy_and_an_unresolved_one_cannot_be_used(self, env):
+    cfg = SceneEntityCfg("robot", joint_names=".*_knee")
+    cfg.resolve(env.scene, env.device)
+    assert cfg == KNEES
+    with pytest.raises(RuntimeError, match="not resolved"):
+      cfg.joint_ids  # noqa: B018
+
+
+class TestParameters:
+  def test_default_arguments_are_resolved(self, env):
+    assert torch.equal(reward(env, joints), env.values[:, [1, 3]].sum(1))
+    assert not KNEES.resolved
+
+  def test_entities_are_resolved_however_deep(self, env):
+    @dataclass
+    class Options:
+      asset: SceneEntityCfg
+
+    def deep(env, *, options: Options, table: dict, pair: tuple) -> torch.Tensor:
+      assert pair[0].resolved
+      return env.values[:, options.asset.joint_ids].sum(1) + env.values[:, table["x"][0].joint_ids].sum(1)
+
+    hips = SceneEntityCfg("robot", joint_names=".*_hip")
+    got = reward(env, deep, options=Options(KNEES), table={"x": [hips]}, pair=(KNEES, 1))
+    assert torch.equal(got, env.values.sum(1))
+    assert not hips.resolved
+
+  def test_partials_lambdas_methods_and_instances_are_terms(self, env):
+    class Scaled:
+      def __init__(self, factor: float) -> None:
+        self.factor = factor
+
+      def __call__(self, env, *, asset: SceneEntityCfg = ROBOT) -> torch.Tensor:
+        return env.values[:, asset.joint_ids].sum(1) * self.factor
+
+    expected = env.values.sum(1)
+    assert torch.equal(reward(env, functools.partial(joints, asset=ROBOT)), expected)
+    assert torch.equal(reward(env, lambda env, k=2.0: env.values.sum(1) * k, k=1.0), expected)
+    assert torch.equal(reward(env, Scaled(1.0)), expected)
+    assert torch.equal(reward(env, Scaled(1.0).__call__), expected)
+
+  def test_every_mistake_of_a_manager_is_reported_at_once_with_term_and_way_out(self, env):
+    def fine(env, *, std: float) -> torch.Tensor:
+      return env.values[:, 0] * std
+
+    with pytest.raises(ConfigError) as caught:
+      RewardManager(
+        {
+          "typo": RewardTermCfg(fine, weight=1.0, params={"sdt": 1.0}),
+          "entity": RewardTermCfg(joints, weight=1.0, params={"asset": SceneEntityCfg("robto")}),
+          "shape": RewardTermCfg(lambda env: env.values, weight=1.0),
+          "dtype": RewardTermCfg(lambda env: env.values[:, 0] > 0, weight=1.0),
+          "number": RewardTermCfg(lambda env: 1.0, weight=1.0),
+          "raises": RewardTermCfg(lambda env: env.scene["table"], weight=1.0),
+          "argless": RewardTermCfg(lambda: None, weight=1.0),
+          "not_callable": RewardTermCfg("joints", weight=1.0),  # pyright: ignore
+        },
+        env,
+      )
+    message = str(caught.value)
+    assert len(caught.value.problems) == 9
+    for said in (
+      "RewardManager: term 'typo': unknown parameter 'sdt'. Nearest: std. Given: sdt; possible: std.",
+      "term 'typo': missing parameter std.",
+      "term 'entity': parameter 'asset': scene: entity 'robto' does not exist. Nearest: robot.",
+      "term 'shape': must return float (4,), returned float32 (4, 5)",
+      "term 'dtype': must return float (4,) on cpu, returned bool (4,)",
+      "term 'number': must return float (4,), returned float 1.0",
+      "term 'raises': KeyError in a trial call: 'table'",
+      "term 'argless': must take the environment",
+      "term 'not_callable': func 'joints' is not callable",
+    ):
+      assert said in message
+
+  def test_a_termination_must_be_bool(self, env):
+    with pytest.raises(ConfigError, match=r"'t': must return bool \(4,\) on cpu, returned float32"):
+      TerminationManager({"t": TerminationTermCfg(lambda env: env.values[:, 0])}, env)
+
+  def test_an_event_names_its_second_parameter(self, env):
+    with pytest.raises(ConfigError, match="second parameter must be 'mask' .* it is 'ids'"):
+      EventManager({"push": EventTermCfg(lambda env, ids: None, mode="step")}, env)
+
+  def test_a_config_of_the_wrong_kind_is_named(self, env):
+    with pytest.raises(ConfigError, match="expected a RewardTermCfg, got TerminationTermCfg"):
+      RewardManager({"r": TerminationTermCfg(joints)}, env)  # pyright: ignore
+
+  def test_none_removes_a_term(self, env):
+    assert RewardManager({"a": None, "b": RewardTermCfg(joints, weight=1.0)}, env).active_terms == ["b"]
+
+  def test_an_unknown_term_name_gets_a_suggestion(self, env):
+    manager = RewardManager({"foot_slip": RewardTermCfg(joints, weight=1.0)}, env)
+    with pytest.raises(KeyError, match="Nearest: foot_slip"):
+      manager.get_term_cfg("foot_slp")
+
+
+class Counter(ManagerTermBase):
+  """Calls since the reset, (N,)."""
+
+  def __init__(self, cfg, env) -> None:
+    assert cfg.params["asset"].resolved
+    self.calls = torch.zeros(self.num_envs, device=self.device)
+
+  def __call__(self, env, *, asset: SceneEntityCfg = ROBOT) -> torch.Tensor:
+    return self.calls.add_(1.0).clone()
+
+  def reset(self, mask: torch.Tensor) -> None:
+    self.calls.masked_fill_(mask, 0.0)
+
+
+class TestClassTerms:
+  def test_a_class_term_is_made_once_and_the_trial_call_leaves_no_trace(self, env):
+    manager = RewardManager({"n": RewardTermCfg(Counter, weight=1.0)}, env, scale_by_dt=False)
+    assert isinstance(manager.get_term_cfg("n").func, Counter)
+    assert manager.get_term_cfg("n").func.name == "n"
+    assert manager.compute().tolist() == [1.0] * 4
+    manager.reset(env.mask(1))
+    assert manager.compute().tolist() == [2.0, 1.0, 2.0, 2.0]
+
+  def test_what_a_class_term_remembers_is_saved(self, env):
+    manager = RewardManager({"n": RewardTermCfg(Counter, weight=1.0)}, env, scale_by_dt=False)
+    for _ in range(3):
+      manager.compute()
+    state = manager.state_dict()
+    other = RewardManager({"n": RewardTermCfg(Counter, weight=1.0)}, env, scale_by_dt=False)
+    other.load_state_dict(state)
+    assert other.compute().tolist() == [4.0] * 4
+
+  def test_managers_do_not_share_configs(self, env):
+    cfg = RewardTermCfg(Counter, weight=1.0)
+    first, second = RewardManager({"n": cfg}, env), RewardManager({"n": cfg}, env)
+    assert cfg.func is Counter
+    assert first.get_term_cfg("n").func is not second.get_term_cfg("n").func
+
+  def test_a_class_that_cannot_be_called_or_made_is_named(self, env):
+    class Broken(Counter):
+      def __init__(self, cfg, env) -> None:
+        raise ValueError("no such sensor")
+
+    for func, said in ((SimpleNamespace, "class SimpleNamespace has no __call__"), (Broken, "no such sensor")):
+      with pytest.raises(ConfigError, match=f"term 'n'.*{said}"):
+        RewardManager({"n": RewardTermCfg(func, weight=1.0)}, env)

@@ -1,0 +1,420 @@
+"""The observation pipeline: noise, clip, scale, NaN policy, delay, history, concatenate."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from mjlab_managers import (
+  ConfigError,
+  ConstantNoiseCfg,
+  GaussianNoiseCfg,
+  ManagerTermBase,
+  NoiseModelWithAdditiveBiasCfg,
+  NonfiniteObservationError,
+  ObservationGroupCfg,
+  ObservationManager,
+  ObservationTermCfg,
+  UniformNoiseCfg,
+)
+
+
+def values(env: Any, *, columns: int = 5) -> torch.Tensor:
+  return env.values[:, :columns]
+
+
+def one(env: Any, **options: Any) -> ObservationManager:
+  term = ObservationTermCfg(values, params={"columns": 2}, **options)
+  return ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms={"t": term})}, env)
+
+
+def tensor(observation: Any) -> torch.Tensor:
+  assert isinstance(observation, torch.Tensor)
+  return observation.clone()
+
+
+def seen(manager: ObservationManager, *args: Any, **kwargs: Any) -> torch.Tensor:
+  return tensor(manager.compute(*args, **kwargs)["g"])
+
+
+class TestOrder:
+  def test_noise_then_clip_then_scale(self, env):
+    env.values[:] = 1.0
+    # 1 + 4 = 5, clipped to 3, times 10. Any other order gives another number.
+    manager = one(env, noise=ConstantNoiseCfg(bias=4.0), clip=(-3.0, 3.0), scale=10.0)
+    assert (seen(manager) == 30.0).all()
+
+  def test_infinity_is_clipped_before_the_nan_policy_and_nan_becomes_zero_after_the_scale(self, env, logged):
+    env.values[0, 0], env.values[1, 0] = torch.inf, torch.nan
+    manager = one(env, clip=(-3.0, 3.0), scale=2.0)
+    got = seen(manager)
+    assert got[0, 0] == 6.0
+    assert got[1, 0] == 0.0
+    assert logged(manager) == {"Nonfinite/observation/g/t": 1.0}
+    manager.clear_log()
+    env.values[1, 0] = 0.0
+    manager.compute()
+    assert str(logged(manager)["Nonfinite/observation/g/t"]) == "nan"
+
+  def test_delay_comes_before_history_and_sanitised_frames_enter_it(self, env):
+    manager = one(env, delay_min_lag=1, delay_max_lag=1, history_length=2)
+    frames = []
+    for step in range(4):
+      env.values[:] = float(step) if step != 1 else torch.nan
+      frames.append(seen(manager)[0].tolist())
+    # Delayed by one: 0 0 (nan->)0 2; windows of two, oldest first, two columns each.
+    assert frames == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 2, 2]]
+
+  def test_terms_are_concatenated_in_order_in_float32(self, make_env):
+    env = make_env(dtype=torch.float64)
+    terms: dict[str, ObservationTermCfg | None] = {
+      "b": ObservationTermCfg(values, params={"columns": 3}, scale=2.0),
+      "none": None,
+      "a": ObservationTermCfg(values, params={"columns": 1}),
+    }
+    manager = ObservationManager({"g": ObservationGroupCfg(terms=terms), "empty": ObservationGroupCfg(terms={})}, env)
+    got = seen(manager)
+    assert got.dtype is torch.float32
+    assert torch.equal(got, torch.cat([env.values[:, :3] * 2, env.values[:, :1]], 1).float())
+    assert manager.active_terms == {"g": ["b", "a"]}
+    assert manager.group_obs_dim == {"g": (4,)}
+
+
+class TestNoise:
+  def test_uniform_noise_stays_in_its_range_and_only_corrupted_groups_have_it(self, make_env):
+    env = make_env(4000)
+    terms: dict[str, ObservationTermCfg | None] = {
+      "quiet": ObservationTermCfg(values, params={"columns": 2}),
+      "loud": ObservationTermCfg(values, params={"columns": 1}, noise=UniformNoiseCfg(n_min=-0.5, n_max=1.5)),
+    }
+    env.values[:] = 0.0
+    groups: dict[str, ObservationGroupCfg | None] = {
+      "actor": ObservationGroupCfg(corrupt=True, terms=dict(terms)),
+      "critic": ObservationGroupCfg(terms=dict(terms)),
+    }
+    manager = ObservationManager(groups, env)
+    actor, critic = (tensor(manager.compute()[name]) for name in ("actor", "critic"))
+    assert (critic == 0).all()
+    assert (actor[:, :2] == 0).all()
+    noise = actor[:, 2]
+    assert noise.min() >= -0.5
+    assert noise.max() <= 1.5
+    assert noise.mean() == pytest.approx(0.5, abs=0.05)
+    assert noise.std() == pytest.approx(2 / 12**0.5, rel=0.05)
+
+  @pytest.mark.parametrize(("operation", "expected"), [("add", 3.0 + 2.0), ("scale", 3.0 * 2.0), ("abs", 2.0)])
+  def test_operations_hold_on_their_own_columns(self, env, operation, expected):
+    env.values[:] = 3.0
+    terms: dict[str, ObservationTermCfg | None] = {
+      "n": ObservationTermCfg(values, params={"columns": 1}, noise=ConstantNoiseCfg(bias=2.0, operation=operation)),
+      "plain": ObservationTermCfg(values, params={"columns": 1}),
+      "add": ObservationTermCfg(values, params={"columns": 2}, noise=ConstantNoiseCfg(bias=(1.0, 2.0))),
+    }
+    manager = ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms=terms)}, env)
+    assert seen(manager)[0].tolist() == [expected, 3.0, 4.0, 5.0]
+
+  def test_gaussian_noise_has_its_moments(self, make_env):
+    env = make_env(8000)
+    env.values[:] = 0.0
+    got = seen(one(env, noise=GaussianNoiseCfg(mean=1.0, std=(0.1, 2.0))))
+    assert got.mean(0).tolist() == pytest.approx([1.0, 1.0], abs=0.1)
+    assert got.std(0).tolist() == pytest.approx([0.1, 2.0], rel=0.05)
+
+  def test_the_bias_keeps_its_distribution_over_many_resets_and_is_constant_between_them(self, make_env):
+    env = make_env(2000)
+    env.values[:] = 0.0
+    bias = GaussianNoiseCfg(std=0.08)
+    manager = one(env, noise=NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=bias))
+    everyone = torch.ones(2000, dtype=torch.bool)
+    for _ in range(50):
+      manager.reset(everyone)
+    before = seen(manager)
+    assert before.std() == pytest.approx(0.08, rel=0.1)
+    assert torch.equal(seen(manager), before)
+    manager.reset(env.mask(3))
+    after = seen(manager)
+    assert (after != before).any(1).nonzero().flatten().tolist() == [3]
+
+  def test_a_bias_may_be_one_draw_for_all_components(self, env):
+    env.values[:] = 0.0
+    cfg = NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=UniformNoiseCfg(), sample_bias_per_component=False)
+    got = seen(one(env, noise=cfg))
+    assert torch.equal(got[:, 0], got[:, 1])
+    assert len(set(got[:, 0].tolist())) == env.num_envs
+
+
+class TestTime:
+  def test_history_is_oldest_to_newest_and_term_major_and_the_first_frame_fills_it(self, env):
+    terms: dict[str, ObservationTermCfg | None] = {
+      "a": ObservationTermCfg(values, params={"columns": 2}, history_length=3),
+      "now": ObservationTermCfg(values, params={"columns": 1}),
+      "b": ObservationTermCfg(lambda env: -env.values[:, :1], history_length=3),
+    }
+    manager = ObservationManager({"g": ObservationGroupCfg(terms=terms)}, env)
+    env.values[:] = 1.0
+    assert seen(manager)[0].tolist() == [1, 1, 1, 1, 1, 1, 1, -1, -1, -1]
+    env.values[:] = 2.0
+    manager.compute()
+    env.values[:] = 3.0
+    assert seen(manager)[0].tolist() == [1, 1, 2, 2, 3, 3, 3, -1, -2, -3]
+    assert [(t.name, t.columns) for t in manager.layout("g")] == [
+      ("a", slice(0, 6)),
+      ("now", slice(6, 7)),
+      ("b", slice(7, 10)),
+    ]
+
+  def test_fresh_rows_show_the_new_frame_in_the_whole_window_and_the_others_go_on(self, env):
+    manager = one(env, history_length=3)
+    for step in range(3):
+      env.values[:] = float(step)
+      manager.compute()
+    env.values[:] = 9.0
+    got = seen(manager, fresh=env.mask(2))
+    assert got[2].tolist() == [9.0] * 6
+    assert got[0].tolist() == [1, 1, 2, 2, 9, 9]
+
+  def test_a_group_history_overrides_the_terms(self, env):
+    terms: dict[str, ObservationTermCfg | None] = {"t": ObservationTermCfg(values, history_length=7)}
+    group = ObservationGroupCfg(terms=terms, history_length=2, flatten_history_dim=False, concatenate_terms=False)
+    manager = ObservationManager({"g": group}, env)
+    observation = manager.compute()["g"]
+    assert isinstance(observation, dict)
+    assert observation["t"].shape == (4, 2, 5)
+
+  @pytest.mark.parametrize("options", [{}, {"delay_hold_prob": 0.9}, {"delay_update_period": 5}])
+  def test_a_delayed_term_is_never_younger_than_its_smallest_lag(self, make_env, options):
+    env = make_env(64)
+    manager = one(env, delay_min_lag=2, delay_max_lag=4, **options)
+    last_reset = torch.full((64,), -100)
+    for step in range(40):
+      env.values[:] = float(step)
+      fresh = torch.rand(64) < 0.1
+      last_reset[fresh] = step
+      got = seen(manager, fresh=fresh)[:, 0]
+      age = step - got
+      known = step - last_reset.clamp(min=0)
+      assert (age >= known.clamp(max=2)).all()
+      assert (age <= 4).all()
+
+  def test_between_steps_nothing_advances(self, env):
+    manager = one(env, history_length=3, delay_min_lag=1, delay_max_lag=2)
+    manager.compute()
+    before = tensor(manager.get()["g"])
+    env.values += 1
+    assert torch.equal(tensor(manager.get()["g"]), before)
+
+  def test_buffers_stay_in_their_memory(self, env):
+    manager = one(env, history_length=3)
+    address = tensor_address(manager)
+    for fresh, advance in ((None, None), (env.mask(1), None), (env.mask(1), env.mask(1))):
+      manager.compute(fresh, advance)
+      assert tensor_address(manager) == address
+
+
+def tensor_address(manager: ObservationManager) -> int:
+  observation = manager.get()["g"]
+  assert isinstance(observation, torch.Tensor)
+  return observation.data_ptr()
+
+
+class Steps(ManagerTermBase):
+  """Calls since the reset, (N, 1)."""
+
+  def __init__(self, cfg: Any, env: Any) -> None:
+    self.calls = torch.zeros(self.num_envs, 1)
+
+  def __call__(self, env: Any) -> torch.Tensor:
+    return self.calls.add_(1.0).clone()
+
+  def reset(self, mask: torch.Tensor) -> None:
+    self.calls.masked_fill_(mask[:, None], 0.0)
+
+
+def everything(env: Any) -> ObservationManager:
+  """A manager that uses all there is."""
+  bias = NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=GaussianNoiseCfg(), noise_cfg=UniformNoiseCfg())
+  terms: dict[str, ObservationTermCfg | None] = {
+    "a": ObservationTermCfg(values, noise=bias, history_length=3),
+    "b": ObservationTermCfg(values, noise=GaussianNoiseCfg(), delay_max_lag=3, delay_hold_prob=0.3),
+    "steps": ObservationTermCfg(Steps, delay_min_lag=1, delay_max_lag=4, delay_update_period=3, history_length=2),
+  }
+  return ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms=terms)}, env)
+
+
+class TestIndependence:
+  def test_what_a_world_sees_does_not_depend_on_which_others_reset(self, make_env):
+    def rollout(resets_of_others: list[int]) -> list[torch.Tensor]:
+      env = make_env(seed=5)
+      manager = everything(env)
+      rows = []
+      for step in range(12):
+        env.values.add_(1.0)
+        fresh = env.mask(*(resets_of_others if step in (4, 7) else []), *([0] if step == 5 else []))
+        manager.reset(fresh)
+        rows.append(seen(manager, fresh)[0])
+      return rows
+
+    for alone, accompanied in zip(rollout([]), rollout([1, 3]), strict=True):
+      assert torch.equal(alone, accompanied)
+
+  def test_observing_some_worlds_leaves_all_the_rest_bit_identical(self, make_env):
+    env = make_env()
+    manager = everything(env)
+    for _ in range(5):
+      env.values.add_(1.0)
+      manager.compute()
+    before, shown = manager.state_dict(), tensor(manager.get()["g"])
+    env.values.add_(1.0)
+    manager.reset(env.mask(2))
+    got = seen(manager, env.mask(2), env.mask(2))
+    others = ~env.mask(2)
+    assert torch.equal(got[others], shown[others])
+    assert not torch.equal(got[2], shown[2])
+    after = manager.state_dict()
+    compared = 0
+    for name in ("_bias", "_out"):
+      assert torch.equal(after[name][others], before[name][others])
+    for child in ("_delays", "_histories"):
+      for key, state in after[child].items():
+        for name, value in state.items():
+          old = before[child][key][name]
+          if name == "_storage":
+            assert torch.equal(value[:, others], old[:, others])
+          elif value.shape == (4,):
+            assert torch.equal(value[others], old[others])
+          else:
+            assert torch.equal(value, old)
+          compared += 1
+    assert compared >= 8
+    assert after["_stateful_terms"]["g/steps"]["calls"].flatten().tolist() == [5, 5, 1, 5]
+
+  def test_a_restored_manager_goes_on_as_the_first_one_would_have(self, make_env):
+    env = make_env()
+    manager = everything(env)
+    for _ in range(4):
+      manager.compute()
+    state, rng = manager.state_dict(), env.rng.get_state()
+    expected = seen(manager)
+    other_env = make_env(seed=9)
+    other = everything(other_env)
+    other.load_state_dict(state)
+    other_env.rng.set_state(rng)
+    assert torch.equal(seen(other), expected)
+
+
+class TestEvaluation:
+  def test_what_two_groups_have_in_common_is_evaluated_once_and_noised_separately(self, env):
+    calls = []
+
+    def counted(env: Any, *, gain: float = 1.0) -> torch.Tensor:
+      calls.append(gain)
+      return env.values * gain
+
+    def group(corrupt: bool) -> ObservationGroupCfg:
+      terms: dict[str, ObservationTermCfg | None] = {
+        "same": ObservationTermCfg(counted, noise=UniformNoiseCfg()),
+        "other": ObservationTermCfg(counted, params={"gain": 2.0}),
+      }
+      return ObservationGroupCfg(corrupt=corrupt, terms=terms)
+
+    manager = ObservationManager({"actor": group(True), "critic": group(False)}, env)
+    calls.clear()
+    manager.compute()
+    assert sorted(calls) == [1.0, 2.0]
+    # A parameter changed for one group splits them.
+    manager.get_term_cfg("critic", "other").params["gain"] = 3.0
+    manager.sync()
+    assert len(env.recaptures) == 1
+    calls.clear()
+    observation = manager.compute()
+    assert sorted(calls) == [1.0, 2.0, 3.0]
+    assert torch.equal(tensor(observation["critic"])[:, 5:], env.values * 3)
+    assert torch.equal(tensor(observation["actor"])[:, 5:], env.values * 2)
+
+  def test_scale_and_noise_replaced_on_the_host_take_effect_at_the_next_sync(self, env):
+    manager = one(env, scale=2.0)
+    manager.compute()
+    manager.sync()
+    assert env.recaptures == []
+    manager.get_term_cfg("g", "t").scale = 3.0
+    manager.sync()
+    assert torch.equal(seen(manager), env.values[:, :2] * 3)
+    assert "g/t" in env.recaptures[0]
+
+  def test_images_keep_their_shape_as_the_only_term_or_in_a_dict(self, env):
+    def image(env: Any) -> torch.Tensor:
+      return torch.arange(env.num_envs * 6.0).reshape(env.num_envs, 1, 2, 3)
+
+    terms: dict[str, ObservationTermCfg | None] = {"camera": ObservationTermCfg(image)}
+    both: dict[str, ObservationTermCfg | None] = {**terms, "v": ObservationTermCfg(values)}
+    groups: dict[str, ObservationGroupCfg | None] = {
+      "alone": ObservationGroupCfg(terms=terms),
+      "dict": ObservationGroupCfg(terms=both, concatenate_terms=False),
+    }
+    manager = ObservationManager(groups, env)
+    got = manager.compute()
+    assert torch.equal(tensor(got["alone"]), image(env))
+    assert isinstance(got["dict"], dict)
+    assert torch.equal(got["dict"]["camera"], image(env))
+    assert torch.equal(got["dict"]["v"], env.values)
+    with pytest.raises(ConfigError, match=r"'g/camera': shape \(1, 2, 3\) cannot be concatenated"):
+      ObservationManager({"g": ObservationGroupCfg(terms=both)}, env)
+
+  def test_the_error_policy_names_term_and_worlds(self, env):
+    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, nan_policy="error")
+    manager = ObservationManager({"g": group}, env)
+    manager.compute()
+    env.values[2, 1] = torch.nan
+    with pytest.raises(NonfiniteObservationError, match="'g/t' is NaN or infinite in 1 worlds: 2"):
+      manager.compute()
+
+  def test_a_disabled_policy_lets_nan_through_beside_a_group_that_does_not(self, env, logged):
+    groups: dict[str, ObservationGroupCfg | None] = {
+      "raw": ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, nan_policy="disabled"),
+      "clean": ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}),
+    }
+    env.values[2, 1] = torch.nan
+    manager = ObservationManager(groups, env)
+    got = manager.compute()
+    assert tensor(got["raw"])[2, 1].isnan()
+    assert tensor(got["clean"])[2, 1] == 0.0
+    assert logged(manager)["Nonfinite/observation/clean/t"] == 1.0
+    assert str(logged(manager)["Nonfinite/observation/raw/t"]) == "nan"
+
+  @pytest.mark.parametrize(
+    ("options", "said"),
+    [
+      ({"clip": (1.0, -1.0)}, "clip: range .* is inverted"),
+      ({"scale": (1.0, 2.0, 3.0)}, "3 scales for 2 components"),
+      ({"delay_min_lag": 3, "delay_max_lag": 1}, "needs 0 <= delay_min_lag <= delay_max_lag"),
+      ({"history_length": -1}, "history_length must not be negative"),
+      ({"noise": UniformNoiseCfg(n_min=1.0, n_max=-1.0)}, "is inverted"),
+      ({"noise": UniformNoiseCfg(n_min=(0.0,) * 3)}, "3 numbers for 2 components"),
+      ({"noise": GaussianNoiseCfg(std=-1.0)}, "std must not be negative"),
+      ({"noise": ConstantNoiseCfg(operation="mul")}, "operation 'mul' does not exist"),  # pyright: ignore
+    ],
+  )
+  def test_options_that_mean_nothing_are_errors_at_build(self, env, options, said):
+    with pytest.raises(ConfigError, match=f"(?s)g/t.*{said}"):
+      one(env, **options)
+
+  def test_a_term_without_a_component_axis_is_an_error_at_build(self, env):
+    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(lambda env: env.values[:, 0])})
+    with pytest.raises(ConfigError, match="at least two dimensions"):
+      ObservationManager({"g": group}, env)
+
+  def test_a_step_asks_the_device_nothing_and_needs_few_operations(self, env, dispatched):
+    columns = {f"t{i}": ObservationTermCfg(values, scale=2.0, noise=UniformNoiseCfg()) for i in range(20)}
+    groups: dict[str, ObservationGroupCfg | None] = {
+      "actor": ObservationGroupCfg(terms=dict(columns), corrupt=True),
+      "critic": ObservationGroupCfg(terms=dict(columns)),
+    }
+    flat = ObservationManager(groups, env)
+    assert len(dispatched(lambda: flat.compute(env_mask))) <= 12
+    full = everything(env)
+    dispatched(lambda: full.compute(env_mask))
+    dispatched(lambda: full.compute(env_mask, env_mask))
+    dispatched(lambda: full.reset(env_mask))
+
+
+env_mask = torch.tensor([False, True, False, True])
