@@ -125,3 +125,36 @@ def test_single_precision_follows_the_engine() -> None:
   actuators.edit_spec(spec)
   actuators.build(spec.compile(), num_envs=2, device="cpu", dtype=torch.float32)
   assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_recorded_substeps_equal_eager_ones() -> None:
+  spec = mujoco.MjSpec.from_string(CHAIN)
+  cfgs = [pd("a", delay_min_lag=2, delay_max_lag=2), servo("b"), pd("c", delay_min_lag=2, delay_max_lag=2)]
+  recorded, eager = ActuatorSet(cfgs), ActuatorSet(cfgs)
+  recorded.edit_spec(spec)
+  model = spec.compile()
+  for actuators in (recorded, eager):
+    actuators.build(model, num_envs=4, device="cuda", dtype=torch.float32)
+  args = [torch.zeros(4, 3, device="cuda") for _ in range(5)]
+  mask = torch.zeros(4, dtype=torch.bool, device="cuda")
+
+  def substep(actuators: ActuatorSet) -> None:
+    actuators.reset(mask, *args[:3])
+    actuators.compute(*args)
+
+  stream = torch.cuda.Stream()
+  with torch.cuda.stream(stream):
+    substep(recorded)
+  torch.cuda.synchronize()
+  graph = torch.cuda.CUDAGraph()
+  with torch.cuda.graph(graph, stream=stream):
+    substep(recorded)
+  recorded.load_state_dict(eager.state_dict())
+  for k in range(12):
+    for tensor in args:
+      tensor.normal_()
+    mask.copy_(torch.arange(4, device="cuda") == k)
+    graph.replay()
+    substep(eager)
+    assert torch.equal(recorded.ctrl, eager.ctrl), k

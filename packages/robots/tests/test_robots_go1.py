@@ -37,8 +37,7 @@ def standing(model: mujoco.MjModel) -> mujoco.MjData:
 
 def assert_equal(got: Any, wanted: Any, what: str) -> None:
   got, wanted = np.asarray(got, dtype=np.float64), np.asarray(wanted, dtype=np.float64)
-  scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
-  np.testing.assert_allclose(got, wanted, rtol=TOLERANCE, atol=TOLERANCE * scale, err_msg=what)
+  np.testing.assert_allclose(got, wanted, rtol=0.0, atol=TOLERANCE * np.abs(wanted).max(initial=0.0), err_msg=what)
 
 
 def assert_same_rotation(got: Any, wanted: Any, what: str) -> None:
