@@ -189,9 +189,7 @@ class ManagerBasedRlEnv:
 
   # The Gymnasium interface
 
-  def step(
-    self, action: torch.Tensor
-  ) -> tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+  def step(self, action: torch.Tensor) -> tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Advance every world by one step.
 
     Args:
@@ -294,6 +292,16 @@ class ManagerBasedRlEnv:
     from mjlab_envs.spaces import box
 
     return box((self.action_manager.total_action_dim,))
+
+  @property
+  def is_captured(self) -> bool:
+    """Whether steps are replays of a recording."""
+    return self._step_graph.recorded
+
+  @property
+  def num_graphs(self) -> int:
+    """Graphs that a step consists of, once recorded: one, unless something in it cannot be recorded."""
+    return self._step_graph.num_graphs
 
   # What terms and managers may ask for
 

@@ -15,9 +15,9 @@ def box(shape: Sequence[int]) -> gymnasium.spaces.Box:
 def observation_space(manager: ObservationManager) -> gymnasium.spaces.Dict:
   """One world's observations: a box per group, or a dict of boxes for a group that is not concatenated."""
   spaces: dict[str, gymnasium.Space] = {}
-  for group, shape in manager.group_obs_dim.items():
-    if isinstance(shape, dict):
-      spaces[group] = gymnasium.spaces.Dict({term: box(dims) for term, dims in shape.items()})
+  for group, observation in manager.buffers.items():
+    if isinstance(observation, dict):
+      spaces[group] = gymnasium.spaces.Dict({term: box(value.shape[1:]) for term, value in observation.items()})
     else:
-      spaces[group] = box(shape)
+      spaces[group] = box(observation.shape[1:])
   return gymnasium.spaces.Dict(spaces)

@@ -5,9 +5,7 @@ from collections.abc import Sequence
 import torch
 
 
-def select_worlds(
-  env_ids: torch.Tensor | Sequence[int] | None, num_envs: int, device: torch.device
-) -> torch.Tensor:
+def select_worlds(env_ids: torch.Tensor | Sequence[int] | None, num_envs: int, device: torch.device) -> torch.Tensor:
   """The bool mask (num_envs,) of a mask, of world numbers, or of all worlds (None).
 
   Raises:

@@ -32,7 +32,11 @@ class Recorder:
     gc.collect()
     gc.disable()
     try:
-      with torch.cuda.stream(self._stream), wp.ScopedStream(self._wp_stream, sync_enter=False, sync_exit=False):
+      with (
+        torch.cuda.stream(self._stream),
+        wp.ScopedDevice(self._wp_stream.device),
+        wp.ScopedStream(self._wp_stream, sync_enter=False, sync_exit=False),
+      ):
         self._begin()
         try:
           fn()

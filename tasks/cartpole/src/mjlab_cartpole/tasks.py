@@ -67,9 +67,7 @@ def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEn
     ),
     actions={"effort": mdp.JointEffortActionCfg(entity="cartpole", actuators="slider")},
     observations={"actor": _observations(), "critic": _observations()},
-    rewards={
-      "smooth_balance": RewardTermCfg(smooth_balance, weight=1.0, params={"asset": SceneEntityCfg("cartpole")})
-    },
+    rewards={"smooth_balance": RewardTermCfg(smooth_balance, weight=1.0, params={"asset": SceneEntityCfg("cartpole")})},
     terminations={"time_out": TerminationTermCfg(mdp.time_out, time_out=True)},
     events={
       "reset_base": EventTermCfg(mdp.reset_scene_to_default, mode="reset"),

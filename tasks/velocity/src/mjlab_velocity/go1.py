@@ -183,9 +183,7 @@ def _rewards() -> dict[str, RewardTermCfg | None]:
     "body_ang_vel": RewardTermCfg(
       velocity.body_ang_vel_xy_l2, weight=0.0, params={"asset": SceneEntityCfg("robot", body_names="trunk")}
     ),
-    "angular_momentum": RewardTermCfg(
-      velocity.angular_momentum_l2, weight=0.0, params={"sensor": "robot/root_angmom"}
-    ),
+    "angular_momentum": RewardTermCfg(velocity.angular_momentum_l2, weight=0.0, params={"sensor": "robot/root_angmom"}),
     "dof_pos_limits": RewardTermCfg(mdp.joint_pos_limits, weight=-1.0),
     "action_rate_l2": RewardTermCfg(mdp.action_rate_l2, weight=-0.1),
     "air_time": RewardTermCfg(
@@ -228,9 +226,7 @@ def _events() -> dict[str, EventTermCfg | None]:
       geom_friction(foot, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True)
     ),
     "encoder_bias": startup(encoder_bias(".*", (-0.015, 0.015))),
-    "base_com": startup(
-      body_com_offset("trunk", {"x": (-0.025, 0.025), "y": (-0.025, 0.025), "z": (-0.03, 0.03)})
-    ),
+    "base_com": startup(body_com_offset("trunk", {"x": (-0.025, 0.025), "y": (-0.025, 0.025), "z": (-0.03, 0.03)})),
   }
 
 

@@ -109,9 +109,7 @@ class push_by_setting_velocity(ManagerTermBase):
   ) -> None:
     del velocity_range  # Resolved at build.
     entity = env.scene[asset.name]
-    twist = uniform(
-      self._lo, self._hi, (env.num_envs, 6), generator=env.rng, device=env.device, dtype=env.sim.dtype
-    )
+    twist = uniform(self._lo, self._hi, (env.num_envs, 6), generator=env.rng, device=env.device, dtype=env.sim.dtype)
     data = entity.data
     spin = quat_apply(data.root_link_quat_w, data.root_link_ang_vel_b)
     entity.write_root_velocity(torch.cat([data.root_link_lin_vel_w, spin], -1) + twist, mask)

@@ -1,6 +1,6 @@
 """Rewards that any task can use."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from mjlab_core.names import match_values_full
@@ -81,5 +81,7 @@ class posture(ManagerTermBase):
 
 def inverse_variance(std: float | dict[str, float], asset: SceneEntityCfg, env: Any) -> torch.Tensor:
   """1 / std^2 of the selected joints, (1, joints)."""
-  values = match_values_full(std, asset.joint_names, what="joint", owner=f"entity '{asset.name}'")
+  # A resolved selection holds the selected names.
+  names = cast("tuple[str, ...]", asset.joint_names)
+  values = match_values_full(std, names, what="joint", owner=f"entity '{asset.name}'")
   return torch.tensor([values], device=env.device, dtype=env.sim.dtype).pow(-2)

@@ -1,6 +1,7 @@
 """Curricula of velocity tasks."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
@@ -31,7 +32,7 @@ class commands_vel(ManagerTermBase):
   def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     stages: list[VelocityStage] = cfg.params["stages"]
-    if not stages or stages[0].step != 0 or any(b.step <= a.step for a, b in zip(stages, stages[1:], strict=False)):
+    if not stages or stages[0].step != 0 or any(b.step <= a.step for a, b in pairwise(stages)):
       raise ValueError(f"stages must begin at step 0 and follow in order, got steps {[s.step for s in stages]}")
     term = env.command_manager.get_term(cfg.params["command"])
     if not isinstance(term, UniformVelocityCommand):

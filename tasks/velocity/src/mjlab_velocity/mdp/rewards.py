@@ -1,11 +1,13 @@
 """Rewards of velocity tracking. The gate of a gait term is the command: a robot told to stand is not judged by it."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import torch
 from mjlab_core.masking import fill_
 from mjlab_envs.mdp.rewards import inverse_variance
 from mjlab_managers import ManagerTermBase, RewardTermCfg, SceneEntityCfg
+
+from mjlab_velocity.mdp.command import UniformVelocityCommand
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -77,16 +79,16 @@ class variable_posture(ManagerTermBase):
     del std_standing, std_walking, std_running, walking_threshold, running_threshold  # Resolved at build.
     data = env.scene[asset.name].data
     error = data.joint_pos[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
-    gait = (env.command_manager.get_term(command).speed[:, None] >= self._thresholds).sum(-1)
+    gait = (_speed(env, command)[:, None] >= self._thresholds).sum(-1)
     return torch.exp(-(error.square() * self._table.index_select(0, gait)).mean(-1))
 
 
 def feet_air_time(
   env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float, lo: float = 0.05, hi: float = 0.5
 ) -> torch.Tensor:
-  """Number of feet that have been in the air for lo to hi [s], (num_envs,); 0 while the command is below `threshold`."""
+  """Number of feet that have been in the air for lo to hi [s], (num_envs,); gated by `threshold`."""
   air = env.scene[sensor].data.current_air_time
-  return ((air > lo) & (air < hi)).sum(-1) * _moves(env, command, threshold)
+  return ((air > lo) & (air < hi)).sum(-1, dtype=air.dtype) * _moves(env, command, threshold)
 
 
 def feet_clearance(
@@ -99,7 +101,7 @@ def feet_clearance(
 
 
 class feet_swing_height(ManagerTermBase):
-  """Penalises landings whose swing peaked far from `target`: sum over landing feet of (peak / target - 1)^2, (num_envs,).
+  """sum over landing feet of (peak / target - 1)^2, peak being the swing's greatest height, (num_envs,).
 
   A swing begins where the foot leaves the ground; what a foot did before the reset does not count.
   """
@@ -149,7 +151,12 @@ def soft_landing(env: "ManagerBasedRlEnv", *, sensor: str, command: str, thresho
 
 def _moves(env: "ManagerBasedRlEnv", command: str, threshold: float) -> torch.Tensor:
   """Whether the commanded speed exceeds `threshold`, (num_envs,)."""
-  return env.command_manager.get_term(command).speed > threshold
+  return _speed(env, command) > threshold
+
+
+def _speed(env: "ManagerBasedRlEnv", command: str) -> torch.Tensor:
+  """|v_xy| + |w_z| of a velocity command, (num_envs,)."""
+  return cast("UniformVelocityCommand", env.command_manager.get_term(command)).speed
 
 
 def _feet_velocity(env: "ManagerBasedRlEnv", feet: SceneEntityCfg) -> torch.Tensor:
