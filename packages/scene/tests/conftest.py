@@ -1,6 +1,7 @@
 """A scene in a simulation, in one call."""
 
 from collections.abc import Callable, Iterator
+from typing import Literal
 
 import mujoco
 import pytest
@@ -17,7 +18,13 @@ def make_worlds() -> Iterator[MakeWorlds]:
   """Builds a scene of entities, given as MJCF or EntityCfg, and its simulation."""
   opened: list[Simulation] = []
 
-  def make(num_envs: int = 2, engine: str = "native", *, cfg: SceneCfg | None = None, **entities: EntityCfg | str):
+  def make(
+    num_envs: int = 2,
+    engine: Literal["native", "warp"] = "native",
+    *,
+    cfg: SceneCfg | None = None,
+    **entities: EntityCfg | str,
+  ):
     if cfg is None:
       cfg = SceneCfg(
         num_envs=num_envs,
@@ -29,7 +36,7 @@ def make_worlds() -> Iterator[MakeWorlds]:
         },
       )
     scene = Scene(cfg)
-    sim = Simulation(cfg.num_envs, scene.spec, SimulationCfg(engine=engine, timestep=0.002), device="cpu")  # pyright: ignore[reportArgumentType]
+    sim = Simulation(cfg.num_envs, scene.spec, SimulationCfg(engine=engine, timestep=0.002), device="cpu")
     opened.append(sim)
     scene.initialize(sim, torch.Generator().manual_seed(0))
     return scene, sim

@@ -1,6 +1,7 @@
 """Entities, terrain and sensors in one model."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import pytest
@@ -43,11 +44,11 @@ ARM = """
 GOAL = '<mujoco><worldbody><body name="goal" mocap="true" pos="0 0 2"><site name="g"/></body></worldbody></mujoco>'
 
 
-def entity(text: str, **start: object) -> EntityCfg:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), init_state=InitialStateCfg(**start))  # pyright: ignore[reportArgumentType]
+def entity(text: str, **start: Any) -> EntityCfg:
+  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), init_state=InitialStateCfg(**start))
 
 
-def three(num_envs: int = 3, **kwargs: object) -> SceneCfg:
+def three(num_envs: int = 3, **kwargs: Any) -> SceneCfg:
   return SceneCfg(
     num_envs=num_envs,
     terrain=PlaneCfg(),
@@ -57,7 +58,7 @@ def three(num_envs: int = 3, **kwargs: object) -> SceneCfg:
       "goal": entity(GOAL, pos=(0.5, 0.0, 2.0)),
       "twin": entity(WALKER, joint_pos={"hip": -0.2}, pos=(0.0, 0.0, 0.9)),
     },
-    **kwargs,  # pyright: ignore[reportArgumentType]
+    **kwargs,
   )
 
 
@@ -235,3 +236,10 @@ def test_a_restored_scene_goes_on_as_the_saved_one(make_worlds: MakeWorlds) -> N
   scene.load_state_dict(saved)
   assert (robot.data.joint_pos_target == 0.7).all()
   assert (robot.data.encoder_bias == 0.01).all()
+
+
+def test_constants_of_a_single_world_are_not_taken_for_state(make_worlds: MakeWorlds) -> None:
+  scene, _ = make_worlds(cfg=three(num_envs=1))
+  state = {"joint_pos_target", "joint_vel_target", "joint_effort_target", "encoder_bias"}
+  for entity_state in scene.state_dict()["entities"].values():
+    assert set(entity_state["data"]) == state

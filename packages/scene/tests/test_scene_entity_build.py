@@ -1,5 +1,7 @@
 """What an entity makes of a model and a configuration, and what it refuses."""
 
+from typing import Any
+
 import mujoco
 import pytest
 from mjlab_core.names import NameMatchError
@@ -24,8 +26,8 @@ ARM = """
 """
 
 
-def build(text: str = ARM, name: str = "robot", **kwargs: object) -> Entity:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs).build(name)  # pyright: ignore[reportArgumentType]
+def build(text: str = ARM, name: str = "robot", **kwargs: Any) -> Entity:
+  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs).build(name)
 
 
 def geom(entity: Entity, name: str) -> mujoco.MjsGeom:
@@ -108,7 +110,12 @@ def test_an_entity_of_world_geoms_alone_is_a_fixture() -> None:
 
 
 def test_typos_in_joint_patterns_are_errors() -> None:
-  for kwargs in ({"joint_pos": {"left/elbo": 0.1}}, {"joint_vel": {"lef.*w?t": 0.1}}, {"ctrl": {"x": 1.0}}):
+  typos: list[dict[str, Any]] = [
+    {"joint_pos": {"left/elbo": 0.1}},
+    {"joint_vel": {"lef.*w?t": 0.1}},
+    {"ctrl": {"x": 1.0}},
+  ]
+  for kwargs in typos:
     with pytest.raises(NameMatchError, match="entity 'robot': pattern"):
       build(init_state=InitialStateCfg(**kwargs))
 
@@ -207,6 +214,6 @@ def test_a_preset_that_matches_nothing_is_an_error() -> None:
     ("friction", (-1.0,), "must not be negative"),
   ],
 )
-def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, value: object, message: str) -> None:
+def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, value: Any, message: str) -> None:
   with pytest.raises(ValueError, match=f"entity 'robot', geom 'left_collision': {parameter} .* {message}"):
-    build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))  # pyright: ignore[reportArgumentType]
+    build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))

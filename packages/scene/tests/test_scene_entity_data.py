@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,8 +44,8 @@ EVERYTHING = """
 NUM_ENVS = 3
 
 
-def entity_cfg(text: str = EVERYTHING, **kwargs: object) -> EntityCfg:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)  # pyright: ignore[reportArgumentType]
+def entity_cfg(text: str = EVERYTHING, **kwargs: Any) -> EntityCfg:
+  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Writes: the whole batch in, masked worlds written, everything else bit-identical."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import pytest
@@ -32,8 +33,8 @@ FIXED = """
 MASK = torch.tensor([False, True, False])
 
 
-def cfg(text: str, **kwargs: object) -> EntityCfg:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)  # pyright: ignore[reportArgumentType]
+def cfg(text: str, **kwargs: Any) -> EntityCfg:
+  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)
 
 
 def random(*shape: int) -> torch.Tensor:
@@ -158,9 +159,9 @@ def test_a_wrench_acts_at_the_mass_centre_of_the_chosen_body(make_worlds: MakeWo
   assert (robot.data.root_com_lin_vel_w[1] == 0).all()
 
 
-def servo(**kwargs: float) -> EntityArticulationCfg:
+def servo(**kwargs: Any) -> EntityArticulationCfg:
   return EntityArticulationCfg(
-    actuators=(NativePositionActuatorCfg(target_names_expr=(".*",), stiffness=50.0, damping=1.0, **kwargs),)  # pyright: ignore[reportArgumentType]
+    actuators=(NativePositionActuatorCfg(target_names_expr=(".*",), stiffness=50.0, damping=1.0, **kwargs),)
   )
 
 

@@ -22,19 +22,19 @@ class CollisionCfg:
 
   geom_names_expr: str | tuple[str, ...]
   """Patterns; each must match at least one geom of the entity."""
-  contype: int | dict[str, int] = 1
-  conaffinity: int | dict[str, int] = 1
-  condim: int | dict[str, int] = 3
-  priority: int | dict[str, int] = 0
-  friction: tuple[float, ...] | dict[str, tuple[float, ...]] | None = None
+  contype: int | Mapping[str, int] = 1
+  conaffinity: int | Mapping[str, int] = 1
+  condim: int | Mapping[str, int] = 3
+  priority: int | Mapping[str, int] = 0
+  friction: tuple[float, ...] | Mapping[str, tuple[float, ...]] | None = None
   """Sliding [1], torsional [m] and rolling [m] friction."""
-  solref: tuple[float, ...] | dict[str, tuple[float, ...]] | None = None
-  solimp: tuple[float, ...] | dict[str, tuple[float, ...]] | None = None
-  margin: float | dict[str, float] | None = None
+  solref: tuple[float, ...] | Mapping[str, tuple[float, ...]] | None = None
+  solimp: tuple[float, ...] | Mapping[str, tuple[float, ...]] | None = None
+  margin: float | Mapping[str, float] | None = None
   """Distance at which a contact becomes active [m]."""
-  gap: float | dict[str, float] | None = None
+  gap: float | Mapping[str, float] | None = None
   """Additional distance at which a contact is detected [m]."""
-  solmix: float | dict[str, float] | None = None
+  solmix: float | Mapping[str, float] | None = None
   disable_other_geoms: bool = True
   """Geoms of the entity that none of its presets names do not collide."""
 

@@ -81,7 +81,7 @@ class Entity(EntityNames, EntityWrites):
     self._columns_of: dict[tuple[object, ...], tuple[object, Columns]] = {}
     self._target_columns: tuple[torch.Tensor, torch.Tensor] | None = None
     self._follows_targets_only = False
-    self._written: int | None = None
+    self._written: tuple[int, bool] | None = None
 
   # Building
 
@@ -182,7 +182,9 @@ class Entity(EntityNames, EntityWrites):
     data = self.data
     if self._follows_targets_only:
       # Servos inside MuJoCo hold their set-point: within a decimation there is nothing to write twice.
-      written = data.joint_pos_target._version + data.joint_vel_target._version + data.joint_effort_target._version
+      versions = data.joint_pos_target._version + data.joint_vel_target._version + data.joint_effort_target._version
+      # The first substep of a recording writes whatever was written before it: each replay starts from new set-points.
+      written = (versions, self.sim.is_capturing)
       if written == self._written:
         return
       self._written = written

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -31,11 +31,11 @@ class InitialStateCfg:
   """Linear velocity of the root link's origin, world frame [m/s]; floating base only."""
   ang_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)
   """Angular velocity of the root link, world frame [rad/s]; floating base only."""
-  joint_pos: dict[str, float | tuple[float, float, float, float]] | None = field(default_factory=dict)
+  joint_pos: Mapping[str, float | tuple[float, float, float, float]] | None = field(default_factory=dict)
   """Joint positions by pattern [rad or m], a quaternion for a ball joint; None takes the model's first keyframe."""
-  joint_vel: dict[str, float | tuple[float, float, float]] = field(default_factory=dict)
+  joint_vel: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
   """Joint velocities by pattern [rad/s or m/s], three numbers for a ball joint."""
-  ctrl: dict[str, float] = field(default_factory=dict)
+  ctrl: Mapping[str, float] = field(default_factory=dict)
   """Controls of the scene's keyframe by actuator pattern; a position servo defaults to its joint's initial position."""
 
 

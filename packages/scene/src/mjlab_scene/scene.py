@@ -68,6 +68,9 @@ class Scene(Stateful):
 
   _children = ("entities", "sensors")
 
+  env_origins: torch.Tensor
+  """Where each world has its origin, world frame, (num_envs, 3) [m]; there once the scene is initialized."""
+
   def __init__(self, cfg: SceneCfg) -> None:
     if cfg.num_envs < 1:
       raise ValueError(f"scene: num_envs {cfg.num_envs} must be at least 1")
@@ -139,7 +142,6 @@ class Scene(Stateful):
     if sim.num_envs != self.num_envs:
       raise ValueError(f"scene: the simulation has {sim.num_envs} worlds, the scene {self.num_envs}")
     self.env_origins = torch.tensor(self._origins, dtype=sim.dtype, device=sim.device)
-    """Where each world has its origin, world frame, (num_envs, 3) [m]."""
     for entity in self.entities.values():
       entity.initialize(sim, rng=rng)
     for sensor in self.sensors.values():
