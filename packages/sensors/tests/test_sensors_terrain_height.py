@@ -195,8 +195,8 @@ def test_rays_equal_mj_ray_in_random_scenes(alignment: Any) -> None:
     poses: list[Any] = [
       (*rng.uniform(-1, 1, 2), rng.uniform(0.6, 1.3), Rotation.random(rng=rng)) for _ in range(num_envs)
     ]
-    # One frame that looks straight up, whose heading is that of its y axis.
-    poses[0] = (*poses[0][:3], Rotation.from_euler("zy", (40, -88), degrees=True))
+    # One world looks all but straight up: its heading is that of the y axis, 25 degrees from that of the x axis.
+    poses[0] = (*poses[0][:3], Rotation.from_euler("ZYX", (40, -88, 25), degrees=True))
     place(sim, *poses)
     rays = np.stack([oracle(sim, world, [1, 0, 2], pattern, alignment, 0.05, 0.9) for world in range(num_envs)])
     valid = ~np.isnan(rays)
