@@ -71,12 +71,17 @@ class _Dispatched(TorchDispatchMode):
     self.names: list[str] = []
 
   def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-    self.names.append(func.name())
+    name = func.name()
+    if name.startswith(("aten::index.", "aten::index_put", "aten::_index_put")):
+      indices = [index for index in args[1] if index is not None]
+      if any(index.dtype is torch.bool for index in indices):
+        name = f"{name} (boolean index)"
+    self.names.append(name)
     return func(*args, **(kwargs or {}))
 
 
 # These ask the device something, or depend on how many worlds a mask holds.
-SYNCS = ("_local_scalar_dense", "nonzero", "item", "masked_select", "_to_copy.device", "equal", "lift_fresh")
+SYNCS = ("_local_scalar_dense", "nonzero", "item", "masked_select", "aten::equal", "lift_fresh", "boolean index")
 
 
 @pytest.fixture

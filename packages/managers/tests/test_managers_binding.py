@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import torch
-
 from mjlab_managers import (
   ConfigError,
   EventManager,
@@ -52,6 +51,7 @@ class TestSelection:
     assert resolve(joint_names="F.*").joint_ids == slice(0, 4)
     assert resolve(joint_names="RL_hip").joint_ids == slice(4, 5)
     scattered = resolve(joint_names=".*_hip").joint_ids
+    assert isinstance(scattered, torch.Tensor)
     assert scattered.tolist() == [0, 2, 4]
     assert scattered.dtype is torch.int64
 
@@ -67,7 +67,7 @@ class TestSelection:
   @pytest.mark.parametrize(("given", "ids"), [(2, slice(2, 3)), ((0, 1), slice(0, 2)), ([3, 1], [1, 3])])
   def test_indices_may_be_given_instead_of_names(self, env, given, ids):
     resolved = SceneEntityCfg("robot", joint_names=given).resolve(env.scene, env.device)
-    assert (resolved.joint_ids if isinstance(ids, slice) else resolved.joint_ids.tolist()) == ids  # pyright: ignore
+    assert (resolved.joint_ids if isinstance(ids, slice) else resolved.joint_ids.tolist()) == ids  # type: ignore
 
   @pytest.mark.parametrize(
     ("given", "said"),
@@ -140,7 +140,7 @@ class TestParameters:
           "number": RewardTermCfg(lambda env: 1.0, weight=1.0),
           "raises": RewardTermCfg(lambda env: env.scene["table"], weight=1.0),
           "argless": RewardTermCfg(lambda: None, weight=1.0),
-          "not_callable": RewardTermCfg("joints", weight=1.0),  # pyright: ignore
+          "not_callable": RewardTermCfg("joints", weight=1.0),  # type: ignore
         },
         env,
       )
@@ -164,12 +164,12 @@ class TestParameters:
       TerminationManager({"t": TerminationTermCfg(lambda env: env.values[:, 0])}, env)
 
   def test_an_event_names_its_second_parameter(self, env):
-    with pytest.raises(ConfigError, match="second parameter must be 'mask' .* it is 'ids'"):
+    with pytest.raises(ConfigError, match=r"second parameter must be 'mask' .* it is 'ids'"):
       EventManager({"push": EventTermCfg(lambda env, ids: None, mode="step")}, env)
 
   def test_a_config_of_the_wrong_kind_is_named(self, env):
     with pytest.raises(ConfigError, match="expected a RewardTermCfg, got TerminationTermCfg"):
-      RewardManager({"r": TerminationTermCfg(joints)}, env)  # pyright: ignore
+      RewardManager({"r": TerminationTermCfg(joints)}, env)  # type: ignore
 
   def test_none_removes_a_term(self, env):
     assert RewardManager({"a": None, "b": RewardTermCfg(joints, weight=1.0)}, env).active_terms == ["b"]
@@ -197,8 +197,9 @@ class Counter(ManagerTermBase):
 class TestClassTerms:
   def test_a_class_term_is_made_once_and_the_trial_call_leaves_no_trace(self, env):
     manager = RewardManager({"n": RewardTermCfg(Counter, weight=1.0)}, env, scale_by_dt=False)
-    assert isinstance(manager.get_term_cfg("n").func, Counter)
-    assert manager.get_term_cfg("n").func.name == "n"
+    counter = manager.get_term_cfg("n").func
+    assert isinstance(counter, Counter)
+    assert counter.name == "n"
     assert manager.compute().tolist() == [1.0] * 4
     manager.reset(env.mask(1))
     assert manager.compute().tolist() == [2.0, 1.0, 2.0, 2.0]

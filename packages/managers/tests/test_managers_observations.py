@@ -4,7 +4,6 @@ from typing import Any
 
 import pytest
 import torch
-
 from mjlab_managers import (
   ConfigError,
   ConstantNoiseCfg,
@@ -391,7 +390,7 @@ class TestEvaluation:
       ({"noise": UniformNoiseCfg(n_min=1.0, n_max=-1.0)}, "is inverted"),
       ({"noise": UniformNoiseCfg(n_min=(0.0,) * 3)}, "3 numbers for 2 components"),
       ({"noise": GaussianNoiseCfg(std=-1.0)}, "std must not be negative"),
-      ({"noise": ConstantNoiseCfg(operation="mul")}, "operation 'mul' does not exist"),  # pyright: ignore
+      ({"noise": ConstantNoiseCfg(operation="mul")}, "operation 'mul' does not exist"),  # type: ignore
     ],
   )
   def test_options_that_mean_nothing_are_errors_at_build(self, env, options, said):

@@ -188,7 +188,7 @@ def bind(
     try:
       func = func(cfg, env)
     except Exception as error:
-      problems.append(f"term '{name}': {type(error).__name__} while making {cfg.func.__name__}: {error}")
+      problems.append(f"term '{name}': {type(error).__name__} while making {func!r}: {error}")
       return None
     func.name = name
     cfg.func = func

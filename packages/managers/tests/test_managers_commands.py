@@ -1,0 +1,128 @@
+"""Commands: timers, draws and metrics."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core.masking import where_
+from mjlab_managers import CommandManager, CommandTerm, CommandTermCfg, ConfigError
+
+
+@dataclass(kw_only=True)
+class UniformCfg(CommandTermCfg):
+  def build(self, env: Any) -> "Uniform":
+    return Uniform(self, env)
+
+
+class Uniform(CommandTerm):
+  def __init__(self, cfg: UniformCfg, env: Any) -> None:
+    super().__init__(cfg, env)
+    self._command = torch.zeros(self.num_envs, 3)
+    self.age = torch.zeros(self.num_envs)
+    self.metrics["error"] = torch.zeros(self.num_envs)
+    self.metrics["steps"] = torch.zeros(self.num_envs)
+
+  @property
+  def command(self) -> torch.Tensor:
+    return self._command
+
+  def resample(self, mask: torch.Tensor) -> None:
+    where_(self._command, mask, torch.rand(self.num_envs, 3, generator=self.env.rng))
+
+  def update(self) -> None:
+    self.age.add_(~self.env.command_manager.fresh)
+
+  def update_metrics(self) -> None:
+    self.metrics["error"] += self.env.values[:, 0]
+    self.metrics["steps"] = self.metrics["steps"] + 1.0
+
+
+def build(env: Any, lo: float = 0.1, hi: float = 0.3) -> CommandManager:
+  env.command_manager = CommandManager({"twist": UniformCfg(resampling_time_range=(lo, hi))}, env)
+  return env.command_manager
+
+
+def test_a_command_is_drawn_anew_when_its_timer_runs_out(env):
+  manager = build(env, 0.1, 0.1)
+  everyone = env.mask(0, 1, 2, 3)
+  manager.reset(everyone)
+  changes = []
+  for _ in range(15):
+    before = manager.get_command("twist").clone()
+    manager.compute(0.02)
+    changes.append((manager.get_command("twist") != before).all(1).tolist())
+  assert [all(row) for row in changes].count(True) == 3
+  assert [any(row) for row in changes].count(True) == 3
+  assert manager.get_term("twist").command_counter.tolist() == [4] * 4
+
+
+def test_worlds_just_reset_keep_their_full_timer_and_do_not_advance(env):
+  manager = build(env)
+  fresh = env.mask(1)
+  manager.reset(env.mask(0, 1, 2, 3))
+  left = manager.get_term("twist").time_left.clone()
+  manager.compute(0.02, fresh)
+  expected = torch.where(fresh, left, left - 0.02)
+  torch.testing.assert_close(manager.get_term("twist").time_left, expected)
+  assert manager.get_term("twist").age.tolist() == [1.0, 0.0, 1.0, 1.0]  # type: ignore
+
+
+def test_metrics_are_logged_over_the_worlds_that_reset_and_zeroed_there(env, logged):
+  manager = build(env)
+  for _ in range(3):
+    manager.compute(0.02)
+  manager.reset(env.mask(1, 2))
+  assert logged(manager) == {"Metrics/twist/error": 3 * 7.5, "Metrics/twist/steps": 3.0}
+  assert manager.get_term("twist").metrics["steps"].tolist() == [3.0, 0.0, 0.0, 3.0]
+  manager.clear_log()
+  assert {str(value) for value in logged(manager).values()} == {"nan"}
+
+
+def test_what_a_world_is_asked_does_not_depend_on_which_others_reset(make_env):
+  def rollout(others: list[int]) -> list[torch.Tensor]:
+    env = make_env(seed=3)
+    manager = build(env)
+    manager.reset(env.mask(0, 1, 2, 3))
+    rows = []
+    for step in range(40):
+      fresh = env.mask(*(others if step % 7 == 3 else []))
+      manager.reset(fresh)
+      manager.compute(0.02, fresh)
+      rows.append(torch.cat([manager.get_command("twist")[0], manager.get_term("twist").time_left[:1]]))
+    return rows
+
+  for alone, accompanied in zip(rollout([]), rollout([1, 3]), strict=True):
+    assert torch.equal(alone, accompanied)
+
+
+def test_resetting_a_world_leaves_the_others_bit_identical_and_all_of_it_is_saved(env):
+  manager = build(env)
+  manager.compute(0.02)
+  before = manager.state_dict()["_stateful_terms"]["twist"]
+  assert set(before) == {"time_left", "command_counter", "_metric_values", "_command", "age"}
+  manager.reset(env.mask(2))
+  after = manager.state_dict()["_stateful_terms"]["twist"]
+  others = ~env.mask(2)
+  for name, value in before.items():
+    assert torch.equal(after[name][others], value[others])
+
+
+@pytest.mark.parametrize("limits", [(2.0, 1.0), (-1.0, 1.0)])
+def test_an_impossible_time_range_is_an_error(env, limits):
+  with pytest.raises(ConfigError, match="term 'twist': resampling_time_range"):
+    build(env, *limits)
+
+
+def test_unknown_names_get_a_suggestion(env):
+  with pytest.raises(KeyError, match="Nearest: twist"):
+    build(env).get_command("twst")
+
+
+def test_a_step_asks_the_device_nothing_and_no_terms_do_nothing(env, dispatched):
+  manager = build(env)
+  mask = env.mask(1)
+  dispatched(lambda: manager.compute(0.02, mask))
+  dispatched(lambda: manager.reset(mask))
+  empty = CommandManager({}, env)
+  assert dispatched(lambda: (empty.compute(0.02, mask), empty.reset(mask))) == []

@@ -1,0 +1,193 @@
+"""Events: modes, timers and derived constants."""
+
+import functools
+from typing import Any
+
+import pytest
+import torch
+from mjlab_managers import ConfigError, EventManager, EventTermCfg, ManagerTermBase
+
+
+class Fired:
+  """An event that notes where it fired."""
+
+  def __init__(self) -> None:
+    self.masks: list[list[bool]] = []
+
+  def __call__(self, env: Any, mask: torch.Tensor) -> None:
+    self.masks.append(mask.tolist())
+
+  def __deepcopy__(self, memo: Any) -> "Fired":
+    return self
+
+
+def test_each_mode_fires_its_own_terms_where_it_is_told(env):
+  startup, reset, step = Fired(), Fired(), Fired()
+  terms: dict[str, EventTermCfg | None] = {
+    "startup": EventTermCfg(startup, mode="startup"),
+    "reset": EventTermCfg(reset, mode="reset"),
+    "step": EventTermCfg(step, mode="step"),
+    "none": None,
+  }
+  manager = EventManager(terms, env)
+  assert manager.available_modes == ["startup", "reset", "step"]
+  manager.apply("startup")
+  manager.apply("reset", env.mask(1))
+  manager.apply("interval")
+  assert (startup.masks, reset.masks, step.masks) == ([[True] * 4], [[False, True, False, False]], [])
+
+
+def test_the_mean_time_between_firings_is_the_middle_of_the_range(make_env):
+  env = make_env(256)
+  fired = Fired()
+  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.2, 0.6))}, env)
+  steps = 1000
+  for _ in range(steps):
+    manager.apply("interval")
+  count = torch.tensor(fired.masks).sum().item()
+  # A timer is only looked at once per step, so that a firing is half a step late on average.
+  assert steps * env.step_dt * 256 / count == pytest.approx(0.4 + env.step_dt / 2, rel=0.01)
+
+
+def test_a_constant_interval_fires_exactly_on_time(env):
+  fired = Fired()
+  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.1, 0.1))}, env)
+  for _ in range(20):
+    manager.apply("interval")
+  assert [all(mask) for mask in fired.masks] == [i % 5 == 4 for i in range(20)]
+
+
+def test_a_reset_redraws_the_timer_of_its_world_but_not_a_global_one(env):
+  def build(is_global: bool) -> EventManager:
+    term = EventTermCfg(Fired(), mode="interval", interval_range_s=(1.0, 9.0), is_global_time=is_global)
+    return EventManager({"push": term}, env)
+
+  own = build(False)
+  before = own.state_dict()["_time_left"]
+  own.reset(env.mask(2))
+  assert (own.state_dict()["_time_left"] != before)[:, 0].tolist() == [False, False, True, False]
+  shared = build(True)
+  before = shared.state_dict()["_global_time_left"]
+  shared.reset(env.mask(2))
+  assert torch.equal(shared.state_dict()["_global_time_left"], before)
+
+
+def test_a_global_timer_fires_everywhere_at_once(env):
+  fired = Fired()
+  term = EventTermCfg(fired, mode="interval", interval_range_s=(0.1, 0.3), is_global_time=True)
+  manager = EventManager({"gravity": term}, env)
+  for _ in range(100):
+    manager.apply("interval", env.mask(0, 2))
+  assert {tuple(mask) for mask in fired.masks} == {(True,) * 4, (False,) * 4}
+
+
+def test_worlds_for_which_no_time_passed_keep_their_timer(env):
+  fired = Fired()
+  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.02, 0.02))}, env)
+  manager.apply("interval", ~env.mask(3))
+  assert fired.masks == [[True, True, True, False]]
+
+
+def test_a_minimal_step_count_lets_the_first_firing_through_and_then_counts_global_steps(env):
+  fired = Fired()
+  manager = EventManager({"dr": EventTermCfg(fired, mode="reset", min_step_count_between_reset=10)}, env)
+  firings = []
+  for step in range(0, 32, 4):
+    env.common_step_counter.fill_(step)
+    manager.apply("reset", env.mask(0) if step != 8 else env.mask(0, 1))
+    if fired.masks[-1][0]:
+      firings.append(step)
+  assert firings == [0, 12, 24]
+  assert [mask[1] for mask in fired.masks].count(True) == 1
+
+
+def test_constants_are_recomputed_once_per_apply_where_something_fired(env):
+  def mass(env: Any, mask: torch.Tensor) -> None: ...
+  def friction(env: Any, mask: torch.Tensor) -> None: ...
+
+  mass.model_fields, mass.needs_constants = ("body_mass", "body_inertia"), True  # type: ignore
+  friction.model_fields = ("geom_friction",)  # type: ignore
+  terms: dict[str, EventTermCfg | None] = {
+    "mass": EventTermCfg(functools.partial(mass), mode="reset"),
+    "again": EventTermCfg(mass, mode="reset", min_step_count_between_reset=5),
+    "friction": EventTermCfg(friction, mode="reset"),
+    "push": EventTermCfg(friction, mode="step"),
+  }
+  manager = EventManager(terms, env)
+  assert manager.model_fields == ("body_mass", "body_inertia", "geom_friction")
+  manager.apply("reset", env.mask(1, 3))
+  manager.apply("step")
+  assert env.recomputed == [[1, 3]]
+
+
+def test_a_class_event_declares_its_fields_after_it_was_made(env):
+  class Randomize(ManagerTermBase):
+    def __init__(self, cfg: Any, env: Any) -> None:
+      self.model_fields = (cfg.params["field"],)
+      self.needs_constants = True
+
+    def __call__(self, env: Any, mask: torch.Tensor, *, field: str) -> None: ...
+
+  terms: dict[str, EventTermCfg | None] = {"r": EventTermCfg(Randomize, mode="startup", params={"field": "body_ipos"})}
+  manager = EventManager(terms, env)
+  assert manager.model_fields == ("body_ipos",)
+  manager.apply("startup")
+  assert env.recomputed == [[0, 1, 2, 3]]
+
+
+def test_a_term_that_asks_for_indices_runs_outside_the_recording_and_only_if_there_are_any(env):
+  calls: list[list[int]] = []
+
+  def push(env: Any, env_ids: torch.Tensor, *, force: float = 1.0) -> None:
+    calls.append(env_ids.tolist())
+
+  manager = EventManager({"push": EventTermCfg(push, mode="reset")}, env)
+  manager.apply("reset", env.mask(1, 3))
+  manager.apply("reset", env.mask())
+  assert calls == [[1, 3]]
+  assert env.eager == ["event 'push'"] * 2
+
+
+@pytest.mark.parametrize(
+  ("options", "said"),
+  [
+    ({"mode": "restart"}, "mode 'restart' does not exist. Nearest: startup, reset"),
+    ({"mode": "interval"}, "needs interval_range_s"),
+    ({"mode": "interval", "interval_range_s": (2.0, 1.0)}, r"interval_range_s: range \(2.0, 1.0\) is inverted"),
+    ({"mode": "reset", "interval_range_s": (1.0, 2.0)}, "interval_range_s is for mode interval, the mode is reset"),
+    ({"mode": "step", "is_global_time": True}, "is_global_time is for mode interval"),
+    ({"mode": "step", "min_step_count_between_reset": 3}, "is for mode reset, the mode is step"),
+  ],
+)
+def test_options_that_mean_nothing_are_errors_at_build(env, options, said):
+  with pytest.raises(ConfigError, match=f"EventManager: term 'e'.*{said}"):
+    EventManager({"e": EventTermCfg(Fired(), **options)}, env)
+
+
+def test_when_an_event_fires_in_a_world_does_not_depend_on_which_others_reset(make_env):
+  def rollout(others: list[int]) -> list[bool]:
+    env, fired = make_env(seed=3), Fired()
+    manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.02, 0.2))}, env)
+    for step in range(60):
+      fresh = env.mask(*(others if step % 7 == 3 else []))
+      manager.reset(fresh)
+      manager.apply("interval", ~fresh)
+    return [mask[0] for mask in fired.masks]
+
+  assert rollout([]) == rollout([1, 3])
+
+
+def test_a_step_asks_the_device_nothing_and_absent_modes_do_nothing(env, dispatched):
+  def nothing(env: Any, mask: torch.Tensor) -> None: ...
+
+  terms: dict[str, EventTermCfg | None] = {
+    **{f"i{i}": EventTermCfg(nothing, mode="interval", interval_range_s=(1.0, 2.0)) for i in range(5)},
+    "g": EventTermCfg(nothing, mode="interval", interval_range_s=(1.0, 2.0), is_global_time=True),
+    "r": EventTermCfg(nothing, mode="reset", min_step_count_between_reset=3),
+  }
+  manager = EventManager(terms, env)
+  mask = env.mask(1)
+  assert len(dispatched(lambda: manager.apply("interval", mask))) <= 16
+  dispatched(lambda: manager.apply("reset", mask))
+  dispatched(lambda: manager.reset(mask))
+  assert dispatched(lambda: manager.apply("step", mask)) == []

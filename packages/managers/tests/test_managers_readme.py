@@ -1,0 +1,13 @@
+"""The example of the README runs."""
+
+import re
+from pathlib import Path
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def test_the_example_runs() -> None:
+  blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+  assert blocks
+  for block in blocks:
+    exec(compile(block, str(README), "exec"), {})
