@@ -1,5 +1,10 @@
 import sys
 from pathlib import Path
 
+import torch
+
 # Manifests name the toy environment by module, so it must be importable.
 sys.path.insert(0, str(Path(__file__).parent))
+
+# Tiny tensors: a second thread would only wait for the first.
+torch.set_num_threads(1)

@@ -5,6 +5,7 @@ import re
 from datetime import datetime
 from pathlib import Path
 
+_RUN = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:\.(\d+))?.*")
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
 
@@ -47,7 +48,7 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str) -> Path:
     RunNotFoundError: Nothing fits.
   """
   folder = log_root / experiment
-  runs = sorted((path for path in folder.iterdir() if path.is_dir()), reverse=True) if folder.is_dir() else []
+  runs = sorted((path for path in folder.iterdir() if path.is_dir()), key=_age, reverse=True) if folder.is_dir() else []
   if run == "latest":
     for directory in runs:
       if found := checkpoints(directory):
@@ -62,3 +63,9 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str) -> Path:
       raise RunNotFoundError(f"run {candidate} has no checkpoint")
   names = ", ".join(path.name for path in runs[:5]) or "none"
   raise RunNotFoundError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
+
+
+def _age(directory: Path) -> tuple[str, int]:
+  """Sorts run directories by the time in their names; those of other names come before all."""
+  match = _RUN.fullmatch(directory.name)
+  return (match[1], int(match[2] or 1)) if match else ("", 0)

@@ -96,8 +96,11 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 def _members(annotation: Any) -> list[Any]:
-  if typing.get_origin(annotation) in (Union, types.UnionType):
+  origin = typing.get_origin(annotation)
+  if origin in (Union, types.UnionType):
     return [member for part in typing.get_args(annotation) for member in _members(part)]
+  if origin is Sequence:
+    return [tuple.__class_getitem__((*typing.get_args(annotation), ...))]
   return [annotation]
 
 
@@ -152,7 +155,7 @@ def _fits(value: Any, kind: Any) -> bool:
   if origin is Literal:
     return value in typing.get_args(kind)
   if origin is not None:
-    return isinstance(value, origin)
+    return isinstance(value, (tuple, list))
   return isinstance(value, (int, float)) if kind is float else isinstance(value, kind)
 
 
@@ -188,12 +191,10 @@ def unknown_flag(name: str, known: Sequence[str]) -> str:
   inside = [flag for flag in known if flag.startswith(f"{name}.")]
   if inside:
     return f"--{name}: not a single value; its options are {_list(inside)}"
+  # A part of the same name elsewhere is likelier meant than a name that merely looks alike.
   last = name.rpartition(".")[2]
-  close = nearest(name, known) or [flag for flag in known if flag.rpartition(".")[2] == last]
-  close = [flag for flag in known if flag.endswith(f".{name}")] or close
-  return f"--{name}: no such option." + (
-    f" Did you mean {_list(close[:1] if '.' in name else close)}?" if close else ""
-  )
+  close = nearest(name, [flag for flag in known if flag.rpartition(".")[2] == last] or known)
+  return f"--{name}: no such option." + (f" Did you mean --{close[0]}?" if close else "")
 
 
 def _list(names: Sequence[str]) -> str:
@@ -230,7 +231,7 @@ def _parse(flag: Flag, words: list[str]) -> Any:
 def _order(kind: Any, words: list[str]) -> int:
   """Strict types first: a word is read as a string only where it is nothing else."""
   if typing.get_origin(kind) in (tuple, list):
-    return 5 if len(words) == 1 and words[0][:1] not in ("(", "[") else 1
+    return 7 if len(words) == 1 and words[0][:1] not in ("(", "[") else 1
   order: dict[Any, int] = {_NONE: 0, bool: 2, int: 3, float: 4, str: 6}
   return order.get(kind, 1)
 
@@ -324,22 +325,21 @@ def _union_name(annotation: Any) -> str:
 
 def describe(shown: Sequence[Flag]) -> str:
   """Help text of flags, grouped by the part of the configuration they are in."""
-  lines: list[str] = []
-  group = ""
+  groups: dict[str, list[str]] = {}
   for flag in shown:
-    parent = flag.name if flag.is_part else flag.name.rpartition(".")[0]
-    if parent != group:
-      group = parent
-      lines += ["", f"{group}:"]
-    kind = "FLOAT" if flag.type_name == "INT|FLOAT" else flag.type_name
     if flag.is_part:
-      lines.append(f"  --{flag.name} None  (switch it off)")
+      groups.setdefault(flag.name, []).append(f"  --{flag.name} None  (switches it off)")
       continue
-    lines.append(f"  --{flag.name} {kind}  (default: {_shown(flag.value)})")
+    lines = groups.setdefault(flag.name.rpartition(".")[0], [])
+    lines.append(f"  --{flag.name} {_types(flag)}  (default: {_shown(flag.value)})")
     about = _field_docs(flag.owner).get(flag.path[-1], "") if flag.owner is not None else ""
     if about:
       lines.append(f"      {about}")
-  return "\n".join(lines).strip("\n")
+  return "\n\n".join("\n".join([f"{group}:", *lines]) for group, lines in groups.items())
+
+
+def _types(flag: Flag) -> str:
+  return "FLOAT" if flag.type_name == "INT|FLOAT" else flag.type_name
 
 
 def _shown(value: Any) -> str:

@@ -1,7 +1,6 @@
 """`train TASK [flags]`: build the task, apply the flags, train."""
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +34,7 @@ _ARITY = {
 
 @dataclasses.dataclass(kw_only=True)
 class _Arguments:
+  words: list[str]
   task: str
   options: dict[str, str | None]
   overrides: list[tuple[str, list[str]]]
@@ -109,7 +109,7 @@ def _parse(arguments: list[str]) -> _Arguments:
       overrides.append((name, words))
     else:
       options[_option(name, words)] = words[0] if words else None
-  return _Arguments(task=task, options=options, overrides=overrides)
+  return _Arguments(words=arguments, task=task, options=options, overrides=overrides)
 
 
 def _option(name: str, words: list[str]) -> str:
@@ -202,7 +202,7 @@ def _train(arguments: _Arguments, task: "TaskCfg[Any]") -> int:
       log_root=log_root,
       resume=checkpoint,
       console=console,
-      command=["train", *sys.argv[1:]] if not sys.argv[0].endswith("mjlab") else sys.argv,
+      command=["train", *arguments.words],
       on_ready=on_ready,
     )
   except (ValueError, OSError) as error:

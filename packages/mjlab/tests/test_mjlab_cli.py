@@ -1,0 +1,163 @@
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import mjlab
+import mjlab.registry as registry
+import mjlab_pendulum
+import pytest
+from mjlab import cli
+from mjlab_rl import checkpoints, load_run
+
+TASK = "Test-Pendulum"
+
+
+@pytest.fixture(autouse=True)
+def _pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr(registry, "_registered", {})
+  mjlab.register_task(TASK, mjlab_pendulum.pendulum)
+
+
+def train(root: Path, *flags: str) -> int:
+  return cli.main(["train", TASK, "--log-root", str(root), "--device", "cpu", *flags])
+
+
+def runs(root: Path) -> list[Path]:
+  return sorted((root / "pendulum").iterdir())
+
+
+def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert train(tmp_path, "--env.rewards.joint-speed.weight", "-0.5", "--seed", "7", "--agent.run-name", "mine") == 0
+  (directory,) = runs(tmp_path)
+  assert directory.name.endswith("_mine")
+  assert [path.name for path in checkpoints(directory)] == ["model_3.pt"]
+  assert (directory / "progress.csv").read_text().count("\n") == 4
+  run = load_run(directory)
+  assert run.env.rewards["joint_speed"].weight == -0.5
+  assert (run.env.seed, run.agent.seed, run.seed) == (7, 7, 7)
+  assert run.command[:2] == ["train", TASK]
+  assert run.play is mjlab_pendulum.for_watching
+  shown = capsys.readouterr().out
+  assert "8 worlds" in shown
+  assert "engine native" in shown
+  assert f"done: 3 iterations, {directory / 'model_3.pt'}" in shown
+
+
+def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert train(tmp_path, "--env.rewards.joint-speed.weight", "-0.5", "--env.scene.num-envs", "4", "--quiet") == 0
+  assert capsys.readouterr().out == ""
+  assert train(tmp_path, "--resume", "--agent.max-iterations", "5") == 0
+  first, second = runs(tmp_path)
+  run = load_run(second)
+  assert run.env.rewards["joint_speed"].weight == -0.5
+  assert run.env.scene.num_envs == 4
+  assert run.resumed_from == str(first / "model_3.pt")
+  assert [path.name for path in checkpoints(second)] == ["model_5.pt"]
+  assert "not restored" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+  ("flags", "code", "message"),
+  [
+    (
+      ["--env.rewards.alife.weight", "1"],
+      2,
+      "--env.rewards.alife.weight: no such option. Did you mean --env.rewards.alive",
+    ),
+    (["--num-envs", "3"], 2, "--num-envs: no such option. Did you mean --env.scene.num-envs?"),
+    (["--devise", "cpu"], 2, "--devise: no such option. Did you mean --device?"),
+    (["--verbose", "yes"], 2, "--verbose: takes no value, got yes"),
+    (["--verbose", "--quiet"], 2, "exclude each other"),
+    (["--seed", "x"], 2, "--seed: expected INT, got x"),
+    (["--resume", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
+    (["--device", "cuda:77"], 1, "device 'cuda:77' does not exist; there is cpu"),
+    (["--env.actions.torque.actuators", "hings"], 1, "Nearest: hinge"),
+    (["--env.decimation", "0"], 1, "decimation must be at least 1"),
+    (["--agent.obs-groups.actor", "acto"], 1, "acto"),
+  ],
+)
+def test_a_mistake_is_one_line_and_an_exit_code(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str], code: int, message: str
+) -> None:
+  assert train(tmp_path, *flags) == code
+  captured = capsys.readouterr().err
+  assert captured.startswith("error: ")
+  assert captured.count("\n") == 1
+  assert message in captured
+  assert not (tmp_path / "pendulum").exists()
+
+
+def test_an_unknown_task_and_command_name_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.train(["Test-Pendulun"]) == 2
+  assert "task 'Test-Pendulun' does not exist. Nearest: Test-Pendulum" in capsys.readouterr().err
+  assert cli.main(["trian"]) == 2
+  assert "Nearest: train" in capsys.readouterr().err
+  assert cli.train([]) == 2
+  assert cli.train(["--device", "cpu", TASK]) == 2
+
+
+def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert train(tmp_path, "--env.decimation", "0", "--traceback") == 1
+  assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_of_a_task_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.train([TASK, "--help", "joint_speed"]) == 0
+  shown = capsys.readouterr().out
+  assert "--env.rewards.joint-speed.weight FLOAT  (default: -0.01)" in shown
+  assert "--agent" not in shown
+  assert cli.train([TASK, "-h"]) == 0
+  shown = capsys.readouterr().out
+  assert "--agent.algorithm.learning-rate FLOAT  (default: 0.001)" in shown
+  assert "--resume [RUN]" in shown
+
+
+def test_list_envs_filters_and_succeeds(capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.list_envs(["pendul"]) == 0
+  assert capsys.readouterr().out.splitlines()[1:] == ["Test-Pendulum  (registered)"]
+  assert cli.list_envs(["no-such-task"]) == 0
+  assert cli.list_envs(["--all"]) == 2
+
+
+@pytest.mark.parametrize("arguments", [["train", "--help"], ["list-envs"], ["train", "Nope"], ["--help"]])
+def test_listing_and_help_start_fast_and_import_nothing_heavy(arguments: list[str]) -> None:
+  code = (
+    "import sys, time; from mjlab.cli import main; main(sys.argv[1:]); import sys;"
+    "heavy = {'torch', 'warp', 'mujoco', 'tyro', 'rsl_rl', 'numpy'} & set(sys.modules);"
+    "assert not heavy, heavy; assert time.process_time() < 0.4, time.process_time()"
+  )
+  done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+  assert done.returncode == 0, done.stderr
+
+
+def test_importing_mjlab_imports_neither_torch_nor_warp() -> None:
+  code = "import mjlab, sys; assert not {'torch', 'warp', 'mujoco'} & set(sys.modules)"
+  subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_ctrl_c_saves_and_exits_cleanly(tmp_path: Path) -> None:
+  code = (
+    "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
+    "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
+  )
+  flags = ["--log-root", str(tmp_path), "--device", "cpu", "--agent.max-iterations", "100_000", "--verbose"]
+  with subprocess.Popen(
+    [sys.executable, "-uc", code, "train", TASK, *flags],
+    stdout=subprocess.PIPE,
+    stderr=subprocess.STDOUT,
+    text=True,
+    env=os.environ | {"PYTHONPATH": str(Path(__file__).parent)},
+  ) as process:
+    assert process.stdout is not None
+    for line in process.stdout:
+      if "steps/s" in line:
+        process.send_signal(signal.SIGINT)
+        break
+    rest = process.stdout.read()
+  assert process.returncode == 0, rest
+  assert "stopped (SIGINT) after" in rest
+  (directory,) = runs(tmp_path)
+  assert f"continue with: train {TASK} --resume {directory}" in rest
+  assert len(checkpoints(directory)) == 1

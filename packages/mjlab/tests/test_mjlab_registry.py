@@ -1,0 +1,87 @@
+import importlib
+from typing import Any
+
+import mjlab
+import mjlab.registry as registry
+import mjlab_pendulum
+import pytest
+import torch
+from mjlab.making import DeviceError, default_worlds, resolve_device
+from mjlab_rl.manifest import decode, encode
+
+
+@pytest.fixture
+def pendulum(monkeypatch: pytest.MonkeyPatch) -> str:
+  monkeypatch.setattr(registry, "_registered", {})
+  mjlab.register_task("Test-Pendulum", mjlab_pendulum.pendulum)
+  return "Test-Pendulum"
+
+
+def test_a_registered_task_is_listed_and_loaded_fresh(pendulum: str) -> None:
+  assert pendulum in mjlab.list_tasks()
+  first, second = mjlab.load_task(pendulum), mjlab.load_task(pendulum)
+  assert first.env == second.env
+  assert first.env is not second.env
+
+
+def test_an_unknown_task_names_the_nearest(pendulum: str) -> None:
+  with pytest.raises(mjlab.TaskError, match=r"task 'Test-Pendulun' does not exist\. Nearest: Test-Pendulum"):
+    mjlab.load_task("Test-Pendulun")
+
+
+def test_an_id_is_registered_once(pendulum: str) -> None:
+  with pytest.raises(mjlab.TaskError, match="registered already"):
+    mjlab.register_task(pendulum, mjlab_pendulum.pendulum)
+
+
+def test_a_task_of_another_type_is_a_clear_error(pendulum: str) -> None:
+  mjlab.register_task("Test-Wrong", lambda: 3)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+  with pytest.raises(mjlab.TaskError, match=r"expected a mjlab_rl\.TaskCfg, got int"):
+    mjlab.load_task("Test-Wrong")
+
+
+def test_make_builds_a_stepping_environment(pendulum: str) -> None:
+  env = mjlab.make(pendulum, num_envs=3, device="cpu")
+  obs, _ = env.reset(seed=0)
+  obs, reward, terminated, truncated, _ = env.step(torch.zeros(3, 1))
+  assert obs.keys() == {"actor", "critic"}
+  assert reward.shape == terminated.shape == truncated.shape == (3,)
+  env.close()
+
+
+def test_play_changes_the_training_configuration(pendulum: str) -> None:
+  env = mjlab.make(pendulum, num_envs=1, device="cpu", play=True)
+  assert env.max_episode_length_s == 1e6
+  env.close()
+
+
+@pytest.mark.parametrize(
+  ("device", "configured", "worlds"), [("cuda:0", 1, 4096), ("cuda:0", 512, 512), ("cpu", 32, 32)]
+)
+def test_worlds_follow_the_task_and_the_device(device: str, configured: int, worlds: int) -> None:
+  assert default_worlds(device, configured) == worlds
+
+
+def test_a_cpu_gets_worlds_by_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+  for cores, worlds in ((0, 64), (2, 256), (64, 1024)):
+    monkeypatch.setattr("mjlab.making.cpu_cores", lambda cores=cores: cores)
+    assert default_worlds("cpu", 4096) == worlds
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+  with pytest.raises(DeviceError, match=r"'cuda:99' does not exist; there is cpu"):
+    resolve_device("cuda:99")
+
+
+def test_every_public_name_exists() -> None:
+  for name in mjlab.__all__:
+    assert getattr(importlib.import_module("mjlab"), name) is not None
+  assert set(mjlab.__all__) <= set(dir(mjlab))
+
+
+def test_the_configuration_of_every_task_survives_the_manifest(pendulum: str) -> None:
+  for name in mjlab.list_tasks():
+    task: Any = mjlab.load_task(name)
+    for cfg in (task.env, task.agent):
+      assert decode(encode(cfg)) == cfg
+      assert encode(decode(encode(cfg))) == encode(cfg)
