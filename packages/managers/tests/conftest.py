@@ -36,15 +36,17 @@ class FakeEnv:
   command_manager: Any = None
   reward_manager: Any = None
 
-  def __init__(self, num_envs: int = 4, *, seed: int = 0, dtype: torch.dtype = torch.float32) -> None:
-    self.num_envs, self.device = num_envs, torch.device("cpu")
+  def __init__(
+    self, num_envs: int = 4, *, seed: int = 0, dtype: torch.dtype = torch.float32, device: str = "cpu"
+  ) -> None:
+    self.num_envs, self.device = num_envs, torch.device(device)
     self.physics_dt, self.step_dt = 0.005, 0.02
     self.max_episode_length, self.max_episode_length_s = 50, 1.0
     self.scene = FakeScene()
-    self.rng = torch.Generator().manual_seed(seed)
-    self.episode_length_buf = torch.zeros(num_envs, dtype=torch.int64)
-    self.common_step_counter = torch.zeros((), dtype=torch.int64)
-    self.values = torch.arange(num_envs * 5, dtype=dtype).reshape(num_envs, 5)
+    self.rng = torch.Generator(device).manual_seed(seed)
+    self.episode_length_buf = torch.zeros(num_envs, dtype=torch.int64, device=device)
+    self.common_step_counter = torch.zeros((), dtype=torch.int64, device=device)
+    self.values = torch.arange(num_envs * 5, dtype=dtype, device=device).reshape(num_envs, 5)
     self.eager: list[str] = []
     self.recaptures: list[str] = []
     self.recomputed: list[list[int]] = []

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 import inspect
+import operator
 import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -39,8 +40,8 @@ class Term:
 
   def params_changed(self) -> bool:
     """Whether a parameter was replaced on the host since the last call; if so, its entities are resolved."""
-    now = tuple(self.cfg.params.values())
-    if len(now) == len(self.seen) and all(a is b for a, b in zip(now, self.seen, strict=True)):
+    params = self.cfg.params
+    if len(params) == len(self.seen) and all(map(operator.is_, params.values(), self.seen)):
       return False
     for key, value in self.cfg.params.items():
       self.cfg.params[key] = resolve_entities(value, self._env)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -501,7 +502,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     replaced = [
       slot
       for slot, old in zip(self._slots, self._processing, strict=True)
-      if any(a is not b for a, b in zip(slot.processing(), old, strict=True))
+      if not all(map(operator.is_, slot.processing(), old))
     ]
     if changed or replaced:
       self._compile_processing()
