@@ -1,0 +1,112 @@
+"""The floors hold, and every member declares what it imports."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECTS = sorted([*ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tasks/*/pyproject.toml")])
+MEMBERS = {path.parent.name: path.parent for path in PROJECTS}
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+DISTRIBUTION_OF = packages_distributions()
+
+
+def module_of(member: str) -> str:
+  return "mjlab" if member == "mjlab" else f"mjlab_{member}"
+
+
+@cache
+def project(member: str) -> dict:
+  return tomllib.loads((MEMBERS[member] / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def names(requirements: list[str]) -> set[str]:
+  """Distribution names of requirements, normalised."""
+  return {re.split(r"[^A-Za-z0-9._-]", requirement)[0].lower().replace("_", "-") for requirement in requirements}
+
+
+def required(member: str) -> set[str]:
+  return names(project(member)["project"]["dependencies"])
+
+
+def installed_with(member: str) -> set[str]:
+  """What a member's own requirements name, and those of the members among them."""
+  found = required(member)
+  for other in MEMBERS:
+    if other != member and module_of(other).replace("_", "-") in found:
+      found |= installed_with(other)
+  return found
+
+
+def imports(folder: Path) -> Iterator[tuple[str, str]]:
+  """(where, top-level module) of every import statement below a folder."""
+  for path in sorted(folder.rglob("*.py")):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+      if isinstance(node, ast.Import):
+        modules = [alias.name for alias in node.names]
+      elif isinstance(node, ast.ImportFrom):
+        modules = [node.module or ""]
+      else:
+        continue
+      for module in modules:
+        top = module.partition(".")[0]
+        if top not in sys.stdlib_module_names:
+          yield f"{path.relative_to(ROOT)}:{node.lineno}", top
+
+
+def undeclared(folder: Path, declared: set[str], own: set[str]) -> list[str]:
+  found = []
+  for where, module in imports(folder):
+    distributions = {name.lower().replace("_", "-") for name in DISTRIBUTION_OF.get(module, [module])}
+    if module not in own and not distributions & declared:
+      found.append(f"{where}: {module}")
+  return found
+
+
+def test_import_contracts_hold() -> None:
+  lint = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+  run = subprocess.run([sys.executable, "-c", lint, "--no-cache"], cwd=ROOT, capture_output=True, text=True)
+  assert run.returncode == 0, run.stdout + run.stderr
+  assert "0 broken" in run.stdout
+
+
+@pytest.mark.parametrize("member", MEMBERS)
+def test_every_member_stands_under_the_contracts(member: str) -> None:
+  linter = SETTINGS["tool"]["importlinter"]
+  module = module_of(member)
+  assert module in linter["root_packages"]
+  floors = next(contract for contract in linter["contracts"] if contract["id"] == "floors")["layers"]
+  assert module in [room.strip() for floor in floors for room in floor.split("|")]
+  sources = [contract["source_modules"] for contract in linter["contracts"] if contract["type"] == "forbidden"]
+  assert [module] in sources or member == "mjlab", f"name what {member} may not import"
+
+
+@pytest.mark.parametrize("member", MEMBERS)
+def test_source_imports_only_what_the_member_declares(member: str) -> None:
+  optional = project(member)["project"].get("optional-dependencies", {})
+  declared = required(member).union(*(names(extra) for extra in optional.values()))
+  missing = undeclared(MEMBERS[member] / "src", declared, {module_of(member)})
+  assert not missing, "\n".join(missing)
+
+
+@pytest.mark.parametrize("member", MEMBERS)
+def test_tests_import_only_what_the_member_installs(member: str) -> None:
+  folder = MEMBERS[member] / "tests"
+  own = {module_of(member), *(path.stem for path in folder.iterdir())}
+  extra = names(project(member).get("dependency-groups", {}).get("test", []))
+  missing = undeclared(folder, installed_with(member) | extra | {"pytest"}, own)
+  assert not missing, "\n".join(missing)
+
+
+def test_one_sync_installs_what_the_tests_of_all_members_need() -> None:
+  dev = names(SETTINGS["dependency-groups"]["dev"])
+  for member in MEMBERS:
+    assert names(project(member).get("dependency-groups", {}).get("test", [])) <= dev | installed_with("mjlab"), member
