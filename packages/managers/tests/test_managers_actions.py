@@ -130,3 +130,9 @@ def test_a_step_asks_the_device_nothing(env, dispatched):
   # Two multiplications of the terms' own.
   assert len(dispatched(lambda: manager.process_action(action))) <= 2 + 6
   dispatched(lambda: manager.reset(mask))
+
+
+def test_a_double_precision_policy_is_not_taken_for_broken(make_env, logged):
+  manager = build(make_env())
+  manager.process_action(torch.rand(4, 3, dtype=torch.float64))
+  assert str(logged(manager)["Nonfinite/action"]) == "nan"

@@ -340,6 +340,17 @@ class TestEvaluation:
     assert torch.equal(seen(manager), env.values[:, :2] * 3)
     assert "g/t" in env.recaptures[0]
 
+  def test_corruption_switched_off_on_the_host_leaves_the_plain_values(self, env):
+    manager = one(env, noise=NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=GaussianNoiseCfg()))
+    noisy = seen(manager)
+    manager.get_term_cfg("g", "t").scale = 2.0
+    manager.sync()
+    # The bias of the episode outlives the change of something else.
+    torch.testing.assert_close(seen(manager), noisy * 2)
+    manager.get_term_cfg("g").corrupt = False
+    manager.sync()
+    assert torch.equal(seen(manager), env.values[:, :2] * 2)
+
   def test_images_keep_their_shape_as_the_only_term_or_in_a_dict(self, env):
     def image(env: Any) -> torch.Tensor:
       return torch.arange(env.num_envs * 6.0).reshape(env.num_envs, 1, 2, 3)

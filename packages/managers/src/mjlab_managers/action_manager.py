@@ -152,7 +152,8 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     newest, previous, oldest = self._frames
     oldest.copy_(previous)
     previous.copy_(newest)
-    torch.nan_to_num(action.to(torch.float32), nan=0.0, posinf=0.0, neginf=0.0, out=newest)
+    action = action.to(torch.float32)
+    torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
     for term in self._terms.values():
       term.process_actions(term._raw_action)

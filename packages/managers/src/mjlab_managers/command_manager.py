@@ -172,7 +172,9 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     terms = list(self._terms.values())
     if self._log.names:
       blocks = [term._metric_values for term in terms if term.metrics]
-      self._log.add(blocks[0] if len(blocks) == 1 else torch.cat(blocks, dim=1), mask)
+      values = blocks[0] if len(blocks) == 1 else torch.cat(blocks, dim=1)
+      # One world that went wrong must not spoil the mean of all.
+      self._log.add(values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), mask)
     super().reset(mask)
     for term in terms:
       if term.metrics:

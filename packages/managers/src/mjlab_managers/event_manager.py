@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
@@ -33,6 +33,7 @@ class EventTermCfg(ManagerTermBaseCfg):
   per world, and `needs_constants`, true if quantities that derive from them must be recomputed afterwards.
   """
 
+  _: KW_ONLY
   mode: EventMode
   """`startup`: once; `reset`: where an episode begins; `interval`: where a timer ran out; `step`: every step."""
   interval_range_s: tuple[float, float] | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
@@ -27,6 +27,7 @@ _REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
 class MetricsTermCfg(ManagerTermBaseCfg):
   """A metric: `func(env, **params)` returns float (N,)."""
 
+  _: KW_ONLY
   reduce: Reduction = "mean"
   """How an episode's values become one."""
   per_substep: bool = False

@@ -55,7 +55,8 @@ class ObservationGroupCfg:
   """If given, the history of every term, together with the group's `flatten_history_dim`."""
   flatten_history_dim: bool = True
   nan_policy: NanPolicy = "sanitize"
-  """`sanitize`: NaN and infinite entries become 0 and are counted; `error`: raise, which interrupts a recorded step."""
+  """`sanitize`: NaN and infinite entries become 0 and are counted; `disabled`: they pass; `error`: they raise, for
+  which the recorded step is interrupted."""
 
 
 @dataclass(kw_only=True)

@@ -33,6 +33,7 @@ class _Slot:
 
   group: str
   name: str
+  group_cfg: ObservationGroupCfg
   cfg: ObservationTermCfg
   own: Term
   """The slot's own binding, whose parameters are the ones in `cfg`."""
@@ -60,7 +61,8 @@ class _Slot:
 
   def processing(self) -> tuple[Any, ...]:
     """What the fused pass was compiled from; a replaced value has another identity."""
-    return (self.cfg.noise, self.cfg.clip, self.cfg.scale)
+    cfg, group = self.cfg, self.group_cfg
+    return (cfg.noise, cfg.clip, cfg.scale, group.corrupt, group.nan_policy)
 
 
 Observation = torch.Tensor | dict[str, torch.Tensor]
@@ -92,6 +94,8 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     self._out = torch.zeros(self.num_envs, out_width, device=self.device)
     self._bias = torch.zeros_like(self._frame)
     self._nonfinite = torch.zeros(frame_width, dtype=torch.int64, device=self.device)
+    self._biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
+    self._episode_bias: EpisodeBias | None = None
     self._compile_processing()
     self._raise_problems()
     self._build_delays()
@@ -166,7 +170,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     if group_cfg.history_length is not None:
       history, flatten = group_cfg.history_length, group_cfg.flatten_history_dim
     term = own if twin is None else twin.term
-    self._slots.append(_Slot(group, name, cfg, own, term, shape, history, flatten))
+    self._slots.append(_Slot(group, name, group_cfg, cfg, own, term, shape, history, flatten))
 
   @staticmethod
   def _twin(own: Term, slots: Sequence[_Slot]) -> _Slot | None:
@@ -196,7 +200,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
     for slot in self._slots:
       cfg, columns = slot.cfg, slot.frame
-      group = self._cfgs[slot.group]
+      group = slot.group_cfg
       if cfg.clip is not None:
         lo[0, columns], hi[0, columns] = cfg.clip
       if cfg.scale is not None:
@@ -225,13 +229,15 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     if self._problems:
       return
     self._noise = FusedNoise(noises, self.device) if noises else None
-    try:
-      self._episode_bias = EpisodeBias(biases, self._bias, self.env.rng) if biases else None
-    except ValueError as error:
-      self._problem(f"noise: {error}", error)
-      return
-    if self._episode_bias is not None:
-      self._episode_bias.redraw(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+    if biases != self._biases:
+      self._biases = biases
+      try:
+        self._episode_bias = EpisodeBias(biases, self._bias.zero_(), self.env.rng) if biases else None
+      except ValueError as error:
+        self._problem(f"noise: {error}", error)
+        return
+      if self._episode_bias is not None:
+        self._episode_bias.redraw(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
     clips = bool(torch.isfinite(lo).any() or torch.isfinite(hi).any())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
@@ -369,7 +375,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   def get_term_cfg(self, group: str, name: str | None = None, /) -> Any:
     """The live config of a term, or of a group if no term is named.
 
-    Parameters, noise, clip and scale may be replaced on the host; delays and histories are fixed at build.
+    Parameters, noise, clip, scale, `corrupt` and `nan_policy` may be replaced on the host; the rest is fixed at build.
 
     Raises:
       KeyError: no such group or term.
@@ -493,7 +499,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     super().reset(mask)
 
   def sync(self) -> None:
-    """Host side, before each step: takes over parameters, noise, clips and scales replaced in the live configs."""
+    """Host side, before each step: takes over what was replaced in the live configs."""
     changed = [slot for slot in self._slots if slot.own.params_changed()]
     if changed:
       for index, slot in enumerate(self._slots):

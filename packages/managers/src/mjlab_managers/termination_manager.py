@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import torch
 
@@ -18,6 +18,7 @@ from mjlab_managers.term import ManagerTermBaseCfg
 class TerminationTermCfg(ManagerTermBaseCfg):
   """A termination: `func(env, **params)` returns bool (N,)."""
 
+  _: KW_ONLY
   time_out: bool = False
   """Whether it truncates the episode (the task could have gone on) instead of terminating it."""
 
