@@ -2,11 +2,11 @@ import enum
 import functools
 import json
 import math
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 import pytest
 from mjlab_rl import ManifestError, RslRlOnPolicyRunnerCfg, RunManifest, RunNotFoundError, find_checkpoint, load_run
@@ -21,6 +21,18 @@ def roundtrip(value: Any) -> Any:
 
 class Colour(enum.Enum):
   RED = 1
+
+
+class Shape:
+  """An enum as compiled modules make them, MuJoCo's for one."""
+
+  BOX: "Shape"
+
+  def __init__(self, name: str):
+    self.name = name
+
+
+Shape.BOX = Shape("BOX")
 
 
 class Pair(NamedTuple):
@@ -54,8 +66,11 @@ class Frozen:
     range(1, 9, 2),
     Path("a/b"),
     RslRlOnPolicyRunnerCfg(clip_actions=100.0),
+    Pair(0.1, 2.0),
+    Frozen((0.1,)),
+    Colour.RED,
     PointEnvCfg(rewards={"f": math.sqrt, "kind": PointEnvCfg}),
-    mujoco.mjtGeom.mjGEOM_BOX,
+    Shape.BOX,
   ],
   ids=repr,
 )
@@ -85,8 +100,8 @@ def test_a_lambda_is_refused_with_its_field(value: Any) -> None:
 
 
 def test_an_object_that_cannot_be_rebuilt_is_refused_with_its_field() -> None:
-  with pytest.raises(ManifestError, match=r"env.rewards.a\[1\]: a mujoco.*MjSpec cannot be written"):
-    encode(PointEnvCfg(rewards={"a": [1, mujoco.MjSpec()]}), "env")
+  with pytest.raises(ManifestError, match=r"env.rewards.a\[1\]: a _thread.lock cannot be written"):
+    encode(PointEnvCfg(rewards={"a": [1, threading.Lock()]}), "env")
 
 
 def test_a_name_that_is_gone_is_named() -> None:
@@ -127,3 +142,10 @@ def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
     find_checkpoint("2025", log_root=tmp_path, experiment="exp")
   with pytest.raises(RunNotFoundError, match="no run with a checkpoint"):
     find_checkpoint("latest", log_root=tmp_path, experiment="other")
+
+
+def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> None:
+  for run in ("2026-01-01_00-00-00_name", "2026-01-01_00-00-00.2_name", "notes"):
+    (tmp_path / "exp" / run).mkdir(parents=True)
+    (tmp_path / "exp" / run / "model_1.pt").touch()
+  assert find_checkpoint("latest", log_root=tmp_path, experiment="exp").parent.name == "2026-01-01_00-00-00.2_name"

@@ -2,6 +2,8 @@ import csv
 import io
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -240,6 +242,7 @@ def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Si
     calls.append(1)
     if len(calls) == 8:
       os.kill(os.getpid(), number)
+      os.kill(os.getpid(), number)  # As a launcher passes it on.
     return step(actions)
 
   interrupted.env.step = stepping
@@ -248,6 +251,21 @@ def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Si
   assert interrupted.stopped_by == number.name
   assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt"]
   assert [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)] == handlers
+
+
+def test_a_second_signal_ends_the_process_at_once() -> None:
+  code = """
+import os, signal, time
+from mjlab_rl.stop_signals import StopSignals
+with StopSignals():
+  os.kill(os.getpid(), signal.SIGINT)
+  time.sleep(0.6)
+  os.kill(os.getpid(), signal.SIGINT)
+  time.sleep(30)
+"""
+  done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=20)
+  assert done.returncode == -signal.SIGINT
+  assert "once more to quit" in done.stderr
 
 
 def test_every_iteration_is_a_row_and_checkpoints_come_at_the_interval(tmp_path: Path) -> None:

@@ -3,10 +3,13 @@
 import os
 import signal
 import threading
+import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 _MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
+# Launchers pass on a Ctrl-C that the terminal has sent to everybody already; that is not a second one [s].
+_ECHO = 0.5
 
 
 class StopSignals:
@@ -18,6 +21,7 @@ class StopSignals:
   def __init__(self) -> None:
     self.received: str | None = None
     """Name of the signal that came, such as "SIGINT"."""
+    self._received_at = 0.0
     self._previous: dict[signal.Signals, Any] = {}
 
   def __enter__(self) -> Self:
@@ -36,8 +40,12 @@ class StopSignals:
 
   def _on_signal(self, number: int, frame: FrameType | None) -> None:
     del frame
-    self.received = signal.Signals(number).name
-    for other in self._previous:
-      signal.signal(other, signal.SIG_DFL)
-    # print() may not be entered again from a handler; a bare write may.
-    os.write(2, _MESSAGE)
+    now = time.monotonic()
+    if self.received is None:
+      self.received = signal.Signals(number).name
+      self._received_at = now
+      # print() may not be entered again from a handler; a bare write may.
+      os.write(2, _MESSAGE)
+    elif now - self._received_at > _ECHO:
+      signal.signal(number, signal.SIG_DFL)
+      os.kill(os.getpid(), number)

@@ -2,7 +2,7 @@
 
 A flag is the path to a value, underscores as hyphens; keys of dictionaries and indices of tuples are parts of it.
 Setting one copies the objects along its path and nothing else, so functions, shared parts and unset values stay as they
-are. A dictionary entry or an optional part is switched off with `None`.
+are. A part or term that may be `None` is switched off with it.
 """
 
 import ast
@@ -51,29 +51,27 @@ class Flag:
 
 def flags(config: Any, prefix: str) -> list[Flag]:
   """All flags of a configuration, in the order of its fields."""
-  return list(_walk(config, (prefix,), Any, None, is_removable=False))
+  return list(_walk(config, (prefix,), Any, None))
 
 
-def _walk(
-  value: Any, path: tuple[Any, ...], annotation: Any, owner: type | None, *, is_removable: bool
-) -> Iterator[Flag]:
+def _walk(value: Any, path: tuple[Any, ...], annotation: Any, owner: type | None) -> Iterator[Flag]:
   name = ".".join(str(part).replace("_", "-") for part in path)
   if dataclasses.is_dataclass(value) and not isinstance(value, type):
-    if is_removable or _NONE in _members(annotation):
+    if _NONE in _members(annotation):
       yield Flag(name=name, path=path[1:], value=value, kinds=(_NONE,), owner=owner, is_part=True)
     hints = _hints(type(value))
     for field in dataclasses.fields(value):
       if field.init and not field.name.startswith("_"):
         kind = hints.get(field.name, Any)
-        yield from _walk(getattr(value, field.name), (*path, field.name), kind, type(value), is_removable=False)
+        yield from _walk(getattr(value, field.name), (*path, field.name), kind, type(value))
   elif isinstance(value, Mapping):
     item_kind = _mapping_item(annotation)
     for key, item in value.items():
       if isinstance(key, (str, int)):
-        yield from _walk(item, (*path, key), item_kind, None, is_removable=True)
+        yield from _walk(item, (*path, key), item_kind, None)
   elif isinstance(value, (tuple, list)) and not all(_is_plain(item) for item in value):
     for index, item in enumerate(value):
-      yield from _walk(item, (*path, index), Any, None, is_removable=False)
+      yield from _walk(item, (*path, index), Any, None)
   else:
     kinds = _kinds(annotation, value)
     if kinds:
