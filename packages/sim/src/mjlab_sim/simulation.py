@@ -240,11 +240,23 @@ class Simulation:
     return graph
 
   def graph_break(self, fn: Callable[[], None]) -> None:
-    """Inside a step graph: call `fn` eagerly at this point of every replay. Elsewhere simply call it."""
+    """Inside a step graph: call `fn` eagerly at this point of every replay. Elsewhere simply call it.
+
+    What `fn` reads is up to date, and so is what is recorded behind it, whatever state it wrote.
+    """
     if self._recorder is None:
       fn()
-    else:
-      self._recorder.interrupt(fn)
+      return
+
+    def between() -> None:
+      # A replay changes memory behind the back of caches.
+      self._epoch += 1
+      fn()
+      self._refresh()
+
+    self._refresh()
+    self._recorder.interrupt(between)
+    self._epoch += 1
 
   @property
   def is_capturing(self) -> bool:
@@ -405,10 +417,13 @@ class StepGraph:
     sim = self._sim
     recorder = Recorder(sim.device, self._generators)
     sim._recorder = recorder
+    # Nothing cached before may be left out of the recording, and nothing recorded may be taken for computed.
+    sim._epoch += 1
     try:
       recorder.record(self._body)
     finally:
       sim._recorder = None
+      sim._epoch += 1
     self._recorder = recorder
     if self._on_capture is not None:
       self._on_capture()
