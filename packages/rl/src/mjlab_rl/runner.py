@@ -174,7 +174,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     """
     del map_location
     state = checkpoint.read_checkpoint(Path(path))
-    for part, model in (("actor", self.alg.actor), ("critic", self.alg.critic)):
+    for part, model in (("actor", self.alg._raw_actor), ("critic", self.alg._raw_critic)):
       if load_cfg is None or load_cfg.get(part):
         checkpoint.check_fit(Path(path), part, state.get(f"{part}_state_dict", {}), model.state_dict())
     if self.alg.load(state, load_cfg, strict):
