@@ -103,7 +103,8 @@ def feet_clearance(
 class feet_swing_height(ManagerTermBase):
   """sum over landing feet of (peak / target - 1)^2, peak being the swing's greatest height, (num_envs,).
 
-  A swing begins where the foot leaves the ground; what a foot did before the reset does not count.
+  A swing begins where the foot leaves the ground: the drop at the start of an episode is none, and what a foot did in
+  the episode before does not count.
   """
 
   def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
@@ -125,8 +126,7 @@ class feet_swing_height(ManagerTermBase):
   ) -> torch.Tensor:
     contact = env.scene[sensor]
     torch.maximum(self._peak, env.scene[heights].data.heights, out=self._peak)
-    landed = contact.compute_first_contact(env.step_dt)
-    cost = ((self._peak / target - 1.0).square() * landed).sum(-1) * _moves(env, command, threshold)
+    cost = ((self._peak / target - 1.0).square() * _landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
     fill_(self._peak, contact.data.found > 0, 0.0)
     return cost
 
@@ -143,10 +143,19 @@ def feet_slip(
 
 
 def soft_landing(env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float) -> torch.Tensor:
-  """Net contact force of feet that just landed, summed over feet, (num_envs,) [N]; gated by `threshold`."""
+  """Net contact force of feet that just landed, summed over feet, (num_envs,) [N]; gated by `threshold`.
+
+  The drop at the start of an episode is no landing.
+  """
+  force = torch.linalg.vector_norm(env.scene[sensor].data.force, dim=-1)
+  return (force * _landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
+
+
+def _landed(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
+  """Which feet came down in this step, having taken off in the same episode, (num_envs, feet) bool."""
   contact = env.scene[sensor]
-  force = torch.linalg.vector_norm(contact.data.force, dim=-1)
-  return (force * contact.compute_first_contact(env.step_dt)).sum(-1) * _moves(env, command, threshold)
+  # Only a take-off leaves behind a time of contact.
+  return contact.compute_first_contact(env.step_dt) & (contact.data.last_contact_time > 0)
 
 
 def _moves(env: "ManagerBasedRlEnv", command: str, threshold: float) -> torch.Tensor:
