@@ -213,6 +213,15 @@ class TestClassTerms:
     other.load_state_dict(state)
     assert other.compute().tolist() == [4.0] * 4
 
+  def test_a_class_term_that_makes_its_memory_when_called_is_named(self, env):
+    class Late(ManagerTermBase):
+      def __call__(self, env) -> torch.Tensor:
+        self.calls = torch.zeros(self.num_envs)
+        return self.calls
+
+    with pytest.raises(ConfigError, match="term 'n': what it remembers must be made in __init__"):
+      RewardManager({"n": RewardTermCfg(Late, weight=1.0)}, env)
+
   def test_managers_do_not_share_configs(self, env):
     cfg = RewardTermCfg(Counter, weight=1.0)
     first, second = RewardManager({"n": cfg}, env), RewardManager({"n": cfg}, env)

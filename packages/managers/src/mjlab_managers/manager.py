@@ -149,8 +149,12 @@ class ManagerBase(Stateful, Generic[CfgT]):
     except Exception as error:
       self._problem(f"term '{term.name}': {type(error).__name__} in a trial call: {error}", error)
       return None
-    if state is not None:
+    if state is None:
+      return value
+    try:
       func.load_state_dict(state)
+    except ValueError as error:
+      self._problem(f"term '{term.name}': what it remembers must be made in __init__, not when called: {error}", error)
     return value
 
   def _check_tensor(self, name: str, value: Any, what: str, fits: Callable[[torch.dtype], bool]) -> bool:
