@@ -143,7 +143,7 @@ class World:
       "base_ang_vel": imu[:3],
       "projected_gravity": self.gravity,
       "joint_pos": position,
-      "joint_vel": self.data.qvel[6:],
+      "joint_vel": self.data.qvel[6:].copy(),
       "actions": action,
       "command": command,
       "foot_height": self.heights,
