@@ -180,7 +180,7 @@ class ManagerBasedRlEnv:
 
   def _event(self) -> None:
     self.event_manager.apply("step")
-    self.event_manager.apply("interval")
+    self.event_manager.apply("interval", ~self.reset_buf)
 
   def _observe(self) -> None:
     self.observation_manager.compute(self.reset_buf)
@@ -260,7 +260,10 @@ class ManagerBasedRlEnv:
 
   def get_observations(self) -> Observations:
     """The current observations by group, as fresh tensors. Asking again changes nothing."""
-    return self.observation_manager.get()
+    return {
+      group: value.clone() if isinstance(value, torch.Tensor) else {name: term.clone() for name, term in value.items()}
+      for group, value in self.observation_manager.get().items()
+    }
 
   def close(self) -> None:
     """Release recorders, threads and graphs. Calling it again does nothing."""
