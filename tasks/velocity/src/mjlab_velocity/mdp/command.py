@@ -59,6 +59,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
 class UniformVelocityCommand(CommandTerm):
   """See `UniformVelocityCommandCfg`. Works on state alone, so that following it costs no forward pass."""
 
+  _constants = frozenset({"_shares"})
   _extra_state = ("ranges",)
   cfg: UniformVelocityCommandCfg
 

@@ -29,6 +29,9 @@ class VelocityStage:
 class commands_vel(ManagerTermBase):
   """Widen the velocity command by stages of the step counter. Logs the upper bounds."""
 
+  # The stage follows from the step counter at every step.
+  _constants = frozenset({"_table", "_starts", "_stage"})
+
   def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     stages: list[VelocityStage] = cfg.params["stages"]

@@ -56,6 +56,8 @@ class variable_posture(ManagerTermBase):
   `running_threshold`.
   """
 
+  _constants = frozenset({"_table", "_thresholds"})
+
   def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     asset, params = cfg.params["asset"], cfg.params

@@ -1,0 +1,152 @@
+"""When gait is judged: gates, speed classes, and what counts as a swing."""
+
+import numpy as np
+import pytest
+import torch
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_velocity import go1_flat
+from mjlab_velocity.mdp import UniformVelocityCommandCfg, VelocityRanges
+from velocity_rollout import make_env
+
+GAIT = ("foot_clearance", "foot_swing_height", "foot_slip", "soft_landing")
+
+
+def commanded(speed: float) -> dict[str, UniformVelocityCommandCfg]:
+  """Everybody is told to turn at `speed`."""
+  ranges = VelocityRanges(lin_vel_x=(0.0, 0.0), lin_vel_y=(0.0, 0.0), ang_vel_z=(speed, speed))
+  return {
+    "twist": UniformVelocityCommandCfg(ranges=ranges, standing_fraction=0, heading_fraction=0, forward_fraction=0)
+  }
+
+
+def values(env: ManagerBasedRlEnv) -> dict[str, np.ndarray]:
+  """Weighted rewards of the last step by term."""
+  columns = env.reward_manager.step_reward.double().numpy().T.copy()
+  return dict(zip(env.reward_manager.active_terms, columns, strict=True))
+
+
+def hop(speed: float, weights: dict[str, float] | None = None) -> dict[str, np.ndarray]:
+  """Sum over a hop, from standing, of each weighted reward."""
+  rewards = go1_flat().env.rewards
+  for name, weight in (weights or {}).items():
+    term = rewards[name]
+    assert term is not None
+    term.weight = weight
+  env = make_env(4, commands=commanded(speed), curriculum={}, rewards=rewards)
+  env.reset()
+  total: dict[str, np.ndarray] = {}
+  for step in range(60):
+    if step == 25:
+      env.sim.data.qvel[:, :3] += torch.tensor([0.3, 0.0, 1.2], dtype=torch.float64)
+    env.step(torch.zeros(4, 12))
+    for name, value in values(env).items():
+      total[name] = total.get(name, 0.0) + value
+  return total
+
+
+def test_gait_is_judged_above_its_gate_only() -> None:
+  below, above = hop(0.049), hop(0.051)
+  for name in GAIT:
+    assert not below[name].any(), name
+    assert (above[name] < 0.0).all(), name
+
+
+def test_time_in_the_air_is_rewarded_above_its_own_gate_only() -> None:
+  below, above = hop(0.49, {"air_time": 1.0}), hop(0.51, {"air_time": 1.0})
+  assert not below["air_time"].any()
+  assert (above["air_time"] > 0.0).all()
+
+
+@pytest.mark.parametrize(("speed", "std"), [(0.049, 0.1), (0.051, 0.4), (1.49, 0.4), (1.51, 0.9)])
+def test_the_posture_is_judged_by_the_commanded_speed(speed: float, std: float) -> None:
+  cfg = go1_flat().env
+  pose = cfg.rewards["pose"]
+  assert pose is not None
+  pose.params |= {"std_standing": {".*": 0.1}, "std_walking": {".*": 0.4}, "std_running": {".*": 0.9}}
+  env = make_env(4, commands=commanded(speed), curriculum={}, rewards=cfg.rewards)
+  env.reset()
+  env.step(torch.randn(4, 12, generator=torch.Generator().manual_seed(2)) * 0.3)
+  error = env.sim.data.qpos[:, 7:].numpy() - env.scene["robot"].data.default_joint_pos.numpy()
+  np.testing.assert_allclose(values(env)["pose"], np.exp(-((error / std) ** 2).mean(1)), rtol=1e-6)
+
+
+def test_the_drop_at_the_start_of_an_episode_is_neither_swing_nor_landing() -> None:
+  env = make_env(16, commands=commanded(0.4), curriculum={})
+  env.reset()
+  assert not env.scene["feet_ground_contact"].data.found.any()
+  landed = torch.zeros(16, 4, dtype=torch.bool)
+  for _ in range(20):
+    env.step(torch.zeros(16, 12))
+    landed |= env.scene["feet_ground_contact"].data.found > 0
+    assert not values(env)["foot_swing_height"].any()
+    assert not values(env)["soft_landing"].any()
+  assert landed.all()
+
+
+def test_a_landing_is_scored_by_the_greatest_height_of_its_swing() -> None:
+  env = make_env(1, commands=commanded(0.4), curriculum={})
+  env.reset()
+  for _ in range(30):
+    env.step(torch.zeros(1, 12))
+  env.sim.data.qvel[:, 2] += 1.2
+  heights, cost = [np.zeros(4)], []
+  for _ in range(25):
+    env.step(torch.zeros(1, 12))
+    heights.append(env.scene["foot_height_scan"].data.heights[0].numpy().copy())
+    cost.append(values(env)["foot_swing_height"][0])
+    if cost[-1]:
+      break
+  landed = env.scene["feet_ground_contact"].data.found[0].numpy() > 0
+  peak = np.max(heights, 0)
+  assert peak.max() > 0.05
+  assert cost[-1] == pytest.approx(-0.25 * (((peak / 0.1 - 1.0) ** 2) * landed).sum(), rel=1e-5)
+
+
+def test_heights_are_those_of_the_state_that_is() -> None:
+  env = make_env(2)
+  env.reset()
+  sites = [env.sim.mj_model.site(f"robot/{foot}").id for foot in ("FR", "FL", "RR", "RL")]
+  env.step(torch.randn(2, 12))
+  for lift in (0.0, 0.123):
+    env.sim.data.qpos[:, 2] += lift
+    heights = env.scene["foot_height_scan"].data.heights
+    torch.testing.assert_close(heights, env.sim.data.site_xpos[:, sites, 2].clamp(min=0.0), rtol=0.0, atol=1e-9)
+
+
+def test_an_episode_remembers_nothing_of_the_one_before() -> None:
+  seen = []
+  for lift, spread in ((0.0, 0.1), (0.4, 2.0)):
+    env = make_env(4)
+    env.reset()
+    generator = torch.Generator().manual_seed(5)
+    for _ in range(8):
+      # Thrown up, so that air times and swings differ as well.
+      env.sim.data.qpos[:, 2] += lift
+      env.step(torch.randn(4, 12, generator=generator) * spread)
+    env.episode_length_buf.fill_(999)
+    after = []
+    for _ in range(40):
+      observations, reward, _, _, _ = env.step(torch.randn(4, 12, generator=generator) * (0.5 if after else spread))
+      after.append([observations["actor"], observations["critic"], *([reward] if after else [])])
+      if not after[1:]:
+        generator.manual_seed(6)
+    seen.append(after)
+  for one, other in zip(*seen, strict=True):
+    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_resets() -> None:
+  from velocity_oracle import World
+
+  env = make_env(50)
+  world = World(env, 0)
+  clearances = []
+  for _ in range(20):
+    env.reset()
+    for qpos, qvel in zip(env.sim.data.qpos.numpy(), env.sim.data.qvel.numpy(), strict=True):
+      world.look(qpos, qvel)
+      assert not world.touches_ground()
+      clearances.append(world.lowest)
+  assert len(clearances) == 1000
+  assert min(clearances) == pytest.approx(0.01, abs=2e-4)
+  assert max(clearances) == pytest.approx(0.05, abs=2e-4)

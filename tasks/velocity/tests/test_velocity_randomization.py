@@ -1,0 +1,133 @@
+"""What differs between worlds: friction, encoders, centre of mass."""
+
+import numpy as np
+import pytest
+import torch
+from mjlab_envs import ManagerBasedRlEnv
+from scipy import stats
+from velocity_oracle import ACTION_SCALE, DEFAULT, FEET, JOINTS
+from velocity_rollout import make_env
+
+
+@pytest.fixture(scope="module")
+def env() -> ManagerBasedRlEnv:
+  env = make_env(128)
+  env.reset()
+  return env
+
+
+def feet_friction(env: ManagerBasedRlEnv) -> np.ndarray:
+  """Friction of the feet, (worlds, feet, 3)."""
+  geoms = [env.sim.mj_model.geom(f"robot/{foot}_foot_collision").id for foot in FEET]
+  return env.sim.model.geom_friction.double().numpy()[:, geoms]
+
+
+def com_offset(env: ManagerBasedRlEnv) -> np.ndarray:
+  """Shift of the trunk's centre of mass, (worlds, 3) [m]."""
+  trunk = env.sim.mj_model.body("robot/trunk").id
+  return env.sim.model.body_ipos.double().numpy()[:, trunk] - env.sim.mj_model.body_ipos[trunk]
+
+
+def is_uniform(values: np.ndarray, lo: float, hi: float) -> bool:
+  return lo <= values.min() and values.max() <= hi and stats.kstest(values, stats.uniform(lo, hi - lo).cdf).pvalue > 1e-3
+
+
+def test_all_feet_of_a_world_share_their_friction_and_worlds_differ(env: ManagerBasedRlEnv) -> None:
+  friction = feet_friction(env)
+  assert (friction == friction[:, :1]).all()
+  for axis in range(3):
+    assert len(np.unique(friction[:, 0, axis])) == env.num_envs
+
+
+def test_sliding_friction_is_uniform_torsional_and_rolling_log_uniform(env: ManagerBasedRlEnv) -> None:
+  slide, spin, roll = feet_friction(env)[:, 0].T
+  assert is_uniform(slide, 0.3, 1.5)
+  assert is_uniform(np.log(spin), np.log(1e-4), np.log(2e-2))
+  assert is_uniform(np.log(roll), np.log(1e-5), np.log(5e-3))
+  assert abs(np.corrcoef([slide, spin, roll]) - np.eye(3)).max() < 0.3
+
+
+def test_only_the_feet_change_their_friction(env: ManagerBasedRlEnv) -> None:
+  geoms = [g for g in range(env.sim.mj_model.ngeom) if "_foot_collision" not in env.sim.mj_model.geom(g).name]
+  friction = env.sim.model.geom_friction.double().numpy()[:, geoms]
+  assert (friction == env.sim.mj_model.geom_friction[geoms]).all()
+
+
+def test_every_joint_of_every_world_has_its_own_encoder_bias(env: ManagerBasedRlEnv) -> None:
+  bias = env.scene["robot"].data.encoder_bias.double().numpy()
+  assert bias.shape == (env.num_envs, 12)
+  assert len(np.unique(bias)) == bias.size
+  assert is_uniform(bias.ravel(), -0.015, 0.015)
+
+
+def test_the_encoder_bias_is_seen_by_the_actor_alone_and_taken_off_its_set_points(env: ManagerBasedRlEnv) -> None:
+  quiet = make_env(8)
+  actor = quiet.cfg.observations["actor"]
+  assert actor is not None
+  actor.corrupt = False
+  quiet = make_env(8, observations=quiet.cfg.observations)
+  quiet.reset()
+  action = torch.randn(8, 12, generator=torch.Generator().manual_seed(0))
+  observations = quiet.step(action)[0]
+  bias = quiet.scene["robot"].data.encoder_bias.double().numpy()
+  seen: dict[str, np.ndarray] = {}
+  for group in ("actor", "critic"):
+    columns = {term.name: term.columns for term in quiet.observation_manager.layout(group)}
+    observation = observations[group]
+    assert isinstance(observation, torch.Tensor)
+    seen[group] = observation.double().numpy()[:, columns["joint_pos"]]
+  np.testing.assert_allclose(seen["actor"] - seen["critic"], bias, atol=1e-6)
+  model = quiet.sim.mj_model
+  driven = [model.joint(int(joint)).name.removeprefix("robot/") for joint in model.actuator_trnid[:, 0]]
+  target = DEFAULT + ACTION_SCALE * action.double().numpy() - bias
+  np.testing.assert_allclose(
+    quiet.sim.data.ctrl.double().numpy(), target[:, [JOINTS.index(name) for name in driven]], atol=1e-6
+  )
+
+
+def test_the_centre_of_mass_of_the_trunk_alone_moves_within_its_box(env: ManagerBasedRlEnv) -> None:
+  offset = com_offset(env)
+  for axis, limit in enumerate((0.025, 0.025, 0.03)):
+    assert is_uniform(offset[:, axis], -limit - 1e-12, limit + 1e-12)
+  trunk = env.sim.mj_model.body("robot/trunk").id
+  others = [body for body in range(env.sim.mj_model.nbody) if body != trunk]
+  assert (env.sim.model.body_ipos.double().numpy()[:, others] == env.sim.mj_model.body_ipos[others]).all()
+  for field in ("body_mass", "body_inertia", "body_iquat"):
+    assert (getattr(env.sim.model, field).double().numpy() == getattr(env.sim.mj_model, field)).all()
+
+
+@pytest.mark.parametrize("world", [0, 17, 127])
+def test_what_follows_from_the_centre_of_mass_is_that_of_a_recompiled_model(
+  env: ManagerBasedRlEnv, world: int
+) -> None:
+  spec = env.scene.spec.copy()
+  trunk = spec.body("robot/trunk")
+  trunk.ipos = np.array(trunk.ipos) + com_offset(env)[world]
+  model = spec.compile()
+  compiled = env.sim.mj_model
+  moved = 0
+  for field in (
+    "body_invweight0",
+    "dof_invweight0",
+    "actuator_acc0",
+    "cam_poscom0",
+    "light_poscom0",
+    "body_subtreemass",
+  ):
+    expected = getattr(model, field)
+    ours = getattr(env.sim.model, field).double().numpy()
+    ours = ours[world if len(ours) > 1 else 0]
+    np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-12, err_msg=field)
+    moved += not np.allclose(expected, getattr(compiled, field), rtol=1e-6)
+  assert moved >= 4
+
+
+def test_a_world_keeps_its_body_through_all_episodes(env: ManagerBasedRlEnv) -> None:
+  def body() -> list[np.ndarray]:
+    return [feet_friction(env), com_offset(env), env.scene["robot"].data.encoder_bias.double().numpy().copy()]
+
+  before = body()
+  env.reset()
+  env.episode_length_buf.fill_(999)
+  env.step(torch.zeros(env.num_envs, 12))
+  assert all(np.array_equal(a, b) for a, b in zip(before, body(), strict=True))
