@@ -27,7 +27,7 @@ ABSENT = {
   "terrain": ("torch", *WARP),
   "dr": WARP,
   "actuators": WARP,
-  "managers": ("mujoco", "numpy", *WARP),
+  "managers": ("mujoco", *WARP),
   "rl": ("mujoco", *WARP),
 }
 # Imports the module and everything in it that needs no argument, without looking at what else is installed.
@@ -42,7 +42,7 @@ assert not present, f"installed beside it, but it must work without: {{', '.join
 """
 
 
-class CheckFailed(Exception):
+class CheckError(Exception):
   """One member did not pass; the message says which step, and what it printed."""
 
 
@@ -51,7 +51,7 @@ def module_of(member: str) -> str:
 
 
 def call(step: str, command: list[str | Path], cwd: Path = ROOT, show: bool = False) -> None:
-  """Runs a command, quietly unless `show` or it fails. Raises CheckFailed."""
+  """Runs a command, quietly unless `show` or it fails. Raises CheckError."""
   environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
   output = None if show else subprocess.PIPE
   run = subprocess.run(
@@ -64,7 +64,7 @@ def call(step: str, command: list[str | Path], cwd: Path = ROOT, show: bool = Fa
     text=True,
   )
   if run.returncode:
-    raise CheckFailed(f"{step} failed with exit code {run.returncode}\n{run.stdout or ''}".rstrip())
+    raise CheckError(f"{step} failed with exit code {run.returncode}\n{run.stdout or ''}".rstrip())
 
 
 def build(folder: Path) -> dict[str, Path]:
@@ -74,7 +74,7 @@ def build(folder: Path) -> dict[str, Path]:
 
 
 def check(member: str, wheels: dict[str, Path], folder: Path, with_tests: bool) -> None:
-  """Installs one member in a new environment below `folder` and tests it there. Raises CheckFailed."""
+  """Installs one member in a new environment below `folder` and tests it there. Raises CheckError."""
   project = tomllib.loads((MEMBERS[member] / "pyproject.toml").read_text(encoding="utf-8"))
   module, environment = module_of(member), folder / member
   # A member is never taken from an index, where another project may own its name.
@@ -104,7 +104,10 @@ def main() -> int:
   if unknown:
     parser.error(f"no such member: {', '.join(unknown)}. There are {', '.join(MEMBERS)}")
   failed = []
-  with tempfile.TemporaryDirectory(prefix="mjlab-wheels-") as temporary:
+  # Beside the clone's own environment, where uv can usually link files of its cache instead of copying gigabytes.
+  cache = ROOT / ".cache"
+  cache.mkdir(exist_ok=True)
+  with tempfile.TemporaryDirectory(prefix="wheels-", dir=cache) as temporary:
     folder = Path(temporary)
     wheels = build(folder / "wheels")
     for member in arguments.members or MEMBERS:
@@ -112,7 +115,7 @@ def main() -> int:
       try:
         check(member, wheels, folder, with_tests=not arguments.no_tests)
         verdict = "ok"
-      except CheckFailed as failure:
+      except CheckError as failure:
         failed.append(member)
         verdict = f"FAILED: {failure}"
       print(f"{member:<12} {time.monotonic() - start:6.1f} s  {verdict}", flush=True)

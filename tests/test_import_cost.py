@@ -1,0 +1,46 @@
+"""What a user waits for at every prompt imports neither torch nor a simulator."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"torch", "warp", "mujoco", "mujoco_warp", "numpy", "scipy", "gymnasium", "rsl_rl", "tensordict"}
+
+
+def imported_by(statement: str) -> set[str]:
+  """Top-level modules that are loaded in a fresh interpreter after a statement."""
+  report = f"{statement}\nimport json, sys\njson.dump(sorted({{m.partition('.')[0] for m in sys.modules}}), sys.stderr)"
+  run = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
+  return set(json.loads(run.stderr))
+
+
+@pytest.mark.parametrize(
+  "statement",
+  [
+    "import mjlab",
+    "import mjlab; mjlab.__all__; dir(mjlab)",
+    "import mjlab; assert mjlab.list_tasks()",
+    "from mjlab.cli import main; assert main(['--help']) == 0",
+    "from mjlab.cli import main; assert main(['--version']) == 0",
+    "from mjlab.cli import train; assert train(['--help']) == 0",
+    "from mjlab.cli import list_envs; assert list_envs(['--help']) == 0",
+    "from mjlab.cli import list_envs; assert list_envs([]) == 0",
+  ],
+)
+def test_help_and_listing_import_nothing_heavy(statement: str) -> None:
+  assert not imported_by(statement) & HEAVY
+
+
+def test_a_misspelt_task_is_refused_before_anything_heavy_is_imported() -> None:
+  statement = (
+    "import io, sys; err, sys.stderr = sys.stderr, io.StringIO()\n"
+    "from mjlab.cli import train; assert train(['Mjlab-Velocty-Flat-Unitree-Go1']) == 2\n"
+    "assert 'Mjlab-Velocity-Flat-Unitree-Go1' in sys.stderr.getvalue(); sys.stderr = err"
+  )
+  assert not imported_by(statement) & HEAVY
+
+
+def test_the_measure_sees_a_heavy_import() -> None:
+  assert "torch" in imported_by("import mjlab; mjlab.Simulation")

@@ -1,0 +1,155 @@
+"""Every member has the same shape, and the repository holds nothing of the machine it was written on."""
+
+import ast
+import re
+import subprocess
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MEMBERS = sorted(
+  path.parent for path in [*ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tasks/*/pyproject.toml")]
+)
+each_member = pytest.mark.parametrize("member", MEMBERS, ids=lambda member: member.name)
+
+
+def module_folder(member: Path) -> Path:
+  return member / "src" / ("mjlab" if member.name == "mjlab" else f"mjlab_{member.name}")
+
+
+def tracked_files() -> list[Path]:
+  """Files under version control that are there."""
+  listed = subprocess.run(
+    ["git", "-c", f"safe.directory={ROOT}", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+  ).stdout
+  return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+
+
+def text_of(path: Path) -> str:
+  """Contents of a text file; nothing for a binary one."""
+  data = path.read_bytes()
+  return "" if b"\0" in data else data.decode("utf-8")
+
+
+def python_blocks(readme: Path) -> list[str]:
+  return re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@each_member
+def test_member_has_a_readme_types_and_tests(member: Path) -> None:
+  assert (module_folder(member) / "py.typed").is_file()
+  assert (member / "README.md").is_file()
+  assert list((member / "tests").glob("test_*.py"))
+
+
+@each_member
+def test_member_declares_name_version_licence_and_description(member: Path) -> None:
+  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  assert project["name"] == module_folder(member).name.replace("_", "-")
+  assert project["license"] == "Apache-2.0"
+  assert project["readme"] == "README.md"
+  assert project["description"]
+  assert re.fullmatch(r"\d+\.\d+\.\d+", project["version"])
+
+
+@each_member
+def test_siblings_are_required_at_their_present_version(member: Path) -> None:
+  versions = {}
+  for other in MEMBERS:
+    project = tomllib.loads((other / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    versions[project["name"]] = project["version"]
+  for requirement in tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]:
+    name, _, version = requirement.partition("==")
+    if name in versions:
+      assert version == versions[name], requirement
+
+
+@each_member
+def test_public_face_is_listed(member: Path) -> None:
+  tree = ast.parse((module_folder(member) / "__init__.py").read_text(encoding="utf-8"))
+  assigned = [
+    target.id
+    for node in tree.body
+    if isinstance(node, ast.Assign)
+    for target in node.targets
+    if isinstance(target, ast.Name)
+  ]
+  assert "__all__" in assigned
+  assert ast.get_docstring(tree)
+
+
+@each_member
+def test_readme_has_an_example_and_a_test_runs_it(member: Path) -> None:
+  assert python_blocks(member / "README.md"), "no python example"
+  tests = [path.read_text(encoding="utf-8") for path in (member / "tests").glob("test_*.py")]
+  assert any("README.md" in test and "exec(" in test for test in tests), "no test runs the example"
+
+
+def test_names_of_test_files_are_unique() -> None:
+  counts = Counter(path.name for folder in (*MEMBERS, ROOT) for path in (folder / "tests").rglob("test_*.py"))
+  assert [name for name, count in counts.items() if count > 1] == []
+
+
+@each_member
+def test_names_of_test_files_start_with_the_member(member: Path) -> None:
+  strangers = [path.name for path in (member / "tests").rglob("test_*.py")]
+  assert [name for name in strangers if not name.startswith(f"test_{member.name}_")] == []
+
+
+def test_no_module_is_a_drawer_for_everything() -> None:
+  drawers = {"utils.py", "util.py", "helpers.py", "common.py", "misc.py"}
+  assert [path for path in tracked_files() if path.name in drawers] == []
+
+
+def test_links_in_documents_lead_somewhere() -> None:
+  broken = []
+  for path in tracked_files():
+    if path.suffix == ".md":
+      for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", path.read_text(encoding="utf-8")):
+        if "://" not in target and not (path.parent / target).exists():
+          broken.append(f"{path.relative_to(ROOT)}: {target}")
+  assert broken == []
+
+
+def test_nothing_of_the_workshop_is_left_in_the_repository() -> None:
+  # Absolute paths of somebody's machine, folders beside the clone, merge leftovers, and what writes code by itself.
+  assistants = "|".join(("clau" + "de", "anthro" + "pic", "copi" + "lot", "open" + "ai", "chat" + "gpt"))
+  signs = re.compile(
+    r"(?<![\w.)}>/-])/(?:work|root|home|tmp|mnt|Users)/\w"
+    + r"|(?<![\w-])\.\./shared/|(?<![\w/.-])shared/\w"
+    + r"|^(?:<{7} |={7}$|>{7} )"
+    + rf"|\b(?:{assistants})\b"
+    + r"|\bTODO\b|\bFIXME\b",
+    re.MULTILINE | re.IGNORECASE,
+  )
+  found = []
+  for path in tracked_files():
+    if path in (Path(__file__), ROOT / "uv.lock"):
+      continue
+    text = text_of(path)
+    found += [
+      f"{path.relative_to(ROOT)}:{text.count(chr(10), 0, hit.start()) + 1}: {hit[0]}" for hit in signs.finditer(text)
+    ]
+  assert found == []
+
+
+def test_no_file_is_large() -> None:
+  assert [path for path in tracked_files() if path.stat().st_size > 2_000_000] == []
+
+
+def test_readme_gives_the_test_command_that_ci_runs() -> None:
+  assert "\nuv run pytest\n" in (ROOT / "README.md").read_text(encoding="utf-8")
+  assert "uv run pytest\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_root_readme_names_every_member() -> None:
+  readme = (ROOT / "README.md").read_text(encoding="utf-8")
+  assert [m.name for m in MEMBERS if f"]({m.relative_to(ROOT).as_posix()})" not in readme] == []
+
+
+def test_root_readme_python_blocks_run() -> None:
+  for block in python_blocks(ROOT / "README.md"):
+    exec(compile(block, "README.md", "exec"), {})

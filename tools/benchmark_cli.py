@@ -1,0 +1,101 @@
+"""What a user waits for at a prompt, as a table: `uv run python tools/benchmark_cli.py`.
+
+CPU seconds of the whole process (user and system, children included), in a fresh interpreter: the smallest of several
+runs, for that is the one other programs disturbed least. Counting the modules comes first and warms the disk cache.
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+from dataclasses import dataclass
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+
+TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
+# What is shown, and the statement that does it. The first row is what every other one contains.
+COMMANDS = {
+  "python -c pass": "pass",
+  "import mjlab": "import mjlab",
+  "mjlab --help": "from mjlab.cli import main; main(['--help'])",
+  "list-envs": "from mjlab.cli import list_envs; list_envs([])",
+  "train --help": "from mjlab.cli import train; train(['--help'])",
+  f"train {TASK} --help": f"from mjlab.cli import train; train(['{TASK}', '--help'])",
+}
+WATCHED = ("numpy", "mujoco", "torch", "warp", "mujoco_warp", "rsl_rl")
+REPORT = "\nimport json, sys; sys.stdout.flush(); json.dump(sorted(sys.modules), sys.stderr)"
+
+
+@dataclass
+class Cost:
+  """One row of the table."""
+
+  least: float
+  """CPU time of the quickest run [s]."""
+  median: float
+  """Median CPU time of all runs [s]."""
+  modules: int
+  """Modules loaded when the command is done."""
+  heavy: list[str]
+  """Those of `WATCHED` among them."""
+
+
+def cpu_seconds(statement: str) -> float:
+  before = resource.getrusage(resource.RUSAGE_CHILDREN)
+  subprocess.run([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, check=True)
+  after = resource.getrusage(resource.RUSAGE_CHILDREN)
+  return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measure(statement: str, repeats: int) -> Cost:
+  report = subprocess.run([sys.executable, "-c", statement + REPORT], capture_output=True, text=True, check=True)
+  modules = set(json.loads(report.stderr))
+  seconds = [cpu_seconds(statement) for _ in range(repeats)]
+  return Cost(min(seconds), statistics.median(seconds), len(modules), [name for name in WATCHED if name in modules])
+
+
+def processor() -> str:
+  """The processor's name where the system tells it, else its architecture."""
+  info = Path("/proc/cpuinfo")
+  lines = info.read_text().splitlines() if info.exists() else []
+  models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+  return models[0] if models else platform.machine()
+
+
+def main() -> None:
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("--repeats", type=int, default=7)
+  parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "benchmarks" / "cli.md")
+  arguments = parser.parse_args()
+  rows = []
+  for shown, statement in COMMANDS.items():
+    cost = measure(statement, arguments.repeats)
+    heavy = ", ".join(cost.heavy) or "-"
+    rows.append(f"| `{shown}` | {cost.least:.3f} | {cost.median:.3f} | {cost.modules} | {heavy} |")
+    print(rows[-1], flush=True)
+  versions = ", ".join(f"{name} {version(name)}" for name in ("mjlab", "torch", "mujoco", "tyro"))
+  table = "\n".join(rows)
+  text = f"""# What a prompt costs
+
+CPU seconds of the whole process, least and median of {arguments.repeats} runs, and the modules that are loaded when
+it is done. Absolute times hold on this machine only; compare rows. Made by `uv run python tools/benchmark_cli.py`.
+
+{date.today()}, Python {platform.python_version()}, {versions};
+{os.cpu_count()} cores of {processor()}, shared with other work.
+
+| command | CPU [s] | median [s] | modules | of these |
+|---|---|---|---|---|
+{table}
+"""
+  arguments.out.parent.mkdir(parents=True, exist_ok=True)
+  arguments.out.write_text(text, encoding="utf-8")
+  print(arguments.out)
+
+
+if __name__ == "__main__":
+  main()
