@@ -32,10 +32,13 @@ _DISABLE = {
 }
 _ENABLE = {name.removeprefix("mjENBL_").lower(): value.value for name, value in mujoco.mjtEnableBit.__members__.items()}
 
+RK4_REFUSED = (
+  "a step is split around the control, which RK4 does not allow on MuJoCo Warp; choose 'implicitfast', 'implicit' or"
+  " 'euler'"
+)
 _WARP_REFUSES = {
   "solver 'pgs'": "MuJoCo Warp has Newton and CG only; choose solver 'newton' or 'cg'",
-  "integrator 'rk4'": "a step is split around the control, which RK4 does not allow on MuJoCo Warp; choose"
-  " 'implicitfast', 'implicit' or 'euler'",
+  "integrator 'rk4'": RK4_REFUSED,
 }
 _WARP_REFUSES_DISABLE = {"autoreset", "midphase"}
 _WARP_REFUSES_ENABLE = {"override", "fwdinv", "diagexact", "speculative"}

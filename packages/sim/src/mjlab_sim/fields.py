@@ -4,8 +4,8 @@ from mjlab_core.names import unknown
 
 from mjlab_sim.errors import SimulationError
 
-KINEMATIC_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
-"""State fields from which position- and velocity-derived quantities follow."""
+KINEMATIC_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat", "eq_active", "plastic")
+"""State fields from which position- and velocity-derived quantities follow, constraints and passive forces included."""
 
 STATE = (
   *KINEMATIC_STATE,
@@ -14,11 +14,9 @@ STATE = (
   "qacc_warmstart",
   "qfrc_applied",
   "xfrc_applied",
-  "eq_active",
   "time",
   "userdata",
   "history",
-  "plastic",
 )
 """Fields that a step reads and that anybody may write; all others are outputs of the engine."""
 

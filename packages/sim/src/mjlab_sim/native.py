@@ -10,6 +10,7 @@ import torch
 from mujoco import batch
 
 from mjlab_sim.config import SimulationCfg
+from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
 from mjlab_sim.rays import RayHits
 from mjlab_sim.torch_array import TorchArray
@@ -31,8 +32,13 @@ def _writable(array: np.ndarray) -> np.ndarray:
   return np.frombuffer(memory, dtype=array.dtype).reshape(array.shape)
 
 
-def _matrices(array: np.ndarray, name: str) -> np.ndarray:
-  return array.reshape(*array.shape[:-1], 3, 3) if name.endswith("mat") and array.shape[-1] == 9 else array
+def _shaped(array: np.ndarray, name: str) -> np.ndarray:
+  """MuJoCo's flat rows as matrices, and bounding boxes as centre and half sizes."""
+  if name == "geom_aabb":
+    return array.reshape(*array.shape[:-1], 2, 3)
+  if name.endswith(("mat", "mat0")) and array.shape[-1] == 9:
+    return array.reshape(*array.shape[:-1], 3, 3)
+  return array
 
 
 class NativeEngine:
@@ -67,7 +73,7 @@ class NativeEngine:
         array = _writable(array)
         # An output bound between calls holds nothing until the next one.
         self._batch.forward(stage=_VEL)
-      self._data[name] = TorchArray.over(torch.from_numpy(_matrices(array, name)))
+      self._data[name] = TorchArray.over(lambda: torch.from_numpy(_shaped(array, name)))
     return self._data[name]
 
   def model_field(self, name: str) -> TorchArray:
@@ -77,15 +83,17 @@ class NativeEngine:
       if name not in PER_WORLD:
         raise KeyError(name)
       source: Any = self._model.opt if name.startswith("opt.") else self._model
-      value = np.array(getattr(source, name.removeprefix("opt.")))[None]
-      field = TorchArray.over(torch.from_numpy(value))
+      rows = self._batch.expanded(name)
+      # The batch derives constants for each world; while their sources are shared, all worlds have the same.
+      value = np.array(getattr(source, name.removeprefix("opt.")))[None] if rows is None else rows[:1].copy()
+      field = TorchArray.over(lambda: torch.from_numpy(_shaped(value, name)))
       self._shared[name] = (field, field._version)
     return self._shared[name][0]
 
   def expand(self, name: str) -> None:
     shared = self.model_field(name)
-    rows = self._batch.expand(name)
-    field = TorchArray.over(torch.from_numpy(rows))
+    rows = _shaped(self._batch.expand(name), name)
+    field = TorchArray.over(lambda: torch.from_numpy(rows))
     field.copy_(shared)
     self._shared.pop(name, None)
     self._per_world[name] = field
@@ -115,7 +123,7 @@ class NativeEngine:
     # The batch runs on its own copy of the model: a write to a shared field reaches it as equal values for all worlds.
     for name, (field, version) in self._shared.items():
       if field._version != version:
-        self._batch.expand(name)[:] = field.numpy()
+        _shaped(self._batch.expand(name), name)[:] = field.numpy()
         self._shared[name] = (field, field._version)
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -130,9 +138,18 @@ class NativeEngine:
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
     self._push_shared()
     worlds = None if mask is None else mask.numpy()
-    if worlds is None or worlds.any():
+    if worlds is not None and not worlds.any():
+      return
+    try:
       self._batch.set_const(worlds)
-      self._stale |= True if worlds is None else worlds
+    except batch.SimulationError as error:
+      raise SimulationError(f"recompute_constants: {error}") from error
+    self._stale |= True if worlds is None else worlds
+    one = 0 if worlds is None else int(worlds.argmax())
+    for name, (field, _) in self._shared.items():
+      rows = self._batch.expanded(name)
+      if rows is not None:
+        field.numpy()[0] = _shaped(rows, name)[one]
 
   def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> "NativeRayCaster":
     return NativeRayCaster(self._batch, self._num_envs, num_rays, geomgroup, bodyexclude)

@@ -11,7 +11,7 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.engine import Engine
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
-from mjlab_sim.rays import RayCaster
+from mjlab_sim.rays import RayCaster, RayHits
 from mjlab_sim.torch_array import TorchArray
 
 if TYPE_CHECKING:
@@ -60,11 +60,13 @@ class Simulation:
     self.dtype = self._engine.dtype
     """Precision of state and derived quantities: float64 on the native engine, float32 on MuJoCo Warp."""
     self.data = DataView(self)
-    self.model = ModelView(self._engine)
+    self.model = ModelView(self)
     self.on_model_change: list[Callable[[], None]] = []
     """Called after model fields were expanded: recorded graphs hold the memory that was."""
     self._kinematic = [self._engine.data_field(name) for name in KINEMATIC_STATE]
-    self._expanded: dict[str, TorchArray] = {}
+    self._expanded: dict[str, None] = {}
+    # Model fields that somebody asked for, and so may have written to.
+    self._watched: dict[str, TorchArray] = {}
     self._epoch = 0
     self._model_changed = False
     self._state_version = self._versions(self._kinematic)
@@ -96,10 +98,7 @@ class Simulation:
     self._check_open()
     if mask is None:
       mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-    if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
-      raise SimulationError(
-        f"reset: mask must be bool of shape ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
-      )
+    self._check_mask(mask, "reset")
     self._engine.reset(mask)
     self._state_version = -1
     self._epoch += 1
@@ -107,6 +106,7 @@ class Simulation:
   @property
   def epoch(self) -> int:
     """A number that changes whenever derived quantities change; reading it brings them up to date first."""
+    self._check_open()
     self._refresh()
     return self._epoch
 
@@ -127,9 +127,13 @@ class Simulation:
     fresh = [name for name in closure(list(names)) if name not in self._expanded and self.model[name].numel() > 0]
     for name in fresh:
       self._engine.expand(name)
-      self._expanded[name] = self._engine.model_field(name)
+      self._expanded[name] = None
+      self._watched[name] = self._engine.model_field(name)
     if fresh:
-      self._model_version = self._versions(self._expanded.values())
+      # A write to the shared field may not have been seen yet.
+      self._model_changed = True
+      self._state_version = -1
+      self._model_version = self._versions(self._watched.values())
       for graph in self._graphs:
         graph.invalidate()
       for callback in self.on_model_change:
@@ -156,11 +160,25 @@ class Simulation:
 
     Args:
       mask: Worlds whose fields changed, bool (num_envs,); all by default.
+
+    Raises:
+      SimulationError: MuJoCo cannot derive them for this model; the message says what to change in it.
     """
     self._check_open()
+    if mask is not None:
+      self._check_mask(mask, "recompute_constants")
     self._engine.recompute_constants(mask)
     self._model_changed = True
     self._state_version = -1
+
+  def _model_field(self, name: str) -> TorchArray:
+    field = self._watched.get(name)
+    if field is None:
+      self._check_open()
+      # Versions are memory's own and begin anywhere.
+      field = self._watched[name] = self._engine.model_field(name)
+      self._model_version += field._version
+    return field
 
   # State
 
@@ -169,7 +187,7 @@ class Simulation:
     data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
     return {
       "data": {name: field for name, field in data.items() if field.numel()},
-      "model": {name: field.detach().clone() for name, field in self._expanded.items()},
+      "model": {name: self._engine.model_field(name).detach().clone() for name in self._expanded},
     }
 
   def load_state_dict(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
@@ -178,17 +196,21 @@ class Simulation:
     Raises:
       SimulationError: a field that is missing, unknown or of another shape; nothing was changed.
     """
-    saved = state["model"]
-    self.expand_model_fields([name for name in saved if name not in self._expanded])
-    writes: list[tuple[torch.Tensor, torch.Tensor]] = []
-    for kind, target_of in (("data", self._engine.data_field), ("model", self._engine.model_field)):
+    data = {name: field for name in STATE if (field := self._engine.data_field(name)).numel()}
+    model = {name: self.model[name] for name in state["model"] if name in PER_WORLD}
+    model |= {name: self._engine.model_field(name) for name in self._expanded}
+    for kind, fields in (("data", data), ("model", model)):
       for name, value in state[kind].items():
-        target = target_of(name)
-        if target.shape != value.shape:
-          raise SimulationError(
-            f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {tuple(target.shape)}"
-          )
-        writes.append((target, value))
+        if name not in fields:
+          raise SimulationError(unknown(f"saved {kind} field", name, list(fields)))
+        shape = (self.num_envs, *fields[name].shape[1:])
+        if shape != value.shape:
+          raise SimulationError(f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}")
+      if absent := [name for name in fields if name not in state[kind]]:
+        raise SimulationError(f"saved {kind} fields lack: {', '.join(absent)}")
+    self.expand_model_fields(state["model"])
+    writes = [(data[name], value) for name, value in state["data"].items()]
+    writes += [(self._engine.model_field(name), value) for name, value in state["model"].items()]
     for target, value in writes:
       target.copy_(value)
     self._state_version = -1
@@ -205,9 +227,15 @@ class Simulation:
       geomgroup: Which of the six geom groups rays see; all by default.
       bodyexclude: A body that rays pass through, -1 for none.
     """
+    self._check_open()
+    if num_rays < 1:
+      raise SimulationError(f"num_rays must be at least 1, got {num_rays}")
     if geomgroup is not None and len(geomgroup) != mujoco.mjNGROUP:
       raise SimulationError(f"geomgroup needs {mujoco.mjNGROUP} entries, got {len(geomgroup)}")
-    return self._engine.ray_caster(num_rays, None if geomgroup is None else tuple(geomgroup), bodyexclude)
+    if not -1 <= bodyexclude < self.mj_model.nbody:
+      raise SimulationError(f"bodyexclude must be a body from 0 to {self.mj_model.nbody - 1}, or -1, got {bodyexclude}")
+    caster = self._engine.ray_caster(num_rays, None if geomgroup is None else tuple(geomgroup), bodyexclude)
+    return _FreshRayCaster(self, caster, num_rays)
 
   def count_overflow(self) -> None:
     """Note contacts and constraints that did not fit. On the device; once an env step is enough."""
@@ -277,13 +305,12 @@ class Simulation:
     return sum(tensor._version for tensor in tensors)
 
   def _refresh(self) -> None:
-    """Recompute derived quantities if state or a per-world model field was written since."""
-    if self._expanded:
-      version = self._versions(self._expanded.values())
-      if version != self._model_version:
-        self._model_version = version
-        self._model_changed = True
-        self._state_version = -1
+    """Recompute derived quantities if state or a model field was written since."""
+    version = self._versions(self._watched.values())
+    if version != self._model_version:
+      self._model_version = version
+      self._model_changed = True
+      self._state_version = -1
     if self._versions(self._kinematic) != self._state_version:
       self._engine.forward(self._model_changed)
       self._settled()
@@ -296,6 +323,12 @@ class Simulation:
   def _check_open(self) -> None:
     if self._closed:
       raise SimulationError("this simulation is closed")
+
+  def _check_mask(self, mask: torch.Tensor, what: str) -> None:
+    if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
+      raise SimulationError(
+        f"{what}: mask must be bool of shape ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
+      )
 
 
 class DataView:
@@ -313,6 +346,7 @@ class DataView:
     sim = self._sim
     if name.startswith("__"):
       raise AttributeError(name)
+    sim._check_open()
     if name not in STATE:
       sim._refresh()
     try:
@@ -328,13 +362,16 @@ class DataView:
 
 
 class ModelView:
-  """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded."""
+  """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded.
 
-  _engine: Engine
+  A name is assigned in place. A write to a shared field reaches every world.
+  """
+
+  _sim: Simulation
   _prefix: str
 
-  def __init__(self, engine: Engine, prefix: str = "") -> None:
-    object.__setattr__(self, "_engine", engine)
+  def __init__(self, sim: Simulation, prefix: str = "") -> None:
+    object.__setattr__(self, "_sim", sim)
     object.__setattr__(self, "_prefix", prefix)
 
   def __getattr__(self, name: str) -> TorchArray:
@@ -344,7 +381,7 @@ class ModelView:
 
   def __getitem__(self, name: str) -> TorchArray:
     try:
-      return self._engine.model_field(self._prefix + name)
+      return self._sim._model_field(self._prefix + name)
     except KeyError:
       raise AttributeError(
         unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
@@ -359,7 +396,24 @@ class ModelView:
   @property
   def opt(self) -> "ModelView":
     """Options that may differ per world: `sim.model.opt.gravity`."""
-    return ModelView(self._engine, "opt.")
+    return ModelView(self._sim, "opt.")
+
+
+class _FreshRayCaster:
+  """An engine's caster that sees geoms where the written state puts them."""
+
+  def __init__(self, sim: Simulation, caster: RayCaster, num_rays: int) -> None:
+    self._sim = sim
+    self._caster = caster
+    self._shape = (sim.num_envs, num_rays, 3)
+
+  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
+    for name, rays in (("origins", origins), ("directions", directions)):
+      if rays.shape != self._shape:
+        raise SimulationError(f"cast: {name} must have shape {self._shape}, got {tuple(rays.shape)}")
+    self._sim._check_open()
+    self._sim._refresh()
+    return self._caster.cast(origins, directions)
 
 
 class StepGraph:

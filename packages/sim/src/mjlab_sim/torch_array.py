@@ -1,5 +1,7 @@
 """A torch tensor over engine memory."""
 
+from collections.abc import Callable
+
 import torch
 
 
@@ -14,6 +16,10 @@ class TorchArray(torch.Tensor):
   __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]  # ty: ignore[incompatible-method-override]
 
   @staticmethod
-  def over(tensor: torch.Tensor) -> "TorchArray":
-    """`tensor` as a TorchArray, sharing its memory and its version counter."""
-    return tensor.as_subclass(TorchArray)
+  def over(view: Callable[[], torch.Tensor]) -> "TorchArray":
+    """What `view` makes as a TorchArray, sharing its memory and its version counter.
+
+    A field may be asked for first in inference mode, where tensors are made that nobody can write to outside of it.
+    """
+    with torch.inference_mode(False):
+      return view().as_subclass(TorchArray)

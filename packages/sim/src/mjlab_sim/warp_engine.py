@@ -13,7 +13,7 @@ import warp as wp
 from mujoco_warp._src.types import vec6
 
 from mjlab_sim import warp_kernels
-from mjlab_sim.config import SimulationCfg
+from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.graph import Recorder
@@ -39,6 +39,10 @@ _OTHER = (
 )
 
 
+_ACCELERATION_STAGE = """actuator_force qfrc_actuator qfrc_smooth qfrc_constraint qfrc_inverse qacc_smooth cacc cfrc_int
+cfrc_ext""".split()
+
+
 class WarpEngine:
   """MuJoCo Warp behind the engine protocol."""
 
@@ -55,6 +59,8 @@ class WarpEngine:
     self._model_views: dict[str, TorchArray] = {}
     if cfg.capture:
       check_capture(self._wp_device)
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+      raise SimulationError("the model asks for integrator RK4; " + RK4_REFUSED)
     host = mujoco.MjData(model)
     mujoco.mj_forward(model, host)
     with wp.ScopedDevice(self._wp_device):
@@ -85,7 +91,7 @@ class WarpEngine:
       array = getattr(self._d, name, None)
       if not isinstance(array, wp.array) or array.shape[0] != self._num_envs:
         raise KeyError(name)
-      self._data_views[name] = TorchArray.over(wp.to_torch(array, requires_grad=False))
+      self._data_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
     return self._data_views[name]
 
   def _owner(self, name: str) -> tuple[Any, str]:
@@ -96,7 +102,8 @@ class WarpEngine:
       if name not in PER_WORLD:
         raise KeyError(name)
       owner, attribute = self._owner(name)
-      self._model_views[name] = TorchArray.over(wp.to_torch(getattr(owner, attribute), requires_grad=False))
+      array = getattr(owner, attribute)
+      self._model_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
     return self._model_views[name]
 
   def expand(self, name: str) -> None:
@@ -106,7 +113,7 @@ class WarpEngine:
       return
     with wp.ScopedDevice(self._wp_device):
       rows = wp.zeros((self._num_envs, *shared.shape[1:]), dtype=shared.dtype)
-    view = TorchArray.over(wp.to_torch(rows, requires_grad=False))
+    view = TorchArray.over(lambda: wp.to_torch(rows, requires_grad=False))
     view.copy_(self.model_field(name))
     setattr(owner, attribute, rows)
     self._model_views[name] = view
@@ -159,6 +166,12 @@ class WarpEngine:
 
   def _reset(self) -> None:
     mjw.reset_data(self._m, self._d, self._reset_mask)
+    # MuJoCo C clears these too. They belong to the substep before, and forward does not compute them anew.
+    for name in _ACCELERATION_STAGE:
+      array = getattr(self._d, name)
+      if array.size:
+        flat = wp.array(ptr=array.ptr, shape=(self._num_envs, array.strides[0] // 4), dtype=wp.float32, copy=False)
+        wp.launch(warp_kernels.clear_worlds, dim=flat.shape, inputs=[self._reset_mask], outputs=[flat])
 
   def _recompute(self) -> None:
     mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=True)

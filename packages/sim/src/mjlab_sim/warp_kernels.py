@@ -19,6 +19,13 @@ def restore_acceleration_sensors(
 
 
 @wp.kernel
+def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
+  world, column = wp.tid()
+  if mask[world]:
+    rows[world, column] = 0.0
+
+
+@wp.kernel
 def count_overflow(
   overflow: wp.array[int],
   nefc: wp.array[int],

@@ -1,0 +1,234 @@
+"""Nothing that is read is stale, whoever wrote whatever it follows from, and nothing is computed twice."""
+
+from collections.abc import Callable
+
+import mujoco
+import pytest
+import torch
+from mjlab_sim import Simulation
+from sim_world import reference, scatter
+
+MakeSim = Callable[..., Simulation]
+
+
+@pytest.fixture
+def count_forwards(monkeypatch: pytest.MonkeyPatch) -> Callable[[Simulation], list[bool]]:
+  """A list that grows with every forward pass of a simulation's engine."""
+
+  def watch(sim: Simulation) -> list[bool]:
+    calls: list[bool] = []
+    forward = sim._engine.forward
+
+    def counted(model_changed: bool) -> None:
+      calls.append(model_changed)
+      forward(model_changed)
+
+    monkeypatch.setattr(sim._engine, "forward", counted)
+    return calls
+
+  return watch
+
+
+def plain(sim: Simulation) -> None:
+  sim.data.qpos.add_(0.05)
+
+
+def sliced(sim: Simulation) -> None:
+  sim.data.qpos[:, 21:23] += 0.05
+
+
+def kept_view(sim: Simulation) -> None:
+  view = sim.data.qpos[:, :3]
+  _ = sim.data.xpos
+  view[1:3].copy_(view[1:3] + 0.1)
+
+
+def masked(sim: Simulation) -> None:
+  hinges = sim.data.qpos[:, 21:23]
+  where = torch.tensor([[True], [False], [True], [False]])
+  torch.where(where, hinges + 0.2, hinges, out=hinges)
+
+
+def assigned(sim: Simulation) -> None:
+  sim.data.qpos = sim.data.qpos + 0.05
+
+
+def augmented(sim: Simulation) -> None:
+  sim.data.qpos += 0.05
+
+
+def in_inference_mode(sim: Simulation) -> None:
+  with torch.inference_mode():
+    sim.data.qpos[:, 21:23] += 0.05
+
+
+def velocity(sim: Simulation) -> None:
+  sim.data.qvel.mul_(2.0)
+
+
+def mocap(sim: Simulation) -> None:
+  sim.data.mocap_pos[:, 0, 2] += 0.1
+
+
+WRITES = [plain, sliced, kept_view, masked, assigned, augmented, in_inference_mode, velocity, mocap]
+
+
+@pytest.mark.parametrize("write", WRITES, ids=lambda write: write.__name__)
+def test_a_write_is_seen_by_the_next_reader_and_by_the_next_step(
+  make_sim: MakeSim, engine: str, write: Callable[[Simulation], None], count_forwards
+) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  sim.step()
+  forwards, epoch = count_forwards(sim), sim.epoch
+  write(sim)
+  expected = []
+  tolerance = 1e-9 if engine == "native" else 2e-5
+  for world in range(sim.num_envs):
+    model, data = reference(sim, world)
+    mujoco.mj_forward(model, data)
+    expected.append((model, data))
+    for name in ("xpos", "geom_xpos", "cvel", "ten_length"):
+      torch.testing.assert_close(
+        getattr(sim.data, name)[world].double(), torch.tensor(getattr(data, name)), rtol=tolerance, atol=tolerance
+      )
+  assert sim.epoch > epoch
+  assert len(forwards) == 1
+  sim.step()
+  assert len(forwards) == 1
+  for world, (model, data) in enumerate(expected):
+    mujoco.mj_step(model, data)
+    torch.testing.assert_close(
+      sim.data.qvel[world].double(), torch.tensor(data.qvel), rtol=5 * tolerance, atol=5 * tolerance
+    )
+
+
+def test_reading_costs_a_forward_once(make_sim: MakeSim, engine: str, count_forwards) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  forwards = count_forwards(sim)
+  first = sim.epoch
+  assert len(forwards) == 1
+  assert sim.epoch == first
+  _ = sim.data.xpos, sim.data.sensordata, sim.data.qpos
+  sim.forward()
+  assert len(forwards) == 1
+  sim.step()
+  assert sim.epoch > first
+  _ = sim.data.cvel
+  assert len(forwards) == 1
+
+
+def test_controls_and_forces_move_nothing_until_the_step(make_sim: MakeSim, engine: str, count_forwards) -> None:
+  sim = make_sim(engine)
+  sim.step()
+  forwards, epoch = count_forwards(sim), sim.epoch
+  for name in ("ctrl", "act", "xfrc_applied", "qfrc_applied"):
+    getattr(sim.data, name).add_(0.1)
+  _ = sim.data.xpos
+  assert (sim.epoch, forwards) == (epoch, [])
+
+
+def test_a_reset_then_writes_then_reads_cost_one_forward(make_sim: MakeSim, engine: str, count_forwards) -> None:
+  sim = make_sim(engine)
+  sim.step()
+  forwards = count_forwards(sim)
+  sim.reset(torch.tensor([True, False, False, True]))
+  sim.data.qpos[:, 21] += 0.1
+  sim.data.qvel[:, 18] += 0.1
+  _ = sim.data.xpos
+  sim.step()
+  assert len(forwards) == 1
+
+
+def test_accelerations_are_those_of_the_substep_through_writes_and_resets(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  for _ in range(3):
+    sim.step()
+  model = sim.mj_model
+  columns = [
+    column
+    for name in ("accelerometer", "force", "motor", "touch", "contact", "acceleration")
+    for column in range(model.sensor(name).adr[0], model.sensor(name).adr[0] + model.sensor(name).dim[0])
+  ]
+  of_the_substep = sim.data.sensordata[:, columns].clone()
+  assert (of_the_substep != 0).any(0).sum() > 20
+  sim.data.qpos[1, 21] += 0.3
+  sim.data.qvel[2] += 0.1
+  assert torch.equal(sim.data.sensordata[:, columns], of_the_substep)
+  sim.reset(torch.tensor([True, False, False, False]))
+  after = sim.data.sensordata[:, columns]
+  assert not after[0].any()
+  assert torch.equal(after[1:], of_the_substep[1:])
+
+
+def test_a_write_in_one_world_leaves_the_others_bit_identical(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  for _ in range(2):
+    sim.step()
+  names = "xpos xmat geom_xpos cvel subtree_com ten_length qfrc_bias qacc actuator_force sensordata qvel".split()
+  before = {name: getattr(sim.data, name).clone() for name in names}
+  sim.data.qpos[2] += 0.05
+  others = [0, 1, 3]
+  for name in names:
+    assert torch.equal(getattr(sim.data, name)[others], before[name][others]), name
+  assert not torch.equal(sim.data.xpos[2], before["xpos"][2])
+
+
+def test_what_a_world_does_does_not_depend_on_its_neighbours(make_sim: MakeSim, engine: str) -> None:
+  together, alone = make_sim(engine), make_sim(engine)
+  for sim in (together, alone):
+    scatter(sim)
+  for step in range(6):
+    if step in (2, 4):
+      alone.reset(torch.tensor([step == 2, False, True, False]))
+      alone.data.qpos[0, 21] += 0.1
+    for sim in (together, alone):
+      sim.step()
+  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
+    assert torch.equal(getattr(together.data, name)[[1, 3]], getattr(alone.data, name)[[1, 3]]), name
+
+
+def test_switching_an_equality_on_acts_in_the_next_step(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.step()
+  sim.data.eq_active[1, 0] = 1
+  datas = [reference(sim, world)[1] for world in (0, 1)]
+  datas[1].eq_active[0] = 1
+  sim.step()
+  for world, data in enumerate(datas):
+    mujoco.mj_step(sim.mj_model, data)
+    torch.testing.assert_close(sim.data.qvel[world].double(), torch.tensor(data.qvel), rtol=1e-4, atol=1e-4)
+  assert not torch.allclose(sim.data.qvel[0], sim.data.qvel[1])
+
+
+def test_a_model_write_acts_in_the_next_step_and_is_seen_before(make_sim: MakeSim, engine: str, count_forwards) -> None:
+  sim = make_sim(engine)
+  _ = sim.epoch
+  forwards = count_forwards(sim)
+  sim.model.jnt_pos[0, 3, 2] += 0.1
+  sim.model.dof_damping[0, 18] = 1.0
+  model = sim.mj_model.__copy__()
+  model.jnt_pos[3, 2] += 0.1
+  model.dof_damping[18] = 1.0
+  data = reference(sim, 0)[1]
+  mujoco.mj_forward(model, data)
+  torch.testing.assert_close(sim.data.xanchor[0].double(), torch.tensor(data.xanchor), rtol=1e-6, atol=1e-6)
+  assert forwards == [True]
+  data.qvel[18] = 1.0
+  sim.data.qvel[:, 18] = 1.0
+  mujoco.mj_step(model, data)
+  sim.step()
+  torch.testing.assert_close(sim.data.qvel[0].double(), torch.tensor(data.qvel), rtol=1e-4, atol=1e-5)
+
+
+def test_rays_see_geoms_where_the_written_state_puts_them(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine, num_envs=1)
+  caster = sim.make_ray_caster(1)
+  origin = torch.tensor([[[0.0, 0.0, 2.0]]], dtype=sim.dtype)
+  down = torch.tensor([[[0.0, 0.0, -1.0]]], dtype=sim.dtype)
+  assert caster.cast(origin, down).distance.item() == pytest.approx(1.8005, abs=1e-5)
+  sim.data.qpos[:, 2] += 0.5
+  assert caster.cast(origin, down).distance.item() == pytest.approx(1.3005, abs=1e-5)

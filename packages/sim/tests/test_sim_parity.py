@@ -1,0 +1,259 @@
+"""MuJoCo C, the native engine and MuJoCo Warp say the same of the same state."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sim import PER_WORLD, Simulation, TorchArray
+
+from sim_world import NUM_WORLDS, reference, scatter
+
+MakeSim = Callable[..., Simulation]
+
+POSITION = """xpos xquat xmat xipos ximat geom_xpos geom_xmat site_xpos site_xmat cam_xpos cam_xmat xanchor xaxis
+subtree_com ten_length actuator_length""".split()
+VELOCITY = "cvel ten_velocity actuator_velocity qfrc_bias qfrc_passive cdof cdof_dot cinert".split()
+ACCELERATION = "qacc actuator_force qfrc_actuator qfrc_smooth qacc_smooth qfrc_constraint act_dot".split()
+STATE = "qpos qvel act ctrl qacc_warmstart mocap_pos mocap_quat xfrc_applied qfrc_applied time".split()
+
+
+def close(actual: torch.Tensor, expected: torch.Tensor, tolerance: float, what: str) -> None:
+  torch.testing.assert_close(
+    actual.double(), expected.double(), rtol=tolerance, atol=tolerance, msg=lambda text: f"{what}: {text}"
+  )
+
+
+def acceleration_columns(model: mujoco.MjModel) -> torch.Tensor:
+  columns = torch.zeros(model.nsensordata, dtype=torch.bool)
+  for adr, dim, stage in zip(model.sensor_adr, model.sensor_dim, model.sensor_needstage, strict=True):
+    columns[adr : adr + dim] = bool(stage == mujoco.mjtStage.mjSTAGE_ACC)
+  return columns
+
+
+def test_a_step_is_mujocos_with_fresh_positions_and_velocities(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  for _ in range(3):  # Contacts and warm starts of their own.
+    sim.step()
+  before = [reference(sim, world) for world in range(NUM_WORLDS)]
+  sim.step()
+  tolerance = 1e-9 if engine == "native" else 1e-5
+  is_acceleration = acceleration_columns(sim.mj_model)
+  for world, (model, data) in enumerate(before):
+    mujoco.mj_step(model, data)
+    for name in STATE:
+      wide = max(tolerance, 5e-4) if name == "qacc_warmstart" else tolerance
+      close(getattr(sim.data, name)[world], torch.tensor(getattr(data, name)), wide, name)
+    of_the_substep = torch.tensor(data.sensordata)
+    for name in ACCELERATION:
+      # Forces and accelerations scale with stiff contacts: float32 keeps four digits of them.
+      close(getattr(sim.data, name)[world], torch.tensor(getattr(data, name)), max(tolerance, 5e-4), name)
+    mujoco.mj_forward(model, data)
+    for name in POSITION + VELOCITY:
+      field = getattr(sim.data, name)[world]
+      close(field, torch.tensor(getattr(data, name)).reshape(field.shape), 10 * tolerance, name)
+    sensors, now = sim.data.sensordata[world].double(), torch.tensor(data.sensordata)
+    close(sensors[~is_acceleration], now[~is_acceleration], 10 * tolerance, "sensors of positions and velocities")
+    close(sensors[is_acceleration], of_the_substep[is_acceleration], max(tolerance, 5e-4), "sensors of accelerations")
+
+
+@pytest.mark.warp
+def test_engines_stay_together_over_many_steps(make_sim: MakeSim) -> None:
+  sims = [make_sim(engine) for engine in ("native", "warp")]
+  for sim in sims:
+    scatter(sim, seed=1)
+    for _ in range(50):
+      sim.step()
+  native, warp = sims
+  close(warp.data.qpos, native.data.qpos, 2e-4, "qpos")
+  close(warp.data.xpos, native.data.xpos, 2e-4, "xpos")
+
+
+@pytest.mark.warp
+def test_data_fields_have_the_same_names_shapes_and_values_on_both_engines(make_sim: MakeSim) -> None:
+  native, warp = make_sim("native"), make_sim("warp")
+  for sim in (native, warp):
+    scatter(sim)
+    sim.step()
+    sim.reset(torch.tensor([True, False, False, True]))
+  for name in STATE + POSITION + VELOCITY + ACCELERATION + ["sensordata", "eq_active"]:
+    expected, actual = getattr(native.data, name), getattr(warp.data, name)
+    assert actual.shape == expected.shape, name
+    assert actual.shape[0] == NUM_WORLDS
+    if name.endswith("mat"):
+      assert actual.shape[-2:] == (3, 3)
+    close(actual, expected, 5e-4, name)
+
+
+@pytest.mark.warp
+def test_model_fields_have_the_same_names_shapes_and_values_on_both_engines(make_sim: MakeSim) -> None:
+  native, warp = make_sim("native"), make_sim("warp")
+  for name in sorted(PER_WORLD):
+    expected, actual = native.model[name], warp.model[name]
+    assert isinstance(expected, TorchArray)
+    assert isinstance(actual, TorchArray)
+    assert actual.shape == expected.shape, name
+    assert actual.shape[0] == 1, name
+    close(actual, expected, 1e-6, name)
+    for sim in (native, warp):
+      default = sim.default_field(name)
+      assert default.shape == sim.model[name].shape, name
+      assert default.dtype == sim.model[name].dtype, name
+      close(default, native.model[name], 1e-6, name)
+
+
+def test_a_masked_reset_restores_the_models_state_and_touches_nobody_else(make_sim: MakeSim, engine: str) -> None:
+  sim, fresh = make_sim(engine), make_sim(engine)
+  scatter(sim)
+  for _ in range(2):
+    sim.step()
+  names = STATE + POSITION + VELOCITY + ACCELERATION + ["sensordata"]
+  before = {name: getattr(sim.data, name).clone() for name in names}
+  mask = torch.tensor([True, False, True, False])
+  sim.reset(mask)
+  is_acceleration = acceleration_columns(sim.mj_model)
+  for name in names:
+    after = getattr(sim.data, name)
+    assert torch.equal(after[~mask], before[name][~mask]), name
+    if name in STATE + POSITION + VELOCITY:
+      assert torch.equal(after[mask], getattr(fresh.data, name)[mask]), name
+    elif name == "sensordata":
+      assert torch.equal(after[mask][:, ~is_acceleration], fresh.data.sensordata[mask][:, ~is_acceleration])
+      assert not after[mask][:, is_acceleration].any()
+    else:
+      assert not after[mask].any(), name
+
+
+def expand_and_change(sim: Simulation) -> None:
+  """Other masses, centres of mass, frictions, gains, gravity and armature in every world."""
+  model = sim.model
+  sim.expand_model_fields(
+    ["body_mass", "body_inertia", "body_ipos", "geom_friction", "actuator_gainprm", "actuator_biasprm", "opt.gravity"]
+    + ["dof_armature", "qpos0", "jnt_range"]
+  )
+  worlds = torch.arange(sim.num_envs, dtype=sim.dtype)
+  model.body_mass[:, 3] *= 1.0 + 0.2 * worlds
+  model.body_inertia[:, 3] *= 1.0 + 0.2 * worlds[:, None]
+  model.body_ipos[:, 3, 0] += 0.02 * worlds
+  model.geom_friction[:, 1:4, 0] *= 1.0 - 0.2 * worlds[:, None]
+  model.actuator_gainprm[:, 0, 0] += 5.0 * worlds
+  model.actuator_biasprm[:, 0, 1] -= 5.0 * worlds
+  model.opt.gravity[:, 0] += 0.5 * worlds
+  model.dof_armature[:, 18:20] += 0.01 * worlds[:, None]
+  model.qpos0[:, 21] += 0.1 * worlds
+  model.jnt_range[:, 4, 1] += 0.1 * worlds
+  sim.recompute_constants()
+
+
+def changed_model(sim: Simulation, world: int) -> mujoco.MjModel:
+  """The same change in MuJoCo C, its constants derived by MuJoCo."""
+  model = sim.mj_model.__copy__()
+  model.body_mass[3] *= 1.0 + 0.2 * world
+  model.body_inertia[3] *= 1.0 + 0.2 * world
+  model.body_ipos[3, 0] += 0.02 * world
+  model.geom_friction[1:4, 0] *= 1.0 - 0.2 * world
+  model.actuator_gainprm[0, 0] += 5.0 * world
+  model.actuator_biasprm[0, 1] -= 5.0 * world
+  model.opt.gravity[0] += 0.5 * world
+  model.dof_armature[18:20] += 0.01 * world
+  model.qpos0[21] += 0.1 * world
+  model.jnt_range[4, 1] += 0.1 * world
+  mujoco.mj_setConst(model, mujoco.MjData(model))
+  return model
+
+
+def test_model_fields_of_each_world_act_as_in_a_model_of_its_own(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  expand_and_change(sim)
+  sim.reset()
+  scatter(sim, seed=2)
+  for _ in range(2):
+    sim.step()
+  tolerance = 1e-9 if engine == "native" else 2e-5
+  starts = [reference(sim, world)[1] for world in range(NUM_WORLDS)]
+  sim.step()
+  derived = "body_subtreemass body_invweight0 dof_invweight0 tendon_invweight0 tendon_length0 actuator_acc0".split()
+  for world, data in enumerate(starts):
+    model = changed_model(sim, world)
+    for name in derived:
+      expected = torch.tensor(getattr(model, name))
+      field = sim.model[name]
+      assert sim.is_expanded(name), name
+      close(
+        field[world], expected.reshape(field[world].shape), max(tolerance, 2e-4 * float(expected.abs().max())), name
+      )
+    mujoco.mj_step(model, data)
+    close(sim.data.qpos[world], torch.tensor(data.qpos), tolerance, "qpos")
+    close(sim.data.qvel[world], torch.tensor(data.qvel), 5 * tolerance, "qvel")
+  sim.reset(torch.tensor([False, True, False, True]))
+  assert sim.data.qpos[1, 21].item() == pytest.approx(0.1)
+  assert sim.data.qpos[3, 21].item() == pytest.approx(0.3)
+
+
+def test_constants_are_recomputed_only_in_masked_worlds(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.expand_model_fields(["body_mass"])
+  before = sim.model.body_subtreemass.clone()
+  sim.model.body_mass[:, 3] = torch.tensor([3.0, 2.0, 5.0, 2.0], dtype=sim.dtype)
+  sim.recompute_constants(torch.tensor([True, False, True, False]))
+  after = sim.model.body_subtreemass
+  assert torch.equal(after[1], before[1])
+  assert (after[[0, 2], 3]).tolist() == [3.0, 5.0]
+
+
+def test_a_write_to_a_shared_model_field_reaches_every_world(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  assert sim.model.actuator_gainprm.shape[0] == 1
+  sim.data.ctrl[:, 1] = 0.5
+  sim.step()
+  force = sim.data.qfrc_actuator[:, 19].clone()
+  sim.model.actuator_gainprm[0, 1, 0] *= 2.0
+  sim.step()
+  torch.testing.assert_close(sim.data.qfrc_actuator[:, 19], 2.0 * force)
+  sim.model.body_mass[0, 3] += 1.0
+  sim.recompute_constants()
+  torch.testing.assert_close(sim.model.body_subtreemass[0, 3], torch.tensor(3.0, dtype=sim.dtype))
+  height = sim.data.site_xpos[:, 2, 2].clone()
+  sim.model.site_pos[0, 2, 2] += 0.1
+  torch.testing.assert_close(sim.data.site_xpos[:, 2, 2], height + 0.1)
+
+
+def test_expanding_keeps_values_and_says_so(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  called: list[bool] = []
+  sim.on_model_change.append(lambda: called.append(True))
+  default = sim.model.body_mass.clone()
+  sim.model.body_mass[0, 1] = 3.0
+  sim.expand_model_fields(["body_mass"])
+  assert called == [True]
+  sim.expand_model_fields(["body_mass"])
+  assert called == [True]
+  assert sim.is_expanded("body_mass")
+  assert sim.is_expanded("body_subtreemass")
+  assert not sim.is_expanded("geom_friction")
+  assert sim.model.body_mass.shape == (NUM_WORLDS, sim.mj_model.nbody)
+  assert (sim.model.body_mass[:, 1] == 3.0).all()
+  assert torch.equal(sim.default_field("body_mass"), default)
+  assert (sim.mj_model.body_mass == np.float64(default.numpy())).all() or engine == "warp"
+
+
+def test_what_rests_is_carried_by_contacts(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  for _ in range(300):
+    sim.step()
+  weight = torch.tensor(sim.mj_model.body_mass[1:4] * 9.81)
+  vertical = sim.data.qfrc_constraint[:, [2, 8, 14]].double()
+  torch.testing.assert_close(vertical, weight.expand(NUM_WORLDS, 3), rtol=1e-3, atol=0.0)
+  assert sim.data.qvel[:, :18].abs().max() < 1e-3
+  # The sensor reports, for each of the block's four corners: found, force along the normal first, position, normal.
+  slots = sim.data.sensordata[:, sensor_columns(sim.mj_model, "contact")].reshape(NUM_WORLDS, 4, 10).double()
+  assert (slots[:, :, 0] == 4).all()
+  torch.testing.assert_close(slots[:, :, 1].sum(1), weight[2].expand(NUM_WORLDS), rtol=1e-3, atol=0.0)
+  torch.testing.assert_close(slots[:, :, 9].abs(), torch.ones(NUM_WORLDS, 4).double())
+
+
+def sensor_columns(model: mujoco.MjModel, name: str) -> slice:
+  sensor = model.sensor(name)
+  return slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
