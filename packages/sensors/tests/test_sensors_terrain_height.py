@@ -98,6 +98,35 @@ def test_a_foot_that_sank_into_the_ground_reads_zero() -> None:
       assert sensor.data.valid.all()
 
 
+def test_a_plane_that_needs_no_rays_reads_as_the_rays_do(monkeypatch: pytest.MonkeyPatch) -> None:
+  cfgs = [TerrainHeightSensorCfg(frames=FEET, reduction=how, max_distance=0.6) for how in REDUCTIONS]
+  sim, sensors = build(*cfgs)
+  place(
+    sim,
+    (0, 0, 0.9, None),
+    (3, 1, 0.4, Rotation.from_euler("xz", (40, 70), degrees=True)),
+    (0, 0, GROUND_Z - 0.05, None),
+  )
+  direct = [(sensor.data.heights.clone(), sensor.data.valid.clone()) for sensor in sensors]
+  monkeypatch.setattr("mjlab_sensors.terrain_height.plane_is_fixed", lambda sim: False)
+  for sensor, (heights, valid) in zip(sensors, direct, strict=True):
+    by_rays = sensor._read()
+    torch.testing.assert_close(heights, by_rays.heights)
+    assert torch.equal(valid, by_rays.valid)
+  assert not direct[0][1].all()
+  assert direct[0][1].any()
+
+
+def test_a_plane_that_moved_is_seen_by_rays() -> None:
+  sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
+  before = sensor.data.heights.clone()
+  sim.expand_model_fields(["geom_pos"])
+  assert sensor._plane is not None
+  sim.step()
+  assert sensor.data.heights.shape == before.shape
+  torch.testing.assert_close(sensor.data.heights, sim.data.site_xpos[:, [0, 2], 2] - GROUND_Z)
+
+
 def test_heights_are_those_of_the_state_that_is_and_are_cast_once(count_operations: Count) -> None:
   sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
   assert sensor.data.heights[0, 0] == pytest.approx(0.7)
@@ -113,6 +142,9 @@ def test_heights_are_those_of_the_state_that_is_and_are_cast_once(count_operatio
 
 def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_operations: Count) -> None:
   sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
+  _ = sim.epoch
+  assert count_operations(sensor._read) <= 5
+  monkeypatch.setattr("mjlab_sensors.terrain_height.plane_is_fixed", lambda sim: False)
   sim.step()
   _ = sim.epoch
   # Whatever the engine's caster does is not ours.

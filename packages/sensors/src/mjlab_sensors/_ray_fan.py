@@ -61,7 +61,8 @@ class RayFan:
     self._drop_at_start = (-z).expand(self.num_frames, -1)
     self._drop_per_length = (-directions[:, 2]).expand(self.num_frames, -1)
     straight_down = bool((directions == directions.new_tensor((0.0, 0.0, -1.0))).all())
-    self._points_down = straight_down and alignment != "base"
+    self.points_down = straight_down and alignment != "base"
+    """Whether all rays point straight down, whatever the frames do."""
     self._turns_directions = alignment == "yaw" and bool((directions[:, :2] != 0.0).any())
     groups = None if geom_groups is None else tuple(group in geom_groups for group in range(6))
     self._caster = sim.make_ray_caster(self.num_frames * self.num_rays, geomgroup=groups, bodyexclude=body_exclude)
@@ -90,7 +91,7 @@ class RayFan:
       drop_at_start, drop_per_length = -offsets[..., 2], -directions[..., 2]
     directions = directions.flatten(1, 2)
     hits = self._caster.cast(origins.flatten(1, 2), directions)
-    if self._points_down:
+    if self.points_down:
       from_inside = hits.normal[..., 2] < 0.0
     else:
       from_inside = (hits.normal * directions).sum(-1) > 0.0

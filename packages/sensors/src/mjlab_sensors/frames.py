@@ -81,6 +81,11 @@ class FrameSet:
     return self._all_positions.index_select(1, self._index)
 
   @property
+  def heights(self) -> torch.Tensor:
+    """World heights of the origins, (num_envs, num_frames) [m]."""
+    return self._all_positions[:, :, 2].index_select(1, self._index)
+
+  @property
   def rotations(self) -> torch.Tensor:
     """Rotation matrices from frame to world, (num_envs, num_frames, 3, 3)."""
     return self._all_rotations.index_select(1, self._index)

@@ -10,6 +10,7 @@ import mujoco
 import torch
 from mjlab_core import unknown
 
+from mjlab_sensors._flat_ground import plane_height, plane_is_fixed
 from mjlab_sensors._ray_fan import RayAlignment, RayFan
 from mjlab_sensors.frames import FrameMatch, FrameSet
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
@@ -80,7 +81,8 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
 
   Rays are cast when the data are first asked for after a change of state, so rewards and terminations read the
   heights of the state they judge. Ground that a ray does not see (nothing there, or farther than `max_distance`) takes
-  no part in the reduction.
+  no part in the reduction. Above a level plane that never moves, rays straight down are not cast: what they would
+  measure is the height above it.
   """
 
   _constants = frozenset({"_heights", "_valid"})
@@ -124,12 +126,16 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
       geom_groups=cfg.geom_groups,
       body_exclude=body_exclude,
     )
+    self._frames = frames
+    self._plane = plane_height(sim, cfg.geom_groups, body_exclude) if self._fan.points_down else None
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def _read(self) -> TerrainHeightData:
+    if self._plane is not None and plane_is_fixed(self.sim):
+      return self._read_above_plane(self._plane)
     cfg = self.cfg
     rays = self._fan.cast()
     # The distance of a miss is negative.
@@ -152,4 +158,12 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
     else:
       torch.div(heights.sum(dim=-1), seen.sum(dim=-1).clamp_(min=1), out=self._heights)
     torch.where(self._valid, self._heights, self._unseen, out=self._heights)
+    return TerrainHeightData(heights=self._heights, valid=self._valid)
+
+  def _read_above_plane(self, plane: float) -> TerrainHeightData:
+    above = self._frames.heights - plane
+    if self.cfg.reduction == "none":
+      above = above[..., None].expand_as(self._heights)
+    torch.le(above, self.cfg.max_distance, out=self._valid)
+    torch.clamp(above, 0.0, self.cfg.max_distance, out=self._heights)
     return TerrainHeightData(heights=self._heights, valid=self._valid)
