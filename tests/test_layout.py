@@ -153,3 +153,9 @@ def test_root_readme_names_every_member() -> None:
 def test_root_readme_python_blocks_run() -> None:
   for block in python_blocks(ROOT / "README.md"):
     exec(compile(block, "README.md", "exec"), {})
+
+
+@pytest.mark.parametrize("document", [ROOT, *MEMBERS], ids=lambda folder: folder.name)
+def test_readme_installs_from_the_clone(document: Path) -> None:
+  # On the public index, our names belong to nobody or to other projects.
+  assert not re.search(r"pip install ['\"]?mjlab", (document / "README.md").read_text(encoding="utf-8"))
