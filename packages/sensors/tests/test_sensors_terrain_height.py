@@ -101,12 +101,8 @@ def test_a_foot_that_sank_into_the_ground_reads_zero() -> None:
 def test_a_plane_that_needs_no_rays_reads_as_the_rays_do(monkeypatch: pytest.MonkeyPatch) -> None:
   cfgs = [TerrainHeightSensorCfg(frames=FEET, reduction=how, max_distance=0.6) for how in REDUCTIONS]
   sim, sensors = build(*cfgs)
-  place(
-    sim,
-    (0, 0, 0.9, None),
-    (3, 1, 0.4, Rotation.from_euler("xz", (40, 70), degrees=True)),
-    (0, 0, GROUND_Z - 0.05, None),
-  )
+  turned = Rotation.from_euler("xz", (40, 70), degrees=True)
+  place(sim, (0, 0, GROUND_Z + 0.9, None), (3, 1, GROUND_Z + 0.3, turned), (0, 0, GROUND_Z - 0.05, None))
   direct = [(sensor.data.heights.clone(), sensor.data.valid.clone()) for sensor in sensors]
   monkeypatch.setattr("mjlab_sensors.terrain_height.plane_is_fixed", lambda sim: False)
   for sensor, (heights, valid) in zip(sensors, direct, strict=True):
