@@ -13,7 +13,7 @@ from mjlab_sim import Simulation, SimulationCfg
 # The tests share a module.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from sim_world import NUM_WORLDS, SIZES, WORLD  # noqa: E402
+from sim_world import NUM_WORLDS, SIZES, WORLD
 
 # Tiny tensors: a second thread would only wait for the first.
 torch.set_num_threads(1)
@@ -27,7 +27,8 @@ def make_sim() -> Iterator[MakeSim]:
   opened: list[Simulation] = []
 
   def make(engine: str = "native", num_envs: int = NUM_WORLDS, spec: str = WORLD, **options: Any) -> Simulation:
-    cfg = SimulationCfg(engine=engine, **({"num_threads": 1} | SIZES | options))  # pyright: ignore[reportArgumentType]
+    settings: dict[str, Any] = {"engine": engine, "num_threads": 1, **SIZES, **options}
+    cfg = SimulationCfg(**settings)
     sim = Simulation(num_envs, mujoco.MjSpec.from_string(spec), cfg, "cpu")
     opened.append(sim)
     return sim

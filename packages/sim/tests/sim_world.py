@@ -42,11 +42,13 @@ WORLD = """
     <body name="fence" pos="-2 0 .5">
       <geom name="post" type="cylinder" size=".2 .4" contype="0" conaffinity="0" group="1"/>
       <geom name="egg" type="ellipsoid" size=".3 .2 .4" pos="0 1 0" contype="0" conaffinity="0" group="2"/>
-      <geom name="crate" type="box" size=".3 .2 .1" pos="0 -1 0" euler="10 20 30" contype="0" conaffinity="0" group="3"/>
+      <geom name="crate" type="box" size=".3 .2 .1" pos="0 -1 0" quat=".9 .1 .3 .2" contype="0" conaffinity="0"
+        group="3"/>
     </body>
   </worldbody>
   <equality><connect name="leash" body1="pendulum" body2="target" anchor="0 0 -.3" active="false"/></equality>
-  <tendon><fixed name="rope" stiffness="2" springlength="0.1"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-.5"/></fixed></tendon>
+  <tendon><fixed name="rope" stiffness="2" springlength="0.1">
+    <joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-.5"/></fixed></tendon>
   <actuator>
     <position name="shoulder" joint="shoulder" kp="20" kv="1" forcerange="-30 30"/>
     <motor name="elbow" joint="elbow" gear="2"/>

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from mjlab_sim import PER_WORLD, Simulation, TorchArray
-
 from sim_world import NUM_WORLDS, reference, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -129,10 +128,8 @@ def test_a_masked_reset_restores_the_models_state_and_touches_nobody_else(make_s
 def expand_and_change(sim: Simulation) -> None:
   """Other masses, centres of mass, frictions, gains, gravity and armature in every world."""
   model = sim.model
-  sim.expand_model_fields(
-    ["body_mass", "body_inertia", "body_ipos", "geom_friction", "actuator_gainprm", "actuator_biasprm", "opt.gravity"]
-    + ["dof_armature", "qpos0", "jnt_range"]
-  )
+  names = "body_mass body_inertia body_ipos geom_friction actuator_gainprm actuator_biasprm opt.gravity dof_armature"
+  sim.expand_model_fields([*names.split(), "qpos0", "jnt_range"])
   worlds = torch.arange(sim.num_envs, dtype=sim.dtype)
   model.body_mass[:, 3] *= 1.0 + 0.2 * worlds
   model.body_inertia[:, 3] *= 1.0 + 0.2 * worlds[:, None]

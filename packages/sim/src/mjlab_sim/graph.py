@@ -20,10 +20,10 @@ class Recorder:
     self._stream = torch.cuda.Stream(device)
     self._wp_stream = wp.stream_from_torch(self._stream)
     self._pool = torch.cuda.graph_pool_handle()
-    self._segments: list[Callable[[], None]] = []
+    self._segments: list[Callable[[], object]] = []
     self._graph: torch.cuda.CUDAGraph | None = None
 
-  def record(self, fn: Callable[[], None]) -> None:
+  def record(self, fn: Callable[[], object]) -> None:
     """Record `fn` without running it. It must have run on this device before, so that all its kernels are loaded."""
     self._segments.clear()
     torch.cuda.synchronize(self._device)
@@ -47,7 +47,7 @@ class Recorder:
         gc.enable()
     torch.cuda.synchronize(self._device)
 
-  def interrupt(self, fn: Callable[[], None]) -> None:
+  def interrupt(self, fn: Callable[[], object]) -> None:
     """End the graph being recorded, call `fn` here on every replay, and go on recording behind it."""
     self._end()
     self._segments.append(fn)

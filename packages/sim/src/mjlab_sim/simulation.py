@@ -184,6 +184,7 @@ class Simulation:
 
   def state_dict(self) -> dict[str, dict[str, torch.Tensor]]:
     """All that the next step depends on, as fresh tensors: state of every world, and per-world model fields."""
+    self._check_open()
     data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
     return {
       "data": {name: field for name, field in data.items() if field.numel()},
@@ -196,6 +197,7 @@ class Simulation:
     Raises:
       SimulationError: a field that is missing, unknown or of another shape; nothing was changed.
     """
+    self._check_open()
     data = {name: field for name in STATE if (field := self._engine.data_field(name)).numel()}
     model = {name: self.model[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: self._engine.model_field(name) for name in self._expanded}
@@ -239,17 +241,19 @@ class Simulation:
 
   def count_overflow(self) -> None:
     """Note contacts and constraints that did not fit. On the device; once an env step is enough."""
+    self._check_open()
     self._engine.count_overflow()
 
   def overflow_report(self) -> list[str]:
     """What did not fit since the last report, one sentence each with the setting to raise. Reads the device."""
+    self._check_open()
     return self._engine.overflow_report()
 
   # Graphs
 
   def capture(
     self,
-    fn: Callable[[], None],
+    fn: Callable[[], object],
     *,
     generators: Sequence[torch.Generator] = (),
     on_capture: Callable[[], None] | None = None,
@@ -267,7 +271,7 @@ class Simulation:
     self._graphs.append(graph)
     return graph
 
-  def graph_break(self, fn: Callable[[], None]) -> None:
+  def graph_break(self, fn: Callable[[], object]) -> None:
     """Inside a step graph: call `fn` eagerly at this point of every replay. Elsewhere simply call it.
 
     What `fn` reads is up to date, and so is what is recorded behind it, whatever state it wrote.
@@ -422,7 +426,7 @@ class StepGraph:
   def __init__(
     self,
     sim: Simulation,
-    fn: Callable[[], None],
+    fn: Callable[[], object],
     generators: Sequence[torch.Generator],
     on_capture: Callable[[], None] | None,
   ) -> None:

@@ -187,7 +187,8 @@ class WarpEngine:
     )
 
   def overflow_report(self) -> list[str]:
-    seen, wanted = self._overflow_seen.numpy(), self._overflow_wanted.numpy()
+    # On a CPU `numpy` is a view of what is cleared below.
+    seen, wanted = self._overflow_seen.numpy().copy(), self._overflow_wanted.numpy().copy()
     self._overflow_seen.zero_()
     self._overflow_wanted.zero_()
     report = []

@@ -1,0 +1,189 @@
+"""Recorded steps do what eager steps do."""
+
+from collections.abc import Callable
+
+import mujoco
+import pytest
+import torch
+from mjlab_sim import Simulation, SimulationCfg, StepGraph
+from sim_world import SIZES, WORLD, scatter
+
+MakeSim = Callable[..., Simulation]
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+
+
+def drive(sim: Simulation, steps: int) -> list[torch.Tensor]:
+  """Steps with writes, resets, model writes and rays in between; what was read in each."""
+  scatter(sim)
+  caster = sim.make_ray_caster(3)
+  down = torch.tensor([0.0, 0.0, -1.0], dtype=sim.dtype, device=sim.device).expand(sim.num_envs, 3, 3)
+  read = []
+  for step in range(steps):
+    sim.data.ctrl.copy_(torch.cos(sim.data.qpos[:, :3]))
+    sim.step()
+    sim.count_overflow()
+    if step % 7 == 3:
+      sim.reset(torch.arange(sim.num_envs, device=sim.device) % 2 == step % 2)
+    if step % 5 == 2:
+      sim.data.qvel[1:, 18] += 0.1
+    if step == 20:
+      sim.expand_model_fields(["body_mass"])
+      sim.model.body_mass[1] *= 1.5
+      sim.recompute_constants()
+    hits = caster.cast(sim.data.site_xpos + 0.5, down)
+    read += [sim.data.qpos.clone(), sim.data.xpos.clone(), sim.data.sensordata.clone(), hits.distance.clone()]
+  return read
+
+
+@pytest.mark.warp
+def test_captured_steps_are_bit_equal_to_eager_ones_on_a_cpu(make_sim: MakeSim) -> None:
+  captured, eager = make_sim("warp"), make_sim("warp", capture=False)
+  for a, b in zip(drive(captured, 50), drive(eager, 50), strict=True):
+    assert torch.equal(a, b)
+
+
+def test_where_nothing_is_recorded_a_step_graph_is_a_plain_call(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  order: list[str] = []
+
+  def body() -> None:
+    order.append("before")
+    sim.step()
+    sim.graph_break(lambda: order.append("between"))
+    assert not sim.is_capturing
+    order.append("after")
+
+  graph = sim.capture(body)
+  assert not graph.recorded
+  assert graph.num_graphs == 0
+  graph()
+  graph()
+  graph.invalidate()
+  graph()
+  assert order == ["before", "between", "after"] * 3
+  sim.graph_break(lambda: order.append("outside"))
+  assert order[-1] == "outside"
+
+
+def test_a_step_graph_leaves_nothing_stale(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  graph = sim.capture(lambda: sim.data.qpos.add_(0.01))
+  epoch = sim.epoch
+  graph()
+  assert sim._state_version == sim._versions(sim._kinematic)
+  assert sim.epoch > epoch
+
+
+# On a GPU
+
+
+@pytest.fixture
+def gpu_sim() -> Simulation:
+  return Simulation(8, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
+
+
+@needs_gpu
+def test_a_replay_is_an_eager_step_on_a_gpu() -> None:
+  def make(capture: bool) -> tuple[Simulation, StepGraph, torch.Tensor]:
+    sim = Simulation(8, mujoco.MjSpec.from_string(WORLD), SimulationCfg(capture=capture, **SIZES), "cuda")
+    scatter(sim)
+    mask = torch.zeros(8, dtype=torch.bool, device="cuda")
+    count = torch.zeros((), dtype=torch.int64, device="cuda")
+    heights = torch.zeros(8, device="cuda")
+
+    def body() -> None:
+      sim.data.ctrl.copy_(torch.cos(sim.data.qpos[:, :3]))
+      sim.step()
+      sim.step()
+      count.add_(1)
+      mask.copy_((torch.arange(8, device="cuda") + count) % 4 == 0)
+      sim.reset(mask)
+      sim.data.qvel[:, 18] += 0.1
+      heights.copy_(sim.data.xpos[:, 5, 2])
+
+    return sim, sim.capture(body), heights
+
+  (a, graph, a_heights), (b, eager, b_heights) = make(True), make(False)
+  for step in range(20):
+    graph()
+    eager()
+    assert graph.num_graphs == (1 if step >= 3 else 0)
+    # The order of contacts on a GPU is not fixed, so that sums of floats are not either.
+    torch.testing.assert_close(a.data.qpos, b.data.qpos, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(a_heights, b_heights, rtol=1e-3, atol=1e-3)
+  torch.testing.assert_close(a.data.xpos[:, 5, 2], a_heights)
+  a.close()
+  b.close()
+
+
+@needs_gpu
+def test_a_recording_is_split_around_an_eager_call_on_a_gpu(gpu_sim: Simulation) -> None:
+  sim = gpu_sim
+  seen: list[float] = []
+  value = torch.zeros((), device="cuda")
+
+  def body() -> None:
+    value.add_(1.0)
+    sim.graph_break(lambda: seen.append(value.item()))
+    value.mul_(2.0)
+    sim.graph_break(lambda: value.sub_(1.0))
+    sim.step()
+
+  graph = sim.capture(body)
+  expected = 0.0
+  for _ in range(8):
+    graph()
+    assert seen[-1] == expected + 1.0
+    expected = 2.0 * (expected + 1.0) - 1.0
+    assert value.item() == expected
+  assert graph.num_graphs == 3
+  assert len(seen) == 8
+  sim.close()
+
+
+@needs_gpu
+def test_registered_generators_draw_anew_in_each_replay_on_a_gpu(gpu_sim: Simulation) -> None:
+  sim = gpu_sim
+  generator = torch.Generator("cuda").manual_seed(3)
+  drawn = torch.zeros(16, device="cuda")
+  graph = sim.capture(lambda: drawn.copy_(torch.randn(16, generator=generator, device="cuda")), generators=(generator,))
+  replayed = []
+  for _ in range(8):
+    graph()
+    replayed.append(drawn.clone())
+  again = torch.Generator("cuda").manual_seed(3)
+  for values in replayed:
+    torch.testing.assert_close(values, torch.randn(16, generator=again, device="cuda"), rtol=0.0, atol=0.0)
+  sim.close()
+
+
+@needs_gpu
+def test_expanding_a_field_records_anew_on_a_gpu(gpu_sim: Simulation) -> None:
+  sim = gpu_sim
+  recordings: list[bool] = []
+  graph = sim.capture(sim.step, on_capture=lambda: recordings.append(True))
+  for _ in range(5):
+    graph()
+  assert recordings == [True]
+  sim.expand_model_fields(["opt.gravity"])
+  sim.model.opt.gravity[:, 2] = torch.linspace(-9.0, 9.0, 8, device="cuda")
+  for _ in range(5):
+    graph()
+  assert recordings == [True, True]
+  assert sim.data.qvel[-1, 2] > sim.data.qvel[0, 2]
+  sim.close()
+
+
+@needs_gpu
+def test_a_replay_does_not_wait_for_the_gpu(gpu_sim: Simulation) -> None:
+  sim = gpu_sim
+  graph = sim.capture(sim.step)
+  for _ in range(5):
+    graph()
+  torch.cuda.set_sync_debug_mode("error")
+  try:
+    graph()
+  finally:
+    torch.cuda.set_sync_debug_mode("default")
+  sim.close()

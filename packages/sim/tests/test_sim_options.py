@@ -1,0 +1,209 @@
+"""What a simulation can be asked for, and how it refuses the rest."""
+
+from collections.abc import Callable
+
+import mujoco
+import pytest
+import torch
+from mjlab_sim import Simulation, SimulationCfg, SimulationError
+from sim_world import WORLD
+
+MakeSim = Callable[..., Simulation]
+
+REFUSALS = [
+  ({"timestep": -0.001}, "timestep must be positive, got -0.001"),
+  ({"timestep": 0.0}, "timestep must be positive"),
+  ({"impratio": 0.0}, "impratio must be positive"),
+  ({"iterations": 0}, "iterations must be at least 1"),
+  ({"nconmax": -1}, "nconmax must be at least 1, got -1"),
+  ({"tolerance": -1.0}, "tolerance must not be negative"),
+  ({"num_threads": -2}, "num_threads must not be negative"),
+  ({"solver": "newtn"}, "solver 'newtn' does not exist. Nearest: newton"),
+  ({"integrator": "rk5"}, "integrator 'rk5' does not exist"),
+  ({"cone": "eliptic"}, "Nearest: elliptic"),
+  ({"disableflags": ("contac",)}, "disable flag 'contac' does not exist. Nearest: contact"),
+  ({"enableflags": ("enrgy",)}, "enable flag 'enrgy' does not exist. Nearest: energy"),
+]
+WARP_REFUSALS = [
+  ({"solver": "pgs"}, "Newton and CG only"),
+  ({"integrator": "rk4"}, "choose 'implicitfast', 'implicit' or 'euler'"),
+  ({"disableflags": ("midphase",)}, "'midphase' does not exist on MuJoCo Warp"),
+  ({"enableflags": ("fwdinv",)}, "'fwdinv' does not exist on MuJoCo Warp"),
+]
+
+
+@pytest.mark.parametrize(("options", "reason"), REFUSALS, ids=lambda value: str(value)[:40])
+def test_what_is_wrong_is_refused_by_name_with_the_reason(make_sim: MakeSim, options: dict, reason: str) -> None:
+  with pytest.raises(SimulationError) as refusal:
+    make_sim(**options)
+  assert reason in str(refusal.value)
+
+
+@pytest.mark.parametrize(("options", "reason"), WARP_REFUSALS, ids=lambda value: str(value)[:40])
+def test_what_mujoco_warp_cannot_do_is_refused_there_alone(make_sim: MakeSim, options: dict, reason: str) -> None:
+  with pytest.raises(SimulationError) as refusal:
+    make_sim("warp", **options)
+  assert reason in str(refusal.value)
+  make_sim("native", **options).step()
+
+
+def test_all_problems_come_in_one_message() -> None:
+  cfg = SimulationCfg(timestep=-1.0, iterations=0, solver="pgs")
+  with pytest.raises(SimulationError, match=r"timestep.*iterations.*pgs"):
+    cfg.validate("warp")
+
+
+@pytest.mark.parametrize("option", ['integrator="RK4"', 'solver="PGS"'])
+def test_what_mujoco_warp_cannot_do_is_refused_when_the_model_asks_for_it(make_sim: MakeSim, option: str) -> None:
+  spec = f"<mujoco><option {option}/><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+  with pytest.raises(SimulationError, match=option.split('"')[1]):
+    make_sim("warp", spec=spec)
+  make_sim("native", spec=spec).step()
+
+
+def test_the_native_engine_is_refused_on_a_gpu() -> None:
+  with pytest.raises(SimulationError, match=r"engine 'native' runs on a CPU.*engine 'auto'"):
+    SimulationCfg(engine="native").engine_for("cuda")
+  assert SimulationCfg().engine_for("cuda") == "warp"
+  assert SimulationCfg().engine_for("cpu") == "native"
+  assert SimulationCfg(engine="warp").engine_for("cpu") == "warp"
+
+
+def test_devices_that_do_not_exist_are_refused() -> None:
+  spec = mujoco.MjSpec.from_string(WORLD)
+  with pytest.raises(SimulationError, match="device 'meta' is not supported"):
+    Simulation(1, spec, device="meta")
+  with pytest.raises(SimulationError, match="num_envs must be at least 1"):
+    Simulation(0, spec, device="cpu")
+  if not torch.cuda.is_available():
+    with pytest.raises(SimulationError, match="torch finds no GPU; use 'cpu'"):
+      Simulation(1, spec, device="cuda")
+
+
+def test_masks_that_do_not_fit_are_refused_before_anything_changes(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.step()
+  before = sim.data.qpos.clone()
+  for mask in (
+    torch.ones(3, dtype=torch.bool),
+    torch.ones(4),
+    torch.tensor([0, 1]),
+    torch.ones(4, 1, dtype=torch.bool),
+  ):
+    with pytest.raises(SimulationError, match=r"reset: mask must be bool of shape \(4,\)"):
+      sim.reset(mask)
+    with pytest.raises(SimulationError, match="recompute_constants: mask must be bool"):
+      sim.recompute_constants(mask)
+  assert torch.equal(sim.data.qpos, before)
+
+
+def test_fields_that_cannot_differ_per_world_are_refused_with_the_nearest(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  with pytest.raises(SimulationError, match=r"per-world model field 'body_mss' does not exist.*Nearest: body_mass"):
+    sim.expand_model_fields(["geom_friction", "body_mss"])
+  assert not sim.is_expanded("geom_friction")
+
+
+def test_none_keeps_the_options_of_the_model(make_sim: MakeSim) -> None:
+  text = """<mujoco><option timestep="0.004" integrator="implicit" solver="CG" cone="elliptic" iterations="7"
+    ls_iterations="8" tolerance="1e-5" impratio="3" gravity="1 2 3"><flag warmstart="disable" energy="enable"/></option>
+    <worldbody/></mujoco>"""
+  option = make_sim(spec=text, num_envs=1, nconmax=None, njmax=None).mj_model.opt
+  assert (option.timestep, option.iterations, option.ls_iterations) == (0.004, 7, 8)
+  assert (option.integrator, option.solver, option.cone) == (2, 1, 1)
+  assert (option.tolerance, option.impratio, option.gravity.tolist()) == (1e-5, 3.0, [1.0, 2.0, 3.0])
+  assert option.disableflags == mujoco.mjtDisableBit.mjDSBL_WARMSTART.value
+  assert option.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY.value
+
+
+def test_an_option_that_is_set_wins_and_flags_add_up(make_sim: MakeSim) -> None:
+  text = '<mujoco><option timestep="0.004" solver="CG"><flag warmstart="disable"/></option><worldbody/></mujoco>'
+  spec = mujoco.MjSpec.from_string(text)
+  cfg = SimulationCfg(
+    timestep=0.001,
+    solver="newton",
+    cone="elliptic",
+    jacobian="sparse",
+    iterations=5,
+    gravity=(0.0, 0.0, -1.6),
+    disableflags=("contact",),
+    enableflags=("energy",),
+  )
+  sim = Simulation(1, spec, cfg, "cpu")
+  option = sim.mj_model.opt
+  assert (sim.timestep, option.timestep, option.solver, option.cone, option.jacobian) == (0.001, 0.001, 2, 1, 1)
+  assert (option.iterations, option.gravity.tolist()) == (5, [0.0, 0.0, -1.6])
+  disable = mujoco.mjtDisableBit
+  assert option.disableflags == disable.mjDSBL_WARMSTART.value | disable.mjDSBL_CONTACT.value
+  assert spec.option.timestep == 0.004
+  sim.close()
+
+
+@pytest.mark.warp
+def test_a_model_beyond_mujoco_warp_is_refused_with_its_reason(make_sim: MakeSim) -> None:
+  text = """<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody>
+    <actuator><pid name="p" joint="j"/></actuator></mujoco>"""
+  try:
+    mujoco.MjSpec.from_string(text).compile()
+  except ValueError:
+    pytest.skip("this MuJoCo has no pid actuators")
+  with pytest.raises(SimulationError, match="MuJoCo Warp cannot run this model"):
+    make_sim("warp", spec=text)
+
+
+@pytest.mark.parametrize(
+  "use",
+  [
+    lambda sim: sim.step(),
+    lambda sim: sim.reset(),
+    lambda sim: sim.forward(),
+    lambda sim: sim.epoch,
+    lambda sim: sim.data.qpos,
+    lambda sim: sim.data.xpos,
+    lambda sim: sim.model.body_mass,
+    lambda sim: sim.make_ray_caster(1),
+    lambda sim: sim.state_dict(),
+    lambda sim: sim.load_state_dict({"data": {}, "model": {}}),
+    lambda sim: sim.expand_model_fields(["body_mass"]),
+    lambda sim: sim.recompute_constants(),
+    lambda sim: sim.overflow_report(),
+    lambda sim: sim.count_overflow(),
+    lambda sim: sim.capture(lambda: None)(),
+  ],
+)
+def test_a_closed_simulation_says_that_it_is_closed(make_sim: MakeSim, engine: str, use: Callable) -> None:
+  sim = make_sim(engine)
+  sim.step()
+  sim.close()
+  sim.close()
+  with pytest.raises(SimulationError, match="closed"):
+    use(sim)
+
+
+def test_a_diverged_world_stays_its_own_affair(
+  make_sim: MakeSim, engine: str, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  sim, healthy = make_sim(engine), make_sim(engine)
+  for s in (sim, healthy):
+    s.data.qvel[:, 0] = 0.1
+    s.step()
+  sim.data.qpos[1, 0] = float("nan")
+  sim.data.qvel[2, 18] = float("inf")
+  for _ in range(5):
+    sim.step()
+    healthy.step()
+  well = [0, 3]
+  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
+    assert torch.equal(getattr(sim.data, name)[well], getattr(healthy.data, name)[well]), name
+  assert not torch.isfinite(sim.data.qpos[1]).all()
+  assert not torch.isfinite(sim.data.qpos[2]).all()
+  bad = torch.tensor([False, True, True, False])
+  for s in (sim, healthy):
+    s.reset(bad)
+  for _ in range(3):
+    for s in (sim, healthy):
+      s.step()
+  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc", "actuator_force"):
+    assert torch.equal(getattr(sim.data, name), getattr(healthy.data, name)), name
+  assert not list(tmp_path.iterdir())

@@ -1,0 +1,68 @@
+"""Saved and loaded, a simulation goes on as if nothing had happened."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from mjlab_sim import Simulation, SimulationError
+from sim_world import scatter
+
+MakeSim = Callable[..., Simulation]
+
+
+def randomised(make_sim: MakeSim, engine: str) -> Simulation:
+  sim = make_sim(engine)
+  sim.expand_model_fields(["body_mass", "geom_friction"])
+  sim.model.body_mass[:, 3] += torch.tensor([0.0, 0.1, 0.2, 0.3], dtype=sim.dtype)
+  sim.recompute_constants()
+  scatter(sim)
+  return sim
+
+
+def run(sim: Simulation, steps: int) -> None:
+  for _ in range(steps):
+    sim.data.ctrl.copy_(0.1 * torch.sin(sim.data.qpos[:, :3]))
+    sim.step()
+
+
+def test_a_saved_simulation_goes_on_bit_for_bit(make_sim: MakeSim, engine: str) -> None:
+  sim, other = randomised(make_sim, engine), make_sim(engine)
+  run(sim, 5)
+  saved = sim.state_dict()
+  run(sim, 5)
+  other.load_state_dict(saved)
+  assert set(other.expanded_fields) == set(sim.expanded_fields)
+  run(other, 5)
+  for name in ("qpos", "qvel", "act", "time", "qacc_warmstart", "xpos", "sensordata", "qacc"):
+    assert torch.equal(getattr(sim.data, name), getattr(other.data, name)), name
+  sim.load_state_dict(saved)
+  assert torch.equal(sim.data.qpos, saved["data"]["qpos"])
+  assert not torch.equal(sim.data.qpos, other.data.qpos)
+
+
+def test_what_is_saved_does_not_change_any_more(make_sim: MakeSim, engine: str) -> None:
+  sim = randomised(make_sim, engine)
+  saved = sim.state_dict()
+  kept = {name: value.clone() for name, value in saved["data"].items()}
+  run(sim, 2)
+  assert all(torch.equal(saved["data"][name], kept[name]) for name in kept)
+  assert type(saved["data"]["qpos"]) is torch.Tensor
+
+
+def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  saved, more = randomised(make_sim, engine).state_dict(), make_sim(engine, num_envs=5).state_dict()
+  before = sim.data.qpos.clone()
+
+  def refused(state: dict, message: str) -> None:
+    with pytest.raises(SimulationError, match=message):
+      sim.load_state_dict(state)
+    assert torch.equal(sim.data.qpos, before)
+    assert sim.expanded_fields == ()
+
+  refused(more, r"saved data field 'qpos' has shape \(5, 27\), here it is \(4, 27\)")
+  refused({**saved, "data": {**saved["data"], "qpoz": before}}, "saved data field 'qpoz' does not exist")
+  refused({**saved, "model": {"body_mess": before}}, "saved model field 'body_mess' does not exist")
+  refused({**saved, "model": {"body_mass": before}}, "saved model field 'body_mass' has shape")
+  short = {name: value for name, value in saved["data"].items() if name != "qvel"}
+  refused({**saved, "data": short}, "saved data fields lack: qvel")
