@@ -29,7 +29,9 @@ def com_offset(env: ManagerBasedRlEnv) -> np.ndarray:
 
 
 def is_uniform(values: np.ndarray, lo: float, hi: float) -> bool:
-  return lo <= values.min() and values.max() <= hi and stats.kstest(values, stats.uniform(lo, hi - lo).cdf).pvalue > 1e-3
+  return (
+    lo <= values.min() and values.max() <= hi and stats.kstest(values, stats.uniform(lo, hi - lo).cdf).pvalue > 1e-3
+  )
 
 
 def test_all_feet_of_a_world_share_their_friction_and_worlds_differ(env: ManagerBasedRlEnv) -> None:
@@ -97,9 +99,7 @@ def test_the_centre_of_mass_of_the_trunk_alone_moves_within_its_box(env: Manager
 
 
 @pytest.mark.parametrize("world", [0, 17, 127])
-def test_what_follows_from_the_centre_of_mass_is_that_of_a_recompiled_model(
-  env: ManagerBasedRlEnv, world: int
-) -> None:
+def test_what_follows_from_the_centre_of_mass_is_that_of_a_recompiled_model(env: ManagerBasedRlEnv, world: int) -> None:
   spec = env.scene.spec.copy()
   trunk = spec.body("robot/trunk")
   trunk.ipos = np.array(trunk.ipos) + com_offset(env)[world]

@@ -2,13 +2,15 @@
 
 import math
 from importlib.metadata import entry_points
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_envs import ManagerBasedRlEnv
+from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_velocity import go1_flat
+from mjlab_velocity.mdp import UniformVelocityCommandCfg
 from velocity_oracle import ACTION_SCALE, JOINTS
 from velocity_rollout import make_env
 
@@ -91,6 +93,7 @@ def test_time_and_solver_are_those_of_the_table(env: ManagerBasedRlEnv) -> None:
 
 def test_actions_are_joint_set_points_leg_by_leg(env: ManagerBasedRlEnv) -> None:
   term = env.action_manager.get_term("joint_pos")
+  assert isinstance(term, mdp.JointPositionAction)
   assert tuple(term.joint_names) == JOINTS
   np.testing.assert_allclose(term.scale[0].numpy(), ACTION_SCALE, rtol=1e-9)
 
@@ -101,12 +104,12 @@ def test_watching_changes_five_things_and_nothing_else() -> None:
   cfg, trained = task.play(task.env), go1_flat().env
   actor, twist = cfg.observations["actor"], cfg.commands["twist"]
   assert actor is not None
-  assert twist is not None
+  assert isinstance(twist, UniformVelocityCommandCfg)
   assert cfg.episode_length_s == 1e9
   assert not actor.corrupt
   assert cfg.events["push_robot"] is None
   assert not cfg.curriculum
-  ranges = twist.ranges  # pyright: ignore[reportAttributeAccessIssue]
+  ranges = twist.ranges
   assert (ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z) == ((-1.5, 2.0), (-1.0, 1.0), (-0.7, 0.7))
   assert ranges.heading == (-math.pi, math.pi)
 
@@ -176,4 +179,4 @@ def test_the_learner_is_that_of_the_table() -> None:
 @pytest.mark.parametrize(("sizes", "parameters"), [((48, 12), 190_860), ((72, 1), 201_729)])
 def test_networks_have_as_many_parameters_as_the_published_ones(sizes: tuple[int, int], parameters: int) -> None:
   widths = [sizes[0], *go1_flat().agent.actor.hidden_dims, sizes[1]]
-  assert sum((a + 1) * b for a, b in zip(widths[:-1], widths[1:], strict=True)) == parameters
+  assert sum((a + 1) * b for a, b in pairwise(widths)) == parameters

@@ -14,7 +14,10 @@ def play(env: ManagerBasedRlEnv, steps: int, seed: int = 3) -> list[list[torch.T
   seen = []
   for _ in range(steps):
     observations, *rest = env.step(torch.randn(env.num_envs, 12, generator=generator) * 0.5)
-    seen.append([observations["actor"], observations["critic"], *rest[:3]])
+    actor, critic = observations["actor"], observations["critic"]
+    assert isinstance(actor, torch.Tensor)
+    assert isinstance(critic, torch.Tensor)
+    seen.append([actor, critic, *rest[:3]])
   return seen
 
 

@@ -102,8 +102,8 @@ class Rollout:
   def step(self, action: torch.Tensor) -> list[Step]:
     """One step of all worlds."""
     env, data = self.env, self.env.sim.data
-    start = [data.qpos.double().numpy().copy(), data.qvel.double().numpy().copy()]
-    start.append(data.qacc_warmstart.double().numpy().copy())
+    qpos, qvel = data.qpos.double().numpy().copy(), data.qvel.double().numpy().copy()
+    warmstart = data.qacc_warmstart.double().numpy().copy()
     commands = [terms["command"] for terms in self.terms("critic")]
     _SUBSTEPS.clear()
     self.observations, reward, terminated, truncated, _ = env.step(action)
@@ -118,7 +118,7 @@ class Rollout:
     for i, world in enumerate(self.worlds):
       raw = action[i].double().numpy()
       self.actions[i].append(raw)
-      contacts = world.simulate(*(part[i] for part in start), raw)
+      contacts = world.simulate(qpos[i], qvel[i], warmstart[i], raw)
       shadow = world.data.qpos.copy(), world.data.qvel.copy()
       before = _STATE["qpos"][i], _STATE["qvel"][i]
       world.look(*before)
