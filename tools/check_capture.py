@@ -47,7 +47,9 @@ def main() -> None:
     runs[name] = []
     for _ in range(args.steps):
       obs, reward, terminated, truncated, _ = env.step(act())
-      runs[name].append((obs["actor"], reward, terminated | truncated))
+      actor = obs["actor"]
+      assert isinstance(actor, torch.Tensor), "the actor's observations are not one tensor"
+      runs[name].append((actor, reward, terminated | truncated))
     env.close()
 
   lines = [

@@ -29,7 +29,7 @@ def main() -> None:
     torch.cuda.synchronize()
   total = collections.Counter()
   count = collections.Counter()
-  for event in profile.events():
+  for event in profile.events() or ():
     name = re.sub(r"<.*", "", event.name)[:70]
     total[name] += event.device_time
     count[name] += 1

@@ -78,7 +78,7 @@ class JointAction(ActionTerm):
     exactly = tuple(re.escape(name) for name in self.joint_names)
     selection = SceneEntityCfg(cfg.entity, joint_names=exactly, preserve_order=True)
     self._ids = selection.resolve(env.scene, env.device).joint_ids
-    constant = {"device": env.device, "dtype": env.sim.dtype}
+    constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
 
     def per_joint(values: float | Mapping[str, float], what: str) -> torch.Tensor:
       numbers = match_values_full(values, self.joint_names, what="joint", owner=f"{owner}: {what}")
