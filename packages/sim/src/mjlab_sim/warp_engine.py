@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any
 
 import mujoco
@@ -249,7 +249,7 @@ class WarpEngine:
     self._graphs[name]()
 
   @contextlib.contextmanager
-  def _stream(self) -> Iterator[None]:
+  def _stream(self) -> Generator[None, None, None]:
     """Warp's launches go to torch's current stream, so the two need no synchronisation."""
     with wp.ScopedDevice(self._wp_device):
       if self._device.type == "cuda":
@@ -260,7 +260,7 @@ class WarpEngine:
         yield
 
   @contextlib.contextmanager
-  def _preserved(self) -> Iterator[None]:
+  def _preserved(self) -> Generator[None, None, None]:
     """Undo what a warm-up launch does to any array of the data."""
     saved = []
     for owner in (self._d, self._d.contact, self._d.efc):
