@@ -87,7 +87,6 @@ def go1_flat_env() -> ManagerBasedRlEnvCfg:
       ccd_iterations=50,
       nconmax=48,
       njmax=300,
-      contact_sensor_maxmatch=16,
     ),
     scene=SceneCfg(
       terrain=PlaneCfg(),
