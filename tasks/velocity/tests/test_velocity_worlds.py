@@ -11,13 +11,13 @@ from velocity_rollout import make_env
 def play(env: ManagerBasedRlEnv, steps: int, seed: int = 3) -> list[list[torch.Tensor]]:
   """Random actions; observations, reward and flags of each step."""
   generator = torch.Generator().manual_seed(seed)
-  seen = []
+  seen: list[list[torch.Tensor]] = []
   for _ in range(steps):
-    observations, *rest = env.step(torch.randn(env.num_envs, 12, generator=generator) * 0.5)
+    observations, reward, terminated, truncated, _ = env.step(torch.randn(env.num_envs, 12, generator=generator) * 0.5)
     actor, critic = observations["actor"], observations["critic"]
     assert isinstance(actor, torch.Tensor)
     assert isinstance(critic, torch.Tensor)
-    seen.append([actor, critic, *rest[:3]])
+    seen.append([actor, critic, reward, terminated, truncated])
   return seen
 
 
