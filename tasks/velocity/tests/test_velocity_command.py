@@ -1,12 +1,14 @@
 """The velocity command: what is drawn, how often, and what follows the robot's heading."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_velocity.mdp import UniformVelocityCommand
+from mjlab_velocity import go1_flat
+from mjlab_velocity.mdp import UniformVelocityCommand, VelocityRanges, VelocityStage
 from velocity_rollout import make_env
 
 ROUNDS = 250
@@ -221,13 +223,32 @@ def test_a_run_that_goes_on_begins_in_the_stage_it_had_reached() -> None:
   assert twist(second)._drawn[:, 0].max() > 2.0
 
 
+def refused(stages: list[VelocityStage] | None = None, **changes: Any) -> str:
+  """What building says about a changed command, or about other stages of its curriculum."""
+  cfg = go1_flat().env
+  term, curriculum = cfg.commands["twist"], cfg.curriculum["command_vel"]
+  assert term is not None
+  assert curriculum is not None
+  for name, value in changes.items():
+    setattr(term, name, value)
+  if stages is not None:
+    curriculum.params["stages"] = stages
+  with pytest.raises(ValueError) as error:  # noqa: PT011 - the message is what is looked at
+    make_env(1, commands=cfg.commands, curriculum=cfg.curriculum)
+  return str(error.value)
+
+
 @pytest.mark.parametrize("name", ["standing_fraction", "heading_fraction", "forward_fraction"])
 def test_a_share_that_is_none_is_refused_by_name(name: str) -> None:
-  from mjlab_velocity import go1_flat
+  assert f"{name} must be in [0, 1], got 1.5" in refused(**{name: 1.5})
 
-  cfg = go1_flat().env
-  command = cfg.commands["twist"]
-  assert command is not None
-  setattr(command, name, 1.5)
-  with pytest.raises(ValueError, match=f"{name} must be in .0, 1., got 1.5"):
-    make_env(1, commands=cfg.commands)
+
+def test_inverted_ranges_are_refused_by_name() -> None:
+  assert "ranges.lin_vel_y" in refused(ranges=VelocityRanges(lin_vel_y=(1.0, -1.0)))
+  stages = [VelocityStage(step=0), VelocityStage(step=5, ang_vel_z=(0.5, -0.5))]
+  assert "stage at step 5: ang_vel_z" in refused(stages)
+
+
+def test_stages_that_do_not_follow_each_other_from_the_start_are_refused() -> None:
+  for steps in ((), (1,), (0, 5, 5)):
+    assert f"got steps {list(steps)}" in refused([VelocityStage(step=step) for step in steps])

@@ -166,6 +166,10 @@ def test_every_term_is_its_formula_on_mujoco_warp() -> None:
     np.testing.assert_allclose(ours, oracle, rtol=0.0, atol=tol)
   found = np.array([step.found for step in steps])
   force = np.array([step.force for step in steps])
+  for world in rollout.worlds:
+    for field in ("body_invweight0", "dof_invweight0", "actuator_acc0"):
+      ours = getattr(rollout.env.sim.model, field)[world.index].double().numpy()
+      np.testing.assert_allclose(ours, getattr(world.model, field), rtol=2e-4, atol=1e-6, err_msg=field)
   # Single precision may see a contact begin or end a substep apart.
   assert (found[:, :, 0] != found[:, :, 1]).mean() < 0.005
   assert np.median(np.abs(force[:, :, 0] - force[:, :, 1]).max((1, 2))) < 0.1

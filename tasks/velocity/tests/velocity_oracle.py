@@ -33,6 +33,7 @@ class World:
   """One world in MuJoCo C."""
 
   def __init__(self, env: ManagerBasedRlEnv, world: int) -> None:
+    self.index = world
     self.model = world_model(env, world)
     self.data = mujoco.MjData(self.model)
     self.bias = env.scene["robot"].data.encoder_bias[world].double().numpy()
