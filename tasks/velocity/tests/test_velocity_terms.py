@@ -150,8 +150,8 @@ def test_nothing_but_a_push_moves_a_robot_whose_episode_goes_on(history: list[li
   assert len(pushes) > 10
   assert (np.abs(pushes).max(0) <= PUSH + 1e-9).all()
   assert (np.abs(pushes).max(0) > 0.7 * PUSH).all()
-  # Timers of 1 to 3 s are served in whole steps.
-  assert min(waits) >= 1.0 - 0.02 - 1e-6
+  # Timers of 1 to 3 s run from the step after the reset and are served in whole steps.
+  assert min(waits) >= 1.0 - 1e-6
   assert max(waits) <= 3.0 + 0.02 + 1e-6
 
 
