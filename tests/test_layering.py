@@ -100,7 +100,7 @@ def test_source_imports_only_what_the_member_declares(member: str) -> None:
 @pytest.mark.parametrize("member", MEMBERS)
 def test_tests_import_only_what_the_member_installs(member: str) -> None:
   folder = MEMBERS[member] / "tests"
-  own = {module_of(member), *(path.stem for path in folder.iterdir())}
+  own = {module_of(member), *(path.stem for path in folder.glob("*.py"))}
   extra = names(project(member).get("dependency-groups", {}).get("test", []))
   missing = undeclared(folder, installed_with(member) | extra | {"pytest"}, own)
   assert not missing, "\n".join(missing)
