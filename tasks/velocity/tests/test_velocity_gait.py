@@ -135,6 +135,20 @@ def test_an_episode_remembers_nothing_of_the_one_before() -> None:
     assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+def test_a_robot_has_fallen_over_beyond_seventy_degrees_in_any_direction() -> None:
+  env = make_env(8)
+  env.reset()
+  tilt = torch.deg2rad(torch.tensor([69.9, 70.1] * 4, dtype=torch.float64))
+  way = torch.tensor([0.0, 0.0, 0.5, 0.5, 1.0, 1.0, -0.7, -0.7], dtype=torch.float64) * torch.pi
+  axis = torch.stack([way.cos(), way.sin(), torch.zeros_like(way)], 1)
+  env.sim.data.qpos[:, 2] = 2.0
+  env.sim.data.qpos[:, 3] = torch.cos(tilt / 2)
+  env.sim.data.qpos[:, 4:7] = torch.sin(tilt / 2)[:, None] * axis
+  _, _, terminated, truncated, _ = env.step(torch.zeros(8, 12))
+  assert terminated.tolist() == [False, True] * 4
+  assert not truncated.any()
+
+
 def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_resets() -> None:
   from velocity_oracle import World
 
