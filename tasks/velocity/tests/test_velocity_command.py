@@ -241,7 +241,7 @@ def refused(stages: list[VelocityStage] | None = None, **changes: Any) -> str:
 
 @pytest.mark.parametrize("name", ["standing_fraction", "heading_fraction", "forward_fraction"])
 def test_a_share_that_is_none_is_refused_by_name(name: str) -> None:
-  assert f"{name} must be in [0, 1], got 1.5" in refused(**{name: 1.5})
+  assert f"{name} must be in [0, 1], got 1.5" in refused(None, **{name: 1.5})
 
 
 def test_inverted_ranges_are_refused_by_name() -> None:
