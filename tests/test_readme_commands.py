@@ -1,0 +1,64 @@
+"""The commands that documents show are those that exist."""
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted(
+  [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("packages/*/README.md"), *ROOT.glob("tasks/*/README.md")]
+)
+SCRIPTS = tomllib.loads((ROOT / "packages/mjlab/pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+
+
+def commands(document: Path) -> list[list[str]]:
+  """Words of every line of the shell examples, without `uv run`."""
+  blocks = re.findall(r"```(?:bash|sh)\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+  lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+  return [words[2:] if words[:2] == ["uv", "run"] else words for words in lines if words]
+
+
+def train_commands() -> list[tuple[str, str, list[str]]]:
+  """(document, task, rest of the line) of every training command shown."""
+  return [
+    (str(document.relative_to(ROOT)), words[1], words[2:])
+    for document in DOCUMENTS
+    for words in commands(document)
+    if words[0] == "train"
+  ]
+
+
+@cache
+def options(task: str) -> str:
+  shown = f"import sys; from mjlab.cli import train; sys.exit(train(['{task}', '--help']))"
+  return subprocess.run([sys.executable, "-c", shown], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize(("document", "task", "rest"), train_commands())
+def test_training_command_names_a_task_and_its_options(document: str, task: str, rest: list[str]) -> None:
+  for word in rest:
+    if word.startswith("--"):
+      assert re.search(rf"^\s*{re.escape(word)}(?![\w.-])", options(task), re.MULTILINE) or word == "--help", word
+  if "--help" in rest and rest[-1] != "--help":
+    assert rest[-1] in options(task)
+
+
+def test_documents_show_how_to_train() -> None:
+  assert "README.md" in {document for document, _, _ in train_commands()}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_and_commands_in_shell_examples_exist(document: Path) -> None:
+  for words in commands(document):
+    if words[0] == "python":
+      assert (ROOT / words[1]).is_file(), words
+    elif words[:3] == ["uv", "pip", "install"]:
+      assert (ROOT / words[3] / "pyproject.toml").is_file(), words
+    elif words[0] in ("mjlab", "play", "demo", "export", "train", "list-envs"):
+      assert words[0] in SCRIPTS, words
