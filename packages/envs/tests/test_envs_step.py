@@ -388,7 +388,7 @@ def test_an_event_that_takes_world_numbers_works_and_is_named_once(
   end(env)
   monkeypatch.setattr(env.sim, "_recorder", Recording())
   with caplog.at_level(logging.WARNING, "mjlab"):
-    for step in range(3):
+    for _ in range(3):
       env._step_stages()
   assert [record.getMessage() for record in caplog.records] == [
     "event 'note' cannot be recorded: the step graph is split around it and it runs eagerly."

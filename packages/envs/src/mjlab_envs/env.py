@@ -69,7 +69,8 @@ class ManagerBasedRlEnv:
     self.max_episode_length_s = self.cfg.episode_length_s
     # A length that is a whole number of steps must not gain one by rounding.
     self.max_episode_length = math.ceil(self.max_episode_length_s / self.step_dt - 1e-9)
-    self.metadata: dict[str, Any] = {"render_modes": [], "render_fps": 1.0 / self.step_dt, "autoreset_mode": "SameStep"}
+    autoreset = "SameStep" if self.cfg.auto_reset else "Disabled"
+    self.metadata: dict[str, Any] = {"render_modes": [], "render_fps": 1.0 / self.step_dt, "autoreset_mode": autoreset}
     self.render_mode: str | None = None
 
     n, device = self.num_envs, self.device
@@ -295,6 +296,20 @@ class ManagerBasedRlEnv:
     from mjlab_envs.spaces import box
 
     return box((self.action_manager.total_action_dim,))
+
+  @property
+  def observation_space(self) -> Any:
+    """The spaces of all worlds' observations."""
+    from mjlab_envs.spaces import batched
+
+    return batched(self.single_observation_space, self.num_envs)
+
+  @property
+  def action_space(self) -> Any:
+    """The space of all worlds' actions."""
+    from mjlab_envs.spaces import batched
+
+    return batched(self.single_action_space, self.num_envs)
 
   @property
   def is_captured(self) -> bool:

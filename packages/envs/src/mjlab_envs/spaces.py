@@ -21,3 +21,11 @@ def observation_space(manager: ObservationManager) -> gymnasium.spaces.Dict:
     else:
       spaces[group] = box(observation.shape[1:])
   return gymnasium.spaces.Dict(spaces)
+
+
+def batched(space: gymnasium.Space, num_envs: int) -> gymnasium.Space:
+  """The same space with a row for every world."""
+  if isinstance(space, gymnasium.spaces.Dict):
+    return gymnasium.spaces.Dict({name: batched(part, num_envs) for name, part in space.spaces.items()})
+  assert space.shape is not None
+  return box((num_envs, *space.shape))

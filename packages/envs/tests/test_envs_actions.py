@@ -1,0 +1,134 @@
+"""From the policy's output to set-points of joints."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from envs_hopper import actions, hopper_cfg
+from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_managers import ConfigError
+
+Make = Callable[..., ManagerBasedRlEnv]
+
+DEFAULT = np.array([0.2, -0.4])
+
+
+def acting(make: Make, **terms: Any) -> ManagerBasedRlEnv:
+  env = make(actions=terms, events={}, commands={}, observations={}, rewards={})
+  env.reset()
+  return env
+
+
+def targets(env: ManagerBasedRlEnv, action: torch.Tensor, kind: str = "pos") -> np.ndarray:
+  env.step(action)
+  return getattr(env.scene["robot"].data, f"joint_{kind}_target").numpy().copy()
+
+
+def test_a_position_is_the_default_plus_the_scaled_action(make: Make) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg(scale=0.5))
+  action = actions(env, 0)
+  np.testing.assert_allclose(targets(env, action), DEFAULT + 0.5 * action.double().numpy(), rtol=1e-12)
+  assert env.action_manager.total_action_dim == 2
+  term = env.action_manager.get_term("legs")
+  assert isinstance(term, mdp.JointPositionAction)
+  assert term.joint_names == ["hip", "knee"]
+  assert term.scale.shape == term.offset.shape == (1, 2)
+  assert torch.equal(env.action_manager.action, action)
+
+
+def test_scales_offsets_and_clips_are_given_by_pattern(make: Make) -> None:
+  env = acting(
+    make,
+    legs=mdp.JointPositionActionCfg(
+      scale={"hip": 2.0, "knee": 0.1},
+      offset={"hip": 0.3, "knee": -0.2},
+      use_default_offset=False,
+      clip={"hip": (-0.5, 0.5)},
+    ),
+  )
+  action = 3.0 * actions(env, 1)
+  expected = action.double().numpy() * [2.0, 0.1] + [0.3, -0.2]
+  expected[:, 0] = expected[:, 0].clip(-0.5, 0.5)
+  np.testing.assert_allclose(targets(env, action), expected, rtol=1e-12)
+  assert (np.abs(expected[:, 0]) == 0.5).any()
+  assert (np.abs(expected[:, 1]) > 0.2).any()
+
+
+def test_one_clip_bounds_all_joints(make: Make) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg(clip=(-0.1, 0.3)))
+  action = 10.0 * actions(env, 2)
+  np.testing.assert_allclose(targets(env, action), (DEFAULT + action.double().numpy()).clip(-0.1, 0.3), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("preserve", "names"), [(True, ["knee", "hip"]), (False, ["hip", "knee"])])
+def test_columns_come_in_the_order_of_the_model_or_of_the_patterns(
+  make: Make, preserve: bool, names: list[str]
+) -> None:
+  cfg = mdp.JointPositionActionCfg(actuators=("knee", "hip"), preserve_order=preserve, scale={"hip": 1.0, "knee": 2.0})
+  env = acting(make, legs=cfg)
+  term = env.action_manager.get_term("legs")
+  assert isinstance(term, mdp.JointPositionAction)
+  assert term.joint_names == names
+  action = actions(env, 3)
+  by_name = dict(zip(names, action.double().numpy().T, strict=True))
+  expected = np.stack([DEFAULT[0] + by_name["hip"], DEFAULT[1] + 2.0 * by_name["knee"]], axis=1)
+  np.testing.assert_allclose(targets(env, action), expected, rtol=1e-12)
+
+
+def test_the_bias_of_encoders_is_taken_off_positions(make: Make) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg())
+  bias = torch.tensor([[0.01, -0.02], [0.0, 0.0], [0.05, 0.05], [-0.1, 0.1]], dtype=torch.float64)
+  env.scene["robot"].data.encoder_bias.copy_(bias)
+  action = actions(env, 4)
+  np.testing.assert_allclose(targets(env, action), DEFAULT + action.double().numpy() - bias.numpy(), rtol=1e-12)
+
+
+def test_velocities_and_efforts_have_targets_of_their_own(make: Make) -> None:
+  env = acting(
+    make,
+    hip=mdp.JointVelocityActionCfg(actuators="hip", scale=3.0),
+    knee=mdp.JointEffortActionCfg(actuators="knee", scale=5.0, offset=1.0),
+  )
+  action = actions(env, 5)
+  numbers = action.double().numpy()
+  np.testing.assert_allclose(targets(env, action, "vel")[:, 0], 3.0 * numbers[:, 0], rtol=1e-12)
+  np.testing.assert_allclose(targets(env, action, "effort")[:, 1], 5.0 * numbers[:, 1] + 1.0, rtol=1e-12)
+  np.testing.assert_allclose(env.scene["robot"].data.joint_pos_target.numpy(), np.tile(DEFAULT, (4, 1)))
+  assert env.action_manager.term_slices() == {"hip": slice(0, 1), "knee": slice(1, 2)}
+
+
+def test_the_set_point_reaches_the_engine(make: Make) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg(scale=0.1))
+  action = actions(env, 6)
+  target = targets(env, action)
+  np.testing.assert_allclose(env.sim.data.ctrl.numpy(), target, rtol=1e-12)
+  for _ in range(40):
+    env.episode_length_buf.zero_()
+    env.step(action)
+  # A stiff spring settles near its set-point; the rest is weight.
+  assert np.abs(env.scene["robot"].data.joint_pos.numpy() - target).max() < 0.6
+
+
+@pytest.mark.parametrize(
+  ("cfg", "message"),
+  [
+    ({"legs": mdp.JointPositionActionCfg(offset=5.0)}, "offset is given, and use_default_offset is on"),
+    ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "Set use_default_offset=False to use 5.0"),
+    ({"legs": mdp.JointPositionActionCfg(clip=(1.0, -1.0))}, "clip"),
+    ({"legs": mdp.JointPositionActionCfg(clip={"hip": (1.0, -1.0)})}, r"clip\['hip'\]"),
+    ({"legs": mdp.JointPositionActionCfg(actuators="hop")}, "'hop' matches no actuated joint. Nearest: hip"),
+    ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0})}, "knee"),
+    ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0, "knee": 1.0, "toe": 2.0})}, "toe"),
+    ({"legs": mdp.JointPositionActionCfg(entity="dog")}, "dog"),
+    (
+      {"a": mdp.JointPositionActionCfg(actuators="hip"), "b": mdp.JointEffortActionCfg(actuators=".*")},
+      "terms 'a' and 'b' both drive robot/hip",
+    ),
+  ],
+  ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_is_wrong_with_an_action_is_said_at_build(make: Make, cfg: dict, message: str) -> None:
+  with pytest.raises(ConfigError, match=message):
+    make(hopper_cfg(actions=cfg))

@@ -1,0 +1,251 @@
+"""Seeds, saving, spaces, and what is said of a wrong config."""
+
+import copy
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from envs_hopper import actions, end, hopper_cfg
+from mjlab_core.state import StateError
+from mjlab_dr import geom_friction
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import ConfigError, EventTermCfg, ObservationTermCfg, RewardTermCfg, TerminationTermCfg
+
+Make = Callable[..., ManagerBasedRlEnv]
+
+
+def run(env: ManagerBasedRlEnv, steps: range) -> list[torch.Tensor]:
+  seen = []
+  for step in steps:
+    end(env, *([step % 4] if step % 3 == 1 else []))
+    obs, reward, terminated, truncated, _ = env.step(actions(env, step))
+    seen += [*obs.values(), reward, terminated, truncated]
+  return seen
+
+
+def randomised_cfg(engine: str) -> ManagerBasedRlEnvCfg:
+  cfg = hopper_cfg(engine=engine)
+  friction = {"randomizer": geom_friction("foot", (0.3, 1.2))}
+  cfg.events["friction"] = EventTermCfg(mdp.randomize, mode="startup", params=friction)
+  return cfg
+
+
+def test_a_loaded_environment_goes_on_bit_for_bit(make: Make, engine: str) -> None:
+  a, cfg = make(randomised_cfg(engine)), randomised_cfg(engine)
+  cfg.seed = 99
+  b = make(cfg)
+  a.reset()
+  b.reset()
+  run(b, range(3))
+  run(a, range(5))
+  saved = a.state_dict()
+  kept = copy.deepcopy(saved)
+  expected = run(a, range(5, 30))
+  b.load_state_dict(saved)
+  assert torch.equal(b.get_observations()["actor"], b.observation_manager.buffers["actor"])
+  for x, y in zip(run(b, range(5, 30)), expected, strict=True):
+    assert torch.equal(x, y)
+  assert torch.equal(saved["sim"]["data"]["qpos"], kept["sim"]["data"]["qpos"])
+  assert b.common_step_counter == a.common_step_counter == 30
+
+
+def test_without_auto_reset_pending_worlds_are_saved_too(make: Make) -> None:
+  a, b = make(auto_reset=False), make(auto_reset=False)
+  for env in (a, b):
+    env.reset()
+  end(a, 2)
+  a.step(actions(a, 0))
+  b.load_state_dict(a.state_dict())
+  with pytest.raises(RuntimeError, match=r"\[2\]"):
+    b.step(actions(b, 1))
+
+
+def test_a_state_of_another_size_or_task_is_refused(make: Make) -> None:
+  env, larger = make(), make(num_envs=5)
+  with pytest.raises(ValueError, match="shape"):
+    env.load_state_dict(larger.state_dict())
+  cfg = hopper_cfg()
+  cfg.observations["actor"].terms["joint_pos"].history_length = 3
+  other = make(cfg)
+  with pytest.raises(StateError):
+    env.load_state_dict(other.state_dict())
+
+
+def test_progress_alone_fits_any_number_of_worlds(make: Make) -> None:
+  env, larger = make(), make(num_envs=5)
+  larger.reset()
+  run(larger, range(4))
+  env.load_progress(larger.state_dict())
+  assert env.common_step_counter == 4
+
+
+def test_one_seed_gives_one_run(make: Make) -> None:
+  a, b, c = make(), make(), make(hopper_cfg(seed=8))
+  for env in (a, b, c):
+    env.reset()
+  runs = [run(env, range(25)) for env in (a, b, c)]
+  assert all(torch.equal(x, y) for x, y in zip(runs[0], runs[1], strict=True))
+  assert not torch.equal(runs[0][0], runs[2][0])
+  assert (a.seed, c.seed) == (7, 8)
+
+
+def test_a_seed_given_to_reset_starts_the_same_run_anywhere(make: Make) -> None:
+  a, b = make(), make(hopper_cfg(seed=8))
+  a.reset()
+  run(a, range(7))
+  (first, _), (second, _) = a.reset(seed=3), b.reset(seed=3)
+  assert torch.equal(first["actor"][:, :10], second["actor"][:, :10])
+  assert a.seed == b.seed == 3
+
+
+def test_without_a_seed_one_is_drawn_and_told(make: Make) -> None:
+  a, b = make(hopper_cfg(seed=None)), make(hopper_cfg(seed=None))
+  assert isinstance(a.seed, int)
+  assert a.seed != b.seed
+  again = make(hopper_cfg(seed=a.seed))
+  assert torch.equal(a.reset()[0]["actor"], again.reset()[0]["actor"])
+  assert a.cfg.seed is None
+
+
+def test_global_generators_are_left_alone(make: Make) -> None:
+  torch.manual_seed(0)
+  expected = torch.rand(3)
+  torch.manual_seed(0)
+  env = make()
+  env.reset()
+  state = torch.get_rng_state()
+  run(env, range(0))
+  env.step(torch.zeros(4, 2))
+  assert torch.equal(torch.get_rng_state(), state)
+  assert torch.equal(torch.rand(3), expected)
+
+
+# Gymnasium
+
+
+def test_spaces_are_those_of_what_is_returned(make: Make) -> None:
+  cfg = hopper_cfg()
+  cfg.observations["critic"].concatenate_terms = False
+  env = make(cfg)
+  obs, _ = env.reset()
+  single, batched = env.single_observation_space, env.observation_space
+  assert isinstance(single, gymnasium.spaces.Dict)
+  arrays = {
+    group: {name: part.numpy() for name, part in value.items()} if isinstance(value, dict) else value.numpy()
+    for group, value in obs.items()
+  }
+  assert batched.contains(arrays)
+  first = {
+    group: {name: part[0] for name, part in value.items()} if isinstance(value, dict) else value[0]
+    for group, value in arrays.items()
+  }
+  assert single.contains(first)
+  assert single["actor"].shape == (16,)
+  assert env.single_action_space.shape == (2,)
+  assert env.action_space.shape == (4, 2)
+  assert env.single_action_space.dtype == np.float32
+  assert env.action_space.sample().shape == (4, 2)
+  assert batched == gymnasium.vector.utils.batch_space(single, 4)
+
+
+def test_the_vector_interface_is_gymnasiums(make: Make) -> None:
+  env = make()
+  assert env.is_vector_env
+  assert env.unwrapped is env
+  assert env.render_mode is None
+  assert env.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.SAME_STEP.value
+  assert make(auto_reset=False).metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.DISABLED.value
+  obs, info = env.reset(seed=1, options={})
+  assert isinstance(obs, dict)
+  assert info == {}
+  obs, reward, terminated, truncated, info = env.step(actions(env, 0))
+  assert reward.shape == terminated.shape == truncated.shape == (4,)
+  assert (reward.dtype, terminated.dtype, truncated.dtype) == (torch.float32, torch.bool, torch.bool)
+  assert all(value.dtype == torch.float32 for value in obs.values() if isinstance(value, torch.Tensor))
+
+
+def test_a_closed_environment_says_so_and_closes_again(make: Make) -> None:
+  with make() as env:
+    env.reset()
+  env.close()
+  with pytest.raises(RuntimeError, match="this environment is closed"):
+    env.step(torch.zeros(4, 2))
+  with pytest.raises(RuntimeError, match="this environment is closed"):
+    env.reset()
+
+
+# Configs
+
+
+def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
+  cfg = hopper_cfg()
+  before = repr(cfg)
+  a = make(cfg)
+  assert repr(cfg) == before
+  b = make(cfg)
+  a.cfg.episode_length_s = 100.0
+  assert cfg.episode_length_s == 0.2
+  assert torch.equal(a.reset()[0]["actor"], b.reset()[0]["actor"])
+
+
+@pytest.mark.parametrize(
+  ("options", "message"),
+  [
+    ({"episode_length_s": 0.0}, "termination 'time_out' is a time-out, so episode_length_s must be positive"),
+    ({"episode_length_s": -1.0}, "episode_length_s must not be negative, got -1.0"),
+    ({"decimation": 0}, "decimation must be at least 1, got 0"),
+    ({"num_envs": 0}, "scene.num_envs must be at least 1, got 0"),
+  ],
+)
+def test_numbers_out_of_range_are_refused_at_build(make: Make, options: dict, message: str) -> None:
+  with pytest.raises(ConfigError, match=message):
+    make(**options)
+
+
+def test_all_mistakes_of_a_config_come_at_once() -> None:
+  cfg = hopper_cfg(decimation=0, episode_length_s=-1.0)
+  assert len(cfg.problems()) == 3
+
+
+def wrong_shape(env: ManagerBasedRlEnv) -> torch.Tensor:
+  return torch.zeros(env.num_envs, 1)
+
+
+@pytest.mark.parametrize(
+  ("part", "term", "message"),
+  [
+    ("rewards", RewardTermCfg(wrong_shape, weight=1.0), r"RewardManager.*term 'wrong'.*\(4,\)"),
+    ("terminations", TerminationTermCfg(wrong_shape), r"TerminationManager.*term 'wrong'.*bool"),
+    ("rewards", RewardTermCfg(mdp.posture, weight=1.0), r"missing parameter std"),
+    (
+      "events",
+      EventTermCfg(mdp.reset_scene_to_default, mode="restet"),
+      r"mode 'restet' does not exist. Nearest: reset",
+    ),  # pyright: ignore[reportArgumentType]
+    ("rewards", ObservationTermCfg(wrong_shape), "expected a RewardTermCfg"),
+    ("actions", mdp.JointPositionActionCfg(entity="dog"), "dog"),
+  ],
+)
+def test_terms_with_mistakes_are_named_with_their_manager(make: Make, part: str, term: object, message: str) -> None:
+  cfg = hopper_cfg()
+  getattr(cfg, part)["wrong"] = term
+  with pytest.raises(ConfigError, match=message):
+    make(cfg)
+
+
+def test_a_term_that_is_none_is_left_out(make: Make) -> None:
+  cfg = hopper_cfg()
+  cfg.rewards["speed"] = None
+  cfg.observations["critic"] = None
+  cfg.events["push"] = None
+  env = make(cfg)
+  assert env.reward_manager.active_terms == ["alive", "action_rate", "torques"]
+  assert list(env.reset()[0]) == ["actor"]
+
+
+def test_a_description_names_every_term(make: Make) -> None:
+  text = make().describe()
+  for word in ("native engine", "seed 7", "episode 20 steps", "action_rate", "time_out", "joint_vel", "push", "jerk"):
+    assert word in text

@@ -1,0 +1,279 @@
+"""Each generic term against NumPy, on states that are all different."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from envs_hopper import Ended, actions, end, hopper_cfg
+from mjlab_dr import body_com_offset, geom_friction
+from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_managers import (
+  ConfigError,
+  EventTermCfg,
+  MetricsTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  RewardTermCfg,
+  SceneEntityCfg,
+  TerminationTermCfg,
+)
+from scipy.spatial.transform import Rotation
+
+Make = Callable[..., ManagerBasedRlEnv]
+
+KNEE = SceneEntityCfg("robot", joint_names=("knee",))
+HIP = SceneEntityCfg("robot", joint_names=("hip",), actuator_names=("hip",))
+
+
+@pytest.fixture
+def env(make: Make) -> ManagerBasedRlEnv:
+  """Worlds that have tumbled for a while."""
+  env = make(terminations={"ended": TerminationTermCfg(Ended)})
+  env.reset()
+  rng = np.random.default_rng(3)
+  turned = Rotation.random(4, random_state=3).as_quat()[:, [3, 0, 1, 2]]
+  env.sim.data.qpos[:, 2] += 1.0
+  env.sim.data.qpos[:, 3:7] = torch.tensor(turned)
+  env.sim.data.qpos[:, 7:] = torch.tensor(rng.uniform(-1.4, 0.9, (4, 2)))
+  env.sim.data.qvel.copy_(torch.tensor(rng.normal(0.0, 1.0, (4, 8))))
+  for step in range(3):
+    env.step(actions(env, step))
+  return env
+
+
+def numbers(env: ManagerBasedRlEnv, name: str) -> np.ndarray:
+  return getattr(env.sim.data, name).double().numpy()
+
+
+def rotation(env: ManagerBasedRlEnv) -> Rotation:
+  return Rotation.from_quat(numbers(env, "qpos")[:, [4, 5, 6, 3]])
+
+
+def observed(env: ManagerBasedRlEnv, func: Callable, **params: Any) -> np.ndarray:
+  """What a term returns, its parameters resolved as a manager does."""
+  params = {
+    key: value.resolve(env.scene, env.device) if isinstance(value, SceneEntityCfg) else value
+    for key, value in params.items()
+  }
+  params.setdefault("asset", SceneEntityCfg("robot").resolve(env.scene, env.device))
+  import inspect
+
+  possible = inspect.signature(func).parameters
+  return func(env, **{key: value for key, value in params.items() if key in possible}).double().numpy()
+
+
+def test_velocities_and_gravity_are_in_the_root_frame(env: ManagerBasedRlEnv) -> None:
+  r, qvel = rotation(env), numbers(env, "qvel")
+  np.testing.assert_allclose(observed(env, mdp.base_lin_vel), r.inv().apply(qvel[:, :3]), atol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.base_ang_vel), qvel[:, 3:6], atol=1e-6)
+  gravity = r.inv().apply([0.0, 0.0, -1.0])
+  np.testing.assert_allclose(observed(env, mdp.projected_gravity), gravity, atol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.flat_orientation_l2), (gravity[:, :2] ** 2).sum(1), atol=1e-6)
+
+
+def test_joints_are_relative_to_the_default_pose(env: ManagerBasedRlEnv) -> None:
+  q, v = numbers(env, "qpos")[:, 7:], numbers(env, "qvel")[:, 6:]
+  np.testing.assert_allclose(observed(env, mdp.joint_pos_rel), q - [0.2, -0.4], atol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_pos_rel, asset=KNEE), q[:, 1:] + 0.4, atol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_vel_rel, asset=HIP), v[:, :1], atol=1e-6)
+  env.scene["robot"].data.encoder_bias[:, 1] = torch.tensor([0.1, 0.2, 0.3, 0.4])
+  np.testing.assert_allclose(
+    observed(env, mdp.joint_pos_rel, biased=True), q - [0.2, -0.4] + np.outer([0.1, 0.2, 0.3, 0.4], [0, 1]), atol=1e-6
+  )
+  np.testing.assert_allclose(observed(env, mdp.joint_pos_rel), q - [0.2, -0.4], atol=1e-6)
+
+
+def test_last_action_command_and_sensor_are_what_they_say(env: ManagerBasedRlEnv) -> None:
+  assert torch.equal(mdp.last_action(env), actions(env, 2))
+  assert torch.equal(mdp.last_action(env, term="legs"), actions(env, 2))
+  assert torch.equal(mdp.generated_commands(env, command="speed"), env.command_manager.get_command("speed"))
+  np.testing.assert_allclose(observed(env, mdp.builtin_sensor, sensor="robot/gyro"), numbers(env, "qvel")[:, 3:6])
+
+
+def test_joint_penalties_are_sums_of_squares(env: ManagerBasedRlEnv) -> None:
+  v, a, f = numbers(env, "qvel")[:, 6:], numbers(env, "qacc")[:, 6:], numbers(env, "actuator_force")
+  np.testing.assert_allclose(observed(env, mdp.joint_vel_l2), (v**2).sum(1), rtol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_vel_l2, asset=KNEE), v[:, 1] ** 2, rtol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_acc_l2), (a**2).sum(1), rtol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_torques_l2), (f**2).sum(1), rtol=1e-6)
+  np.testing.assert_allclose(observed(env, mdp.joint_torques_l2, asset=HIP), f[:, 0] ** 2, rtol=1e-6)
+  assert (a != 0).all()
+
+
+def test_joints_beyond_their_soft_limits_are_penalised_by_the_distance(env: ManagerBasedRlEnv) -> None:
+  q = torch.tensor([[0.95, 0.0], [-1.0, 0.5], [0.0, -1.45], [0.5, 0.0]], dtype=torch.float64)
+  env.sim.data.qpos[:, 7:] = q
+  # Ranges (-1, 1) and (-1.5, 0.5), narrowed to 90 % about their middles.
+  np.testing.assert_allclose(observed(env, mdp.joint_pos_limits), [0.05, 0.2, 0.05, 0.0], atol=1e-9)
+
+
+def test_action_penalties_are_differences_in_time(env: ManagerBasedRlEnv) -> None:
+  a, b, c = (actions(env, step).double().numpy() for step in (2, 1, 0))
+  np.testing.assert_allclose(observed(env, mdp.action_rate_l2), ((a - b) ** 2).sum(1), rtol=1e-5)
+  np.testing.assert_allclose(observed(env, mdp.action_acc_l2), ((a - 2 * b + c) ** 2).sum(1), rtol=1e-5)
+  np.testing.assert_allclose(observed(env, mdp.mean_action_acc), np.abs(a - 2 * b + c).mean(1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("std", [0.4, {"hip": 0.3, "kn.*": 0.6}])
+def test_posture_is_a_bell_around_the_default_pose(make: Make, std: Any) -> None:
+  params = {"std": std, "asset": SceneEntityCfg("robot", joint_names=(".*",))}
+  env = make(rewards={"posture": RewardTermCfg(mdp.posture, weight=1.0, params=params)}, scale_rewards_by_dt=False)
+  env.reset()
+  _, reward, *_ = env.step(actions(env, 0))
+  widths = np.array([std, std] if isinstance(std, float) else list(std.values()))
+  expected = np.exp(-(((numbers(env, "qpos")[:, 7:] - [0.2, -0.4]) / widths) ** 2).mean(1))
+  np.testing.assert_allclose(reward.numpy(), expected, rtol=1e-5)
+
+
+def test_posture_needs_a_width_for_every_joint(make: Make) -> None:
+  params = {"std": {"hip": 0.3}, "asset": SceneEntityCfg("robot", joint_names=(".*",))}
+  with pytest.raises(ConfigError, match=r"posture.*knee"):
+    make(rewards={"posture": RewardTermCfg(mdp.posture, weight=1.0, params=params)})
+
+
+def test_alive_and_terminated_know_failure_from_time(make: Make) -> None:
+  rewards = {"alive": RewardTermCfg(mdp.is_alive, weight=1.0), "dead": RewardTermCfg(mdp.is_terminated, weight=-5.0)}
+  terminations = {"time_out": TerminationTermCfg(mdp.time_out, time_out=True), "ended": TerminationTermCfg(Ended)}
+  env = make(rewards=rewards, terminations=terminations, scale_rewards_by_dt=False)
+  env.reset()
+  for step in range(19):
+    env.step(actions(env, step))
+  end(env, 1)
+  _, reward, terminated, truncated, _ = env.step(actions(env, 19))
+  assert reward.tolist() == [1.0, -5.0, 1.0, 1.0]
+  assert terminated.tolist() == [False, True, False, False]
+  assert truncated.all()
+
+
+def test_leaning_and_sinking_end_an_episode(env: ManagerBasedRlEnv) -> None:
+  angle = np.array([0.3, 0.69, 0.71, 2.0])
+  axis = np.stack([np.cos([0.1, 1.0, 2.0, 3.0]), np.sin([0.1, 1.0, 2.0, 3.0]), np.zeros(4)], 1)
+  quat = Rotation.from_rotvec(angle[:, None] * axis).as_quat()[:, [3, 0, 1, 2]]
+  env.sim.data.qpos[:, 3:7] = torch.tensor(quat)
+  env.sim.data.qpos[:, 2] = torch.tensor([0.3, 0.5, 0.1, 0.9])
+  assert observed(env, mdp.bad_orientation, limit_angle=0.7).tolist() == [0, 0, 1, 1]
+  assert observed(env, mdp.root_height_below_minimum, minimum_height=0.4).tolist() == [1, 0, 1, 0]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", ["qpos", "qvel"])
+def test_worlds_that_are_not_finite_are_detected(env: ManagerBasedRlEnv, field: str, value: float) -> None:
+  assert not mdp.nan_detection(env).any()
+  getattr(env.sim.data, field)[2, 3] = value
+  assert mdp.nan_detection(env).tolist() == [False, False, True, False]
+
+
+# Events
+
+
+def reset_by(make: Make, num_envs: int, func: Any, **params: Any) -> ManagerBasedRlEnv:
+  env = make(hopper_cfg(num_envs=num_envs, events={"event": EventTermCfg(func, mode="reset", params=params)}))
+  env.reset()
+  return env
+
+
+def test_roots_are_spread_uniformly_about_the_default_state(make: Make) -> None:
+  pose = {"x": (-0.5, 0.5), "z": (0.1, 0.2), "yaw": (-3.14, 3.14)}
+  env = reset_by(
+    make, 400, mdp.reset_root_state_uniform, pose_range=pose, velocity_range={"y": (1.0, 2.0), "roll": (-1.0, 0.0)}
+  )
+  offset = numbers(env, "qpos")[:, :3] - env.scene.env_origins.numpy() - [0.0, 0.0, 0.62]
+  assert (np.abs(offset[:, 0]) <= 0.5).all()
+  assert abs(offset[:, 0].mean()) < 0.05
+  assert offset[:, 0].std() == pytest.approx(1.0 / np.sqrt(12.0), rel=0.1)
+  np.testing.assert_allclose(offset[:, 1], 0.0, atol=1e-12)
+  assert 0.1 <= offset[:, 2].min() < offset[:, 2].max() <= 0.2
+  roll, pitch, yaw = rotation(env).as_euler("xyz").T
+  np.testing.assert_allclose([roll, pitch], 0.0, atol=1e-9)
+  assert yaw.std() == pytest.approx(2 * 3.14 / np.sqrt(12.0), rel=0.1)
+  velocity = numbers(env, "qvel")[:, :6]
+  assert 1.0 <= velocity[:, 1].min() < velocity[:, 1].max() <= 2.0
+  spin = rotation(env).apply(velocity[:, 3:])
+  assert (spin[:, 0] <= 1e-9).all()
+  np.testing.assert_allclose(spin[:, 1:], 0.0, atol=1e-9)
+  np.testing.assert_allclose(velocity[:, [0, 2]], 0.0, atol=1e-12)
+
+
+def test_joints_are_spread_about_the_default_pose_inside_their_limits(make: Make) -> None:
+  env = reset_by(make, 200, mdp.reset_joints_by_offset, position_range=(-1.0, 1.0), velocity_range=(-2.0, 2.0))
+  q, v = numbers(env, "qpos")[:, 7:], numbers(env, "qvel")[:, 6:]
+  assert (q.min(0) >= [-0.8 - 1e-9, -1.4 - 1e-9]).all()
+  np.testing.assert_allclose(q.max(0), [0.9, 0.4], atol=1e-9)
+  assert v.std() == pytest.approx(4.0 / np.sqrt(12.0), rel=0.1)
+
+
+def test_a_push_adds_a_twist_in_the_world_frame_where_the_mask_is(env: ManagerBasedRlEnv) -> None:
+  ranges = {"x": (1.0, 1.0), "z": (-0.5, -0.5), "pitch": (0.7, 0.7)}
+  cfg = EventTermCfg(mdp.push_by_setting_velocity, mode="interval", params={"velocity_range": ranges})
+  push = mdp.push_by_setting_velocity(cfg, env)
+  before, r = numbers(env, "qvel").copy(), rotation(env)
+  push(env, torch.tensor([True, False, True, False]), velocity_range=ranges)
+  after = numbers(env, "qvel")
+  assert np.array_equal(after[[1, 3]], before[[1, 3]])
+  np.testing.assert_allclose((after - before)[[0, 2], :3], [[1.0, 0.0, -0.5]] * 2, atol=1e-12)
+  spin = r.apply(after[:, 3:6]) - r.apply(before[:, 3:6])
+  np.testing.assert_allclose(spin[[0, 2]], [[0.0, 0.7, 0.0]] * 2, atol=1e-9)
+  assert np.array_equal(after[:, 6:], before[:, 6:])
+
+
+@pytest.mark.parametrize(
+  ("func", "params", "message"),
+  [
+    (mdp.reset_root_state_uniform, {"pose_range": {"rol": (0.0, 1.0)}}, "axis 'rol' does not exist.*Nearest: roll"),
+    (mdp.reset_root_state_uniform, {"pose_range": {"x": (1.0, -1.0)}}, r"pose_range\['x'\]"),
+    (mdp.reset_joints_by_offset, {"position_range": (1.0, 0.0), "velocity_range": (0.0, 0.0)}, "position_range"),
+    (mdp.push_by_setting_velocity, {"velocity_range": {"yawn": (0.0, 1.0)}}, "Nearest: yaw"),
+    (mdp.reset_root_state_uniform, {}, "missing parameter pose_range"),
+  ],
+)
+def test_events_with_mistakes_are_refused_at_build(make: Make, func: Any, params: dict, message: str) -> None:
+  with pytest.raises(ConfigError, match=message):
+    make(events={"event": EventTermCfg(func, mode="reset", params=params)})
+
+
+def randomiser(randomizer: Any, mode: Any = "startup") -> EventTermCfg:
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer})
+
+
+def test_randomised_fields_differ_per_world_and_constants_follow_once(make: Make, engine: str, monkeypatch) -> None:
+  cfg = hopper_cfg(engine=engine)
+  cfg.events["friction"] = randomiser(geom_friction("foot", (0.3, 1.2)), "reset")
+  cfg.events["trunk"] = randomiser(body_com_offset("trunk", {"x": (-0.05, 0.05)}), "reset")
+  cfg.events["thigh"] = randomiser(body_com_offset("thigh", {"z": (-0.05, 0.05)}), "reset")
+  env = make(cfg)
+  assert env.sim.is_expanded("geom_friction")
+  assert env.sim.is_expanded("body_subtreemass")
+  calls: list[Any] = []
+  recompute = env.sim.recompute_constants
+  monkeypatch.setattr(env.sim, "recompute_constants", lambda mask=None: (calls.append(mask), recompute(mask)))
+  env.reset()
+  assert len(calls) == 1
+  names = env.sim.mj_model
+  foot, trunk = names.geom("robot/foot").id, names.body("robot/trunk").id
+  friction = env.sim.model.geom_friction[:, foot, 0].clone()
+  assert friction.unique().numel() == 4
+  assert ((friction >= 0.3) & (friction <= 1.2)).all()
+  com = env.sim.model.body_ipos[:, trunk, 0].clone()
+  assert com.unique().numel() == 4
+  env.reset(env_ids=[2])
+  assert torch.equal(env.sim.model.geom_friction[[0, 1, 3], foot, 0], friction[[0, 1, 3]])
+  assert env.sim.model.geom_friction[2, foot, 0] != friction[2]
+  # Always from the compiled value: nothing drifts.
+  for _ in range(30):
+    env.reset()
+  default = env.sim.default_field("body_ipos")[0, trunk, 0]
+  assert (env.sim.model.body_ipos[:, trunk, 0] - default).abs().max() <= 0.05 + 1e-6
+
+
+def test_observation_groups_that_are_not_concatenated_are_dicts(make: Make) -> None:
+  terms = {"spin": ObservationTermCfg(mdp.base_ang_vel), "joints": ObservationTermCfg(mdp.joint_pos_rel)}
+  env = make(
+    observations={"parts": ObservationGroupCfg(terms=terms, concatenate_terms=False)},
+    metrics={"jerk": MetricsTermCfg(mdp.mean_action_acc, reduce="max")},
+  )
+  obs, _ = env.reset()
+  parts = obs["parts"]
+  assert isinstance(parts, dict)
+  assert {name: tuple(value.shape) for name, value in parts.items()} == {"spin": (4, 3), "joints": (4, 2)}
