@@ -110,3 +110,14 @@ def test_one_sync_installs_what_the_tests_of_all_members_need() -> None:
   dev = names(SETTINGS["dependency-groups"]["dev"])
   for member in MEMBERS:
     assert names(project(member).get("dependency-groups", {}).get("test", [])) <= dev | installed_with("mjlab"), member
+
+
+def test_lock_knows_what_every_member_requires() -> None:
+  locked = {package["name"]: package for package in tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))["package"]}
+  for member in MEMBERS:
+    metadata = locked[project(member)["project"]["name"]]["metadata"]
+    entries = [entry for entry in metadata["requires-dist"] if "extra ==" not in entry.get("marker", "")]
+    assert {entry["name"] for entry in entries} == required(member), f"{member}: run `uv lock`"
+    declared = {group: names(extra) for group, extra in project(member).get("dependency-groups", {}).items()}
+    found = {group: {entry["name"] for entry in extra} for group, extra in metadata.get("requires-dev", {}).items()}
+    assert found == declared, f"{member}: run `uv lock`"
