@@ -1,6 +1,5 @@
 """A robot of three bodies and the smallest task that uses every part of an environment."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,8 +49,6 @@ HOPPER = """
   <sensor><gyro name="gyro" site="imu"/><accelerometer name="accelerometer" site="imu"/></sensor>
 </mujoco>
 """
-
-Make = Callable[..., ManagerBasedRlEnv]
 
 
 def hopper() -> EntityCfg:
@@ -106,7 +103,7 @@ class Ended(ManagerTermBase):
     return self.worlds.clone()
 
 
-def end(env: ManagerBasedRlEnv, *worlds: int) -> None:
+def end(env: Any, *worlds: int) -> None:
   """In the next steps the episodes of these worlds end."""
   mask = env.termination_manager.get_term_cfg("ended").func.worlds
   mask.zero_()
@@ -130,7 +127,7 @@ def accelerometer(env: ManagerBasedRlEnv) -> torch.Tensor:
   return env.scene["robot/accelerometer"].data
 
 
-def hopper_cfg(num_envs: int = 4, engine: str = "native", **options: Any) -> ManagerBasedRlEnvCfg:
+def hopper_cfg(num_envs: int = 4, engine: str = "native", **options: Any) -> Any:
   """Observations with noise, delay and history; pushes, commands, resets and randomisation."""
   joints = SceneEntityCfg("robot", joint_names=(".*",))
   noise = UniformNoiseCfg(n_min=-0.05, n_max=0.05)

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -10,7 +11,8 @@ from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, RewardTermCfg, TerminationTermCfg
 from torch.utils._python_dispatch import TorchDispatchMode
 
-Make = Callable[..., ManagerBasedRlEnv]
+# An environment, of which tests also touch what is not public.
+Make = Callable[..., Any]
 
 TIME_OUT = {"time_out": TerminationTermCfg(mdp.time_out, time_out=True)}
 
@@ -84,7 +86,8 @@ def test_a_push_is_in_the_same_steps_observation_and_not_in_its_reward(make: Mak
     if step == 5:
       change = b["critic"][:, :3] - a["critic"][:, :3]
       torch.testing.assert_close(change.norm(dim=-1), torch.full((4,), 10.0))
-  torch.testing.assert_close(reward_b - reward_a, torch.full((4,), 0.1), rtol=0.05, atol=0.0)
+    if step == 6:
+      torch.testing.assert_close(reward_b - reward_a, torch.full((4,), 0.1), rtol=0.05, atol=0.0)
 
 
 @pytest.mark.parametrize("engine_", ["native", pytest.param("warp", marks=pytest.mark.warp)])
@@ -100,7 +103,7 @@ def test_what_a_world_sees_does_not_depend_on_who_is_reset(make: Make, engine_: 
     for group in ("actor", "critic"):
       assert torch.equal(obs_a[group][others], obs_b[group][others]), (step, group)
     assert torch.equal(reward_a[others], reward_b[others])
-  assert not torch.equal(obs_a["actor"][2], obs_b["actor"][2])
+    assert torch.equal(obs_a["actor"][2], obs_b["actor"][2]) == (step < 3)
   assert b.episode_length_buf.tolist() == [12, 12, 3, 12]
 
 
@@ -409,12 +412,12 @@ def test_a_recorded_step_is_one_graph_that_never_waits_on_a_gpu(make: Make) -> N
   action = actions(env, 7)
   torch.cuda.set_sync_debug_mode("error")
   try:
-    for _ in range(30):
-      obs, reward, *_ = env.step(action)
+    outputs = [env.step(action) for _ in range(30)]
   finally:
     torch.cuda.set_sync_debug_mode("default")
-  assert torch.isfinite(obs["actor"]).all()
-  assert torch.isfinite(reward).all()
+  for obs, reward, *_ in outputs:
+    assert torch.isfinite(obs["actor"]).all()
+    assert torch.isfinite(reward).all()
   assert env.drain_log()["Episode_Termination/time_out"] >= 64.0
 
 
@@ -425,14 +428,36 @@ def test_recorded_steps_follow_eager_ones_on_a_gpu(make: Make) -> None:
   eager = make(cfg, "cuda")
   for env in (recorded, eager):
     env.reset()
-  for step in range(30):
-    end(recorded, step % 16)
-    end(eager, step % 16)
+  for step in range(12):
+    end(recorded, step)
+    end(eager, step)
     (a, reward_a, *_), (b, reward_b, *_) = (env.step(actions(env, step)) for env in (recorded, eager))
-    if step < 12:
-      torch.testing.assert_close(a["actor"], b["actor"], rtol=1e-2, atol=1e-2)
-      torch.testing.assert_close(reward_a, reward_b, rtol=1e-2, atol=1e-2)
+    # The order of contacts on a GPU is not fixed, so that sums of floats are not either.
+    torch.testing.assert_close(a["actor"], b["actor"], rtol=1e-2, atol=1e-2)
+    torch.testing.assert_close(reward_a, reward_b, rtol=1e-2, atol=1e-2)
+  assert (recorded.is_captured, eager.is_captured) == (True, False)
   assert torch.equal(recorded.episode_length_buf, eager.episode_length_buf)
-  assert not eager.is_captured
   # Draws come in the same order.
   assert torch.equal(recorded.command_manager.get_command("speed"), eager.command_manager.get_command("speed"))
+
+
+@needs_gpu
+def test_an_event_that_takes_world_numbers_splits_the_recording_on_a_gpu(
+  make: Make, caplog: pytest.LogCaptureFixture
+) -> None:
+  seen: list[list[int]] = []
+
+  def note(env: ManagerBasedRlEnv, env_ids: torch.Tensor) -> None:
+    seen.append(env_ids.tolist())
+
+  cfg = hopper_cfg(engine="auto")
+  cfg.events["note"] = EventTermCfg(note, mode="reset")
+  env = make(cfg, "cuda")
+  env.reset()
+  seen.clear()
+  for step in range(8):
+    end(env, step % 4)
+    env.step(actions(env, step))
+  assert env.num_graphs == 2
+  assert [[step % 4] for step in range(8)] == seen
+  assert sum("event 'note' cannot be recorded" in record.getMessage() for record in caplog.records) == 1

@@ -81,7 +81,7 @@ def scatter(sim: Simulation, seed: int = 0) -> None:
   n, model = sim.num_envs, sim.mj_model
 
   def noise(count: int, scale: float) -> torch.Tensor:
-    return torch.tensor(rng.normal(0.0, scale, (n, count)), dtype=sim.dtype)
+    return torch.tensor(rng.normal(0.0, scale, (n, count)), dtype=sim.dtype, device=sim.device)
 
   qpos = sim.data.qpos
   qpos[:, :2] += noise(2, 0.1)
