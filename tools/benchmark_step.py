@@ -1,4 +1,4 @@
-"""Time of an environment step and of its physics, and whether a step waits for the GPU.
+"""Time of an environment step, how much of it is physics, and whether a step waits for the GPU.
 
   python tools/benchmark_step.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 4096 --device cuda --output docs/benchmarks
 
@@ -7,13 +7,15 @@ Random actions throughout, so that worlds keep ending and being reset.
 
 import argparse
 import json
-import platform
+import os
 import statistics
 import time
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import torch
+from stage_timing import ENGINE_CALLS, time_methods
 
 
 def main() -> None:
@@ -52,7 +54,9 @@ def make(task: str, num_envs: int, device: str, engine: str, capture: bool):
   return ManagerBasedRlEnv(cfg, device)
 
 
-def measure(task: str, num_envs: int, device: str, engine: str, steps: int, repeats: int, *, capture: bool) -> dict:
+def measure(
+  task: str, num_envs: int, device: str, engine: str, steps: int, repeats: int, *, capture: bool
+) -> dict[str, Any]:
   """Medians over repeats of `steps` steps each."""
   begin = time.perf_counter()
   env = make(task, num_envs, device, engine, capture)
@@ -68,11 +72,7 @@ def measure(task: str, num_envs: int, device: str, engine: str, steps: int, repe
   ready = time.perf_counter() - begin
   total = timed(step, steps, repeats, env.device)
 
-  def substeps() -> None:
-    for _ in range(env.cfg.decimation):
-      env.sim.step()
-
-  physics = timed(substeps, steps, repeats, env.device)
+  physics = 1e-3 * sum(time_methods(env, env.sim._engine, ENGINE_CALLS, step, min(steps, 50)).values())
   row = {
     "task": task,
     "worlds": num_envs,
@@ -128,18 +128,21 @@ def synchronize(device: torch.device) -> None:
     torch.cuda.synchronize(device)
 
 
-def write(folder: Path, task: str, device: str, rows: list[dict]) -> None:
-  """The rows as a Markdown table, with versions and hardware."""
+def heading(title: str, device: str) -> str:
+  """Title, date, hardware and versions of a table."""
+  hardware = torch.cuda.get_device_name() if device.startswith("cuda") else f"{os.cpu_count()} CPU cores"
+  versions = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "mujoco-warp", "warp-lang", "torch"))
+  return f"# {title}\n\n{time.strftime('%Y-%m-%d')}, {hardware}, {versions}."
+
+
+def write(folder: Path, task: str, device: str, rows: list[dict[str, Any]]) -> None:
+  """The rows as a Markdown table."""
   folder.mkdir(parents=True, exist_ok=True)
-  hardware = torch.cuda.get_device_name() if device.startswith("cuda") else f"{platform.machine()} CPU"
-  head = f"# Step time of {task}\n\n{time.strftime('%Y-%m-%d')}, {hardware}, " + ", ".join(
-    f"{name} {version(name)}" for name in ("mujoco", "mujoco-warp", "warp-lang", "torch")
-  )
   columns = [name for name in rows[0] if name not in ("task", "overflow")]
   lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
   lines += ["| " + " | ".join(str(row.get(name, "")) for name in columns) + " |" for row in rows]
   path = folder / f"step_{task}_{device.split(':')[0]}.md"
-  path.write_text(head + "\n\n" + "\n".join(lines) + "\n")
+  path.write_text(heading(f"Step time: {task}", device) + "\n\n" + "\n".join(lines) + "\n")
   print(f"wrote {path}")
 
 

@@ -85,8 +85,9 @@ def go1_flat_env() -> ManagerBasedRlEnvCfg:
       iterations=10,
       ls_iterations=20,
       ccd_iterations=50,
-      nconmax=48,
-      njmax=300,
+      # Random play wants up to 6 contacts and 36 rows a world; what would not fit is counted and reported.
+      nconmax=16,
+      njmax=128,
     ),
     scene=SceneCfg(
       terrain=PlaneCfg(),

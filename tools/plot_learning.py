@@ -1,0 +1,86 @@
+"""Learning curves of runs as a picture and a small CSV, with the reference's published points beside them.
+
+  python tools/plot_learning.py gpu=logs/go1_velocity/RUN cpu=logs/go1_velocity/OTHER --title "Go1 flat" \\
+    --reference 100:56 200:62 460:87 --output docs/benchmarks/go1_flat
+
+A run is a directory with `progress.csv`, as `train` writes it, under the name it is to have in the picture. With
+`--against steps` curves are drawn over environment steps, which compares runs with different numbers of worlds.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+COLUMNS = {
+  "iteration": "iteration",
+  "steps": "total_steps",
+  "seconds": "elapsed",
+  "reward": "Train/mean_reward",
+  "episode_length": "Train/mean_episode_length",
+  "error_vel_xy": "Metrics/twist/error_vel_xy",
+  "error_vel_yaw": "Metrics/twist/error_vel_yaw",
+  "steps_per_second": "Perf/total_fps",
+  "collect_s": "Perf/collection_time",
+  "learn_s": "Perf/learning_time",
+}
+PANELS = (
+  ("reward", "mean reward per episode"),
+  ("episode_length", "mean episode length [steps]"),
+  ("error_vel_xy", "velocity error [m/s]"),
+  ("error_vel_yaw", "turning error [rad/s]"),
+)
+
+
+def main() -> None:
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("runs", nargs="+", metavar="NAME=DIRECTORY")
+  parser.add_argument("--title", default="Learning curve")
+  parser.add_argument("--against", choices=("iteration", "steps", "seconds"), default="iteration")
+  parser.add_argument("--reference", nargs="*", default=[], metavar="ITERATION:REWARD")
+  parser.add_argument("--output", type=Path, required=True, help="path without suffix; .png and .csv are written")
+  args = parser.parse_args()
+  runs = {name: read(Path(directory)) for name, directory in (run.split("=", 1) for run in args.runs)}
+  panels = [(key, label) for key, label in PANELS if any(key in row for rows in runs.values() for row in rows)]
+  figure, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.4), layout="constrained", squeeze=False)
+  for axis, (key, label) in zip(axes[0], panels, strict=True):
+    for name, rows in runs.items():
+      drawn = [(row[args.against], row[key]) for row in rows if key in row]
+      axis.plot(*zip(*drawn, strict=True), label=name, linewidth=1.4)
+    if key == "reward" and args.reference:
+      points = [tuple(float(x) for x in point.split(":")) for point in args.reference]
+      axis.scatter(*zip(*points, strict=True), marker="x", color="black", zorder=3, label="reference, mjlab 1.6.0")
+    axis.set_xlabel("environment steps" if args.against == "steps" else args.against)
+    axis.set_title(label, fontsize=10)
+    axis.grid(alpha=0.3)
+    axis.spines[["top", "right"]].set_visible(False)
+  axes[0][0].legend(frameon=False, fontsize=8)
+  figure.suptitle(args.title, fontsize=11)
+  args.output.parent.mkdir(parents=True, exist_ok=True)
+  figure.savefig(args.output.with_suffix(".png"), dpi=130)
+  write(args.output.with_suffix(".csv"), runs)
+  print(f"wrote {args.output}.png and .csv")
+
+
+def read(directory: Path) -> list[dict[str, float]]:
+  """The rows of a run under the short names of COLUMNS; what a row does not have is left out."""
+  with (directory / "progress.csv").open(newline="") as file:
+    return [
+      {short: float(row[column]) for short, column in COLUMNS.items() if row.get(column)}
+      for row in csv.DictReader(file)
+    ]
+
+
+def write(path: Path, runs: dict[str, list[dict[str, float]]]) -> None:
+  """One row per run and iteration."""
+  with path.open("w", newline="") as file:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["run", *COLUMNS])
+    for name, rows in runs.items():
+      for row in rows:
+        writer.writerow([name, *(f"{row[column]:.5g}" if column in row else "" for column in COLUMNS)])
+
+
+if __name__ == "__main__":
+  main()
