@@ -99,17 +99,38 @@ def test_a_parameter_changed_on_the_host_takes_effect_and_asks_for_a_new_recordi
 
 
 def test_a_weight_written_on_the_device_counts_and_is_saved(env):
-  def build() -> RewardManager:
-    return RewardManager({"r": RewardTermCfg(one, weight=0.0)}, env, scale_by_dt=False)
+  def build() -> tuple[RewardManager, torch.Tensor]:
+    manager = RewardManager({"r": RewardTermCfg(one, weight=0.0)}, env, scale_by_dt=False)
+    return manager, manager.weight("r")
 
-  manager = build()
-  manager.weight("r").fill_(4.0)
+  manager, weight = build()
+  weight.fill_(4.0)
   manager.sync()
   assert manager.compute().tolist() == [4.0] * 4
-  other = build()
+  other, weight = build()
   other.load_state_dict(manager.state_dict())
+  assert weight == 4.0
+  other.sync()
   assert other.compute().tolist() == [4.0] * 4
-  assert other.get_term_cfg("r").weight == 4.0
+
+
+def test_a_saved_weight_yields_to_the_config_unless_a_curriculum_has_it(env):
+  def build(weight: float) -> RewardManager:
+    terms: dict[str, RewardTermCfg | None] = {
+      "plain": RewardTermCfg(one, weight=weight),
+      "led": RewardTermCfg(one, weight=weight),
+    }
+    manager = RewardManager(terms, env, scale_by_dt=False)
+    manager.weight("led")
+    return manager
+
+  saved = build(1.0)
+  saved.weight("led").fill_(10.0)
+  resumed = build(-0.25)
+  resumed.load_state_dict(saved.state_dict())
+  resumed.sync()
+  assert resumed.compute().tolist() == [9.75] * 4
+  assert resumed.get_term_cfg("plain").weight == -0.25
 
 
 def test_resetting_a_world_leaves_the_sums_of_the_others_bit_identical(env):

@@ -134,13 +134,10 @@ class RewardManager(ManagerBase[RewardTermCfg]):
 
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
     super().load_state_dict(state)
-    # A saved weight wins over the one in the config, and the config says so.
-    for term, weight in zip(self._terms, self._weights[0].tolist(), strict=True):
-      cfg = self._cfgs[term.name]
-      if torch.tensor(cfg.weight, dtype=torch.float32).item() != weight:
-        cfg.weight = weight
-    self._host_weights = self._read_host_weights()
-    self._update_activity()
+    # Who continues with another weight means it; only what curricula set on the device is part of the state.
+    for index, (term, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
+      if term.name not in self._on_device:
+        self._weights[0, index].fill_(weight)
 
   def _read_host_weights(self) -> tuple[float, ...]:
     return tuple(float(self._cfgs[term.name].weight) for term in self._terms)
