@@ -191,6 +191,29 @@ def test_what_a_world_does_does_not_depend_on_its_neighbours(make_sim: MakeSim, 
     assert torch.equal(getattr(together.data, name)[[1, 3]], getattr(alone.data, name)[[1, 3]]), name
 
 
+def test_a_world_of_many_is_a_world_alone(make_sim: MakeSim, engine: str) -> None:
+  many, one = make_sim(engine), make_sim(engine, num_envs=1)
+  scatter(many)
+  for name in ("qpos", "qvel", "ctrl", "act", "xfrc_applied", "qfrc_applied", "mocap_pos"):
+    getattr(one.data, name).copy_(getattr(many.data, name)[2:3])
+  for _ in range(10):
+    many.step()
+    one.step()
+  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
+    assert torch.equal(getattr(one.data, name)[0], getattr(many.data, name)[2]), name
+
+
+def test_the_number_of_threads_makes_no_difference(make_sim: MakeSim) -> None:
+  sims = [make_sim(num_envs=8, num_threads=threads) for threads in (1, 2, 0)]
+  for sim in sims:
+    scatter(sim)
+    for _ in range(10):
+      sim.step()
+  for sim in sims[1:]:
+    assert torch.equal(sim.data.qpos, sims[0].data.qpos)
+    assert torch.equal(sim.data.sensordata, sims[0].data.sensordata)
+
+
 def test_switching_an_equality_on_acts_in_the_next_step(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine)
   sim.step()

@@ -67,6 +67,10 @@ def test_a_field_first_read_in_inference_mode_can_be_written_outside_of_it(make_
   sim.data.qpos[:, 21] += 0.1
   sim.step()
   assert not sim.data.xpos.is_inference()
+  height = sim.data.site_xpos[:, 0, 2].clone()
+  with torch.inference_mode():
+    sim.model.site_pos[0, 0, 2] += 0.1
+  torch.testing.assert_close(sim.data.site_xpos[:, 0, 2], height + 0.1, rtol=1e-4, atol=1e-3)
 
 
 def test_gradients_stay_outside(make_sim: MakeSim, engine: str) -> None:

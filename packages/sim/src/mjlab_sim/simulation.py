@@ -1,5 +1,6 @@
 """Many worlds of one model, stepped together, as PyTorch tensors."""
 
+import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
   from mjlab_sim.graph import Recorder
 
 _WARM_UP_CALLS = 3
+_version_of = operator.attrgetter("_version")
 
 
 class Simulation:
@@ -63,10 +65,11 @@ class Simulation:
     self.model = ModelView(self)
     self.on_model_change: list[Callable[[], None]] = []
     """Called after model fields were expanded: recorded graphs hold the memory that was."""
-    self._kinematic = [self._engine.data_field(name) for name in KINEMATIC_STATE]
+    self._kinematic = [_plain(self._engine.data_field(name)) for name in KINEMATIC_STATE]
     self._expanded: dict[str, None] = {}
-    # Model fields that somebody asked for, and so may have written to.
-    self._watched: dict[str, TorchArray] = {}
+    # Model fields that somebody asked for, and so may write to.
+    self._asked_for: dict[str, TorchArray] = {}
+    self._watched: list[torch.Tensor] = []
     self._epoch = 0
     self._model_changed = False
     self._state_version = self._versions(self._kinematic)
@@ -124,16 +127,18 @@ class Simulation:
       SimulationError: a name that cannot differ per world.
     """
     self._check_open()
-    fresh = [name for name in closure(list(names)) if name not in self._expanded and self.model[name].numel() > 0]
+    field_of = self._engine.model_field
+    fresh = [name for name in closure(list(names)) if name not in self._expanded and field_of(name).numel() > 0]
     for name in fresh:
       self._engine.expand(name)
       self._expanded[name] = None
-      self._watched[name] = self._engine.model_field(name)
     if fresh:
+      self._asked_for = {name: field_of(name) for name in self._asked_for}
+      self._watched = [_plain(field) for field in self._asked_for.values()]
       # A write to the shared field may not have been seen yet.
       self._model_changed = True
       self._state_version = -1
-      self._model_version = self._versions(self._watched.values())
+      self._model_version = self._versions(self._watched)
       for graph in self._graphs:
         graph.invalidate()
       for callback in self.on_model_change:
@@ -172,11 +177,12 @@ class Simulation:
     self._state_version = -1
 
   def _model_field(self, name: str) -> TorchArray:
-    field = self._watched.get(name)
+    field = self._asked_for.get(name)
     if field is None:
       self._check_open()
-      # Versions are memory's own and begin anywhere.
-      field = self._watched[name] = self._engine.model_field(name)
+      field = self._asked_for[name] = self._engine.model_field(name)
+      self._watched.append(_plain(field))
+      # Its memory may have been written to before: what counts is what comes now.
       self._model_version += field._version
     return field
 
@@ -306,11 +312,11 @@ class Simulation:
 
   @staticmethod
   def _versions(tensors: Iterable[torch.Tensor]) -> int:
-    return sum(tensor._version for tensor in tensors)
+    return sum(map(_version_of, tensors))
 
   def _refresh(self) -> None:
     """Recompute derived quantities if state or a model field was written since."""
-    version = self._versions(self._watched.values())
+    version = self._versions(self._watched)
     if version != self._model_version:
       self._model_version = version
       self._model_changed = True
@@ -489,6 +495,11 @@ class StepGraph:
   def _body(self) -> None:
     self._fn()
     self._sim._refresh()
+
+
+def _plain(field: TorchArray) -> torch.Tensor:
+  """The same memory and version counter; a subclass takes twice as long to tell its version."""
+  return field.as_subclass(torch.Tensor)
 
 
 def _resolve_device(device: str | torch.device) -> torch.device:
