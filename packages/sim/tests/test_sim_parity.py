@@ -200,6 +200,24 @@ def test_constants_are_recomputed_only_in_masked_worlds(make_sim: MakeSim, engin
   assert (after[[0, 2], 3]).tolist() == [3.0, 5.0]
 
 
+def test_recomputing_constants_leaves_state_and_forces_alone(make_sim: MakeSim, engine: str) -> None:
+  sim, other = make_sim(engine), make_sim(engine)
+  for s in (sim, other):
+    s.expand_model_fields(["body_mass"])
+    scatter(s)
+    for _ in range(3):
+      s.step()
+  names = STATE + ACCELERATION + POSITION + VELOCITY + ["sensordata"]
+  before = {name: getattr(sim.data, name).clone() for name in names}
+  sim.recompute_constants()
+  for name in names:
+    assert torch.equal(getattr(sim.data, name), before[name]), name
+  for s in (sim, other):
+    s.step()
+  assert torch.equal(sim.data.qpos, other.data.qpos)
+  assert torch.equal(sim.data.qvel, other.data.qvel)
+
+
 def test_a_write_to_a_shared_model_field_reaches_every_world(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine)
   assert sim.model.actuator_gainprm.shape[0] == 1

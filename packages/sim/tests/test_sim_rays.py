@@ -103,3 +103,12 @@ def test_rays_that_do_not_fit_are_refused(make_sim: MakeSim, engine: str) -> Non
   caster = sim.make_ray_caster(2)
   with pytest.raises(SimulationError, match=r"origins must have shape \(4, 2, 3\), got \(4, 1, 3\)"):
     caster.cast(torch.zeros(4, 1, 3), torch.zeros(4, 2, 3))
+
+
+def test_casters_come_and_go(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  down = torch.tensor([0.0, 0.0, -1.0], dtype=sim.dtype).expand(NUM_WORLDS, 1, 3)
+  for height in range(1, 20):
+    start = torch.tensor([5.0, 5.0, height], dtype=sim.dtype).expand(NUM_WORLDS, 1, 3)
+    # Gone before the next one is made, which may be at the same address.
+    assert sim.make_ray_caster(1).cast(start, down).distance[:, 0].tolist() == [height] * NUM_WORLDS

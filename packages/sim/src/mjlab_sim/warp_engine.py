@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Callable, Generator
 from typing import Any
 
@@ -57,6 +58,7 @@ class WarpEngine:
     self._graphs: dict[str, Callable[[], None]] = {}
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
+    self._caster_numbers = itertools.count()
     if cfg.capture:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
@@ -170,8 +172,9 @@ class WarpEngine:
     for name in _ACCELERATION_STAGE:
       array = getattr(self._d, name)
       if array.size:
-        flat = wp.array(ptr=array.ptr, shape=(self._num_envs, array.strides[0] // 4), dtype=wp.float32, copy=False)
-        wp.launch(warp_kernels.clear_worlds, dim=flat.shape, inputs=[self._reset_mask], outputs=[flat])
+        shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
+        flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
+        wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._reset_mask], outputs=[flat], device=device)
 
   def _recompute(self) -> None:
     mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=True)
@@ -278,6 +281,8 @@ class WarpRayCaster:
 
   def __init__(self, engine: WarpEngine, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> None:
     self._engine = engine
+    # Graphs are kept by name, and a caster may be gone before its graph.
+    self._name = f"rays {next(engine._caster_numbers)}"
     n, device = engine._num_envs, engine._wp_device
     # A group is cast against unless its entry is 0; -1 everywhere means no filter.
     self._groups = vec6(*([-1] * 6 if geomgroup is None else [-1 if group else 0 for group in geomgroup]))
@@ -297,7 +302,7 @@ class WarpRayCaster:
   def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
     self._origins_torch.copy_(origins)
     self._directions_torch.copy_(directions)
-    self._engine._run(f"rays {id(self)}", self._cast)
+    self._engine._run(self._name, self._cast)
     return self._hits
 
   def _cast(self) -> None:
