@@ -1,58 +1,72 @@
-"""The Go1 as an entity: what the scene makes of its config is what the facts say."""
+"""Each robot as an entity: what the scene makes of its config is what the facts say."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from mjlab_actuators import ActuatorSet
-from mjlab_robots import GO1_ACTUATORS, GO1_SOFT_JOINT_POS_LIMIT_FACTOR, go1, go1_spec
-from mjlab_robots.go1 import CollisionPreset
+from mjlab_actuators import ActuatorCfg, ActuatorSet
+from mjlab_robots import G1_ACTUATORS, GO1_ACTUATORS, MeshMode, g1, g1_spec, go1, go1_spec
+from mjlab_scene import EntityCfg
 
-FACTS = json.loads((Path(__file__).parent / "data" / "go1.json").read_text(encoding="utf-8"))
+ROBOTS: dict[str, Callable[..., EntityCfg]] = {"go1": go1, "g1": g1}
+FACTS = {
+  name: json.loads((Path(__file__).parent / "data" / f"{name}.json").read_text(encoding="utf-8")) for name in ROBOTS
+}
+each_robot = pytest.mark.parametrize("name", ROBOTS)
 
 
-@pytest.mark.parametrize("preset", ["full", "feet_only"])
-def test_contact_parameters_follow_the_preset(preset: CollisionPreset) -> None:
-  cfg = go1(meshes="never", collision=preset)
-  model = cfg.build("robot").spec.compile()
-  for geom in FACTS["geoms_collision"]:
+@pytest.mark.parametrize(
+  ("name", "preset"),
+  [(name, preset) for name in ROBOTS for preset in FACTS[name]["geoms_collision"][0]["contact_presets"]],
+)
+def test_contact_parameters_follow_the_preset(name: str, preset: str) -> None:
+  model = ROBOTS[name](meshes="never", collision=preset).build("robot").spec.compile()
+  for geom in FACTS[name]["geoms_collision"]:
     index = model.geom(geom["name"]).id
     wanted = geom["contact_presets"][preset]
     collides = wanted["contype"] or wanted["conaffinity"]
     # Of a shape that touches nothing, nothing else matters.
-    for name in wanted if collides else ("contype", "conaffinity"):
-      np.testing.assert_allclose(getattr(model, f"geom_{name}")[index], wanted[name], err_msg=f"{geom['name']} {name}")
+    for field in wanted if collides else ("contype", "conaffinity"):
+      np.testing.assert_allclose(
+        getattr(model, f"geom_{field}")[index], wanted[field], err_msg=f"{geom['name']} {field}"
+      )
 
 
-def test_an_unknown_preset_is_refused() -> None:
-  with pytest.raises(ValueError, match="'full' or 'feet_only'"):
-    go1(collision="feet")  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+@each_robot
+def test_an_unknown_preset_is_refused_with_those_that_exist(name: str) -> None:
+  with pytest.raises(ValueError, match="collision is 'feet'") as refusal:
+    ROBOTS[name](collision="feet")
+  for preset in FACTS[name]["geoms_collision"][0]["contact_presets"]:
+    assert repr(preset) in str(refusal.value)
 
 
-def test_entity_starts_in_the_default_keyframe_with_the_facts_servos() -> None:
-  entity = go1(meshes="never").build("robot")
-  stand = FACTS["keyframes"]["stand"]
+@each_robot
+def test_entity_starts_in_the_default_keyframe_with_the_facts_servos(name: str) -> None:
+  entity, facts = ROBOTS[name](meshes="never").build("robot"), FACTS[name]
+  (default,) = [key for key in facts["keyframes"].values() if key["is_default"]]
   state = entity.initial_state
-  assert state.root_pose.tolist() == [*stand["root_pos"], *stand["root_quat"]]
-  assert {name: float(value[0]) for name, value in state.joint_pos.items()} == stand["joint_pos"]
-  assert [state.ctrl[servo["name"]] for servo in FACTS["actuators"]] == stand["ctrl"]
+  assert state.root_pose.tolist() == [*default["root_pos"], *default["root_quat"]]
+  assert {joint: float(value[0]) for joint, value in state.joint_pos.items()} == default["joint_pos"]
+  assert [state.ctrl[servo["name"]] for servo in facts["actuators"]] == default["ctrl"]
   model = entity.spec.compile()
-  assert [model.actuator(i).name for i in range(model.nu)] == [servo["name"] for servo in FACTS["actuators"]]
-  gains = [servo["kp"] for servo in FACTS["actuators"]]
+  assert [model.actuator(i).name for i in range(model.nu)] == [servo["name"] for servo in facts["actuators"]]
+  gains = [servo["kp"] for servo in facts["actuators"]]
   np.testing.assert_allclose(model.actuator_gainprm[:, 0], gains, rtol=1e-9)
 
 
-def test_soft_limits_are_those_of_the_facts() -> None:
-  assert FACTS["soft_joint_pos_limit_factor"] == GO1_SOFT_JOINT_POS_LIMIT_FACTOR
-  articulation = go1(meshes="never").articulation
+@each_robot
+def test_soft_limits_are_those_of_the_facts(name: str) -> None:
+  articulation = ROBOTS[name](meshes="never").articulation
   assert articulation is not None
-  assert articulation.soft_joint_pos_limit_factor == GO1_SOFT_JOINT_POS_LIMIT_FACTOR
+  assert articulation.soft_joint_pos_limit_factor == FACTS[name]["soft_joint_pos_limit_factor"]
 
 
-def test_each_config_is_a_copy_of_its_own() -> None:
-  first, second = go1(meshes="never"), go1(meshes="never")
+@each_robot
+def test_each_config_is_a_copy_of_its_own(name: str) -> None:
+  first, second = ROBOTS[name](meshes="never"), ROBOTS[name](meshes="never")
   assert first.articulation is not None
   assert second.articulation is not None
   first.init_state.joint_pos = {".*": 0.0}
@@ -60,21 +74,37 @@ def test_each_config_is_a_copy_of_its_own() -> None:
   assert second.init_state.joint_pos != {".*": 0.0}
   assert second.articulation.actuators[0].armature != 1.0
   assert GO1_ACTUATORS[0].armature != 1.0
+  assert G1_ACTUATORS[0].armature != 1.0
 
 
-def test_servos_hold_the_robot_up() -> None:
-  spec = go1_spec(meshes="never")
-  ActuatorSet(GO1_ACTUATORS).edit_spec(spec)
+# Ankles are too soft to balance a humanoid for longer than the time it takes its legs to settle.
+@pytest.mark.parametrize(
+  ("spec_fn", "actuators", "lift", "steps", "lowest", "highest"),
+  [
+    pytest.param(go1_spec, GO1_ACTUATORS, 0.02, 300, 0.2, 0.32, id="go1"),
+    pytest.param(g1_spec, G1_ACTUATORS, 0.0, 60, 0.72, 0.77, id="g1"),
+  ],
+)
+def test_servos_hold_the_robot_up(
+  spec_fn: Callable[[MeshMode], mujoco.MjSpec],
+  actuators: tuple[ActuatorCfg, ...],
+  lift: float,
+  steps: int,
+  lowest: float,
+  highest: float,
+) -> None:
+  spec = spec_fn("never")
+  ActuatorSet(actuators).edit_spec(spec)
   spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
   spec.option.timestep = 0.005
   spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
   model = spec.compile()
   data = mujoco.MjData(model)
   mujoco.mj_resetDataKeyframe(model, data, 0)
-  data.qpos[2] += 0.02
+  data.qpos[2] += lift
   for index in range(model.nu):
     data.ctrl[index] = data.joint(model.actuator(index).name).qpos[0]
-  mujoco.mj_step(model, data, nstep=300)
-  assert 0.2 < data.qpos[2] < 0.32
-  assert data.body("trunk").xmat[8] > 0.98
-  assert np.abs(data.qvel).max() < 0.5
+  mujoco.mj_step(model, data, nstep=steps)
+  assert lowest < data.qpos[2] < highest
+  assert data.xmat[1, 8] > 0.98
+  assert np.abs(data.qvel).max() < 1.0

@@ -1,5 +1,14 @@
-"""Robot models for mjlab: physics in an MJCF of ours, servo gains and poses in Python, meshes where they are found."""
+"""Robot models for mjlab: physics in MJCFs of ours, servo gains and poses in Python, meshes where they are found."""
 
+from mjlab_robots.g1 import (
+  G1_ACTION_SCALE,
+  G1_ACTUATORS,
+  G1_DEFAULT_HEIGHT,
+  G1_DEFAULT_JOINT_POS,
+  G1_SOFT_JOINT_POS_LIMIT_FACTOR,
+  g1,
+  g1_spec,
+)
 from mjlab_robots.go1 import (
   GO1_ACTION_SCALE,
   GO1_ACTUATORS,
@@ -9,9 +18,15 @@ from mjlab_robots.go1 import (
   go1,
   go1_spec,
 )
-from mjlab_robots.meshes import MeshesNotFoundError, MeshMode, find_meshes
+from mjlab_robots.meshes import MeshesNotFoundError, MeshMode, download_meshes, find_meshes
+from mjlab_robots.motors import Motor
 
 __all__ = [
+  "G1_ACTION_SCALE",
+  "G1_ACTUATORS",
+  "G1_DEFAULT_HEIGHT",
+  "G1_DEFAULT_JOINT_POS",
+  "G1_SOFT_JOINT_POS_LIMIT_FACTOR",
   "GO1_ACTION_SCALE",
   "GO1_ACTUATORS",
   "GO1_DEFAULT_HEIGHT",
@@ -19,7 +34,11 @@ __all__ = [
   "GO1_SOFT_JOINT_POS_LIMIT_FACTOR",
   "MeshMode",
   "MeshesNotFoundError",
+  "Motor",
+  "download_meshes",
   "find_meshes",
+  "g1",
+  "g1_spec",
   "go1",
   "go1_spec",
 ]

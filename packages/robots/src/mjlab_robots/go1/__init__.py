@@ -8,7 +8,7 @@ from mjlab_robots.go1.entity import (
   go1,
 )
 from mjlab_robots.go1.model import go1_spec
-from mjlab_robots.go1.motors import CALF_MOTOR, GO1_ACTION_SCALE, GO1_ACTUATORS, HIP_MOTOR, Go1Motor
+from mjlab_robots.go1.motors import CALF_MOTOR, GO1_ACTION_SCALE, GO1_ACTUATORS, HIP_MOTOR
 
 __all__ = [
   "CALF_MOTOR",
@@ -19,7 +19,6 @@ __all__ = [
   "GO1_SOFT_JOINT_POS_LIMIT_FACTOR",
   "HIP_MOTOR",
   "CollisionPreset",
-  "Go1Motor",
   "go1",
   "go1_spec",
 ]

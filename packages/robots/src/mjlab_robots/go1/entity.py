@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Literal
 
+from mjlab_robots.entity import floating_robot
 from mjlab_robots.go1.model import go1_spec
 from mjlab_robots.go1.motors import GO1_ACTUATORS
 from mjlab_robots.meshes import MeshMode
@@ -41,15 +40,13 @@ def go1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> En
   Raises:
     ValueError: There is no such preset.
   """
-  from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg
-
-  return EntityCfg(
-    spec_fn=go1_spec if meshes == "auto" else partial(go1_spec, meshes=meshes),
-    init_state=InitialStateCfg(pos=(0.0, 0.0, GO1_DEFAULT_HEIGHT), joint_pos=dict(GO1_DEFAULT_JOINT_POS)),
-    articulation=EntityArticulationCfg(
-      actuators=tuple(replace(actuator) for actuator in GO1_ACTUATORS),
-      soft_joint_pos_limit_factor=GO1_SOFT_JOINT_POS_LIMIT_FACTOR,
-    ),
+  return floating_robot(
+    go1_spec,
+    meshes=meshes,
+    height=GO1_DEFAULT_HEIGHT,
+    joint_pos=GO1_DEFAULT_JOINT_POS,
+    actuators=GO1_ACTUATORS,
+    soft_joint_pos_limit_factor=GO1_SOFT_JOINT_POS_LIMIT_FACTOR,
     collisions=_collisions(collision),
   )
 

@@ -1,0 +1,58 @@
+"""Motors seen at the joint: the servo gains that follow from them, and what one unit of action means."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mjlab_actuators import ActuatorCfg, NativePositionActuatorCfg, PdGains, gains_from_frequency
+
+NATURAL_FREQUENCY = 10.0
+"""Of a servo that moves nothing but its own reflected rotor [Hz]."""
+DAMPING_RATIO = 2.0
+"""Overdamped: the limb's own inertia, which the gains leave out, lowers the ratio."""
+ACTION_EFFORT_SHARE = 0.25
+"""Share of the effort limit that action 1 asks for from rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+  """A motor with its reduction, seen at the joint."""
+
+  armature: float
+  """Inertia of rotor and gears, reflected to the joint [kg m^2]."""
+  effort_limit: float
+  """Largest joint torque [N m]."""
+  velocity_limit: float
+  """Top joint speed [rad/s]; data sheet only, the servo does not know it."""
+
+  @property
+  def gains(self) -> PdGains:
+    """kp = J wn^2 [N m/rad] and kd = 2 zeta J wn [N m s/rad]."""
+    return gains_from_frequency(self.armature, NATURAL_FREQUENCY, DAMPING_RATIO)
+
+  @property
+  def action_scale(self) -> float:
+    """Set-point shift of one unit of action [rad]."""
+    return ACTION_EFFORT_SHARE * self.effort_limit / self.gains.stiffness
+
+  def pair(self) -> "Motor":
+    """Two of them on one joint through a linkage of ratio 1: twice the inertia and the torque at the same speed."""
+    return Motor(armature=2 * self.armature, effort_limit=2 * self.effort_limit, velocity_limit=self.velocity_limit)
+
+
+def position_servos(motors: Mapping[tuple[str, ...], Motor]) -> tuple[ActuatorCfg, ...]:
+  """One group of position servos for each entry of `motors`, joint patterns to motor; `ctrl` follows their order."""
+  return tuple(
+    NativePositionActuatorCfg(
+      target_names_expr=joints,
+      stiffness=motor.gains.stiffness,
+      damping=motor.gains.damping,
+      effort_limit=motor.effort_limit,
+      armature=motor.armature,
+    )
+    for joints, motor in motors.items()
+  )
+
+
+def action_scales(motors: Mapping[tuple[str, ...], Motor]) -> dict[str, float]:
+  """Set-point shift of one unit of action, by joint pattern [rad]: q_target = q_default + scale * action."""
+  return {pattern: motor.action_scale for joints, motor in motors.items() for pattern in joints}
