@@ -19,8 +19,6 @@ WORLD = """
   <default><geom contype="1" conaffinity="2"/></default>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1" contype="2" conaffinity="1"/>
-    <camera name="eye" pos="0 -2 1" xyaxes="1 0 0 0 0.4 1"/>
-    <light name="lamp" pos="0 0 3"/>
     <body name="ball" pos="0 0 .0995"><freejoint/>
       <geom name="ball" size=".1" mass="1"/><site name="ball" pos=".02 0 .05"/></body>
     <body name="rod" pos=".6 0 .0495" quat="1 0 1 0"><freejoint/>
@@ -30,6 +28,8 @@ WORLD = """
     <body name="upper" pos="0 1 1">
       <joint name="shoulder" axis="0 1 0" damping=".1" armature=".01"/>
       <geom name="upper" type="capsule" size=".04" fromto="0 0 0 .4 0 0" mass="1"/>
+      <camera name="eye" pos="0 -2 1" xyaxes="1 0 0 0 0.4 1"/>
+      <light name="lamp" pos="0 0 3"/>
       <body name="lower" pos=".4 0 0">
         <joint name="elbow" axis="0 1 0" range="-2 .2" limited="true" frictionloss=".05"/>
         <geom name="lower" type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass=".4"/>

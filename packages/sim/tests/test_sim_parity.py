@@ -189,6 +189,49 @@ def test_model_fields_of_each_world_act_as_in_a_model_of_its_own(make_sim: MakeS
   assert sim.data.qpos[3, 21].item() == pytest.approx(0.3)
 
 
+def test_what_follows_from_where_bodies_are_is_derived_per_world(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.expand_model_fields(["body_pos", "cam_pos"])
+  worlds = torch.arange(NUM_WORLDS, dtype=sim.dtype)
+  pendulum, upper = (sim.mj_model.body(name).id for name in ("pendulum", "upper"))
+  sim.model.body_pos[:, pendulum, 0] += 0.1 * worlds
+  sim.model.body_pos[:, upper, 2] += 0.2 * worlds
+  sim.model.cam_pos[:, 0, 1] -= 0.3 * worlds
+  sim.recompute_constants()
+  sim.reset()
+  for world in range(NUM_WORLDS):
+    model = sim.mj_model.__copy__()
+    model.body_pos[pendulum, 0] += 0.1 * world
+    model.body_pos[upper, 2] += 0.2 * world
+    model.cam_pos[0, 1] -= 0.3 * world
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    mujoco.mj_forward(model, data)
+    for name in ("eq_data", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0"):
+      assert sim.is_expanded(name), name
+      field = sim.model[name][world]
+      close(field, torch.tensor(getattr(model, name)).reshape(field.shape), 1e-6, name)
+    for name in ("xpos", "geom_xpos", "cam_xpos", "subtree_com"):
+      close(getattr(sim.data, name)[world], torch.tensor(getattr(data, name)), 1e-6, name)
+
+
+def test_the_compiled_model_is_never_written_to(make_sim: MakeSim, engine: str) -> None:
+  def content() -> bytes:
+    buffer = np.empty(mujoco.mj_sizeModel(sim.mj_model), dtype=np.uint8)
+    mujoco.mj_saveModel(sim.mj_model, None, buffer)
+    return buffer.tobytes()
+
+  sim = make_sim(engine)
+  before = content()
+  default = sim.default_field("geom_friction").clone()
+  sim.model.geom_friction[0, 1] = 5.0
+  expand_and_change(sim)
+  sim.step()
+  sim.reset()
+  assert content() == before
+  assert torch.equal(sim.default_field("geom_friction"), default)
+
+
 def test_constants_are_recomputed_only_in_masked_worlds(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine)
   sim.expand_model_fields(["body_mass"])
