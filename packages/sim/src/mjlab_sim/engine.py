@@ -4,7 +4,8 @@ from typing import Protocol
 
 import torch
 
-from mjlab_sim.rays import RayCaster
+from mjlab_sim.rays import EngineRayCaster
+from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
 
 
@@ -46,8 +47,8 @@ class Engine(Protocol):
     """Recompute the derived model fields of masked worlds (`mj_setConst`)."""
     ...
 
-  def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> RayCaster:
-    """A caster of `num_rays` rays a world, with fixed outputs."""
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRayCaster:
+    """A caster with fixed outputs that sees `targets` up to `max_distance` [m]."""
     ...
 
   def count_overflow(self) -> None:

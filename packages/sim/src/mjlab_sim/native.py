@@ -12,7 +12,8 @@ from mujoco import batch
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
-from mjlab_sim.rays import RayHits
+from mjlab_sim.native_rays import NativeRayCaster, ground_geoms, ground_model
+from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
 
 _NONE = mujoco.mjtStage.mjSTAGE_NONE.value
@@ -58,6 +59,7 @@ class NativeEngine:
     self._data: dict[str, TorchArray] = {}
     self._per_world: dict[str, TorchArray] = {}
     self._shared: dict[str, tuple[TorchArray, int]] = {}
+    self._grounds: dict[bytes, batch.Batch] = {}
     self._batch.reset(stage=_VEL)
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
     self._seen = [array.copy() for array in self._kinematic]
@@ -151,8 +153,19 @@ class NativeEngine:
       if rows is not None:
         field.numpy()[0] = _shaped(rows, name)[one]
 
-  def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> "NativeRayCaster":
-    return NativeRayCaster(self._batch, self._num_envs, num_rays, geomgroup, bodyexclude)
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> NativeRayCaster:
+    ground = None if geomid else self._ground(targets)
+    return NativeRayCaster(self._batch, targets, max_distance, ground, geomid=geomid)
+
+  def _ground(self, targets: RayTargets) -> batch.Batch | None:
+    """Fixed geoms by themselves, where that is faster; casters that see the same ones share them."""
+    key = ground_geoms(self._model, targets)[0].tobytes()
+    if key not in self._grounds:
+      ground = ground_model(self._model, targets)
+      if ground is None:
+        return None
+      self._grounds[key] = batch.Batch(ground, self._num_envs, self._batch.nthread, persistent=True)
+    return self._grounds[key]
 
   def count_overflow(self) -> None:
     """Nothing to do: the batch counts warnings itself."""
@@ -178,29 +191,5 @@ class NativeEngine:
     self._per_world.clear()
     self._shared.clear()
     self._kinematic.clear()
+    self._grounds.clear()
     del self._batch
-
-
-class NativeRayCaster:
-  """`mj_ray` in every world, on all cores."""
-
-  def __init__(
-    self, engine_batch: batch.Batch, num_envs: int, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int
-  ) -> None:
-    self._batch = engine_batch
-    self._geomgroup = None if geomgroup is None else np.array(geomgroup, dtype=np.uint8)
-    self._bodyexclude = bodyexclude
-    self._hits = RayHits(
-      distance=torch.full((num_envs, num_rays), -1.0, dtype=torch.float64),
-      geomid=torch.full((num_envs, num_rays), -1, dtype=torch.int32),
-      normal=torch.zeros((num_envs, num_rays, 3), dtype=torch.float64),
-    )
-
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
-    distance, geomid, normal = self._batch.ray(
-      origins.numpy(), directions.numpy(), self._geomgroup, bodyexclude=self._bodyexclude, normal=True
-    )
-    self._hits.distance.copy_(torch.from_numpy(distance))
-    self._hits.geomid.copy_(torch.from_numpy(geomid))
-    self._hits.normal.copy_(torch.from_numpy(normal))
-    return self._hits

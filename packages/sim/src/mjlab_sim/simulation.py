@@ -1,5 +1,6 @@
 """Many worlds of one model, stepped together, as PyTorch tensors."""
 
+import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
@@ -12,8 +13,10 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.engine import Engine
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
-from mjlab_sim.rays import RayCaster, RayHits
+from mjlab_sim.rays import FreshRayCaster, RayCaster
+from mjlab_sim.static_rays import FixedGeometry, find_targets
 from mjlab_sim.torch_array import TorchArray
+from mjlab_sim.views import DataView, ModelView
 
 if TYPE_CHECKING:
   from mjlab_sim.graph import Recorder
@@ -77,6 +80,8 @@ class Simulation:
     self._recorder: Recorder | None = None
     self._graphs: list[StepGraph] = []
     self._closed = False
+    self._fixed_geometry: FixedGeometry | None = None
+    self._rays_count_on_fixed = True
 
   # Stepping
 
@@ -226,24 +231,45 @@ class Simulation:
   # Rays, overflow
 
   def make_ray_caster(
-    self, num_rays: int, *, geomgroup: Sequence[bool] | None = None, bodyexclude: int = -1
+    self,
+    num_rays: int,
+    *,
+    geomgroup: Sequence[bool] | None = None,
+    bodyexclude: int | Sequence[int] = -1,
+    max_distance: float = math.inf,
+    geomid: bool = True,
   ) -> RayCaster:
     """A caster of `num_rays` rays in every world.
+
+    Geoms of zero alpha in the compiled model are not seen.
 
     Args:
       num_rays: Rays of each world.
       geomgroup: Which of the six geom groups rays see; all by default.
-      bodyexclude: A body that rays pass through, -1 for none.
+      bodyexclude: A body that rays pass through, or one for each ray, -1 for none.
+      max_distance: How far rays see [m].
+      geomid: Whether hits tell their geom. On a CPU terrains of many geoms are faster without.
     """
     self._check_open()
-    if num_rays < 1:
-      raise SimulationError(f"num_rays must be at least 1, got {num_rays}")
-    if geomgroup is not None and len(geomgroup) != mujoco.mjNGROUP:
-      raise SimulationError(f"geomgroup needs {mujoco.mjNGROUP} entries, got {len(geomgroup)}")
-    if not -1 <= bodyexclude < self.mj_model.nbody:
-      raise SimulationError(f"bodyexclude must be a body from 0 to {self.mj_model.nbody - 1}, or -1, got {bodyexclude}")
-    caster = self._engine.ray_caster(num_rays, None if geomgroup is None else tuple(geomgroup), bodyexclude)
-    return _FreshRayCaster(self, caster, num_rays)
+    if not max_distance > 0.0:
+      raise SimulationError(f"max_distance must be positive, got {max_distance}")
+    targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude)
+    if self._fixed_geometry is None:
+      self._fixed_geometry = FixedGeometry(self.mj_model, self._engine.model_field)
+    return FreshRayCaster(self, self._engine.ray_caster(targets, max_distance, geomid), num_rays)
+
+  def _geoms_are_in_place(self) -> bool:
+    """Whether geoms that never move are where the compiled model has them; graphs that count on it are dropped."""
+    geometry = self._fixed_geometry
+    if geometry is None:
+      return True
+    before = self._rays_count_on_fixed
+    now = geometry.is_intact(may_look=self._recorder is None)
+    if self._recorder is None and now != before:
+      self._rays_count_on_fixed = now
+      for graph in self._graphs:
+        graph.invalidate()
+    return now
 
   def count_overflow(self) -> None:
     """Note contacts and constraints that did not fit. On the device; once an env step is enough."""
@@ -341,91 +367,6 @@ class Simulation:
       )
 
 
-class DataView:
-  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3).
-
-  A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
-  """
-
-  _sim: Simulation
-
-  def __init__(self, sim: Simulation) -> None:
-    object.__setattr__(self, "_sim", sim)
-
-  def __getattr__(self, name: str) -> TorchArray:
-    sim = self._sim
-    if name.startswith("__"):
-      raise AttributeError(name)
-    sim._check_open()
-    if name not in STATE:
-      sim._refresh()
-    try:
-      return sim._engine.data_field(name)
-    except KeyError:
-      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
-
-  def __setattr__(self, name: str, value: torch.Tensor) -> None:
-    field = getattr(self, name)
-    # `data.qpos += x` adds in place and then assigns the result to the name it came from.
-    if value is not field:
-      field.copy_(value)
-
-
-class ModelView:
-  """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded.
-
-  A name is assigned in place. A write to a shared field reaches every world.
-  """
-
-  _sim: Simulation
-  _prefix: str
-
-  def __init__(self, sim: Simulation, prefix: str = "") -> None:
-    object.__setattr__(self, "_sim", sim)
-    object.__setattr__(self, "_prefix", prefix)
-
-  def __getattr__(self, name: str) -> TorchArray:
-    if name.startswith("__"):
-      raise AttributeError(name)
-    return self[name]
-
-  def __getitem__(self, name: str) -> TorchArray:
-    try:
-      return self._sim._model_field(self._prefix + name)
-    except KeyError:
-      raise AttributeError(
-        unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
-        + " Others are the same in every world: read them from sim.mj_model."
-      ) from None
-
-  def __setattr__(self, name: str, value: torch.Tensor) -> None:
-    field = self[name]
-    if value is not field:
-      field.copy_(value)
-
-  @property
-  def opt(self) -> "ModelView":
-    """Options that may differ per world: `sim.model.opt.gravity`."""
-    return ModelView(self._sim, "opt.")
-
-
-class _FreshRayCaster:
-  """An engine's caster that sees geoms where the written state puts them."""
-
-  def __init__(self, sim: Simulation, caster: RayCaster, num_rays: int) -> None:
-    self._sim = sim
-    self._caster = caster
-    self._shape = (sim.num_envs, num_rays, 3)
-
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
-    for name, rays in (("origins", origins), ("directions", directions)):
-      if rays.shape != self._shape:
-        raise SimulationError(f"cast: {name} must have shape {self._shape}, got {tuple(rays.shape)}")
-    self._sim._check_open()
-    self._sim._refresh()
-    return self._caster.cast(origins, directions)
-
-
 class StepGraph:
   """A function that is recorded on a GPU and replayed; made by `Simulation.capture`."""
 
@@ -453,6 +394,7 @@ class StepGraph:
       self._fn()
       sim._refresh()
       return
+    sim._geoms_are_in_place()
     if self._recorder is None:
       if self._calls < _WARM_UP_CALLS:
         # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
@@ -522,11 +464,3 @@ def _make_engine(sim: Simulation) -> Engine:
   from mjlab_sim.warp_engine import WarpEngine
 
   return WarpEngine(sim.mj_model, sim.num_envs, sim.cfg, sim.device)
-
-
-_DATA_FIELDS = (
-  *STATE,
-  *"""qacc xpos xquat xmat xipos ximat geom_xpos geom_xmat site_xpos site_xmat cam_xpos cam_xmat subtree_com cvel
-  subtree_linvel subtree_angmom sensordata actuator_force actuator_length actuator_velocity qfrc_actuator qfrc_bias
-  qfrc_passive qfrc_constraint qfrc_smooth ten_length ten_velocity xanchor xaxis nefc energy""".split(),
-)

@@ -11,15 +11,15 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from mujoco_warp._src.types import vec6
 
 from mjlab_sim import warp_kernels
 from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.graph import Recorder
-from mjlab_sim.rays import RayHits
+from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
+from mjlab_sim.warp_rays import FixedTriangles, WarpRayCaster
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -54,8 +54,10 @@ class WarpEngine:
     self._device = device
     self._wp_device = wp.device_from_torch(device)
     self._num_envs = num_envs
+    self._mj_model = model
     self._capture = cfg.capture
     self._graphs: dict[str, Callable[[], None]] = {}
+    self._fixed_triangles: dict[bytes, FixedTriangles] = {}
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
     self._caster_numbers = itertools.count()
@@ -219,11 +221,12 @@ class WarpEngine:
         report.append(f"{what}: {worlds} of {self._num_envs} worlds.{hint}")
     return report
 
-  def ray_caster(self, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> "WarpRayCaster":
-    return WarpRayCaster(self, num_rays, geomgroup, bodyexclude)
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> WarpRayCaster:
+    return WarpRayCaster(self, targets, max_distance, geomid=geomid)
 
   def close(self) -> None:
     self._graphs.clear()
+    self._fixed_triangles.clear()
     self._data_views.clear()
     self._model_views.clear()
 
@@ -274,50 +277,6 @@ class WarpEngine:
     yield
     for array, before in saved:
       wp.copy(array, before)
-
-
-class WarpRayCaster:
-  """MuJoCo Warp's rays against every geom of every world."""
-
-  def __init__(self, engine: WarpEngine, num_rays: int, geomgroup: tuple[bool, ...] | None, bodyexclude: int) -> None:
-    self._engine = engine
-    # Graphs are kept by name, and a caster may be gone before its graph.
-    self._name = f"rays {next(engine._caster_numbers)}"
-    n, device = engine._num_envs, engine._wp_device
-    # A group is cast against unless its entry is 0; -1 everywhere means no filter.
-    self._groups = vec6(*([-1] * 6 if geomgroup is None else [-1 if group else 0 for group in geomgroup]))
-    with wp.ScopedDevice(device):
-      self._origins: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
-      self._directions: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
-      self._bodyexclude: Any = wp.full(num_rays, bodyexclude, dtype=wp.int32)
-      self._distance: Any = wp.full((n, num_rays), -1.0, dtype=wp.float32)
-      self._geomid: Any = wp.full((n, num_rays), -1, dtype=wp.int32)
-      self._normal: Any = wp.zeros((n, num_rays), dtype=wp.vec3)
-    self._origins_torch = wp.to_torch(self._origins)
-    self._directions_torch = wp.to_torch(self._directions)
-    self._hits = RayHits(
-      distance=wp.to_torch(self._distance), geomid=wp.to_torch(self._geomid), normal=wp.to_torch(self._normal)
-    )
-
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
-    self._origins_torch.copy_(origins)
-    self._directions_torch.copy_(directions)
-    self._engine._run(self._name, self._cast)
-    return self._hits
-
-  def _cast(self) -> None:
-    mjw.rays(
-      self._engine._m,
-      self._engine._d,
-      self._origins,
-      self._directions,
-      self._groups,
-      True,
-      self._bodyexclude,
-      self._distance,
-      self._geomid,
-      self._normal,
-    )
 
 
 def check_capture(device: Any) -> None:

@@ -1,6 +1,7 @@
 """The few Warp kernels that MuJoCo Warp does not have."""
 
 import warp as wp
+from mujoco_warp._src.ray import ray_geom
 
 
 @wp.kernel
@@ -41,3 +42,49 @@ def count_overflow(
   if world == 0:
     wp.atomic_max(wanted, 1, nacon[0])
     wp.atomic_max(wanted, 2, ncollision[0])
+
+
+# A module of its own: whoever casts no rays does not compile it.
+@wp.kernel(enable_backward=False, module="unique")
+def cast_rays(
+  mesh: wp.uint64,
+  triangle_geom: wp.array[int],
+  others: wp.array[int],
+  geom_type: wp.array[int],
+  geom_bodyid: wp.array[int],
+  geom_size: wp.array2d[wp.vec3],
+  geom_xpos: wp.array2d[wp.vec3],
+  geom_xmat: wp.array2d[wp.mat33],
+  bodyexclude: wp.array[int],
+  max_distance: float,
+  origins: wp.array2d[wp.vec3],
+  directions: wp.array2d[wp.vec3],
+  distance: wp.array2d[float],
+  geomid: wp.array2d[int],
+  normal: wp.array2d[wp.vec3],
+):
+  """Nearest hit of each ray on the triangles of fixed geoms (`mesh`, 0 for none) and on `others`, one by one."""
+  world, ray = wp.tid()
+  origin = origins[world, ray]
+  direction = directions[world, ray]
+  nearest = max_distance
+  hit_geom = -1
+  hit_normal = wp.vec3()
+  if mesh != wp.uint64(0):
+    query = wp.mesh_query_ray(mesh, origin, direction, nearest)
+    if query.result:
+      nearest = query.t
+      hit_geom = triangle_geom[query.face]
+      hit_normal = query.normal
+  for i in range(others.shape[0]):
+    geom = others[i]
+    if geom_bodyid[geom] != bodyexclude[ray]:
+      size = geom_size[world % geom_size.shape[0], geom]
+      t, n = ray_geom(geom_xpos[world, geom], geom_xmat[world, geom], size, origin, direction, geom_type[geom])
+      if t >= 0.0 and t <= nearest:
+        nearest = t
+        hit_geom = geom
+        hit_normal = n
+  distance[world, ray] = wp.where(hit_geom < 0, -1.0, nearest)
+  geomid[world, ray] = hit_geom
+  normal[world, ray] = hit_normal
