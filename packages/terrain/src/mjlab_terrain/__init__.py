@@ -1,6 +1,52 @@
 """Terrain that adds itself to any MuJoCo model. NumPy and MuJoCo only."""
 
+from mjlab_terrain.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
+from mjlab_terrain.gaps import NarrowBeamsCfg, NestedRingsCfg, SteppingStonesCfg
+from mjlab_terrain.grid import TerrainGridCfg
+from mjlab_terrain.heights import (
+  DiscreteObstaclesCfg,
+  PerlinNoiseCfg,
+  PyramidSlopeCfg,
+  RandomRoughCfg,
+  WavesCfg,
+)
+from mjlab_terrain.own import HeightMapCfg, MeshCfg
+from mjlab_terrain.patches import FlatPatchCfg
 from mjlab_terrain.plane import PlaneCfg
+from mjlab_terrain.presets import all_types, walking_types
+from mjlab_terrain.stairs import OpenStairsCfg, PyramidStairsCfg, RandomStairsCfg
 from mjlab_terrain.terrain import Terrain, grid_origins
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg, drawn, number, scaled
 
-__all__ = ["PlaneCfg", "Terrain", "grid_origins"]
+__all__ = [
+  "DiscreteObstaclesCfg",
+  "FlatCfg",
+  "FlatPatchCfg",
+  "HeightMapCfg",
+  "MeshCfg",
+  "NarrowBeamsCfg",
+  "NestedRingsCfg",
+  "OpenStairsCfg",
+  "PerlinNoiseCfg",
+  "PlaneCfg",
+  "PyramidSlopeCfg",
+  "PyramidStairsCfg",
+  "RandomBoxesCfg",
+  "RandomGridCfg",
+  "RandomRoughCfg",
+  "RandomStairsCfg",
+  "SteppingStonesCfg",
+  "Terrain",
+  "TerrainGridCfg",
+  "Tile",
+  "TileCfg",
+  "TiltedGridCfg",
+  "WavesCfg",
+  "all_types",
+  "drawn",
+  "grid_origins",
+  "number",
+  "scaled",
+  "walking_types",
+]

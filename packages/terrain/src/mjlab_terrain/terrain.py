@@ -1,17 +1,20 @@
-"""What a terrain tells its user after it has been added to a model."""
+"""What a terrain says of itself once it is part of a model."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Terrain:
-  """A terrain that has been added to an `MjSpec`."""
+  """A terrain that has been added to an `MjSpec`: tiles in rows, which run along x, and columns, which run along y.
+
+  A plane is one tile without end. In a curriculum, rows go from easy to hard and a column has one type.
+  """
 
   name: str
   """Name of its body, which is static and holds all its geoms."""
@@ -19,9 +22,68 @@ class Terrain:
   geom_names: tuple[str, ...]
   """Names of its geoms."""
 
+  tile_size: tuple[float, float] = (math.inf, math.inf)
+  """Extent of a tile along x and y [m]."""
+
+  origins: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
+  """Where to spawn on each tile, on the surface, world frame, (rows, columns, 3) [m]."""
+
+  difficulty: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1)))
+  """Difficulty of each tile in [0, 1], (rows, columns)."""
+
+  type_names: tuple[str, ...] = ("plane",)
+  """Names of the types of tile there are."""
+
+  tile_types: NDArray[np.int64] = field(default_factory=lambda: np.zeros((1, 1), dtype=np.int64))
+  """Type of each tile, an index into `type_names`, (rows, columns)."""
+
+  column_shares: NDArray[np.float64] = field(default_factory=lambda: np.ones(1))
+  """Which part of all worlds belongs on each column, (columns,); they sum to 1."""
+
+  flat_patches: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+  """Centres of flat places of each tile, on the surface, by name, world frame, (rows, columns, count, 3) [m]."""
+
+  height_range: tuple[float, float] = (0.0, 0.0)
+  """Lowest and highest point of the surface [m]."""
+
+  def columns_of(self, num: int) -> NDArray[np.int64]:
+    """Column of each of `num` worlds, (num,): every column has its share, and those of a column are spread evenly.
+
+    Raises:
+      ValueError: `num` is not positive.
+    """
+    if num < 1:
+      raise ValueError(f"terrain '{self.name}': the number of worlds must be at least 1, got {num}.")
+    counts = apportion(self.column_shares, num)
+    column = np.repeat(np.arange(len(counts)), counts)
+    # The k-th world of a column with n worlds stands at (k + 1/2) / n of the sequence.
+    place = np.concatenate([(np.arange(n) + 0.5) / n for n in counts if n])
+    return column[np.lexsort((column, place))]
+
   def env_origins(self, num: int, spacing: float) -> NDArray[np.float64]:
-    """Where `num` worlds have their origin on the surface, world frame, (num, 3) [m]; see `grid_origins`."""
-    return grid_origins(num, spacing)
+    """Where `num` worlds have their origin on the surface, world frame, (num, 3) [m].
+
+    On tiles each column has its share of worlds, which are spread over its rows; on a plane, see `grid_origins`.
+    """
+    if math.isinf(self.tile_size[0]):
+      return grid_origins(num, spacing)
+    column = self.columns_of(num)
+    rows, columns, _ = self.origins.shape
+    nth_of_column = np.empty(num, dtype=np.int64)
+    for c in range(columns):
+      there = column == c
+      nth_of_column[there] = np.arange(there.sum())
+    return self.origins[nth_of_column % rows, column]
+
+
+def apportion(shares: NDArray[np.float64], num: int) -> NDArray[np.int64]:
+  """`num` things divided among shares, which sum to 1, by largest remainder, (len(shares),)."""
+  exact = shares * num
+  counts = np.floor(exact + 1e-9).astype(np.int64)
+  # Stable, so that of equal remainders the first is served.
+  order = np.argsort(counts - exact, kind="stable")
+  counts[order[: num - counts.sum()]] += 1
+  return counts
 
 
 def grid_origins(num: int, spacing: float) -> NDArray[np.float64]:

@@ -1,0 +1,177 @@
+"""A user's own ground: a height map or a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg, number, scaled
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class HeightMapCfg(TileCfg):
+  """A height map, stretched over the tile. Harder: higher, if `height` says so; as it is, difficulty means nothing."""
+
+  source: ArrayLike | str | Path
+  """Heights at the vertices of a regular grid, first index along x, second along y, (nx, ny); or the file of a picture,
+  seen with x to the right and y up, whose grey is from 0, black, to 1, white."""
+  height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
+  """Height of the value 1 of `source` [m]."""
+  border: float = number(0.0)
+  """Width of the level rim at height 0 [m]."""
+  blend: float = number(0.0)
+  """Width over which the heights grow from the border inwards [m]; without border and blend they are left alone."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    try:
+      shape = self._heights().shape
+      good = len(shape) == 2 and min(shape) >= 2 and np.isfinite(self._heights()).all()
+    except (OSError, ValueError, TypeError, ImportError) as error:
+      self.refuse(name, f"the height map {_short(self.source)} cannot be read: {error}")
+    if not good:
+      self.refuse(name, f"a height map must be (nx, ny), at least (2, 2), and finite; got {shape}")
+
+  def _heights(self) -> Floats:
+    if isinstance(self.source, str | Path):
+      return _read_picture(Path(self.source))
+    return np.asarray(self.source, dtype=np.float64)
+
+  def build(self, tile: Tile) -> None:
+    z = self._heights() * tile.scaled(self.height)
+    if self.border > 0.0 or self.blend > 0.0:
+      x, y = (np.linspace(-0.5 * s, 0.5 * s, n) for s, n in zip(tile.size, z.shape, strict=True))
+      z = z * tile.fade(x[:, None], y[None, :], self.border, self.blend)
+    tile.heights(z)
+    tile.spawn_on_top()
+
+
+def _short(source: object) -> str:
+  return f"'{source}'" if isinstance(source, str | Path) else f"of type {type(source).__name__}"
+
+
+def _read_picture(path: Path) -> Floats:
+  try:
+    from PIL import Image
+  except ImportError as error:
+    raise ImportError("pictures need Pillow: pip install 'mjlab-terrain[mesh]'") from error
+  with Image.open(path) as image:
+    # 16-bit pictures keep their depth; all others become 8-bit grey.
+    deep = image.mode.startswith("I") or image.mode == "F"
+    values = np.asarray(image if deep else image.convert("L"), dtype=np.float64)
+    full = 1.0 if image.mode == "F" else 65535.0 if deep else 255.0
+  return values[::-1].T / full
+
+
+@dataclass(kw_only=True)
+class MeshCfg(TileCfg):
+  """A mesh, of which the surface that is seen from above becomes ground; what lies below an overhang is filled.
+
+  Harder: higher, if `height` says so; as it is, difficulty means nothing. MuJoCo would collide with the convex hull of a
+  mesh, so a height field carries it, with sides as steep as one cell allows.
+  """
+
+  source: str | Path | tuple[ArrayLike, ArrayLike]
+  """A file of any format that `trimesh` reads; or vertices, (n, 3) [m], and triangles, (m, 3), in indices. z is up; the
+  middle of the mesh, seen from above, becomes the middle of the tile."""
+  scale: float = number(1.0, least=1e-6)
+  """Factor on all lengths of the mesh."""
+  height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
+  """Factor on its heights besides."""
+  floor: float = 0.0
+  """Height of the ground where the mesh has nothing [m]."""
+  resolution: float = number(0.05, least=0.005)
+  """Distance between the vertices of the height field [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    extent = np.ptp(self._checked_mesh(name)[0], axis=0)[:2]
+    if (extent > np.array(size) + 1e-6).any():
+      scale = self.scale * np.floor(1e3 * np.min(np.array(size) / extent)) / 1e3
+      self.refuse(
+        name,
+        f"the mesh is {extent[0]:.3g} x {extent[1]:.3g} m, the tile {size[0]:g} x {size[1]:g} m; "
+        f"a scale of at most {scale:.3g}, or a tile of its size, would work",
+      )
+
+  def natural_size(self) -> tuple[float, float]:
+    x, y, _ = np.ptp(self._checked_mesh("terrain")[0], axis=0)
+    return float(x), float(y)
+
+  def _checked_mesh(self, name: str) -> tuple[Floats, NDArray[np.int64]]:
+    try:
+      return self._mesh()
+    except Exception as error:  # Readers of many formats fail in many ways.
+      self.refuse(name, f"the mesh {_short(self.source)} cannot be read: {error}")
+
+  def _mesh(self) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices, centred and scaled, (n, 3) [m], and triangles, (m, 3)."""
+    if isinstance(self.source, str | Path):
+      path = Path(self.source)
+      vertices, faces = _read_mesh(path, path.stat().st_mtime_ns)
+    else:
+      vertices, faces = (np.asarray(part) for part in self.source)
+    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, faces.astype(np.int64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+      raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
+    if not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
+      raise ValueError("vertices must be finite, and triangles name vertices")
+    # Vertices that no triangle uses do not count.
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], faces.reshape(-1, 3)
+    vertices[:, :2] -= 0.5 * (vertices.min(0) + vertices.max(0))[:2]
+    return vertices, faces
+
+  def build(self, tile: Tile) -> None:
+    vertices, faces = self._mesh()
+    x, y = tile.grid(self.resolution)
+    z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
+    tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
+    tile.spawn_on_top()
+
+
+@lru_cache(maxsize=8)
+def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
+  """Vertices and triangles of a file. `changed` is when it was written, so that an old one is not taken for it."""
+  try:
+    import trimesh
+  except ImportError as error:
+    raise ImportError("meshes need trimesh: pip install 'mjlab-terrain[mesh]'") from error
+  mesh: Any = trimesh.load(path, force="mesh")
+  return mesh.vertices, mesh.faces
+
+
+def seen_from_above(vertices: Floats, faces: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
+  """Height of the highest triangle at the points of a regular grid, (nx, ny) [m]; -inf where there is none."""
+  top = np.full((len(x), len(y)), -np.inf)
+  dx, dy = x[1] - x[0], y[1] - y[0]
+  a, b, c = (vertices[faces[:, k]] for k in range(3))
+  area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+  corners = np.stack((a, b, c))
+  low = np.ceil((corners.min(0)[:, :2] - (x[0], y[0])) / (dx, dy) - 1e-6).astype(np.int64)
+  high = np.floor((corners.max(0)[:, :2] - (x[0], y[0])) / (dx, dy) + 1e-6).astype(np.int64)
+  low, high = np.maximum(low, 0), np.minimum(high, (len(x) - 1, len(y) - 1))
+  counts = np.prod(np.maximum(high - low + 1, 0), axis=1)
+  # A vertical triangle is seen from the side only; its edges belong to its neighbours.
+  seen = np.flatnonzero((counts > 0) & (np.abs(area) > 1e-12))
+  # Every candidate, a triangle and a point in its bounding box, is one element; a few million at a time.
+  for chunk in np.array_split(seen, max(int(counts[seen].sum() // 2_000_000), 1)):
+    t = np.repeat(chunk, counts[chunk])
+    nth = np.arange(len(t)) - np.repeat(np.cumsum(counts[chunk]) - counts[chunk], counts[chunk])
+    width = (high - low + 1)[t, 1]
+    i, j = low[t, 0] + nth // width, low[t, 1] + nth % width
+    px, py = x[i], y[j]
+    u = ((px - a[t, 0]) * (c[t, 1] - a[t, 1]) - (c[t, 0] - a[t, 0]) * (py - a[t, 1])) / area[t]
+    v = ((b[t, 0] - a[t, 0]) * (py - a[t, 1]) - (px - a[t, 0]) * (b[t, 1] - a[t, 1])) / area[t]
+    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+    z = a[t, 2] + u * (b[t, 2] - a[t, 2]) + v * (c[t, 2] - a[t, 2])
+    np.maximum.at(top, (i[inside], j[inside]), z[inside])
+  return top

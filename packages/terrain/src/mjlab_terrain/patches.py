@@ -1,0 +1,84 @@
+"""Flat places on a tile, to put things or feet on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjlab_terrain.surface import disc, over_disc, surface
+from mjlab_terrain.tile import Tile
+
+Interval = tuple[float, float]
+EVERYWHERE = (-math.inf, math.inf)
+
+
+@dataclass(kw_only=True)
+class FlatPatchCfg:
+  """Round places on which the ground is nearly level; they may overlap."""
+
+  count: int = 10
+  """Number of places on each tile."""
+  radius: float = 0.5
+  """Radius of a place [m]; all of it lies on the tile."""
+  max_height_difference: float = 0.05
+  """Between the highest and the lowest point of a place [m]."""
+  x_range: Interval = EVERYWHERE
+  """Where centres may be along x, from the tile's centre [m]."""
+  y_range: Interval = EVERYWHERE
+  """Where centres may be along y, from the tile's centre [m]."""
+  z_range: Interval = EVERYWHERE
+  """Heights that centres may have [m]."""
+  resolution: float = 0.05
+  """Distance between the points at which the ground is looked at [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    """Raises a ValueError if no tile of this size can have such places; `name` is what messages call them."""
+    who = f"FlatPatchCfg '{name}'"
+    if self.count < 1:
+      raise ValueError(f"{who}: count must be at least 1, got {self.count}.")
+    if not 0.01 <= self.resolution < math.inf:
+      raise ValueError(f"{who}: resolution must be at least 0.01 m, got {self.resolution}.")
+    if not 0.0 < self.radius <= 0.5 * min(size):
+      raise ValueError(
+        f"{who}: radius {self.radius:g} m does not fit into a tile of {size[0]:g} x {size[1]:g} m; "
+        f"more than 0 and at most {0.5 * min(size):g} m would work."
+      )
+    if not self.max_height_difference >= 0.0:
+      raise ValueError(f"{who}: max_height_difference must not be negative, got {self.max_height_difference}.")
+    for axis, (low, high) in enumerate((self.x_range, self.y_range)):
+      reach = 0.5 * size[axis] - self.radius
+      if low > high or low > reach or high < -reach:
+        raise ValueError(
+          f"{who}: {'xy'[axis]}_range ({low:g}, {high:g}) has no room; "
+          f"centres can be from {-reach:g} to {reach:g} m on a tile of {size[0]:g} x {size[1]:g} m."
+        )
+    if self.z_range[0] > self.z_range[1]:
+      raise ValueError(f"{who}: z_range {self.z_range} is the wrong way round.")
+
+  def find(self, tile: Tile, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Centres of places drawn at random, on the surface, in the tile's frame, (count, 3) [m].
+
+    Where a tile has fewer, they repeat; where it has none, all are at the most level place there is.
+    """
+    axes = [np.linspace(-0.5 * s, 0.5 * s, max(math.ceil(s / self.resolution), 2) + 1) for s in tile.size]
+    z = surface(tile.boxes, tile.fields, *axes)
+    # The grid is square enough that the finer of its two spacings covers the radius in both.
+    offsets = disc(self.radius, min(a[1] - a[0] for a in axes))
+    difference = over_disc(z, offsets, np.maximum) - over_disc(z, offsets, np.minimum)
+    allowed = np.ones(z.shape, dtype=bool)
+    for axis, (at, limits, extent) in enumerate(zip(axes, (self.x_range, self.y_range), tile.size, strict=True)):
+      inside = (np.abs(at) <= 0.5 * extent - self.radius + 1e-9) & (limits[0] <= at) & (at <= limits[1])
+      allowed &= inside[:, None] if axis == 0 else inside[None, :]
+    good = allowed & (difference <= self.max_height_difference) & (self.z_range[0] <= z) & (z <= self.z_range[1])
+    found = np.argwhere(good)
+    if len(found):
+      chosen = found[rng.permutation(len(found))[np.arange(self.count) % len(found)]]
+    else:
+      # A range between two points of the grid leaves the centre.
+      flattest = np.where(allowed, difference, np.inf if allowed.any() else difference)
+      chosen = np.repeat([np.unravel_index(np.argmin(flattest), z.shape)], self.count, axis=0)
+    i, j = chosen.T
+    return np.stack((axes[0][i], axes[1][j], z[i, j]), axis=-1)
