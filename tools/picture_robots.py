@@ -9,16 +9,17 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_robots import MeshMode, go1_spec
+from mjlab_robots import MeshMode, g1_spec, go1_spec
 from PIL import Image
 
-ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {"go1": go1_spec}
-SIZE = (1200, 700)
+ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {"go1": go1_spec, "g1": g1_spec}
+# Width and height in pixels: as wide as the robot is.
+SIZES = {"go1": (1200, 700), "g1": (800, 900)}
 # Rendered larger and averaged: smoother edges than the renderer's own multisampling.
 OVERSAMPLING = 2
 
 
-def stage(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def stage(spec: mujoco.MjSpec, size: tuple[int, int]) -> mujoco.MjModel:
   """The robot on a floor, under a sky, in a light of its own; `stat.extent` stays that of the robot alone."""
   spec.stat.extent = spec.compile().stat.extent
   for light in list(spec.lights):
@@ -51,8 +52,8 @@ def stage(spec: mujoco.MjSpec) -> mujoco.MjModel:
   spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
   spec.visual.quality.shadowsize = 8192
   spec.visual.map.shadowclip = 2.5
-  spec.visual.global_.offwidth = SIZE[0] * OVERSAMPLING
-  spec.visual.global_.offheight = SIZE[1] * OVERSAMPLING
+  spec.visual.global_.offwidth = size[0] * OVERSAMPLING
+  spec.visual.global_.offheight = size[1] * OVERSAMPLING
   return spec.compile()
 
 
@@ -72,14 +73,14 @@ def stand(model: mujoco.MjModel) -> mujoco.MjData:
   return data
 
 
-def picture(model: mujoco.MjModel, data: mujoco.MjData) -> Image.Image:
+def picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int]) -> Image.Image:
   camera = mujoco.MjvCamera()
   camera.lookat[:] = data.subtree_com[1] - [0.0, 0.0, 0.04]
   camera.distance, camera.azimuth, camera.elevation = 1.35 * model.stat.extent, 128.0, -14.0
-  with mujoco.Renderer(model, SIZE[1] * OVERSAMPLING, SIZE[0] * OVERSAMPLING) as renderer:
+  with mujoco.Renderer(model, size[1] * OVERSAMPLING, size[0] * OVERSAMPLING) as renderer:
     renderer.update_scene(data, camera)
     pixels = renderer.render()
-  return Image.fromarray(np.asarray(pixels)).resize(SIZE, Image.Resampling.LANCZOS)
+  return Image.fromarray(np.asarray(pixels)).resize(size, Image.Resampling.LANCZOS)
 
 
 def main() -> None:
@@ -89,9 +90,9 @@ def main() -> None:
   args = parser.parse_args()
   args.out.mkdir(parents=True, exist_ok=True)
   for name, spec_fn in ROBOTS.items():
-    model = stage(spec_fn("require" if args.meshes else "never"))
+    model = stage(spec_fn("require" if args.meshes else "never"), SIZES[name])
     path = args.out / f"{name}.png"
-    picture(model, stand(model)).save(path, optimize=True)
+    picture(model, stand(model), SIZES[name]).save(path, optimize=True)
     print(path)
 
 
