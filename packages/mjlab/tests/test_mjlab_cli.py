@@ -68,9 +68,9 @@ def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytes
     ),
     (["--num-envs", "3"], 2, "--num-envs: no such option. Did you mean --env.scene.num-envs?"),
     (["--devise", "cpu"], 2, "--devise: no such option. Did you mean --device?"),
-    (["--verbose", "yes"], 2, "--verbose: takes no value, got yes"),
+    (["--verbose", "yes"], 2, "--verbose: expected no value (--no-verbose switches it off), got yes"),
     (["--verbose", "--quiet"], 2, "exclude each other"),
-    (["--seed", "x"], 2, "--seed: expected INT, got x"),
+    (["--seed", "x"], 2, "--seed: expected {None}|INT, got x"),
     (["--resume", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
     (["--device", "cuda:77"], 1, "device 'cuda:77' does not exist; there is cpu"),
     (["--env.actions.torque.actuators", "hings"], 1, "Nearest: hinge"),
@@ -106,12 +106,13 @@ def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.Captu
 def test_help_of_a_task_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
   assert cli.train([TASK, "--help", "joint_speed"]) == 0
   shown = capsys.readouterr().out
-  assert "--env.rewards.joint-speed.weight FLOAT  (default: -0.01)" in shown
+  assert "--env.rewards.joint-speed.weight FLOAT" in shown
   assert "--agent" not in shown
   assert cli.train([TASK, "-h"]) == 0
   shown = capsys.readouterr().out
-  assert "--agent.algorithm.learning-rate FLOAT  (default: 0.001)" in shown
-  assert "--resume [RUN]" in shown
+  assert "--agent.algorithm.learning-rate FLOAT" in shown
+  assert "--resume" in shown
+  assert cli.train([TASK, "--help", "no_such_flag"]) == 2
 
 
 def test_list_envs_filters_and_succeeds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,16 @@
 import enum
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pytest
-from mjlab.cli._config_flags import describe, flags, override
+from mjlab.cli._config_flags import flags
 from mjlab.cli._errors import UsageError
+from mjlab.cli._flag_parser import parse, print_completion, print_help
+
+# A configuration may hold a list where its annotation says tuple.
+A_LIST: Any = ["a"]
 
 
 class Mode(enum.Enum):
@@ -36,12 +41,25 @@ class EnvCfg:
   cone: Literal["pyramidal", "elliptic"] | None = None
   mode: Mode = Mode.FAST
   range: tuple[float, float] = (0.0, 1.0)
+  shade: float | tuple[float, float] = 0.5
+  limit: float | None = 2.0
+  groups: tuple[str, ...] = field(default_factory=lambda: A_LIST)
+  hole: float = math.nan
   dims: tuple[int, ...] = (64, 64)
   names: str | Sequence[str] = "foot"
+  ids: str | int | tuple[str, ...] | tuple[int, ...] | None = None
   noise: ActuatorCfg | None = field(default_factory=ActuatorCfg)
   actuators: tuple[ActuatorCfg, ...] = (ActuatorCfg(1.0), ActuatorCfg({".*_hip": 2.0}))
   rewards: dict[str, TermCfg | None] = field(default_factory=dict)
   hook: Callable[[], None] | None = None
+
+
+@dataclass(kw_only=True)
+class Line:
+  """What `train` reads: flags of its own and a configuration."""
+
+  seed: int | None = None
+  env: EnvCfg
 
 
 SHARED = TermCfg(func=max, weight=-0.1, params={"std": 1, "range": (-1.0, 1), "sensor": "s", "names": ("x", "y")})
@@ -51,44 +69,67 @@ def config() -> EnvCfg:
   return EnvCfg(rewards={"foot_slip": SHARED, "other": SHARED})
 
 
-def put(flag: str, *words: str) -> EnvCfg:
-  return override(config(), "env", [(flag, list(words))])
+def put(*words: str) -> EnvCfg:
+  return parse(Line(env=config()), words).env
 
 
 @pytest.mark.parametrize(
-  ("flag", "words", "name", "value"),
+  ("flag", "name", "value"),
   [
-    ("num-envs", ["10_000"], "num_envs", 10_000),
-    ("num_envs", ["1e3"], "num_envs", 1000),
-    ("dt", ["0.01"], "dt", 0.01),
-    ("dt", ["None"], "dt", None),
-    ("corrupt", [], "corrupt", True),
-    ("corrupt", ["false"], "corrupt", False),
-    ("no-corrupt", [], "corrupt", False),
-    ("name", ["None"], "name", "None"),
-    ("cone", ["elliptic"], "cone", "elliptic"),
-    ("mode", ["SLOW"], "mode", Mode.SLOW),
-    ("range", ["-0.5", "2"], "range", (-0.5, 2.0)),
-    ("range", ["(-0.5, 2)"], "range", (-0.5, 2.0)),
-    ("range", ["-0.5,2"], "range", (-0.5, 2.0)),
-    ("dims", ["8"], "dims", (8,)),
-    ("dims", ["8", "9", "10"], "dims", (8, 9, 10)),
-    ("names", ["toe"], "names", "toe"),
-    ("names", ["toe", "heel"], "names", ("toe", "heel")),
-    ("noise", ["None"], "noise", None),
+    ("--env.num-envs 10_000", "num_envs", 10_000),
+    ("--env.num_envs 3", "num_envs", 3),
+    ("--env.num-envs=3", "num_envs", 3),
+    ("--env.num-envs 2 --env.num-envs 3", "num_envs", 3),
+    ("--env.dt 0.01", "dt", 0.01),
+    ("--env.dt -1e-3", "dt", -0.001),
+    ("--env.dt None", "dt", None),
+    ("--env.limit None", "limit", None),
+    ("--env.limit -inf", "limit", -math.inf),
+    ("--env.no-corrupt", "corrupt", False),
+    ("--env.corrupt", "corrupt", True),
+    ("--env.name None", "name", "None"),
+    ("--env.name=--x", "name", "--x"),
+    ("--env.cone elliptic", "cone", "elliptic"),
+    ("--env.cone None", "cone", None),
+    ("--env.mode SLOW", "mode", Mode.SLOW),
+    ("--env.range -0.5 2", "range", (-0.5, 2.0)),
+    ("--env.shade 1", "shade", 1.0),
+    ("--env.shade 1 2", "shade", (1.0, 2.0)),
+    ("--env.dims 8", "dims", (8,)),
+    ("--env.dims 8 9 10", "dims", (8, 9, 10)),
+    ("--env.dims", "dims", ()),
+    ("--env.names toe", "names", "toe"),
+    ("--env.names toe heel", "names", ("toe", "heel")),
+    ("--env.groups b c", "groups", ["b", "c"]),
+    ("--env.ids 3", "ids", 3),
+    ("--env.ids 3 4", "ids", (3, 4)),
+    ("--env.ids toe", "ids", "toe"),
+    ("--env.noise None", "noise", None),
+    ("--env.noise.stiffness 3 --env.noise None", "noise", None),
+    ("--env.noise on", "noise", ActuatorCfg()),
   ],
 )
-def test_a_flag_sets_its_value(flag: str, words: list[str], name: str, value: Any) -> None:
-  changed = put(f"env.{flag}", *words)
+def test_a_flag_sets_its_value_and_no_other(flag: str, name: str, value: Any) -> None:
+  changed = put(*flag.split())
   assert getattr(changed, name) == value
   assert type(getattr(changed, name)) is type(value)
-  before = config()
-  setattr(before, name, value)
-  assert changed == before
+  expected = config()
+  setattr(expected, name, value)
+  assert changed == expected
+
+
+def test_nothing_given_gives_the_same_objects_back() -> None:
+  line = Line(env=config())
+  assert parse(line, []) is line
+  assert parse(line, ["--seed", "1"]).env is line.env
+
+
+def test_a_value_that_is_there_already_may_be_given() -> None:
+  assert put("--env.num-envs", "1", "--env.range", "0", "1", "--env.name", "a") == config()
 
 
 def test_a_term_is_changed_alone_even_where_it_is_shared() -> None:
-  changed = put("env.rewards.foot-slip.weight", "-0.2")
+  changed = put("--env.rewards.foot-slip.weight", "-0.2")
   assert changed.rewards["foot_slip"] == TermCfg(func=max, weight=-0.2, params=SHARED.params)
   assert changed.rewards["other"] is SHARED
   assert SHARED.weight == -0.1
@@ -98,62 +139,115 @@ def test_a_term_is_changed_alone_even_where_it_is_shared() -> None:
   ("param", "words", "value"),
   [
     ("std", ["0.5"], 0.5),
+    ("std", ["2"], 2),
     ("range", ["0.5", "2"], (0.5, 2)),
     ("sensor", ["t"], "t"),
     ("names", ["a", "b", "c"], ("a", "b", "c")),
   ],
 )
 def test_an_untyped_parameter_keeps_its_kind(param: str, words: list[str], value: Any) -> None:
-  term = put(f"env.rewards.foot-slip.params.{param}", *words).rewards["foot_slip"]
+  term = put(f"--env.rewards.foot-slip.params.{param}", *words).rewards["foot_slip"]
   assert term is not None
   assert term.params == {**SHARED.params, param: value}
+  assert type(term.params[param]) is type(value)
 
 
 def test_a_term_is_switched_off_with_none() -> None:
-  assert put("env.rewards.foot-slip", "None").rewards == {"foot_slip": None, "other": SHARED}
+  assert put("--env.rewards.foot-slip", "None").rewards == {"foot_slip": None, "other": SHARED}
 
 
 def test_elements_of_tuples_and_patterns_are_flags_too() -> None:
-  assert put("env.actuators.0.stiffness", "5").actuators[0] == ActuatorCfg(5.0)
-  assert put("env.actuators.1.stiffness..*-hip", "5").actuators[1] == ActuatorCfg({".*_hip": 5.0})
+  assert put("--env.actuators.0.stiffness", "5").actuators[0] == ActuatorCfg(5.0)
+  assert put("--env.actuators.1.stiffness.*-hip", "5").actuators[1] == ActuatorCfg({".*_hip": 5.0})
+  assert put("--env.actuators.1.stiffness.*_hip", "5").actuators[1] == ActuatorCfg({".*_hip": 5.0})
+
+
+def test_keys_that_differ_in_hyphens_alone_are_one_flag(capsys: pytest.CaptureFixture[str]) -> None:
+  stiffness: dict[str, float] = {"a_b": 1.0, "a-b": 2.0}
+  assert parse(ActuatorCfg(stiffness), ["--stiffness.a_b", "3"]).stiffness == {"a_b": 1.0, "a-b": 3.0}
+  print_help(ActuatorCfg(stiffness), prog="train", description="")
+  assert capsys.readouterr().out.count("--stiffness.a-b FLOAT") == 1
 
 
 @pytest.mark.parametrize(
-  ("flag", "words", "message"),
+  ("given", "message"),
   [
-    ("env.num-envs", ["abc"], "--env.num-envs: expected INT, got abc"),
-    ("env.num-envs", ["1.5"], "--env.num-envs: expected INT, got 1.5"),
-    ("env.num-envs", [], "--env.num-envs: expected INT, got nothing"),
-    ("env.cone", ["round"], "--env.cone: expected pyramidal|elliptic|None, got round"),
-    ("env.mode", ["MEDIUM"], "--env.mode: expected FAST|SLOW, got MEDIUM"),
-    ("env.range", ["1"], "--env.range: expected FLOAT FLOAT, got 1"),
-    ("env.corrupt", ["maybe"], "--env.corrupt: expected true|false, got maybe"),
+    ("--env.num-envs abc", "--env.num-envs: expected INT, got abc"),
+    ("--env.num-envs 1.5", "--env.num-envs: expected INT, got 1.5"),
+    ("--env.num-envs", "--env.num-envs: expected INT, got nothing"),
+    ("--env.num-envs=", "--env.num-envs: expected INT, got nothing"),
+    ("--env.num-envs 1 2", "--env.num-envs: expected INT, got 1 2"),
+    ("--env.num-envs 1 --env.dt x", "--env.dt: expected {None}|FLOAT, got x"),
+    ("--env.cone round", "--env.cone: expected {None,pyramidal,elliptic}, got round"),
+    ("--env.mode MEDIUM", "--env.mode: expected {FAST,SLOW}, got MEDIUM"),
+    ("--env.range 1", "--env.range: expected FLOAT FLOAT, got 1"),
+    ("--env.range 1 x", "--env.range: expected FLOAT FLOAT, got 1 x"),
+    ("--env.corrupt false", "--env.corrupt: expected no value (--env.no-corrupt switches it off), got false"),
+    ("--env.corrupt=false", "--env.corrupt: expected no value (--env.no-corrupt switches it off), got false"),
+    ("--env.rewards.foot-slip 1", "--env.rewards.foot-slip: expected {on,None}, got 1"),
+    ("--env.num-envs --env.dt 1", "--env.num-envs: expected INT, got nothing"),
+    ("4 --env.dt 1", "'4': not a flag"),
     (
-      "env.rewards.foot-slp.weight",
-      ["1"],
+      "--env.rewards.foot-slp.weight 1",
       "--env.rewards.foot-slp.weight: no such option. Did you mean --env.rewards.foot-slip.weight?",
     ),
-    ("env.weight", ["1"], "--env.weight: no such option. Did you mean --env.rewards.other.weight?"),
+    ("--env.weight=1", "--env.weight: no such option. Did you mean --env.rewards.other.weight?"),
+    ("--env.no-dt", "--env.no-dt: no such option. Did you mean --env.dt?"),
     (
-      "env.rewards",
-      ["1"],
+      "--env.rewards 1",
       "--env.rewards: not a single value; its options are --env.rewards.foot-slip, --env.rewards.foot-slip.weight, "
       "--env.rewards.foot-slip.params.std, ...",
     ),
-    ("env.rewards.foot-slip", ["1"], "--env.rewards.foot-slip: expected None, got 1"),
   ],
 )
-def test_a_mistake_says_what_is_possible(flag: str, words: list[str], message: str) -> None:
+def test_a_mistake_says_what_is_possible(given: str, message: str, capfd: pytest.CaptureFixture[str]) -> None:
   with pytest.raises(UsageError) as error:
-    put(flag, *words)
+    put(*given.split())
   assert str(error.value) == message
+  assert capfd.readouterr() == ("", "")
 
 
-def test_help_names_type_default_and_meaning_once_per_group() -> None:
-  text = describe(flags(config(), "env"))
-  assert "  --env.num-envs INT  (default: 1)\n      Number of worlds." in text
-  assert "  --env.rewards.foot-slip.weight FLOAT  (default: -0.1)\n      Factor of the term." in text
-  assert "  --env.range FLOAT FLOAT  (default: 0.0 1.0)" in text
-  headings = [line for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
-  assert len(headings) == len(set(headings))
+def test_what_cannot_be_typed_is_no_flag() -> None:
+  names = {flag.name for flag in flags(Line(env=config()))}
+  assert not {"env.hook", "env.rewards.foot-slip.func"} & names
+
+
+def help_of(word: str, capsys: pytest.CaptureFixture[str]) -> str:
+  print_help(Line(env=config()), prog="train Task", description="More.", word=word)
+  return capsys.readouterr().out
+
+
+def test_help_names_type_default_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+  text = help_of("", capsys)
+  for shown in (
+    "usage: train Task",
+    "More.",
+    "--seed {None}|INT",
+    "--env.num-envs INT",
+    "Number of worlds. (default: 1)",
+  ):
+    assert shown in text
+  for shown in ("--env.corrupt, --env.no-corrupt", "--env.range FLOAT FLOAT", "(default: 0.0 1.0)"):
+    assert shown in text
   assert "hook" not in text
+
+
+def test_help_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
+  text = help_of("--env.rewards.foot_slip.w", capsys)
+  assert "--env.rewards.foot-slip.weight FLOAT" in text
+  assert "Factor of the term. (default: -0.1)" in text
+  assert "num-envs" not in text
+  with pytest.raises(UsageError, match=r"--nothing: no such option\."):
+    help_of("nothing", capsys)
+
+
+def test_completion_knows_tasks_and_flags(capsys: pytest.CaptureFixture[str]) -> None:
+  line = Line(env=config())
+  print_completion({"Task": line, "Other": line}, prog="train", arguments=["--tyro-print-completion", "bash"])
+  script = capsys.readouterr().out
+  assert "Task" in script
+  assert "Other" in script
+  assert "--env.rewards.foot-slip.weight" in script
+  for arguments in (["--tyro-print-completion"], ["--tyro-print-completion", "cmd"]):
+    with pytest.raises(UsageError, match=r"expected bash\|zsh\|tcsh\|fish"):
+      print_completion({"Task": line}, prog="train", arguments=arguments)

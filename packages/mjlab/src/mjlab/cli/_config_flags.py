@@ -16,66 +16,87 @@ import textwrap
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, Union
+from typing import Any, Literal, TypeVar, Union
 
-from mjlab_core import nearest
-
-from mjlab.cli._errors import UsageError
+ConfigT = TypeVar("ConfigT")
 
 _SCALARS = (bool, int, float, str)
 _NONE = type(None)
+# A whole term or part, which is there and can be taken away.
+_PART: Any = Literal["on", "None"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Flag:
   """One settable value of a configuration."""
 
-  name: str
-  """Without the two hyphens: "env.rewards.foot-slip.weight"."""
   path: tuple[Any, ...]
   """Attribute names, keys and indices from the root."""
   value: Any
-  """Present value."""
-  kinds: tuple[Any, ...]
-  """Types it may have: scalars, Literal, enums, tuple[...] or list[...], NoneType."""
-  owner: type | None
-  """Dataclass that has it as a field."""
-  is_part: bool = False
-  """A whole term or part, which can only be switched off."""
+  """Present value; "on" for a whole part."""
+  kind: Any
+  """Type annotation of what it may be."""
+  about: str = ""
+  """What it means."""
+
+  @functools.cached_property
+  def parts(self) -> tuple[str, ...]:
+    """The steps of its name. Dots at the ends of a pattern would be empty steps."""
+    return tuple(str(part).strip(".").replace("_", "-") for part in self.path)
 
   @property
-  def type_name(self) -> str:
-    """What to write after it."""
-    return "|".join(dict.fromkeys(_type_name(kind) for kind in self.kinds))
+  def name(self) -> str:
+    """Without the two hyphens: "env.rewards.foot-slip.weight"."""
+    return ".".join(self.parts)
 
 
-def flags(config: Any, prefix: str) -> list[Flag]:
-  """All flags of a configuration, in the order of its fields."""
-  return list(_walk(config, (prefix,), Any, None))
+def flags(config: Any) -> list[Flag]:
+  """All flags of a configuration, in the order of its fields; keys that differ in hyphens alone share the last's."""
+  return list({flag.name: flag for flag in _walk(config, (), Any, "")}.values())
 
 
-def _walk(value: Any, path: tuple[Any, ...], annotation: Any, owner: type | None) -> Iterator[Flag]:
-  name = ".".join(str(part).replace("_", "-") for part in path)
+def with_values(config: ConfigT, values: Sequence[tuple[Flag, Any]]) -> ConfigT:
+  """A copy of `config` in which these flags have these values."""
+  # From the back: what is inside a part is set before the part is switched off.
+  for flag, value in reversed(values):
+    config = replaced(config, flag.path, None if flag.kind is _PART and value == "None" else value)
+  return config
+
+
+def replaced(config: Any, path: Sequence[Any], new: Any) -> Any:
+  """A copy of `config` with another value at `path`; what is not on the path is shared with the original."""
+  if not path:
+    return new
+  head, rest = path[0], path[1:]
+  if isinstance(config, tuple):
+    return tuple(replaced(item, rest, new) if i == head else item for i, item in enumerate(config))
+  changed = copy.copy(config)
+  if dataclasses.is_dataclass(config):
+    # Also for frozen classes; their checks run again when the environment is built.
+    object.__setattr__(changed, head, replaced(getattr(config, head), rest, new))
+  else:
+    changed[head] = replaced(config[head], rest, new)
+  return changed
+
+
+def _walk(value: Any, path: tuple[Any, ...], annotation: Any, about: str) -> Iterator[Flag]:
   if dataclasses.is_dataclass(value) and not isinstance(value, type):
     if _NONE in _members(annotation):
-      yield Flag(name=name, path=path[1:], value=value, kinds=(_NONE,), owner=owner, is_part=True)
-    hints = _hints(type(value))
+      yield Flag(path=path, value="on", kind=_PART, about="None switches it off.")
+    hints, docs = _hints(type(value)), _field_docs(type(value))
     for field in dataclasses.fields(value):
       if field.init and not field.name.startswith("_"):
-        kind = hints.get(field.name, Any)
-        yield from _walk(getattr(value, field.name), (*path, field.name), kind, type(value))
+        kind, doc = hints.get(field.name, Any), docs.get(field.name, "")
+        yield from _walk(getattr(value, field.name), (*path, field.name), kind, doc)
   elif isinstance(value, Mapping):
-    item_kind = _mapping_item(annotation)
     for key, item in value.items():
       if isinstance(key, (str, int)):
-        yield from _walk(item, (*path, key), item_kind, None)
-  elif isinstance(value, (tuple, list)) and not all(_is_plain(item) for item in value):
+        yield from _walk(item, (*path, key), _item_annotation(annotation), "")
+  elif isinstance(value, (tuple, list)) and not _is_plain(value):
     for index, item in enumerate(value):
-      yield from _walk(item, (*path, index), Any, None)
-  else:
-    kinds = _kinds(annotation, value)
-    if kinds:
-      yield Flag(name=name, path=path[1:], value=value, kinds=kinds, owner=owner)
+      yield from _walk(item, (*path, index), Any, "")
+  elif (kind := _kind(annotation, value)) is not None:
+    yield Flag(path=path, value=value, kind=kind, about=about)
 
 
 def _is_plain(value: Any) -> bool:
@@ -102,7 +123,7 @@ def _members(annotation: Any) -> list[Any]:
   return [annotation]
 
 
-def _mapping_item(annotation: Any) -> Any:
+def _item_annotation(annotation: Any) -> Any:
   for member in _members(annotation):
     arguments = typing.get_args(member)
     if len(arguments) == 2 and isinstance(typing.get_origin(member), type):
@@ -110,13 +131,17 @@ def _mapping_item(annotation: Any) -> Any:
   return Any
 
 
-def _kinds(annotation: Any, value: Any) -> tuple[Any, ...]:
-  """Types a flag may take: those of its annotation that can be typed in, else that of its value."""
-  found = [member for member in _members(annotation) if _is_typable(member)]
-  if not any(kind is not _NONE for kind in found):
-    found = [*_kinds_of(value), *found]
-  is_present = any(_fits(value, kind) for kind in found)
-  return tuple(found) if any(kind is not _NONE for kind in found) and is_present else ()
+def _kind(annotation: Any, value: Any) -> Any:
+  """The part of an annotation that can be typed in, or else the type of the value; None where there is neither."""
+  kinds = [member for member in _members(annotation) if _is_typable(member)]
+  if kinds in ([], [_NONE]) or not any(_fits(value, kind) for kind in kinds):
+    found = _kind_of(value)
+    if found is None:
+      return None
+    kinds.insert(0, found)
+  # The first that fits wins, and every word is a string.
+  kinds.sort(key=lambda kind: str in (kind, *typing.get_args(kind)))
+  return Union[tuple(kinds)]  # noqa: UP007
 
 
 def _is_typable(kind: Any) -> bool:
@@ -129,228 +154,35 @@ def _is_typable(kind: Any) -> bool:
   )
 
 
-def _kinds_of(value: Any) -> list[Any]:
-  if isinstance(value, enum.Enum):
-    return [type(value)]
-  for kind in _SCALARS:
-    if type(value) is kind:
-      # An untyped parameter that happens to be a whole number may well take a fraction.
-      return [int, float] if kind is int else [kind]
-  if isinstance(value, (tuple, list)) and value:
-    parts = [_kinds_of(item) for item in value]
-    if not all(parts):
-      return []
-    kinds: Any = tuple(Union[tuple(part)] for part in parts)  # noqa: UP007
-    if isinstance(value, list):
-      return [list.__class_getitem__(kinds[0])]
-    # The length of a row of numbers means something, that of a row of names does not.
-    return [tuple.__class_getitem__((kinds[0], ...) if kinds[0] is str else kinds)]
-  return []
-
-
 def _fits(value: Any, kind: Any) -> bool:
   origin = typing.get_origin(kind)
   if origin is Literal:
     return value in typing.get_args(kind)
-  if origin is not None:
-    return isinstance(value, (tuple, list))
-  return isinstance(value, (int, float)) if kind is float else isinstance(value, kind)
+  if kind is float:
+    return isinstance(value, (int, float))
+  return isinstance(value, origin or kind)
 
 
-def override(config: Any, prefix: str, given: Sequence[tuple[str, list[str]]]) -> Any:
-  """A copy of `config` with the given flags set.
-
-  Args:
-    config: Configuration; not changed.
-    prefix: First part of the flags that mean it, such as "env"; others are passed over.
-    given: Flags as typed, without hyphens, each with the words after it.
-
-  Raises:
-    UsageError: No such flag (the message names the nearest), or a value that does not fit.
-  """
-  for typed, words in given:
-    if typed.partition(".")[0] != prefix:
-      continue
-    known = {flag.name: flag for flag in flags(config, prefix)}
-    name = typed.replace("_", "-")
-    parent, _, last = name.rpartition(".")
-    positive = f"{parent}.{last.removeprefix('no-')}"
-    if name in known:
-      config = _replace(config, known[name].path, _parse(known[name], words))
-    elif last.startswith("no-") and positive in known and bool in known[positive].kinds and not words:
-      config = _replace(config, known[positive].path, False)
-    else:
-      raise UsageError(unknown_flag(name, list(known)))
-  return config
-
-
-def unknown_flag(name: str, known: Sequence[str]) -> str:
-  """What to say about a flag that does not exist."""
-  inside = [flag for flag in known if flag.startswith(f"{name}.")]
-  if inside:
-    return f"--{name}: not a single value; its options are {_list(inside)}"
-  # A part of the same name elsewhere is likelier meant than a name that merely looks alike.
-  last = name.rpartition(".")[2]
-  close = nearest(name, [flag for flag in known if flag.rpartition(".")[2] == last] or known)
-  return f"--{name}: no such option." + (f" Did you mean --{close[0]}?" if close else "")
-
-
-def _list(names: Sequence[str]) -> str:
-  shown = [f"--{name}" for name in names[:3]]
-  return ", ".join(shown) + (", ..." if len(names) > 3 else "")
-
-
-def _replace(value: Any, path: tuple[Any, ...], new: Any) -> Any:
-  if not path:
-    return new
-  head, rest = path[0], path[1:]
-  if dataclasses.is_dataclass(value):
-    changed = copy.copy(value)
-    # Also for frozen classes; their checks run again when the environment is built.
-    object.__setattr__(changed, head, _replace(getattr(value, head), rest, new))
-    return changed
-  if isinstance(value, tuple):
-    return tuple(_replace(item, rest, new) if i == head else item for i, item in enumerate(value))
-  changed = copy.copy(value)
-  changed[head] = _replace(value[head], rest, new)
-  return changed
-
-
-def _parse(flag: Flag, words: list[str]) -> Any:
-  for kind in sorted(flag.kinds, key=lambda kind: _order(kind, words)):
-    try:
-      return _convert(words, kind)
-    except (ValueError, SyntaxError):
-      continue
-  got = " ".join(words) if words else "nothing"
-  raise UsageError(f"--{flag.name}: expected {flag.type_name}, got {got}")
-
-
-def _order(kind: Any, words: list[str]) -> int:
-  """Strict types first: a word is read as a string only where it is nothing else."""
-  if typing.get_origin(kind) in (tuple, list):
-    return 7 if len(words) == 1 and words[0][:1] not in ("(", "[") else 1
-  order: dict[Any, int] = {_NONE: 0, bool: 2, int: 3, float: 4, str: 6}
-  return order.get(kind, 1)
-
-
-def _convert(words: list[str], kind: Any) -> Any:
-  origin = typing.get_origin(kind)
-  if origin in (tuple, list):
-    return origin(_convert_items(words, kind))
-  if kind is bool and not words:
-    return True
-  if len(words) != 1:
-    raise ValueError("one word is wanted")
-  return _convert_word(words[0], kind)
-
-
-def _convert_word(word: str, kind: Any) -> Any:
-  if typing.get_origin(kind) is Literal:
-    for choice in typing.get_args(kind):
-      if str(choice) == word:
-        return choice
-    raise ValueError(word)
-  if kind is _NONE:
-    if word.lower() == "none":
-      return None
-    raise ValueError(word)
-  if kind is bool:
-    return {"true": True, "false": False}[word.lower()] if word.lower() in ("true", "false") else _fail(word)
-  if kind is int:
-    try:
-      return int(word)
-    except ValueError:
-      number = float(word)
-      return int(number) if number.is_integer() else _fail(word)
-  if isinstance(kind, type) and issubclass(kind, enum.Enum):
-    return kind[word] if word in kind.__members__ else _fail(word)
-  return kind(word)
-
-
-def _fail(word: str) -> Any:
-  raise ValueError(word)
-
-
-def _convert_items(words: list[str], kind: Any) -> list[Any]:
-  if len(words) == 1 and words[0][:1] in ("(", "["):
-    items: list[Any] = list(ast.literal_eval(words[0]))
-  elif len(words) == 1 and "," in words[0]:
-    items = [word.strip() for word in words[0].split(",") if word.strip()]
-  else:
-    items = list(words)
-  arguments = typing.get_args(kind)
-  is_open = typing.get_origin(kind) is list or (len(arguments) == 2 and arguments[1] is Ellipsis)
-  kinds = [arguments[0]] * len(items) if is_open else list(arguments)
-  if len(kinds) != len(items):
-    raise ValueError("wrong number of items")
-  return [_convert_item(item, part) for item, part in zip(items, kinds, strict=True)]
-
-
-def _convert_item(item: Any, annotation: Any) -> Any:
-  members = _members(annotation)
-  words = [str(item)]
-  for kind in sorted(members, key=lambda kind: _order(kind, words)):
-    try:
-      return _convert(words, kind)
-    except (ValueError, SyntaxError):
-      continue
-  raise ValueError(str(item))
-
-
-def _type_name(kind: Any) -> str:
-  origin = typing.get_origin(kind)
-  if origin is Literal:
-    return "|".join(str(choice) for choice in typing.get_args(kind))
-  if origin in (tuple, list):
-    arguments = typing.get_args(kind)
-    if origin is list or (len(arguments) == 2 and arguments[1] is Ellipsis):
-      return f"{_union_name(arguments[0])}..."
-    return " ".join(_union_name(part) for part in arguments)
-  if kind is _NONE:
-    return "None"
-  if kind is bool:
-    return "true|false"
-  if isinstance(kind, type) and issubclass(kind, enum.Enum):
-    return "|".join(kind.__members__)
-  return kind.__name__.upper()
-
-
-def _union_name(annotation: Any) -> str:
-  names = [_type_name(member) for member in _members(annotation)]
-  return "FLOAT" if names == ["INT", "FLOAT"] else "|".join(names)
-
-
-def describe(shown: Sequence[Flag]) -> str:
-  """Help text of flags, grouped by the part of the configuration they are in."""
-  groups: dict[str, list[str]] = {}
-  for flag in shown:
-    if flag.is_part:
-      groups.setdefault(flag.name, []).append(f"  --{flag.name} None  (switches it off)")
-      continue
-    lines = groups.setdefault(flag.name.rpartition(".")[0], [])
-    lines.append(f"  --{flag.name} {_types(flag)}  (default: {_shown(flag.value)})")
-    about = _field_docs(flag.owner).get(flag.path[-1], "") if flag.owner is not None else ""
-    if about:
-      lines.append(f"      {about}")
-  return "\n\n".join("\n".join([f"{group}:", *lines]) for group, lines in groups.items())
-
-
-def _types(flag: Flag) -> str:
-  return "FLOAT" if flag.type_name == "INT|FLOAT" else flag.type_name
-
-
-def _shown(value: Any) -> str:
+def _kind_of(value: Any) -> Any:
   if isinstance(value, enum.Enum):
-    return value.name
-  if isinstance(value, (tuple, list)):
-    return " ".join(_shown(item) for item in value) or "empty"
-  return repr(value) if isinstance(value, str) and not value else str(value)
+    return type(value)
+  if type(value) in _SCALARS:
+    # An untyped parameter that happens to be a whole number may well take a fraction.
+    return int | float if type(value) is int else type(value)
+  if isinstance(value, (tuple, list)) and value:
+    parts = [_kind_of(item) for item in value]
+    if None in parts:
+      return None
+    if isinstance(value, list):
+      return list.__class_getitem__(parts[0])
+    # The length of a row of numbers means something, that of a row of names does not.
+    return tuple.__class_getitem__((str, ...) if parts[0] is str else tuple(parts))
+  return None
 
 
 @functools.cache
 def _field_docs(cls: type) -> dict[str, str]:
-  """First line of the string under each field of a dataclass and its bases."""
+  """First paragraph of the string under each field of a dataclass and its bases."""
   docs: dict[str, str] = {}
   for base in reversed(cls.__mro__):
     if not dataclasses.is_dataclass(base):
@@ -364,5 +196,5 @@ def _field_docs(cls: type) -> dict[str, str]:
       if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
         continue
       if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str):
-        docs[field.target.id] = text.value.value.strip().splitlines()[0]
+        docs[field.target.id] = " ".join(text.value.value.partition("\n\n")[0].split())
   return docs
