@@ -366,12 +366,23 @@ def test_frames_that_do_not_exist_are_refused_by_name() -> None:
     cfg.build().edit_spec(scene(PLANE), ENTITIES)
 
 
-def test_looking_through_several_bodies_is_refused() -> None:
-  cfg = TerrainHeightSensorCfg(
-    name="all", frames=FrameMatch(type="body", pattern=("world", "robot/base")), exclude_parent_body=True
+def test_each_frame_looks_through_its_own_body_only() -> None:
+  # The frame of the terrain lies under the robot, whose shell hides the sky from it, not the ground from the robot.
+  frames = FrameMatch(type="body", pattern=("terrain", "robot/base"), preserve_order=True)
+  sim, (sensor,) = build(
+    TerrainHeightSensorCfg(
+      frames=frames,
+      geom_groups=None,
+      pattern=RingPatternCfg(num_samples=0),
+      exclude_parent_body=True,
+      start_height=1.2,
+      max_distance=2.0,
+      reduction="none",
+    )
   )
-  with pytest.raises(ValueError, match=r"'all': exclude_parent_body needs all frames on one body"):
-    build(cfg)
+  del sim
+  assert sensor.data.heights[0].flatten().tolist() == pytest.approx([0.0, 0.7])
+  assert sensor.data.valid[0].flatten().tolist() == [True, True]
 
 
 def test_nothing_derived_is_saved() -> None:

@@ -1,9 +1,11 @@
-"""Native, contact and terrain-height sensors over batched MuJoCo worlds."""
+"""Native, contact, ray-cast and terrain-height sensors over batched MuJoCo worlds."""
 
 from mjlab_sensors.builtin import BuiltinSensor, BuiltinSensorCfg, ObjRef, SensorType
 from mjlab_sensors.contact import ContactData, ContactMatch, ContactSensor, ContactSensorCfg
 from mjlab_sensors.frames import FrameMatch
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg, RingPatternCfg
+from mjlab_sensors.pinhole import PinholeCameraPatternCfg
+from mjlab_sensors.ray_cast import RayCastData, RayCastSensor, RayCastSensorCfg
 from mjlab_sensors.sensor import Sensor, SensorCfg
 from mjlab_sensors.terrain_height import TerrainHeightData, TerrainHeightSensor, TerrainHeightSensorCfg
 
@@ -17,6 +19,10 @@ __all__ = [
   "FrameMatch",
   "GridPatternCfg",
   "ObjRef",
+  "PinholeCameraPatternCfg",
+  "RayCastData",
+  "RayCastSensor",
+  "RayCastSensorCfg",
   "RayPatternCfg",
   "RingPatternCfg",
   "Sensor",

@@ -11,15 +11,19 @@ if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 
-def plane_height(sim: Simulation, geom_groups: tuple[int, ...] | None, body_exclude: int) -> float | None:
-  """World height of the only geom in `geom_groups` if it is a fixed, infinite, horizontal plane [m]; else None."""
+def plane_height(sim: Simulation, geom_groups: tuple[int, ...] | None, excluded: set[int]) -> float | None:
+  """World height of the only geom in `geom_groups` if it is a fixed, infinite, horizontal plane [m]; else None.
+
+  Geoms of bodies in `excluded`, through which some rays pass, do not count where that is one body.
+  """
   model = sim.mj_model
+  unseen = excluded if len(excluded) == 1 else set()
   seen = [
     geom
     for geom in range(model.ngeom)
-    if (geom_groups is None or model.geom_group[geom] in geom_groups) and model.geom_bodyid[geom] != body_exclude
+    if (geom_groups is None or model.geom_group[geom] in geom_groups) and model.geom_bodyid[geom] not in unseen
   ]
-  if len(seen) != 1:
+  if len(seen) != 1 or model.geom_bodyid[seen[0]] in excluded:
     return None
   geom = seen[0]
   body = int(model.geom_bodyid[geom])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from math import inf
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
+import mujoco
 import torch
+from mjlab_core import unknown
 
 from mjlab_sensors.frames import FrameSet
 from mjlab_sensors.patterns import RayPatternCfg
@@ -15,22 +18,50 @@ if TYPE_CHECKING:
 RayAlignment = Literal["base", "yaw", "world"]
 
 
-class RayReading(NamedTuple):
-  """What the rays of a fan hit, each (num_envs, num_frames * num_rays), frame by frame."""
+def check_rays(
+  label: str, alignment: str, max_distance: float, start_height: float, geom_groups: tuple[int, ...] | None
+) -> None:
+  """Refuse settings of rays that are wrong whatever the scene.
 
+  Raises:
+    ValueError: naming the sensor `label` and the setting.
+  """
+  if alignment not in get_args(RayAlignment):
+    raise ValueError(unknown("alignment", alignment, get_args(RayAlignment), label))
+  if not max_distance > 0.0:
+    raise ValueError(f"{label}: max_distance must be positive, not {max_distance}")
+  if not 0.0 <= start_height < inf:
+    raise ValueError(f"{label}: start_height must not be negative, but is {start_height}")
+  if geom_groups is not None and not (geom_groups and all(0 <= group < mujoco.mjNGROUP for group in geom_groups)):
+    raise ValueError(f"{label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {geom_groups}")
+
+
+class RayReading(NamedTuple):
+  """Rays of a fan and what they hit, (num_envs, num_frames * num_rays, ...), frame by frame; world frame."""
+
+  origins: torch.Tensor
+  """Where the rays start, `setback` behind the points of the pattern, (..., 3) [m]."""
+  directions: torch.Tensor
+  """Unit directions, (..., 3)."""
   distance: torch.Tensor
-  """Distance from where the ray starts, `setback` included; -1 where nothing was hit [m]."""
-  below: torch.Tensor
-  """How far the hit is below the ray's frame; meaningless where nothing was hit [m]."""
-  from_inside: torch.Tensor
-  """Whether the ray started inside what it hit, and leaves it there."""
+  """Distance from where the ray starts; -1 where nothing was hit [m]."""
+  normal: torch.Tensor
+  """Surface normal at the hit; zero where nothing was hit, (..., 3)."""
+  geomid: torch.Tensor | None
+  """Geom that was hit, -1 where nothing was; None if the fan does not tell."""
+
+  @property
+  def height(self) -> torch.Tensor:
+    """World height of the hit; meaningless where nothing was hit [m]."""
+    return torch.addcmul(self.origins[..., 2], self.distance, self.directions[..., 2])
 
 
 class RayFan:
   """Casts a pattern of rays from every frame, `num_rays` from each.
 
   The pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world"). Rays
-  start `setback` [m] behind their starting points, so that a frame a little inside a surface still sees it.
+  start `setback` [m] behind their starting points, so that a frame a little inside a surface still sees it, and see
+  up to `max_distance` [m] in front of these.
   """
 
   def __init__(
@@ -41,10 +72,13 @@ class RayFan:
     *,
     alignment: RayAlignment,
     setback: float,
+    max_distance: float,
     geom_groups: tuple[int, ...] | None,
-    body_exclude: int,
+    exclude_parent_body: bool,
+    geomid: bool = False,
   ) -> None:
-    starts, directions = (torch.as_tensor(rows, dtype=sim.dtype, device=sim.device) for rows in pattern.rays())
+    rays = pattern.resolve(sim.mj_model).rays()
+    starts, directions = (torch.as_tensor(rows, dtype=sim.dtype, device=sim.device) for rows in rays)
     self.num_frames, self.num_rays = len(frames.body_ids), len(starts)
     self._frames, self._alignment = frames, alignment
     starts = starts - setback * directions
@@ -57,20 +91,19 @@ class RayFan:
     self._across = torch.stack((-y, x, zero), dim=-1)
     self._above = torch.stack((zero, zero, z), dim=-1)
     self._world_directions = directions.expand(shape).contiguous()
-    # Of a hit's height below its frame: the part that is fixed, and that which grows with the distance.
-    self._drop_at_start = (-z).expand(self.num_frames, -1)
-    self._drop_per_length = (-directions[:, 2]).expand(self.num_frames, -1)
     straight_down = bool((directions == directions.new_tensor((0.0, 0.0, -1.0))).all())
     self.points_down = straight_down and alignment != "base"
     """Whether all rays point straight down, whatever the frames do."""
     self._turns_directions = alignment == "yaw" and bool((directions[:, :2] != 0.0).any())
-    groups = None if geom_groups is None else tuple(group in geom_groups for group in range(6))
-    self._caster = sim.make_ray_caster(self.num_frames * self.num_rays, geomgroup=groups, bodyexclude=body_exclude)
+    groups = None if geom_groups is None else tuple(group in geom_groups for group in range(mujoco.mjNGROUP))
+    exclude = [body if exclude_parent_body else -1 for body in frames.body_ids for _ in range(self.num_rays)]
+    self._caster = sim.make_ray_caster(
+      len(exclude), geomgroup=groups, bodyexclude=exclude, max_distance=max_distance + setback, geomid=geomid
+    )
 
   def cast(self) -> RayReading:
     """What the rays hit now. The simulation must be current (`sim.epoch`)."""
     position = self._frames.positions[:, :, None]
-    drop_at_start, drop_per_length = self._drop_at_start, self._drop_per_length
     directions = self._world_directions
     if self._alignment == "world":
       origins = position + self._starts
@@ -84,19 +117,21 @@ class RayFan:
         cos, sin = cos[..., 0], sin[..., 0]
         directions = torch.stack((cos * x - sin * y, sin * x + cos * y, z.expand_as(cos * x)), dim=-1)
     else:
-      rotation = self._frames.rotations[:, :, None]
-      offsets = (rotation * self._starts[:, None]).sum(-1)
-      directions = (rotation * self._directions[:, None]).sum(-1)
-      origins = position + offsets
-      drop_at_start, drop_per_length = -offsets[..., 2], -directions[..., 2]
-    directions = directions.flatten(1, 2)
-    hits = self._caster.cast(origins.flatten(1, 2), directions)
-    if self.points_down:
-      from_inside = hits.normal[..., 2] < 0.0
-    else:
-      from_inside = (hits.normal * directions).sum(-1) > 0.0
-    below = torch.addcmul(drop_at_start, self._by_frame(hits.distance), drop_per_length)
-    return RayReading(distance=hits.distance, below=below.flatten(1), from_inside=from_inside)
+      columns = self._frames.rotations[:, :, None].unbind(-1)
+      origins, directions = (self._turned(columns, rows) for rows in (self._starts, self._directions))
+      origins += position
+    origins, directions = origins.flatten(1, 2), directions.flatten(1, 2)
+    hits = self._caster.cast(origins, directions)
+    return RayReading(origins, directions, hits.distance, hits.normal, hits.geomid)
 
-  def _by_frame(self, values: torch.Tensor) -> torch.Tensor:
-    return values.unflatten(1, (self.num_frames, self.num_rays))
+  def from_inside(self, rays: RayReading) -> torch.Tensor:
+    """Whether rays started inside what they hit, and leave it there, (num_envs, num_frames * num_rays) bool."""
+    if self.points_down:
+      return rays.normal[..., 2] < 0.0
+    return (rays.normal * rays.directions).sum(-1) > 0.0
+
+  @staticmethod
+  def _turned(columns: tuple[torch.Tensor, ...], rows: torch.Tensor) -> torch.Tensor:
+    """Rows turned by the matrix of these columns, a column at a time: what it takes to hold the products is large."""
+    x, y, z = (coordinate[:, None] for coordinate in rows.unbind(-1))
+    return torch.addcmul(columns[0] * x, columns[1], y).addcmul_(columns[2], z)

@@ -9,20 +9,22 @@ from typing import TYPE_CHECKING, Any, Literal
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import unknown
+from mjlab_core import quat_from_matrix, unknown
 
 from mjlab_sensors._elements import match_elements
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
-FrameType = Literal["site", "body", "geom"]
+FrameType = Literal["site", "body", "geom", "camera"]
 
 _OBJECTS = {
   "site": (mujoco.mjtObj.mjOBJ_SITE, "site_xpos", "site_xmat"),
   "body": (mujoco.mjtObj.mjOBJ_BODY, "xpos", "xmat"),
   "geom": (mujoco.mjtObj.mjOBJ_GEOM, "geom_xpos", "geom_xmat"),
+  "camera": (mujoco.mjtObj.mjOBJ_CAMERA, "cam_xpos", "cam_xmat"),
 }
+_BODY_OF = {"site": "site_bodyid", "geom": "geom_bodyid", "camera": "cam_bodyid"}
 
 # Below this length of its projection to the ground, a frame's x axis no longer tells where it is heading.
 _SHORT = 0.1
@@ -33,7 +35,7 @@ class FrameMatch:
   """Frames of the scene."""
 
   type: FrameType
-  """What carries the frames."""
+  """What carries the frames. A camera looks along its negative z axis; x points right and y up in its image."""
   pattern: str | tuple[str, ...]
   """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
   entity: str | None = None
@@ -65,8 +67,8 @@ class FrameSet:
     for name, index in zip(names, ids, strict=True):
       if index < 0:
         raise ValueError(f"{owner}: the simulation's model has no {frame_type} {name!r}")
-    owners = {"site": model.site_bodyid, "geom": model.geom_bodyid, "body": np.arange(model.nbody)}
-    self.body_ids: list[int] = [int(owners[frame_type][index]) for index in ids]
+    bodies = np.arange(model.nbody) if frame_type == "body" else getattr(model, _BODY_OF[frame_type])
+    self.body_ids: list[int] = [int(bodies[index]) for index in ids]
     self._index = torch.tensor(ids, device=sim.device)
     self._all_positions: torch.Tensor = getattr(sim.data, position)[:]
     self._all_rotations: torch.Tensor = getattr(sim.data, rotation)[:]
@@ -89,6 +91,11 @@ class FrameSet:
   def rotations(self) -> torch.Tensor:
     """Rotation matrices from frame to world, (num_envs, num_frames, 3, 3)."""
     return self._all_rotations.index_select(1, self._index)
+
+  @property
+  def quaternions(self) -> torch.Tensor:
+    """Orientations (w, x, y, z) in the world, (num_envs, num_frames, 4), w >= 0."""
+    return quat_from_matrix(self.rotations)
 
   @property
   def headings(self) -> torch.Tensor:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import floor
 
+import mujoco
 import numpy as np
 
 
@@ -16,6 +17,11 @@ class RayPatternCfg(ABC):
   @abstractmethod
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     """Starting points and unit directions in the frame, both (num_rays, 3), float64 [m]."""
+
+  def resolve(self, model: mujoco.MjModel) -> RayPatternCfg:
+    """The pattern with what it leaves to the compiled model filled in."""
+    del model
+    return self
 
 
 def _downward(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import torch
 from mjlab_core import unknown
 
 from mjlab_sensors._flat_ground import plane_height, plane_is_fixed
-from mjlab_sensors._ray_fan import RayAlignment, RayFan
+from mjlab_sensors._ray_fan import RayAlignment, RayFan, check_rays
 from mjlab_sensors.frames import FrameMatch, FrameSet
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
 from mjlab_sensors.sensor import Sensor, SensorCfg
@@ -43,23 +43,12 @@ class TerrainHeightSensorCfg(SensorCfg):
   geom_groups: tuple[int, ...] | None = (0,)
   """Geom groups that count as ground; None for all."""
   exclude_parent_body: bool = False
-  """Look through the geoms of the body that carries the frames, which must then be one body."""
+  """Rays of a frame pass through the geoms of the body that carries it."""
 
   def validate(self) -> None:
-    if self.alignment not in get_args(RayAlignment):
-      raise ValueError(unknown("alignment", self.alignment, get_args(RayAlignment), self.label))
+    check_rays(self.label, self.alignment, self.max_distance, self.start_height, self.geom_groups)
     if self.reduction not in get_args(HeightReduction):
       raise ValueError(unknown("reduction", self.reduction, get_args(HeightReduction), self.label))
-    if self.max_distance <= 0.0:
-      raise ValueError(f"{self.label}: max_distance must be positive, not {self.max_distance}")
-    if self.start_height < 0.0:
-      raise ValueError(f"{self.label}: start_height must not be negative, but is {self.start_height}")
-    if self.geom_groups is not None and not (
-      self.geom_groups and all(0 <= group < mujoco.mjNGROUP for group in self.geom_groups)
-    ):
-      raise ValueError(
-        f"{self.label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {self.geom_groups}"
-      )
 
   def _make(self, name: str) -> TerrainHeightSensor:
     return TerrainHeightSensor(name, self)
@@ -109,25 +98,19 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
     super().initialize(sim, entities)
     cfg = self.cfg
     frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
-    body_exclude = -1
-    if cfg.exclude_parent_body:
-      if len(set(frames.body_ids)) > 1:
-        raise ValueError(
-          f"{self.label}: exclude_parent_body needs all frames on one body, but {', '.join(self.frame_names)} are not. "
-          "Tell ground from robot by geom_groups."
-        )
-      body_exclude = frames.body_ids[0]
     self._fan = RayFan(
       sim,
       frames,
       cfg.pattern,
       alignment=cfg.alignment,
       setback=cfg.start_height,
+      max_distance=cfg.max_distance,
       geom_groups=cfg.geom_groups,
-      body_exclude=body_exclude,
+      exclude_parent_body=cfg.exclude_parent_body,
     )
     self._frames = frames
-    self._plane = plane_height(sim, cfg.geom_groups, body_exclude) if self._fan.points_down else None
+    excluded = set(frames.body_ids) if cfg.exclude_parent_body else set()
+    self._plane = plane_height(sim, cfg.geom_groups, excluded) if self._fan.points_down else None
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
@@ -138,11 +121,12 @@ class TerrainHeightSensor(Sensor[TerrainHeightData]):
       return self._read_above_plane(self._plane)
     cfg = self.cfg
     rays = self._fan.cast()
-    # The distance of a miss is negative.
-    seen = rays.distance == rays.distance.clamp(0.0, cfg.max_distance + cfg.start_height)
-    heights = rays.below.clamp_(min=0.0).masked_fill_(rays.from_inside, 0.0)
+    seen, height, from_inside = (
+      values.unflatten(1, (self.num_frames, self.num_rays))
+      for values in (rays.distance >= 0.0, rays.height, self._fan.from_inside(rays))
+    )
+    heights = (self._frames.heights[..., None] - height).clamp_(min=0.0).masked_fill_(from_inside, 0.0)
     heights = torch.where(seen, heights, self._unseen)
-    heights, seen = (values.unflatten(1, (self.num_frames, self.num_rays)) for values in (heights, seen))
     if cfg.reduction == "none":
       self._valid.copy_(seen)
       self._heights.copy_(heights)

@@ -1,0 +1,119 @@
+"""The rays of a camera's pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians, tan
+from typing import Self
+
+import mujoco
+import numpy as np
+from mjlab_core import unknown
+
+from mjlab_sensors.patterns import RayPatternCfg
+
+
+@dataclass(kw_only=True, frozen=True)
+class PinholeCameraPatternCfg(RayPatternCfg):
+  """One ray through the centre of each pixel of a camera, row by row from the top, each from left to right.
+
+  It is the order of a rendered image: ray `row * width + column` belongs to the pixel `image[row, column]`. The camera
+  looks along the frame's negative z axis, x points right and y up in the image, as MuJoCo's cameras do.
+
+  Pixel coordinates count from the corner of the image: the centre of its first pixel is (0.5, 0.5), and the middle of
+  the image (width / 2, height / 2).
+  """
+
+  width: int = 16
+  """Pixels of a row; 0 takes the resolution of `camera`."""
+  height: int = 12
+  """Rows; 0 takes the resolution of `camera`."""
+  fovy: float = 45.0
+  """Vertical field of view of square pixels around the middle of the image [deg]; unused where `focal` is given."""
+  focal: tuple[float, float] | None = None
+  """Focal lengths fx and fy [pixel]; None follows from `fovy`."""
+  center: tuple[float, float] | None = None
+  """Where the optical axis meets the image, cx from its left and cy from its top [pixel]; None is its middle."""
+  camera: str | None = None
+  """Full name of a camera of the scene whose intrinsics are taken, in place of all above but the resolution."""
+
+  @classmethod
+  def from_mujoco_camera(cls, camera: str, *, width: int = 0, height: int = 0) -> Self:
+    """Pixels of a camera of the scene, with its field of view or its physical sensor.
+
+    Args:
+      camera: its full name.
+      width: pixels of a row, 0 for the camera's own resolution.
+      height: rows, 0 for the camera's own resolution.
+    """
+    return cls(camera=camera, width=width, height=height)
+
+  @classmethod
+  def from_intrinsic_matrix(
+    cls, matrix: Sequence[float] | Sequence[Sequence[float]] | np.ndarray, *, width: int, height: int
+  ) -> Self:
+    """Pixels of a camera with the matrix K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], as 3 x 3 or 9 numbers [pixel].
+
+    Raises:
+      ValueError: another shape, or entries that are not those of such a camera.
+    """
+    values = np.asarray(matrix, dtype=np.float64)
+    if values.size != 9:
+      raise ValueError(f"PinholeCameraPatternCfg: an intrinsic matrix has 9 entries, not {values.size}")
+    k = values.reshape(3, 3)
+    if not np.array_equal(k * [[0, 1, 0], [1, 0, 0], [1, 1, 1]], [[0, 0, 0], [0, 0, 0], [0, 0, 1]]):
+      raise ValueError(
+        "PinholeCameraPatternCfg: an intrinsic matrix is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew, "
+        f"not {k.tolist()}"
+      )
+    focal, center = (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))
+    return cls(width=width, height=height, focal=focal, center=center)
+
+  def __post_init__(self) -> None:
+    least = 0 if self.camera is not None else 1
+    if min(self.width, self.height) < least or (self.width == 0) != (self.height == 0):
+      raise ValueError(
+        f"PinholeCameraPatternCfg: width and height must be at least 1, not {self.width} and {self.height}"
+      )
+    if not 0.0 < self.fovy < 180.0:
+      raise ValueError(f"PinholeCameraPatternCfg: fovy must be between 0 and 180 degrees, not {self.fovy}")
+    if self.focal is not None and not min(self.focal) > 0.0:
+      raise ValueError(f"PinholeCameraPatternCfg: focal lengths must be positive, not {self.focal}")
+    if self.camera is not None and (self.focal is not None or self.center is not None):
+      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} has focal and center of its own")
+
+  def rays(self) -> tuple[np.ndarray, np.ndarray]:
+    if self.camera is not None:
+      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} is read from the model, by `resolve`")
+    focal = self.height / (2.0 * tan(radians(self.fovy) / 2.0))
+    fx, fy = self.focal or (focal, focal)
+    cx, cy = self.center or (self.width / 2.0, self.height / 2.0)
+    column, row = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+    pixels = np.stack(((column - cx) / fx, (cy - row) / fy, -np.ones_like(row)), axis=-1).reshape(-1, 3)
+    return np.zeros_like(pixels), pixels / np.linalg.norm(pixels, axis=1, keepdims=True)
+
+  def resolve(self, model: mujoco.MjModel) -> PinholeCameraPatternCfg:
+    if self.camera is None:
+      return self
+    names = [model.camera(camera).name for camera in range(model.ncam)]
+    if self.camera not in names:
+      raise ValueError(unknown("camera", self.camera, names, "PinholeCameraPatternCfg"))
+    camera = names.index(self.camera)
+    if model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} is orthographic, and has no pinhole")
+    width, height = (int(pixels) for pixels in model.cam_resolution[camera])
+    if self.width:
+      width, height = self.width, self.height
+    elif width * height == 1:  # What MuJoCo compiles where none is given.
+      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} has no resolution; give width and height")
+    sensor = model.cam_sensorsize[camera]
+    if not sensor[1] > 0.0:
+      return PinholeCameraPatternCfg(width=width, height=height, fovy=float(model.cam_fovy[camera]))
+    # An image of another shape than the sensor's shows the largest part of it that has the image's shape.
+    scale = max(width / sensor[0], height / sensor[1])
+    fx, fy, cx, cy = (float(length) * scale for length in model.cam_intrinsic[camera])
+    # MuJoCo's principal point is an offset from the middle of the image, to the left and up.
+    return PinholeCameraPatternCfg(
+      width=width, height=height, focal=(fx, fy), center=(width / 2.0 - cx, height / 2.0 - cy)
+    )
