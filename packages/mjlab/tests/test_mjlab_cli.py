@@ -48,14 +48,21 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
 def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert train(tmp_path, "--env.rewards.joint-speed.weight", "-0.5", "--env.scene.num-envs", "4", "--quiet") == 0
   assert capsys.readouterr().out == ""
-  assert train(tmp_path, "--resume", "--agent.max-iterations", "5") == 0
+  assert train(tmp_path, "--resume", "--agent.max-iterations", "5", "--env.rewards.alive.weight", "2") == 0
   first, second = runs(tmp_path)
   run = load_run(second)
-  assert run.env.rewards["joint_speed"].weight == -0.5
+  assert [run.env.rewards[name].weight for name in ("alive", "joint_speed")] == [2.0, -0.5]
   assert run.env.scene.num_envs == 4
   assert run.resumed_from == str(first / "model_3.pt")
   assert [path.name for path in checkpoints(second)] == ["model_5.pt"]
   assert "not restored" not in capsys.readouterr().out
+
+
+def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr("mjlab.making.default_worlds", lambda device, configured: 2)
+  for flags, worlds in (([], 2), (["--env.scene.num-envs", "8"], 8), (["--env.scene.num-envs=3"], 3)):
+    assert train(tmp_path, "--agent.max-iterations", "1", *flags) == 0
+    assert load_run(runs(tmp_path)[-1]).env.scene.num_envs == worlds
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ def test_keys_that_differ_in_hyphens_alone_are_one_flag(capsys: pytest.CaptureFi
   stiffness: dict[str, float] = {"a_b": 1.0, "a-b": 2.0}
   assert parse(ActuatorCfg(stiffness), ["--stiffness.a_b", "3"]).stiffness == {"a_b": 1.0, "a-b": 3.0}
   print_help(ActuatorCfg(stiffness), prog="train", description="")
-  assert capsys.readouterr().out.count("--stiffness.a-b FLOAT") == 1
+  assert capsys.readouterr().out.count("(default:") == 1
 
 
 @pytest.mark.parametrize(
