@@ -8,6 +8,7 @@ from mjlab_scene.indexing import EntityIndexing
 from mjlab_scene.initial_state import InitialState
 from mjlab_scene.keyframes import INIT_STATE
 from mjlab_scene.scene import Scene, SceneCfg, SceneKeyError, TerrainCfg
+from mjlab_scene.terrain_levels import TerrainLevels
 
 __all__ = [
   "INIT_STATE",
@@ -23,4 +24,5 @@ __all__ = [
   "SceneCfg",
   "SceneKeyError",
   "TerrainCfg",
+  "TerrainLevels",
 ]

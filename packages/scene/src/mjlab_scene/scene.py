@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,6 +20,7 @@ from mjlab_scene.entity_cfg import EntityCfg
 from mjlab_scene.keyframes import add_init_state
 from mjlab_scene.looks import new_scene_spec
 from mjlab_scene.options import OptionMerger
+from mjlab_scene.terrain_levels import TerrainLevels
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -45,6 +47,8 @@ class SceneCfg:
   """Distance between the origins of neighbouring worlds [m]; worlds share one coordinate system but never touch."""
   terrain: TerrainCfg | None = None
   """Ground, added without prefix."""
+  max_init_terrain_level: int | None = None
+  """Hardest row of a terrain of tiles that worlds begin on; None for all rows."""
   entities: dict[str, EntityCfg] = field(default_factory=dict)
   """Entities by name; their elements are called "<name>/..." in the scene."""
   sensors: dict[str, SensorCfg] = field(default_factory=dict)
@@ -66,7 +70,7 @@ class Scene(Stateful):
     ValueError: anything wrong in the configuration, by name.
   """
 
-  _children = ("entities", "sensors")
+  _children = ("entities", "sensors", "terrain_levels")
 
   env_origins: torch.Tensor
   """Where each world has its origin, world frame, (num_envs, 3) [m]; there once the scene is initialized."""
@@ -82,6 +86,8 @@ class Scene(Stateful):
       self.spec.stat.extent = cfg.extent
     self.terrain: Terrain | None = None if cfg.terrain is None else cfg.terrain.add_to(self.spec)
     """What the terrain says of itself; None without one."""
+    self.terrain_levels: TerrainLevels | None = None
+    """Which tile each world stands on, once initialized; None on a plane."""
     origins = grid_origins if self.terrain is None else self.terrain.env_origins
     self._origins: np.ndarray = origins(cfg.num_envs, cfg.env_spacing)
     for name in (*cfg.entities, *cfg.sensors):
@@ -142,6 +148,9 @@ class Scene(Stateful):
     if sim.num_envs != self.num_envs:
       raise ValueError(f"scene: the simulation has {sim.num_envs} worlds, the scene {self.num_envs}")
     self.env_origins = torch.tensor(self._origins, dtype=sim.dtype, device=sim.device)
+    if self.terrain is not None and math.isfinite(self.terrain.tile_size[0]):
+      rng = torch.Generator(sim.device).manual_seed(0) if rng is None else rng
+      self.terrain_levels = TerrainLevels(self.terrain, self.env_origins, self.cfg.max_init_terrain_level, rng)
     for entity in self.entities.values():
       entity.initialize(sim, rng=rng)
     for sensor in self.sensors.values():
