@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from envs_hopper import actions, end, hopper_cfg
+from envs_hopper import Ended, actions, end, hopper_cfg
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, RewardTermCfg, TerminationTermCfg
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -90,6 +90,23 @@ def test_a_push_is_in_the_same_steps_observation_and_not_in_its_reward(make: Mak
       torch.testing.assert_close(reward_b - reward_a, torch.full((4,), 0.1), rtol=0.05, atol=0.0)
 
 
+def test_no_time_passes_for_timers_in_the_step_that_resets_a_world(make: Make) -> None:
+  pushed: list[list[bool]] = []
+
+  def note(env: ManagerBasedRlEnv, mask: torch.Tensor) -> None:
+    pushed.append(mask.tolist())
+
+  cfg = hopper_cfg(terminations={"ended": TerminationTermCfg(Ended)})
+  cfg.events["push"] = EventTermCfg(note, mode="interval", interval_range_s=(0.05, 0.05))
+  env = make(cfg)
+  env.reset()
+  for step in range(1, 14):
+    end(env, *([2] if step == 7 else []))
+    env.step(actions(env, step))
+  assert [step for step, mask in enumerate(pushed, 1) if mask[0]] == [5, 10]
+  assert [step for step, mask in enumerate(pushed, 1) if mask[2]] == [5, 12]
+
+
 @pytest.mark.parametrize("engine_", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 def test_what_a_world_sees_does_not_depend_on_who_is_reset(make: Make, engine_: str) -> None:
   a, b = make(engine=engine_), make(engine=engine_)
@@ -112,6 +129,7 @@ def test_what_a_step_returns_is_never_written_to_again(make: Make) -> None:
   env.reset()
   kept, copies = [], []
   for step in range(25):
+    end(env, step % 4)
     obs, reward, terminated, truncated, _ = env.step(actions(env, step))
     kept.append([*obs.values(), reward, terminated, truncated])
     copies.append([value.clone() for value in kept[-1]])

@@ -132,9 +132,6 @@ class NativeEngine:
     worlds = mask.numpy()
     if worlds.any():
       self._batch.reset(worlds, stage=_NONE)
-      for name, field in self._data.items():
-        if name == "sensordata":
-          field.numpy()[worlds] = 0.0
       self._stale |= worlds
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:

@@ -179,7 +179,8 @@ class WarpEngine:
         wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._reset_mask], outputs=[flat], device=device)
 
   def _recompute(self) -> None:
-    mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=True)
+    # What it leaves of kinematics at qpos0 is computed anew by the forward pass that follows.
+    mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=False)
 
   def _count_overflow(self) -> None:
     d = self._d
