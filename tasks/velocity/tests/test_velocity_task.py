@@ -87,7 +87,7 @@ def test_time_and_solver_are_those_of_the_table(env: ManagerBasedRlEnv) -> None:
   assert (option.tolerance, option.ls_tolerance) == (1e-8, 0.01)
   assert option.gravity.tolist() == [0.0, 0.0, -9.81]
   assert env.sim.mj_model.stat.extent == 2.0
-  assert (env.cfg.sim.njmax, env.cfg.sim.nconmax) == (300, 48)
+  assert (env.cfg.sim.njmax, env.cfg.sim.nconmax) == (128, 16)
 
 
 def test_actions_are_joint_set_points_leg_by_leg(env: ManagerBasedRlEnv) -> None:

@@ -1,5 +1,15 @@
 """Velocity tracking for legged robots."""
 
-from mjlab_velocity.go1 import go1_flat, go1_flat_env
+from mjlab_velocity.g1 import g1_flat, g1_flat_env, g1_rough, g1_rough_env
+from mjlab_velocity.go1 import go1_flat, go1_flat_env, go1_rough, go1_rough_env
 
-__all__ = ["go1_flat", "go1_flat_env"]
+__all__ = [
+  "g1_flat",
+  "g1_flat_env",
+  "g1_rough",
+  "g1_rough_env",
+  "go1_flat",
+  "go1_flat_env",
+  "go1_rough",
+  "go1_rough_env",
+]

@@ -16,6 +16,15 @@ from mjlab_velocity.mdp.rewards import (
   upright,
   variable_posture,
 )
+from mjlab_velocity.mdp.terrain import (
+  contact_count,
+  illegal_contact,
+  out_of_terrain_bounds,
+  plane_normal,
+  randomize_terrain,
+  terrain_levels,
+  upright_on_terrain,
+)
 
 __all__ = [
   "UniformVelocityCommand",
@@ -25,6 +34,7 @@ __all__ = [
   "angular_momentum_l2",
   "body_ang_vel_xy_l2",
   "commands_vel",
+  "contact_count",
   "feet_air_time",
   "feet_clearance",
   "feet_slip",
@@ -33,9 +43,15 @@ __all__ = [
   "foot_contact",
   "foot_contact_forces",
   "foot_height",
+  "illegal_contact",
+  "out_of_terrain_bounds",
+  "plane_normal",
+  "randomize_terrain",
   "soft_landing",
+  "terrain_levels",
   "track_angular_velocity",
   "track_linear_velocity",
   "upright",
+  "upright_on_terrain",
   "variable_posture",
 ]

@@ -33,10 +33,21 @@ def track_angular_velocity(
   return torch.exp((error + velocity[:, :2].square().sum(-1)) / -(std**2))
 
 
-def upright(env: "ManagerBasedRlEnv", *, std: float, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """exp(-|g_xy|^2 / std^2) of the unit gravity direction in the root frame, (num_envs,)."""
-  gravity = env.scene[asset.name].data.projected_gravity_b
-  return torch.exp(gravity[:, :2].square().sum(-1) / -(std**2))
+class upright(ManagerTermBase):
+  """exp(-|g_xy|^2 / std^2) of the unit direction of gravity in the frame of one body, (num_envs,)."""
+
+  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    asset: SceneEntityCfg = cfg.params["asset"]
+    names = cast("tuple[str, ...]", asset.body_names)
+    if len(names) != 1:
+      raise ValueError(f"one body is to stay upright, but {len(names)} are selected: {', '.join(names)}")
+    self._body = int(env.scene[asset.name].indexing.ids["body"][env.scene[asset.name].body_names.index(names[0])])
+
+  def __call__(self, env: "ManagerBasedRlEnv", *, std: float, asset: SceneEntityCfg) -> torch.Tensor:
+    del asset  # Resolved at build.
+    # The last row of a rotation matrix is the world's z axis in the body.
+    return torch.exp(env.sim.data.xmat[:, self._body, 2, :2].square().sum(-1) / -(std**2))
 
 
 def body_ang_vel_xy_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> torch.Tensor:

@@ -1,0 +1,104 @@
+"""The Unitree G1: its numbers, and its tasks on flat and rough ground."""
+
+from mjlab_dr import geom_friction
+from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_managers import RewardTermCfg
+from mjlab_rl import TaskCfg
+from mjlab_robots import G1_ACTION_SCALE, g1
+from mjlab_sensors import ContactMatch, RingPatternCfg
+from mjlab_sim import SimulationCfg
+
+from mjlab_velocity import mdp as velocity
+from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play
+from mjlab_velocity.rough import play_rough, rough_env, self_collision
+
+# How far joints may stray from the default pose [rad]
+STD_STANDING = {".*": 0.05}
+STD_WALKING = {
+  ".*_hip_pitch_joint": 0.3,
+  ".*_hip_(roll|yaw)_joint": 0.15,
+  ".*_knee_joint": 0.35,
+  ".*_ankle_pitch_joint": 0.25,
+  ".*_ankle_roll_joint": 0.1,
+  "waist_yaw_joint": 0.2,
+  "waist_roll_joint": 0.08,
+  "waist_pitch_joint": 0.1,
+  ".*_shoulder_(pitch|roll)_joint": 0.15,
+  ".*_shoulder_yaw_joint": 0.1,
+  ".*_elbow_joint": 0.15,
+  ".*_wrist_.*_joint": 0.3,
+}
+STD_RUNNING = {
+  ".*_hip_pitch_joint": 0.5,
+  ".*_hip_(roll|yaw)_joint": 0.2,
+  ".*_knee_joint": 0.6,
+  ".*_ankle_pitch_joint": 0.35,
+  ".*_ankle_roll_joint": 0.15,
+  "waist_yaw_joint": 0.3,
+  "waist_roll_joint": 0.08,
+  "waist_pitch_joint": 0.2,
+  ".*_shoulder_pitch_joint": 0.5,
+  ".*_shoulder_roll_joint": 0.2,
+  ".*_shoulder_yaw_joint": 0.15,
+  ".*_elbow_joint": 0.35,
+  ".*_wrist_.*_joint": 0.3,
+}
+
+
+def _robot() -> LeggedRobot:
+  return LeggedRobot(
+    entity=g1,
+    action_scale=G1_ACTION_SCALE,
+    torso="torso_link",
+    feet=("left_foot", "right_foot"),
+    foot_contact=ContactMatch(
+      mode="subtree", pattern=("left_ankle_roll_link", "right_ankle_roll_link"), entity="robot", preserve_order=True
+    ),
+    foot_rays=RingPatternCfg(radius=0.03, num_samples=6),
+    foot_friction=(geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True),),
+    start_height=(0.01, 0.05),
+    std_standing=STD_STANDING,
+    std_walking=STD_WALKING,
+    std_running=STD_RUNNING,
+    weights={"body_ang_vel": -0.05, "angular_momentum": -0.02},
+    sim=SimulationCfg(
+      timestep=PHYSICS_DT,
+      cone="pyramidal",
+      impratio=1.0,
+      iterations=10,
+      ls_iterations=20,
+      ccd_iterations=50,
+      nconmax=32,
+      njmax=300,
+    ),
+  )
+
+
+def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """G1 follows velocity commands on a plane."""
+  return TaskCfg(env=g1_flat_env(), play=play, agent=agent("g1_velocity", 30_000))
+
+
+def g1_flat_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training on a plane."""
+  return _with_self_collision(flat_env(_robot()))
+
+
+def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """G1 follows velocity commands over stairs, slopes and rough ground."""
+  return TaskCfg(env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000))
+
+
+def g1_rough_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training on rough ground."""
+  cfg = _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
+  cfg.sim.nconmax, cfg.sim.njmax = 70, 640
+  return cfg
+
+
+def _with_self_collision(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  cfg.scene.sensors["self_collision"] = self_collision("pelvis")
+  cfg.rewards["self_collisions"] = RewardTermCfg(
+    velocity.contact_count, weight=-1.0, params={"sensor": "self_collision"}
+  )
+  return cfg

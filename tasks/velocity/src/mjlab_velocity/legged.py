@@ -1,0 +1,272 @@
+"""What all velocity tasks share: the environment of a legged robot on a plane, and its learner."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mjlab_dr import FieldRandomizer, body_com_offset, encoder_bias
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import (
+  CurriculumTermCfg,
+  EventTermCfg,
+  MetricsTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  RewardTermCfg,
+  SceneEntityCfg,
+  TerminationTermCfg,
+  UniformNoiseCfg,
+)
+from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
+from mjlab_scene import EntityCfg, SceneCfg
+from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, RingPatternCfg, SensorCfg, TerrainHeightSensorCfg
+from mjlab_sim import SimulationCfg
+from mjlab_terrain import PlaneCfg
+
+from mjlab_velocity import mdp as velocity
+
+# Timing
+PHYSICS_DT = 0.005  # s
+DECIMATION = 4
+EPISODE_LENGTH = 20.0  # s
+
+# Commands: speeds in m/s and rad/s; stages begin at environment steps, 24 of which make an iteration.
+COMMAND_STAGES = [
+  velocity.VelocityStage(step=0, lin_vel_x=(-1.0, 1.0), ang_vel_z=(-0.5, 0.5)),
+  velocity.VelocityStage(step=5_000 * 24, lin_vel_x=(-1.5, 2.0), ang_vel_z=(-0.7, 0.7)),
+  velocity.VelocityStage(step=10_000 * 24, lin_vel_x=(-2.0, 3.0)),
+]
+
+# Gait
+MOVING = 0.05  # commanded speed above which the gait is judged
+SWING_HEIGHT = 0.1  # m, centre of the foot above the ground
+MAX_TILT = math.radians(70.0)
+
+# Pushes: added to the root's velocity every 1 to 3 s [m/s, rad/s]
+PUSH = {
+  "x": (-0.5, 0.5),
+  "y": (-0.5, 0.5),
+  "z": (-0.4, 0.4),
+  "roll": (-0.52, 0.52),
+  "pitch": (-0.52, 0.52),
+  "yaw": (-0.78, 0.78),
+}
+
+# Noise of what the policy sees
+NOISE_LIN_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
+NOISE_ANG_VEL = UniformNoiseCfg(n_min=-0.2, n_max=0.2)
+NOISE_GRAVITY = UniformNoiseCfg(n_min=-0.05, n_max=0.05)
+NOISE_JOINT_POS = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
+NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
+
+
+@dataclass(kw_only=True)
+class LeggedRobot:
+  """What a velocity task must know of a robot."""
+
+  entity: Callable[[], EntityCfg]
+  action_scale: dict[str, float]
+  """Set-point shift of one unit of action by joint pattern [rad]."""
+  torso: str
+  """Body that is to stay upright and whose centre of mass is randomised."""
+  feet: tuple[str, ...]
+  """Sites of the feet."""
+  foot_contact: ContactMatch
+  """What touches the ground, one for each of `feet` in their order."""
+  foot_rays: RingPatternCfg
+  """Where the ground under a foot is looked for."""
+  foot_friction: tuple[FieldRandomizer, ...]
+  start_height: tuple[float, float]
+  """Range of the root's height above its default at the start of an episode [m]."""
+  std_standing: dict[str, float]
+  """How far joints may stray from the default pose while standing, by joint pattern [rad]."""
+  std_walking: dict[str, float]
+  std_running: dict[str, float]
+  weights: dict[str, float] = field(default_factory=dict)
+  """Reward weights that differ from those of `_rewards`."""
+  sim: SimulationCfg
+  """Solver and buffers; its time step is that of the tasks."""
+
+
+def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
+  """The robot follows velocity commands on a plane."""
+  return ManagerBasedRlEnvCfg(
+    decimation=DECIMATION,
+    episode_length_s=EPISODE_LENGTH,
+    sim=robot.sim,
+    scene=SceneCfg(terrain=PlaneCfg(), entities={"robot": robot.entity()}, sensors=_sensors(robot), extent=2.0),
+    actions={"joint_pos": mdp.JointPositionActionCfg(entity="robot", actuators=".*", scale=robot.action_scale)},
+    commands={"twist": velocity.UniformVelocityCommandCfg(ranges=velocity.VelocityRanges())},
+    observations={"actor": _actor(), "critic": _critic()},
+    rewards=_rewards(robot),
+    terminations={
+      "time_out": TerminationTermCfg(mdp.time_out, time_out=True),
+      "fell_over": TerminationTermCfg(mdp.bad_orientation, params={"limit_angle": MAX_TILT}),
+    },
+    events=_events(robot),
+    curriculum={
+      "command_vel": CurriculumTermCfg(velocity.commands_vel, params={"command": "twist", "stages": COMMAND_STAGES})
+    },
+    metrics={"mean_action_acc": MetricsTermCfg(mdp.mean_action_acc)},
+  )
+
+
+def _sensors(robot: LeggedRobot) -> dict[str, SensorCfg]:
+  return {
+    "feet_ground_contact": ContactSensorCfg(
+      primary=robot.foot_contact,
+      secondary=ContactMatch(mode="body", pattern="terrain"),
+      fields=("found", "force"),
+      reduce="netforce",
+      track_air_time=True,
+    ),
+    "foot_height_scan": TerrainHeightSensorCfg(
+      frames=FrameMatch(type="site", pattern=robot.feet, entity="robot", preserve_order=True),
+      pattern=robot.foot_rays,
+      max_distance=1.0,
+    ),
+  }
+
+
+def _actor() -> ObservationGroupCfg:
+  return ObservationGroupCfg(
+    corrupt=True,
+    terms={
+      "base_lin_vel": ObservationTermCfg(
+        mdp.builtin_sensor, noise=NOISE_LIN_VEL, params={"sensor": "robot/imu_lin_vel"}
+      ),
+      "base_ang_vel": ObservationTermCfg(
+        mdp.builtin_sensor, noise=NOISE_ANG_VEL, params={"sensor": "robot/imu_ang_vel"}
+      ),
+      "projected_gravity": ObservationTermCfg(mdp.projected_gravity, noise=NOISE_GRAVITY),
+      "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=NOISE_JOINT_POS, params={"biased": True}),
+      "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=NOISE_JOINT_VEL),
+      "actions": ObservationTermCfg(mdp.last_action),
+      "command": ObservationTermCfg(mdp.generated_commands, params={"command": "twist"}),
+    },
+  )
+
+
+def _critic() -> ObservationGroupCfg:
+  group = _actor()
+  group.corrupt = False
+  group.terms |= {
+    "joint_pos": ObservationTermCfg(mdp.joint_pos_rel),
+    "foot_height": ObservationTermCfg(velocity.foot_height, params={"sensor": "foot_height_scan"}),
+    "foot_air_time": ObservationTermCfg(velocity.foot_air_time, params={"sensor": "feet_ground_contact"}),
+    "foot_contact": ObservationTermCfg(velocity.foot_contact, params={"sensor": "feet_ground_contact"}),
+    "foot_contact_forces": ObservationTermCfg(velocity.foot_contact_forces, params={"sensor": "feet_ground_contact"}),
+  }
+  return group
+
+
+def _rewards(robot: LeggedRobot) -> dict[str, RewardTermCfg | None]:
+  gait = {"command": "twist", "threshold": MOVING}
+  feet = SceneEntityCfg("robot", site_names=robot.feet, preserve_order=True)
+  torso = SceneEntityCfg("robot", body_names=robot.torso)
+  contact, heights = "feet_ground_contact", "foot_height_scan"
+  rewards: dict[str, RewardTermCfg | None] = {
+    "track_linear_velocity": RewardTermCfg(
+      velocity.track_linear_velocity, weight=2.0, params={"command": "twist", "std": math.sqrt(0.25)}
+    ),
+    "track_angular_velocity": RewardTermCfg(
+      velocity.track_angular_velocity, weight=2.0, params={"command": "twist", "std": math.sqrt(0.5)}
+    ),
+    "upright": RewardTermCfg(velocity.upright, weight=1.0, params={"std": math.sqrt(0.2), "asset": torso}),
+    "pose": RewardTermCfg(
+      velocity.variable_posture,
+      weight=1.0,
+      params={
+        "command": "twist",
+        "std_standing": robot.std_standing,
+        "std_walking": robot.std_walking,
+        "std_running": robot.std_running,
+        "walking_threshold": 0.05,
+        "running_threshold": 1.5,
+      },
+    ),
+    "body_ang_vel": RewardTermCfg(velocity.body_ang_vel_xy_l2, weight=0.0, params={"asset": torso}),
+    "angular_momentum": RewardTermCfg(velocity.angular_momentum_l2, weight=0.0, params={"sensor": "robot/root_angmom"}),
+    "dof_pos_limits": RewardTermCfg(mdp.joint_pos_limits, weight=-1.0),
+    "action_rate_l2": RewardTermCfg(mdp.action_rate_l2, weight=-0.1),
+    "air_time": RewardTermCfg(
+      velocity.feet_air_time, weight=0.0, params={"sensor": contact, "command": "twist", "threshold": 0.5}
+    ),
+    "foot_clearance": RewardTermCfg(
+      velocity.feet_clearance, weight=-2.0, params={**gait, "heights": heights, "target": SWING_HEIGHT, "feet": feet}
+    ),
+    "foot_swing_height": RewardTermCfg(
+      velocity.feet_swing_height,
+      weight=-0.25,
+      params={**gait, "sensor": contact, "heights": heights, "target": SWING_HEIGHT},
+    ),
+    "foot_slip": RewardTermCfg(velocity.feet_slip, weight=-0.1, params={**gait, "sensor": contact, "feet": feet}),
+    "soft_landing": RewardTermCfg(velocity.soft_landing, weight=-1e-5, params={**gait, "sensor": contact}),
+  }
+  for name, weight in robot.weights.items():
+    term = rewards[name]
+    assert term is not None
+    term.weight = weight
+  return rewards
+
+
+def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
+  start = {"x": (-0.5, 0.5), "y": (-0.5, 0.5), "z": robot.start_height, "yaw": (-math.pi, math.pi)}
+  com = body_com_offset(robot.torso, {"x": (-0.025, 0.025), "y": (-0.025, 0.025), "z": (-0.03, 0.03)})
+  # Each world draws one value for all its feet.
+  friction = {f"foot_friction_{axis}": randomizer for axis, randomizer in zip(AXES, robot.foot_friction, strict=False)}
+  return {
+    "reset_base": EventTermCfg(mdp.reset_root_state_uniform, mode="reset", params={"pose_range": start}),
+    "reset_robot_joints": EventTermCfg(
+      mdp.reset_joints_by_offset,
+      mode="reset",
+      params={"position_range": (0.0, 0.0), "velocity_range": (0.0, 0.0)},
+    ),
+    "push_robot": EventTermCfg(
+      mdp.push_by_setting_velocity, mode="interval", interval_range_s=(1.0, 3.0), params={"velocity_range": PUSH}
+    ),
+    **{name: _startup(randomizer) for name, randomizer in friction.items()},
+    "encoder_bias": _startup(encoder_bias(".*", (-0.015, 0.015))),
+    "base_com": _startup(com),
+  }
+
+
+AXES = ("slide", "spin", "roll")
+"""Names of the axes of friction, in MuJoCo's order."""
+
+
+def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
+
+
+def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """For watching: episodes without end, what the policy sees without noise, nobody pushes, faster commands."""
+  cfg.episode_length_s = 1e9
+  actor = cfg.observations["actor"]
+  if actor is not None:
+    actor.corrupt = False
+  cfg.events["push_robot"] = None
+  cfg.curriculum = {}
+  twist = cfg.commands["twist"]
+  if isinstance(twist, velocity.UniformVelocityCommandCfg):
+    twist.ranges = velocity.VelocityRanges(lin_vel_x=(-1.5, 2.0), ang_vel_z=(-0.7, 0.7))
+  return cfg
+
+
+def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
+  """The learner of all velocity tasks."""
+  actor = RslRlModelCfg(
+    hidden_dims=(512, 256, 128),
+    obs_normalization=True,
+    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
+  )
+  critic = RslRlModelCfg(hidden_dims=(512, 256, 128), obs_normalization=True)
+  return RslRlOnPolicyRunnerCfg(
+    experiment_name=experiment_name,
+    actor=actor,
+    critic=critic,
+    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.01),
+    num_steps_per_env=24,
+    max_iterations=max_iterations,
+    save_interval=50,
+  )

@@ -1,0 +1,104 @@
+"""What makes a velocity task one on rough ground: terrain, height scan, levels."""
+
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import (
+  CurriculumTermCfg,
+  EventTermCfg,
+  ObservationTermCfg,
+  TerminationTermCfg,
+  UniformNoiseCfg,
+)
+from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, GridPatternCfg, RayCastSensorCfg
+from mjlab_terrain import (
+  FlatCfg,
+  PyramidSlopeCfg,
+  PyramidStairsCfg,
+  RandomRoughCfg,
+  TerrainGridCfg,
+  WavesCfg,
+)
+
+from mjlab_velocity import mdp as velocity
+from mjlab_velocity.legged import DECIMATION, LeggedRobot, flat_env, play
+
+SCAN_DISTANCE = 5.0  # m
+SCAN_NOISE = UniformNoiseCfg(n_min=-0.1, n_max=0.1)  # m, before scaling
+
+
+def rough_terrain() -> TerrainGridCfg:
+  """Ten levels of seven kinds of ground, each kind with its share of worlds."""
+  return TerrainGridCfg(
+    tile_size=(8.0, 8.0),
+    rows=10,
+    layout="curriculum",
+    border_width=20.0,
+    types={
+      "flat": FlatCfg(share=0.2),
+      "stairs_up": PyramidStairsCfg(share=0.2, step_height=(0.0, 0.1)),
+      "stairs_down": PyramidStairsCfg(share=0.2, step_height=(0.0, 0.1), inverted=True),
+      "slope_up": PyramidSlopeCfg(share=0.1),
+      "slope_down": PyramidSlopeCfg(share=0.1, inverted=True),
+      "random_rough": RandomRoughCfg(share=0.1),
+      "waves": WavesCfg(share=0.1),
+    },
+  )
+
+
+def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
+  """The flat task, on tiles that grow harder as the robot gets better, with a scan of the ground around `scan_body`."""
+  cfg = flat_env(robot)
+  cfg.scene.terrain = rough_terrain()
+  cfg.scene.max_init_terrain_level = 5
+  cfg.sim.ccd_iterations = 500
+  cfg.sim.contact_sensor_maxmatch = 500
+  cfg.scene.sensors["terrain_scan"] = RayCastSensorCfg(
+    frames=FrameMatch(type="body", pattern=scan_body, entity="robot"),
+    pattern=GridPatternCfg(size=(1.6, 1.0), resolution=0.1),
+    alignment="yaw",
+    max_distance=SCAN_DISTANCE,
+    # The steepest slope rises to the body's own height within the scan: rays start above it.
+    start_height=1.0,
+    geom_groups=(0,),
+  )
+  for name, noise in (("actor", SCAN_NOISE), ("critic", None)):
+    group = cfg.observations[name]
+    assert group is not None
+    group.terms["height_scan"] = ObservationTermCfg(
+      mdp.height_scan, noise=noise, scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
+    )
+  cfg.terminations["out_of_terrain_bounds"] = TerminationTermCfg(velocity.out_of_terrain_bounds, time_out=True)
+  cfg.curriculum["terrain_levels"] = CurriculumTermCfg(velocity.terrain_levels, params={"command": "twist"})
+  return cfg
+
+
+def self_collision(root: str) -> ContactSensorCfg:
+  """The strongest contact of the robot with itself, over the substeps of a step."""
+  robot = ContactMatch(mode="subtree", pattern=root, entity="robot")
+  return ContactSensorCfg(
+    primary=robot, secondary=robot, fields=("found", "force"), reduce="maxforce", history_length=DECIMATION
+  )
+
+
+def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
+  """The strongest contact of each of `primary` with the ground, over the substeps of a step."""
+  return ContactSensorCfg(
+    primary=primary,
+    secondary=ContactMatch(mode="body", pattern="terrain"),
+    fields=("found", "force"),
+    reduce="maxforce",
+    history_length=DECIMATION,
+  )
+
+
+def play_rough(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """For watching: as on flat ground, on fewer tiles in random order, another one in each episode."""
+  cfg = play(cfg)
+  cfg.terminations["out_of_terrain_bounds"] = None
+  if isinstance(cfg.scene.terrain, TerrainGridCfg):
+    cfg.scene.terrain.layout = "random"
+    cfg.scene.terrain.rows = cfg.scene.terrain.columns = 5
+    cfg.scene.terrain.border_width = 10.0
+    cfg.scene.max_init_terrain_level = None
+  # First the tile, then the place on it.
+  cfg.events = {"randomize_terrain": EventTermCfg(velocity.randomize_terrain, mode="reset"), **cfg.events}
+  return cfg
