@@ -20,6 +20,7 @@ from mjlab_managers import (
   SceneEntityCfg,
   TerminationTermCfg,
 )
+from mjlab_sensors import FrameMatch, GridPatternCfg, RayCastSensorCfg
 from scipy.spatial.transform import Rotation
 
 # An environment, of which tests also touch what is not public.
@@ -71,6 +72,31 @@ def test_velocities_and_gravity_are_in_the_root_frame(env: Any) -> None:
   gravity = r.inv().apply([0.0, 0.0, -1.0])
   np.testing.assert_allclose(observed(env, mdp.projected_gravity), gravity, atol=1e-6)
   np.testing.assert_allclose(observed(env, mdp.flat_orientation_l2), (gravity[:, :2] ** 2).sum(1), atol=1e-6)
+
+
+def test_a_height_scan_is_the_height_of_its_frame_and_says_what_it_misses(make: Make) -> None:
+  cfg = hopper_cfg()
+  # The outer rays of each frame pass by the robot.
+  cfg.scene.sensors["scan"] = RayCastSensorCfg(
+    frames=FrameMatch(type="body", pattern=("shank", "trunk"), entity="robot", preserve_order=True),
+    pattern=GridPatternCfg(size=(2.0, 0.0), resolution=1.0),
+    alignment="yaw",
+    max_distance=3.0,
+    start_height=1.0,
+    geom_groups=(0,),
+  )
+  cfg.observations["critic"].terms["scan"] = ObservationTermCfg(mdp.height_scan, params={"sensor": "scan"})
+  env = make(cfg)
+  assert env.reset()[0]["critic"].shape == (4, 9 + 6)
+  env.sim.data.qpos[3, 2] += 10.0
+  height = numbers(env, "xpos")[:, [env.sim.mj_model.body(f"robot/{name}").id for name in ("shank", "trunk")], 2]
+  expected = np.repeat(height, 2, axis=1)
+  expected[3] = 3.0
+  outer = [0, 2, 3, 5]
+  np.testing.assert_allclose(observed(env, mdp.height_scan, sensor="scan")[:, outer], expected, atol=1e-6)
+  expected = np.concatenate((expected[:3] - 0.2, np.full((1, 4), -1.0)))
+  scan = observed(env, mdp.height_scan, sensor="scan", offset=0.2, miss_value=-1.0)
+  np.testing.assert_allclose(scan[:, outer], expected, atol=1e-6)
 
 
 def test_joints_are_relative_to_the_default_pose(env: Any) -> None:

@@ -11,6 +11,8 @@ from mjlab_sensors import (
   FrameMatch,
   GridPatternCfg,
   ObjRef,
+  PinholeCameraPatternCfg,
+  RayCastSensorCfg,
   Sensor,
   TerrainHeightSensorCfg,
 )
@@ -66,6 +68,20 @@ CFGS = (
     frames=FrameMatch(type="site", pattern="top", entity="robot"),
     pattern=GridPatternCfg(size=(0.4, 0.2), resolution=0.1),
     reduction="none",
+  ),
+  RayCastSensorCfg(
+    name="scan",
+    frames=FrameMatch(type="site", pattern="top", entity="robot"),
+    pattern=GridPatternCfg(size=(0.4, 0.2), resolution=0.1),
+    alignment="yaw",
+    start_height=0.5,
+    geom_groups=(0,),
+  ),
+  RayCastSensorCfg(
+    name="depth",
+    frames=FrameMatch(type="site", pattern="top", entity="robot"),
+    pattern=PinholeCameraPatternCfg(width=5, height=4, fovy=70.0),
+    max_distance=0.6,
   ),
 )
 

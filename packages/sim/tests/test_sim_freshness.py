@@ -247,6 +247,16 @@ def test_a_model_write_acts_in_the_next_step_and_is_seen_before(make_sim: MakeSi
   torch.testing.assert_close(sim.data.qvel[0].double(), torch.tensor(data.qvel), rtol=1e-4, atol=1e-5)
 
 
+def test_a_shared_write_is_seen_through_the_expansion_that_follows(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  height = sim.data.site_xpos[:, 2, 2].clone()
+  sim.model.site_pos[0, 2, 2] += 0.1
+  sim.expand_model_fields(["site_pos"])
+  torch.testing.assert_close(sim.data.site_xpos[:, 2, 2], height + 0.1)
+  sim.model.site_pos[1, 2, 2] += 0.1
+  torch.testing.assert_close(sim.data.site_xpos[:, 2, 2] - height, torch.tensor([0.1, 0.2, 0.1, 0.1], dtype=sim.dtype))
+
+
 def test_rays_see_geoms_where_the_written_state_puts_them(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine, num_envs=1)
   caster = sim.make_ray_caster(1)

@@ -36,6 +36,8 @@ def test_rays_hit_what_mujocos_rays_hit(make_sim: MakeSim, engine: str, group: t
   origins, directions = random_rays(sim)
   block = sim.mj_model.body("block").id
   hits = sim.make_ray_caster(NUM_RAYS, geomgroup=group, bodyexclude=block).cast(origins, directions)
+  assert hits.geomid is not None
+  assert hits.geomid is not None
   assert hits.distance.shape == (NUM_WORLDS, NUM_RAYS)
   assert hits.normal.shape == (NUM_WORLDS, NUM_RAYS, 3)
   seen: set[int] = set()
@@ -76,7 +78,9 @@ def test_a_miss_is_minus_one_without_a_normal(make_sim: MakeSim, engine: str) ->
   for _ in range(2):
     hits = caster.cast(start, up)
     assert (hits.distance == -1).all()
-    assert (hits.geomid == -1).all()
+    assert hits.geomid is not None
+    assert hits.geomid is not None
+    assert hits.geomid.eq(-1).all()
     assert not hits.normal.any()
     assert (caster.cast(start, -up).distance > 0).all()
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import quat_from_matrix, unknown
+from mjlab_core import unknown
 
 from mjlab_sensors._elements import match_elements
 
@@ -91,11 +91,6 @@ class FrameSet:
   def rotations(self) -> torch.Tensor:
     """Rotation matrices from frame to world, (num_envs, num_frames, 3, 3)."""
     return self._all_rotations.index_select(1, self._index)
-
-  @property
-  def quaternions(self) -> torch.Tensor:
-    """Orientations (w, x, y, z) in the world, (num_envs, num_frames, 4), w >= 0."""
-    return quat_from_matrix(self.rotations)
 
   @property
   def headings(self) -> torch.Tensor:

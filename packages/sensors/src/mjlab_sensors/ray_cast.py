@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
+from mjlab_core import quat_from_matrix
 
 from mjlab_sensors._ray_fan import RayAlignment, RayFan, check_rays
 from mjlab_sensors.frames import FrameMatch, FrameSet
@@ -64,14 +65,25 @@ class RayCastData:
   is hit, (num_envs, num_rays, 3)."""
   frame_pos_w: torch.Tensor
   """Origins of the frames, world frame, (num_envs, num_frames, 3) [m]."""
-  frame_quat_w: torch.Tensor
-  """Orientations (w, x, y, z) of the frames, world frame, (num_envs, num_frames, 4)."""
-  pos_w: torch.Tensor
-  """Origin of the first frame, world frame, (num_envs, 3) [m]."""
-  quat_w: torch.Tensor
-  """Orientation (w, x, y, z) of the first frame, world frame, (num_envs, 4)."""
+  frame_mat_w: torch.Tensor
+  """Rotation matrices from the frames to the world, (num_envs, num_frames, 3, 3)."""
   geom_ids: torch.Tensor | None = None
   """Geom that is hit, -1 for none, (num_envs, num_rays); None unless `identify_geoms`."""
+
+  @property
+  def frame_quat_w(self) -> torch.Tensor:
+    """Orientations (w, x, y, z) of the frames, world frame, computed when asked for, (num_envs, num_frames, 4)."""
+    return quat_from_matrix(self.frame_mat_w)
+
+  @property
+  def pos_w(self) -> torch.Tensor:
+    """Origin of the first frame, world frame, (num_envs, 3) [m]."""
+    return self.frame_pos_w[:, 0]
+
+  @property
+  def quat_w(self) -> torch.Tensor:
+    """Orientation (w, x, y, z) of the first frame, world frame, computed when asked for, (num_envs, 4)."""
+    return quat_from_matrix(self.frame_mat_w[:, 0])
 
 
 class RayCastSensor(Sensor[RayCastData]):
@@ -129,15 +141,12 @@ class RayCastSensor(Sensor[RayCastData]):
     rays = self._fan.cast()
     torch.ge(rays.distance, 0.0, out=self._valid)
     torch.addcmul(rays.origins, rays.directions, rays.distance.clamp(min=0.0)[..., None], out=self._hit_pos)
-    positions, quaternions = self._frames.positions, self._frames.quaternions
     return RayCastData(
       distances=rays.distance,
       valid=self._valid,
       hit_pos_w=self._hit_pos,
       normals_w=rays.normal,
-      frame_pos_w=positions,
-      frame_quat_w=quaternions,
-      pos_w=positions[:, 0],
-      quat_w=quaternions[:, 0],
+      frame_pos_w=self._frames.positions,
+      frame_mat_w=self._frames.rotations,
       geom_ids=rays.geomid,
     )

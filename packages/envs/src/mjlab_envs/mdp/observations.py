@@ -6,6 +6,8 @@ import torch
 from mjlab_managers import SceneEntityCfg
 
 if TYPE_CHECKING:
+  from mjlab_sensors import RayCastSensor
+
   from mjlab_envs.env import ManagerBasedRlEnv
 
 _ROBOT = SceneEntityCfg("robot")
@@ -52,3 +54,17 @@ def generated_commands(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tenso
 def builtin_sensor(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
   """Reading of a native MuJoCo sensor, (num_envs, sensor dim)."""
   return env.scene[sensor].data
+
+
+def height_scan(
+  env: "ManagerBasedRlEnv", *, sensor: str, offset: float = 0.0, miss_value: float | None = None
+) -> torch.Tensor:
+  """Height of its frame above what each ray of a ray-cast sensor hits, less `offset`, (num_envs, num_rays) [m].
+
+  A ray that hits nothing reads `miss_value`, by default the sensor's `max_distance`. Rays are ordered frame by frame.
+  """
+  scan: RayCastSensor = env.scene[sensor]
+  data = scan.data
+  below = data.frame_pos_w[..., 2:] - data.hit_pos_w[..., 2].unflatten(1, (scan.num_frames, scan.rays_per_frame))
+  miss = scan.cfg.max_distance if miss_value is None else miss_value
+  return (below.flatten(1) - offset).masked_fill_(~data.valid, miss)

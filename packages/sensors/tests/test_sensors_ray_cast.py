@@ -1,0 +1,337 @@
+"""Rays from frames: against mj_ray ray by ray, fresh, and never stale; height scans see terrain above the frame."""
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_core import matrix_from_quat
+from mjlab_sensors import (
+  FrameMatch,
+  GridPatternCfg,
+  PinholeCameraPatternCfg,
+  RayCastData,
+  RayCastSensor,
+  RayCastSensorCfg,
+  RingPatternCfg,
+)
+from mjlab_sim import Simulation, SimulationCfg
+from scipy.spatial.transform import Rotation
+
+Count = Callable[[Callable[[], object]], int]
+ENTITIES = {"robot": None}
+HEADS = FrameMatch(type="site", pattern=("head", "hand"), entity="robot", preserve_order=True)
+EYE = FrameMatch(type="camera", pattern="eye", entity="robot")
+PLANE = '<geom type="plane" size="0 0 1"/>'
+ROBOT = """
+<mujoco>
+  <worldbody>
+    <body name="base" pos="0 0 1">
+      <freejoint/>
+      <geom name="shell" size="0.05"/>
+      <site name="head" pos="0 0 0.02" euler="0 0 20"/>
+      <camera name="eye" resolution="8 6" fovy="60" pos="0.01 0 0" euler="20 10 0"/>
+      <camera name="lens" resolution="64 48" sensorsize="0.004 0.003" focal="0.003 0.0035" principal="0.0003 -0.0002"/>
+      <camera name="blind"/>
+      <camera name="flat" projection="orthographic" resolution="8 6"/>
+      <body name="arm" pos="0.2 0 0">
+        <joint axis="0 1 0"/>
+        <geom name="hand" type="box" size="0.05 0.05 0.05" pos="0.1 0 0"/>
+        <site name="hand" pos="0.1 0 0" euler="30 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def build(
+  *cfgs: RayCastSensorCfg, terrain: str = PLANE, num_envs: int = 3, sim_cfg: SimulationCfg | None = None
+) -> tuple[Simulation, list[RayCastSensor]]:
+  spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>')
+  spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
+  sensors = []
+  for number, cfg in enumerate(cfgs):
+    sensor = cfg.build("" if cfg.name else f"rays{number}")
+    assert isinstance(sensor, RayCastSensor)
+    sensor.edit_spec(spec, ENTITIES)
+    sensors.append(sensor)
+  sim = Simulation(num_envs, spec, sim_cfg or SimulationCfg(num_threads=1))
+  for sensor in sensors:
+    sensor.initialize(sim, ENTITIES)
+  return sim, sensors
+
+
+def place(sim: Simulation, *poses: tuple[Any, ...]) -> None:
+  """Put the base of each world at x, y, z with a `Rotation`, or upright for None."""
+  for world, (x, y, z, rotation) in enumerate(poses):
+    quat = (rotation or Rotation.identity()).as_quat(scalar_first=True)
+    sim.data.qpos[world, :7] = torch.tensor((x, y, z, *quat), dtype=sim.dtype)
+
+
+def random_geoms(rng: np.random.Generator, count: int) -> str:
+  def numbers(values: Any) -> str:
+    return " ".join(f"{value:.3f}" for value in values)
+
+  return "".join(
+    f'<geom type="{kind}" size="{numbers(rng.uniform(0.05, 0.3, 3))}" group="{k % 3}"'
+    f' pos="{numbers((*rng.uniform(-1, 1, 2), rng.uniform(0, 0.3)))}" euler="{numbers(rng.uniform(-90, 90, 3))}"/>'
+    for k, kind in enumerate(("box", "sphere", "capsule", "cylinder", "ellipsoid", "box") * count)
+  )
+
+
+def frame_turn(rotation: np.ndarray, alignment: str) -> np.ndarray:
+  if alignment == "world":
+    return np.eye(3)
+  if alignment == "base":
+    return rotation
+  x, y = rotation[:2, 0], rotation[:2, 1]
+  yaw = np.arctan2(x[1], x[0]) if np.hypot(*x) > 0.1 else np.arctan2(y[1], y[0]) - np.pi / 2
+  return Rotation.from_euler("z", yaw).as_matrix()
+
+
+@pytest.mark.parametrize("alignment", ["yaw", "world", "base"])
+@pytest.mark.parametrize("pattern", [GridPatternCfg(size=(0.8, 0.4), resolution=0.2), PinholeCameraPatternCfg()])
+def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
+  rng = np.random.default_rng(5)
+  start, reach, num_envs, groups = 0.15, 1.1, 4, np.array([1, 0, 1, 0, 0, 0], dtype=np.uint8)
+  sim, (sensor,) = build(
+    RayCastSensorCfg(
+      frames=HEADS,
+      pattern=pattern,
+      alignment=alignment,
+      max_distance=reach,
+      start_height=start,
+      geom_groups=(0, 2),
+      identify_geoms=True,
+    ),
+    terrain=PLANE + random_geoms(rng, 3),
+    num_envs=num_envs,
+  )
+  poses: list[Any] = [
+    (*rng.uniform(-0.5, 0.5, 2), rng.uniform(0.5, 1.0), Rotation.random(rng=rng)) for _ in range(num_envs)
+  ]
+  # One world looks all but straight up: its heading is that of the y axis.
+  poses[0] = (*poses[0][:3], Rotation.from_euler("ZYX", (40, -88, 25), degrees=True))
+  place(sim, *poses)
+  read = sensor.data
+  model = sim.mj_model
+  points, directions = pattern.rays()
+  rays = len(points)
+  assert (sensor.rays_per_frame, sensor.num_rays, sensor.num_frames) == (rays, 2 * rays, 2)
+  found = 0
+  for world in range(num_envs):
+    data = mujoco.MjData(model)
+    data.qpos[:] = sim.data.qpos[world].numpy()
+    mujoco.mj_kinematics(model, data)
+    for frame, name in enumerate(("robot/head", "robot/hand")):
+      site = model.site(name)
+      turn = frame_turn(data.site_xmat[site.id].reshape(3, 3), alignment)
+      np.testing.assert_allclose(read.frame_pos_w[world, frame], data.site_xpos[site.id], atol=1e-12)
+      np.testing.assert_allclose(
+        matrix_from_quat(read.frame_quat_w[world, frame]).flatten(), data.site_xmat[site.id], atol=1e-12
+      )
+      for ray in range(rays):
+        direction = turn @ directions[ray]
+        origin = data.site_xpos[site.id] + turn @ points[ray] - start * direction
+        normal, geom = np.zeros(3), np.full(1, -1, dtype=np.int32)
+        distance = mujoco.mj_ray(model, data, origin, direction, groups, 1, site.bodyid[0], geom, normal)
+        if distance > reach + start:
+          distance, normal, geom = -1.0, np.zeros(3), np.full(1, -1, dtype=np.int32)
+        at = world, frame * rays + ray
+        assert read.distances[at].item() == pytest.approx(distance, abs=1e-9)
+        assert read.valid[at].item() == (distance >= 0)
+        np.testing.assert_allclose(read.normals_w[at], normal, atol=1e-6)
+        np.testing.assert_allclose(read.hit_pos_w[at], origin + max(distance, 0.0) * direction, atol=1e-9)
+        assert read.geom_ids is not None
+        assert read.geom_ids[at].item() == geom[0]
+        found += distance >= 0
+  torch.testing.assert_close(read.frame_mat_w, matrix_from_quat(read.frame_quat_w))
+  torch.testing.assert_close(read.pos_w, read.frame_pos_w[:, 0])
+  torch.testing.assert_close(read.quat_w, read.frame_quat_w[:, 0])
+  assert 0.2 < found / (num_envs * 2 * rays) < 0.98
+
+
+def test_a_scan_that_starts_above_sees_terrain_higher_than_its_frame() -> None:
+  # Half of the grid is over a step 0.6 m above the frame.
+  step = '<geom type="plane" size="0 0 1" group="4"/><geom type="box" size="2 2 0.8" pos="2 0 0.8" group="4"/>'
+  head = FrameMatch(type="site", pattern="head", entity="robot")
+  grid = GridPatternCfg(size=(1.0, 0.0), resolution=0.1)
+  fields: dict[str, Any] = {"frames": head, "pattern": grid, "alignment": "world", "geom_groups": (4,)}
+  sim, (at_frame, above) = build(RayCastSensorCfg(**fields), RayCastSensorCfg(start_height=1.0, **fields), terrain=step)
+  place(sim, (0, 0, 0.98, None), (0, 0, 0.98, None), (0, 0, 0.98, None))
+  heights = torch.where(torch.linspace(-0.5, 0.5, 11) >= 0.0, 1.6, 0.0).double()
+  heights = heights.expand(3, 11)
+  off_edge = torch.arange(11) != 5
+  torch.testing.assert_close(above.data.hit_pos_w[..., 2][:, off_edge], heights[:, off_edge])
+  assert (above.data.normals_w[..., 2] == 1.0).all()
+  # Without it rays over the step start inside of the box, and leave it where it ends.
+  assert not at_frame.data.hit_pos_w[:, 6:, 2].any()
+
+
+def test_rays_are_cast_when_first_asked_for_and_once_a_state(count_operations: Count) -> None:
+  sim, (sensor,) = build(RayCastSensorCfg(frames=HEADS, alignment="yaw", start_height=1.0))
+  held = sensor.data
+  assert held.hit_pos_w[0, 0, 2] == 0.0
+  assert held.frame_pos_w[0, 0, 2].item() == pytest.approx(1.02)
+  sim.data.qpos[0, 2] += 0.5
+  assert count_operations(lambda: sensor.data) > 1
+  assert count_operations(lambda: sensor.data) == 0
+  assert sensor.data.frame_pos_w[0, 0, 2].item() == pytest.approx(1.52)
+  assert sensor.data.hit_pos_w.data_ptr() == held.hit_pos_w.data_ptr()
+  assert sensor.data.distances.data_ptr() == held.distances.data_ptr()
+  sim.reset(torch.tensor([True, False, False]))
+  assert sensor.data.frame_pos_w[0, 0, 2].item() == pytest.approx(1.02)
+
+
+def test_what_is_not_hit_says_so() -> None:
+  sim, (sensor,) = build(RayCastSensorCfg(frames=HEADS, max_distance=0.9, pattern=RingPatternCfg(num_samples=3)))
+  tilted = Rotation.from_euler("x", 60, degrees=True)
+  place(sim, (0, 0, 0.5, None), (0, 0, 2, None), (0, 0, 0.6, tilted))
+  read = sensor.data
+  assert read.valid[0].all()
+  assert not read.valid[1:, :4].any()
+  missed = ~read.valid
+  assert (read.distances[missed] == -1.0).all()
+  assert not read.normals_w[missed].any()
+  assert (read.hit_pos_w[1, 0] == read.pos_w[1]).all()
+
+
+def test_documented_shapes_are_the_real_ones() -> None:
+  _, (sensor,) = build(RayCastSensorCfg(frames=HEADS, identify_geoms=True), num_envs=5)
+  source = inspect.getsource(RayCastData)
+  sizes = {"num_envs": 5, "num_frames": 2, "num_rays": sensor.num_rays}
+  names = [field.name for field in dataclasses.fields(RayCastData)]
+  names += [name for name, member in vars(RayCastData).items() if isinstance(member, property)]
+  assert len(names) == 10
+  for name in names:
+    doc = re.search(rf'  (?:def )?{name}\b[^\n]*\n +"""(.*?)"""', source, re.DOTALL)
+    assert doc is not None
+    (shape,) = re.findall(r"\((num_envs[^()]*)\)", doc[1])
+    expected = tuple(sizes.get(size) or int(size) for size in re.split(r",\s*", shape))
+    assert tuple(getattr(sensor.data, name).shape) == expected, name
+
+
+def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_operations: Count) -> None:
+  sim, sensors = build(*[RayCastSensorCfg(frames=EYE, alignment=how) for how in ("base", "yaw", "world")])
+  _ = sim.epoch
+  for sensor, most in zip(sensors, (16, 18, 8), strict=True):
+    caster = sensor._fan._caster
+    rays = torch.ones(3, sensor.num_rays, 3, dtype=sim.dtype)
+    hits = caster.cast(rays, rays)
+    monkeypatch.setattr(caster, "cast", lambda origins, directions, hits=hits: hits)
+    assert count_operations(sensor._read) <= most
+
+
+def test_nothing_derived_is_saved() -> None:
+  _, (sensor,) = build(RayCastSensorCfg(frames=HEADS))
+  _ = sensor.data
+  assert sensor.state_dict() == {}
+
+
+def camera_rays(model: mujoco.MjModel, data: mujoco.MjData, camera: int, width: int, height: int) -> np.ndarray:
+  """Directions of the pixels of MuJoCo's own image of a camera, from the frustum that it is drawn with, (h, w, 3)."""
+  scene, view = mujoco.MjvScene(model, 100), mujoco.MjvCamera()
+  view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
+  mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, 1, scene)
+  eye = scene.camera[0]
+  half = eye.frustum_width or 0.5 * (eye.frustum_top - eye.frustum_bottom) * width / height
+  x = eye.frustum_center + half * (2.0 * (np.arange(width) + 0.5) / width - 1.0)
+  y = eye.frustum_top + (np.arange(height) + 0.5) / height * (eye.frustum_bottom - eye.frustum_top)
+  forward, up = np.array(eye.forward, dtype=np.float64), np.array(eye.up, dtype=np.float64)
+  rays = eye.frustum_near * forward + x[None, :, None] * np.cross(forward, up) + y[:, None, None] * up
+  return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize(("camera", "size"), [("eye", (0, 0)), ("eye", (10, 4)), ("lens", (0, 0)), ("lens", (32, 24))])
+def test_pixels_of_a_camera_are_those_of_its_image(camera: str, size: tuple[int, int]) -> None:
+  room = '<geom type="box" size="30 20 10"/>'
+  pattern = PinholeCameraPatternCfg.from_mujoco_camera(f"robot/{camera}", width=size[0], height=size[1])
+  frame = FrameMatch(type="camera", pattern=camera, entity="robot")
+  sim, (sensor,) = build(RayCastSensorCfg(frames=frame, pattern=pattern, max_distance=100.0), terrain=room, num_envs=1)
+  place(sim, (1, 2, 3, Rotation.from_euler("xyz", (20, 30, 40), degrees=True)))
+  model = sim.mj_model
+  data = mujoco.MjData(model)
+  data.qpos[:] = sim.data.qpos[0].numpy()
+  mujoco.mj_forward(model, data)
+  number = model.camera(f"robot/{camera}").id
+  width, height = (size[0] or model.cam_resolution[number, 0]), (size[1] or model.cam_resolution[number, 1])
+  expected = camera_rays(model, data, number, int(width), int(height)).reshape(-1, 3)
+  read = sensor.data
+  assert read.valid.all()
+  seen = ((read.hit_pos_w - read.pos_w[:, None]) / read.distances[..., None])[0]
+  np.testing.assert_allclose(seen, expected, atol=1e-6)
+  np.testing.assert_allclose(read.pos_w[0], data.cam_xpos[number], atol=1e-9)
+
+
+def test_the_first_row_is_the_top_and_each_runs_to_the_right() -> None:
+  _, rays = PinholeCameraPatternCfg(width=4, height=3, fovy=90.0).rays()
+  image = rays.reshape(3, 4, 3)
+  assert (np.diff(image[..., 0], axis=1) > 0).all()
+  assert (np.diff(image[..., 1], axis=0) < 0).all()
+  planar = image / -image[..., 2:]
+  np.testing.assert_allclose(planar[0, 0], (-1.0, 2 / 3, -1.0), atol=1e-12)  # The pixel's centre, not its corner.
+  np.testing.assert_allclose(PinholeCameraPatternCfg(width=1, height=1).rays()[1], [(0, 0, -1)])
+
+
+def test_an_intrinsic_matrix_is_used_whole() -> None:
+  matrix = [[100.0, 0.0, 7.0], [0.0, 80.0, 5.5], [0.0, 0.0, 1.0]]
+  pattern = PinholeCameraPatternCfg.from_intrinsic_matrix(matrix, width=16, height=12)
+  assert pattern == PinholeCameraPatternCfg.from_intrinsic_matrix(np.ravel(matrix).tolist(), width=16, height=12)
+  points = pattern.rays()[1]
+  points = points / -points[:, 2:]
+  # Right, up, backward to right, down, forward; then pixels by K.
+  pixels = (points * (1, -1, -1)) @ np.transpose(matrix)
+  column, row = np.meshgrid(np.arange(16) + 0.5, np.arange(12) + 0.5)
+  np.testing.assert_allclose(pixels[:, :2], np.stack((column.ravel(), row.ravel()), axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+  ("make", "message"),
+  [
+    (lambda: PinholeCameraPatternCfg(width=0), "width and height must be at least 1, not 0 and 12"),
+    (lambda: PinholeCameraPatternCfg(fovy=180.0), "fovy must be between 0 and 180"),
+    (lambda: PinholeCameraPatternCfg(focal=(0.0, 1.0)), "focal lengths must be positive"),
+    (lambda: PinholeCameraPatternCfg.from_mujoco_camera("eye", width=3), "at least 1, not 3 and 0"),
+    (lambda: PinholeCameraPatternCfg(camera="eye", focal=(1.0, 1.0)), "focal and center of its own"),
+    (lambda: PinholeCameraPatternCfg.from_intrinsic_matrix([1.0], width=2, height=2), "has 9 entries, not 1"),
+    (lambda: PinholeCameraPatternCfg.from_intrinsic_matrix(np.ones(9), width=2, height=2), "without skew"),
+  ],
+)
+def test_a_wrong_pinhole_is_refused(make: Callable[[], object], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    make()
+
+
+@pytest.mark.parametrize(
+  ("camera", "message"),
+  [
+    ("robot/eya", "camera 'robot/eya' does not exist. Nearest: robot/eye"),
+    ("robot/blind", "camera 'robot/blind' has no resolution; give width and height"),
+    ("robot/flat", "camera 'robot/flat' is orthographic"),
+  ],
+)
+def test_a_camera_that_gives_no_pixels_is_refused(camera: str, message: str) -> None:
+  pattern = PinholeCameraPatternCfg.from_mujoco_camera(camera)
+  with pytest.raises(ValueError, match=message):
+    build(RayCastSensorCfg(frames=EYE, pattern=pattern))
+
+
+@pytest.mark.parametrize(
+  ("fields", "message"),
+  [
+    ({"alignment": "yaws"}, "alignment 'yaws' does not exist. Nearest: yaw"),
+    ({"max_distance": 0.0}, "max_distance must be positive"),
+    ({"start_height": -0.1}, "start_height must not be negative"),
+    ({"geom_groups": (0, 6)}, r"geom_groups must name groups from 0 to 5, not \(0, 6\)"),
+  ],
+)
+def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
+  fields = {"name": "scan", "frames": HEADS, **fields}
+  with pytest.raises(ValueError, match=rf"RayCastSensorCfg 'scan': .*{message}"):
+    RayCastSensorCfg(**fields)
