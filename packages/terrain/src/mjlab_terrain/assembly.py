@@ -48,7 +48,7 @@ def geom_name(terrain: str, index: int) -> str:
 def gather(
   placed: Sequence[PlacedTile], border: Sequence[Box]
 ) -> tuple[list[tuple[Box, int]], list[tuple[HeightField, NDArray[np.float64], int]]]:
-  """All boxes of the grid in the world frame, merged, and all height fields with their tile's centre, each with its type."""
+  """All boxes in the world frame, merged, and all height fields with their tile's centre, with their type."""
   boxes = [(box, p.kind, p.center) for p in placed for box in p.tile.boxes]
   boxes += [(box, 0, np.zeros(3)) for box in border]
   upright = [entry for entry in boxes if entry[0].rotation is None]
@@ -120,7 +120,7 @@ def add_geoms(
       name=names[-1],
       type=mujoco.mjtGeom.mjGEOM_HFIELD,
       hfieldname=names[-1],
-      pos=center + (*middle, low),
+      pos=center + np.array((*middle, low)),
       material=names[-1],
       rgba=(1.0, 1.0, 1.0, 1.0),
       **common,
@@ -135,7 +135,8 @@ def _add_picture(spec: mujoco.MjSpec, name: str, field: HeightField, coloring: C
     np.round(np.linspace(0, n - 1, m)).astype(np.int64) for n, m in zip(field.heights.shape, (nx, ny), strict=True)
   )
   colors = coloring(kind, field.heights[np.ix_(i, j)])
-  pixels = np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)
+  # A picture's first row is at the far end of y.
+  pixels = np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1]
   texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=nx, height=ny, nchannel=3)
   texture.data = pixels.tobytes()
   material = spec.add_material(name=name, specular=0.1, shininess=0.1)

@@ -77,9 +77,11 @@ class RandomGridCfg(TileCfg):
     tile.frame(tile.size, inner, (bottom, 0.0))
     # Of a tile with holes only rows and columns of the platform remain; there is always one of each.
     reach = max(self.platform, self.cell)
-    cross = in_platform(x, y, reach).any(1)[:, None] | in_platform(x, y, reach).any(0)[None, :]
-    for i, j in np.argwhere(cross if self.holes else np.ones(shape, dtype=bool)):
-      tile.box((x[i], x[i + 1]), (y[j], y[j + 1]), (bottom, height * unit[i, j]))
+    middle = in_platform(x, y, reach)
+    cross = np.any(middle, axis=1, keepdims=True) | np.any(middle, axis=0, keepdims=True)
+    xs, ys, tops = x.tolist(), y.tolist(), (height * unit).tolist()
+    for i, j in np.argwhere(cross if self.holes else np.ones(shape, dtype=bool)).tolist():
+      tile.box((xs[i], xs[i + 1]), (ys[j], ys[j + 1]), (bottom, tops[i][j]))
 
 
 @dataclass(kw_only=True)

@@ -18,7 +18,7 @@ class SteppingStonesCfg(TileCfg):
   stone_size: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=0.1)
   """Edge of a stone [m]."""
   stone_distance: float = number(0.2)
-  """Least gap between the largest stones [m]; the lattice is the same at any difficulty, so gaps grow as stones shrink."""
+  """Least gap between the largest stones [m]; the lattice never changes, so gaps grow as stones shrink."""
   height_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
   """Stones are up to this much higher or lower than the rim [m]."""
   size_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
@@ -62,13 +62,16 @@ class SteppingStonesCfg(TileCfg):
     low, high = np.maximum(center - half, -inner), np.minimum(center + half, inner)
     under = (np.abs(center) < platform).all(-1)
     for i, j in np.argwhere(~under & ((high - low) >= MIN_THICKNESS).all(-1)):
-      bounds = zip(low[i, j], high[i, j], strict=True)
-      tile.box(*bounds, (-self.pit_depth, tops[i, j]))
+      x0, y0, x1, y1 = (float(edge) for edge in (*low[i, j], *high[i, j]))
+      tile.box((x0, x1), (y0, y1), (-self.pit_depth, float(tops[i, j])))
 
 
 @dataclass(kw_only=True)
 class NarrowBeamsCfg(TileCfg):
-  """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams."""
+  """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams.
+
+  Their tops are 1 mm below the platform and the rim, so that a foot where they meet touches only one of them.
+  """
 
   num_beams: int = number(12, least=1)
   """Number of beams, at equal angles."""
@@ -77,7 +80,7 @@ class NarrowBeamsCfg(TileCfg):
   pit_depth: float = number(2.0, least=0.5)
   """How far the pit lies below the rim [m]."""
   platform: float = number(1.0, least=0.2)
-  """Edge of the platform [m]."""
+  """Least edge of the platform [m]; it grows until beams are apart where they leave it."""
   border: float = number(0.25)
   """Width of the level rim [m]."""
 
@@ -91,10 +94,16 @@ class NarrowBeamsCfg(TileCfg):
   def build(self, tile: Tile) -> None:
     half = 0.5 * tile.scaled(self.beam_width)
     inner, outer = 0.5 * np.array(tile.inner(self.border)), 0.5 * np.array(tile.size)
+    # Neighbouring beams part at this distance from the centre.
+    apart = half / math.sin(math.pi / self.num_beams) if self.num_beams > 2 else 0.0
+    platform = max(0.5 * self.platform, apart)
+    if platform > inner.min() - MIN_THICKNESS:
+      tile.slab()
+      return
     tile.pit(self.pit_depth, self.border)
-    tile.block((self.platform, self.platform), (-self.pit_depth, 0.0))
+    tile.block((2.0 * platform, 2.0 * platform), (-self.pit_depth, 0.0))
     # Both corners of the near end lie on the platform.
-    start = math.sqrt(max((0.5 * self.platform) ** 2 - half**2, 0.0))
+    start = math.sqrt(platform**2 - half**2)
     for k in range(self.num_beams):
       angle = 2.0 * math.pi * k / self.num_beams
       along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
@@ -106,8 +115,9 @@ class NarrowBeamsCfg(TileCfg):
       end = min(reach, inside)
       center = 0.5 * (start + end) * along
       rotation = np.array([[along[0], across[0], 0.0], [along[1], across[1], 0.0], [0.0, 0.0, 1.0]])
-      size = 0.5 * np.array([end - start, 2.0 * half, self.pit_depth])
-      tile.turned_box((*center, -0.5 * self.pit_depth), size, rotation)
+      height = self.pit_depth - FLAT
+      size = 0.5 * np.array([end - start, 2.0 * half, height])
+      tile.turned_box((*center, 0.5 * height - self.pit_depth), size, rotation)
 
 
 @dataclass(kw_only=True)

@@ -157,12 +157,11 @@ class TerrainGridCfg:
       raise ValueError(f"{who}: border_width must be 0 or at least {MIN_THICKNESS} m, got {self.border_width}.")
     if any(not 0.0 <= f < math.inf for f in self.friction):
       raise ValueError(f"{who}: friction must not be negative, got {self.friction}.")
-    named = isinstance(self.color, str)
-    if (
-      self.color not in ("height", "type")
-      if named
-      else not (len(self.color) == 3 and all(0 <= c <= 1 for c in self.color))
-    ):
+    if isinstance(self.color, str):
+      good_color = self.color in ("height", "type")
+    else:
+      good_color = len(self.color) == 3 and all(0.0 <= c <= 1.0 for c in self.color)
+    if not good_color:
       raise ValueError(f"{who}: color must be 'height', 'type' or three numbers in [0, 1], got {self.color!r}.")
     if not self.types:
       raise ValueError(f"{who}: types is empty; name at least one, for example {{'flat': FlatCfg()}}.")
@@ -254,7 +253,8 @@ class TerrainGridCfg:
     for p in placed:
       tile = p.tile
       x, y = (np.array([c]) for c in tile.spawn)
-      origins[p.row, p.column] = p.center + (*tile.spawn, surface(tile.boxes, tile.fields, x, y)[0, 0])
+      ground = surface(tile.boxes, tile.fields, x, y)[0, 0]
+      origins[p.row, p.column] = p.center + np.array((*tile.spawn, ground))
       for k, (name, cfg) in enumerate(self.flat_patches.items()):
         patches[name][p.row, p.column] = p.center + cfg.find(tile, self._rng(p.row, p.column, _PATCHES, k))
       tops = [box.center[2] + box.extent[2] for box in tile.boxes] + [f.heights.max() for f in tile.fields]

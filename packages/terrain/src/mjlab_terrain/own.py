@@ -75,8 +75,8 @@ def _read_picture(path: Path) -> Floats:
 class MeshCfg(TileCfg):
   """A mesh, of which the surface that is seen from above becomes ground; what lies below an overhang is filled.
 
-  Harder: higher, if `height` says so; as it is, difficulty means nothing. MuJoCo would collide with the convex hull of a
-  mesh, so a height field carries it, with sides as steep as one cell allows.
+  Harder: higher, if `height` says so; as it is, difficulty means nothing. MuJoCo would collide with the convex hull of
+  a mesh, so a height field carries it, with sides as steep as one cell allows.
   """
 
   source: str | Path | tuple[ArrayLike, ArrayLike]
@@ -142,7 +142,7 @@ class MeshCfg(TileCfg):
 def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
   """Vertices and triangles of a file. `changed` is when it was written, so that an old one is not taken for it."""
   try:
-    import trimesh
+    import trimesh  # pyright: ignore[reportMissingImports]
   except ImportError as error:
     raise ImportError("meshes need trimesh: pip install 'mjlab-terrain[mesh]'") from error
   mesh: Any = trimesh.load(path, force="mesh")

@@ -66,7 +66,7 @@ class PyramidStairsCfg(TileCfg):
 class OpenStairsCfg(TileCfg):
   """Stairs of thin treads with nothing between them, on all four sides. Harder: higher and narrower steps."""
 
-  step_height: tuple[float, float] = scaled((0.1, 0.2), harder="more")
+  step_height: tuple[float, float] = scaled((0.0, 0.2), harder="more")
   """Rise of each step [m]."""
   step_width: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=MIN_THICKNESS)
   """Depth of each tread [m]."""

@@ -53,7 +53,7 @@ class HeightField:
 class Tile:
   """One tile that is being built.
 
-  Its frame has its origin at the tile's centre, at the height of the rim where tiles meet; x and y are those of the world.
+  Its frame has its origin at the tile's centre, at the height of the rim where tiles meet, and the axes of the world.
   """
 
   def __init__(self, size: tuple[float, float], difficulty: float, rng: np.random.Generator) -> None:
@@ -152,10 +152,10 @@ class Tile:
     It is the nearest one no farther than `search` [m] along x and y, or else where the surroundings rise least.
     """
     spacing = 0.05
-    axes = []
+    axes: list[NDArray[np.float64]] = []
     for extent in self.size:
       count = int(min(search + radius, 0.5 * extent) / spacing)
-      axes.append(np.arange(-count, count + 1) * spacing)
+      axes.append(spacing * np.arange(-count, count + 1, dtype=np.float64))
     z = surface(self.boxes, self.fields, *axes)
     rise = over_disc(z, disc(radius, spacing), np.maximum) - z
     x, y = np.meshgrid(*axes, indexing="ij")

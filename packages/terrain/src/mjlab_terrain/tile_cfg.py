@@ -34,7 +34,7 @@ def number(value: float | None, *, least: float = 0.0, most: float = math.inf) -
 
 @dataclass(kw_only=True)
 class TileCfg(ABC):
-  """A type of tile. A new type is a dataclass with `build`; settings made by `scaled`, `drawn` and `number` are checked.
+  """A type of tile. A new type is a dataclass with `build`; settings from `scaled`, `drawn` and `number` are checked.
 
   Types have their rim at height 0, so that neighbours meet, and a flat place or a crest to spawn on.
   """
@@ -44,7 +44,7 @@ class TileCfg(ABC):
 
   @abstractmethod
   def build(self, tile: Tile) -> None:
-    """Adds the geometry to an empty tile. It depends on nothing but the settings, the tile's size, difficulty and rng."""
+    """Adds the geometry to an empty tile. It depends on the settings and the tile's size, difficulty and rng alone."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     """Checks the settings for tiles of this size [m]; `name` is how messages call the type.
@@ -103,13 +103,14 @@ class TileCfg(ABC):
     return grid.add_to(spec)
 
   def _check_setting(self, name: str, setting: str, rule: Any, default: Any) -> None:
-    value, least, most = getattr(self, setting), rule["least"], rule["most"]
+    value: Any = getattr(self, setting)
+    least, most = rule["least"], rule["most"]
     if value is None and default is None:
       return
     if rule["kind"] == "number":
       if isinstance(default, int) and not isinstance(value, int):
         self.refuse(name, f"{setting} must be a whole number, got {value!r}")
-      values = (value,)
+      values: tuple[Any, ...] = (value,)
     else:
       if not (isinstance(value, tuple | list) and len(value) == 2):
         ends = "easiest, hardest" if rule["kind"] == "scaled" else "lowest, highest"
@@ -124,7 +125,7 @@ class TileCfg(ABC):
       self.refuse(name, f"{setting} {value!r} must be {bounds}; {instead} would work")
     if rule["kind"] == "number":
       return
-    first, second = values
+    first, second = values[0], values[1]
     down = rule.get("harder") == "less"
     if (first < second) if down else (first > second):
       rule_of = f"{'fall' if down else 'grow'} with difficulty" if rule["kind"] == "scaled" else "go from low to high"

@@ -1,0 +1,262 @@
+"""What every type of tile promises, at every difficulty, on square and oblong tiles."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+from mjlab_terrain import TerrainGridCfg, TileCfg, all_types
+from mjlab_terrain.assembly import PlacedTile
+from mjlab_terrain.surface import surface
+from mjlab_terrain.terrain import Terrain
+from mjlab_terrain.tile import MIN_THICKNESS, Tile
+
+DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
+SHAPES = ((8.0, 8.0), (7.0, 9.5))
+SEEDS = (0, 1, 2)
+NAMES = tuple(all_types())
+
+# Lowest and highest ground at difficulty 1 that the default settings allow [m].
+BOUNDS = {
+  "flat": (0.0, 0.0),
+  "stairs_up": (0.0, 1.2 + 1e-9),
+  "stairs_down": (-1.2 - 1e-9, 0.0),
+  "open_stairs": (0.0, 2.0 + 1e-9),
+  "random_stairs": (0.0, 1.2),
+  "random_grid": (-0.3, 0.3),
+  "random_boxes": (0.0, 0.3),
+  "tilted_grid": (-1.6, 0.8),
+  "stepping_stones": (-2.0, 0.1),
+  "narrow_beams": (-2.0, 0.0),
+  "nested_rings": (-2.0, 0.0),
+  "slope_up": (0.0, 0.7 * 2.75 + 1e-9),
+  "slope_down": (-0.7 * 2.75 - 1e-9, 0.0),
+  "random_rough": (-0.05, 0.05),
+  "waves": (-0.2, 0.2),
+  "discrete_obstacles": (-0.3, 0.3),
+  "perlin_noise": (0.0, 1.0),
+}
+# Types whose difficulty is how much of the tile is pit, and not how high it is.
+GAPS = ("stepping_stones", "narrow_beams", "nested_rings")
+
+
+def build(cfg: TileCfg, size: tuple[float, float], difficulty: float, seed: int = 0) -> Tile:
+  cfg.check("tile", size)
+  tile = Tile(size, difficulty, np.random.default_rng(seed))
+  cfg.build(tile)
+  return tile
+
+
+def heights_of(tile: Tile, num: int = 120) -> np.ndarray:
+  """On a grid of points that avoids edges, (num, num)."""
+  x, y = (np.linspace(-0.5 * s, 0.5 * s, num + 2)[1:-1] + 1e-4 for s in tile.size)
+  return surface(tile.boxes, tile.fields, x, y)
+
+
+@dataclass
+class Built:
+  """All types (columns) at all difficulties (rows) in one model."""
+
+  cfg: TerrainGridCfg
+  placed: list[PlacedTile]
+  terrain: Terrain
+  model: mujoco.MjModel
+  data: mujoco.MjData
+
+  def drop(self, points: np.ndarray) -> np.ndarray:
+    """Heights at which rays from above meet the ground at (n, 2) points, nan where they do not, (n,) [m]."""
+    down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, dtype=np.int32)
+    only_ground = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+    out = []
+    for x, y in points:
+      distance = mujoco.mj_ray(self.model, self.data, np.array([x, y, 9.0]), down, only_ground, 1, -1, geom)
+      out.append(9.0 - distance if distance >= 0.0 else np.nan)
+    return np.array(out)
+
+
+FOOT = np.array([0.1, 0.05, 0.02])
+
+
+def add_feet(spec: mujoco.MjSpec, where: np.ndarray) -> None:
+  """Boxes the size of a foot that fall onto the ground and do not see each other."""
+  for position in where:
+    body = spec.worldbody.add_body(pos=position)
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=FOOT, mass=1.0, contype=0, conaffinity=1, group=3)
+
+
+@pytest.fixture(scope="module", params=[(shape, seed) for shape in SHAPES for seed in SEEDS], ids=str)
+def built(request: pytest.FixtureRequest) -> Built:
+  size, seed = request.param
+  cfg = TerrainGridCfg(types=all_types(), tile_size=size, rows=len(DIFFICULTIES), seed=seed, border_width=1.0)
+  spec = mujoco.MjSpec()
+  placed, terrain = cfg.tiles(), cfg.add_to(spec)
+  rng = np.random.default_rng(seed)
+  offsets = rng.uniform(-0.4, 0.4, (len(placed), 2)) * size
+  centers = np.array([p.center[:2] for p in placed])
+  above = np.concatenate((terrain.origins.reshape(-1, 3)[:, :2], centers + offsets))
+  heights = np.concatenate(
+    [surface(p.tile.boxes, p.tile.fields, *(np.array([c]) for c in xy - p.center[:2])).ravel()
+     for p, xy in zip([*placed, *placed], above, strict=True)]
+  )  # fmt: skip
+  add_feet(spec, np.column_stack((above, heights + 0.15)))
+  spec.option.timestep = 0.005
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  mujoco.mj_forward(model, data)
+  return Built(cfg, placed, terrain, model, data)
+
+
+def test_rows_have_the_difficulties_and_columns_the_types(built: Built) -> None:
+  np.testing.assert_allclose(built.terrain.difficulty[:, 0], DIFFICULTIES)
+  assert built.terrain.type_names == NAMES
+  np.testing.assert_array_equal(built.terrain.tile_types[0], np.arange(len(NAMES)))
+
+
+def test_no_geom_is_thin(built: Built) -> None:
+  for geom in range(built.model.ngeom):
+    if built.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX and built.model.geom_group[geom] == 0:
+      assert built.model.geom_size[geom].min() >= 0.5 * MIN_THICKNESS - 1e-9
+
+
+def test_origins_lie_on_the_surface_that_a_ray_hits(built: Built) -> None:
+  origins = built.terrain.origins.reshape(-1, 3)
+  np.testing.assert_allclose(built.drop(origins[:, :2]), origins[:, 2], atol=1e-6)
+
+
+def test_every_ray_from_above_meets_ground_where_the_tile_says(built: Built) -> None:
+  rng = np.random.default_rng(0)
+  for p in built.placed:
+    # Uneven steps, so that rays do not follow edges.
+    x, y = (np.sort(rng.uniform(-0.5, 0.5, 7)) * s for s in built.cfg.tile_size)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    hit = built.drop(points + p.center[:2])
+    expected = surface(p.tile.boxes, p.tile.fields, x, y).ravel()
+    np.testing.assert_allclose(hit, expected, atol=1e-5, err_msg=NAMES[p.kind])
+
+
+def test_seams_between_tiles_hold(built: Built) -> None:
+  across = 0.5 * np.array(built.cfg.tile_size)
+  points = np.array(
+    [p.center[:2] + s * across * m for p in built.placed for s in (-1, 1) for m in ((1, 0.3), (0.3, 1))]
+  )
+  assert np.isfinite(built.drop(points)).all()
+
+
+def test_geometry_stays_on_its_tile(built: Built) -> None:
+  half = 0.5 * np.array(built.cfg.tile_size)
+  for p in built.placed:
+    for box in p.tile.boxes:
+      assert (np.abs(box.center[:2]) + box.extent[:2] <= half + 1e-6).all(), NAMES[p.kind]
+
+
+def test_heights_are_within_the_configured_bounds(built: Built) -> None:
+  for p in built.placed:
+    low, high = BOUNDS[NAMES[p.kind]]
+    z = heights_of(p.tile, 60)
+    assert low - 1e-9 <= z.min(), NAMES[p.kind]
+    assert z.max() <= high + 1e-9, NAMES[p.kind]
+    assert built.terrain.height_range[0] - 1e-9 <= z.min()
+    assert z.max() <= built.terrain.height_range[1] + 1e-9
+
+
+def test_foot_sized_boxes_do_not_fall_through(built: Built) -> None:
+  data = mujoco.MjData(built.model)
+  mujoco.mj_step(built.model, data, nstep=160)
+  position = data.qpos.reshape(-1, 7)[:, :3]
+  for k, p in enumerate([*built.placed, *built.placed]):
+    where = position[k] - p.center
+    z = surface(p.tile.boxes, p.tile.fields, np.array([where[0]]), np.array([where[1]]))[0, 0]
+    # A foot that slid may hang over an edge, or stand below a tread or a plate that leans; the ground is further down.
+    reach = {"open_stairs": 2.0, "tilted_grid": 1.0}.get(NAMES[p.kind], 0.02)
+    if np.isfinite(z):
+      assert position[k, 2] > z - reach, (NAMES[p.kind], p.tile.difficulty)
+    assert position[k, 2] > built.terrain.height_range[0] - 0.02, (NAMES[p.kind], p.tile.difficulty)
+
+
+@pytest.mark.parametrize("size", SHAPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_seed_gives_the_same_tile_and_another_seed_another(name: str, size: tuple[float, float]) -> None:
+  first, again, other = (heights_of(build(all_types()[name], size, 1.0, seed), 40) for seed in (5, 5, 6))
+  np.testing.assert_array_equal(first, again)
+  regular = "flat", "stairs_up", "stairs_down", "open_stairs", "narrow_beams", "nested_rings"
+  regular = (*regular, "slope_up", "slope_down", "waves")
+  assert np.array_equal(first, other) == (name in regular)
+
+
+@pytest.mark.parametrize("size", SHAPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_it_gets_harder_with_difficulty(name: str, size: tuple[float, float]) -> None:
+  cfg = all_types()[name]
+  z = [heights_of(build(cfg, size, d, seed=3)) for d in np.linspace(0.0, 1.0, 9)]
+  if name in GAPS:
+    # How much of the tile is pit, as far as the points can tell.
+    hard = np.array([(h < -1.0).mean() for h in z])
+    assert (np.diff(hard) > -2e-3).all(), hard
+  else:
+    # Largest differences of height, and the mean step from point to point.
+    spread = np.array([np.ptp(h) for h in z])
+    assert (np.diff(spread) > -1e-2 * spread.max() - 1e-9).all(), spread
+    step = np.array([np.abs(np.diff(h, axis=0)).mean() for h in z])
+    assert (np.diff(step) > -1e-2 * step.max() - 1e-9).all(), step
+    hard = step
+  if name == "flat":
+    assert "Difficulty means nothing" in (type(cfg).__doc__ or "")
+  else:
+    assert hard[-1] > 1.2 * hard[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rims_of_neighbours_meet(name: str) -> None:
+  tile = build(all_types()[name], (7.0, 9.5), 1.0)
+  x, y = 3.5, 4.75
+  edge = np.concatenate(
+    [
+      surface(tile.boxes, tile.fields, np.array([-x + 1e-6, x - 1e-6]), np.linspace(-y, y, 99)).ravel(),
+      surface(tile.boxes, tile.fields, np.linspace(-x, x, 99), np.array([-y + 1e-6, y - 1e-6])).ravel(),
+    ]
+  )
+  np.testing.assert_allclose(edge, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_around_the_spawn_rises_above_it(name: str) -> None:
+  for difficulty in DIFFICULTIES:
+    tile = build(all_types()[name], (8.0, 8.0), difficulty)
+    around = np.linspace(-0.25, 0.25, 11)
+    z = surface(tile.boxes, tile.fields, tile.spawn[0] + around, tile.spawn[1] + around)
+    # Noise has no level places; its highest point near by is close to level.
+    assert z.max() - z[5, 5] < 0.02
+    assert np.hypot(*tile.spawn) < 1.5
+
+
+VARIANTS = {
+  "stairs_with_holes": dataclasses.replace(all_types()["stairs_up"], holes=True),
+  "stairs_down_with_holes": dataclasses.replace(all_types()["stairs_down"], holes=True),
+  "open_stairs_down": dataclasses.replace(all_types()["open_stairs"], inverted=True),
+  "grid_with_holes": dataclasses.replace(all_types()["random_grid"], holes=True),
+  "grid_with_levels": dataclasses.replace(all_types()["random_grid"], levels=4),
+  "curved_slope": dataclasses.replace(all_types()["slope_up"], curved=True),
+  "fixed_squares": dataclasses.replace(all_types()["discrete_obstacles"], mode="fixed", square=True),
+  "steps_of_noise": dataclasses.replace(all_types()["random_rough"], step=0.02, spacing=0.3),
+  **{f"{name}_to_the_rim": dataclasses.replace(cfg, border=0.0) for name, cfg in all_types().items() if name != "flat"},
+}
+
+
+@pytest.mark.parametrize("name", list(VARIANTS))
+def test_variants_build_and_agree_with_rays(name: str) -> None:
+  for size in SHAPES:
+    cfg = TerrainGridCfg(types={"it": VARIANTS[name]}, tile_size=size, rows=3, border_width=0.0)
+    spec = mujoco.MjSpec()
+    placed, terrain = cfg.tiles(), cfg.add_to(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    it = Built(cfg, placed, terrain, model, data)
+    test_origins_lie_on_the_surface_that_a_ray_hits(it)
+    test_every_ray_from_above_meets_ground_where_the_tile_says(it)
+    test_geometry_stays_on_its_tile(it)
+    test_no_geom_is_thin(it)
