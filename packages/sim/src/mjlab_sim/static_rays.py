@@ -56,7 +56,7 @@ def find_targets(
     raise SimulationError(f"num_rays must be at least 1, got {num_rays}")
   if geomgroup is not None and len(geomgroup) != mujoco.mjNGROUP:
     raise SimulationError(f"geomgroup needs {mujoco.mjNGROUP} entries, got {len(geomgroup)}")
-  bodies = (bodyexclude,) if isinstance(bodyexclude, int) else tuple(bodyexclude)
+  bodies = tuple(bodyexclude) if isinstance(bodyexclude, Sequence) else (bodyexclude,)
   if len(bodies) not in (1, num_rays):
     raise SimulationError(f"bodyexclude must be one body, or one for each of {num_rays} rays, got {len(bodies)}")
   for body in bodies:
