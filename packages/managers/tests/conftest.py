@@ -44,7 +44,7 @@ class FakeEnv:
     self.max_episode_length, self.max_episode_length_s = 50, 1.0
     self.scene = FakeScene()
     self.rng = torch.Generator(device).manual_seed(seed)
-    self.episode_length_buf = torch.zeros(num_envs, dtype=torch.int64, device=device)
+    self.episode_length_buf = torch.ones(num_envs, dtype=torch.int64, device=device)
     self.common_step_counter = torch.zeros((), dtype=torch.int64, device=device)
     self.values = torch.arange(num_envs * 5, dtype=dtype, device=device).reshape(num_envs, 5)
     self.eager: list[str] = []

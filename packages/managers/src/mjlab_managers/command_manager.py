@@ -174,7 +174,8 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       blocks = [term._metric_values for term in terms if term.metrics]
       values = blocks[0] if len(blocks) == 1 else torch.cat(blocks, dim=1)
       # One world that went wrong must not spoil the mean of all.
-      self._log.add(values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), mask)
+      played = mask & (self.env.episode_length_buf > 0)
+      self._log.add(values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), played)
     super().reset(mask)
     for term in terms:
       if term.metrics:

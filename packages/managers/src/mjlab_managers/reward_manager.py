@@ -116,7 +116,8 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     """Logs the episode sums of the worlds in `mask`, bool (N,), and zeroes them."""
     if not self._terms:
       return
-    self._log.add(self._episode_sums, mask)
+    # An episode without a step proves nothing.
+    self._log.add(self._episode_sums, mask & (self.env.episode_length_buf > 0))
     fill_(self._episode_sums, mask, 0.0)
     super().reset(mask)
 
