@@ -15,7 +15,6 @@ from mjlab_terrain.assembly import PlacedTile, Surface, add_geoms, gather, geom_
 from mjlab_terrain.colors import height_color, type_color
 from mjlab_terrain.patches import FlatPatchCfg
 from mjlab_terrain.presets import walking_types
-from mjlab_terrain.surface import surface
 from mjlab_terrain.terrain import Terrain, apportion
 from mjlab_terrain.tile import GROUND_DEPTH, MIN_THICKNESS, Box, Tile
 from mjlab_terrain.tile_cfg import TileCfg
@@ -252,9 +251,7 @@ class TerrainGridCfg:
     lowest, highest = 0.0, 0.0
     for p in placed:
       tile = p.tile
-      x, y = (np.array([c]) for c in tile.spawn)
-      ground = surface(tile.boxes, tile.fields, x, y)[0, 0]
-      origins[p.row, p.column] = p.center + np.array((*tile.spawn, ground))
+      origins[p.row, p.column] = p.center + np.array((*tile.spawn, tile.spawn_height()))
       for k, (name, cfg) in enumerate(self.flat_patches.items()):
         patches[name][p.row, p.column] = p.center + cfg.find(tile, self._rng(p.row, p.column, _PATCHES, k))
       tops = [box.center[2] + box.extent[2] for box in tile.boxes] + [f.heights.max() for f in tile.fields]

@@ -146,6 +146,11 @@ class Tile:
     x, y = 0.5 * self.size[0], 0.5 * self.size[1]
     self.fields.append(HeightField(heights=heights, x=(-x, x), y=(-y, y)))
 
+  def spawn_height(self) -> float:
+    """Height of the surface at `spawn` [m]."""
+    x, y = (np.array([c]) for c in self.spawn)
+    return float(surface(self.boxes, self.fields, x, y)[0, 0])
+
   def spawn_on_top(self, search: float = 1.0, radius: float = 0.4) -> None:
     """Spawns at a place near the centre that what surrounds it within `radius` [m] does not rise above.
 

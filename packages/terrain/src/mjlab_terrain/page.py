@@ -1,0 +1,137 @@
+"""A page in the browser that shows a terrain and lets it be changed. Needs viser."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+import trimesh  # pyright: ignore[reportMissingImports]
+import viser  # pyright: ignore[reportMissingImports]
+
+from mjlab_terrain.grid import TerrainGridCfg
+from mjlab_terrain.presets import all_types, walking_types
+from mjlab_terrain.settings import Setting, settings_of
+from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.triangles import triangles
+
+_GIVEN, _WALKING, _ALL = "as given", "walking", "all"
+
+
+class Page:
+  """One terrain, and the controls that change it."""
+
+  def __init__(self, cfg: TerrainGridCfg, server: Any) -> None:
+    self._given, self._server = cfg, server
+    self._types = dict(cfg.types)
+    gui = server.gui
+    gui.configure_theme(control_width="large")
+    self._choice = gui.add_dropdown("Terrain", (_GIVEN, _WALKING, _ALL, *all_types()), initial_value=_GIVEN)
+    self._easiest = gui.add_slider("Easiest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[0])
+    self._hardest = gui.add_slider("Hardest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[1])
+    self._rows = gui.add_slider("Rows", min=1, max=20, step=1, initial_value=min(cfg.rows, 20))
+    self._seed = gui.add_number("Seed", cfg.seed, min=0, step=1)
+    self._tile_size = gui.add_vector2("Tile size [m]", tuple(cfg.tile_size), min=(1.0, 1.0), step=0.5)
+    self._layout = gui.add_dropdown("Layout", ("curriculum", "random"), initial_value=cfg.layout)
+    self._color = gui.add_dropdown(
+      "Color", ("height", "type"), initial_value="type" if cfg.color == "type" else "height"
+    )
+    self._spawns = gui.add_checkbox("Spawn points", True)
+    self._status = gui.add_markdown("")
+    self._controls: list[Any] = []
+    self._folder: Any = None
+    self._choice.on_update(lambda _: self._choose())
+    for control in (
+      *(self._easiest, self._hardest, self._rows, self._seed, self._tile_size, self._layout, self._color),
+      self._spawns,
+    ):
+      control.on_update(lambda _: self.draw())
+    self._choose()
+
+  def _choose(self) -> None:
+    """Takes up the types that are chosen, with controls for their settings if it is one."""
+    name = self._choice.value
+    sets: dict[str, dict[str, TileCfg]] = {_GIVEN: self._given.types, _WALKING: walking_types(), _ALL: all_types()}
+    types = sets[name] if name in sets else {name: all_types()[name]}
+    self._types = {key: dataclasses.replace(cfg) for key, cfg in types.items()}
+    if self._folder is not None:
+      self._folder.remove()
+      self._folder = None
+    if len(self._types) == 1:
+      self._folder = self._server.gui.add_folder("Settings")
+      with self._folder:
+        for cfg in self._types.values():
+          for setting in settings_of(cfg):
+            self._add_control(cfg, setting)
+    self.draw()
+
+  def _add_control(self, cfg: TileCfg, setting: Setting) -> None:
+    gui, value, label = self._server.gui, getattr(cfg, setting.name), setting.name.replace("_", " ")
+    if setting.kind == "pair":
+      control = gui.add_vector2(label, tuple(float(v) for v in value), min=(setting.least,) * 2, step=0.01)
+    elif setting.kind == "flag":
+      control = gui.add_checkbox(label, value)
+    elif setting.kind == "choice":
+      control = gui.add_dropdown(label, setting.choices, initial_value=value)
+    else:
+      control = gui.add_number(label, value, min=setting.least, step=1 if setting.kind == "whole" else 0.01)
+
+    def change(_: Any) -> None:
+      whole = setting.kind == "pair" and all(isinstance(v, int) for v in value)
+      new = tuple(round(v) if whole else v for v in control.value) if setting.kind == "pair" else control.value
+      setattr(cfg, setting.name, new)
+      self.draw()
+
+    control.on_update(change)
+
+  def draw(self) -> None:
+    """Builds the terrain and shows it, or says why it cannot be built."""
+    start = time.perf_counter()
+    low, high = sorted((self._easiest.value, self._hardest.value))
+    cfg = dataclasses.replace(
+      self._given,
+      types=self._types,
+      difficulty=(low, high),
+      rows=int(self._rows.value),
+      columns=self._given.columns if self._choice.value == _GIVEN else None,
+      seed=int(self._seed.value),
+      tile_size=tuple(self._tile_size.value),
+      layout=self._layout.value,
+      color=self._color.value,
+    )
+    try:
+      placed = cfg.tiles()
+    except ValueError as error:
+      self._status.content = f"**Cannot be built.** {error}"
+      return
+    vertices, faces, colors = triangles(placed, (), cfg.coloring())
+    alpha = np.full((len(colors), 1), 255, dtype=np.uint8)
+    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=np.hstack((colors, alpha)), process=False)
+    self._server.scene.add_mesh_trimesh("/terrain", mesh)
+    spawns = np.array([p.center + np.array((*p.tile.spawn, 0.0)) for p in placed])
+    spawns[:, 2] = [p.tile.spawn_height() for p in placed]
+    self._server.scene.add_point_cloud(
+      "/spawns", spawns + np.array([0.0, 0.0, 0.05]), np.full((len(spawns), 3), (210, 40, 60)), point_size=0.1,
+      visible=self._spawns.value,
+    )  # fmt: skip
+    num_boxes = sum(len(p.tile.boxes) for p in placed)
+    num_fields = sum(len(p.tile.fields) for p in placed)
+    self._status.content = (
+      f"{len(placed)} tiles of {num_boxes} boxes and {num_fields} height fields, {len(faces)} triangles, "
+      f"{time.perf_counter() - start:.2f} s"
+    )
+
+
+def serve(cfg: TerrainGridCfg, port: int) -> None:
+  """Shows `cfg` on a page at `port` until interrupted."""
+  server = viser.ViserServer(port=port, label="terrain")
+  server.scene.set_up_direction("+z")
+  extent = cfg.tile_size[0] * cfg.rows
+  server.initial_camera.position = (-0.8 * extent, -0.5 * extent, 0.7 * extent)
+  server.initial_camera.look_at = (0.0, 0.0, 0.0)
+  Page(cfg, server)
+  try:
+    server.sleep_forever()
+  except KeyboardInterrupt:
+    server.stop()
