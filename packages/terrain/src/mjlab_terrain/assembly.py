@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjlab_terrain.merging import merge_boxes
+from mjlab_terrain.png import png
 from mjlab_terrain.tile import GROUND_DEPTH, Box, HeightField, Tile
 
 # Edge of the picture that colors a height field [pixels].
@@ -137,7 +138,8 @@ def _add_picture(spec: mujoco.MjSpec, name: str, field: HeightField, coloring: C
   colors = coloring(kind, field.heights[np.ix_(i, j)])
   # A picture's first row is at the far end of y.
   pixels = np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1]
-  texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=nx, height=ny, nchannel=3)
-  texture.data = pixels.tobytes()
+  # As a file among the model's assets, because MuJoCo writes no XML of pictures that are none.
+  spec.assets[f"{name}.png"] = png(pixels)
+  texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
   material = spec.add_material(name=name, specular=0.1, shininess=0.1)
   material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name

@@ -40,5 +40,5 @@ def height_color(z: NDArray[np.float64] | float) -> NDArray[np.float64]:
 
 def type_color(index: int, z: NDArray[np.float64] | float) -> NDArray[np.float64]:
   """Color of ground of the type with this index at height `z` [m], darker below the rim and lighter above, (..., 3)."""
-  shade = np.clip(1.0 + 0.35 * np.asarray(z, dtype=np.float64), 0.45, 1.35)
+  shade = np.clip(1.0 + 0.35 * np.asarray(z, dtype=np.float64), 0.45, 1.6)
   return np.clip(np.array(_TYPES[index % len(_TYPES)]) * shade[..., None], 0.0, 1.0)

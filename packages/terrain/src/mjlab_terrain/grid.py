@@ -225,6 +225,7 @@ class TerrainGridCfg:
       ("hfield", spec.hfield),
       ("texture", spec.texture),
       ("material", spec.material),
+      ("asset", lambda name: spec.assets.get(f"{name}.png")),
     )
     taken = [("body", self.name)] if spec.body(self.name) is not None else []
     if self.light and spec.light(self.name) is not None:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import math
-import struct
-import zlib
-from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from mjlab_terrain.grid import TerrainGridCfg
+from mjlab_terrain.png import Pixels
 from mjlab_terrain.surface import surface
-
-Pixels = NDArray[np.uint8]
 
 PAPER = (246, 247, 248)
 """Color around the terrain, red, green and blue in [0, 255]."""
@@ -119,18 +114,3 @@ def plot(cfg: TerrainGridCfg, size: tuple[int, int]) -> Pixels:
   slope = np.gradient(heights, x[1] - x[0], y[1] - y[0])
   shade = np.clip(1.0 - 0.35 * (slope[0] + slope[1]) / np.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), 0.3, 1.3)
   return np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]
-
-
-def write_png(path: Path, pixels: Pixels) -> None:
-  """Writes a picture, (height, width, 3)."""
-  height, width, _ = pixels.shape
-  # Each line starts with its filter: 0, none.
-  lines = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1).tobytes()
-
-  def chunk(kind: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-  header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-  path.write_bytes(
-    b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines, 9)) + chunk(b"IEND", b"")
-  )

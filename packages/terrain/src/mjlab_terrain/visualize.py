@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mjlab_terrain.grid import TerrainGridCfg
-from mjlab_terrain.picture import plot, render, write_png
+from mjlab_terrain.picture import plot, render
+from mjlab_terrain.png import png
 from mjlab_terrain.presets import all_types, walking_types
 from mjlab_terrain.settings import apply_settings
 from mjlab_terrain.tile_cfg import TileCfg
@@ -97,12 +98,12 @@ def write_image(cfg: TerrainGridCfg, path: Path, size: tuple[int, int], only_plo
   if not only_plot:
     try:
       azimuth = 35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0
-      write_png(path, render(cfg, size, azimuth=azimuth))
+      path.write_bytes(png(render(cfg, size, azimuth=azimuth)))
     except Exception as error:  # What a missing OpenGL raises depends on the system.
       print(f"no OpenGL ({type(error).__name__}: {error}); plotting heights instead", file=sys.stderr)
     else:
       return "rendering"
-  write_png(path, plot(cfg, size))
+  path.write_bytes(png(plot(cfg, size)))
   return "plot"
 
 

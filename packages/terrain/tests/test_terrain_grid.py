@@ -1,0 +1,395 @@
+"""The grid: what goes where, what it says of itself, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from mjlab_terrain import (
+  FlatCfg,
+  FlatPatchCfg,
+  HeightMapCfg,
+  NarrowBeamsCfg,
+  NestedRingsCfg,
+  PerlinNoiseCfg,
+  PyramidSlopeCfg,
+  PyramidStairsCfg,
+  RandomBoxesCfg,
+  RandomGridCfg,
+  RandomRoughCfg,
+  SteppingStonesCfg,
+  Terrain,
+  TerrainGridCfg,
+  Tile,
+  TileCfg,
+  WavesCfg,
+  all_types,
+)
+from mjlab_terrain.merging import merge_boxes
+
+
+def added(cfg: TerrainGridCfg) -> tuple[mujoco.MjModel, mujoco.MjData, Terrain]:
+  spec = mujoco.MjSpec()
+  terrain = cfg.add_to(spec)
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  mujoco.mj_forward(model, data)
+  return model, data, terrain
+
+
+def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> float:
+  """Height at which a ray from above meets the ground [m]."""
+  geom = np.zeros(1, dtype=np.int32)
+  return 9.0 - mujoco.mj_ray(model, data, np.array([x, y, 9.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
+
+
+def test_a_grid_of_ten_by_twenty_builds_in_under_five_seconds() -> None:
+  start = time.perf_counter()
+  model, _, terrain = added(TerrainGridCfg(types=all_types(), rows=10, columns=20))
+  assert time.perf_counter() - start < 5.0
+  assert terrain.origins.shape == (10, 20, 3)
+  assert model.ngeom == len(terrain.geom_names) == len(set(terrain.geom_names))
+
+
+def test_all_geoms_are_static_in_group_zero_and_weigh_nothing() -> None:
+  model, _, terrain = added(TerrainGridCfg(rows=2))
+  body = model.body(terrain.name)
+  assert (model.geom_bodyid == body.id).all()
+  assert model.body_weldid[body.id] == 0
+  assert body.mass[0] == 0.0
+  assert (model.geom_group == 0).all()
+  assert [model.geom(name).id for name in terrain.geom_names] == list(range(model.ngeom))
+
+
+def test_its_defaults_do_not_depend_on_those_of_the_model() -> None:
+  spec = mujoco.MjSpec.from_string(
+    '<mujoco><default><geom contype="0" conaffinity="0" group="3" friction="9 9 9" type="sphere"/></default></mujoco>'
+  )
+  TerrainGridCfg(rows=2, friction=(0.7, 0.01, 0.001)).add_to(spec)
+  model = spec.compile()
+  assert (model.geom_contype == 1).all()
+  assert (model.geom_conaffinity == 1).all()
+  assert (model.geom_group == 0).all()
+  np.testing.assert_allclose(model.geom_friction, np.tile((0.7, 0.01, 0.001), (model.ngeom, 1)))
+
+
+def test_the_same_settings_give_the_same_model() -> None:
+  def xml(seed: int, layout: Any = "random") -> str:
+    spec = mujoco.MjSpec()
+    TerrainGridCfg(
+      types={"noise": PerlinNoiseCfg(), "boxes": RandomBoxesCfg()}, rows=2, seed=seed, layout=layout
+    ).add_to(spec)
+    spec.compile()
+    return spec.to_xml() + str(sorted(spec.assets.items()))
+
+  assert xml(1) == xml(1)
+  assert xml(1) != xml(2)
+
+
+def test_a_model_written_as_xml_comes_back_the_same() -> None:
+  spec = mujoco.MjSpec()
+  TerrainGridCfg(types=all_types(), rows=2).add_to(spec)
+  model = spec.compile()
+  again = mujoco.MjSpec.from_string(spec.to_xml(), assets=spec.assets).compile()
+  np.testing.assert_allclose(again.geom_size, model.geom_size, atol=1e-6)
+  np.testing.assert_allclose(again.hfield_data, model.hfield_data, atol=1e-6)
+  np.testing.assert_array_equal(again.tex_data, model.tex_data)
+
+
+def test_a_tile_does_not_depend_on_the_others() -> None:
+  small = TerrainGridCfg(types={"rough": RandomRoughCfg()}, rows=3, difficulty=(1.0, 1.0)).tiles()
+  large = TerrainGridCfg(types={"flat": FlatCfg(), "rough": RandomRoughCfg()}, rows=3, difficulty=(1.0, 1.0)).tiles()
+  # Row 1 of the only column, and row 1 of the first column.
+  assert len(small) == 3
+  assert large[2].tile.boxes
+  again = TerrainGridCfg(types={"rough": RandomRoughCfg()}, rows=9, difficulty=(1.0, 1.0)).tiles()
+  np.testing.assert_array_equal(small[1].tile.fields[0].heights, again[1].tile.fields[0].heights)
+  assert not np.array_equal(small[1].tile.fields[0].heights, small[2].tile.fields[0].heights)
+
+
+def test_a_curriculum_has_columns_by_share_and_rows_by_difficulty() -> None:
+  cfg = TerrainGridCfg(
+    types={"a": FlatCfg(share=6.0), "off": FlatCfg(share=0.0), "b": FlatCfg(share=3.0), "c": FlatCfg(share=0.01)},
+    rows=5,
+    columns=10,
+    difficulty=(0.2, 0.6),
+  )
+  _, _, terrain = added(cfg)
+  assert terrain.type_names == ("a", "b", "c")
+  counts = np.bincount(terrain.tile_types[0])
+  assert counts.min() == 1
+  assert tuple(counts) == (6, 3, 1)
+  assert (terrain.tile_types == terrain.tile_types[0]).all()
+  np.testing.assert_allclose(terrain.difficulty, np.repeat([[0.2], [0.3], [0.4], [0.5], [0.6]], 10, axis=1))
+  by_type = [terrain.column_shares[terrain.tile_types[0] == k].sum() for k in range(3)]
+  np.testing.assert_allclose(by_type, np.array([6.0, 3.0, 0.01]) / 9.01)
+
+
+def test_one_column_a_type_is_the_default_of_a_curriculum() -> None:
+  _, _, terrain = added(TerrainGridCfg(rows=2))
+  assert terrain.origins.shape == (2, 7, 3)
+  np.testing.assert_allclose(terrain.column_shares, [0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1])
+  assert terrain.columns_of(1000).tolist().count(1) == 200
+
+
+def test_a_random_layout_draws_types_by_share_and_difficulty_from_its_range() -> None:
+  cfg = TerrainGridCfg(
+    types={"a": FlatCfg(share=3.0), "b": FlatCfg(share=1.0)},
+    rows=20,
+    columns=30,
+    layout="random",
+    difficulty=(0.4, 0.5),
+  )
+  _, _, terrain = added(cfg)
+  assert terrain.difficulty.min() >= 0.4
+  assert terrain.difficulty.max() <= 0.5
+  assert abs((terrain.tile_types == 0).mean() - 0.75) < 0.05
+  np.testing.assert_allclose(terrain.column_shares, 1.0 / 30)
+
+
+def test_worlds_are_spread_by_share_and_evenly() -> None:
+  _, _, terrain = added(TerrainGridCfg(types={"a": FlatCfg(share=0.75), "b": FlatCfg(share=0.25)}, rows=3))
+  columns = terrain.columns_of(64)
+  assert np.bincount(columns).tolist() == [48, 16]
+  assert np.bincount(columns[:32]).tolist() == [24, 8]
+  origins = terrain.env_origins(64, spacing=1.0)
+  for column, number in ((0, 48), (1, 16)):
+    rows, counts = np.unique(origins[columns == column][:, 0], return_counts=True)
+    assert len(rows) == 3
+    assert counts.max() - counts.min() <= 1
+    assert counts.sum() == number
+  with pytest.raises(ValueError, match="at least 1, got 0"):
+    terrain.columns_of(0)
+
+
+def test_tiles_lie_side_by_side_around_the_origin() -> None:
+  _, _, terrain = added(TerrainGridCfg(types={"a": FlatCfg(), "b": FlatCfg()}, rows=3, tile_size=(4.0, 6.0)))
+  np.testing.assert_allclose(terrain.origins[:, 0, 0], [-4.0, 0.0, 4.0])
+  np.testing.assert_allclose(terrain.origins[0, :, 1], [-3.0, 3.0])
+
+
+def test_a_border_surrounds_the_grid_at_the_height_of_the_rims() -> None:
+  model, data, _ = added(
+    TerrainGridCfg(types={"slope": PyramidSlopeCfg()}, rows=2, tile_size=(4.0, 6.0), border_width=3.0)
+  )
+  for x, y in ((6.9, 0.0), (-6.9, 0.0), (0.0, 5.9), (0.0, -5.9), (6.9, 5.9), (4.01, 3.01)):
+    assert ground(model, data, x, y) == pytest.approx(0.0, abs=1e-9)
+  assert ground(model, data, 7.1, 0.0) > 9.0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_ramp_along_an_axis_is_a_ramp_along_it(axis: int) -> None:
+  heights = np.linspace(0.0, 1.0, 30)[:, None] * np.ones(20)
+  heights = heights if axis == 0 else heights.T
+  spec = mujoco.MjSpec()
+  HeightMapCfg(source=heights).add_to(spec, tile_size=(6.0, 3.0))
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  mujoco.mj_forward(model, data)
+  for x, y in ((-2.0, 1.0), (1.3, 0.2), (2.9, -1.4)):
+    expected = (x + 3.0) / 6.0 if axis == 0 else (y + 1.5) / 3.0
+    assert ground(model, data, x, y) == pytest.approx(expected, abs=1e-6)
+  # The picture that colors it has its first line at the far end of y, and x from left to right.
+  picture = model.tex_data.reshape(model.tex_height[0], model.tex_width[0], 3)
+  top = np.array([0.85, 0.50, 0.32]) * 255
+  there = picture[:, -1] if axis == 0 else picture[0]
+  elsewhere = picture[:, 0] if axis == 0 else picture[-1]
+  assert np.abs(there.mean(0) - top).max() < 40
+  assert np.abs(elsewhere.mean(0) - top).max() > 40
+
+
+def test_heights_below_the_rim_stay_below_it() -> None:
+  model, data, terrain = added(
+    TerrainGridCfg(types={"rough": RandomRoughCfg(amplitude=(0.05, 0.05))}, rows=1, border_width=0.0)
+  )
+  heights = [ground(model, data, x, y) for x in np.linspace(-3, 3, 15) for y in np.linspace(-3, 3, 15)]
+  assert min(heights) < -0.03
+  assert max(heights) > 0.03
+  assert terrain.height_range[0] < -0.03
+
+
+def test_level_neighbours_become_one_geom() -> None:
+  model, _, _ = added(TerrainGridCfg(types={"flat": FlatCfg()}, rows=10, columns=10, border_width=0.0))
+  assert model.ngeom == 1
+  model, _, _ = added(TerrainGridCfg(types={"grid": RandomGridCfg(levels=3)}, rows=1, difficulty=(1.0, 1.0)))
+  free, _, _ = added(TerrainGridCfg(types={"grid": RandomGridCfg()}, rows=1, difficulty=(1.0, 1.0)))
+  assert model.ngeom < 0.75 * free.ngeom
+
+
+def test_going_up_stairs_need_one_geom_a_step() -> None:
+  model, _, _ = added(TerrainGridCfg(types={"up": PyramidStairsCfg()}, rows=1, difficulty=(1.0, 1.0), border_width=0.0))
+  # Five steps and the platform, and a rim of four.
+  assert model.ngeom == 10
+
+
+def test_merging_keeps_the_volume_and_kinds_apart() -> None:
+  rng = np.random.default_rng(0)
+  i, j = (a.ravel() for a in np.meshgrid(np.arange(12), np.arange(9), indexing="ij"))
+  top = rng.integers(1, 3, i.shape)
+  low = np.stack((0.1 * i, 0.2 * j, np.zeros(i.shape)), -1)
+  high = np.stack((0.1 * (i + 1), 0.2 * (j + 1), top.astype(float)), -1)
+  kind = rng.integers(2, size=i.shape)
+  merged_low, merged_high, merged_kind = merge_boxes(low, high, kind)
+  assert len(merged_low) < len(low)
+  for which in (0, 1):
+    before, after = (
+      h - lo
+      for h, lo in (
+        (high[kind == which], low[kind == which]),
+        (merged_high[merged_kind == which], merged_low[merged_kind == which]),
+      )
+    )
+    assert before.prod(1).sum() == pytest.approx(after.prod(1).sum())
+  centers = 0.5 * (low + high)
+  inside = ((merged_low[:, None] <= centers) & (centers <= merged_high[:, None])).all(-1)
+  assert (inside.sum(0) == 1).all()
+  np.testing.assert_array_equal(merged_kind[inside.argmax(0)], kind)
+
+
+def test_colors_show_height_type_or_neither() -> None:
+  types: dict[str, TileCfg] = {"up": PyramidStairsCfg(), "flat": FlatCfg()}
+  by_height, _, _ = added(TerrainGridCfg(types=types, rows=2))
+  by_type, _, _ = added(TerrainGridCfg(types=types, rows=2, color="type"))
+  plain, _, _ = added(TerrainGridCfg(types=types, rows=2, color=(0.1, 0.2, 0.3)))
+  assert len(np.unique(by_height.geom_rgba, axis=0)) == 7
+  # The border is of the first type.
+  assert len(np.unique(by_type.geom_rgba, axis=0)) == 8
+  np.testing.assert_allclose(np.unique(plain.geom_rgba, axis=0), [(0.1, 0.2, 0.3, 1.0)], rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(8.0, 8.0), (6.0, 9.5)])
+def test_flat_patches_are_level_on_the_surface_and_on_their_tile(size: tuple[float, float]) -> None:
+  patches = {"feet": FlatPatchCfg(count=5, radius=0.25), "low": FlatPatchCfg(count=3, radius=0.1, z_range=(-9.0, 0.0))}
+  types: dict[str, TileCfg] = {
+    "stairs": PyramidStairsCfg(), "stones": SteppingStonesCfg(), "waves": WavesCfg(), "slope": PyramidSlopeCfg()
+  }  # fmt: skip
+  model, data, terrain = added(TerrainGridCfg(types=types, rows=2, tile_size=size, flat_patches=patches))
+  places = terrain.flat_patches["feet"]
+  assert places.shape == (2, 4, 5, 3)
+  for row, column in np.ndindex(2, 4):
+    center = (np.array((row, column)) - (0.5, 1.5)) * size
+    for place in places[row, column]:
+      assert ground(model, data, place[0], place[1]) == pytest.approx(place[2], abs=1e-6)
+      assert (np.abs(place[:2] - center) <= 0.5 * np.array(size) - 0.25 + 1e-9).all()
+      for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
+        there = ground(model, data, place[0] + 0.24 * np.cos(angle), place[1] + 0.24 * np.sin(angle))
+        assert there == pytest.approx(place[2], abs=0.055)
+  assert (terrain.flat_patches["low"][..., 2] <= 1e-9).all()
+  assert len(np.unique(places[0, 0], axis=0)) == 5
+
+
+def test_without_level_places_patches_are_the_most_level_one() -> None:
+  cfg = TerrainGridCfg(
+    types={"rough": RandomRoughCfg(amplitude=(0.1, 0.1), border=0.0)},
+    rows=1,
+    flat_patches={"none": FlatPatchCfg(count=3, radius=1.0, max_height_difference=0.0)},
+  )
+  _, _, terrain = added(cfg)
+  assert len(np.unique(terrain.flat_patches["none"][0, 0], axis=0)) == 1
+
+
+GOOD = TerrainGridCfg(types={"it": FlatCfg()})
+BAD: list[tuple[TileCfg, str]] = [
+  (PyramidStairsCfg(step_height=(-0.1, 0.2)), r"step_height \(-0.1, 0.2\) must be at least 0; \(0.0, 0.2\) would work"),
+  (PyramidStairsCfg(step_height=(0.2, 0.1)), r"must grow with difficulty; \(0.1, 0.2\) would work"),
+  (PyramidStairsCfg(step_width=0.01), "step_width 0.01 must be at least 0.05; 0.05 would work"),
+  (PyramidStairsCfg(step_height=0.2), r"step_height must be \(easiest, hardest\), got 0.2"),  # pyright: ignore[reportArgumentType]
+  (PyramidStairsCfg(platform=9.0), "make the platform at most 5.9 m, or the tile at least 11.1 m"),
+  (PyramidStairsCfg(border=4.0), "make the border at most 2 m"),
+  (PyramidStairsCfg(border=0.01), "use 0, or at least 0.05 m"),
+  (PyramidStairsCfg(share=-1.0), "share -1.0 must be at least 0; 0"),
+  (NarrowBeamsCfg(num_beams=0), "num_beams 0 must be at least 1; 1 would work"),
+  (NarrowBeamsCfg(num_beams=1.5), "num_beams must be a whole number"),  # pyright: ignore[reportArgumentType]
+  (NarrowBeamsCfg(beam_width=(0.2, 0.8)), r"must fall with difficulty; \(0.8, 0.2\) would work"),
+  (NarrowBeamsCfg(beam_width=(2.0, 0.8)), "at most 1 m would work"),
+  (NestedRingsCfg(ring_width=(3.0, 3.0)), "make the tile at least"),
+  (RandomBoxesCfg(width=(1.0, 9.0)), "at most 5.3 m would work"),
+  (RandomBoxesCfg(height=(0.3, 0.1)), "must go from low to high"),
+  (RandomGridCfg(cell=8.0), "at most 7.5 m would work"),
+  (RandomRoughCfg(step=0.0), "step 0.0 must be at least 0.001"),
+  (RandomRoughCfg(amplitude=(0.0, float("nan"))), "amplitude must be finite"),
+  (SteppingStonesCfg(stone_size=(0.05, 0.05)), "stone_size"),
+  (HeightMapCfg(source="nowhere.png"), "height map 'nowhere.png' cannot be read"),
+  (HeightMapCfg(source=np.zeros((3, 1))), r"at least \(2, 2\), and finite; got \(3, 1\)"),
+]
+
+
+@pytest.mark.parametrize(("tile", "message"), BAD, ids=[f"{type(t).__name__}-{k}" for k, (t, _) in enumerate(BAD)])
+def test_a_bad_type_is_refused_by_name_and_leaves_the_model_alone(tile: TileCfg, message: str) -> None:
+  spec = mujoco.MjSpec()
+  with pytest.raises(ValueError, match=f"{type(tile).__name__} 'it': .*{message}"):
+    dataclasses.replace(GOOD, types={"it": tile}).add_to(spec)
+  assert len(spec.bodies) == 1
+  assert not spec.hfields
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"types": {}}, "types is empty"),
+    ({"types": {"a": FlatCfg(share=0.0)}}, "the shares of a sum to 0; give one of them a share of 1"),
+    ({"types": {"a": FlatCfg(), "b": FlatCfg()}, "columns": 1}, "at least 2 would work"),
+    ({"rows": 0}, "rows must be at least 1, got 0"),
+    ({"tile_size": (8.0, 0.0)}, "tile_size must be two lengths of at least 0.5 m"),
+    ({"layout": "curiculum"}, "layout 'curiculum' does not exist; there are 'curriculum' and 'random'"),
+    ({"difficulty": (0.5, 1.5)}, r"\(0.0, 1.0\) would work"),
+    ({"difficulty": (1.0, 0.0)}, "must go up"),
+    ({"seed": -3}, "seed must not be negative, got -3; 3 would work"),
+    ({"border_width": -1.0}, "border_width must be 0 or at least 0.05 m"),
+    ({"color": "hight"}, "color must be 'height', 'type' or three numbers"),
+    ({"friction": (-1.0, 0.0, 0.0)}, "friction must not be negative"),
+    ({"name": ""}, "name must not be empty"),
+    ({"flat_patches": {"p": FlatPatchCfg(radius=5.0)}}, "FlatPatchCfg 'p': radius 5 m does not fit.*at most 4 m"),
+    ({"flat_patches": {"p": FlatPatchCfg(x_range=(5.0, 6.0))}}, "x_range .* centres can be from -3.5 to 3.5 m"),
+    ({"flat_patches": {"p": FlatPatchCfg(count=0)}}, "count must be at least 1"),
+  ],
+)
+def test_a_bad_grid_is_refused_with_what_would_work(change: dict[str, Any], message: str) -> None:
+  spec = mujoco.MjSpec()
+  with pytest.raises(ValueError, match=message):
+    dataclasses.replace(GOOD, **change).add_to(spec)
+  assert len(spec.bodies) == 1
+
+
+def test_names_that_are_taken_are_refused_before_anything_is_added() -> None:
+  spec = mujoco.MjSpec()
+  GOOD.add_to(spec)
+  before = spec.to_xml()
+  with pytest.raises(ValueError, match="already has a body named 'terrain'"):
+    GOOD.add_to(spec)
+  assert spec.to_xml() == before
+  other = mujoco.MjSpec()
+  other.worldbody.add_geom(name="terrain_0", size=(1, 0, 0))
+  with pytest.raises(ValueError, match="already has a geom named 'terrain_0'"):
+    GOOD.add_to(other)
+  dataclasses.replace(GOOD, name="second").add_to(spec)
+  assert spec.compile().nbody == 3
+
+
+@dataclasses.dataclass(kw_only=True)
+class Broken(TileCfg):
+  thickness: float = 0.01
+
+  def build(self, tile: Tile) -> None:
+    if self.thickness:
+      tile.box((-1.0, 1.0), (-1.0, 1.0), (0.0, self.thickness))
+
+
+def test_a_type_that_builds_nonsense_is_named() -> None:
+  with pytest.raises(
+    ValueError, match=r"Broken 'it': at difficulty 0, tile \(0, 0\): a box of 2 x 2 x 0.01 m is thinner"
+  ):
+    dataclasses.replace(GOOD, types={"it": Broken()}).add_to(mujoco.MjSpec())
+  with pytest.raises(ValueError, match="Broken 'it': build added no geometry"):
+    dataclasses.replace(GOOD, types={"it": Broken(thickness=0.0)}).add_to(mujoco.MjSpec())
+
+
+def test_messages_are_sentences() -> None:
+  with pytest.raises(ValueError, match="share") as caught:
+    dataclasses.replace(GOOD, types={"it": FlatCfg(share=-1.0)}).check()
+  assert re.fullmatch(r"FlatCfg 'it': [^.].*\.", str(caught.value))
