@@ -212,13 +212,24 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
   def _collect(self, obs: TensorDict) -> TensorDict:
     # Not inference mode: a tensor that the environment makes in there and keeps could not be written to afterwards.
-    with torch.no_grad():
+    with torch.no_grad(), self._rollout_threads():
       for _ in range(self.agent_cfg.num_steps_per_env):
         actions = self.alg.act(obs)
         obs, rewards, dones, extras = self.env.step(actions)
         self.alg.process_env_step(obs, rewards, dones, extras)
         self.statistics.add(rewards, dones)
     return obs
+
+  @contextlib.contextmanager
+  def _rollout_threads(self) -> Generator[None]:
+    """On a CPU physics has threads of its own, and torch's would only wait for it: a rollout's tensors are small."""
+    before = torch.get_num_threads()
+    if self._torch_device.type == "cpu":
+      torch.set_num_threads(1)
+    try:
+      yield
+    finally:
+      torch.set_num_threads(before)
 
   def _update(self, obs: TensorDict) -> dict[str, float]:
     with torch.no_grad():
