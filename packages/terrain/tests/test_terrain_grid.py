@@ -231,8 +231,8 @@ def test_merging_keeps_the_volume_and_kinds_apart() -> None:
   rng = np.random.default_rng(0)
   i, j = (a.ravel() for a in np.meshgrid(np.arange(12), np.arange(9), indexing="ij"))
   top = rng.integers(1, 3, i.shape)
-  low = np.stack((0.1 * i, 0.2 * j, np.zeros(i.shape)), -1)
-  high = np.stack((0.1 * (i + 1), 0.2 * (j + 1), top.astype(float)), -1)
+  low = np.stack((0.1 * i, 0.2 * j, np.zeros(i.shape)), -1, dtype=np.float64)
+  high = np.stack((0.1 * (i + 1), 0.2 * (j + 1), top), -1, dtype=np.float64)
   kind = rng.integers(2, size=i.shape)
   merged_low, merged_high, merged_kind = merge_boxes(low, high, kind)
   assert len(merged_low) < len(low)
@@ -294,17 +294,23 @@ def test_without_level_places_patches_are_the_most_level_one() -> None:
 
 
 GOOD = TerrainGridCfg(types={"it": FlatCfg()})
+
+
+def changed(cfg: TileCfg, **settings: Any) -> TileCfg:
+  return dataclasses.replace(cfg, **settings)
+
+
 BAD: list[tuple[TileCfg, str]] = [
   (PyramidStairsCfg(step_height=(-0.1, 0.2)), r"step_height \(-0.1, 0.2\) must be at least 0; \(0.0, 0.2\) would work"),
   (PyramidStairsCfg(step_height=(0.2, 0.1)), r"must grow with difficulty; \(0.1, 0.2\) would work"),
   (PyramidStairsCfg(step_width=0.01), "step_width 0.01 must be at least 0.05; 0.05 would work"),
-  (PyramidStairsCfg(step_height=0.2), r"step_height must be \(easiest, hardest\), got 0.2"),  # pyright: ignore[reportArgumentType]
+  (changed(PyramidStairsCfg(), step_height=0.2), r"step_height must be \(easiest, hardest\), got 0.2"),
   (PyramidStairsCfg(platform=9.0), "make the platform at most 5.9 m, or the tile at least 11.1 m"),
   (PyramidStairsCfg(border=4.0), "make the border at most 2 m"),
   (PyramidStairsCfg(border=0.01), "use 0, or at least 0.05 m"),
   (PyramidStairsCfg(share=-1.0), "share -1.0 must be at least 0; 0"),
   (NarrowBeamsCfg(num_beams=0), "num_beams 0 must be at least 1; 1 would work"),
-  (NarrowBeamsCfg(num_beams=1.5), "num_beams must be a whole number"),  # pyright: ignore[reportArgumentType]
+  (changed(NarrowBeamsCfg(), num_beams=1.5), "num_beams must be a whole number"),
   (NarrowBeamsCfg(beam_width=(0.2, 0.8)), r"must fall with difficulty; \(0.8, 0.2\) would work"),
   (NarrowBeamsCfg(beam_width=(2.0, 0.8)), "at most 1 m would work"),
   (NestedRingsCfg(ring_width=(3.0, 3.0)), "make the tile at least"),

@@ -70,7 +70,7 @@ def test_what_is_seen_from_above_is_the_highest_triangle() -> None:
     for face in faces:
       matrix = np.vstack((vertices[face, :2].T, np.ones(3)))
       if abs(np.linalg.det(matrix)) > 1e-9:
-        weights = np.linalg.solve(matrix, (x[i], y[j], 1.0))
+        weights = np.linalg.solve(matrix, np.array((x[i], y[j], 1.0)))
         if weights.min() >= -1e-9:
           best = max(best, float(weights @ vertices[face, 2]))
     assert seen[i, j] == pytest.approx(best, abs=1e-9)

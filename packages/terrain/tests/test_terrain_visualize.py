@@ -113,3 +113,22 @@ def test_a_picture_keeps_its_pixels(tmp_path: Path) -> None:
   path = tmp_path / "noise.png"
   path.write_bytes(png(pixels))
   np.testing.assert_array_equal(np.asarray(image.open(path)), pixels)
+
+
+def test_the_page_builds_what_its_controls_say() -> None:
+  pytest.importorskip("trimesh")
+  viser = pytest.importorskip("viser")
+  from mjlab_terrain.page import Page
+
+  server = viser.ViserServer(port=0, verbose=False)
+  try:
+    page = Page(TerrainGridCfg(rows=2), server)
+    assert "14 tiles" in page._status.content
+    page._choice.value = "stepping_stones"
+    assert "2 tiles" in page._status.content
+    page._tile_size.value = (1.0, 1.0)
+    assert "Cannot be built" in page._status.content
+    page._choice.value = "flat"
+    assert "2 tiles of 2 boxes and 0 height fields, 12 triangles" in page._status.content
+  finally:
+    server.stop()

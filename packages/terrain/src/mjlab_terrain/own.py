@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -142,10 +143,10 @@ class MeshCfg(TileCfg):
 def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
   """Vertices and triangles of a file. `changed` is when it was written, so that an old one is not taken for it."""
   try:
-    import trimesh  # pyright: ignore[reportMissingImports]
+    trimesh: Any = import_module("trimesh")
   except ImportError as error:
     raise ImportError("meshes need trimesh: pip install 'mjlab-terrain[mesh]'") from error
-  mesh: Any = trimesh.load(path, force="mesh")
+  mesh = trimesh.load(path, force="mesh")
   return mesh.vertices, mesh.faces
 
 

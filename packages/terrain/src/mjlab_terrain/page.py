@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import trimesh  # pyright: ignore[reportMissingImports]
-import viser  # pyright: ignore[reportMissingImports]
 
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.presets import all_types, walking_types
 from mjlab_terrain.settings import Setting, settings_of
 from mjlab_terrain.tile_cfg import TileCfg
 from mjlab_terrain.triangles import triangles
+
+# Extras, which may be missing where types are checked.
+trimesh: Any = import_module("trimesh")
+viser: Any = import_module("viser")
 
 _GIVEN, _WALKING, _ALL = "as given", "walking", "all"
 
