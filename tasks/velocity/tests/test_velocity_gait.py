@@ -6,6 +6,8 @@ import torch
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_velocity import go1_flat
 from mjlab_velocity.mdp import UniformVelocityCommandCfg, VelocityRanges
+from velocity_facts import GO1
+from velocity_oracle import World
 from velocity_rollout import make_env
 
 GAIT = ("foot_clearance", "foot_swing_height", "foot_slip", "soft_landing")
@@ -150,10 +152,8 @@ def test_a_robot_has_fallen_over_beyond_seventy_degrees_in_any_direction() -> No
 
 
 def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_resets() -> None:
-  from velocity_oracle import World
-
   env = make_env(50)
-  world = World(env, 0)
+  world = World(env, 0, GO1)
   clearances = []
   for _ in range(20):
     env.reset()

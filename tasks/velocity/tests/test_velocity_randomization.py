@@ -5,7 +5,7 @@ import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv
 from scipy import stats
-from velocity_oracle import ACTION_SCALE, DEFAULT, FEET, JOINTS
+from velocity_facts import GO1
 from velocity_rollout import make_env
 
 
@@ -18,7 +18,7 @@ def env() -> ManagerBasedRlEnv:
 
 def feet_friction(env: ManagerBasedRlEnv) -> np.ndarray:
   """Friction of the feet, (worlds, feet, 3)."""
-  geoms = [env.sim.mj_model.geom(f"robot/{foot}_foot_collision").id for foot in FEET]
+  geoms = [env.sim.mj_model.geom(f"robot/{foot}_foot_collision").id for foot in GO1.feet]
   return env.sim.model.geom_friction.double().numpy()[:, geoms]
 
 
@@ -81,9 +81,9 @@ def test_the_encoder_bias_is_seen_by_the_actor_alone_and_taken_off_its_set_point
   np.testing.assert_allclose(seen["actor"] - seen["critic"], bias, atol=1e-6)
   model = quiet.sim.mj_model
   driven = [model.joint(int(joint)).name.removeprefix("robot/") for joint in model.actuator_trnid[:, 0]]
-  target = DEFAULT + ACTION_SCALE * action.double().numpy() - bias
+  target = GO1.default + GO1.action_scale * action.double().numpy() - bias
   np.testing.assert_allclose(
-    quiet.sim.data.ctrl.double().numpy(), target[:, [JOINTS.index(name) for name in driven]], atol=1e-6
+    quiet.sim.data.ctrl.double().numpy(), target[:, [GO1.joints.index(name) for name in driven]], atol=1e-6
   )
 
 

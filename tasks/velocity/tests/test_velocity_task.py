@@ -1,106 +1,164 @@
-"""The numbers of the flat Go1 task: of the model, the terms, the learner, and what watching changes."""
+"""The numbers of the four tasks: of the model, the terms, the learner, and what watching changes."""
 
 import math
 from importlib.metadata import entry_points
 from itertools import pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_velocity import go1_flat
+from mjlab_sensors import ContactSensorCfg, RayCastSensorCfg, TerrainHeightSensorCfg
+from mjlab_terrain import TerrainGridCfg
 from mjlab_velocity.mdp import UniformVelocityCommandCfg
-from velocity_oracle import ACTION_SCALE, JOINTS
+from velocity_facts import TASKS
 from velocity_rollout import make_env
 
-WEIGHTS = {
-  "track_linear_velocity": 2.0,
-  "track_angular_velocity": 2.0,
-  "upright": 1.0,
-  "pose": 1.0,
-  "body_ang_vel": 0.0,
-  "angular_momentum": 0.0,
-  "dof_pos_limits": -1.0,
-  "action_rate_l2": -0.1,
-  "air_time": 0.0,
-  "foot_clearance": -2.0,
-  "foot_swing_height": -0.25,
-  "foot_slip": -0.1,
-  "soft_landing": -1e-5,
-}
-ACTOR = {
-  "base_lin_vel": 3,
-  "base_ang_vel": 3,
-  "projected_gravity": 3,
-  "joint_pos": 12,
-  "joint_vel": 12,
-  "actions": 12,
-  "command": 3,
-}
-CRITIC = ACTOR | {"foot_height": 4, "foot_air_time": 4, "foot_contact": 4, "foot_contact_forces": 12}
+every_task = pytest.mark.parametrize("name", TASKS)
 
 
-@pytest.fixture(scope="module")
-def env() -> ManagerBasedRlEnv:
-  return make_env(2)
+@pytest.fixture(scope="module", params=TASKS)
+def built(request: pytest.FixtureRequest) -> tuple[str, ManagerBasedRlEnv]:
+  return request.param, make_env(2, task=request.param)
 
 
-def test_the_task_is_found_under_its_name() -> None:
-  (entry,) = entry_points(group="mjlab.tasks", name="Mjlab-Velocity-Flat-Unitree-Go1")
+def sizes(name: str) -> tuple[dict[str, int], dict[str, int]]:
+  """Size of each observation of actor and critic, in the order of the table."""
+  robot = TASKS[name].robot
+  joints, feet = len(robot.joints), len(robot.feet)
+  actor = {"base_lin_vel": 3, "base_ang_vel": 3, "projected_gravity": 3}
+  actor |= {"joint_pos": joints, "joint_vel": joints, "actions": joints, "command": 3}
+  if TASKS[name].rough:
+    actor["height_scan"] = 187
+  critic = actor | {"foot_height": feet, "foot_air_time": feet, "foot_contact": feet, "foot_contact_forces": 3 * feet}
+  return actor, critic
+
+
+@every_task
+def test_the_task_is_found_under_its_name(name: str) -> None:
+  (entry,) = entry_points(group="mjlab.tasks", name=name)
   task = entry.load()()
-  assert task.env == go1_flat().env
+  assert task.env == TASKS[name].make().env
 
 
-def test_a_task_that_somebody_changes_stays_as_it_is_for_others() -> None:
-  task = go1_flat()
+@every_task
+def test_a_task_that_somebody_changes_stays_as_it_is_for_others(name: str) -> None:
+  task = TASKS[name].make()
   task.env.rewards.clear()
   task.env.observations.clear()
+  task.env.scene.sensors.clear()
   task.agent.max_iterations = 1
-  assert list(go1_flat().env.rewards) == list(WEIGHTS)
-  assert go1_flat().agent.max_iterations == 10_000
+  fresh = TASKS[name].make()
+  assert list(fresh.env.rewards) == list(TASKS[name].weights)
+  assert fresh.env.scene.sensors
+  assert fresh.agent.max_iterations == TASKS[name].iterations
 
 
-def test_observations_are_those_of_the_table_in_its_order(env: ManagerBasedRlEnv) -> None:
+def test_observations_are_those_of_the_table_in_its_order(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
   observations, _ = env.reset()
-  for group, terms, size in (("actor", ACTOR, 48), ("critic", CRITIC, 72)):
+  for group, terms, size in zip(("actor", "critic"), sizes(name), (TASKS[name].actor, TASKS[name].critic), strict=True):
     layout = env.observation_manager.layout(group)
-    assert {term.name: term.shape[0] for term in layout} == terms
-    assert [term.name for term in layout] == list(terms)
+    assert [(term.name, term.shape[0]) for term in layout] == list(terms.items())
     observation = observations[group]
     assert isinstance(observation, torch.Tensor)
     assert (observation.shape, observation.dtype) == ((2, size), torch.float32)
 
 
-def test_rewards_have_the_weights_of_the_table(env: ManagerBasedRlEnv) -> None:
+def test_rewards_have_the_weights_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
   terms = env.reward_manager.active_terms
-  assert {name: env.reward_manager.get_term_cfg(name).weight for name in terms} == WEIGHTS
+  assert {term: env.reward_manager.get_term_cfg(term).weight for term in terms} == TASKS[name].weights
 
 
-def test_time_and_solver_are_those_of_the_table(env: ManagerBasedRlEnv) -> None:
+def test_episodes_end_for_the_reasons_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
+  manager = env.termination_manager
+  kinds = {term: manager.get_term_cfg(term).time_out for term in manager.active_terms}
+  assert kinds == TASKS[name].terminations
+
+
+def test_time_and_solver_are_those_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
+  solver = TASKS[name].solver
   assert (env.physics_dt, env.step_dt, env.max_episode_length) == (0.005, 0.02, 1000)
   option = env.sim.mj_model.opt
-  assert (option.iterations, option.ls_iterations, option.ccd_iterations, option.impratio) == (10, 20, 50, 10.0)
-  assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+  assert (option.iterations, option.ls_iterations) == (10, 20)
+  assert (option.ccd_iterations, option.impratio) == (solver["ccd"], solver["impratio"])
+  cones = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+  assert option.cone == cones[solver["cone"]]
   assert option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
   assert option.solver == mujoco.mjtSolver.mjSOL_NEWTON
   assert (option.tolerance, option.ls_tolerance) == (1e-8, 0.01)
   assert option.gravity.tolist() == [0.0, 0.0, -9.81]
   assert env.sim.mj_model.stat.extent == 2.0
-  assert (env.cfg.sim.njmax, env.cfg.sim.nconmax) == (128, 16)
+  assert env.cfg.sim.contact_sensor_maxmatch == (500 if TASKS[name].rough else 64)
 
 
-def test_actions_are_joint_set_points_leg_by_leg(env: ManagerBasedRlEnv) -> None:
+def test_actions_are_joint_set_points_in_the_order_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
   term = env.action_manager.get_term("joint_pos")
   assert isinstance(term, mdp.JointPositionAction)
-  assert tuple(term.joint_names) == JOINTS
-  np.testing.assert_allclose(term.scale[0].numpy(), ACTION_SCALE, rtol=1e-9)
+  assert tuple(term.joint_names) == TASKS[name].robot.joints
+  np.testing.assert_allclose(term.scale[0].numpy(), TASKS[name].robot.action_scale, rtol=1e-9)
+  np.testing.assert_allclose(term.offset[0].numpy(), TASKS[name].robot.default, atol=1e-12)
 
 
-def test_watching_changes_five_things_and_nothing_else() -> None:
-  task = go1_flat()
+def test_posture_is_judged_by_the_deviations_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
+  name, env = built
+  robot = TASKS[name].robot
+  table = env.reward_manager.get_term_cfg("pose").func._table  # pyright: ignore[reportFunctionMemberAccess]
+  expected = np.stack([robot.standing, robot.walking, robot.running])
+  np.testing.assert_allclose(table.numpy() ** -0.5, expected, rtol=1e-9)
+
+
+@every_task
+def test_sensors_are_those_of_the_table(name: str) -> None:
+  facts = TASKS[name]
+  env = make_env(1, task=name)
+  configured = {sensor: env.scene.sensors[sensor] for sensor in env.cfg.scene.sensors}
+  expected = {"feet_ground_contact", "foot_height_scan"}
+  expected |= {"terrain_scan", *facts.robot.touch} if facts.rough else set()
+  expected |= {"self_collision"} if "self_collisions" in facts.weights else set()
+  assert set(configured) == expected
+  feet, heights = configured["feet_ground_contact"].cfg, configured["foot_height_scan"].cfg
+  assert isinstance(feet, ContactSensorCfg)
+  assert (feet.fields, feet.reduce, feet.track_air_time) == (("found", "force"), "netforce", True)
+  assert isinstance(heights, TerrainHeightSensorCfg)
+  pattern = heights.pattern
+  assert (pattern.radius, pattern.num_samples) == facts.robot.ring  # pyright: ignore[reportAttributeAccessIssue]
+  assert (heights.alignment, heights.max_distance, heights.reduction) == ("yaw", 1.0, "min")
+  assert heights.geom_groups == (0,)
+  for sensor, geoms in (facts.robot.touch if facts.rough else {}).items():
+    assert tuple(n.removeprefix("robot/") for n in configured[sensor].primary_names) == geoms  # pyright: ignore[reportAttributeAccessIssue]
+  for sensor in expected & {"self_collision", *facts.robot.touch}:
+    cfg = configured[sensor].cfg
+    assert isinstance(cfg, ContactSensorCfg)
+    assert (cfg.history_length, cfg.num_slots) == (4, 1)
+  if facts.rough:
+    scan = configured["terrain_scan"].cfg
+    assert isinstance(scan, RayCastSensorCfg)
+    assert (scan.alignment, scan.max_distance, scan.geom_groups) == ("yaw", 5.0, (0,))
+    assert scan.exclude_parent_body
+
+
+@every_task
+def test_all_tasks_push_resample_and_widen_commands_alike(name: str) -> None:
+  cfg, other = TASKS[name].make().env, TASKS["Mjlab-Velocity-Flat-Unitree-Go1"].make().env
+  assert cfg.events["push_robot"] == other.events["push_robot"]
+  assert cfg.commands == other.commands
+  assert cfg.curriculum["command_vel"] == other.curriculum["command_vel"]
+  assert cfg.metrics == other.metrics
+  assert set(cfg.curriculum) == {"command_vel", *(["terrain_levels"] if TASKS[name].rough else [])}
+
+
+@every_task
+def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> None:
+  task = TASKS[name].make()
   assert task.play is not None
-  cfg, trained = task.play(task.env), go1_flat().env
+  cfg, trained = task.play(task.env), TASKS[name].make().env
   actor, twist = cfg.observations["actor"], cfg.commands["twist"]
   assert actor is not None
   assert isinstance(twist, UniformVelocityCommandCfg)
@@ -109,8 +167,20 @@ def test_watching_changes_five_things_and_nothing_else() -> None:
   assert cfg.events["push_robot"] is None
   assert not cfg.curriculum
   ranges = twist.ranges
-  assert (ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z) == ((-1.5, 2.0), (-1.0, 1.0), (-0.7, 0.7))
+  faster = ((-1.0, 1.0), (-1.0, 1.0), (-0.5, 0.5)) if TASKS[name].rough else ((-1.5, 2.0), (-1.0, 1.0), (-0.7, 0.7))
+  assert (ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z) == faster
   assert ranges.heading == (-math.pi, math.pi)
+  if TASKS[name].rough:
+    assert cfg.terminations["out_of_terrain_bounds"] is None
+    ground = cfg.scene.terrain
+    assert isinstance(ground, TerrainGridCfg)
+    assert (ground.layout, ground.rows, ground.columns, ground.border_width) == ("random", 5, 5, 10.0)
+    # First the tile, then the place on it.
+    assert next(iter(cfg.events)) == "randomize_terrain"
+    del cfg.events["randomize_terrain"]
+    cfg.terminations["out_of_terrain_bounds"] = trained.terminations["out_of_terrain_bounds"]
+    cfg.scene.terrain = trained.scene.terrain
+    cfg.scene.max_init_terrain_level = trained.scene.max_init_terrain_level
 
   cfg.episode_length_s = 20.0
   actor.corrupt = True
@@ -120,31 +190,35 @@ def test_watching_changes_five_things_and_nothing_else() -> None:
   assert cfg == trained
 
 
-def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out() -> None:
-  task = go1_flat()
+@every_task
+def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out(name: str) -> None:
+  facts, task = TASKS[name], TASKS[name].make()
   assert task.play is not None
   task.env.scene.num_envs = 4
-  cfg = task.play(task.env)
-  env = ManagerBasedRlEnv(cfg, device="cpu")
+  env = ManagerBasedRlEnv(task.play(task.env), device="cpu")
   env.reset()
   env.episode_length_buf.fill_(10**9)
+  joints = len(facts.robot.joints)
+  bias = env.scene["robot"].data.encoder_bias.float()
   pushed = 0
-  for _ in range(160):
-    observations, _, terminated, truncated, _ = env.step(torch.zeros(4, 12))
+  for _ in range(160 if facts.robot.root == "trunk" and not facts.rough else 40):
+    observations, _, terminated, truncated, _ = env.step(torch.zeros(4, joints))
     actor, critic = observations["actor"], observations["critic"]
     assert isinstance(actor, torch.Tensor)
     assert isinstance(critic, torch.Tensor)
-    bias = env.scene["robot"].data.encoder_bias.float()
-    torch.testing.assert_close(actor[:, 9:21], critic[:, 9:21] + bias)
+    torch.testing.assert_close(actor[:, 9 : 9 + joints], critic[:, 9 : 9 + joints] + bias)
     assert torch.equal(actor[:, :9], critic[:, :9])
-    assert torch.equal(actor[:, 21:], critic[:, 21:48])
-    assert not (terminated | truncated).any()
-    pushed += int(env.sim.data.qvel[:, :2].abs().max() > 0.3)
+    assert torch.equal(actor[:, 9 + joints :], critic[:, 9 + joints : facts.actor])
+    assert not truncated.any()
+    # A stair may trip who does not look.
+    assert facts.rough or not terminated.any()
+    pushed += int(env.sim.data.qvel[:, :2].abs().max() > 1.0)
   assert not pushed
 
 
-def test_the_learner_is_that_of_the_table() -> None:
-  agent = go1_flat().agent
+@every_task
+def test_the_learner_is_that_of_the_table(name: str) -> None:
+  agent = TASKS[name].make().agent
   for model in (agent.actor, agent.critic):
     assert model.hidden_dims == (512, 256, 128)
     assert model.activation == "elu"
@@ -155,7 +229,7 @@ def test_the_learner_is_that_of_the_table() -> None:
     "std_type": "scalar",
   }
   assert agent.critic.distribution_cfg is None
-  expected = {
+  expected: dict[str, Any] = {
     "num_learning_epochs": 5,
     "num_mini_batches": 4,
     "learning_rate": 1e-3,
@@ -170,12 +244,19 @@ def test_the_learner_is_that_of_the_table() -> None:
     "max_grad_norm": 1.0,
     "normalize_advantage_per_mini_batch": False,
   }
-  assert {name: getattr(agent.algorithm, name) for name in expected} == expected
-  assert (agent.num_steps_per_env, agent.max_iterations, agent.save_interval) == (24, 10_000, 50)
-  assert (agent.experiment_name, agent.seed, agent.clip_actions) == ("go1_velocity", 42, None)
+  assert {key: getattr(agent.algorithm, key) for key in expected} == expected
+  assert (agent.num_steps_per_env, agent.max_iterations, agent.save_interval) == (24, TASKS[name].iterations, 50)
+  assert (agent.experiment_name, agent.seed, agent.clip_actions) == (TASKS[name].experiment, 42, None)
 
 
-@pytest.mark.parametrize(("sizes", "parameters"), [((48, 12), 190_860), ((72, 1), 201_729)])
-def test_networks_have_as_many_parameters_as_the_published_ones(sizes: tuple[int, int], parameters: int) -> None:
-  widths = [sizes[0], *go1_flat().agent.actor.hidden_dims, sizes[1]]
-  assert sum((a + 1) * b for a, b in pairwise(widths)) == parameters
+@every_task
+def test_networks_have_as_many_parameters_as_the_published_ones(name: str) -> None:
+  facts = TASKS[name]
+  hidden = facts.make().agent.actor.hidden_dims
+  for size, outputs, parameters in (
+    # The deviations of the actions are parameters of the actor's.
+    (facts.actor, len(facts.robot.joints), facts.parameters[0]),
+    (facts.critic, 1, facts.parameters[1]),
+  ):
+    widths = [size, *hidden, outputs]
+    assert sum((a + 1) * b for a, b in pairwise(widths)) == parameters

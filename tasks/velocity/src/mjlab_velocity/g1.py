@@ -9,7 +9,7 @@ from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play
+from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
 
 # How far joints may stray from the default pose [rad]
@@ -76,7 +76,7 @@ def _robot() -> LeggedRobot:
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """G1 follows velocity commands on a plane."""
-  return TaskCfg(env=g1_flat_env(), play=play, agent=agent("g1_velocity", 30_000))
+  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000))
 
 
 def g1_flat_env() -> ManagerBasedRlEnvCfg:

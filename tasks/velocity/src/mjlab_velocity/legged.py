@@ -240,13 +240,19 @@ def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: episodes without end, what the policy sees without noise, nobody pushes, faster commands."""
+  """For watching: episodes without end, what the policy sees without noise, nobody pushes."""
   cfg.episode_length_s = 1e9
   actor = cfg.observations["actor"]
   if actor is not None:
     actor.corrupt = False
   cfg.events["push_robot"] = None
   cfg.curriculum = {}
+  return cfg
+
+
+def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """For watching, with faster commands than training begins with."""
+  cfg = play(cfg)
   twist = cfg.commands["twist"]
   if isinstance(twist, velocity.UniformVelocityCommandCfg):
     twist.ranges = velocity.VelocityRanges(lin_vel_x=(-1.5, 2.0), ang_vel_z=(-0.7, 0.7))

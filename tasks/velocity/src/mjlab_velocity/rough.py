@@ -21,6 +21,7 @@ from mjlab_terrain import (
 from mjlab_velocity import mdp as velocity
 from mjlab_velocity.legged import DECIMATION, LeggedRobot, flat_env, play
 
+RIM = 0.2  # m, level edge of tiles that are height fields
 SCAN_DISTANCE = 5.0  # m
 SCAN_NOISE = UniformNoiseCfg(n_min=-0.1, n_max=0.1)  # m, before scaling
 
@@ -36,10 +37,11 @@ def rough_terrain() -> TerrainGridCfg:
       "flat": FlatCfg(share=0.2),
       "stairs_up": PyramidStairsCfg(share=0.2, step_height=(0.0, 0.1)),
       "stairs_down": PyramidStairsCfg(share=0.2, step_height=(0.0, 0.1), inverted=True),
-      "slope_up": PyramidSlopeCfg(share=0.1),
-      "slope_down": PyramidSlopeCfg(share=0.1, inverted=True),
-      "random_rough": RandomRoughCfg(share=0.1),
-      "waves": WavesCfg(share=0.1),
+      "slope_up": PyramidSlopeCfg(share=0.1, slope=(0.0, 1.0), curved=True, border=RIM),
+      "slope_down": PyramidSlopeCfg(share=0.1, slope=(0.0, 1.0), curved=True, border=RIM, inverted=True),
+      # As rough on the hardest level as heights of 2 to 10 cm in steps of 2 are.
+      "random_rough": RandomRoughCfg(share=0.1, amplitude=(0.0, 0.05), border=RIM),
+      "waves": WavesCfg(share=0.1, amplitude=(0.0, 0.2), border=RIM),
     },
   )
 
@@ -63,9 +65,13 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
   for name, noise in (("actor", SCAN_NOISE), ("critic", None)):
     group = cfg.observations[name]
     assert group is not None
-    group.terms["height_scan"] = ObservationTermCfg(
+    scan = ObservationTermCfg(
       mdp.height_scan, noise=noise, scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
     )
+    # Behind the command, where the actor's terms end.
+    before = list(group.terms).index("command") + 1
+    terms = list(group.terms.items())
+    group.terms = dict([*terms[:before], ("height_scan", scan), *terms[before:]])
   cfg.terminations["out_of_terrain_bounds"] = TerminationTermCfg(velocity.out_of_terrain_bounds, time_out=True)
   cfg.curriculum["terrain_levels"] = CurriculumTermCfg(velocity.terrain_levels, params={"command": "twist"})
   return cfg
@@ -91,7 +97,7 @@ def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
 
 
 def play_rough(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: as on flat ground, on fewer tiles in random order, another one in each episode."""
+  """For watching: on fewer tiles in random order, another one in each episode."""
   cfg = play(cfg)
   cfg.terminations["out_of_terrain_bounds"] = None
   if isinstance(cfg.scene.terrain, TerrainGridCfg):

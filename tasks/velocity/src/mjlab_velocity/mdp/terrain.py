@@ -69,15 +69,18 @@ class out_of_terrain_bounds(ManagerTermBase):
 
 
 def contact_count(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
-  """Number of the last substeps with a contact stronger than `threshold` [N], summed over primaries, (num_envs,)."""
-  force = torch.linalg.vector_norm(env.scene[sensor].data.force_history, dim=-1)
-  return (force > threshold).sum((-1, -2), dtype=torch.float32)
+  """Number of the last substeps with any contact stronger than `threshold` [N], (num_envs,)."""
+  return _strong(env, sensor, threshold).any(1).sum(-1, dtype=torch.float32)
 
 
 def illegal_contact(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
   """Whether any contact in the last substeps was stronger than `threshold` [N], (num_envs,)."""
-  force = env.scene[sensor].data.force_history
-  return (force.square().sum(-1) > threshold**2).flatten(1).any(-1)
+  return _strong(env, sensor, threshold).flatten(1).any(-1)
+
+
+def _strong(env: "ManagerBasedRlEnv", sensor: str, threshold: float) -> torch.Tensor:
+  """Which contacts were stronger than `threshold` [N] in which of the last substeps, (num_envs, contacts, substeps)."""
+  return env.scene[sensor].data.force_history.square().sum(-1) > threshold**2
 
 
 class upright_on_terrain(ManagerTermBase):

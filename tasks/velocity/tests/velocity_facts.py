@@ -1,0 +1,268 @@
+"""The numbers of both robots and all four tasks, written down from the specification, not read from the code."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_rl import TaskCfg
+from mjlab_velocity import g1_flat, g1_rough, go1_flat, go1_rough
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+  """What tasks and oracle must know of a robot."""
+
+  root: str
+  torso: str
+  imu: str
+  feet: tuple[str, ...]
+  """Sites of the feet."""
+  foot_geoms: tuple[tuple[str, ...], ...]
+  """Collision geoms of each foot."""
+  touch: dict[str, tuple[str, ...]]
+  """Collision geoms whose contact with the ground rough tasks count, by sensor."""
+  ring: tuple[float, int]
+  """Radius [m] and number of the rays around each foot."""
+  joints: tuple[str, ...]
+  default: np.ndarray
+  action_scale: np.ndarray
+  standing: np.ndarray
+  walking: np.ndarray
+  running: np.ndarray
+  start: tuple[float, float]
+  """Height of the root above its world's origin at the start of an episode [m]."""
+  sole: float
+  """Clearance of the feet in the default pose when the root is at `start[0]` above level ground [m]."""
+  friction: tuple[float, float]
+  """Range of the feet's sliding friction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+  """What the tables say of a task."""
+
+  make: Callable[[], TaskCfg[ManagerBasedRlEnvCfg]]
+  robot: Robot
+  rough: bool
+  actor: int
+  critic: int
+  weights: dict[str, float]
+  terminations: dict[str, bool]
+  """Whether each counts as a truncation."""
+  parameters: tuple[int, int]
+  """Of the networks of actor and critic."""
+  iterations: int
+  experiment: str
+  solver: dict[str, Any]
+
+
+def _per_joint(joints: tuple[str, ...], values: dict[str, float]) -> np.ndarray:
+  """The value whose key a joint's name contains; the one key "" is for all."""
+  found = [[value for key, value in values.items() if key in joint] for joint in joints]
+  assert all(len(matches) == 1 for matches in found), [j for j, m in zip(joints, found, strict=True) if len(m) != 1]
+  return np.array([matches[0] for matches in found])
+
+
+_LEGS = ("FR", "FL", "RR", "RL")
+_GO1_JOINTS = tuple(f"{leg}_{joint}_joint" for leg in _LEGS for joint in ("hip", "thigh", "calf"))
+_GO1_MOVING = _per_joint(_GO1_JOINTS, {"hip": 0.3, "thigh": 0.3, "calf": 0.6})
+
+GO1 = Robot(
+  root="trunk",
+  torso="trunk",
+  imu="imu",
+  feet=_LEGS,
+  foot_geoms=tuple((f"{leg}_foot_collision",) for leg in _LEGS),
+  touch={
+    "thigh_ground_touch": tuple(f"{leg}_thigh_collision{i}" for leg in _LEGS for i in (1, 2, 3)),
+    "shank_ground_touch": tuple(f"{leg}_calf_collision{i}" for leg in _LEGS for i in (1, 2)),
+    "trunk_ground_touch": ("trunk_collision", "head_collision"),
+  },
+  ring=(0.04, 4),
+  joints=_GO1_JOINTS,
+  default=np.array([x for leg in _LEGS for x in (0.1 if leg[1] == "R" else -0.1, 0.9, -1.8)]),
+  action_scale=np.array([0.372753038708, 0.372753038708, 0.248502025806] * 4),
+  standing=_per_joint(_GO1_JOINTS, {"hip": 0.05, "thigh": 0.05, "calf": 0.1}),
+  walking=_GO1_MOVING,
+  running=_GO1_MOVING,
+  start=(0.278 + 0.0265, 0.278 + 0.0665),
+  sole=0.01,
+  friction=(0.3, 1.5),
+)
+
+_LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+_ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")
+_G1_JOINTS = tuple(
+  f"{name}_joint"
+  for name in (
+    *(f"{side}_{joint}" for side in ("left", "right") for joint in _LEG),
+    "waist_yaw",
+    "waist_roll",
+    "waist_pitch",
+    *(f"{side}_{joint}" for side in ("left", "right") for joint in _ARM),
+  )
+)
+_G1_DEFAULT = {
+  "hip_pitch": -0.312,
+  "knee": 0.669,
+  "ankle_pitch": -0.363,
+  "shoulder_pitch": 0.2,
+  "left_shoulder_roll": 0.2,
+  "right_shoulder_roll": -0.2,
+  "elbow": 0.6,
+}
+
+G1 = Robot(
+  root="pelvis",
+  torso="torso_link",
+  imu="imu_in_pelvis",
+  feet=("left_foot", "right_foot"),
+  foot_geoms=tuple(tuple(f"{side}_foot{i}_collision" for i in range(1, 8)) for side in ("left", "right")),
+  touch={},
+  ring=(0.03, 6),
+  joints=_G1_JOINTS,
+  default=np.array([sum(v for key, v in _G1_DEFAULT.items() if key in joint) for joint in _G1_JOINTS]),
+  action_scale=_per_joint(
+    _G1_JOINTS,
+    {
+      "hip_pitch": 0.547546462991,
+      "hip_yaw": 0.547546462991,
+      "waist_yaw": 0.547546462991,
+      "hip_roll": 0.350661466379,
+      "knee": 0.350661466379,
+      "ankle": 0.438577313923,
+      "waist_roll": 0.438577313923,
+      "waist_pitch": 0.438577313923,
+      "shoulder": 0.438577313923,
+      "elbow": 0.438577313923,
+      "wrist_roll": 0.438577313923,
+      "wrist_pitch": 0.0745008703295,
+      "wrist_yaw": 0.0745008703295,
+    },
+  ),
+  standing=_per_joint(_G1_JOINTS, {"": 0.05}),
+  walking=_per_joint(
+    _G1_JOINTS,
+    {
+      "hip_pitch": 0.3,
+      "hip_roll": 0.15,
+      "hip_yaw": 0.15,
+      "knee": 0.35,
+      "ankle_pitch": 0.25,
+      "ankle_roll": 0.1,
+      "waist_yaw": 0.2,
+      "waist_roll": 0.08,
+      "waist_pitch": 0.1,
+      "shoulder_pitch": 0.15,
+      "shoulder_roll": 0.15,
+      "shoulder_yaw": 0.1,
+      "elbow": 0.15,
+      "wrist": 0.3,
+    },
+  ),
+  running=_per_joint(
+    _G1_JOINTS,
+    {
+      "hip_pitch": 0.5,
+      "hip_roll": 0.2,
+      "hip_yaw": 0.2,
+      "knee": 0.6,
+      "ankle_pitch": 0.35,
+      "ankle_roll": 0.15,
+      "waist_yaw": 0.3,
+      "waist_roll": 0.08,
+      "waist_pitch": 0.2,
+      "shoulder_pitch": 0.5,
+      "shoulder_roll": 0.2,
+      "shoulder_yaw": 0.15,
+      "elbow": 0.35,
+      "wrist": 0.3,
+    },
+  ),
+  start=(0.76 + 0.01, 0.76 + 0.05),
+  sole=0.013,
+  friction=(0.3, 1.2),
+)
+
+_WEIGHTS = {
+  "track_linear_velocity": 2.0,
+  "track_angular_velocity": 2.0,
+  "upright": 1.0,
+  "pose": 1.0,
+  "body_ang_vel": 0.0,
+  "angular_momentum": 0.0,
+  "dof_pos_limits": -1.0,
+  "action_rate_l2": -0.1,
+  "air_time": 0.0,
+  "foot_clearance": -2.0,
+  "foot_swing_height": -0.25,
+  "foot_slip": -0.1,
+  "soft_landing": -1e-5,
+}
+_G1_WEIGHTS = _WEIGHTS | {"body_ang_vel": -0.05, "angular_momentum": -0.02, "self_collisions": -1.0}
+_TRIPPED = {"self_collisions": -0.1, "shank_collision": -0.1, "trunk_head_collision": -0.1}
+_FLAT_ENDS = {"time_out": True, "fell_over": False, "nan_detection": False}
+_GO1_SOLVER = {"cone": "elliptic", "impratio": 10.0, "ccd": 50}
+_G1_SOLVER = {"cone": "pyramidal", "impratio": 1.0, "ccd": 50}
+
+TASKS = {
+  "Mjlab-Velocity-Flat-Unitree-Go1": Task(
+    make=go1_flat,
+    robot=GO1,
+    rough=False,
+    actor=48,
+    critic=72,
+    weights=_WEIGHTS,
+    terminations=_FLAT_ENDS,
+    parameters=(190_860, 201_729),
+    iterations=10_000,
+    experiment="go1_velocity",
+    solver=_GO1_SOLVER,
+  ),
+  "Mjlab-Velocity-Flat-Unitree-G1": Task(
+    make=g1_flat,
+    robot=G1,
+    rough=False,
+    actor=99,
+    critic=111,
+    weights=_G1_WEIGHTS,
+    terminations=_FLAT_ENDS,
+    parameters=(219_165, 221_697),
+    iterations=30_000,
+    experiment="g1_velocity",
+    solver=_G1_SOLVER,
+  ),
+  "Mjlab-Velocity-Rough-Unitree-Go1": Task(
+    make=go1_rough,
+    robot=GO1,
+    rough=True,
+    actor=235,
+    critic=259,
+    weights=_WEIGHTS | _TRIPPED,
+    terminations={
+      "time_out": True,
+      "out_of_terrain_bounds": True,
+      "illegal_contact": False,
+      "nan_detection": False,
+    },
+    parameters=(286_604, 297_473),
+    iterations=10_000,
+    experiment="go1_velocity",
+    solver=_GO1_SOLVER | {"ccd": 500},
+  ),
+  "Mjlab-Velocity-Rough-Unitree-G1": Task(
+    make=g1_rough,
+    robot=G1,
+    rough=True,
+    actor=286,
+    critic=298,
+    weights=_G1_WEIGHTS,
+    terminations=_FLAT_ENDS | {"out_of_terrain_bounds": True},
+    parameters=(314_909, 317_441),
+    iterations=30_000,
+    experiment="g1_velocity",
+    solver=_G1_SOLVER | {"ccd": 500},
+  ),
+}
