@@ -93,7 +93,7 @@ def _distance(extent: tuple[float, float], aspect: float, azimuth: float, elevat
   along = abs(math.cos(azimuth)) * x + abs(math.sin(azimuth)) * y
   slope = math.tan(math.radians(0.5 * _FOVY))
   needed = max(across / aspect, along * abs(math.sin(elevation)) + 1.0) / slope
-  return 1.05 * needed + 0.8 * along * math.cos(elevation)
+  return 1.12 * needed + 0.8 * along * math.cos(elevation)
 
 
 def plot(cfg: TerrainGridCfg, size: tuple[int, int]) -> Pixels:
