@@ -1,0 +1,88 @@
+"""Every registered task, for training and for watching: built, stepped, reset, saved and written down."""
+
+import copy
+import json
+from typing import Any
+
+import mjlab
+import pytest
+import torch
+from mjlab.making import make
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_manifest
+
+WORLDS = 4
+STEPS = 20
+
+
+def seen(observations: dict[str, Any]) -> list[torch.Tensor]:
+  """All tensors of observations, those of groups that are not concatenated included."""
+  return [t for value in observations.values() for t in (value.values() if isinstance(value, dict) else [value])]
+
+
+def leaves(state: Any, where: str = "") -> dict[str, Any]:
+  if isinstance(state, dict):
+    return {name: leaf for key, value in state.items() for name, leaf in leaves(value, f"{where}.{key}").items()}
+  return {where: state}
+
+
+def act(env: ManagerBasedRlEnv, generator: torch.Generator) -> list[torch.Tensor]:
+  """One step of random actions; everything it returns, checked for being what it should be."""
+  action = torch.randn(WORLDS, env.action_manager.total_action_dim, generator=generator)
+  observations, reward, terminated, truncated, _ = env.step(action)
+  assert set(observations) == set(env.single_observation_space.spaces)
+  for tensor in (*seen(observations), reward):
+    assert tensor.shape[0] == WORLDS
+    assert tensor.isfinite().all()
+  assert terminated.dtype == truncated.dtype == torch.bool
+  return [*seen(observations), reward, terminated, truncated]
+
+
+@pytest.fixture(params=["train", "play"])
+def play(request: pytest.FixtureRequest) -> bool:
+  return request.param == "play"
+
+
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_every_task_steps_resets_some_worlds_and_goes_on_from_a_saved_state(name: str, play: bool) -> None:
+  generator = torch.Generator().manual_seed(0)
+  with make(name, num_envs=WORLDS, device="cpu", play=play) as env:
+    observations, _ = env.reset(seed=0)
+    assert all(tensor.isfinite().all() for tensor in seen(observations))
+    for _ in range(STEPS):
+      act(env, generator)
+
+    before = seen(env.get_observations())
+    observations, _ = env.reset(env_ids=[1, 3])
+    for old, new in zip(before, seen(observations), strict=True):
+      assert torch.equal(old[[0, 2]], new[[0, 2]])
+    assert env.episode_length_buf[[1, 3]].eq(0).all()
+
+    saved = copy.deepcopy(env.state_dict())
+    moved = generator.get_state()
+    expected = [act(env, generator) for _ in range(3)]
+    with make(name, num_envs=WORLDS, device="cpu", play=play) as other:
+      other.reset(seed=1)
+      other.load_state_dict(saved)
+      restored = leaves(other.state_dict())
+      for key, value in leaves(saved).items():
+        assert torch.equal(restored[key], value) if isinstance(value, torch.Tensor) else restored[key] == value, key
+      generator.set_state(moved)
+      for one in expected:
+        assert all(torch.equal(a, b) for a, b in zip(one, act(other, generator), strict=True))
+    assert all(isinstance(value, float) for value in env.drain_log().values())
+    assert env.describe()
+
+
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_every_task_can_be_rebuilt_from_what_a_run_writes_down(name: str, tmp_path: Any) -> None:
+  task = mjlab.load_task(name)
+  manifest = RunManifest(task=name, env=task.env, agent=task.agent, play=task.play)
+  write_manifest(tmp_path, manifest)
+  run = load_run(tmp_path)
+  assert run.env == task.env
+  assert run.agent == task.agent
+  assert json.dumps(encode_manifest(run)) == json.dumps(encode_manifest(manifest))
+  if task.play is not None:
+    assert run.play is task.play
+    assert task.play(copy.deepcopy(run.env)) == task.play(copy.deepcopy(task.env))
