@@ -9,6 +9,7 @@ import mjlab.registry as registry
 import mjlab_pendulum
 import pytest
 from mjlab import cli
+from mjlab.making import share_cores
 from mjlab_rl import checkpoints, load_run
 
 TASK = "Test-Pendulum"
@@ -143,6 +144,26 @@ def test_listing_and_help_start_fast_and_import_nothing_heavy(arguments: list[st
 def test_importing_mjlab_imports_neither_torch_nor_warp() -> None:
   code = "import mjlab, sys; assert not {'torch', 'warp', 'mujoco'} & set(sys.modules)"
   subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_torch_is_told_to_share_the_cores_before_it_is_imported() -> None:
+  code = (
+    "import os, sys; from mjlab import cli, making; share = making.share_cores\n"
+    "def checked():\n  assert 'torch' not in sys.modules\n  share()\n"
+    "making.share_cores = checked; cli.train(['Mjlab-Cartpole-Balance', '--help', 'seed'])\n"
+    "assert 'torch' in sys.modules; assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'"
+  )
+  env = {name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")}
+  done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+  assert done.returncode == 0, done.stderr
+
+
+def test_who_chose_how_threads_wait_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+  monkeypatch.delenv("GOMP_SPINCOUNT", raising=False)
+  share_cores()
+  assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+  assert "GOMP_SPINCOUNT" not in os.environ
 
 
 def test_ctrl_c_saves_and_exits_cleanly(tmp_path: Path) -> None:

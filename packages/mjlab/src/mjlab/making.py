@@ -76,3 +76,17 @@ def default_worlds(device: str, configured: int) -> int:
 def cpu_cores() -> int:
   """Cores this process may use."""
   return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_cores() -> None:
+  """Let torch's threads sleep soon after each operation. Has an effect only before torch is imported.
+
+  By default they spin for a millisecond and more, on cores that MuJoCo's own threads want next, or another program.
+  Measured with 256 worlds of the Go1 on two cores: an iteration of training takes 1.25 s with that, 1.2 s when they
+  sleep at once and 1.1 s when they spin for ten microseconds; beside another busy program 10 s, 4 s and 3 s. The number
+  of threads stays that of the cores: with one the update takes 0.85 s instead of 0.55 s, and the rollout is no faster.
+  """
+  if "OMP_WAIT_POLICY" not in os.environ:
+    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+    # Only libgomp, torch's on Linux, can spin for so short a time.
+    os.environ.setdefault("GOMP_SPINCOUNT", "1000")

@@ -5,8 +5,12 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjlab_core import unknown
+
+from mjlab import making
 from mjlab.cli._config_flags import flags, replaced
 from mjlab.cli._errors import BuildError, UsageError
+from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
   from mjlab_rl import Console, RlEnv, RunManifest, TaskCfg
@@ -50,6 +54,7 @@ def run(arguments: list[str]) -> int:
     return 0
   if name.startswith("-"):
     raise UsageError("the task comes first. usage: train TASK [flags]")
+  making.share_cores()
   task = _task(name)
   wants_help = [index for index, word in enumerate(given) if word in ("-h", "--help")]
   if wants_help:
@@ -59,18 +64,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _task(name: str) -> "TaskCfg[Any]":
-  from mjlab.registry import list_tasks, load_task
-
   if name not in list_tasks():
-    from mjlab_core import unknown
-
     raise UsageError(unknown("task", name, list_tasks()))
   return load_task(name)
 
 
 def _general_help() -> str:
-  from mjlab.registry import list_tasks
-
   tasks = [f"  {name}" for name in list_tasks()] or ["  (none is installed)"]
   options = [f"  --{flag.name:<12}{flag.about}" for flag in flags(Arguments())]
   return "\n".join(
@@ -96,7 +95,6 @@ def _print_help(name: str, task: "TaskCfg[Any]", word: str) -> None:
 
 def _print_completion(arguments: list[str]) -> None:
   from mjlab.cli._flag_parser import print_completion
-  from mjlab.registry import list_tasks, load_task
 
   tasks = {name: load_task(name) for name in list_tasks()}
   configs = {name: Arguments(agent=task.agent, env=task.env) for name, task in tasks.items()}
@@ -115,18 +113,17 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab_rl import Console, train
 
   from mjlab.cli._flag_parser import parse
-  from mjlab.making import cpu_cores, default_worlds, resolve_device, standard_env
 
   # Once to learn from what to start, once more upon that.
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if wanted.verbose and wanted.quiet:
     raise UsageError("--verbose and --quiet exclude each other")
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
-  device = resolve_device(wanted.device)
+  device = making.resolve_device(wanted.device)
   checkpoint = _checkpoint(wanted)
   run = None if checkpoint is None else _manifest(checkpoint, name, console)
   if run is None:
-    default = default_worlds(device, task.env.scene.num_envs)
+    default = making.default_worlds(device, task.env.scene.num_envs)
     task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
   else:
     default = None
@@ -138,7 +135,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
   worlds = wanted.env.scene.num_envs
   hint = " (--env.scene.num-envs sets it)" if worlds == default else ""
-  where = f"{device} ({cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
+  where = f"{device} ({making.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
   console.say(f"{name}: {worlds} worlds{hint} on {where}")
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
@@ -158,7 +155,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     result = train(
       dataclasses.replace(task, env=wanted.env, agent=wanted.agent),
       name=name,
-      make_env=standard_env,
+      make_env=making.standard_env,
       device=device,
       log_root=wanted.log_root,
       resume=checkpoint,
