@@ -83,8 +83,8 @@ def share_cores() -> None:
 
   By default they spin for a millisecond and more, on cores that MuJoCo's own threads want next, or another program.
   Measured with 256 worlds of the Go1 on two cores: an iteration of training takes 1.25 s with that, 1.2 s when they
-  sleep at once and 1.1 s when they spin for ten microseconds; beside another busy program 10 s, 4 s and 3 s. The number
-  of threads stays that of the cores: with one the update takes 0.85 s instead of 0.55 s, and the rollout is no faster.
+  sleep at once and 1.1 s when they spin for ten microseconds; beside another busy program 10 s with that, and 2 to 4 s
+  without. How many threads torch uses is the runner's choice: one in rollouts, all in updates.
   """
   if "OMP_WAIT_POLICY" not in os.environ:
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"

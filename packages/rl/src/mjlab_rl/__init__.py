@@ -44,28 +44,20 @@ __all__ = [
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
 # Loaded on first use: a task's configuration needs no rsl-rl, and reading a manifest needs no torch.
-_HOMES = {
-  "CheckpointError": "checkpoint",
-  "ConfigError": "config",
-  "Console": "console",
-  "IterationReport": "iteration_report",
-  "ManifestError": "manifest",
-  "MjlabOnPolicyRunner": "runner",
-  "RlEnv": "env_protocol",
-  "RslRlModelCfg": "config",
-  "RslRlOnPolicyRunnerCfg": "config",
-  "RslRlPpoAlgorithmCfg": "config",
-  "RslRlVecEnvWrapper": "vec_env",
-  "RunManifest": "manifest",
-  "RunNotFoundError": "run_directory",
-  "TaskCfg": "task",
-  "TrainingResult": "training",
-  "checkpoints": "run_directory",
-  "create_run_directory": "run_directory",
-  "find_checkpoint": "run_directory",
-  "load_run": "manifest",
-  "train": "training",
+_MODULES = {
+  "checkpoint": "CheckpointError",
+  "config": "ConfigError RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg",
+  "console": "Console",
+  "env_protocol": "RlEnv",
+  "iteration_report": "IterationReport",
+  "manifest": "ManifestError RunManifest load_run",
+  "run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
+  "runner": "MjlabOnPolicyRunner",
+  "task": "TaskCfg",
+  "training": "TrainingResult train",
+  "vec_env": "RslRlVecEnvWrapper",
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
