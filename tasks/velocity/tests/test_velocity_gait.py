@@ -6,7 +6,7 @@ import torch
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_velocity import go1_flat
 from mjlab_velocity.mdp import UniformVelocityCommandCfg, VelocityRanges
-from velocity_facts import GO1
+from velocity_facts import TASKS
 from velocity_oracle import World
 from velocity_rollout import make_env
 
@@ -151,9 +151,11 @@ def test_a_robot_has_fallen_over_beyond_seventy_degrees_in_any_direction() -> No
   assert not truncated.any()
 
 
-def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_resets() -> None:
-  env = make_env(50)
-  world = World(env, 0, GO1)
+@pytest.mark.parametrize("task", [name for name in TASKS if "Flat" in name])
+def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_resets(task: str) -> None:
+  robot = TASKS[task].robot
+  env = make_env(50, task=task)
+  world = World(env, 0, robot)
   clearances = []
   for _ in range(20):
     env.reset()
@@ -162,5 +164,5 @@ def test_feet_begin_one_to_five_centimetres_above_the_ground_in_a_thousand_reset
       assert not world.touches_ground()
       clearances.append(world.lowest)
   assert len(clearances) == 1000
-  assert min(clearances) == pytest.approx(0.01, abs=2e-4)
-  assert max(clearances) == pytest.approx(0.05, abs=2e-4)
+  assert min(clearances) == pytest.approx(robot.sole, abs=2e-4)
+  assert max(clearances) == pytest.approx(robot.sole + 0.04, abs=2e-4)

@@ -83,8 +83,8 @@ class World:
     seen = Contacts(np.zeros(feet, dtype=bool), np.zeros((feet, 3)), {"self_collision": np.zeros(1)})
     seen.strongest |= {name: np.zeros(len(geoms)) for name, geoms in self._touch.items()}
     local = np.zeros(6)
-    for index, contact in enumerate(self.data.contact):
-      pair = [int(contact.geom1), int(contact.geom2)]
+    frames = self.data.contact.frame
+    for index, pair in enumerate(self.data.contact.geom.tolist()):
       mujoco.mj_contactForce(self.model, self.data, index, local)
       strength = np.linalg.norm(local[:3])
       if self._robot.issuperset(pair):
@@ -99,7 +99,7 @@ class World:
         if not set(geoms).isdisjoint(pair):
           seen.found[foot] = True
           # MuJoCo's contact force acts from the first geom on the second.
-          push = contact.frame.reshape(3, 3).T @ local[:3]
+          push = frames[index].reshape(3, 3).T @ local[:3]
           seen.force[foot] += push if pair[0] in geoms else -push
     return seen
 
@@ -288,31 +288,28 @@ class Feet:
     self.count = count
     self.contacts: list[np.ndarray] = []
     self.heights: list[np.ndarray] = []
+    self.phases: list[list[tuple[bool, int]]] = [[] for _ in range(count)]
+    """Contact and length in substeps of each phase of each foot."""
 
   def step(self, contacts: list[np.ndarray], heights: np.ndarray) -> None:
     self.contacts += contacts
     self.heights.append(heights)
-
-  def phases(self, foot: int) -> list[tuple[bool, int]]:
-    """Contact and length in substeps of each phase of a foot."""
-    phases: list[tuple[bool, int]] = []
-    for found in (bool(contact[foot]) for contact in self.contacts):
-      if phases and phases[-1][0] == found:
-        phases[-1] = (found, phases[-1][1] + 1)
-      else:
-        phases.append((found, 1))
-    return phases
+    for contact in contacts:
+      for phases, found in zip(self.phases, contact.tolist(), strict=True):
+        if phases and phases[-1][0] == found:
+          phases[-1] = (found, phases[-1][1] + 1)
+        else:
+          phases.append((found, 1))
 
   @property
   def air_time(self) -> np.ndarray:
-    last = [self.phases(foot)[-1] if self.contacts else (True, 0) for foot in range(self.count)]
+    last = [phases[-1] if phases else (True, 0) for phases in self.phases]
     return np.array([0.0 if found else length * SUBSTEP for found, length in last])
 
   def landed(self) -> np.ndarray:
     """Feet whose flight ended within this step; the drop at the start of an episode is none."""
     landed = []
-    for foot in range(self.count):
-      phases = self.phases(foot)
+    for phases in self.phases:
       stands, lasted = phases[-1]
       flew = len(phases) >= 3
       landed.append(stands and lasted <= SUBSTEPS and flew)
