@@ -185,22 +185,25 @@ def test_nothing_but_a_push_moves_a_robot_whose_episode_goes_on(played: Played) 
 
 
 @pytest.mark.warp
-@pytest.mark.parametrize("task", [name for name in TASKS if "Flat" in name])
+@pytest.mark.parametrize("task", TASKS)
 def test_every_term_is_its_formula_on_mujoco_warp(task: str) -> None:
   rollout = Rollout(task, 4, engine="warp")
   steps = [step for steps in roll(rollout, 40, timed_out_at=20) for step in steps]
-  check_rewards(steps, 1e-5)
-  check_critic(steps, 2e-5)
-  # Single precision may see a contact begin or end a substep apart, now and then.
+  # In single precision, positions are as coarse as 4 micrometres where tiles are 40 m off.
+  check_rewards(steps, 5e-4 if TASKS[task].rough else 1e-5)
+  check_critic(steps, 1e-4 if TASKS[task].rough else 2e-5)
+  # Single precision may see a contact begin or end a substep apart, now and then. On height fields and edges of boxes
+  # the two engines do not find the same contact points.
+  share, mistaken = (0.75, 0.1) if TASKS[task].rough else (0.98, 0.005)
   for i, tol in ((0, 2e-5), (1, 2e-3)):
     ours, oracle = _physics(steps, i)
-    assert np.quantile(np.abs(ours - oracle).max(1), 0.98) < tol
+    assert np.quantile(np.abs(ours - oracle).max(1), share) < tol
   for world in rollout.worlds:
     for field in ("body_invweight0", "dof_invweight0", "actuator_acc0"):
       ours = getattr(rollout.env.sim.model, field)[world.index].double().numpy()
       np.testing.assert_allclose(ours, getattr(world.model, field), rtol=2e-4, atol=1e-6, err_msg=field)
   (found, shadow), (force, expected) = _feet(steps)
-  assert (found != shadow).mean() < 0.005
+  assert (found != shadow).mean() < mistaken
   assert np.median(np.abs(force - expected).max((1, 2))) < 0.1
   for name, amplitude in AMPLITUDE.items():
     if name in steps[0].actor:

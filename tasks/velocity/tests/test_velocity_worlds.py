@@ -43,8 +43,9 @@ def test_what_a_world_sees_does_not_depend_on_who_is_reset(task: str) -> None:
   assert not torch.equal(alone.sim.data.qpos[2], disturbed.sim.data.qpos[2])
 
 
-def test_a_world_that_diverges_is_ended_counted_and_nobody_elses_business() -> None:
-  healthy, ill = make_env(4), make_env(4)
+@pytest.mark.parametrize("task", [name for name in TASKS if name.endswith("Flat-Unitree-Go1") or "Rough" in name])
+def test_a_world_that_diverges_is_ended_counted_and_nobody_elses_business(task: str) -> None:
+  healthy, ill = make_env(4, task=task), make_env(4, task=task)
   healthy.reset()
   ill.reset()
   play(healthy, 5)
