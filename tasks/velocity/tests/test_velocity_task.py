@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_sensors import ContactSensorCfg, RayCastSensorCfg, TerrainHeightSensorCfg
+from mjlab_sensors import ContactSensor, ContactSensorCfg, RayCastSensorCfg, RingPatternCfg, TerrainHeightSensorCfg
 from mjlab_terrain import TerrainGridCfg
-from mjlab_velocity.mdp import UniformVelocityCommandCfg
+from mjlab_velocity.mdp import UniformVelocityCommandCfg, variable_posture
 from velocity_facts import TASKS
 from velocity_rollout import make_env
 
@@ -109,7 +109,9 @@ def test_actions_are_joint_set_points_in_the_order_of_the_table(built: tuple[str
 def test_posture_is_judged_by_the_deviations_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
   name, env = built
   robot = TASKS[name].robot
-  table = env.reward_manager.get_term_cfg("pose").func._table  # pyright: ignore[reportFunctionMemberAccess]
+  term = env.reward_manager.get_term_cfg("pose").func
+  assert isinstance(term, variable_posture)
+  table = term._table
   expected = np.stack([robot.standing, robot.walking, robot.running])
   np.testing.assert_allclose(table.numpy() ** -0.5, expected, rtol=1e-9)
 
@@ -127,12 +129,14 @@ def test_sensors_are_those_of_the_table(name: str) -> None:
   assert isinstance(feet, ContactSensorCfg)
   assert (feet.fields, feet.reduce, feet.track_air_time) == (("found", "force"), "netforce", True)
   assert isinstance(heights, TerrainHeightSensorCfg)
-  pattern = heights.pattern
-  assert (pattern.radius, pattern.num_samples) == facts.robot.ring  # pyright: ignore[reportAttributeAccessIssue]
+  assert isinstance(heights.pattern, RingPatternCfg)
+  assert (heights.pattern.radius, heights.pattern.num_samples) == facts.robot.ring
   assert (heights.alignment, heights.max_distance, heights.reduction) == ("yaw", 1.0, "min")
   assert heights.geom_groups == (0,)
   for sensor, geoms in (facts.robot.touch if facts.rough else {}).items():
-    assert tuple(n.removeprefix("robot/") for n in configured[sensor].primary_names) == geoms  # pyright: ignore[reportAttributeAccessIssue]
+    touch = configured[sensor]
+    assert isinstance(touch, ContactSensor)
+    assert tuple(primary.removeprefix("robot/") for primary in touch.primary_names) == geoms
   for sensor in expected & {"self_collision", *facts.robot.touch}:
     cfg = configured[sensor].cfg
     assert isinstance(cfg, ContactSensorCfg)
