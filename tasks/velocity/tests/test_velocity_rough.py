@@ -214,7 +214,7 @@ def test_the_height_scan_sees_slopes_that_rise_above_the_body(env: ManagerBasedR
 def test_random_ground_of_watching_puts_robots_on_the_tile_that_was_drawn() -> None:
   task = TASKS[GO1].make()
   assert task.play is not None
-  task.env.scene.num_envs = 60
+  task.env.scene.num_envs, task.env.seed = 60, 7
   env = ManagerBasedRlEnv(task.play(task.env), device="cpu")
   assert isinstance(env.cfg.scene.terrain, TerrainGridCfg)
   tiles = []
