@@ -21,6 +21,7 @@ COLUMNS = {
   "episode_length": "Train/mean_episode_length",
   "error_vel_xy": "Metrics/twist/error_vel_xy",
   "error_vel_yaw": "Metrics/twist/error_vel_yaw",
+  "terrain_level": "Curriculum/terrain_levels/mean",
   "steps_per_second": "Perf/total_fps",
   "collect_s": "Perf/collection_time",
   "learn_s": "Perf/learning_time",
@@ -30,6 +31,7 @@ PANELS = (
   ("episode_length", "mean episode length [steps]"),
   ("error_vel_xy", "velocity error [m/s]"),
   ("error_vel_yaw", "turning error [rad/s]"),
+  ("terrain_level", "mean terrain level"),
 )
 
 

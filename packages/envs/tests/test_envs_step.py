@@ -428,15 +428,16 @@ def test_a_recorded_step_is_one_graph_that_never_waits_on_a_gpu(make: Make) -> N
   assert env.is_captured
   assert env.num_graphs == 1
   action = actions(env, 7)
-  torch.cuda.set_sync_debug_mode("error")
   try:
+    torch.cuda.set_sync_debug_mode("error")
     outputs = [env.step(action) for _ in range(30)]
   finally:
     torch.cuda.set_sync_debug_mode("default")
   for obs, reward, *_ in outputs:
     assert torch.isfinite(obs["actor"]).all()
     assert torch.isfinite(reward).all()
-  assert env.drain_log()["Episode_Termination/time_out"] >= 64.0
+  # Worlds ended and were reset meanwhile.
+  assert sum(count for name, count in env.drain_log().items() if name.startswith("Episode_Termination/")) >= 64.0
 
 
 @needs_gpu

@@ -181,8 +181,8 @@ def test_a_replay_does_not_wait_for_the_gpu(gpu_sim: Simulation) -> None:
   graph = sim.capture(sim.step)
   for _ in range(5):
     graph()
-  torch.cuda.set_sync_debug_mode("error")
   try:
+    torch.cuda.set_sync_debug_mode("error")
     graph()
   finally:
     torch.cuda.set_sync_debug_mode("default")

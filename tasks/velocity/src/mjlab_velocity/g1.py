@@ -69,7 +69,8 @@ def _robot() -> LeggedRobot:
       ls_iterations=20,
       ccd_iterations=50,
       nconmax=32,
-      njmax=300,
+      # Random play wants up to 13 contacts and 113 rows a world.
+      njmax=192,
     ),
   )
 
