@@ -46,6 +46,12 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
   assert f"done: 3 iterations, {directory / 'model_3.pt'}" in shown
 
 
+def test_a_task_alone_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.chdir(tmp_path)
+  assert cli.train([TASK]) == 0
+  assert [path.name for path in checkpoints(*runs(Path("logs")))] == ["model_3.pt"]
+
+
 def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert train(tmp_path, "--env.rewards.joint-speed.weight", "-0.5", "--env.scene.num-envs", "4", "--quiet") == 0
   assert capsys.readouterr().out == ""

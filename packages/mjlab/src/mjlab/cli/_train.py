@@ -1,6 +1,7 @@
 """`train TASK [flags]`: build the task, apply the flags, train."""
 
 import dataclasses
+import itertools
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -104,7 +105,7 @@ def _print_completion(arguments: list[str]) -> None:
 def _with_latest(given: list[str]) -> list[str]:
   """The same with `--resume latest` for a bare `--resume`."""
   words: list[str] = []
-  for word, following in zip(given, [*given[1:], "--"], strict=True):
+  for word, following in itertools.zip_longest(given, given[1:], fillvalue="--"):
     words += [word, "latest"] if word == "--resume" and following.startswith("--") else [word]
   return words
 
