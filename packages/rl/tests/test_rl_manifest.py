@@ -4,13 +4,14 @@ import json
 import math
 import threading
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from mjlab_rl import ManifestError, RslRlOnPolicyRunnerCfg, RunManifest, RunNotFoundError, find_checkpoint, load_run
-from mjlab_rl.manifest import decode, encode, write_manifest
+from mjlab_rl.manifest import decode, encode, package_versions, write_manifest
 from mjlab_rl.run_directory import create_run_directory
 from rl_point_env import PointEnvCfg
 
@@ -111,6 +112,24 @@ def test_a_name_that_is_gone_is_named() -> None:
     decode({"$type": "rl_point_env:PointEnvCfg", "fields": {"colour": 1}})
   with pytest.raises(ManifestError, match="is not a dataclass"):
     decode({"$type": "os:system", "fields": {}})
+  with pytest.raises(ManifestError, match="has no 'Colour.BLUE'"):
+    decode({"$enum": f"{__name__}:Colour", "name": "BLUE"})
+  with pytest.raises(ManifestError, match=r"env: Pair cannot be made .* 'high'"):
+    decode({"$type": f"{__name__}:Pair", "fields": {"low": 1.0}}, "env")
+
+
+@pytest.mark.parametrize("text", ["[]", "\udcff", '{"format": 1}', '{"format": 1, "colour": 2}'])
+def test_a_file_that_is_no_manifest_is_a_clear_error(tmp_path: Path, text: str) -> None:
+  (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
+  with pytest.raises(ManifestError, match="manifest"):
+    load_run(tmp_path)
+
+
+def test_versions_are_those_of_all_members_and_of_the_stack() -> None:
+  versions = package_versions()
+  members = {name for dist in metadata.distributions() if (name := dist.name).startswith("mjlab")}
+  assert members | {"python", "platform", "torch", "rsl-rl-lib", "tensordict", "numpy"} <= versions.keys()
+  assert versions["mjlab-rl"] == metadata.version("mjlab-rl")
 
 
 def test_a_manifest_is_found_from_its_run_its_checkpoint_and_itself(tmp_path: Path) -> None:
@@ -125,6 +144,12 @@ def test_a_manifest_is_found_from_its_run_its_checkpoint_and_itself(tmp_path: Pa
 def test_run_directories_of_one_second_differ(tmp_path: Path) -> None:
   made = [create_run_directory(tmp_path, "exp", "name") for _ in range(3)]
   assert len(set(made)) == 3
+
+
+def test_a_log_root_that_cannot_be_made_is_an_error_at_once(tmp_path: Path) -> None:
+  (tmp_path / "gone").symlink_to(tmp_path / "unmounted")
+  with pytest.raises(FileExistsError):
+    create_run_directory(tmp_path / "gone", "exp")
 
 
 def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:

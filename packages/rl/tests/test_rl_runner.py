@@ -209,6 +209,17 @@ def test_a_damaged_checkpoint_is_a_clear_error(tmp_path: Path, content: bytes) -
     runner(None, agent()).load(str(path))
 
 
+def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
+  trained = runner(tmp_path, agent())
+  path = trained.checkpoint_path()
+  trained.save(str(path))
+  state = learner(path)
+  state["mjlab"]["format"] += 1
+  torch.save(state, path)
+  with pytest.raises(CheckpointError, match="written by another version"):
+    trained.load(str(path))
+
+
 def test_a_checkpoint_with_code_in_it_is_not_run(tmp_path: Path) -> None:
   path = tmp_path / "model_1.pt"
   torch.save({"actor_state_dict": os.system}, path)
@@ -253,6 +264,32 @@ def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Si
   assert [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)] == handlers
 
 
+def test_a_signal_at_the_end_of_an_iteration_waits_for_the_next_which_saves(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  class Late:
+    """Stop signals of which the first is seen when an iteration has been asked about once already."""
+
+    def __init__(self) -> None:
+      self.times_asked = 0
+
+    def __enter__(self) -> "Late":
+      return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    @property
+    def received(self) -> str | None:
+      self.times_asked += 1
+      return "SIGINT" if self.times_asked > 1 else None
+
+  monkeypatch.setattr("mjlab_rl.runner.StopSignals", Late)
+  interrupted = runner(tmp_path, agent())
+  interrupted.learn(50)
+  assert interrupted.stopped_by == "SIGINT"
+  assert interrupted.checkpoint_path().is_file()
+
+
 def test_a_second_signal_ends_the_process_at_once() -> None:
   code = """
 import os, signal, time
@@ -291,6 +328,11 @@ def test_tensorboard_gets_the_same_values(tmp_path: Path) -> None:
 def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path) -> None:
   with pytest.raises(ConfigError, match=r"pip install 'mjlab-rl\[wandb\]'"):
     runner(tmp_path, agent(logger="wandb")).learn(1)
+
+
+def test_a_run_name_that_is_a_path_is_a_clear_error() -> None:
+  with pytest.raises(ConfigError, match=r"agent\.run_name is 'a/b'"):
+    agent(run_name="a/b").to_rsl_rl()
 
 
 def test_an_actor_without_distribution_is_a_clear_error() -> None:

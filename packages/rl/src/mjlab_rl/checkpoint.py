@@ -31,7 +31,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
   """Read a checkpoint onto the host; only tensors and plain values are accepted.
 
   Raises:
-    CheckpointError: There is no such file, or it is not a checkpoint.
+    CheckpointError: There is no such file, it is not a checkpoint, or one of another version.
   """
   if not path.is_file():
     raise CheckpointError(f"checkpoint {path}: no such file")
@@ -46,6 +46,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
   if not isinstance(state, dict) or "actor_state_dict" not in state:
     found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
     raise CheckpointError(f"checkpoint {path}: no 'actor_state_dict' in it; found {found}")
+  ours = state.get("mjlab", {"format": FORMAT})
+  if not isinstance(ours, dict) or ours.get("format") != FORMAT:
+    raise CheckpointError(f"checkpoint {path}: written by another version of mjlab-rl; this one reads format {FORMAT}")
   return state
 
 

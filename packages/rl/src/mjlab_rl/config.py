@@ -151,11 +151,13 @@ class RslRlOnPolicyRunnerCfg:
     """rsl-rl's configuration dictionary; a fresh one, rsl-rl writes into it.
 
     Raises:
-      ConfigError: A count is not positive, or the actor has no action distribution.
+      ConfigError: A count is not positive, the run's name is no name, or the actor has no action distribution.
     """
     for name in ("num_steps_per_env", "max_iterations", "save_interval"):
       if getattr(self, name) < 1:
         raise ConfigError(f"agent.{name} is {getattr(self, name)}; it must be at least 1")
+    if "/" in self.run_name:
+      raise ConfigError(f"agent.run_name is {self.run_name!r}; it is part of one folder's name and takes no '/'")
     if self.actor.distribution_cfg is None:
       raise ConfigError(
         "agent.actor.distribution_cfg is None, but PPO samples its actions. "

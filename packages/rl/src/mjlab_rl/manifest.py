@@ -25,10 +25,8 @@ from mjlab_rl.config import RslRlOnPolicyRunnerCfg
 
 MANIFEST_NAME = "manifest.json"
 _FORMAT = 1
-_PACKAGES = (
-  "mjlab", "mjlab-core", "mjlab-sim", "mjlab-scene", "mjlab-managers", "mjlab-envs", "mjlab-rl", "mjlab-robots",
-  "mujoco", "mujoco-warp", "warp-lang", "torch", "tensordict", "rsl-rl-lib", "numpy",
-)  # fmt: skip
+# What physics and learning are made of. Members of mjlab and packages that offer tasks are found by themselves.
+_STACK = ("mujoco", "mujoco-warp", "warp-lang", "torch", "tensordict", "rsl-rl-lib", "numpy")
 
 # JSON data: None, booleans, numbers, strings, lists and dictionaries of them.
 Json: TypeAlias = Any
@@ -175,7 +173,7 @@ def decode(data: Json, where: str = "config") -> Any:
     case "$ref":
       return _resolve(body, where)
     case "$enum":
-      return getattr(_resolve(body, where), str(data["name"]))
+      return _resolve(f"{body}.{data['name']}", where)
     case "$partial":
       args: Any = data["args"]
       keywords: Any = data["keywords"]
@@ -199,7 +197,11 @@ def _construct(kind: Any, fields: Any, where: str) -> Any:
   for name in values:
     if name not in known:
       raise ManifestError(f"{where}: {kind.__qualname__} has no field '{name}' any more; it has {', '.join(known)}")
-  return kind(**values)
+  try:
+    return kind(**values)
+  except (TypeError, ValueError) as error:
+    # A field that came later, or a value that is refused now.
+    raise ManifestError(f"{where}: {kind.__qualname__} cannot be made from what the manifest says: {error}") from error
 
 
 def _reference(value: Any, where: str) -> str:
@@ -273,22 +275,23 @@ def load_run(path: str | os.PathLike[str]) -> RunManifest:
     raise FileNotFoundError(f"{path}: no such file; is {path.parent} a run directory?")
   try:
     data = json.loads(path.read_text(encoding="utf-8"))
-  except json.JSONDecodeError as error:
+  except ValueError as error:
     raise ManifestError(f"{path}: not JSON ({error})") from error
-  if data.pop("format", None) != _FORMAT:
+  if not isinstance(data, dict) or data.pop("format", None) != _FORMAT:
     raise ManifestError(f"{path}: written by another version of mjlab-rl; this one reads format {_FORMAT}")
-  return RunManifest(**{name: decode(value, name) for name, value in data.items()})
+  return _construct(RunManifest, data, "manifest")
 
 
 def package_versions() -> dict[str, str]:
-  """Versions of Python, the operating system and the installed packages that decide how a run goes."""
+  """Versions of Python, the operating system and the installed packages that decide how a run goes.
+
+  These are all members of mjlab, the packages that offer tasks, and the physics and learning libraries.
+  """
   versions = {"python": platform.python_version(), "platform": platform.platform()}
-  for name in _PACKAGES:
-    try:
-      versions[name] = metadata.version(name)
-    except metadata.PackageNotFoundError:
-      continue
-  return versions
+  installed = {item.name for item in metadata.distributions() if item.name}
+  offer_tasks = {point.dist.name for point in metadata.entry_points(group="mjlab.tasks") if point.dist}
+  members = {name for name in installed if name == "mjlab" or name.startswith("mjlab-")} | offer_tasks
+  return versions | {name: metadata.version(name) for name in (*sorted(members), *_STACK) if name in installed}
 
 
 def git_state(directory: Path) -> dict[str, Any] | None:

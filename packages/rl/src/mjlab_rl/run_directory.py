@@ -17,10 +17,12 @@ def create_run_directory(log_root: Path, experiment: str, run_name: str = "") ->
   """Make a new directory named after the present time; two runs never share one, not even within a second."""
   stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
   suffix = f"_{run_name}" if run_name else ""
+  # By itself, so that a folder that cannot be made is not taken for a run that is there already.
+  (log_root / experiment).mkdir(parents=True, exist_ok=True)
   for attempt in itertools.count(1):
     path = log_root / experiment / f"{stamp}{'' if attempt == 1 else f'.{attempt}'}{suffix}"
     try:
-      path.mkdir(parents=True)
+      path.mkdir()
     except FileExistsError:
       continue
     return path

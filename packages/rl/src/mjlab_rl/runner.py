@@ -110,14 +110,16 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
           log.write(report)
         self.console.show(report)
 
-        is_last = iteration + 1 == end or stop.received is not None
+        # Looked at once: a signal from here on waits for the next iteration, which saves before it stops.
+        is_end = iteration + 1 == end
+        self.stopped_by = None if is_end else stop.received
+        is_last = is_end or self.stopped_by is not None
         if self.is_writer and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
           path = self.checkpoint_path()
           self.save(str(path))
           for log in logs:
             log.save_file(path)
-        if stop.received is not None:
-          self.stopped_by = stop.received
+        if is_last:
           break
     self.console.end_line()
 
