@@ -112,7 +112,7 @@ def test_a_name_that_is_gone_is_named() -> None:
     decode({"$type": "rl_point_env:PointEnvCfg", "fields": {"colour": 1}})
   with pytest.raises(ManifestError, match="is not a dataclass"):
     decode({"$type": "os:system", "fields": {}})
-  with pytest.raises(ManifestError, match="has no 'Colour.BLUE'"):
+  with pytest.raises(ManifestError, match=r"has no 'Colour\.BLUE'"):
     decode({"$enum": f"{__name__}:Colour", "name": "BLUE"})
   with pytest.raises(ManifestError, match=r"env: Pair cannot be made .* 'high'"):
     decode({"$type": f"{__name__}:Pair", "fields": {"low": 1.0}}, "env")

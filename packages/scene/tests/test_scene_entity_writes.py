@@ -81,6 +81,25 @@ def test_velocities_in_the_link_frame_and_at_the_mass_centre_read_back_as_writte
   torch.testing.assert_close(torch.cat((robot.data.root_link_lin_vel_b, robot.data.root_link_ang_vel_b), -1), velocity)
 
 
+def test_values_of_single_precision_are_written_as_they_are(make_worlds: MakeWorlds) -> None:
+  scene, sim = make_worlds(3, robot=FLOATING)
+  robot = scene["robot"]
+  root, joints, wrench = random(3, 13).float(), (random(3, 6).float(), random(3, 5).float()), random(3, 4, 3).float()
+
+  def written(dtype: torch.dtype) -> list[torch.Tensor]:
+    robot.write_root_state(root.to(dtype))
+    robot.write_joint_state(*(values.to(dtype) for values in joints))
+    robot.write_external_wrench(wrench.to(dtype), wrench.to(dtype))
+    states = snapshot(sim)
+    for write in (robot.write_root_velocity_b, robot.write_root_com_velocity):
+      write(root[:, 7:].to(dtype))
+      states.append(sim.data.qvel.clone())
+    return states
+
+  for single, double in zip(written(torch.float32), written(torch.float64), strict=True):
+    torch.testing.assert_close(single, double, atol=1e-6, rtol=1e-6)
+
+
 def test_quaternions_are_normalised_on_write_and_a_zero_one_is_the_identity(make_worlds: MakeWorlds) -> None:
   scene, _ = make_worlds(3, robot=FLOATING, arm=FIXED)
   pose = torch.tensor([[0, 0, 0, 0, 0, 0, 2], [0, 0, 0, 0, 0, 0, 0], [0, 0, 0, 3, 0, 0, 0]], dtype=torch.float64)

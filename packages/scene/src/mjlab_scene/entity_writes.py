@@ -38,8 +38,9 @@ class Columns:
 class EntityWrites(Stateful):
   """The writing half of `Entity`.
 
-  Every value has one row per world, or a single row that serves all. `mask`, bool (num_envs,), says which worlds are
-  written; None writes all. Derived quantities follow by themselves: nobody needs to call forward.
+  Every value has one row per world, or a single row that serves all, in any floating-point type. `mask`, bool
+  (num_envs,), says which worlds are written; None writes all. Derived quantities follow by themselves: nobody needs to
+  call forward.
 
   Raises:
     ValueError: a value has the wrong number of worlds or columns, or the entity has nothing of the kind to write.
@@ -72,13 +73,13 @@ class EntityWrites(Stateful):
     if self.indexing.root_q is None:
       self.write_root_pose(state, mask)
       return
-    self._check(state, (13,), "write_root_state")
+    state = self._checked(state, (13,), "write_root_state")
     self.write_root_pose(state[:, :7], mask)
     self.write_root_velocity(state[:, 7:], mask)
 
   def write_root_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised."""
-    self._check(pose, (7,), "write_root_pose")
+    pose = self._checked(pose, (7,), "write_root_pose")
     ix = self.indexing
     quat = _unit(pose[:, 3:])
     if ix.root_q is not None:
@@ -96,29 +97,30 @@ class EntityWrites(Stateful):
 
   def write_root_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._root_velocity(velocity, "write_root_velocity")
+    view, velocity = self._root_velocity(velocity, "write_root_velocity")
     angular = quat_apply_inverse(self.data.root_link_quat_w, velocity[:, 3:])
     _write(view, mask, torch.cat((velocity[:, :3].expand(self.num_envs, 3), angular), dim=-1))
 
   def write_root_velocity_b(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], link frame, (num_envs, 6)."""
-    view = self._root_velocity(velocity, "write_root_velocity_b")
+    view, velocity = self._root_velocity(velocity, "write_root_velocity_b")
     linear = quat_apply(self.data.root_link_quat_w, velocity[:, :3])
     _write(view, mask, torch.cat((linear, velocity[:, 3:].expand(self.num_envs, 3)), dim=-1))
 
   def write_root_com_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._root_velocity(velocity, "write_root_com_velocity")
+    view, velocity = self._root_velocity(velocity, "write_root_com_velocity")
     quat = self.data.root_link_quat_w
     arm = quat_apply(quat, self.sim.model.body_ipos[:, self.indexing.root_body])
     linear = velocity[:, :3] - torch.linalg.cross(velocity[:, 3:].expand_as(arm), arm)
     _write(view, mask, torch.cat((linear, quat_apply_inverse(quat, velocity[:, 3:])), dim=-1))
 
-  def _root_velocity(self, velocity: torch.Tensor, what: str) -> torch.Tensor:
+  def _root_velocity(self, velocity: torch.Tensor, what: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where a root velocity is written, and `velocity` in that precision."""
     if self.indexing.root_v is None:
       raise ValueError(f"entity '{self.name}': {what}: its base does not float, so it has no velocity to set")
-    self._check(velocity, (6,), what)
-    return self.sim.data.qvel[:, self.indexing.root_v]
+    velocity = self._checked(velocity, (6,), what)
+    return self.sim.data.qvel[:, self.indexing.root_v], velocity
 
   # Joints
 
@@ -138,7 +140,7 @@ class EntityWrites(Stateful):
   ) -> None:
     """Set joint positions, (num_envs, k) [rad or m]; a ball joint takes four columns, a quaternion, normalised."""
     columns = self._joint_columns("position", joint_ids, "write_joint_position")
-    self._check(position, (columns.count,), "write_joint_position")
+    position = self._checked(position, (columns.count,), "write_joint_position")
     if columns.quaternions:
       position = position.clone()
       for block in columns.quaternions:
@@ -150,7 +152,7 @@ class EntityWrites(Stateful):
   ) -> None:
     """Set joint velocities, (num_envs, k) [rad/s or m/s]; a ball joint takes three columns."""
     columns = self._joint_columns("velocity", joint_ids, "write_joint_velocity")
-    self._check(velocity, (columns.count,), "write_joint_velocity")
+    velocity = self._checked(velocity, (columns.count,), "write_joint_velocity")
     _write_columns(self.sim.data.qvel, columns.state, mask, velocity)
 
   def set_joint_position_target(
@@ -181,7 +183,7 @@ class EntityWrites(Stateful):
     what: str,
   ) -> None:
     columns = self._joint_columns(kind, joint_ids, what)
-    self._check(target, (columns.count,), what)
+    target = self._checked(target, (columns.count,), what)
     _write_columns(buffer, columns.local, mask, target)
 
   # Forces and controls
@@ -198,8 +200,8 @@ class EntityWrites(Stateful):
     They act in every substep until they are overwritten or the world is reset.
     """
     rows = self._body_rows(body_ids)
-    self._check(forces, (rows.count, 3), "write_external_wrench, forces")
-    self._check(torques, (rows.count, 3), "write_external_wrench, torques")
+    forces = self._checked(forces, (rows.count, 3), "write_external_wrench, forces")
+    torques = self._checked(torques, (rows.count, 3), "write_external_wrench, torques")
     _write_columns(self.sim.data.xfrc_applied, rows.state, mask, torch.cat((forces, torques), dim=-1))
 
   def set_ctrl(self, ctrl: torch.Tensor, mask: torch.Tensor | None = None) -> None:
@@ -211,7 +213,7 @@ class EntityWrites(Stateful):
     count = index.stop - index.start if isinstance(index, slice) else index.numel()
     if count == 0:
       raise ValueError(f"entity '{self.name}': set_ctrl: it has no actuators")
-    self._check(ctrl, (count,), "set_ctrl")
+    ctrl = self._checked(ctrl, (count,), "set_ctrl")
     _write_columns(self.sim.data.ctrl, index, mask, ctrl)
 
   # Columns
@@ -268,13 +270,15 @@ class EntityWrites(Stateful):
   def _selections(self) -> dict[tuple[object, ...], tuple[object, Columns]]:
     raise NotImplementedError
 
-  def _check(self, value: torch.Tensor, columns: tuple[int, ...], what: str) -> None:
+  def _checked(self, value: torch.Tensor, columns: tuple[int, ...], what: str) -> torch.Tensor:
+    """`value` in the precision of the state, which differs between engines."""
     if value.shape[1:] != columns or value.shape[0] not in (1, self.num_envs):
       wanted = ", ".join(map(str, columns))
       raise ValueError(
         f"entity '{self.name}': {what}: shape {tuple(value.shape)} does not fit ({self.num_envs}, {wanted}), "
         f"one row per world, or (1, {wanted}) for all"
       )
+    return value.to(self.sim.dtype)
 
 
 def _unit(quaternion: torch.Tensor) -> torch.Tensor:
