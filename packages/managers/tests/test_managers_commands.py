@@ -57,6 +57,28 @@ def test_a_command_is_drawn_anew_when_its_timer_runs_out(env):
   assert manager.get_term("twist").command_counter.tolist() == [4] * 4
 
 
+@pytest.mark.parametrize("steps", [1, 5, 50, 400])
+def test_a_command_is_asked_for_exactly_its_time(env, steps):
+  manager = build(env, steps * env.step_dt, steps * env.step_dt)
+  manager.reset(~env.mask())
+  counter, drawn = manager.get_term("twist").command_counter, []
+  for step in range(2 * steps):
+    before = counter.clone()
+    manager.compute(env.step_dt, env.mask())
+    drawn += [step + 1] if (counter > before).all() else []
+  assert drawn == [steps, 2 * steps]
+
+
+def test_no_command_is_drawn_where_no_time_passes_even_if_each_step_draws_one(env):
+  manager = build(env, 0.0, 0.0)
+  manager.reset(~env.mask())
+  before = manager.get_command("twist").clone()
+  manager.compute(0.02, env.mask(0, 2))
+  after = manager.get_command("twist")
+  assert (after == before).all(1).tolist() == [True, False, True, False]
+  assert manager.get_term("twist").command_counter.tolist() == [1, 2, 1, 2]
+
+
 def test_worlds_just_reset_keep_their_full_timer_and_do_not_advance(env):
   manager = build(env)
   fresh = env.mask(1)

@@ -49,12 +49,15 @@ def test_the_mean_time_between_firings_is_the_middle_of_the_range(make_env):
   assert steps * env.step_dt * 256 / count == pytest.approx(0.4 + env.step_dt / 2, rel=0.01)
 
 
-def test_a_constant_interval_fires_exactly_on_time(env):
-  fired = Fired()
-  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.1, 0.1))}, env)
-  for _ in range(20):
-    manager.apply("interval")
-  assert [all(mask) for mask in fired.masks] == [i % 5 == 4 for i in range(20)]
+@pytest.mark.parametrize("is_global", [False, True])
+@pytest.mark.parametrize("steps", [5, 100, 400])
+def test_a_constant_interval_fires_exactly_on_time(env, steps, is_global):
+  fired, interval = Fired(), (steps * env.step_dt, steps * env.step_dt)
+  term = EventTermCfg(fired, mode="interval", interval_range_s=interval, is_global_time=is_global)
+  manager = EventManager({"push": term}, env)
+  for _ in range(2 * steps):
+    manager.apply("interval", ~env.mask())
+  assert [i + 1 for i, mask in enumerate(fired.masks) if all(mask)] == [steps, 2 * steps]
 
 
 def test_a_reset_redraws_the_timer_of_its_world_but_not_a_global_one(env):

@@ -9,13 +9,16 @@ from typing import Any
 
 import torch
 from mjlab_core.masking import fill_, where_
-from mjlab_core.sampling import check_range
+from mjlab_core.sampling import check_range, uniform
 from mjlab_core.state import Stateful
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.log import LogBuffer
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.table import table
+
+# Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.
+_DUE = 1e-6
 
 
 @dataclass(kw_only=True)
@@ -56,8 +59,8 @@ class CommandTerm(Stateful, ABC):
     self.num_envs, self.device = env.num_envs, env.device
     self.metrics = Metrics()
     self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
-    self.time_left = torch.zeros(self.num_envs, device=self.device)
-    """Time to the next draw, (N,) [s]."""
+    self.time_left = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+    """Time to the next draw, float64 (N,) [s]."""
     self.command_counter = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
     """Draws since the reset, int64 (N,)."""
 
@@ -82,8 +85,8 @@ class CommandTerm(Stateful, ABC):
 
   def _renew(self, mask: torch.Tensor) -> None:
     lo, hi = self.cfg.resampling_time_range
-    draw = torch.rand(self.num_envs, generator=self.env.rng, device=self.device)
-    where_(self.time_left, mask, draw.mul_(hi - lo).add_(lo))
+    draw = uniform(lo, hi, (self.num_envs,), generator=self.env.rng, device=self.device, dtype=torch.float64)
+    where_(self.time_left, mask, draw)
     self.command_counter.add_(mask)
     self.resample(mask)
 
@@ -158,11 +161,12 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     if not self._terms:
       return
     self.fresh = self._none if fresh is None else fresh
-    passed = dt if fresh is None else (~fresh).float().mul_(dt)
+    moving = ~self.fresh
+    passed = moving.double()
     for term in self._terms.values():
       term.update_metrics()
-      term.time_left.sub_(passed)
-      term._renew(term.time_left <= 0.0)
+      term.time_left.sub_(passed, alpha=dt)
+      term._renew((term.time_left <= _DUE) & moving)
       term.update()
 
   def reset(self, mask: torch.Tensor) -> None:

@@ -20,7 +20,7 @@ from mjlab_managers.term import ManagerTermBaseCfg
 EventMode = Literal["startup", "reset", "interval", "step"]
 
 _MODES: tuple[EventMode, ...] = get_args(EventMode)
-# Rounding of repeated subtraction must not delay a timer by a step.
+# Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.
 _DUE = 1e-6
 _NEVER = -(2**62)
 
@@ -114,11 +114,11 @@ class EventManager(ManagerBase[EventTermCfg]):
 
   def _ranges(self, terms: list[Term]) -> tuple[torch.Tensor, torch.Tensor]:
     ranges = [self._cfgs[term.name].interval_range_s or (0.0, 0.0) for term in terms]
-    lo = torch.tensor([[lo for lo, _ in ranges]], device=self.device)
-    return lo, torch.tensor([[hi - lo for lo, hi in ranges]], device=self.device)
+    lo = torch.tensor([[lo for lo, _ in ranges]], dtype=torch.float64, device=self.device)
+    return lo, torch.tensor([[hi - lo for lo, hi in ranges]], dtype=torch.float64, device=self.device)
 
   def _draw(self, shape: tuple[int, int], lo: torch.Tensor, span: torch.Tensor) -> torch.Tensor:
-    return torch.addcmul(lo, torch.rand(shape, generator=self.env.rng, device=self.device), span)
+    return torch.addcmul(lo, torch.rand(shape, generator=self.env.rng, device=self.device, dtype=lo.dtype), span)
 
   @property
   def available_modes(self) -> list[EventMode]:
@@ -166,7 +166,7 @@ class EventManager(ManagerBase[EventTermCfg]):
     fired: dict[str, torch.Tensor] = {}
     dt = self.env.step_dt
     if self._own:
-      self._time_left.sub_(dt if mask is self._everyone else mask[:, None] * dt)
+      self._time_left.sub_(mask[:, None].double(), alpha=dt)
       due = (self._time_left <= _DUE) & mask[:, None]
       where_(self._time_left, due, self._draw((self.num_envs, len(self._own)), self._lo, self._span))
       fired |= {term.name: column for term, column in zip(self._own, due.unbind(1), strict=True)}
