@@ -1,6 +1,7 @@
 """Every registered task, for training and for watching: built, stepped, reset, saved and written down."""
 
 import copy
+import dataclasses
 import json
 from typing import Any
 
@@ -24,6 +25,23 @@ def leaves(state: Any, where: str = "") -> dict[str, Any]:
   if isinstance(state, dict):
     return {name: leaf for key, value in state.items() for name, leaf in leaves(value, f"{where}.{key}").items()}
   return {where: state}
+
+
+def changeable(value: Any, where: str = "") -> dict[int, str]:
+  """Identity and place of every dictionary, list and open dataclass in a config."""
+  if isinstance(value, dict):
+    inside = {f"[{key!r}]": item for key, item in value.items()}
+  elif isinstance(value, list | tuple):
+    inside = {f"[{i}]": item for i, item in enumerate(value)}
+  elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+    inside = {f".{field.name}": getattr(value, field.name) for field in dataclasses.fields(value)}
+  else:
+    return {}
+  is_frozen = isinstance(value, tuple) or getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
+  found = {} if is_frozen else {id(value): where}
+  for name, item in inside.items():
+    found |= changeable(item, where + name)
+  return found
 
 
 def act(env: ManagerBasedRlEnv, generator: torch.Generator) -> list[torch.Tensor]:
@@ -72,6 +90,13 @@ def test_every_task_steps_resets_some_worlds_and_goes_on_from_a_saved_state(name
         assert all(torch.equal(a, b) for a, b in zip(one, act(other, generator), strict=True))
     assert all(isinstance(value, float) for value in env.drain_log().values())
     assert env.describe()
+
+
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_a_task_that_is_changed_changes_no_other(name: str) -> None:
+  first, second = mjlab.load_task(name), mjlab.load_task(name)
+  one, other = changeable(first), changeable(second)
+  assert [one[shared] for shared in one.keys() & other.keys()] == []
 
 
 @pytest.mark.parametrize("name", mjlab.list_tasks())

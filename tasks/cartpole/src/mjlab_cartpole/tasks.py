@@ -31,9 +31,6 @@ BALANCE_SLIDER, SWINGUP_SLIDER = (-0.1, 0.1), (0.0, 0.0)
 HINGE = (-0.034, 0.034)
 VELOCITY = (-0.01, 0.01)
 
-_SLIDER = SceneEntityCfg("cartpole", joint_names="slider")
-_HINGE = SceneEntityCfg("cartpole", joint_names="hinge")
-
 
 def cartpole_spec() -> mujoco.MjSpec:
   """The cart on its rail and the pole on the cart."""
@@ -71,24 +68,28 @@ def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEn
     terminations={"time_out": TerminationTermCfg(mdp.time_out, time_out=True)},
     events={
       "reset_base": EventTermCfg(mdp.reset_scene_to_default, mode="reset"),
-      "reset_slider": _reset(_SLIDER, slider_range),
-      "reset_hinge": _reset(_HINGE, HINGE),
+      "reset_slider": _reset("slider", slider_range),
+      "reset_hinge": _reset("hinge", HINGE),
     },
   )
 
 
-def _reset(joint: SceneEntityCfg, position: tuple[float, float]) -> EventTermCfg:
-  params = {"position_range": position, "velocity_range": VELOCITY, "asset": joint}
+def _joint(name: str) -> SceneEntityCfg:
+  return SceneEntityCfg("cartpole", joint_names=name)
+
+
+def _reset(joint: str, position: tuple[float, float]) -> EventTermCfg:
+  params = {"position_range": position, "velocity_range": VELOCITY, "asset": _joint(joint)}
   return EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=params)
 
 
 def _observations() -> ObservationGroupCfg:
   return ObservationGroupCfg(
     terms={
-      "cart_pos": ObservationTermCfg(mdp.joint_pos_rel, params={"asset": _SLIDER}),
-      "pole_angle": ObservationTermCfg(joint_angle_cos_sin, params={"asset": _HINGE}),
-      "cart_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _SLIDER}),
-      "pole_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _HINGE}),
+      "cart_pos": ObservationTermCfg(mdp.joint_pos_rel, params={"asset": _joint("slider")}),
+      "pole_angle": ObservationTermCfg(joint_angle_cos_sin, params={"asset": _joint("hinge")}),
+      "cart_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _joint("slider")}),
+      "pole_vel": ObservationTermCfg(mdp.joint_vel_rel, params={"asset": _joint("hinge")}),
     }
   )
 

@@ -1,5 +1,6 @@
 """What all velocity tasks share: the environment of a legged robot on a plane, and its learner."""
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -89,8 +90,8 @@ class LeggedRobot:
 
 
 def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
-  """The robot follows velocity commands on a plane."""
-  return ManagerBasedRlEnvCfg(
+  """The robot follows velocity commands on a plane. Whoever gets it may change it: it shares no part with another."""
+  cfg = ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
     sim=robot.sim,
@@ -109,6 +110,7 @@ def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
     },
     metrics={"mean_action_acc": MetricsTermCfg(mdp.mean_action_acc)},
   )
+  return copy.deepcopy(cfg)
 
 
 def _sensors(robot: LeggedRobot) -> dict[str, SensorCfg]:

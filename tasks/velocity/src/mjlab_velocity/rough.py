@@ -1,5 +1,7 @@
 """What makes a velocity task one on rough ground: terrain, height scan, levels."""
 
+import copy
+
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
   CurriculumTermCfg,
@@ -66,7 +68,7 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
     group = cfg.observations[name]
     assert group is not None
     scan = ObservationTermCfg(
-      mdp.height_scan, noise=noise, scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
+      mdp.height_scan, noise=copy.copy(noise), scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
     )
     # Behind the command, where the actor's terms end.
     before = list(group.terms).index("command") + 1
