@@ -50,6 +50,9 @@ def test_member_declares_name_version_licence_and_description(member: Path) -> N
   project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
   assert project["name"] == module_folder(member).name.replace("_", "-")
   assert project["license"] == "Apache-2.0"
+  # A wheel carries the licence's text, and holds nothing from outside of its member.
+  assert project["license-files"] == ["LICENSE"]
+  assert (member / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
   assert project["readme"] == "README.md"
   assert project["description"]
   assert re.fullmatch(r"\d+\.\d+\.\d+", project["version"])
