@@ -52,8 +52,10 @@ def test_what_does_not_fit_is_named_and_nothing_is_written() -> None:
   target = Tree()
   state = Tree(2.0).state_dict()
   state["chain"]["1"]["memory"] = torch.zeros(4, 2)
-  with pytest.raises(StateError, match=r"Tree\.chain\.1\.memory: saved shape \(4, 2\), here \(3, 2\)"):
-    target.load_state_dict(state)
+  for call in (target.check_state_dict, target.load_state_dict):
+    with pytest.raises(StateError, match=r"Tree\.chain\.1\.memory: saved shape \(4, 2\), here \(3, 2\)"):
+      call(state)
+  target.check_state_dict(Tree(2.0).state_dict())
   assert (target.memory == 0.0).all()
 
   missing = Tree(2.0).state_dict()

@@ -12,7 +12,16 @@ from envs_hopper import actions, end, hopper_cfg
 from mjlab_core.state import StateError
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import ConfigError, EventTermCfg, ObservationTermCfg, RewardTermCfg, TerminationTermCfg
+from mjlab_managers import (
+  ConfigError,
+  EventTermCfg,
+  ObservationTermCfg,
+  RecorderTerm,
+  RecorderTermCfg,
+  RewardTermCfg,
+  TerminationTermCfg,
+)
+from mjlab_sim import SimulationError
 
 # An environment, of which tests also touch what is not public.
 Make = Callable[..., Any]
@@ -100,6 +109,59 @@ def test_a_state_of_another_size_or_task_is_refused(make: Make) -> None:
   other = make(cfg)
   with pytest.raises(StateError):
     env.load_state_dict(other.state_dict())
+
+
+def leaves(state: Any) -> list[torch.Tensor]:
+  return [state] if isinstance(state, torch.Tensor) else [leaf for part in state.values() for leaf in leaves(part)]
+
+
+def spoil_term(state: dict[str, Any]) -> None:
+  del state["metrics"]["_steps"]
+
+
+def spoil_entity(state: dict[str, Any]) -> None:
+  state["scene"]["entities"].clear()
+
+
+def lose_a_part(state: dict[str, Any]) -> None:
+  del state["recorders"]
+
+
+def lose_the_state(state: dict[str, Any]) -> None:
+  del state["sim"]["data"]
+
+
+def come_from_a_gpu(state: dict[str, Any]) -> None:
+  state["rng"] = torch.zeros(16, dtype=torch.uint8)
+
+
+def shorten(state: dict[str, Any]) -> None:
+  state["episode_length"] = state["episode_length"][:1]
+
+
+@pytest.mark.parametrize(
+  ("spoil", "message"),
+  [
+    (spoil_term, r"MetricsManager\._steps: missing from the saved state"),
+    (spoil_entity, r"Scene\.entities\.robot: missing from the saved state"),
+    (lose_a_part, "recorders: missing from the saved state"),
+    (lose_the_state, "saved state lacks 'data'"),
+    (come_from_a_gpu, "rng: saved on another kind of device"),
+    (shorten, r"episode_length: saved shape \(1,\), here \(4,\)"),
+  ],
+)
+def test_a_state_that_does_not_fit_in_one_place_changes_nothing(make: Make, spoil: Any, message: str) -> None:
+  env, other = make(), make(hopper_cfg(seed=8))
+  for each, steps in ((env, 3), (other, 5)):
+    each.reset()
+    run(each, range(steps))
+  state = other.state_dict()
+  spoil(state)
+  before = env.state_dict()
+  with pytest.raises(ValueError, match=message):
+    env.load_state_dict(state)
+  for x, y in zip(leaves(before), leaves(env.state_dict()), strict=True):
+    assert torch.equal(x, y)
 
 
 def test_progress_alone_fits_any_number_of_worlds(make: Make) -> None:
@@ -205,6 +267,22 @@ def test_a_closed_environment_says_so_and_closes_again(make: Make) -> None:
     env.reset()
 
 
+def test_a_recorder_that_fails_to_close_leaves_nothing_open(make: Make) -> None:
+  closed: list[str] = []
+
+  class Failing(RecorderTerm):
+    def close(self) -> None:
+      closed.append(self.name)
+      raise OSError(f"disk full ({self.name})")
+
+  env = make(recorders={"first": RecorderTermCfg(Failing), "second": RecorderTermCfg(Failing)})
+  with pytest.raises(OSError, match="disk full"):
+    env.close()
+  assert closed == ["first", "second"]
+  with pytest.raises(SimulationError, match="closed"):
+    env.sim.step()
+
+
 # Configs
 
 
@@ -275,6 +353,17 @@ def test_a_term_that_is_none_is_left_out(make: Make) -> None:
   env = make(cfg)
   assert env.reward_manager.active_terms == ["alive", "action_rate", "torques"]
   assert list(env.reset()[0]) == ["actor"]
+
+
+def test_rewards_of_endless_episodes_are_logged_as_sums(make: Make) -> None:
+  cfg = hopper_cfg(episode_length_s=0.0)
+  cfg.terminations["time_out"] = None
+  env = make(cfg)
+  env.reset()
+  for step in range(3):
+    env.step(actions(env, step))
+  env.reset()
+  assert env.drain_log()["Episode_Reward/alive"] == pytest.approx(3 * 0.5 * env.step_dt)
 
 
 def test_a_description_names_every_term(make: Make) -> None:

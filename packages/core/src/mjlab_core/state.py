@@ -54,6 +54,10 @@ class Stateful:
       for target, source in writes:
         target.copy_(source)
 
+  def check_state_dict(self, state: Mapping[str, Any]) -> None:
+    """Raises what `load_state_dict` would raise, and writes nothing: for owners of several states."""
+    self._collect(state, type(self).__name__, [])
+
   def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[Tensor, Tensor]]) -> None:
     tensors, children = self._state_tensors(), self._state_children()
     _check_keys(state, [*tensors, *children], path)

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from mjlab_core.seeding import draw_seed, make_generator
+from mjlab_core.state import StateError, Stateful
 from mjlab_managers import (
   ActionManager,
   CommandManager,
@@ -270,8 +271,10 @@ class ManagerBasedRlEnv:
     """Release recorders, threads and graphs. Calling it again does nothing."""
     if not self._closed:
       self._closed = True
-      self.recorder_manager.close()
-      self.sim.close()
+      try:
+        self.recorder_manager.close()
+      finally:
+        self.sim.close()
 
   def __enter__(self) -> "ManagerBasedRlEnv":
     return self
@@ -363,29 +366,46 @@ class ManagerBasedRlEnv:
   def state_dict(self) -> dict[str, Any]:
     """Everything that the next step depends on, as fresh tensors."""
     return {
-      "episode_length": self.episode_length_buf.clone(),
-      "pending": self._pending.clone(),
-      "step_counter": self.common_step_counter.clone(),
+      **{name: tensor.clone() for name, tensor in self._own_state().items()},
       "rng": self.rng.get_state(),
       "sim": self.sim.state_dict(),
-      "scene": self.scene.state_dict(),
-      **{name: manager.state_dict() for name, manager in self.managers.items()},
+      **{name: part.state_dict() for name, part in self._stateful_parts().items()},
     }
 
   def load_state_dict(self, state: dict[str, Any]) -> None:
     """Go on from a `state_dict` of an environment with the same config.
 
     Raises:
-      StateError: the state belongs to another task or another number of worlds.
+      StateError, SimulationError: the state belongs to another task, another number of worlds or another kind of
+        device; nothing was changed.
     """
+    own, parts = self._own_state(), self._stateful_parts()
+    for name in (*own, *parts, "sim", "rng"):
+      if name not in state:
+        raise StateError(f"{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
+    for name, tensor in own.items():
+      if state[name].shape != tensor.shape:
+        raise StateError(f"{name}: saved shape {tuple(state[name].shape)}, here {tuple(tensor.shape)}.")
+    if state["rng"].shape != self.rng.get_state().shape:
+      raise StateError(f"rng: saved on another kind of device, here it is {self.device}.")
+    for name, part in parts.items():
+      part.check_state_dict(state[name])
     self.sim.load_state_dict(state["sim"])
-    self.scene.load_state_dict(state["scene"])
-    for name, manager in self.managers.items():
-      manager.load_state_dict(state[name])
-    self.episode_length_buf.copy_(state["episode_length"])
-    self._pending.copy_(state["pending"])
-    self.load_progress(state)
+    for name, part in parts.items():
+      part.load_state_dict(state[name])
+    for name, tensor in own.items():
+      tensor.copy_(state[name])
     self.rng.set_state(state["rng"].cpu())
+
+  def _own_state(self) -> dict[str, torch.Tensor]:
+    return {
+      "episode_length": self.episode_length_buf,
+      "pending": self._pending,
+      "step_counter": self.common_step_counter,
+    }
+
+  def _stateful_parts(self) -> dict[str, Stateful]:
+    return {"scene": self.scene, **self.managers}
 
   def load_progress(self, state: dict[str, Any]) -> None:
     """Take over only how far training had come: what a run with another number of worlds can use."""

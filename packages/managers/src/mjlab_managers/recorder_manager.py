@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
@@ -82,9 +83,10 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     self._call("post_step")
 
   def close(self) -> None:
-    """Closes all recorders."""
-    for term in self._terms.values():
-      term.close()
+    """Closes all recorders, also if one of them fails to."""
+    with contextlib.ExitStack() as stack:
+      for term in reversed(self._terms.values()):
+        stack.callback(term.close)
 
   def _call(self, hook: str, *args: torch.Tensor) -> None:
     base = getattr(RecorderTerm, hook)

@@ -159,13 +159,14 @@ class RewardManager(ManagerBase[RewardTermCfg]):
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """`Episode_Reward/<term>`: mean over ended episodes of the episode sum per second of the longest possible episode.
 
+    Where episodes have no longest one (length 0) it is the mean of the sums.
     `Nonfinite/reward/<term>`: values replaced by 0, NaN where there were none.
     """
     names, means = self._log.tensors()
     counts = self._nonfinite.double()
     return (
       [*names, *(f"Nonfinite/reward/{term.name}" for term in self._terms)],
-      torch.cat([means / self.env.max_episode_length_s, counts.masked_fill(counts == 0, torch.nan)]),
+      torch.cat([means / (self.env.max_episode_length_s or 1.0), counts.masked_fill(counts == 0, torch.nan)]),
     )
 
   def clear_log(self) -> None:

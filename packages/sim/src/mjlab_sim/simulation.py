@@ -209,6 +209,9 @@ class Simulation:
       SimulationError: a field that is missing, unknown or of another shape; nothing was changed.
     """
     self._check_open()
+    for kind in ("data", "model"):
+      if kind not in state:
+        raise SimulationError(f"saved state lacks '{kind}', it has: {', '.join(state) or 'nothing'}")
     data = {name: field for name in STATE if (field := self._engine.data_field(name)).numel()}
     model = {name: self.model[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: self._engine.model_field(name) for name in self._expanded}
