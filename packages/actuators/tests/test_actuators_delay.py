@@ -6,10 +6,13 @@ import torch
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
+  DcMotorActuatorCfg,
+  EnvelopedPdActuatorCfg,
   IdealPdActuatorCfg,
   NativeMotorActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
+  TorqueSpeedEnvelope,
   XmlActuatorCfg,
 )
 
@@ -49,8 +52,10 @@ def delayed(kind: type[ActuatorCfg], **delay: int) -> ActuatorCfg:
   gains = {
     NativePositionActuatorCfg: {"stiffness": 1.0, "damping": 0.0},
     NativeVelocityActuatorCfg: {"damping": 1.0},
-    # Position, velocity and effort targets each count once: the law returns their sum.
+    # Position, velocity and effort targets each count once: these laws return their sum.
     IdealPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0},
+    DcMotorActuatorCfg: {"stiffness": 1.0, "damping": 1.0, "saturation_effort": 1e3, "velocity_limit": 1.0},
+    EnvelopedPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0, "envelope": TorqueSpeedEnvelope(1.0, 2.0, 1e3, 1e3)},
   }.get(kind, {})
   return kind(target_names_expr=(".*",), **gains, **delay)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
 
@@ -60,8 +65,11 @@ KINDS = [
   NativeVelocityActuatorCfg,
   NativeMotorActuatorCfg,
   IdealPdActuatorCfg,
+  DcMotorActuatorCfg,
+  EnvelopedPdActuatorCfg,
   XmlActuatorCfg,
 ]
+SUMMING = (IdealPdActuatorCfg, DcMotorActuatorCfg, EnvelopedPdActuatorCfg)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -69,7 +77,7 @@ KINDS = [
 def test_a_constant_lag_shifts_the_set_points_by_exactly_that_many_substeps(kind: type[ActuatorCfg], lag: int) -> None:
   actuators = build(delayed(kind, delay_min_lag=lag, delay_max_lag=lag))
   reset(actuators, -1.0)
-  unit = 3.0 if kind is IdealPdActuatorCfg else 1.0
+  unit = 3.0 if kind in SUMMING else 1.0
   got = [step(actuators, float(k))[0, 0].item() for k in range(8)]
   assert got == [unit * (k - lag if k >= lag else -1.0) for k in range(8)]
 
@@ -92,7 +100,7 @@ def test_reset_starts_from_the_given_pose_and_leaves_other_worlds_bit_identical(
     runs.append(torch.stack([step(actuators, 50.0 + k) for k in range(4)]))
   without, with_reset = runs
   assert torch.equal(without[:, ~mask], with_reset[:, ~mask])
-  unit = 3.0 if kind is IdealPdActuatorCfg else 1.0
+  unit = 3.0 if kind in SUMMING else 1.0
   assert torch.all(with_reset[0, mask] == unit * 100.0)
 
 

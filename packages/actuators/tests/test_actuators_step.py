@@ -1,5 +1,7 @@
 """What the captured step asks for: fixed memory, no host reads, and few operations."""
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -8,10 +10,14 @@ import torch
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
+  DcMotorActuatorCfg,
+  EnvelopedPdActuatorCfg,
   IdealPdActuatorCfg,
+  LearnedMlpActuatorCfg,
   NativeMotorActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
+  TorqueSpeedEnvelope,
 )
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -56,6 +62,26 @@ def servo(*joints: str, **delay: int) -> ActuatorCfg:
   return NativePositionActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, **delay)
 
 
+def dc_motor(*joints: str) -> ActuatorCfg:
+  return DcMotorActuatorCfg(
+    target_names_expr=joints, stiffness=1.0, damping=0.1, saturation_effort=1.0, velocity_limit=2.0
+  )
+
+
+def enveloped(*joints: str) -> ActuatorCfg:
+  envelope = TorqueSpeedEnvelope(1.0, 2.0, 0.5, 0.6)
+  return EnvelopedPdActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, envelope=envelope)
+
+
+_FOLDER = tempfile.TemporaryDirectory()
+NETWORK = Path(_FOLDER.name) / "network.pt"
+torch.save({"0.weight": torch.ones(4, 6), "0.bias": torch.ones(4), "2.weight": torch.ones(1, 4)}, NETWORK)
+
+
+def learned(*joints: str, **delay: Any) -> ActuatorCfg:
+  return LearnedMlpActuatorCfg(target_names_expr=joints, network_file=NETWORK, effort_limit=1.0, **delay)
+
+
 CASES: dict[str, tuple[tuple[ActuatorCfg, ...], int]] = {
   "servo": ((servo(".*"),), 1),
   "two servo configs out of order": ((servo("c", "b"), servo("a")), 1),
@@ -72,6 +98,10 @@ CASES: dict[str, tuple[tuple[ActuatorCfg, ...], int]] = {
   "pd": ((pd(".*"),), 7),
   "two pd configs out of order": ((pd("c"), pd("a", "b")), 7),
   "pd with delay": ((pd(".*", delay_min_lag=1, delay_max_lag=1),), 17),
+  "two dc motors": ((dc_motor("c"), dc_motor("a", "b")), 15),
+  "two enveloped motors": ((enveloped("c"), enveloped("a", "b")), 16),
+  "two learned motors": ((learned("c"), learned("a", "b")), 32),
+  "learned motor with delay": ((learned(".*", delay_min_lag=1, delay_max_lag=1),), 40),
   "pd and servo interleaved": ((pd("a"), servo("b"), pd("c")), 11),
 }
 
@@ -97,7 +127,7 @@ def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[Actua
   def addresses() -> dict[str, int]:
     found = {"ctrl": actuators.ctrl.data_ptr()}
     for i, law in enumerate(actuators.groups):
-      owners = {"law": law, "delay": law.delay}
+      owners = {"law": law, "delay": law.delay, "history": getattr(law, "history", None)}
       for where, owner in owners.items():
         for name, value in vars(owner).items() if owner is not None else ():
           if isinstance(value, torch.Tensor):

@@ -1,9 +1,12 @@
-"""Actuator models for batched MuJoCo: native servos, ideal PD, wrapped MJCF actuators, delay."""
+"""Actuator models for batched MuJoCo: native servos, PD laws, motors, networks, wrapped MJCF, delay."""
 
 from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, DelaySettings, PerTarget, fuse
 from mjlab_actuators.actuator_set import ActuatorSet, scalar_joints
 from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
+from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
 from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
+from mjlab_actuators.learned_mlp import LearnedMlp, LearnedMlpActuatorCfg
 from mjlab_actuators.motor_design import (
   LinearMotor,
   PdGains,
@@ -21,15 +24,22 @@ from mjlab_actuators.native import (
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, joints_with_actuator
 
 __all__ = [
+  "UNITREE_ENVELOPES",
   "Actuator",
   "ActuatorCfg",
   "ActuatorCmd",
   "ActuatorGroup",
   "ActuatorSet",
   "CommandField",
+  "DcMotor",
+  "DcMotorActuatorCfg",
   "DelaySettings",
+  "EnvelopedPd",
+  "EnvelopedPdActuatorCfg",
   "IdealPd",
   "IdealPdActuatorCfg",
+  "LearnedMlp",
+  "LearnedMlpActuatorCfg",
   "LinearMotor",
   "NativeMotorActuatorCfg",
   "NativePositionActuatorCfg",
@@ -37,7 +47,9 @@ __all__ = [
   "PassThrough",
   "PdGains",
   "PerTarget",
+  "TorqueSpeedEnvelope",
   "XmlActuatorCfg",
+  "clip_to_dc_motor",
   "command_fields_of",
   "fuse",
   "gains_from_frequency",

@@ -2,8 +2,8 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mujoco
@@ -43,26 +43,26 @@ class ActuatorGroup:
   delay: DelaySettings = DelaySettings()
   ctrl_ids: tuple[int, ...] = ()
   """Model ctrl index of each column; empty for a law that is used without a model."""
+  settings: Hashable = None
+  """What the law needs to know beside numbers, alike for all columns."""
 
   @property
   def key(self) -> tuple[object, ...]:
     """Groups that agree in this are one computation."""
-    return (self.law, self.command_fields, self.delay, tuple(self.parameters))
+    return (self.law, self.command_fields, self.delay, tuple(self.parameters), self.settings)
 
   def reordered(self, order: Sequence[int]) -> "ActuatorGroup":
     """The same group with column i taken from column `order[i]`."""
-    return ActuatorGroup(
-      law=self.law,
+    return replace(
+      self,
       target_names=tuple(self.target_names[i] for i in order),
-      command_fields=self.command_fields,
       parameters={name: tuple(values[i] for i in order) for name, values in self.parameters.items()},
-      delay=self.delay,
       ctrl_ids=tuple(self.ctrl_ids[i] for i in order) if self.ctrl_ids else (),
     )
 
 
 def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
-  """One group per law and delay setting; columns keep the order in which they are given.
+  """One group per law, its settings and its delay; columns keep the order in which they are given.
 
   This happens before tensors and delay buffers are made, so nothing is allocated twice and laws that remember something
   fuse as well as those that do not.
@@ -74,14 +74,12 @@ def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
   for members in by_key.values():
     first = members[0]
     fused.append(
-      ActuatorGroup(
-        law=first.law,
+      replace(
+        first,
         target_names=tuple(name for group in members for name in group.target_names),
-        command_fields=first.command_fields,
         parameters={
           name: tuple(value for group in members for value in group.parameters[name]) for name in first.parameters
         },
-        delay=first.delay,
         ctrl_ids=tuple(index for group in members for index in group.ctrl_ids),
       )
     )
@@ -309,6 +307,11 @@ class ActuatorCfg(ABC):
       update_period=self.delay_update_period,
     )
 
+  @property
+  def settings(self) -> Hashable:
+    """What the law needs to know beside numbers; configs that differ in it are different computations."""
+    return None
+
   @abstractmethod
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     """Adds this law's MuJoCo actuators."""
@@ -321,6 +324,7 @@ class ActuatorCfg(ABC):
       parameters=self.parameters(target_names),
       delay=self.delay,
       ctrl_ids=tuple(ctrl_ids),
+      settings=self.settings,
     )
 
   def _numbers(self, name: str, target_names: Sequence[str]) -> tuple[float, ...]:
@@ -329,6 +333,14 @@ class ActuatorCfg(ABC):
     for target, value in zip(target_names, values, strict=True):
       self._check(name, target, value)
     return tuple(float(value) for value in values)
+
+  def _positives(self, name: str, target_names: Sequence[str]) -> tuple[float, ...]:
+    """The field `name` for each target, checked to be finite and positive."""
+    values = self._numbers(name, target_names)
+    for target, value in zip(target_names, values, strict=True):
+      if value == 0.0:
+        raise ValueError(f"{type(self).__name__}: {name} of joint {target!r} is 0; it must be positive")
+    return values
 
   def _limits(self, name: str, target_names: Sequence[str]) -> tuple[float, ...]:
     """The effort limit `name` for each target, positive; infinity where there is none."""

@@ -1,6 +1,7 @@
-"""A PD law in torch, with feed-forward, whose gains and limits may differ per world and change at run time."""
+"""PD laws in torch, with feed-forward, whose gains and limits may differ per world and change at run time."""
 
 import math
+from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,16 +12,28 @@ from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTa
 from mjlab_actuators.command import ActuatorCmd
 
 
-class IdealPd(Actuator):
-  """effort = clamp(kp (q* - q) + kd (q*' - q') + effort*, +-effort_limit), set-points delayed, measurements not.
+class Pd(Actuator, ABC):
+  """What all PD laws ask for before they limit it: kp (q* - q) + kd (q*' - q') + effort*.
 
-  `stiffness`, `damping` and `effort_limit` are (1, n) until `expand`ed; writes in place act from the next substep on.
+  Set-points are delayed, measurements are not. All parameters are (1, n) until `expand`ed; writes in place act from the
+  next substep on.
   """
 
   stiffness: torch.Tensor
   """kp, (1, n) or (num_envs, n) [N/m or N m/rad]."""
   damping: torch.Tensor
   """kd, (1, n) or (num_envs, n) [N s/m or N m s/rad]."""
+
+  def _wanted(self, cmd: ActuatorCmd) -> torch.Tensor:
+    """The effort without any limit, (num_envs, n), in new memory; advances the delay."""
+    position, velocity, effort = self._delayed_targets(cmd)
+    effort = torch.addcmul(effort, self.stiffness, position - cmd.position)
+    return effort.addcmul_(self.damping, velocity - cmd.velocity)
+
+
+class IdealPd(Pd):
+  """effort = clamp(kp (q* - q) + kd (q*' - q') + effort*, +-effort_limit)."""
+
   effort_limit: torch.Tensor
   """Largest effort, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
 
@@ -37,9 +50,7 @@ class IdealPd(Actuator):
     self._clamps = not all(math.isinf(limit) for limit in group.parameters["effort_limit"])
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
-    position, velocity, effort = self._delayed_targets(cmd)
-    effort = torch.addcmul(effort, self.stiffness, position - cmd.position)
-    effort.addcmul_(self.damping, velocity - cmd.velocity)
+    effort = self._wanted(cmd)
     if self._clamps:
       torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
     return effort
@@ -51,18 +62,41 @@ class IdealPd(Actuator):
 
 
 @dataclass(kw_only=True)
-class IdealPdActuatorCfg(ActuatorCfg):
-  """PD with feed-forward computed in torch each substep and applied as a torque.
+class TorqueActuatorCfg(ActuatorCfg):
+  """Base of all laws that torch computes and a MuJoCo motor applies.
 
-  The limit lives in the law alone: the MuJoCo motor underneath has no range, so a limit raised at run time takes effect
-  (a joint's own `actuatorfrcrange`, where the MJCF has one, still applies). The integrator cannot see the law's
-  derivatives: keep kd below about 2 J / timestep, or take the native servo.
+  Limits live in the law alone: the motor underneath has no range, so a limit raised at run time takes effect (a joint's
+  own `actuatorfrcrange`, where the MJCF has one, still applies).
+  """
+
+  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
+    for name in target_names:
+      add_joint_element(spec, type(self).__name__, name)
+
+
+@dataclass(kw_only=True)
+class PdActuatorCfg(TorqueActuatorCfg):
+  """Base of PD laws computed in torch.
+
+  The integrator cannot see the law's derivatives: keep kd below about 2 J / timestep, or take the native servo.
   """
 
   stiffness: PerTarget
   """kp [N/m or N m/rad]."""
   damping: PerTarget
   """kd [N s/m or N m s/rad]."""
+
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    return {
+      "stiffness": self._numbers("stiffness", target_names),
+      "damping": self._numbers("damping", target_names),
+    }
+
+
+@dataclass(kw_only=True)
+class IdealPdActuatorCfg(PdActuatorCfg):
+  """PD with feed-forward computed in torch each substep, clamped and applied as a torque."""
+
   effort_limit: PerTarget | None = None
   """Largest effort [N or N m]; None for no limit."""
 
@@ -71,12 +105,4 @@ class IdealPdActuatorCfg(ActuatorCfg):
     return IdealPd
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    return {
-      "stiffness": self._numbers("stiffness", target_names),
-      "damping": self._numbers("damping", target_names),
-      "effort_limit": self._limits("effort_limit", target_names),
-    }
-
-  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    for name in target_names:
-      add_joint_element(spec, type(self).__name__, name)
+    return super().parameters(target_names) | {"effort_limit": self._limits("effort_limit", target_names)}

@@ -64,7 +64,7 @@ class NativePositionActuatorCfg(ActuatorCfg):
       element.set_to_position(kp=kp, kv=kd)
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
       limit_force(element, limit)
-      low, high = _range(spec, joints[name])
+      low, high = joint_range(spec, joints[name])
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
       if high > low and kp > 0.0 and math.isfinite(limit):
         element.ctrlrange = [low - limit / kp, high + limit / kp]
@@ -129,7 +129,7 @@ class NativeMotorActuatorCfg(ActuatorCfg):
         element.ctrlrange = [-limit, limit]
 
 
-def _range(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> tuple[float, float]:
+def joint_range(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> tuple[float, float]:
   """Position limits of a joint [m or rad]; equal when there are none."""
   if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE:
     return 0.0, 0.0

@@ -1,0 +1,195 @@
+"""A motor learned from data: a network from the recent past of one joint to its effort.
+
+After J. Hwangbo et al., "Learning agile and dynamic motor skills for legged robots", Science Robotics 4 (26), 2019.
+"""
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal, get_args
+
+import torch
+from mjlab_core.buffers import HistoryBuffer
+from mjlab_core.names import unknown
+
+from mjlab_actuators.actuator import Actuator, ActuatorGroup, PerTarget
+from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.dc_motor import clip_to_dc_motor
+from mjlab_actuators.ideal_pd import TorqueActuatorCfg
+from mjlab_actuators.network_file import Activation, load_network
+
+InputOrder = Literal["pos_vel", "vel_pos"]
+"""Whether the columns of position errors come before those of velocities."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlpSettings:
+  """Which network, and what it is fed with."""
+
+  network_file: Path
+  activation: Activation
+  history_length: int
+  position_scale: float
+  velocity_scale: float
+  effort_scale: float
+  input_order: InputOrder
+  braking: bool
+
+  def load(self, device: torch.device | str = "cpu") -> torch.nn.Module:
+    """The network, checked to be as wide as its history."""
+    return load_network(
+      self.network_file, num_inputs=2 * self.history_length, activation=self.activation, device=device
+    )
+
+
+class LearnedMlp(Actuator):
+  """effort = clip(effort_scale network(x)), all worlds and joints as rows of one batch.
+
+  x of one world and joint holds `history_length` position errors, newest first, times `position_scale`, and as many
+  velocities, newest first, times `velocity_scale`, sampled in every substep; after a reset the first sample stands for
+  those before it. The clip is `clip_to_dc_motor` where a motor is configured, else +-effort_limit.
+  """
+
+  _children = ("history",)
+  _constants = frozenset({"_scale"})
+
+  history: HistoryBuffer
+  """Scaled errors and velocities in the network's order, (num_envs, history_length, 2, n)."""
+  effort_limit: torch.Tensor
+  """Largest effort, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
+  saturation_effort: torch.Tensor
+  """Stall effort, (1, n) or (num_envs, n) [N or N m]; only with a configured motor."""
+  velocity_limit: torch.Tensor
+  """No-load speed, (1, n) or (num_envs, n) [m/s or rad/s]; only with a configured motor."""
+
+  def __init__(
+    self,
+    group: ActuatorGroup,
+    *,
+    num_envs: int,
+    device: torch.device | str,
+    dtype: torch.dtype,
+    generator: torch.Generator | None = None,
+  ) -> None:
+    super().__init__(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+    settings = group.settings
+    assert isinstance(settings, MlpSettings)
+    self._settings, self._dtype = settings, dtype
+    self._shape = (num_envs, len(group.target_names))
+    self._clips = "saturation_effort" in group.parameters
+    # Networks are stored in single precision; so is what they are fed with.
+    self.history = HistoryBuffer(settings.history_length, num_envs, (2, self._shape[1]), device, torch.float32)
+    scales = (settings.position_scale, settings.velocity_scale)
+    self._position_first = settings.input_order == "pos_vel"
+    self._scale = torch.tensor(scales if self._position_first else scales[::-1], device=device, dtype=dtype)[:, None]
+    self.network = settings.load(device)
+    # TorchScript compiles during its first calls, which must not happen while a step is recorded.
+    rows = torch.zeros(num_envs * self._shape[1], 2 * settings.history_length, device=device)
+    for _ in range(3):
+      self.network(rows)
+
+  def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    (target,) = self._delayed_targets(cmd)
+    error, velocity = target - cmd.position, cmd.velocity
+    pair = (error, velocity) if self._position_first else (velocity, error)
+    self.history.append(torch.stack(pair, dim=1).mul_(self._scale))
+    # (worlds, time, 2, joints), oldest first -> rows of (world, joint), columns of (2, time), newest first.
+    rows = self.history.read().flip(1).permute(0, 3, 2, 1).reshape(-1, 2 * self.history.length)
+    effort = self.network(rows).view(self._shape).to(self._dtype) * self._settings.effort_scale
+    if not self._clips:
+      return torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
+    return clip_to_dc_motor(
+      effort,
+      cmd.velocity,
+      saturation_effort=self.saturation_effort,
+      velocity_limit=self.velocity_limit,
+      effort_limit=self.effort_limit,
+      braking=self._settings.braking,
+    )
+
+  def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
+    super().reset(mask, cmd)
+    self.history.reset(mask)
+
+
+@dataclass(kw_only=True)
+class LearnedMlpActuatorCfg(TorqueActuatorCfg):
+  """A network that gives the effort of each joint from the recent past of its position error and velocity.
+
+  Its history is sampled in every physics substep: the network must have been trained at that period. Velocity and
+  effort targets are not read.
+  """
+
+  network_file: str | Path
+  """TorchScript archive, or plain state dict of linear layers; (m, 2 history_length) -> (m, 1)."""
+  activation: Activation = "softsign"
+  """Between the layers of a state dict; a TorchScript archive knows its own."""
+  history_length: int = 3
+  """Samples of each, the present one included [substeps]."""
+  position_scale: float = 1.0
+  """Factor of position errors before the network."""
+  velocity_scale: float = 1.0
+  """Factor of velocities before the network."""
+  effort_scale: float = 1.0
+  """Factor of the network's output [N or N m]."""
+  input_order: InputOrder = "pos_vel"
+  """Whether position errors or velocities come first."""
+  effort_limit: PerTarget | None = None
+  """Largest effort [N or N m]; None for no limit."""
+  saturation_effort: PerTarget | None = None
+  """Stall effort of the torque-speed line [N or N m]; None for no such line. See `clip_to_dc_motor`."""
+  velocity_limit: PerTarget | None = None
+  """No-load speed of the torque-speed line [m/s or rad/s]; given with `saturation_effort` or not at all."""
+  braking: bool = False
+  """Whether the motor is forced to brake where it turns faster than its no-load speed."""
+
+  command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
+
+  @property
+  def law(self) -> type[Actuator]:
+    return LearnedMlp
+
+  @property
+  def settings(self) -> Hashable:
+    return MlpSettings(
+      network_file=Path(self.network_file).resolve(),
+      activation=self.activation,
+      history_length=self.history_length,
+      position_scale=float(self.position_scale),
+      velocity_scale=float(self.velocity_scale),
+      effort_scale=float(self.effort_scale),
+      input_order=self.input_order,
+      braking=self.braking,
+    )
+
+  def validate(self, target_names: Sequence[str]) -> None:
+    super().validate(target_names)
+    kind = type(self).__name__
+    if self.input_order not in get_args(InputOrder):
+      raise ValueError(unknown("input_order", self.input_order, get_args(InputOrder), owner=kind))
+    length = self.history_length
+    if isinstance(length, bool) or not isinstance(length, int) or length < 1:
+      raise ValueError(f"{kind}: history_length is {length!r}; it must be a whole number of substeps, 1 or more")
+    for name in ("position_scale", "velocity_scale", "effort_scale"):
+      value = getattr(self, name)
+      if not math.isfinite(value) or value == 0.0:
+        raise ValueError(f"{kind}: {name} is {value}; it must be finite and not zero")
+    settings = self.settings
+    assert isinstance(settings, MlpSettings)
+    try:
+      settings.load()
+    except ValueError as error:
+      raise ValueError(f"{kind}: {error}") from error
+
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    limits = {"effort_limit": self._limits("effort_limit", target_names)}
+    if self.saturation_effort is None and self.velocity_limit is None:
+      return limits
+    for given, missing in (("saturation_effort", "velocity_limit"), ("velocity_limit", "saturation_effort")):
+      if getattr(self, missing) is None:
+        raise ValueError(f"{type(self).__name__}: {given} is given without {missing}; the line needs both")
+    return limits | {
+      "saturation_effort": self._positives("saturation_effort", target_names),
+      "velocity_limit": self._positives("velocity_limit", target_names),
+    }
