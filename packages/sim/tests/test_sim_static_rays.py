@@ -174,6 +174,23 @@ def test_ground_that_is_changed_is_seen_as_it_is(engine: str, field: str, per_wo
   sim.close()
 
 
+def test_ground_that_is_changed_right_after_its_memory_was_replaced_is_seen_as_it_is() -> None:
+  sim = build(rough_ground(), "native")
+  origins, directions = random_rays(sim)
+  caster = sim.make_ray_caster(NUM_RAYS, geomid=False)
+  # Writes that change nothing, so that the next memory could come to as many of them.
+  for _ in range(2):
+    sim.model.body_pos.mul_(1.0)
+  caster.cast(origins, directions)
+  sim.expand_model_fields(["body_pos"])
+  changed = copy.copy(sim.mj_model)
+  terrain = changed.body("terrain").id
+  changed.body_pos[terrain] *= 3.0
+  sim.model.body_pos[:, terrain].mul_(3.0)
+  check(caster.cast(origins, directions), mujoco_rays(sim, origins, directions, model=changed))
+  sim.close()
+
+
 def test_ground_is_merged_once_for_all_casters_that_see_the_same() -> None:
   sim = build(rough_ground(), "native")
   casters: list[Any] = [sim.make_ray_caster(count, geomid=False) for count in (1, 2)]

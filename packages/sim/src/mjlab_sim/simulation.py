@@ -144,6 +144,8 @@ class Simulation:
       self._model_changed = True
       self._state_version = -1
       self._model_version = self._versions(self._watched)
+      if self._fixed_geometry is not None:
+        self._fixed_geometry.forget()
       for graph in self._graphs:
         graph.invalidate()
       for callback in self.on_model_change:
@@ -334,6 +336,8 @@ class Simulation:
     """Release threads, graphs and memory. Tensors taken from here must not be used afterwards."""
     if not self._closed:
       self._closed = True
+      for graph in self._graphs:
+        graph.invalidate()
       self._graphs.clear()
       self._engine.close()
 

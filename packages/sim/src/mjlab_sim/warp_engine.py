@@ -245,7 +245,7 @@ class WarpEngine:
         return
       if name not in self._graphs:
         # Kernels compile and load on their first launch, which a capture does not allow.
-        with self._preserved(), self._stream():
+        with self._stream(), self._preserved():
           stage()
         self._graphs[name] = capture_cuda(stage, self._device)
     elif name not in self._graphs:

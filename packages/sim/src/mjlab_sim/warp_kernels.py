@@ -35,9 +35,10 @@ def count_overflow(
   seen: wp.array[int],
   wanted: wp.array[int],
 ):
-  """ORs each world's sticky bits into `seen`; `wanted` keeps the largest (rows of a world, contacts, pairs)."""
+  """Moves each world's sticky bits into `seen`; `wanted` keeps the largest (rows of a world, contacts, pairs)."""
   world = wp.tid()
   seen[world] = seen[world] | overflow[world]
+  overflow[world] = 0
   wp.atomic_max(wanted, 0, nefc[world])
   if world == 0:
     wp.atomic_max(wanted, 1, nacon[0])
