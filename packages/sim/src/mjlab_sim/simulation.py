@@ -66,8 +66,6 @@ class Simulation:
     """Precision of state and derived quantities: float64 on the native engine, float32 on MuJoCo Warp."""
     self.data = DataView(self)
     self.model = ModelView(self)
-    self.on_model_change: list[Callable[[], None]] = []
-    """Called after model fields were expanded: recorded graphs hold the memory that was."""
     self._kinematic = [_plain(self._engine.data_field(name)) for name in KINEMATIC_STATE]
     self._expanded: dict[str, None] = {}
     # Model fields that somebody asked for, and so may write to.
@@ -148,8 +146,6 @@ class Simulation:
         self._fixed_geometry.forget()
       for graph in self._graphs:
         graph.invalidate()
-      for callback in self.on_model_change:
-        callback()
 
   @property
   def expanded_fields(self) -> tuple[str, ...]:
@@ -288,13 +284,7 @@ class Simulation:
 
   # Graphs
 
-  def capture(
-    self,
-    fn: Callable[[], object],
-    *,
-    generators: Sequence[torch.Generator] = (),
-    on_capture: Callable[[], None] | None = None,
-  ) -> "StepGraph":
+  def capture(self, fn: Callable[[], object], *, generators: Sequence[torch.Generator] = ()) -> "StepGraph":
     """`fn` as a step graph: recorded once with torch operations and physics together, then replayed.
 
     Where nothing can be recorded, on a CPU or with `capture` off, the same code runs eagerly.
@@ -302,9 +292,8 @@ class Simulation:
     Args:
       fn: Takes no argument and works in fixed memory.
       generators: Random generators that `fn` draws from.
-      on_capture: Called after each recording.
     """
-    graph = StepGraph(self, fn, generators, on_capture)
+    graph = StepGraph(self, fn, generators)
     self._graphs.append(graph)
     return graph
 
@@ -377,17 +366,10 @@ class Simulation:
 class StepGraph:
   """A function that is recorded on a GPU and replayed; made by `Simulation.capture`."""
 
-  def __init__(
-    self,
-    sim: Simulation,
-    fn: Callable[[], object],
-    generators: Sequence[torch.Generator],
-    on_capture: Callable[[], None] | None,
-  ) -> None:
+  def __init__(self, sim: Simulation, fn: Callable[[], object], generators: Sequence[torch.Generator]) -> None:
     self._sim = sim
     self._fn = fn
     self._generators = generators
-    self._on_capture = on_capture
     self._calls = 0
     self._recorder: Recorder | None = None
     self.recorded = sim.device.type == "cuda" and sim.cfg.capture
@@ -438,8 +420,6 @@ class StepGraph:
       sim._recorder = None
       sim._epoch += 1
     self._recorder = recorder
-    if self._on_capture is not None:
-      self._on_capture()
 
   def _body(self) -> None:
     self._fn()
