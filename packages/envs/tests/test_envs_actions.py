@@ -57,6 +57,13 @@ def test_scales_offsets_and_clips_are_given_by_pattern(make: Make) -> None:
   assert (np.abs(expected[:, 1]) > 0.2).any()
 
 
+def test_the_order_of_joints_is_no_state(make: Make) -> None:
+  cfg = hopper_cfg(
+    num_envs=2, actions={"legs": mdp.JointPositionActionCfg(actuators=("knee", "hip"), preserve_order=True)}
+  )
+  assert "_ids" not in make(cfg).action_manager.get_term("legs").state_dict()
+
+
 def test_one_clip_bounds_all_joints(make: Make) -> None:
   env = acting(make, legs=mdp.JointPositionActionCfg(clip=(-0.1, 0.3)))
   action = 10.0 * actions(env, 2)

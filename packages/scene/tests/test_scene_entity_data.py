@@ -116,6 +116,13 @@ def test_poses_and_velocities_of_all_frames_equal_mujoco_c(moving, name: str) ->
   _same(data.body_external_wrench, [d.xfrc_applied[bodies] for d in worlds])
 
 
+def test_what_is_saved_does_not_depend_on_the_number_of_worlds(
+  make_worlds: Callable[..., tuple[Scene, Simulation]],
+) -> None:
+  saved = [set(make_worlds(worlds, robot=entity_cfg())[0]["robot"].data.state_dict()) for worlds in range(1, 10)]
+  assert all(names == saved[0] for names in saved)
+
+
 @pytest.mark.parametrize("name", ["robot", "other"])
 def test_root_quantities_equal_mujoco_c(moving, name: str) -> None:
   scene, sim, worlds = moving

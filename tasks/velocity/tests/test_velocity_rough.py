@@ -44,6 +44,11 @@ def end_episodes(env: ManagerBasedRlEnv, walked: np.ndarray, command: np.ndarray
   return levels_of(env).levels.numpy().copy()
 
 
+def test_levels_are_the_scenes_state_and_not_the_curriculums_even_with_a_world_for_each_type() -> None:
+  env = make_env(len(KINDS), task=GO1)
+  assert not env.curriculum_manager.state_dict()["_stateful_terms"]["terrain_levels"]
+
+
 def test_worlds_begin_on_rows_nought_to_five_of_columns_by_their_share() -> None:
   levels = levels_of(make_env(400, task=GO1))
   assert set(levels.levels.tolist()) == set(range(6))

@@ -39,6 +39,7 @@ class EntityData(RootQuantities, FrameQuantities):
       "_default_soft_limits",
       "_descendants",
       "_limited",
+      "_limit_joint",
     }
   )
 

@@ -64,7 +64,7 @@ class JointEffortActionCfg(JointActionCfg):
 class JointAction(ActionTerm):
   """Base of joint actions: the affine map and its constants, (1, joints)."""
 
-  _constants = frozenset({"_scale", "_offset", "_lo", "_hi"})
+  _constants = frozenset({"_ids", "_scale", "_offset", "_lo", "_hi"})
 
   def __init__(self, cfg: JointActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)

@@ -19,6 +19,8 @@ class terrain_levels(ManagerTermBase):
   Logs the mean and the highest level, and the mean of each type of ground.
   """
 
+  _constants = frozenset({"_weights"})
+
   def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     levels = _levels(env)
