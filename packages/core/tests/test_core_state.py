@@ -72,6 +72,18 @@ def test_what_does_not_fit_is_named_and_nothing_is_written() -> None:
     target.load_state_dict(kind)
 
 
+def test_taking_back_leaves_the_masked_worlds_as_they_are_now() -> None:
+  tree = Tree(1.0)
+  before = tree.state_dict()
+  for tensor in (tree.memory, tree.clock, tree.leaf.memory, tree.chain[1].memory, tree.leaf.scale):
+    tensor.fill_(7.0)
+  tree.take_back(before, torch.tensor([False, True, False]))
+  for tensor, old in ((tree.memory, 1.0), (tree.leaf.memory, 1.0), (tree.chain[1].memory, 2.0)):
+    assert tensor[:, 0].tolist() == [old, 7.0, old]
+  assert tree.clock == 1.0
+  assert (tree.leaf.scale == 7.0).all()
+
+
 def test_precision_may_differ_between_save_and_load() -> None:
   target = Leaf()
   target.load_state_dict({"memory": torch.ones(3, 2, dtype=torch.float64)})

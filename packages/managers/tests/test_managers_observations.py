@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 import torch
+from mjlab_core.buffers import HistoryBuffer
 from mjlab_managers import (
   ConfigError,
   ConstantNoiseCfg,
@@ -229,6 +230,22 @@ class Steps(ManagerTermBase):
     self.calls.masked_fill_(mask[:, None], 0.0)
 
 
+class Window(ManagerTermBase):
+  """The last two values, (N, 2), which the term itself remembers."""
+
+  _children = ("window",)
+
+  def __init__(self, cfg: Any, env: Any) -> None:
+    self.window = HistoryBuffer(2, self.num_envs, (1,), self.device)
+
+  def __call__(self, env: Any) -> torch.Tensor:
+    self.window.append(env.values[:, :1])
+    return self.window.read().flatten(1)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    self.window.reset(mask)
+
+
 def everything(env: Any) -> ObservationManager:
   """A manager that uses all there is."""
   bias = NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=GaussianNoiseCfg(), noise_cfg=UniformNoiseCfg())
@@ -286,6 +303,24 @@ class TestIndependence:
           compared += 1
     assert compared >= 8
     assert after["_stateful_terms"]["g/steps"]["calls"].flatten().tolist() == [5, 5, 1, 5]
+
+  # As many worlds as the window is long, as it has ticks, and neither.
+  @pytest.mark.parametrize("num_envs", [1, 2, 4])
+  def test_a_window_of_a_terms_own_begins_with_the_frame_that_a_reset_shows(self, make_env, num_envs):
+    env = make_env(num_envs)
+    last = num_envs - 1
+    manager = ObservationManager({"g": ObservationGroupCfg(terms={"w": ObservationTermCfg(Window)})}, env)
+
+    def observe(value: float, *args: torch.Tensor) -> list[list[float]]:
+      env.values.fill_(value)
+      return seen(manager, *args).tolist()
+
+    for value in (1.0, 2.0, 3.0):
+      observe(value)
+    manager.reset(env.mask(last))
+    assert observe(10.0, env.mask(last), env.mask(last)) == [[2.0, 3.0]] * last + [[10.0, 10.0]]
+    assert observe(11.0) == [[3.0, 11.0]] * last + [[10.0, 11.0]]
+    assert observe(12.0) == [[11.0, 12.0]] * num_envs
 
   def test_a_restored_manager_goes_on_as_the_first_one_would_have(self, make_env):
     env = make_env()

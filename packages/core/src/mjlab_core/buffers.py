@@ -7,7 +7,8 @@ no cost.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -48,6 +49,13 @@ class _Ring(Stateful):
     """Forgets the masked rows, bool (num_envs,): they read zero until the next frame, which then back-fills them."""
     self._put_newest(mask, 0.0)
     where_(self._born, mask, self._tick + 1)
+
+  def take_back(self, before: Mapping[str, Any], mask: Tensor) -> None:
+    """As for all that is Stateful; a frame that was written since becomes the whole past of the masked rows."""
+    written = self._tick != before["_tick"]
+    newest = self._storage.index_select(0, self._tick % self.length)[0]
+    super().take_back(before, mask)
+    _Ring.fill(self, mask & written, newest)
 
   def _put_newest(self, mask: Tensor, x: Tensor | float) -> None:
     slot = self._tick % self.length

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from mjlab_core.masking import where_
 from mjlab_core.names import unknown
 
 
@@ -57,6 +58,21 @@ class Stateful:
   def check_state_dict(self, state: Mapping[str, Any]) -> None:
     """Raises what `load_state_dict` would raise, and writes nothing: for owners of several states."""
     self._collect(state, type(self).__name__, [])
+
+  def take_back(self, before: Mapping[str, Any], mask: Tensor) -> None:
+    """Undoes what was remembered since `before`, a `state_dict`, in all worlds but those of `mask`, bool (num_envs,).
+
+    In place; what has no row per world is undone altogether.
+    """
+    extra = _inherited(type(self), "_extra_state")
+    for name, tensor in self._state_tensors().items():
+      if name in extra:
+        tensor.copy_(before[name])
+      else:
+        where_(tensor, ~mask, before[name])
+    for name, child in self._state_children().items():
+      for key, item in (("", child),) if isinstance(child, Stateful) else child.items():
+        item.take_back(before[name][key] if key else before[name], mask)
 
   def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[Tensor, Tensor]]) -> None:
     tensors, children = self._state_tensors(), self._state_children()

@@ -451,14 +451,13 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     raw: dict[Term, torch.Tensor] = {}
     for term in self._terms:
       func: Any = term.func
-      kept = func.state_dict() if advance is not None and isinstance(func, Stateful) else None
+      before = func.state_dict() if advance is not None and isinstance(func, Stateful) else None
       value = term()
       raw[term] = value if value.dim() == 2 else value.flatten(1)
-      if kept is not None:
+      if before is not None:
         # What a term remembers of the other worlds must not advance with these.
         assert advance is not None
-        _merge_state(kept, func.state_dict(), advance)
-        func.load_state_dict(kept)
+        func.take_back(before, advance)
     return [raw[slot.term] for slot in self._slots]
 
   def _remove_nonfinite(self, frame: torch.Tensor, clean: torch.Tensor, advance: torch.Tensor | None) -> None:
@@ -544,12 +543,3 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
 
   def _group_slots(self, group: str) -> list[_Slot]:
     return [slot for slot in self._slots if slot.group == group]
-
-
-def _merge_state(kept: dict[str, Any], new: Mapping[str, Any], mask: torch.Tensor) -> None:
-  """Takes over the rows of `new` in the worlds of `mask`, in place; what has no row per world stays."""
-  for name, value in new.items():
-    if isinstance(value, Mapping):
-      _merge_state(kept[name], value, mask)
-    elif value.dim() > 0 and value.shape[0] == mask.shape[0]:
-      where_(kept[name], mask, value)

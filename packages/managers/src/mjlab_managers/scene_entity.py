@@ -26,7 +26,8 @@ class SceneEntityCfg:
   """An entity of the scene, and which of its elements a term is about.
 
   A config as the user writes it is unresolved. The managers hand terms a resolved copy, in which `<kind>_ids` index the
-  entity's arrays and `<kind>_names` are the selected names, a tuple, in the same order.
+  entity's arrays and `<kind>_names` are the selected names, a tuple, in the same order. Beside a ball joint, whose
+  position has four columns, joints can only be selected all together.
   """
 
   name: str
@@ -75,8 +76,8 @@ class SceneEntityCfg:
     """A resolved copy; this config stays as it is.
 
     Raises:
-      ValueError: no such entity, a pattern matches nothing or two match one name, an index out of range or twice, or an
-        empty selection.
+      ValueError: no such entity, a pattern matches nothing or two match one name, an index out of range or twice, an
+        empty selection, or some of several joints one of which is a ball joint.
     """
     if self.name not in scene.entities:
       raise ValueError(unknown("entity", self.name, list(scene.entities), owner="scene"))
@@ -92,6 +93,13 @@ class SceneEntityCfg:
         continue
       picked = _select(selection, tuple(names), kind, f"entity '{self.name}'", self.preserve_order)
       ids[kind] = _collapse(picked, len(names), device)
+      wide = getattr(entity, "wide_joints", ()) if kind == "joint" else ()
+      if wide and ids[kind] != slice(None):
+        chosen = ", ".join(names[i] for i in picked)
+        raise ValueError(
+          f"entity '{self.name}': joint '{wide[0]}' has several columns, so that ids of joints would select wrong ones; "
+          f"select all joints instead of {chosen}, or read theirs by `indexing.q_of_joint` in a term of your own."
+        )
       setattr(resolved, f"{kind}_names", tuple(names[i] for i in picked))
     # Not a field: what a user writes, saves and compares has no ids.
     vars(resolved)["_ids"] = ids
