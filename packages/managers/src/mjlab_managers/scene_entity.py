@@ -97,7 +97,7 @@ class SceneEntityCfg:
       if wide and ids[kind] != slice(None):
         chosen = ", ".join(names[i] for i in picked)
         raise ValueError(
-          f"entity '{self.name}': joint '{wide[0]}' has several columns, so that ids of joints would select wrong ones; "
+          f"entity '{self.name}': joint '{wide[0]}' has several columns, so ids of joints would select wrong ones; "
           f"select all joints instead of {chosen}, or read theirs by `indexing.q_of_joint` in a term of your own."
         )
       setattr(resolved, f"{kind}_names", tuple(names[i] for i in picked))

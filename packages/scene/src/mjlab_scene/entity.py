@@ -246,6 +246,12 @@ class Entity(EntityNames, EntityWrites):
     return bool(self._names["joint"])
 
   @property
+  def wide_joints(self) -> tuple[str, ...]:
+    """Joints of several columns, ball joints: beside one, ids of joints are not columns of `data.joint_pos`."""
+    ix = self.indexing
+    return tuple(name for name, columns in zip(ix.names["joint"], ix.q_of_joint, strict=True) if len(columns) > 1)
+
+  @property
   def is_actuated(self) -> bool:
     """Whether actuators are configured to drive its joints."""
     return self.actuators is not None

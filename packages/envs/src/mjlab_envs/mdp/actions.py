@@ -1,6 +1,5 @@
 """Joint actions: from the policy's output to set-points of joints."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.sampling import check_range
-from mjlab_managers import ActionTerm, ActionTermCfg, SceneEntityCfg
+from mjlab_managers import ActionTerm, ActionTermCfg
+from mjlab_scene.indexing import as_index
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -64,7 +64,7 @@ class JointEffortActionCfg(JointActionCfg):
 class JointAction(ActionTerm):
   """Base of joint actions: the affine map and its constants, (1, joints)."""
 
-  _constants = frozenset({"_ids", "_scale", "_offset", "_lo", "_hi"})
+  _constants = frozenset({"_ids", "_q", "_v", "_scale", "_offset", "_lo", "_hi"})
 
   def __init__(self, cfg: JointActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -75,9 +75,10 @@ class JointAction(ActionTerm):
     _, self.joint_names = match_names(
       cfg.actuators, actuated, what="actuated joint", owner=owner, preserve_order=cfg.preserve_order
     )
-    exactly = tuple(re.escape(name) for name in self.joint_names)
-    selection = SceneEntityCfg(cfg.entity, joint_names=exactly, preserve_order=True)
-    self._ids = selection.resolve(env.scene, env.device).joint_ids
+    ids, ix = [self._entity.joint_names.index(name) for name in self.joint_names], self._entity.indexing
+    self._ids = as_index(ids, env.device)
+    # The same joints as columns of positions and of velocities; what is actuated has one of each.
+    self._q, self._v = (as_index([of[i][0] for i in ids], env.device) for of in (ix.q_of_joint, ix.v_of_joint))
     constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
 
     def per_joint(values: float | Mapping[str, float], what: str) -> torch.Tensor:
@@ -144,10 +145,10 @@ class JointPositionAction(JointAction):
   """See `JointPositionActionCfg`."""
 
   def _default_offset(self) -> torch.Tensor:
-    return self._entity.data.default_joint_pos[:, self._ids].clone()
+    return self._entity.data.default_joint_pos[:, self._q].clone()
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    bias = self._entity.data.encoder_bias[:, self._ids]
+    bias = self._entity.data.encoder_bias[:, self._q]
     self._entity.set_joint_position_target(self.target(actions) - bias, joint_ids=self._ids)
 
 
@@ -155,7 +156,7 @@ class JointVelocityAction(JointAction):
   """See `JointVelocityActionCfg`."""
 
   def _default_offset(self) -> torch.Tensor:
-    return self._entity.data.default_joint_vel[:, self._ids].clone()
+    return self._entity.data.default_joint_vel[:, self._v].clone()
 
   def process_actions(self, actions: torch.Tensor) -> None:
     self._entity.set_joint_velocity_target(self.target(actions), joint_ids=self._ids)

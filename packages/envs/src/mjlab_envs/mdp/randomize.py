@@ -23,13 +23,18 @@ class randomize(ManagerTermBase):
     super().__init__(cfg, env)
     randomizer: FieldRandomizer = cfg.params["randomizer"]
     entity = env.scene[cfg.params["asset"].name]
-    field = FIELDS[randomizer.field]
+    field, ix = FIELDS[randomizer.field], entity.indexing
+    names, ids = list(ix.names[field.kind]), ix.ids[field.kind].tolist()
+    if not field.in_model:
+      # Joints with one column, and where it is among the entity's.
+      one = [i for i, columns in enumerate(ix.q_of_joint) if len(columns) == 1]
+      names, ids = [names[i] for i in one], [ix.q_of_joint[i][0] for i in one]
     self._field = RandomizeField(
       randomizer,
       env.sim,
       generator=env.rng,
-      names=entity.indexing.names[field.kind],
-      ids=entity.indexing.ids[field.kind].tolist() if field.in_model else None,
+      names=names,
+      ids=ids,
       target=None if field.in_model else getattr(entity.data, randomizer.field),
       owner=f"entity '{entity.name}'",
     )
