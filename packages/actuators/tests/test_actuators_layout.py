@@ -176,6 +176,17 @@ def test_a_pid_with_several_inputs_takes_one_set_point_each() -> None:
   assert actuators.compute(*identifiable(JOINTS))[0].tolist() == [command(field, "c") for field in range(3)]
 
 
+@pytest.mark.parametrize(
+  ("inputs", "fields"), [("", [2]), ('input="pos" controller="3"', [0]), ('input="pos vel" controller="3 0 1"', [0, 1])]
+)
+def test_a_dc_motor_of_the_mjcf_takes_its_voltage_or_what_its_controller_follows(
+  inputs: str, fields: list[int]
+) -> None:
+  xml = WRAPPED % f'<dcmotor name="m" joint="c" motorconst="0.5" resistance="2" {inputs}/>'
+  _, actuators = wrap(xml, XmlActuatorCfg(target_names_expr=("c",)))
+  assert actuators.compute(*identifiable(JOINTS))[0].tolist() == [command(field, "c") for field in fields]
+
+
 def test_a_prefix_and_other_entities_in_the_model_change_nothing() -> None:
   cfgs = (XmlActuatorCfg(target_names_expr=("a", "b")), cfg_for("pd", "c"))
   model, actuators = wrap(WRAPPED % "", *cfgs, prefix="robot/")

@@ -21,6 +21,9 @@ from mjlab_actuators.native import (
   NativeVelocityActuatorCfg,
   PassThrough,
 )
+from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
+from mjlab_actuators.native_general import NativeGeneralActuatorCfg
+from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, joints_with_actuator
 
 __all__ = [
@@ -41,7 +44,10 @@ __all__ = [
   "LearnedMlp",
   "LearnedMlpActuatorCfg",
   "LinearMotor",
+  "NativeDcMotorActuatorCfg",
+  "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
+  "NativeMuscleActuatorCfg",
   "NativePositionActuatorCfg",
   "NativeVelocityActuatorCfg",
   "PassThrough",

@@ -16,6 +16,7 @@ _INPUTS: tuple[tuple[mujoco.mjtCtrlInput, CommandField], ...] = (
   (mujoco.mjtCtrlInput.mjINPUT_POS, "position_target"),
   (mujoco.mjtCtrlInput.mjINPUT_VEL, "velocity_target"),
   (mujoco.mjtCtrlInput.mjINPUT_FF, "effort_target"),
+  (mujoco.mjtCtrlInput.mjINPUT_VOLTAGE, "effort_target"),
 )
 
 
@@ -100,14 +101,14 @@ def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandFiel
   """The set-points that an actuator of a compiled model takes, one per input; empty when they cannot be told.
 
   A servo is told from a torque source by its bias: a position servo subtracts its own gain times the length, a velocity
-  servo its own gain times the velocity.
+  servo its own gain times the velocity. The voltage of a DC motor is its effort target.
   """
   kind = mujoco.mjtGain(model.actuator_gaintype[actuator])
   bias = mujoco.mjtBias(model.actuator_biastype[actuator])
   dynamics = mujoco.mjtDyn(model.actuator_dyntype[actuator])
   gain = float(model.actuator_gainprm[actuator, 0])
   on_length, on_velocity = (float(value) for value in model.actuator_biasprm[actuator, 1:3])
-  if kind == mujoco.mjtGain.mjGAIN_PID:
+  if kind in (mujoco.mjtGain.mjGAIN_PID, mujoco.mjtGain.mjGAIN_DCMOTOR):
     spec = int(model.actuator_ctrlspec[actuator])
     return tuple(field for bit, field in _INPUTS if spec & int(bit))
   if kind == mujoco.mjtGain.mjGAIN_MUSCLE:

@@ -1,0 +1,132 @@
+"""MuJoCo's own DC motor, with its electrical side inside the physics."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import mujoco
+from mjlab_core.names import unknown
+
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, add_joint_element, limit_force
+from mjlab_actuators.command import COMMAND_FIELDS, CommandField
+from mjlab_actuators.native import PassThrough
+
+_BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
+  "position_target": mujoco.mjtCtrlInput.mjINPUT_POS,
+  "velocity_target": mujoco.mjtCtrlInput.mjINPUT_VEL,
+  "effort_target": mujoco.mjtCtrlInput.mjINPUT_FF,
+}
+
+
+@dataclass(kw_only=True)
+class NativeDcMotorActuatorCfg(ActuatorCfg):
+  """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the joint.
+
+  With `inputs="voltage"`, V is the effort target in volts. Otherwise a controller inside MuJoCo asks for the force
+  kp (q* - l) + kd (q*' - w) + effort*, of which only the set-points in `inputs` are there (the others count as zero),
+  and V is the voltage that gives it, clamped to +-voltage_limit. Set-points are on the motor's side of the gear.
+  Constants are those of the motor: either K and R, or `nominal`.
+  """
+
+  torque_constant: float | None = None
+  """K, which is the back-EMF constant too [N m/A = V s/rad]."""
+  resistance: float | None = None
+  """R [ohm]."""
+  nominal: tuple[float, float, float] | None = None
+  """Data sheet instead of K and R: voltage [V], stall torque [N m], no-load speed [rad/s]."""
+  inputs: Literal["voltage"] | tuple[CommandField, ...] = "voltage"
+  """What drives the motor: a voltage, or some of the three set-points through the controller."""
+  stiffness: float = 0.0
+  """kp of the controller [N m/rad]."""
+  damping: float = 0.0
+  """kd of the controller [N m s/rad]."""
+  voltage_limit: float | None = None
+  """Largest voltage [V]; None for no limit."""
+  effort_limit: PerTarget | None = None
+  """Largest force of the motor, before the gear [N m]; None for no limit."""
+  inductance: float = 0.0
+  """L [H]; when positive the current lags with L / R and lives in the simulation's `act`."""
+  gear: float = 1.0
+  """Reduction between motor and joint."""
+
+  @property
+  def law(self) -> type[Actuator]:
+    return PassThrough
+
+  def validate(self, target_names: Sequence[str]) -> None:
+    super().validate(target_names)
+    kind = type(self).__name__
+    constants = {"torque_constant": self.torque_constant, "resistance": self.resistance}
+    if (self.nominal is None) == (self.torque_constant is None) or (self.nominal is None) == (self.resistance is None):
+      raise ValueError(f"{kind}: give torque_constant and resistance, or nominal")
+    names = ("voltage", "stall torque", "no-load speed")
+    constants |= {f"nominal {name}": value for name, value in zip(names, self.nominal or (), strict=False)}
+    constants["voltage_limit"] = self.voltage_limit
+    for name, value in constants.items():
+      if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"{kind}: {name} is {value}; it must be finite and positive")
+    for name in ("stiffness", "damping", "inductance"):
+      if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+        raise ValueError(f"{kind}: {name} is {getattr(self, name)}; it must be finite and not negative")
+    if not math.isfinite(self.gear) or self.gear == 0.0:
+      raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
+    self._limits("effort_limit", target_names)
+    self._validate_inputs(kind)
+
+  def _validate_inputs(self, kind: str) -> None:
+    if self.inputs == "voltage":
+      if self.stiffness or self.damping:
+        raise ValueError(f"{kind}: stiffness and damping belong to a controller; inputs 'voltage' has none")
+      return
+    for name in self.inputs:
+      if name not in COMMAND_FIELDS:
+        raise ValueError(unknown("input", name, COMMAND_FIELDS, owner=kind))
+    if not self.inputs or len(set(self.inputs)) != len(self.inputs):
+      raise ValueError(f"{kind}: inputs is {self.inputs!r}; name at least one set-point, each once")
+    if "position_target" in self.inputs and self.stiffness == 0.0:
+      raise ValueError(f"{kind}: stiffness is 0, so that a position target would do nothing")
+    if "velocity_target" in self.inputs and self.damping == 0.0:
+      raise ValueError(f"{kind}: damping is 0, so that a velocity target would do nothing")
+
+  @property
+  def _fields(self) -> tuple[CommandField, ...]:
+    """The set-points that are handed over, in the order of MuJoCo's inputs."""
+    if self.inputs == "voltage":
+      return ("effort_target",)
+    return tuple(field for field in COMMAND_FIELDS if field in self.inputs)
+
+  def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
+    """One group per set-point: a motor with several has as many neighbouring inputs in ctrl."""
+    (first,) = super().groups(model, target_names, prefix)
+    return [
+      replace(first, command_fields=(field,), ctrl_ids=tuple(index + offset for index in first.ctrl_ids))
+      for offset, field in enumerate(self._fields)
+    ]
+
+  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
+    if not ctrl_ids and len(self._fields) > 1:
+      raise ValueError(f"{type(self).__name__}: without a model, a motor of one input can be built, not of several")
+    return replace(super()._group(target_names, ctrl_ids), command_fields=self._fields[:1])
+
+  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
+    volts = self.voltage_limit or 0.0
+    controlled = self.inputs != "voltage"
+    bits = [_BITS[field] for field in self._fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
+    constant = self.torque_constant or 0.0
+    for name, limit in zip(target_names, self._limits("effort_limit", target_names), strict=True):
+      element = add_joint_element(spec, type(self).__name__, name)
+      element.set_to_dcmotor(
+        motorconst=[constant, constant],
+        resistance=self.resistance or 0.0,
+        nominal=list(self.nominal or (0.0, 0.0, 0.0)),
+        inductance=[self.inductance, 0.0],
+        # kp, ki, kd, slew rate, integral limit, voltage limit.
+        controller=[self.stiffness, 0.0, self.damping, 0.0, 0.0, volts if controlled else 0.0],
+        ctrlspec=sum(int(bit) for bit in bits),
+      )
+      element.gear = [self.gear, 0.0, 0.0, 0.0, 0.0, 0.0]
+      limit_force(element, limit)
+      if volts and not controlled:
+        element.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        element.ctrlrange = [-volts, volts]
