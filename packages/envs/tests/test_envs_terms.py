@@ -4,10 +4,11 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import Ended, actions, end, hopper_cfg
+from envs_hopper import HOPPER, Ended, actions, end, hopper_cfg
 from mjlab_dr import body_com_offset, geom_friction
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import (
@@ -232,7 +233,8 @@ def test_joints_are_spread_about_the_default_pose_inside_their_limits(make: Make
 
 def test_a_push_adds_a_twist_in_the_world_frame_where_the_mask_is(env: Any) -> None:
   ranges = {"x": (1.0, 1.0), "z": (-0.5, -0.5), "pitch": (0.7, 0.7)}
-  cfg = EventTermCfg(mdp.push_by_setting_velocity, mode="interval", params={"velocity_range": ranges})
+  params = {"velocity_range": ranges, "asset": SceneEntityCfg("robot")}
+  cfg = EventTermCfg(mdp.push_by_setting_velocity, mode="interval", params=params)
   push: Any = mdp.push_by_setting_velocity(cfg, env)
   before, r = numbers(env, "qvel").copy(), rotation(env)
   push(env, torch.tensor([True, False, True, False]), velocity_range=ranges)
@@ -257,6 +259,14 @@ def test_a_push_adds_a_twist_in_the_world_frame_where_the_mask_is(env: Any) -> N
 def test_events_with_mistakes_are_refused_at_build(make: Make, func: Any, params: dict, message: str) -> None:
   with pytest.raises(ConfigError, match=message):
     make(events={"event": EventTermCfg(func, mode="reset", params=params)})
+
+
+def test_a_push_of_what_does_not_float_is_refused_at_build(make: Make) -> None:
+  cfg = hopper_cfg()
+  fixed = HOPPER.replace("<freejoint/>", "")
+  cfg.scene.entities["robot"].spec_fn = lambda: mujoco.MjSpec.from_string(fixed)
+  with pytest.raises(ConfigError, match=r"term 'push'.*entity 'robot': its base does not float"):
+    make(cfg)
 
 
 def randomiser(randomizer: Any, mode: Any = "startup") -> EventTermCfg:

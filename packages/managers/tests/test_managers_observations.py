@@ -443,6 +443,18 @@ class TestEvaluation:
     with pytest.raises(ConfigError, match=f"(?s)g/t.*{said}"):
       one(env, **options)
 
+  def test_a_replaced_option_that_is_wrong_is_an_error_until_it_is_replaced_again(self, env):
+    manager = one(env, scale=2.0)
+    live = manager.get_term_cfg("g", "t")
+    live.scale = (1.0, 2.0, 3.0)
+    for _ in range(2):
+      with pytest.raises(ConfigError, match="3 scales for 2 components") as raised:
+        manager.sync()
+      assert len(raised.value.problems) == 1
+    live.scale = 3.0
+    manager.sync()
+    torch.testing.assert_close(seen(manager), 3.0 * env.values[:, :2])
+
   def test_a_term_without_a_component_axis_is_an_error_at_build(self, env):
     group = ObservationGroupCfg(terms={"t": ObservationTermCfg(lambda env: env.values[:, 0])})
     with pytest.raises(ConfigError, match="at least two dimensions"):

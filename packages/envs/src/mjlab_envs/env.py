@@ -83,9 +83,10 @@ class ManagerBasedRlEnv:
     self._announced: set[str] = set()
     self._closed = False
 
+    self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
+
     self._load_managers()
     self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
-    self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
     self.event_manager.apply("startup")
 
   def _load_managers(self) -> None:
@@ -335,9 +336,9 @@ class ManagerBasedRlEnv:
 
   def request_recapture(self, reason: str) -> None:
     """Record the step anew before the next one, because what it does has changed."""
-    _log.info("recording the step anew: %s", reason)
-    if hasattr(self, "_step_graph"):
-      self._step_graph.invalidate()
+    if self.num_graphs > 0:
+      _log.info("recording the step anew: %s", reason)
+    self._step_graph.invalidate()
 
   def recompute_constants(self, mask: torch.Tensor) -> None:
     """Recompute the model's derived fields of masked worlds."""

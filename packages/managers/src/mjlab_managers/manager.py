@@ -114,7 +114,10 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _raise_problems(self) -> None:
     if self._problems:
-      raise ConfigError(self.label, self._problems) from self._cause
+      error, cause = ConfigError(self.label, self._problems), self._cause
+      # A live config can be put right after a failed `sync`.
+      self._problems, self._cause = [], None
+      raise error from cause
 
   def _bind(self, name: str, cfg: ManagerTermBaseCfg, *, masked: bool = False) -> Term | None:
     term = bind(name, cfg, self.env, self._problems, masked=masked)

@@ -98,6 +98,9 @@ class push_by_setting_velocity(ManagerTermBase):
   def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._lo, self._hi = axis_bounds(cfg.params["velocity_range"], "velocity_range", env)
+    entity = env.scene[cfg.params["asset"].name]
+    if entity.is_fixed_base:
+      raise ValueError(f"entity '{entity.name}': its base does not float, so it has no velocity to push")
 
   def __call__(
     self,
