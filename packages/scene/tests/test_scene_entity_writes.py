@@ -100,6 +100,14 @@ def test_values_of_single_precision_are_written_as_they_are(make_worlds: MakeWor
     torch.testing.assert_close(single, double, atol=1e-6, rtol=1e-6)
 
 
+def test_one_torque_serves_the_forces_of_all_worlds(make_worlds: MakeWorlds) -> None:
+  scene, sim = make_worlds(3, robot=FLOATING)
+  forces, torques = random(3, 4, 3), random(1, 4, 3)
+  scene["robot"].write_external_wrench(forces, torques, mask=MASK)
+  assert torch.equal(scene["robot"].data.body_external_wrench[1], torch.cat((forces[1], torques[0]), -1))
+  assert sim.data.xfrc_applied[~MASK].eq(0).all()
+
+
 def test_quaternions_are_normalised_on_write_and_a_zero_one_is_the_identity(make_worlds: MakeWorlds) -> None:
   scene, _ = make_worlds(3, robot=FLOATING, arm=FIXED)
   pose = torch.tensor([[0, 0, 0, 0, 0, 0, 2], [0, 0, 0, 0, 0, 0, 0], [0, 0, 0, 3, 0, 0, 0]], dtype=torch.float64)

@@ -202,7 +202,8 @@ class EntityWrites(Stateful):
     rows = self._body_rows(body_ids)
     forces = self._checked(forces, (rows.count, 3), "write_external_wrench, forces")
     torques = self._checked(torques, (rows.count, 3), "write_external_wrench, torques")
-    _write_columns(self.sim.data.xfrc_applied, rows.state, mask, torch.cat((forces, torques), dim=-1))
+    wrench = torch.cat(torch.broadcast_tensors(forces, torques), dim=-1)
+    _write_columns(self.sim.data.xfrc_applied, rows.state, mask, wrench)
 
   def set_ctrl(self, ctrl: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set the controls of all actuators of the entity, (num_envs, num_ctrl), in the model's order.
