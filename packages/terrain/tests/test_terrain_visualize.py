@@ -70,6 +70,17 @@ def test_a_mistake_on_the_command_line_says_what_there_is(
   assert not Path("never.png").exists()
 
 
+def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  (tmp_path / "file").touch()
+  for image, code in ((tmp_path / "file" / "x.png", 1), (tmp_path / "x.jpg", 2)):
+    assert main(["flat", "--plot", "--image", str(image), "--image-size", "80", "60"]) == code
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert captured.err.startswith("visualize-terrain: ")
+    assert captured.err.count("\n") == 1
+    assert not image.exists()
+
+
 def test_settings_are_read_as_what_they_are() -> None:
   types = all_types()
   apply_settings(types, ["stairs_up.step_height=0.1,0.3", "holes=yes", "num_beams=5", "mode=fixed"])

@@ -95,16 +95,17 @@ def parser() -> argparse.ArgumentParser:
 
 def write_image(cfg: TerrainGridCfg, path: Path, size: tuple[int, int], only_plot: bool) -> str:
   """Writes a picture and says what it is: a rendering, or a plot if there is no OpenGL."""
+  pixels, kind = None, "rendering"
   if not only_plot:
     try:
-      azimuth = 35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0
-      path.write_bytes(png(render(cfg, size, azimuth=azimuth)))
+      pixels = render(cfg, size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0)
     except Exception as error:  # What a missing OpenGL raises depends on the system.
       print(f"no OpenGL ({type(error).__name__}: {error}); plotting heights instead", file=sys.stderr)
-    else:
-      return "rendering"
-  path.write_bytes(png(plot(cfg, size)))
-  return "plot"
+  if pixels is None:
+    pixels, kind = plot(cfg, size), "plot"
+  path.parent.mkdir(parents=True, exist_ok=True)
+  path.write_bytes(png(pixels))
+  return kind
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -128,7 +129,9 @@ def main(argv: Sequence[str] | None = None) -> int:
       return 1
     serve(cfg, arguments.port)
     return 0
-  arguments.image.parent.mkdir(parents=True, exist_ok=True)
+  if arguments.image.suffix.lower() != ".png":
+    print(f"visualize-terrain: --image {arguments.image}: pictures are PNG; call it FILE.png", file=sys.stderr)
+    return 2
   # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
   headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ
   if headless and not arguments.plot:
@@ -137,7 +140,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if run.returncode == 0:
       print(run.stdout, end="")
       return 0
-  kind = write_image(cfg, arguments.image, tuple(arguments.image_size), arguments.plot or headless)
+  try:
+    kind = write_image(cfg, arguments.image, tuple(arguments.image_size), arguments.plot or headless)
+  except (ValueError, OSError) as error:
+    print(f"visualize-terrain: {error}", file=sys.stderr)
+    return 1
   print(f"{arguments.image} ({kind})")
   return 0
 
