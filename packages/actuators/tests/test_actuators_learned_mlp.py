@@ -178,6 +178,13 @@ def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
   assert not any(parameter.requires_grad for parameter in law.network.parameters())
 
 
+def test_a_network_of_another_period_than_the_timestep_is_refused(tmp_path: Path) -> None:
+  path = stored(network(), tmp_path / "n.pt")
+  assert build(cfg(path, sample_period=0.002)).groups
+  with pytest.raises(ValueError, match=r"trained on samples every 0.005 s, the model has a timestep of 0.002 s"):
+    build(cfg(path, sample_period=0.005))
+
+
 class Trap:
   """Runs when it is unpickled."""
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from mjlab_actuators import (
   ActuatorCfg,
+  ActuatorCmd,
   ActuatorSet,
   DcMotorActuatorCfg,
   EnvelopedPdActuatorCfg,
@@ -150,11 +151,15 @@ def test_only_laws_in_torch_need_measurements() -> None:
 
 
 def test_single_precision_follows_the_engine() -> None:
-  spec = mujoco.MjSpec.from_string(CHAIN)
-  actuators = ActuatorSet([pd("a", delay_max_lag=2), servo("b", "c")])
-  actuators.edit_spec(spec)
-  actuators.build(spec.compile(), num_envs=2, device="cpu", dtype=torch.float32)
-  assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
+  for cfgs in ([pd("a", delay_max_lag=2), servo("b", "c")], [dc_motor("a"), enveloped("b"), learned("c")]):
+    spec = mujoco.MjSpec.from_string(CHAIN)
+    actuators = ActuatorSet(cfgs)
+    actuators.edit_spec(spec)
+    actuators.build(spec.compile(), num_envs=2, device="cpu", dtype=torch.float32)
+    assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
+    for law in actuators.groups:
+      columns = len(law.target_names)
+      assert law.compute(ActuatorCmd(*(torch.zeros(2, columns) for _ in range(5)))).dtype == torch.float32
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
+import mujoco
 import torch
 from mjlab_core.buffers import HistoryBuffer
 from mjlab_core.names import unknown
@@ -117,8 +118,8 @@ class LearnedMlp(Actuator):
 class LearnedMlpActuatorCfg(TorqueActuatorCfg):
   """A network that gives the effort of each joint from the recent past of its position error and velocity.
 
-  Its history is sampled in every physics substep: the network must have been trained at that period. Velocity and
-  effort targets are not read.
+  Its history is sampled in every physics substep: the network must have been trained at that period, which is checked
+  where `sample_period` says it. Velocity and effort targets are not read.
   """
 
   network_file: str | Path
@@ -127,6 +128,8 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
   """Between the layers of a state dict; a TorchScript archive knows its own."""
   history_length: int = 3
   """Samples of each, the present one included [substeps]."""
+  sample_period: float | None = None
+  """Period of the samples that the network was trained on [s]; a model of another timestep is refused."""
   position_scale: float = 1.0
   """Factor of position errors before the network."""
   velocity_scale: float = 1.0
@@ -181,6 +184,15 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
       settings.load()
     except ValueError as error:
       raise ValueError(f"{kind}: {error}") from error
+
+  def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
+    timestep = model.opt.timestep
+    if self.sample_period is not None and not math.isclose(self.sample_period, timestep, rel_tol=1e-6):
+      raise ValueError(
+        f"{type(self).__name__}: the network was trained on samples every {self.sample_period} s, "
+        f"the model has a timestep of {timestep} s"
+      )
+    return super().groups(model, target_names, prefix)
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
     limits = {"effort_limit": self._limits("effort_limit", target_names)}
