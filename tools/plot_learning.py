@@ -12,6 +12,7 @@ import csv
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 COLUMNS = {
   "iteration": "iteration",
@@ -49,7 +50,9 @@ def main() -> None:
   for axis, (key, label) in zip(axes[0], panels, strict=True):
     for name, rows in runs.items():
       drawn = [(row[args.against], row[key]) for row in rows if key in row]
-      axis.plot(*zip(*drawn, strict=True), label=name, linewidth=1.4)
+      x, y = (np.array(column) for column in zip(*drawn, strict=True))
+      (line,) = axis.plot(x, smooth(y), label=name, linewidth=1.4)
+      axis.plot(x, y, color=line.get_color(), alpha=0.25, linewidth=0.7, zorder=1)
     if key == "reward" and args.reference:
       points = [tuple(float(x) for x in point.split(":")) for point in args.reference]
       axis.scatter(*zip(*points, strict=True), marker="x", color="black", zorder=3, label="reference, mjlab 1.6.0")
@@ -63,6 +66,12 @@ def main() -> None:
   figure.savefig(args.output.with_suffix(".png"), dpi=130)
   write(args.output.with_suffix(".csv"), runs)
   print(f"wrote {args.output}.png and .csv")
+
+
+def smooth(values: np.ndarray) -> np.ndarray:
+  """Means over a fortieth of the curve, of what there is of it at the ends; raw values are drawn faintly behind."""
+  window = np.ones(max(1, len(values) // 40))
+  return np.convolve(values, window, "same") / np.convolve(np.ones_like(values), window, "same")
 
 
 def read(directory: Path) -> list[dict[str, float]]:
