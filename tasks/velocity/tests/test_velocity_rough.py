@@ -3,11 +3,12 @@
 import copy
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_scene import TerrainLevels
+from mjlab_scene import EntityCfg, TerrainLevels
 from mjlab_terrain import TerrainGridCfg
 from mjlab_velocity.mdp import contact_count, illegal_contact, plane_normal
 from velocity_facts import TASKS
@@ -47,6 +48,22 @@ def end_episodes(env: ManagerBasedRlEnv, walked: np.ndarray, command: np.ndarray
 def test_levels_are_the_scenes_state_and_not_the_curriculums_even_with_a_world_for_each_type() -> None:
   env = make_env(len(KINDS), task=GO1)
   assert not env.curriculum_manager.state_dict()["_stateful_terms"]["terrain_levels"]
+
+
+def post_spec() -> mujoco.MjSpec:
+  return mujoco.MjSpec.from_string('<mujoco><worldbody><body name="post"><geom size=".1"/></body></worldbody></mujoco>')
+
+
+def test_what_stands_on_the_ground_goes_along_to_another_tile() -> None:
+  task = TASKS[GO1].make()
+  task.env.scene.num_envs, task.env.seed = 16, 7
+  task.env.scene.entities["post"] = EntityCfg(spec_fn=post_spec)
+  assert task.play is not None
+  env = ManagerBasedRlEnv(task.play(task.env), device="cpu")
+  before = env.scene.env_origins.clone()
+  env.reset()
+  assert not torch.equal(env.scene.env_origins, before)
+  torch.testing.assert_close(env.scene["post"].data.root_link_pos_w, env.scene.env_origins)
 
 
 def test_worlds_begin_on_rows_nought_to_five_of_columns_by_their_share() -> None:

@@ -178,10 +178,15 @@ class Scene(Stateful):
     """
     for entity in self.entities.values():
       entity.reset(mask)
-      if not entity.is_floating:
-        entity.write_default_root_state(self.env_origins, mask)
+    self.place_fixed_bases(mask)
     for sensor in self.sensors.values():
       sensor.reset(mask)
+
+  def place_fixed_bases(self, mask: torch.Tensor) -> None:
+    """Put bases that do not float to their place in masked worlds (num_envs,), whose origins may have moved."""
+    for entity in self.entities.values():
+      if not entity.is_floating:
+        entity.write_default_root_state(self.env_origins, mask)
 
   def write_default_state(self, mask: torch.Tensor | None = None) -> None:
     """Put every entity of masked worlds into its initial state at the world's origin; None means all worlds."""

@@ -48,8 +48,9 @@ class terrain_levels(ManagerTermBase):
 
 
 def randomize_terrain(env: "ManagerBasedRlEnv", mask: torch.Tensor) -> None:
-  """Put masked worlds onto any tile of the terrain."""
+  """Put masked worlds onto any tile of the terrain, with what stands there; events behind this one place the rest."""
   _levels(env).randomize(mask)
+  env.scene.place_fixed_bases(mask)
 
 
 class out_of_terrain_bounds(ManagerTermBase):
