@@ -1,11 +1,14 @@
 """Recorded steps do what eager steps do."""
 
+import sys
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import pytest
 import torch
-from mjlab_sim import Simulation, SimulationCfg, StepGraph
+from mjlab_sim import Simulation, SimulationCfg, SimulationError, StepGraph
 from sim_world import SIZES, WORLD, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -73,6 +76,96 @@ def test_a_step_graph_leaves_nothing_stale(make_sim: MakeSim, engine: str) -> No
   graph()
   assert sim._state_version == sim._versions(sim._kinematic)
   assert sim.epoch > epoch
+
+
+# What a recording does to its owner, with a recorder that notes calls instead
+
+
+class FakeRecorder:
+  num_graphs = 1
+
+  def __init__(self, device: torch.device, generators: object) -> None:
+    self.segments: list[Callable[[], object]] = []
+
+  def record(self, fn: Callable[[], object]) -> None:
+    fn()
+
+  def interrupt(self, fn: Callable[[], object]) -> None:
+    self.segments.append(fn)
+
+  def replay(self) -> None:
+    for segment in self.segments:
+      segment()
+
+
+@pytest.fixture
+def recording(
+  make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Callable[[Simulation], object]], StepGraph]:
+  """A step graph of a function of its simulation, that is recorded after three calls."""
+  monkeypatch.setitem(sys.modules, "mjlab_sim.graph", SimpleNamespace(Recorder=FakeRecorder))
+
+  def make(fn: Callable[[Simulation], object]) -> StepGraph:
+    sim = make_sim("native")
+    graph = sim.capture(lambda: fn(sim))
+    graph.recorded = True
+    return graph
+
+  return make
+
+
+def test_a_recording_that_is_outdated_before_it_ends_is_never_replayed(recording: Any) -> None:
+  was_recorded: list[bool] = []
+
+  def body(sim: Simulation) -> None:
+    was_recorded.append(sim.is_capturing)
+    if len(was_recorded) == 4:
+      graph.invalidate()
+
+  graph = recording(body)
+  for _ in range(5):
+    graph()
+  # The step of the lost recording is taken eagerly; the next one is recorded.
+  assert was_recorded == [False, False, False, True, False, True]
+  assert graph.num_graphs == 1
+
+
+def test_an_error_while_recording_leaves_nothing_half_recorded(recording: Any) -> None:
+  calls: list[bool] = []
+
+  def body(sim: Simulation) -> None:
+    calls.append(sim.is_capturing)
+    if len(calls) == 4:
+      raise ZeroDivisionError
+
+  graph = recording(body)
+  for _ in range(3):
+    graph()
+  with pytest.raises(ZeroDivisionError):
+    graph()
+  assert (graph.num_graphs, calls[-1]) == (0, True)
+  graph()
+  assert (graph.num_graphs, calls[-1]) == (1, True)
+
+
+@pytest.mark.parametrize("eager", [False, True])
+def test_memory_is_not_replaced_under_a_recorded_step(recording: Any, eager: bool) -> None:
+  calls: list[None] = []
+
+  def expand(sim: Simulation) -> None:
+    calls.append(None)
+    if len(calls) > 3:
+      sim.expand_model_fields(["body_mass"])
+
+  graph = recording((lambda sim: sim.graph_break(lambda: expand(sim))) if eager else expand)
+  for _ in range(3):
+    graph()
+  with pytest.raises(SimulationError, match=r"body_mass.*inside a recorded step; expand them before the first step"):
+    graph()
+  sim = graph._sim
+  assert not sim.is_capturing
+  sim.expand_model_fields(["body_mass"])
+  graph()
 
 
 # On a GPU

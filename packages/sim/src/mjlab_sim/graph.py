@@ -37,8 +37,8 @@ class Recorder:
         wp.ScopedDevice(self._wp_stream.device),
         wp.ScopedStream(self._wp_stream, sync_enter=False, sync_exit=False),
       ):
-        self._begin()
         try:
+          self._begin()
           fn()
         finally:
           self._end()

@@ -76,6 +76,7 @@ class Simulation:
     self._state_version = self._versions(self._kinematic)
     self._model_version = 0
     self._recorder: Recorder | None = None
+    self._is_replaying = False
     self._graphs: list[StepGraph] = []
     self._closed = False
     self._fixed_geometry: FixedGeometry | None = None
@@ -127,11 +128,15 @@ class Simulation:
       names: Fields of MjModel, or `opt.<name>`.
 
     Raises:
-      SimulationError: a name that cannot differ per world.
+      SimulationError: a name that cannot differ per world, or a call from inside a recorded step.
     """
     self._check_open()
     field_of = self._engine.model_field
     fresh = [name for name in closure(list(names)) if name not in self._expanded and field_of(name).numel() > 0]
+    if fresh and (self._recorder is not None or self._is_replaying):
+      raise SimulationError(
+        f"model fields {', '.join(fresh)} cannot be expanded inside a recorded step; expand them before the first step"
+      )
     for name in fresh:
       self._engine.expand(name)
       self._expanded[name] = None
@@ -384,17 +389,20 @@ class StepGraph:
       sim._refresh()
       return
     sim._geoms_are_in_place()
-    if self._recorder is None:
-      if self._calls < _WARM_UP_CALLS:
-        # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
-        self._calls += 1
-        self._fn()
-        sim._refresh()
-        return
+    if self._recorder is None and self._calls >= _WARM_UP_CALLS:
       self._record()
-    assert self._recorder is not None
-    self._recorder.replay()
-    sim._epoch += 1
+    if self._recorder is None:
+      # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
+      self._calls += 1
+      self._fn()
+      sim._refresh()
+      return
+    sim._is_replaying = True
+    try:
+      self._recorder.replay()
+    finally:
+      sim._is_replaying = False
+      sim._epoch += 1
 
   def invalidate(self) -> None:
     """Record anew before the next replay: memory or behaviour changed."""
@@ -410,16 +418,18 @@ class StepGraph:
     from mjlab_sim.graph import Recorder
 
     sim = self._sim
-    recorder = Recorder(sim.device, self._generators)
-    sim._recorder = recorder
+    # What is recorded may itself ask for a new recording, which drops this one.
+    self._recorder = sim._recorder = Recorder(sim.device, self._generators)
     # Nothing cached before may be left out of the recording, and nothing recorded may be taken for computed.
     sim._epoch += 1
     try:
-      recorder.record(self._body)
+      sim._recorder.record(self._body)
+    except BaseException:
+      self._recorder = None
+      raise
     finally:
       sim._recorder = None
       sim._epoch += 1
-    self._recorder = recorder
 
   def _body(self) -> None:
     self._fn()
