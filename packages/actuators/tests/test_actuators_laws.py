@@ -206,6 +206,15 @@ def test_a_raised_effort_limit_reaches_the_joint() -> None:
   assert np.abs(free[1]).max() > LIMIT
 
 
+@pytest.mark.parametrize("worlds", [1, 2])
+def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -> None:
+  cfg = IdealPdActuatorCfg(target_names_expr=("a",), stiffness=1.0, damping=1.0)
+  law = cfg.build(target_names=["a"], num_envs=worlds, device="cpu", dtype=torch.float64)
+  assert law.state_dict() == {}
+  law.expand("stiffness")
+  assert set(law.state_dict()) == {"stiffness"}
+
+
 def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> None:
   _, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
   cmd = random_command()

@@ -113,6 +113,7 @@ class Actuator(Stateful, ABC):
     self.num_envs = num_envs
     self.group = group
     self.target_names = group.target_names
+    self._expanded: set[str] = set()
     for name, values in group.parameters.items():
       setattr(self, name, torch.tensor([values], device=device, dtype=dtype))
     settings = group.delay
@@ -155,6 +156,7 @@ class Actuator(Stateful, ABC):
       ValueError: This law has no such parameter.
     """
     values = self._parameter(name)
+    self._expanded.add(name)
     if values.shape[0] != self.num_envs:
       values = values.repeat(self.num_envs, 1)
       setattr(self, name, values)
@@ -168,6 +170,11 @@ class Actuator(Stateful, ABC):
     """
     values = self._parameter(name)
     return torch.tensor([self.group.parameters[name]], device=values.device, dtype=values.dtype)
+
+  def _state_tensors(self) -> dict[str, torch.Tensor]:
+    # What was configured is no state, although with a single world it has one row per world.
+    configured = self.group.parameters.keys() - self._expanded
+    return {name: tensor for name, tensor in super()._state_tensors().items() if name not in configured}
 
   def _parameter(self, name: str) -> torch.Tensor:
     if name not in self.group.parameters:
