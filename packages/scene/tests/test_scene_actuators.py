@@ -1,0 +1,124 @@
+"""Every kind of actuator in one entity, on both engines."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import pytest
+import torch
+from mjlab_actuators import (
+  UNITREE_ENVELOPES,
+  ActuatorCfg,
+  DcMotorActuatorCfg,
+  EnvelopedPdActuatorCfg,
+  IdealPdActuatorCfg,
+  LearnedMlpActuatorCfg,
+  NativeDcMotorActuatorCfg,
+  NativeGeneralActuatorCfg,
+  NativeMotorActuatorCfg,
+  NativeMuscleActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  XmlActuatorCfg,
+)
+from mjlab_scene import EntityArticulationCfg, EntityCfg, Scene
+from mjlab_sim import Simulation
+
+MakeWorlds = Callable[..., tuple[Scene, Simulation]]
+
+KINDS = ("xml", "servo", "speed", "torque", "muscle", "general", "native_dc", "pd", "dc", "envelope", "network")
+
+
+def hand() -> mujoco.MjSpec:
+  """One body with a finger per kind of actuator; that of the MJCF's own has its actuator already."""
+  fingers = "".join(
+    f'<body pos="0 {k} 0"><joint name="{name}" axis="0 1 0" range="-90 90" armature="0.01"/>'
+    f'<geom type="capsule" size="0.02" fromto="0 0 0 0.2 0 0"/></body>'
+    for k, name in enumerate(KINDS)
+  )
+  return mujoco.MjSpec.from_string(
+    f'<mujoco><worldbody><body name="palm">{fingers}</body></worldbody>'
+    '<actuator><position name="own" joint="xml" kp="5" kv="0.1"/></actuator></mujoco>'
+  )
+
+
+def all_kinds(network: Path) -> tuple[ActuatorCfg, ...]:
+  torch.manual_seed(0)
+  net = torch.nn.Sequential(torch.nn.Linear(6, 8), torch.nn.Softsign(), torch.nn.Linear(8, 1))
+  torch.save(net.state_dict(), network)
+  late: dict[str, Any] = {"delay_min_lag": 2, "delay_max_lag": 2}
+  return (
+    LearnedMlpActuatorCfg(target_names_expr=("network",), network_file=network, effort_limit=2.0, sample_period=0.002),
+    XmlActuatorCfg(target_names_expr=("xml",), **late),
+    NativePositionActuatorCfg(target_names_expr=("servo",), stiffness=5.0, damping=0.1, **late),
+    NativeVelocityActuatorCfg(target_names_expr=("speed",), damping=0.5),
+    NativeMotorActuatorCfg(target_names_expr=("torque",), effort_limit=1.0),
+    NativeMuscleActuatorCfg(target_names_expr=("muscle",), force=5.0),
+    NativeGeneralActuatorCfg(
+      target_names_expr=("general",),
+      command_field="position_target",
+      gain_prm=(5.0,),
+      bias_type="affine",
+      bias_prm=(0.0, -5.0, -0.1),
+      dyn_type="filterexact",
+      dyn_prm=(0.02,),
+    ),
+    NativeDcMotorActuatorCfg(
+      target_names_expr=("native_dc",),
+      torque_constant=0.5,
+      resistance=2.0,
+      inputs=("position_target", "velocity_target"),
+      stiffness=5.0,
+      damping=0.1,
+      voltage_limit=24.0,
+    ),
+    IdealPdActuatorCfg(target_names_expr=("pd",), stiffness=5.0, damping=0.1, **late),
+    DcMotorActuatorCfg(
+      target_names_expr=("dc",), stiffness=5.0, damping=0.1, saturation_effort=2.0, velocity_limit=8.0, **late
+    ),
+    EnvelopedPdActuatorCfg(
+      target_names_expr=("envelope",), stiffness=5.0, damping=0.1, envelope=UNITREE_ENVELOPES["W4010-25"]
+    ),
+  )
+
+
+def trajectory(make_worlds: MakeWorlds, path: Path, engine: str, *, resets: bool) -> torch.Tensor:
+  """Joint angles of two worlds over 20 substeps, the first of which may start anew in the middle, (20, 2, joints)."""
+  robot = EntityCfg(spec_fn=hand, articulation=EntityArticulationCfg(actuators=all_kinds(path)))
+  scene, sim = make_worlds(2, engine, robot=robot)
+  hand_of = scene["robot"]
+  angles = []
+  for substep in range(20):
+    if substep == 10:
+      mask = torch.tensor([resets, False])
+      sim.reset(mask)
+      scene.reset(mask)
+      scene.write_default_state(mask)
+    targets = torch.linspace(0.2, 0.8, 2, dtype=sim.dtype)[:, None].expand(2, len(KINDS)) * (1.0 + 0.1 * substep)
+    hand_of.set_joint_position_target(targets)
+    hand_of.set_joint_velocity_target(targets)
+    hand_of.set_joint_effort_target(targets)
+    scene.write_ctrl()
+    sim.step()
+    scene.update(sim.timestep)
+    angles.append(hand_of.data.joint_pos.double().clone())
+  return torch.stack(angles)
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_every_kind_drives_its_joint_and_a_reset_stays_in_its_world(
+  make_worlds: MakeWorlds, tmp_path: Path, engine: str
+) -> None:
+  plain, restarted = (trajectory(make_worlds, tmp_path / "n.pt", engine, resets=resets) for resets in (False, True))
+  moved = plain[-1].abs().amin(dim=0)
+  assert dict(zip(KINDS, (moved > 1e-3).tolist(), strict=True)) == dict.fromkeys(KINDS, True)
+  assert torch.equal(plain[:, 1], restarted[:, 1])
+  assert torch.equal(plain[:10, 0], restarted[:10, 0])
+  assert (restarted[10, 0] - plain[10, 0]).abs().amax() > 1e-3
+
+
+@pytest.mark.warp
+def test_every_kind_moves_alike_on_both_engines(make_worlds: MakeWorlds, tmp_path: Path) -> None:
+  native, warp = (trajectory(make_worlds, tmp_path / "n.pt", engine, resets=True) for engine in ("native", "warp"))
+  torch.testing.assert_close(warp, native, rtol=1e-3, atol=1e-4)
