@@ -27,8 +27,8 @@ def leaves(state: Any, where: str = "") -> dict[str, Any]:
   return {where: state}
 
 
-def changeable(value: Any, where: str = "") -> dict[int, str]:
-  """Identity and place of every dictionary, list and open dataclass in a config."""
+def changeable(value: Any, where: str = "") -> list[tuple[int, str]]:
+  """Identity and place of every dictionary, list and open dataclass in a config, of a shared one each place."""
   if isinstance(value, dict):
     inside = {f"[{key!r}]": item for key, item in value.items()}
   elif isinstance(value, list | tuple):
@@ -36,11 +36,11 @@ def changeable(value: Any, where: str = "") -> dict[int, str]:
   elif dataclasses.is_dataclass(value) and not isinstance(value, type):
     inside = {f".{field.name}": getattr(value, field.name) for field in dataclasses.fields(value)}
   else:
-    return {}
+    return []
   is_frozen = isinstance(value, tuple) or getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
-  found = {} if is_frozen else {id(value): where}
+  found = [] if is_frozen else [(id(value), where)]
   for name, item in inside.items():
-    found |= changeable(item, where + name)
+    found += changeable(item, where + name)
   return found
 
 
@@ -93,10 +93,12 @@ def test_every_task_steps_resets_some_worlds_and_goes_on_from_a_saved_state(name
 
 
 @pytest.mark.parametrize("name", mjlab.list_tasks())
-def test_a_task_that_is_changed_changes_no_other(name: str) -> None:
-  first, second = mjlab.load_task(name), mjlab.load_task(name)
-  one, other = changeable(first), changeable(second)
-  assert [one[shared] for shared in one.keys() & other.keys()] == []
+def test_changing_one_part_of_a_task_changes_no_other_part_and_no_other_task(name: str) -> None:
+  two = (mjlab.load_task(name), mjlab.load_task(name))
+  places: dict[int, list[str]] = {}
+  for identity, where in changeable(two):
+    places.setdefault(identity, []).append(where)
+  assert [shared for shared in places.values() if len(shared) > 1] == []
 
 
 @pytest.mark.parametrize("name", mjlab.list_tasks())

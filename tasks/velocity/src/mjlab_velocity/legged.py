@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from mjlab_dr import FieldRandomizer, body_com_offset, encoder_bias
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -25,6 +26,8 @@ from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_velocity import mdp as velocity
+
+T = TypeVar("T")
 
 # Timing
 PHYSICS_DT = 0.005  # s
@@ -110,7 +113,17 @@ def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
     },
     metrics={"mean_action_acc": MetricsTermCfg(mdp.mean_action_acc)},
   )
-  return copy.deepcopy(cfg)
+  # Constants and arguments stay behind; and term by term, so that not even two terms of it share a part.
+  cfg.actions, cfg.events = _apart(cfg.actions), _apart(cfg.events)
+  cfg.curriculum, cfg.rewards = _apart(cfg.curriculum), _apart(cfg.rewards)
+  for group in cfg.observations.values():
+    if group is not None:
+      group.terms = _apart(group.terms)
+  return cfg
+
+
+def _apart(terms: dict[str, T]) -> dict[str, T]:
+  return {name: copy.deepcopy(term) for name, term in terms.items()}
 
 
 def _sensors(robot: LeggedRobot) -> dict[str, SensorCfg]:
@@ -182,7 +195,7 @@ def _rewards(robot: LeggedRobot) -> dict[str, RewardTermCfg | None]:
         "command": "twist",
         "std_standing": robot.std_standing,
         "std_walking": robot.std_walking,
-        "std_running": robot.std_running,
+        "std_running": dict(robot.std_running),
         "walking_threshold": 0.05,
         "running_threshold": 1.5,
       },
