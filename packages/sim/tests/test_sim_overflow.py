@@ -3,8 +3,9 @@
 import re
 from collections.abc import Callable
 
+import mujoco
 import pytest
-from mjlab_sim import Simulation, SimulationError
+from mjlab_sim import Simulation, SimulationCfg, SimulationError
 from sim_world import WORLD
 
 MakeSim = Callable[..., Simulation]
@@ -60,6 +61,25 @@ def test_what_fits_again_is_not_reported_again(make_sim: MakeSim) -> None:
   sim.step()
   sim.count_overflow()
   assert sim.overflow_report() == []
+
+
+PILE = """<mujoco><size memory="20K"/><worldbody><geom type="plane" size="1 1 1"/>{}</worldbody></mujoco>""".format(
+  "".join(f'<body pos="{0.01 * i} 0 .05"><freejoint/><geom size=".1"/></body>' for i in range(8))
+)
+
+
+def test_memory_that_ran_out_is_reported_whatever_was_reset_since() -> None:
+  sim = Simulation(2, mujoco.MjSpec.from_string(PILE), SimulationCfg(num_threads=1))
+  for _ in range(3):
+    sim.step()
+  sim.count_overflow()
+  sim.reset()
+  assert "2 of 2 worlds ran out of MuJoCo's memory" in sim.overflow_report()[0]
+  assert sim.overflow_report() == []
+  sim.step()
+  sim.count_overflow()
+  assert "2 of 2 worlds" in sim.overflow_report()[0]
+  sim.close()
 
 
 def test_nothing_is_reported_where_all_fits(make_sim: MakeSim, engine: str) -> None:

@@ -18,6 +18,11 @@ from mjlab_sim.torch_array import TorchArray
 
 _NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _VEL = mujoco.mjtStage.mjSTAGE_VEL.value
+_BUFFERS = {
+  "contact": mujoco.mjtWarning.mjWARN_CONTACTFULL.value,
+  "constraint": mujoco.mjtWarning.mjWARN_CNSTRFULL.value,
+}
+"""The warning of each buffer that can be too small."""
 _DIVERGED = b"Nan, Inf or huge value"
 
 
@@ -64,7 +69,8 @@ class NativeEngine:
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
     self._seen = [array.copy() for array in self._kinematic]
     self._stale = np.zeros(num_envs, dtype=bool)
-    self._reported = self._batch.warning.copy()
+    self._warnings = self._count_warnings()
+    self._overflowed = np.zeros((num_envs, len(_BUFFERS)), dtype=bool)
 
   def data_field(self, name: str) -> TorchArray:
     if name not in self._data:
@@ -132,6 +138,7 @@ class NativeEngine:
     worlds = mask.numpy()
     if worlds.any():
       self._batch.reset(worlds, stage=_NONE)
+      self._warnings[worlds] = 0
       self._stale |= worlds
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
@@ -164,23 +171,25 @@ class NativeEngine:
       self._grounds[key] = batch.Batch(ground, self._num_envs, self._batch.nthread, persistent=True)
     return self._grounds[key]
 
+  def _count_warnings(self) -> np.ndarray:
+    return self._batch.warning[:, list(_BUFFERS.values()), 1]
+
   def count_overflow(self) -> None:
-    """Nothing to do: the batch counts warnings itself."""
+    # The batch counts warnings itself, but a reset forgets them.
+    warnings = self._count_warnings()
+    self._overflowed |= warnings > self._warnings
+    self._warnings = warnings
 
   def overflow_report(self) -> list[str]:
-    new = self._batch.warning[:, :, 1] - self._reported[:, :, 1]
-    np.copyto(self._reported, self._batch.warning)
+    self.count_overflow()
     report = []
-    for kind, what in (
-      (mujoco.mjtWarning.mjWARN_CONTACTFULL, "contact"),
-      (mujoco.mjtWarning.mjWARN_CNSTRFULL, "constraint"),
-    ):
-      worlds = int((new[:, kind.value] > 0).sum())
+    for what, worlds in zip(_BUFFERS, self._overflowed.sum(axis=0), strict=True):
       if worlds:
         report.append(
           f"{what} buffer: {worlds} of {self._num_envs} worlds ran out of MuJoCo's memory and dropped {what}s."
           ' Set <size memory="..."/> in the model.'
         )
+    self._overflowed[:] = False
     return report
 
   def close(self) -> None:
