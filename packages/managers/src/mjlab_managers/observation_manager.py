@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -15,54 +14,17 @@ from mjlab_core.names import unknown
 from mjlab_core.sampling import check_range
 from mjlab_core.state import Stateful
 
-from mjlab_managers.binding import Term, copy_cfg, same
+from mjlab_managers.binding import Term, copy_cfg
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase, is_float
 from mjlab_managers.noise import EpisodeBias, FusedNoise, NoiseCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.observation_cfg import NAN_POLICIES, ObservationGroupCfg, ObservationTermCfg, TermLayout
+from mjlab_managers.observation_slots import Slot, delay_columns, place_columns, twin_of
 from mjlab_managers.table import table
 
 
 class NonfiniteObservationError(RuntimeError):
   """An observation of a group with `nan_policy="error"` is NaN or infinite."""
-
-
-@dataclass
-class _Slot:
-  """A term of a group: its columns in the frame of all terms, and in the output."""
-
-  group: str
-  name: str
-  group_cfg: ObservationGroupCfg
-  cfg: ObservationTermCfg
-  own: Term
-  """The slot's own binding, whose parameters are the ones in `cfg`."""
-  term: Term
-  """What is evaluated: `own`, or that of an earlier slot that asks for the same."""
-  shape: tuple[int, ...]
-  history: int
-  flatten: bool
-  frame: slice = field(default_factory=lambda: slice(0, 0))
-  out: slice = field(default_factory=lambda: slice(0, 0))
-
-  @property
-  def path(self) -> str:
-    return f"{self.group}/{self.name}"
-
-  @property
-  def width(self) -> int:
-    return math.prod(self.shape)
-
-  @property
-  def out_shape(self) -> tuple[int, ...]:
-    if self.history == 0:
-      return self.shape
-    return (self.history * self.width,) if self.flatten else (self.history, *self.shape)
-
-  def processing(self) -> tuple[Any, ...]:
-    """What the fused pass was compiled from; a replaced value has another identity."""
-    cfg, group = self.cfg, self.group_cfg
-    return (cfg.noise, cfg.clip, cfg.scale, group.corrupt, group.nan_policy)
 
 
 Observation = torch.Tensor | dict[str, torch.Tensor]
@@ -81,12 +43,12 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
 
   def __init__(self, cfgs: Mapping[str, ObservationGroupCfg | None], env: ManagerEnv) -> None:
     super().__init__(cfgs, env)
-    self._slots: list[_Slot] = []
+    self._slots: list[Slot] = []
     for group, cfg in self._cfgs.items():
       self._read_group(group, cfg)
     self._raise_problems()
 
-    self._place_columns()
+    place_columns(self._slots)
     frame_width = self._slots[-1].frame.stop if self._slots else 0
     out_width = self._slots[-1].out.stop if self._slots else 0
     self._frame = torch.zeros(self.num_envs, frame_width, device=self.device)
@@ -154,7 +116,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     if own is None:
       return
     before = len(self._problems)
-    twin = self._twin(own, self._slots)
+    twin = twin_of(own, self._slots)
     if twin is not None:
       shape = twin.shape
     else:
@@ -170,24 +132,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     if group_cfg.history_length is not None:
       history, flatten = group_cfg.history_length, group_cfg.flatten_history_dim
     term = own if twin is None else twin.term
-    self._slots.append(_Slot(group, name, group_cfg, cfg, own, term, shape, history, flatten))
-
-  @staticmethod
-  def _twin(own: Term, slots: Sequence[_Slot]) -> _Slot | None:
-    """A slot that evaluates the same function with the same parameters; what remembers something is never shared."""
-    if hasattr(own.func, "reset"):
-      return None
-    for slot in slots:
-      if same(slot.own.func, own.func) and same(slot.own.cfg.params, own.cfg.params):
-        return slot
-    return None
-
-  def _place_columns(self) -> None:
-    frame = out = 0
-    for slot in self._slots:
-      slot.frame = slice(frame, frame + slot.width)
-      slot.out = slice(out, out + math.prod(slot.out_shape))
-      frame, out = slot.frame.stop, slot.out.stop
+    self._slots.append(Slot(group, name, group_cfg, cfg, own, term, shape, history, flatten))
 
   def _compile_processing(self) -> None:
     """Turns noise, clip, scale and NaN policies into vectors over the frame."""
@@ -195,7 +140,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     lo, hi = torch.full((1, width), -math.inf), torch.full((1, width), math.inf)
     scale = torch.ones(1, width)
     checked = torch.zeros(1, width, dtype=torch.bool)
-    self._strict: list[_Slot] = []
+    self._strict: list[Slot] = []
     noises: list[tuple[int, int, NoiseCfg]] = []
     biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
     for slot in self._slots:
@@ -248,22 +193,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
 
   def _build_delays(self) -> None:
     self._delays: dict[str, DelayBuffer] = {}
-    self._delay_columns: dict[str, slice] = {}
-    last: tuple[Any, ...] | None = None
-    key = ""
-    for slot in self._slots:
-      cfg = slot.cfg
-      if cfg.delay_max_lag == 0:
-        last = None
-        continue
-      fixed = cfg.delay_min_lag == cfg.delay_max_lag
-      # Neighbours with one constant delay share a line; random delays are drawn for each term.
-      if fixed and last == (slot.group, cfg.delay_max_lag):
-        self._delay_columns[key] = slice(self._delay_columns[key].start, slot.frame.stop)
-      else:
-        key = slot.path
-        self._delay_columns[key] = slot.frame
-      last = (slot.group, cfg.delay_max_lag) if fixed else None
+    self._delay_columns = delay_columns(self._slots)
     by_path = {slot.path: slot.cfg for slot in self._slots}
     for key, columns in self._delay_columns.items():
       cfg = by_path[key]
@@ -502,7 +432,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     changed = [slot for slot in self._slots if slot.own.params_changed()]
     if changed:
       for index, slot in enumerate(self._slots):
-        twin = self._twin(slot.own, self._slots[:index])
+        twin = twin_of(slot.own, self._slots[:index])
         slot.term = slot.own if twin is None else twin.term
     replaced = [
       slot
@@ -541,5 +471,5 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     columns = ("group", "term", "shape", "noise", "clip", "scale", "delay", "history")
     return table("Observations", columns, rows)
 
-  def _group_slots(self, group: str) -> list[_Slot]:
+  def _group_slots(self, group: str) -> list[Slot]:
     return [slot for slot in self._slots if slot.group == group]
