@@ -122,6 +122,8 @@ def test_help_of_a_task_can_be_searched(capsys: pytest.CaptureFixture[str]) -> N
   shown = capsys.readouterr().out
   assert "--env.rewards.joint-speed.weight FLOAT" in shown
   assert "--agent" not in shown
+  assert cli.train([TASK, "--help", "joint", "speed"]) == 0
+  assert capsys.readouterr().out == shown
   assert cli.train([TASK, "-h"]) == 0
   shown = capsys.readouterr().out
   assert "--agent.algorithm.learning-rate FLOAT" in shown

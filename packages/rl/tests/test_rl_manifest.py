@@ -169,6 +169,19 @@ def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
     find_checkpoint("latest", log_root=tmp_path, experiment="other")
 
 
+def test_the_latest_run_of_a_task_is_no_other_tasks(tmp_path: Path) -> None:
+  for day, task in enumerate(("Flat", "Rough"), start=1):
+    run = tmp_path / "exp" / f"2026-01-0{day}_00-00-00"
+    run.mkdir(parents=True)
+    (run / "model_1.pt").touch()
+    (run / "manifest.json").write_text(json.dumps({"task": task}))
+  for task, day in (("Flat", "2026-01-01"), ("Rough", "2026-01-02"), (None, "2026-01-02")):
+    found = find_checkpoint("latest", log_root=tmp_path, experiment="exp", task=task)
+    assert found.parent.name.startswith(day)
+  with pytest.raises(RunNotFoundError, match=r"no run of Steep .*; 2026-01-02_00-00-00 is of another"):
+    find_checkpoint("latest", log_root=tmp_path, experiment="exp", task="Steep")
+
+
 def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> None:
   for run in ("2026-01-01_00-00-00_name", "2026-01-01_00-00-00.2_name", "notes"):
     (tmp_path / "exp" / run).mkdir(parents=True)

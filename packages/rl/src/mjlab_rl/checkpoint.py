@@ -41,7 +41,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     raise CheckpointError(
       f"checkpoint {path}: holds objects other than tensors and plain values, not loaded"
     ) from error
-  except (RuntimeError, EOFError, ValueError, KeyError) as error:
+  except (RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
     raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
   if not isinstance(state, dict) or "actor_state_dict" not in state:
     found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__

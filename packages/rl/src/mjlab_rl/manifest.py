@@ -282,6 +282,15 @@ def load_run(path: str | os.PathLike[str]) -> RunManifest:
   return _construct(RunManifest, data, "manifest")
 
 
+def task_of(directory: Path) -> str | None:
+  """Task id of a run; None where its manifest is not there or cannot be read."""
+  try:
+    data = json.loads((directory / MANIFEST_NAME).read_text(encoding="utf-8"))
+  except (OSError, ValueError):
+    return None
+  return data.get("task") if isinstance(data, dict) else None
+
+
 def package_versions() -> dict[str, str]:
   """Versions of Python, the operating system and the installed packages that decide how a run goes.
 

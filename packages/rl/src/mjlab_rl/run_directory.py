@@ -5,6 +5,8 @@ import re
 from datetime import datetime
 from pathlib import Path
 
+from mjlab_rl.manifest import task_of
+
 _RUN = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:\.(\d+))?.*")
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
@@ -37,14 +39,15 @@ def checkpoints(directory: Path) -> list[Path]:
   return [path for _, path in sorted(found)]
 
 
-def find_checkpoint(run: str, *, log_root: Path, experiment: str) -> Path:
+def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | None = None) -> Path:
   """The checkpoint that `run` means.
 
   Args:
     run: A checkpoint file, a run directory, the name of a run of the experiment, or "latest": the newest run of the
-      experiment that has a checkpoint. A directory stands for its newest checkpoint.
+      experiment that has a checkpoint and is of `task`. A directory stands for its newest checkpoint.
     log_root: Folder of all experiments.
     experiment: Folder of this one, below it.
+    task: Task of the latest run; None: any. A run without a manifest counts as of any task.
 
   Raises:
     RunNotFoundError: Nothing fits.
@@ -52,10 +55,15 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str) -> Path:
   folder = log_root / experiment
   runs = sorted((path for path in folder.iterdir() if path.is_dir()), key=_age, reverse=True) if folder.is_dir() else []
   if run == "latest":
+    others: list[str] = []
     for directory in runs:
       if found := checkpoints(directory):
-        return found[-1]
-    raise RunNotFoundError(f"no run with a checkpoint in {folder}")
+        if task is None or task_of(directory) in (task, None):
+          return found[-1]
+        others.append(directory.name)
+    of_task = "" if task is None else f" of {task}"
+    instead = f"; {others[0]} is of another task, its name after --resume starts from it" if others else ""
+    raise RunNotFoundError(f"no run{of_task} with a checkpoint in {folder}{instead}")
   for candidate in (Path(run), folder / run):
     if candidate.is_file():
       return candidate

@@ -13,7 +13,7 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
-from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import ConfigError, RslRlOnPolicyRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.iteration_report import IterationReport
@@ -50,6 +50,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     *,
     console: Console | None = None,
   ):
+    samples = env.num_envs * cfg.num_steps_per_env
+    if not 1 <= cfg.algorithm.num_mini_batches <= samples:
+      raise ConfigError(
+        f"agent.algorithm.num_mini_batches is {cfg.algorithm.num_mini_batches}; an iteration of {env.num_envs} worlds "
+        f"and {cfg.num_steps_per_env} steps has 1 to {samples}"
+      )
     self.agent_cfg = cfg
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)

@@ -102,7 +102,7 @@ class WandbLog:
     try:
       import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
     except ModuleNotFoundError as error:
-      raise ConfigError("agent.logger is 'wandb', which is not installed: pip install 'mjlab-rl[wandb]'") from error
+      raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb") from error
     self._run = wandb.init(
       project=cfg.wandb_project, name=directory.name, dir=str(directory), tags=list(cfg.wandb_tags), config=config
     )

@@ -26,8 +26,8 @@ class Arguments:
   seed: int | None = None
   """Seed of learner and environment; None: that of the task."""
   resume: str | None = None
-  """Run to continue, with its configuration and the flags given here: latest (also without a value), the name or
-  directory of a run, or a checkpoint file."""
+  """Run to continue, with its configuration and the flags given here: latest (of this task, also without a value),
+  the name or directory of a run, or a checkpoint file."""
   log_root: str = "logs"
   """Folder of all runs."""
   verbose: bool = False
@@ -59,7 +59,8 @@ def run(arguments: list[str]) -> int:
   task = _task(name)
   wants_help = [index for index, word in enumerate(given) if word in ("-h", "--help")]
   if wants_help:
-    _print_help(name, task, word="".join(given[wants_help[0] + 1 :][:1]))
+    words = itertools.takewhile(lambda word: word not in ("-h", "--help"), given[wants_help[0] + 1 :])
+    _print_help(name, task, word="-".join(words))
     return 0
   return _train(name, task, _with_latest(given))
 
@@ -121,7 +122,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     raise UsageError("--verbose and --quiet exclude each other")
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
   device = making.resolve_device(wanted.device)
-  checkpoint = _checkpoint(wanted)
+  checkpoint = _checkpoint(wanted, name)
   run = None if checkpoint is None else _manifest(checkpoint, name, console)
   if run is None:
     default = making.default_worlds(device, task.env.scene.num_envs)
@@ -176,12 +177,14 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   return 0
 
 
-def _checkpoint(wanted: Arguments) -> Path | None:
+def _checkpoint(wanted: Arguments, task: str) -> Path | None:
   if wanted.resume is None:
     return None
   from mjlab_rl import find_checkpoint
 
-  return find_checkpoint(wanted.resume, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name)
+  return find_checkpoint(
+    wanted.resume, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name, task=task
+  )
 
 
 def _manifest(checkpoint: Path, task: str, console: "Console") -> "RunManifest | None":
