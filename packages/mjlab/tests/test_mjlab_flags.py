@@ -237,8 +237,11 @@ def test_help_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
   assert "--env.rewards.foot-slip.weight FLOAT" in text
   assert "Factor of the term. (default: -0.1)" in text
   assert "num-envs" not in text
-  with pytest.raises(UsageError, match=r"--nothing: no such option\."):
-    help_of("nothing", capsys)
+  assert help_of("foot slip.w", capsys).count("(default:") == 1
+  with pytest.raises(UsageError, match=r"no flag has 'qqq' in its name\.$"):
+    help_of("qqq", capsys)
+  with pytest.raises(UsageError, match=r"no flag has 'foot-slp' in its name\. Nearest: foot-slip\."):
+    help_of("foot_slp", capsys)
 
 
 def test_completion_knows_tasks_and_flags(capsys: pytest.CaptureFixture[str]) -> None:

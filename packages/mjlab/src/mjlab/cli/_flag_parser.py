@@ -46,10 +46,11 @@ def print_help(config: Any, *, prog: str, description: str, word: str = "") -> N
     UsageError: There is none.
   """
   known = flags(config)
-  word = word.strip("-").replace("_", "-").lower()
+  word = word.strip("-").replace("_", "-").replace(" ", "-").lower()
   shown = [flag for flag in known if word in flag.name.lower()]
   if not shown:
-    raise UsageError(_unknown(word, [flag.name for flag in known]))
+    close = nearest(word, dict.fromkeys(part for flag in known for part in flag.parts))
+    raise UsageError(f"no flag has '{word}' in its name." + (f" Nearest: {', '.join(close)}." if close else ""))
   with contextlib.suppress(SystemExit):
     tyro.cli(_command(shown), args=["--help"], prog=prog, description=description)
 
