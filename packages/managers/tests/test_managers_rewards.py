@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import ManagerTermBase, RewardManager, RewardTermCfg
+from mjlab_managers import ConfigError, ManagerTermBase, RewardManager, RewardTermCfg
 
 
 def one(env: Any) -> torch.Tensor:
@@ -32,6 +32,17 @@ def test_a_constant_reward_of_one_over_a_full_episode_logs_its_weight(env, logge
   manager.reset(env.mask(0, 2))
   assert logged(manager)["Episode_Reward/one"] == pytest.approx(3.0)
   assert manager.episode_sums[:, 0].tolist() == pytest.approx([0.0, 3.0, 0.0, 3.0])
+
+
+@pytest.mark.parametrize("weight", [float("nan"), float("inf")])
+def test_a_weight_that_is_no_number_is_refused_at_build_and_later(env, weight):
+  with pytest.raises(ConfigError, match="term 'one': weight must be finite"):
+    RewardManager({"one": RewardTermCfg(one, weight=weight)}, env)
+  manager = RewardManager({"one": RewardTermCfg(one, weight=1.0)}, env, scale_by_dt=False)
+  manager.get_term_cfg("one").weight = weight
+  with pytest.raises(ConfigError, match="term 'one': weight must be finite"):
+    manager.sync()
+  assert manager.compute().tolist() == [1.0] * 4
 
 
 def test_the_log_is_the_mean_over_all_episodes_of_the_interval_and_nan_without_any(env, logged):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -141,7 +142,12 @@ class RewardManager(ManagerBase[RewardTermCfg]):
         self._weights[0, index].fill_(weight)
 
   def _read_host_weights(self) -> tuple[float, ...]:
-    return tuple(float(self._cfgs[term.name].weight) for term in self._terms)
+    weights = tuple(float(self._cfgs[term.name].weight) for term in self._terms)
+    for term, weight in zip(self._terms, weights, strict=True):
+      if not math.isfinite(weight):
+        self._problem(f"term '{term.name}': weight must be finite, got {weight}.")
+    self._raise_problems()
+    return weights
 
   def _update_activity(self) -> None:
     active = [
