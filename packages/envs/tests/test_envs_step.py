@@ -208,6 +208,18 @@ def test_actions_that_are_not_numbers_count_as_zero(make: Make) -> None:
   assert a.drain_log()["Nonfinite/action"] == 2.0
 
 
+def test_actions_of_a_policy_that_tracks_gradients_are_taken(make: Make) -> None:
+  a, b = make(), make()
+  for env in (a, b):
+    env.reset()
+  for index in range(2):
+    action = actions(a, index)
+    obs, *_ = a.step(action.clone().requires_grad_())
+    expected, *_ = b.step(action)
+    assert torch.equal(obs["actor"], expected["actor"])
+    assert not obs["actor"].requires_grad
+
+
 def test_an_action_of_the_wrong_shape_is_refused_before_anything_moves(make: Make) -> None:
   env = make()
   env.reset()

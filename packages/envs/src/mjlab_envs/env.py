@@ -212,7 +212,8 @@ class ManagerBasedRlEnv:
     if not self.cfg.auto_reset and bool(self._pending.any()):
       worlds = self._pending.nonzero().flatten().tolist()
       raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
-    self._action.copy_(action)
+    # Nothing here is differentiable, and a policy called outside torch.no_grad() is no mistake.
+    self._action.copy_(action.detach())
     for manager in self._managers:
       manager.sync()
     self._step_graph()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
@@ -150,7 +152,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
     try:
       value = term(*args)
     except Exception as error:
-      self._problem(f"term '{term.name}': {type(error).__name__} in a trial call: {error}", error)
+      self._problem(f"term '{term.name}': {type(error).__name__} in a trial call{_place(error)}: {error}", error)
       return None
     if state is None:
       return value
@@ -190,3 +192,13 @@ def described(value: Any) -> str:
   if isinstance(value, torch.Tensor):
     return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)} on {value.device}"
   return f"{type(value).__name__} {value!r}" if isinstance(value, int | float | str) else type(value).__name__
+
+
+def _place(error: Exception) -> str:
+  """Where in a term it was raised, or by what the term called: " (my_terms.py, line 12)"."""
+  here = Path(__file__).parent
+  for frame in traceback.extract_tb(error.__traceback__):
+    path = Path(frame.filename)
+    if path.parent != here:
+      return f" ({path.name}, line {frame.lineno})"
+  return ""
