@@ -217,3 +217,9 @@ def test_a_preset_that_matches_nothing_is_an_error() -> None:
 def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, value: Any, message: str) -> None:
   with pytest.raises(ValueError, match=f"entity 'robot', geom 'left_collision': {parameter} .* {message}"):
     build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))
+
+
+@pytest.mark.parametrize("spec_fn", ["robot.xml", lambda: None, mujoco.MjSpec()])
+def test_what_makes_no_spec_is_refused_by_name(spec_fn: Any) -> None:
+  with pytest.raises(ValueError, match="entity 'robot': spec_fn must be a function that returns an MjSpec"):
+    Entity(EntityCfg(spec_fn=spec_fn), "robot")

@@ -51,7 +51,7 @@ class Entity(EntityNames, EntityWrites):
     if not 0.0 < factor <= 1.0:
       raise ValueError(f"{owner}: soft_joint_pos_limit_factor {factor} must be in (0, 1]")
     self._soft_joint_pos_limit_factor = factor
-    self.spec = cfg.spec_fn()
+    self.spec = _make_spec(cfg, owner)
     """The entity alone; attaching moves its contents into the scene."""
     name_everything(self.spec)
     own_root = _find_root(self.spec, owner)
@@ -262,6 +262,13 @@ class Entity(EntityNames, EntityWrites):
 
 def _floats(body: mujoco.MjsBody) -> bool:
   return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _make_spec(cfg: EntityCfg, owner: str) -> mujoco.MjSpec:
+  spec = cfg.spec_fn() if callable(cfg.spec_fn) else None
+  if not isinstance(spec, mujoco.MjSpec):
+    raise ValueError(f"{owner}: spec_fn must be a function that returns an MjSpec")
+  return spec
 
 
 def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
