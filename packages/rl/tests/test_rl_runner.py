@@ -330,9 +330,11 @@ def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path) -> None:
     runner(tmp_path, agent(logger="wandb")).learn(1)
 
 
-def test_a_run_name_that_is_a_path_is_a_clear_error() -> None:
-  with pytest.raises(ConfigError, match=r"agent\.run_name is 'a/b'"):
-    agent(run_name="a/b").to_rsl_rl()
+@pytest.mark.parametrize("field", ["experiment_name", "run_name"])
+@pytest.mark.parametrize("name", ["a/b", "../b", ".."])
+def test_a_name_of_a_run_that_is_a_path_is_a_clear_error(field: str, name: str) -> None:
+  with pytest.raises(ConfigError, match=rf"agent\.{field} is '{name}'"):
+    agent(**{field: name}).to_rsl_rl()
 
 
 @pytest.mark.parametrize("count", [0, 10**8])

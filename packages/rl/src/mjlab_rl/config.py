@@ -156,8 +156,9 @@ class RslRlOnPolicyRunnerCfg:
     for name in ("num_steps_per_env", "max_iterations", "save_interval"):
       if getattr(self, name) < 1:
         raise ConfigError(f"agent.{name} is {getattr(self, name)}; it must be at least 1")
-    if "/" in self.run_name:
-      raise ConfigError(f"agent.run_name is {self.run_name!r}; it is part of one folder's name and takes no '/'")
+    for key, name in (("experiment_name", self.experiment_name), ("run_name", self.run_name)):
+      if "/" in name or name == "..":
+        raise ConfigError(f"agent.{key} is {name!r}; it is the name of one folder, or part of one, and takes no path")
     if self.actor.distribution_cfg is None:
       raise ConfigError(
         "agent.actor.distribution_cfg is None, but PPO samples its actions. "
