@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -334,7 +335,7 @@ def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a/b", "../b", ".."])
 def test_a_name_of_a_run_that_is_a_path_is_a_clear_error(field: str, name: str) -> None:
   with pytest.raises(ConfigError, match=rf"agent\.{field} is '{name}'"):
-    agent(**{field: name}).to_rsl_rl()
+    replace(agent(), **{field: name}).to_rsl_rl()
 
 
 @pytest.mark.parametrize("count", [0, 10**8])
