@@ -189,8 +189,9 @@ def test_nothing_but_a_push_moves_a_robot_whose_episode_goes_on(played: Played) 
 def test_every_term_is_its_formula_on_mujoco_warp(task: str) -> None:
   rollout = Rollout(task, 4, engine="warp")
   steps = [step for steps in roll(rollout, 40, timed_out_at=20) for step in steps]
-  # In single precision, positions are as coarse as 4 micrometres where tiles are 40 m off.
-  check_rewards(steps, 5e-4 if TASKS[task].rough else 1e-5)
+  # In single precision, positions are as coarse as 4 micrometres where tiles are 40 m off. On flat ground rounding the
+  # state alone moves the square of the G1's angular momentum by 2e-6 of itself, and the kinematic chain rounds on.
+  check_rewards(steps, 5e-4 if TASKS[task].rough else 2e-5)
   check_critic(steps, 1e-4 if TASKS[task].rough else 2e-5)
   # Single precision may see a contact begin or end a substep apart, now and then. On height fields and edges of boxes
   # the two engines do not find the same contact points.
