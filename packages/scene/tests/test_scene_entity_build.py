@@ -4,6 +4,7 @@ from typing import Any
 
 import mujoco
 import pytest
+from mjlab_actuators import XmlActuatorCfg
 from mjlab_core.names import NameMatchError
 from mjlab_scene import CollisionCfg, Entity, EntityArticulationCfg, EntityCfg, InitialStateCfg
 
@@ -223,3 +224,45 @@ def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, v
 def test_what_makes_no_spec_is_refused_by_name(spec_fn: Any) -> None:
   with pytest.raises(ValueError, match="entity 'robot': spec_fn must be a function that returns an MjSpec"):
     Entity(EntityCfg(spec_fn=spec_fn), "robot")
+
+
+KINDS = """
+<mujoco>
+  <asset><material name="paint"/></asset>
+  <worldbody>
+    <body name="arm">
+      <joint name="elbow"/><geom name="hull" size=".1"/><site name="tip"/><camera name="eye"/><light name="lamp"/>
+    </body>
+  </worldbody>
+  <tendon><fixed name="rope"><joint joint="elbow" coef="1"/></fixed></tendon>
+  <actuator><motor name="push" joint="elbow"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+  ("kind", "kinds", "name"),
+  [
+    ("body", "bodies", "arm"),
+    ("joint", "joints", "elbow"),
+    ("geom", "geoms", "hull"),
+    ("site", "sites", "tip"),
+    ("tendon", "tendons", "rope"),
+    ("actuator", "actuators", "push"),
+    ("camera", "cameras", "eye"),
+    ("light", "lights", "lamp"),
+    ("material", "materials", "paint"),
+  ],
+)
+def test_parts_of_every_kind_are_found_by_name(kind: str, kinds: str, name: str) -> None:
+  entity = build(KINDS)
+  names = getattr(entity, f"{kind}_names")
+  assert getattr(entity, f"find_{kinds}")(name) == ([names.index(name)], [name])
+  with pytest.raises(ValueError, match=f"{kind}.*{name}"):
+    getattr(entity, f"find_{kinds}")(name + "x")
+
+
+def test_an_entity_is_actuated_where_actuators_are_configured() -> None:
+  driven = EntityArticulationCfg(actuators=(XmlActuatorCfg(target_names_expr=("elbow",)),))
+  assert build(KINDS, articulation=driven).is_actuated
+  assert not build(KINDS).is_actuated

@@ -114,6 +114,9 @@ def test_poses_and_velocities_of_all_frames_equal_mujoco_c(moving, name: str) ->
   _same(data.site_quat_w, [[_quat(d.site_xmat[i]) for i in sites] for d in worlds], quaternion=True)
   _same(data.site_vel_w, [[_velocity(sim, d, obj.mjOBJ_SITE, i) for i in sites] for d in worlds])
   _same(data.body_external_wrench, [d.xfrc_applied[bodies] for d in worlds])
+  for frame in ("body_link", "body_com", "geom", "site", "root_com"):
+    pos, quat, pose = (getattr(data, f"{frame}_{part}_w") for part in ("pos", "quat", "pose"))
+    assert torch.equal(pose, torch.cat((pos, quat), -1)), frame
 
 
 def test_what_is_saved_does_not_depend_on_the_number_of_worlds(

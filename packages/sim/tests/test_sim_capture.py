@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import pytest
 import torch
-from mjlab_sim import Simulation, SimulationCfg, SimulationError, StepGraph
+from mjlab_sim import Simulation, SimulationCfg, SimulationError, StepGraph, warp_engine
 from sim_world import SIZES, WORLD, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -112,6 +112,31 @@ def recording(
     return graph
 
   return make
+
+
+@pytest.mark.parametrize(
+  ("pool", "conditional", "message"),
+  [
+    (False, True, r"H100 cannot capture a step: Warp's memory pool is disabled on it\. Run .* --env\.sim\.no-capture"),
+    (True, False, r"H100 cannot capture a step: the driver has no conditional graph nodes .* --env\.sim\.no-capture"),
+    (False, False, r"memory pool is disabled on it and the driver has no conditional graph nodes"),
+  ],
+)
+def test_a_gpu_that_cannot_capture_is_refused_with_the_reason_and_the_way_out(
+  monkeypatch: pytest.MonkeyPatch, pool: bool, conditional: bool, message: str
+) -> None:
+  gpu = SimpleNamespace(is_cuda=True, name="H100")
+  monkeypatch.setattr("warp.is_mempool_enabled", lambda device: pool)
+  monkeypatch.setattr("warp.is_conditional_graph_supported", lambda: conditional)
+  with pytest.raises(SimulationError, match=message):
+    warp_engine.check_capture(gpu)
+
+
+def test_a_gpu_that_can_capture_and_a_cpu_are_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr("warp.is_mempool_enabled", lambda device: device.name == "H100")
+  monkeypatch.setattr("warp.is_conditional_graph_supported", lambda: True)
+  warp_engine.check_capture(SimpleNamespace(is_cuda=True, name="H100"))
+  warp_engine.check_capture(SimpleNamespace(is_cuda=False, name="cpu"))
 
 
 def test_a_recording_that_is_outdated_before_it_ends_is_never_replayed(recording: Any) -> None:

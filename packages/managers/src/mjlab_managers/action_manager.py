@@ -118,11 +118,6 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     """Raw action two steps before, (N, total_action_dim)."""
     return self._frames[2]
 
-  @property
-  def nonfinite_count(self) -> torch.Tensor:
-    """Action entries that were NaN or infinite and became 0 since `clear_log`, int64, 0-d."""
-    return self._nonfinite
-
   def get_term(self, name: str) -> ActionTerm:
     """A term; KeyError with the nearest names if there is none such."""
     return self._lookup(self._terms, name)

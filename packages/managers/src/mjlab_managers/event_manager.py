@@ -125,10 +125,6 @@ class EventManager(ManagerBase[EventTermCfg]):
     """Modes that have at least one term."""
     return [mode for mode, terms in self._terms.items() if terms]
 
-  def mode_terms(self, mode: EventMode) -> list[str]:
-    """Names of the terms of a mode."""
-    return [term.name for term in self._terms[mode]]
-
   def apply(self, mode: EventMode, mask: torch.Tensor | None = None) -> None:
     """Fires the terms of one mode.
 
