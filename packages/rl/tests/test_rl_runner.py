@@ -6,7 +6,9 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 import torch
@@ -25,6 +27,7 @@ from mjlab_rl import (
   train,
 )
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 
 def agent(iterations: int = 4, hidden: tuple[int, ...] = (8,), **changes: Any) -> RslRlOnPolicyRunnerCfg:
@@ -323,10 +326,40 @@ def test_every_iteration_is_a_row_and_checkpoints_come_at_the_interval(tmp_path:
 
 def test_tensorboard_gets_the_same_values(tmp_path: Path) -> None:
   runner(tmp_path, agent(logger="tensorboard")).learn(3)
-  assert list(tmp_path.glob("events.out.tfevents.*"))
+  events = EventAccumulator(str(tmp_path)).Reload()
+  with (tmp_path / "progress.csv").open(newline="") as file:
+    rows = list(csv.DictReader(file))
+  for tag in ("Loss/value", "Loss/learning_rate", "Policy/mean_std", "Episode_Reward/point"):
+    written = [(event.step, event.value) for event in events.Scalars(tag)]
+    assert [step for step, _ in written] == [int(row["iteration"]) for row in rows if row[tag]], tag
+    assert [value for _, value in written] == pytest.approx([float(row[tag]) for row in rows if row[tag]], rel=1e-6)
 
 
-def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize("upload", [False, True])
+def test_wandb_gets_the_same_values_the_config_and_checkpoints_if_wanted(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, upload: bool
+) -> None:
+  run, opened = MagicMock(), MagicMock()
+  opened.return_value = run
+  monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=opened))
+  runner(tmp_path, agent(logger="wandb", wandb_project="walk", upload_model=upload)).learn(3)
+  assert opened.call_args.kwargs["project"] == "walk"
+  assert opened.call_args.kwargs["config"]
+  assert [call.kwargs["step"] for call in run.log.call_args_list] == [0, 1, 2]
+  with (tmp_path / "progress.csv").open(newline="") as file:
+    losses = [float(row["Loss/value"]) for row in csv.DictReader(file)]
+  assert [call.args[0]["Loss/value"] for call in run.log.call_args_list] == pytest.approx(losses, rel=1e-6)
+  assert run.save.called is upload
+  run.finish.assert_called_once()
+
+
+def test_wandb_is_imported_only_when_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setitem(sys.modules, "wandb", None)
+  runner(tmp_path, agent(logger="tensorboard")).learn(1)
+
+
+def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setitem(sys.modules, "wandb", None)
   with pytest.raises(ConfigError, match="pip install wandb"):
     runner(tmp_path, agent(logger="wandb")).learn(1)
 
