@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
   from mjlab_core.buffers import DelayBuffer, HistoryBuffer
+  from mjlab_core.drawing import DebugDraw
   from mjlab_core.frames import combine_frames, heading, subtract_frames, transform_points, velocity_at
   from mjlab_core.masking import fill_, where_
   from mjlab_core.names import NameMatchError, match_names, match_values, match_values_full, nearest, unknown
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
   from mjlab_core.state import StateError, Stateful
 
 __all__ = [
+  "DebugDraw",
   "DelayBuffer",
   "HistoryBuffer",
   "NameMatchError",
@@ -94,6 +96,7 @@ __all__ = [
 
 _MODULES = {
   "buffers": "DelayBuffer HistoryBuffer",
+  "drawing": "DebugDraw",
   "frames": "combine_frames heading subtract_frames transform_points velocity_at",
   "masking": "fill_ where_",
   "names": "NameMatchError match_names match_values match_values_full nearest unknown",
