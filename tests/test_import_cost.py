@@ -27,6 +27,7 @@ def imported_by(statement: str) -> set[str]:
     "from mjlab.cli import train; assert train(['--help']) == 0",
     "from mjlab.cli import list_envs; assert list_envs(['--help']) == 0",
     "from mjlab.cli import list_envs; assert list_envs([]) == 0",
+    "from mjlab.cli import viz_nan; assert viz_nan(['--help']) == 0",
   ],
 )
 def test_help_and_listing_import_nothing_heavy(statement: str) -> None:

@@ -198,3 +198,26 @@ def test_ctrl_c_saves_and_exits_cleanly(tmp_path: Path) -> None:
   (directory,) = runs(tmp_path)
   assert f"continue with: train {TASK} --resume {directory}" in rest
   assert len(checkpoints(directory)) == 1
+
+
+def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  assert train(tmp_path, "--env.sim.gravity", "0", "0", "-1e308") == 0
+  (directory,) = runs(tmp_path)
+  dumps = sorted((directory / "nan_dumps").iterdir())
+  assert dumps
+  capsys.readouterr()
+  assert cli.main(["viz-nan", str(dumps[0])]) == 0
+  report = capsys.readouterr().out
+  assert "was not finite" in report
+  assert "MuJoCo C diverges too" in report
+
+
+def test_viz_nan_refuses_what_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  path = tmp_path / "model_3.pt"
+  path.write_text("not a dump")
+  assert cli.viz_nan([str(path)]) == 1
+  assert "is no NaN dump" in capsys.readouterr().err
+  assert cli.viz_nan([]) == 2
+  assert cli.viz_nan(["--fast", "x"]) == 2

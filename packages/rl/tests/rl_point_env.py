@@ -1,6 +1,7 @@
 """A point on a line for every world: pushed by the action, drawn anew when it leaves or its time is over."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -45,6 +46,7 @@ class PointEnv:
     self.last_action = torch.zeros(self.num_envs, 1, device=device)
     self._log = torch.zeros((), device=device)
     self.is_closed = False
+    self.output_dir: Path | None = None
 
   def reset(self, *, seed: int | None = None) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     if seed is not None:

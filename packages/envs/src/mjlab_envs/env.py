@@ -1,9 +1,11 @@
 """The manager-based environment and its step."""
 
+import contextlib
 import copy
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -24,7 +26,7 @@ from mjlab_managers import (
   TerminationTermCfg,
 )
 from mjlab_scene import Scene
-from mjlab_sim import Simulation
+from mjlab_sim import NanGuard, Simulation
 
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
@@ -82,6 +84,8 @@ class ManagerBasedRlEnv:
     self._pending = torch.zeros(n, dtype=torch.bool, device=device)
     self._announced: set[str] = set()
     self._closed = False
+    self.output_dir: Path | None = None
+    """Folder of a training run, which sets it: dumps of diverged worlds go to `nan_dumps` in it."""
 
     self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
 
@@ -91,9 +95,15 @@ class ManagerBasedRlEnv:
 
   def _load_managers(self) -> None:
     terminations = dict(self.cfg.terminations)
-    if not any(term is not None and term.func is nan_detection for term in terminations.values()):
+    detectors = [name for name, term in terminations.items() if term is not None and term.func is nan_detection]
+    if not detectors and "nan_detection" not in terminations:
       # A world that diverged must be ended by somebody, or it stays so for good.
-      terminations.setdefault("nan_detection", TerminationTermCfg(nan_detection))
+      terminations["nan_detection"] = TerminationTermCfg(nan_detection)
+      detectors = ["nan_detection"]
+    guard = self.cfg.sim.nan_guard
+    self.nan_guard = NanGuard(self.sim, self.cfg.decimation, guard) if guard.enabled and detectors else None
+    """Remembers the last states of every world; None where that is off, or nothing detects a divergence."""
+    self._nan_detector = detectors[0] if detectors else ""
     self.event_manager = EventManager(self.cfg.events, self)
     self.sim.expand_model_fields(self.event_manager.model_fields)
     self.command_manager = CommandManager(self.cfg.commands, self)
@@ -138,9 +148,11 @@ class ManagerBasedRlEnv:
     self.action_manager.process_action(self._action)
 
   def _simulate(self) -> None:
-    for _ in range(self.cfg.decimation):
+    for substep in range(self.cfg.decimation):
       self.action_manager.apply_action()
       self.scene.write_ctrl()
+      if self.nan_guard is not None:
+        self.nan_guard.record(substep)
       self.sim.step()
       self.scene.update(self.physics_dt)
       self.metrics_manager.compute_substep()
@@ -150,6 +162,8 @@ class ManagerBasedRlEnv:
 
   def _terminate(self) -> None:
     self.termination_manager.compute()
+    if self.nan_guard is not None:
+      self.nan_guard.keep(self.termination_manager.get_term(self._nan_detector))
     if self.cfg.auto_reset:
       self.reset_buf.copy_(self.termination_manager.dones)
     else:
@@ -214,9 +228,10 @@ class ManagerBasedRlEnv:
       raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
     # Nothing here is differentiable, and a policy called outside torch.no_grad() is no mistake.
     self._action.copy_(action.detach())
-    for manager in self._managers:
-      manager.sync()
-    self._step_graph()
+    with self._one_torch_thread():
+      for manager in self._managers:
+        manager.sync()
+      self._step_graph()
     return (
       self.get_observations(),
       self.reward_manager.reward.clone(),
@@ -253,13 +268,14 @@ class ManagerBasedRlEnv:
     if seed is not None:
       self.seed = seed
       self.rng.manual_seed(seed)
-    self._reset(mask)
-    self._pending.masked_fill_(mask, False)
-    # No time passes in any world, so the others' commands stay as they are.
-    self.command_manager.compute(0.0, self._everybody)
-    self.observation_manager.compute(mask, advance=mask)
-    self.recorder_manager.post_reset(mask)
-    self.sim.forward()
+    with self._one_torch_thread():
+      self._reset(mask)
+      self._pending.masked_fill_(mask, False)
+      # No time passes in any world, so the others' commands stay as they are.
+      self.command_manager.compute(0.0, self._everybody)
+      self.observation_manager.compute(mask, advance=mask)
+      self.recorder_manager.post_reset(mask)
+      self.sim.forward()
     return self.get_observations(), {}
 
   def get_observations(self) -> Observations:
@@ -275,6 +291,7 @@ class ManagerBasedRlEnv:
       self._closed = True
       try:
         self.recorder_manager.close()
+        self._warn_of_divergence()
       finally:
         self.sim.close()
 
@@ -350,7 +367,8 @@ class ManagerBasedRlEnv:
   def drain_log(self) -> dict[str, float]:
     """Averages since the last call over the episodes that ended since, by name; one transfer from the device.
 
-    Buffers that overflowed are reported through the logger "mjlab" with the setting to raise.
+    Buffers that overflowed are reported through the logger "mjlab" with the setting to raise, and worlds that diverged
+    with what was first.
     """
     names: list[str] = []
     values: list[torch.Tensor] = []
@@ -361,9 +379,17 @@ class ManagerBasedRlEnv:
     numbers = torch.cat(values).tolist() if names else []
     for manager in self._managers:
       manager.clear_log()
-    for line in self.sim.overflow_report():
-      _log.warning(line)
+    self._warn(self.sim.overflow_report())
+    self._warn_of_divergence()
     return {name: number for name, number in zip(names, numbers, strict=True) if not math.isnan(number)}
+
+  def _warn_of_divergence(self) -> None:
+    if self.nan_guard is not None:
+      self._warn(self.nan_guard.report(self.output_dir))
+
+  def _warn(self, lines: list[str]) -> None:
+    for line in lines:
+      _log.warning("%s", line)
 
   def state_dict(self) -> dict[str, Any]:
     """Everything that the next step depends on, as fresh tensors."""
@@ -420,6 +446,19 @@ class ManagerBasedRlEnv:
       f" step {self.step_dt:g} s, episode {self.max_episode_length} steps, seed {self.seed}"
     )
     return "\n".join([head, *(text for manager in self._managers if (text := manager.describe()))])
+
+  @contextlib.contextmanager
+  def _one_torch_thread(self) -> Generator[None, None, None]:
+    """On a CPU a second thread of torch only waits, on a core that physics wants: 64 worlds took four times as long."""
+    before = torch.get_num_threads()
+    if self.device.type == "cuda" or before == 1:
+      yield
+      return
+    torch.set_num_threads(1)
+    try:
+      yield
+    finally:
+      torch.set_num_threads(before)
 
   def _check_open(self) -> None:
     if self._closed:

@@ -1,6 +1,7 @@
 """What the learner needs from an environment."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch
@@ -26,6 +27,9 @@ class RlEnv(Protocol):
   device: torch.device
   episode_length_buf: torch.Tensor
   """Steps since the last reset, (num_envs,) int64, always the same memory."""
+
+  output_dir: Path | None
+  """Folder of the run, set before its first iteration; None where nothing is written."""
 
   @property
   def max_episode_length(self) -> int:

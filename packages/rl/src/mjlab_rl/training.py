@@ -107,7 +107,7 @@ def train(
     if log_root is not None:
       directory = create_run_directory(Path(log_root), agent.experiment_name, agent.run_name)
       write_manifest(directory, manifest)
-      runner.log_dir = directory
+      runner.log_dir = env.output_dir = directory
     if on_ready is not None:
       on_ready(env, directory)
     runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)

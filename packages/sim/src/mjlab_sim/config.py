@@ -1,6 +1,6 @@
 """Simulation options, checked before anything is compiled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import mujoco
@@ -45,6 +45,21 @@ _WARP_REFUSES_ENABLE = {"override", "fwdinv", "diagexact", "speculative"}
 
 
 @dataclass(kw_only=True)
+class NanGuardCfg:
+  """How much is remembered of worlds that diverge."""
+
+  enabled: bool = True
+  buffer_size: int = 8
+  """Environment steps kept of every world."""
+  max_envs_to_dump: int = 4
+  """Worlds in one file; of more that diverge between two reports, the first ones are kept."""
+  max_dumps: int = 8
+  """Reports, each with a file, that one process makes; worlds that diverge later are still ended and counted."""
+  output_dir: str | None = None
+  """Folder of the files. None: the folder `nan_dumps` of a training run's directory, and nowhere outside of one."""
+
+
+@dataclass(kw_only=True)
 class SimulationCfg:
   """Physics options and buffer sizes. `None` keeps what the model itself says."""
 
@@ -83,6 +98,7 @@ class SimulationCfg:
   """Record steps as graphs and replay them. Off runs the same code eagerly, for debugging."""
   num_threads: int = 0
   """Threads of the native engine; 0 takes one per CPU."""
+  nan_guard: NanGuardCfg = field(default_factory=NanGuardCfg)
 
   def engine_for(self, device_type: str) -> EngineName:
     """The engine that runs on a device of this type ("cpu" or "cuda").
@@ -119,6 +135,9 @@ class SimulationCfg:
         problems.append(f"{name} must not be negative, got {value}")
     if self.num_threads < 0:
       problems.append(f"num_threads must not be negative, got {self.num_threads}")
+    for name in ("buffer_size", "max_envs_to_dump", "max_dumps"):
+      if getattr(self.nan_guard, name) < 1:
+        problems.append(f"nan_guard.{name} must be at least 1, got {getattr(self.nan_guard, name)}")
     for name, table in (
       ("integrator", _INTEGRATORS),
       ("solver", _SOLVERS),

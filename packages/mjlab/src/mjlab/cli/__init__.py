@@ -1,62 +1,72 @@
-"""The command line: `mjlab train`, `mjlab list-envs`, and the same two as commands of their own.
+"""The command line: `mjlab COMMAND`, and each of its commands as one of its own.
 
 Exit codes: 0 done (also after a stop with Ctrl-C that saved), 1 failed, 2 wrong usage.
 """
 
+import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
 
 from mjlab.cli._errors import UsageError, is_users_mistake
 
-_HELP = """\
-usage: mjlab COMMAND ...
-
-  train TASK [flags]    train a policy
-  list-envs [KEYWORD]   list the tasks
-
-mjlab COMMAND --help says more; mjlab --version names the version.
-"""
+_COMMANDS: dict[str, tuple[str, str, str]] = {
+  # name: module, arguments, what it does
+  "train": ("_train", "TASK [flags]", "train a policy"),
+  "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
+  "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
   """`mjlab COMMAND ...`"""
   arguments = list(sys.argv[1:] if argv is None else argv)
   if not arguments or arguments[0] in ("-h", "--help", "help"):
-    print(_HELP, end="")
+    print(_help(), end="")
     return 0 if arguments else 2
   if arguments[0] == "--version":
     from importlib.metadata import version
 
     print(f"mjlab {version('mjlab')}")
     return 0
-  commands = {"train": train, "list-envs": list_envs}
-  command = commands.get(arguments[0])
-  if command is None:
+  if arguments[0] not in _COMMANDS:
     from mjlab_core import unknown
 
-    print(f"error: {unknown('command', arguments[0], list(commands))}", file=sys.stderr)
+    print(f"error: {unknown('command', arguments[0], list(_COMMANDS))}", file=sys.stderr)
     return 2
-  return command(arguments[1:])
+  return _run(arguments[0], arguments[1:])
 
 
-def train(argv: Sequence[str] | None = None) -> int:
-  """`train TASK [flags]`"""
-  from mjlab.cli import _train
-
-  return _guarded(_train.run, argv)
-
-
-def list_envs(argv: Sequence[str] | None = None) -> int:
-  """`list-envs [KEYWORD]`"""
-  from mjlab.cli import _list_envs
-
-  return _guarded(_list_envs.run, argv)
+def _help() -> str:
+  lines = [(f"{name} {arguments}", summary) for name, (_, arguments, summary) in _COMMANDS.items()]
+  width = max(len(left) for left, _ in lines)
+  listing = "\n".join(f"  {left:<{width}}   {summary}" for left, summary in lines)
+  return (
+    f"usage: mjlab COMMAND ...\n\n{listing}\n\nmjlab COMMAND --help says more; mjlab --version names the version.\n"
+  )
 
 
-def _guarded(command: Callable[[list[str]], int], argv: Sequence[str] | None) -> int:
+def _command(name: str) -> Callable[..., int]:
+  """The entry point of a command's own name, which takes the arguments of the process unless it is given some."""
+
+  def run(argv: Sequence[str] | None = None) -> int:
+    return _run(name, list(sys.argv[1:] if argv is None else argv))
+
+  return run
+
+
+def _run(name: str, arguments: list[str]) -> int:
+  module = importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}")
+  return _guarded(module.run, arguments)
+
+
+train = _command("train")
+list_envs = _command("list-envs")
+viz_nan = _command("viz-nan")
+
+
+def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
   """Run a command; what the user got wrong becomes one line, what we got wrong a traceback."""
-  arguments = list(sys.argv[1:] if argv is None else argv)
   try:
     return command(arguments)
   except UsageError as error:

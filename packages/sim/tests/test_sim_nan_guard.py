@@ -1,0 +1,244 @@
+"""What is remembered of a world that diverges, and what MuJoCo C makes of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sim import NanDump, NanGuard, NanGuardCfg, Simulation, SimulationCfg, SimulationError
+from sim_world import scatter
+from torch.utils._python_dispatch import TorchDispatchMode
+
+MakeSim = Callable[..., Simulation]
+DECIMATION = 2
+
+
+def run(sim: Simulation, guard: NanGuard, steps: int, before: Callable[[int, int], None] | None = None) -> None:
+  """So many environment steps; `before(step, substep)` may write before a physics step."""
+  for step in range(steps):
+    for substep in range(DECIMATION):
+      if before is not None:
+        before(step, substep)
+      guard.record(substep)
+      sim.step()
+    guard.keep(~torch.isfinite(sim.data.qpos).all(dim=1))
+
+
+def make_guard(sim: Simulation, folder: Path | None, **options: Any) -> NanGuard:
+  return NanGuard(sim, DECIMATION, NanGuardCfg(output_dir=None if folder is None else str(folder), **options))
+
+
+def only_dump(guard: NanGuard, folder: Path) -> NanDump:
+  guard.report()
+  [path] = folder.iterdir()
+  return NanDump.load(path)
+
+
+def test_a_dump_holds_the_states_that_led_there_and_names_what_was_first(
+  make_sim: MakeSim, engine: str, tmp_path: Path
+) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  guard = make_guard(sim, tmp_path, buffer_size=3)
+  seen: list[np.ndarray] = []
+
+  def before(step: int, substep: int) -> None:
+    if (step, substep) == (4, 1):
+      sim.data.qfrc_applied[2, 19] = torch.nan
+    seen.append(sim.data.qpos[2].numpy().copy())
+
+  run(sim, guard, 5, before)
+  lines = guard.report()
+  assert lines[0] == (
+    "world 2 diverged: qfrc_applied of joint 'elbow' was not finite before physics step 2 of 2 of environment step 5:"
+    " it was written so"
+  )
+  world = only_dump(guard, tmp_path).worlds[0]
+  assert (world.index, world.env_step, world.num_steps) == (2, 5, 6)
+  np.testing.assert_array_equal(world.states["qpos"], np.array(seen[-6:]))
+  assert np.isnan(world.result["qpos"]).any()
+  assert guard.report() == []
+
+
+def test_mujoco_c_diverges_from_a_dumped_state_where_the_physics_do(
+  make_sim: MakeSim, engine: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+  sim = make_sim(engine)
+  guard = make_guard(sim, tmp_path)
+
+  def before(step: int, substep: int) -> None:
+    if step == 2:
+      sim.data.qfrc_applied[1, 0] = 1e300 if sim.dtype == torch.float64 else 3e38
+
+  run(sim, guard, 3, before)
+  world = only_dump(guard, tmp_path).worlds[0]
+  replay = world.replay()
+  assert capfd.readouterr() == ("", "")
+  assert world.first.field in ("qpos", "qvel", "qacc", "qacc_warmstart")
+  assert replay.diverged_at is not None
+  assert replay.diverged_at >= 4
+
+
+def test_mujoco_c_stays_finite_where_somebody_wrote_the_state(make_sim: MakeSim, tmp_path: Path) -> None:
+  sim = make_sim()
+  scatter(sim)
+  guard = make_guard(sim, tmp_path)
+
+  def before(step: int, substep: int) -> None:
+    if (step, substep) == (3, 0):
+      sim.data.qvel[0, 19] = torch.inf
+
+  run(sim, guard, 4, before)
+  world = only_dump(guard, tmp_path).worlds[0]
+  assert world.describe_first() == (
+    "qvel of joint 'elbow' was not finite before physics step 1 of 2 of environment step 4: an event, a reset or a"
+    " command wrote it so, or the step before left it so"
+  )
+  replay = world.replay()
+  assert replay.diverged_at is None
+  # The native engine and MuJoCo C are the same code.
+  assert replay.error < 1e-12
+
+
+def test_a_replay_uses_the_worlds_own_model_fields(make_sim: MakeSim, tmp_path: Path) -> None:
+  sim = make_sim()
+  scatter(sim)
+  sim.expand_model_fields(["body_mass", "opt.gravity", "opt.timestep"])
+  sim.model.body_mass[:, 1] *= torch.tensor([0.5, 1.0, 3.0, 2.0], dtype=sim.dtype)
+  sim.model.opt.gravity[:, 2] = torch.tensor([-1.0, -2.0, -3.0, -4.0], dtype=sim.dtype)
+  sim.recompute_constants()
+  guard = make_guard(sim, tmp_path)
+
+  def before(step: int, substep: int) -> None:
+    if step == 5:
+      sim.data.qfrc_applied[2, 0] = torch.nan
+
+  run(sim, guard, 6, before)
+  # The world begins anew with other values; the dump keeps those it diverged with.
+  sim.model.body_mass[:, 1] = 7.0
+  world = only_dump(guard, tmp_path).worlds[0]
+  assert world.model_fields["body_mass"][1] == pytest.approx(3.0)
+  assert world.model_fields["opt.gravity"][2] == pytest.approx(-3.0)
+  assert world.replay().error < 1e-12
+
+
+def test_what_is_from_before_a_reset_is_left_out(make_sim: MakeSim, tmp_path: Path) -> None:
+  sim = make_sim()
+  guard = make_guard(sim, tmp_path)
+  only = torch.tensor([False, True, False, False])
+
+  def before(step: int, substep: int) -> None:
+    if (step, substep) == (3, 0):
+      sim.reset(only)
+    if step == 5:
+      sim.data.qfrc_applied[1, 0] = torch.nan
+
+  run(sim, guard, 6, before)
+  world = only_dump(guard, tmp_path).worlds[0]
+  assert world.num_steps == 3 * DECIMATION
+  assert world.states["time"][0] == 0.0
+
+
+def test_many_worlds_at_once_share_one_file_of_bounded_size(make_sim: MakeSim, tmp_path: Path) -> None:
+  sim = make_sim()
+  guard = make_guard(sim, tmp_path, max_envs_to_dump=2, max_dumps=1)
+  sim.data.qvel[:3, 0] = torch.nan
+  run(sim, guard, 3)
+  lines = guard.report()
+  assert [line.split(":")[0] for line in lines[:3]] == [
+    "world 0 diverged",
+    "world 1 diverged",
+    "1 more worlds diverged",
+  ]
+  assert lines[-1] == "worlds that diverge from now on are only counted (--env.sim.nan-guard.max-dumps)"
+  assert [world.index for world in only_dump(guard, tmp_path).worlds] == [0, 1]
+  # One that diverges anew is news, but the files are used up.
+  sim.reset()
+  run(sim, guard, 1)
+  sim.data.qvel[3, 0] = torch.nan
+  run(sim, guard, 1)
+  assert guard.report() == []
+  assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_world_that_stays_so_is_told_once(make_sim: MakeSim) -> None:
+  sim = make_sim()
+  guard = make_guard(sim, None)
+  sim.data.qvel[0, 0] = torch.nan
+  run(sim, guard, 2)
+  assert len(guard.report()) == 1
+  run(sim, guard, 2)
+  assert guard.report() == []
+  sim.reset()
+  run(sim, guard, 1)
+  sim.data.qvel[0, 0] = torch.nan
+  run(sim, guard, 1)
+  assert len(guard.report()) == 1
+
+
+def test_a_later_run_overwrites_nothing(make_sim: MakeSim, tmp_path: Path) -> None:
+  for _ in range(2):
+    sim = make_sim()
+    guard = make_guard(sim, tmp_path)
+    sim.data.qvel[0, 0] = torch.nan
+    run(sim, guard, 1)
+    guard.report()
+  assert sorted(path.name for path in tmp_path.iterdir()) == ["nan_dump_step_1.npz", "nan_dump_step_1_2.npz"]
+
+
+def test_a_file_that_cannot_be_written_stops_nothing(make_sim: MakeSim, tmp_path: Path) -> None:
+  sim = make_sim()
+  (tmp_path / "dumps").write_text("a file is in the way")
+  guard = make_guard(sim, tmp_path / "dumps")
+  sim.data.qvel[0, 0] = torch.nan
+  run(sim, guard, 1)
+  lines = guard.report()
+  assert lines[-1].startswith("the NaN dump could not be written: ")
+  assert (tmp_path / "dumps").read_text() == "a file is in the way"
+
+
+class _Waits(TorchDispatchMode):
+  def __init__(self) -> None:
+    super().__init__()
+    self.names: list[str] = []
+
+  def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+    if func.overloadpacket.__name__ in ("_local_scalar_dense", "nonzero", "masked_select"):
+      self.names.append(func.overloadpacket.__name__)
+    return func(*args, **(kwargs or {}))
+
+
+def test_remembering_and_keeping_never_wait_for_the_device(make_sim: MakeSim) -> None:
+  sim = make_sim()
+  guard = make_guard(sim, None)
+  run(sim, guard, 1)
+  sim.data.qvel[0, 0] = torch.nan
+  with _Waits() as waits:
+    run(sim, guard, 2)
+  assert waits.names == []
+  assert len(guard.report()) == 1
+
+
+def test_files_that_are_no_dumps_are_refused_by_name(tmp_path: Path) -> None:
+  path = tmp_path / "x.npz"
+  with pytest.raises(SimulationError, match=r"x\.npz: no such file"):
+    NanDump.load(path)
+  path.write_bytes(b"nonsense")
+  with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump"):
+    NanDump.load(path)
+  np.savez(path, a=np.zeros(3))
+  with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump"):
+    NanDump.load(path)
+  np.savez(path, about=np.array([{"evil": 1}], dtype=object))
+  with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump"):
+    NanDump.load(path)
+
+
+def test_sizes_that_keep_nothing_are_refused() -> None:
+  cfg = SimulationCfg(nan_guard=NanGuardCfg(buffer_size=0, max_dumps=-1))
+  spec = mujoco.MjSpec.from_string("<mujoco/>")
+  with pytest.raises(SimulationError, match=r"nan_guard\.buffer_size must be at least 1, got 0; nan_guard\.max_dumps"):
+    Simulation(1, spec, cfg)

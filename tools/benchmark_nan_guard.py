@@ -1,0 +1,66 @@
+"""What it costs to remember the last states of every world, as a share of an environment step.
+
+Two environments of one task, with and without the NaN guard, take turns; each has its fastest round counted, which
+other work on the machine disturbs least. Prints a row for docs/benchmarks.
+
+  uv run python tools/benchmark_nan_guard.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 1 64 1024
+"""
+
+import argparse
+import time
+
+import torch
+from mjlab.registry import load_task
+from mjlab_envs import ManagerBasedRlEnv
+
+
+def build(task: str, num_envs: int, device: str, *, enabled: bool) -> ManagerBasedRlEnv:
+  cfg = load_task(task).env
+  cfg.scene.num_envs = num_envs
+  cfg.seed = 0
+  cfg.sim.nan_guard.enabled = enabled
+  env = ManagerBasedRlEnv(cfg, device)
+  env.reset()
+  return env
+
+
+def seconds(env: ManagerBasedRlEnv, steps: int) -> float:
+  action = torch.zeros(env.num_envs, env.action_manager.total_action_dim, device=env.device)
+  if env.device.type == "cuda":
+    torch.cuda.synchronize()
+  start = time.perf_counter()
+  for _ in range(steps):
+    env.step(action)
+  if env.device.type == "cuda":
+    torch.cuda.synchronize()
+  return (time.perf_counter() - start) / steps
+
+
+def main() -> None:
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("task")
+  parser.add_argument("--num-envs", type=int, nargs="+", default=[64])
+  parser.add_argument("--steps", type=int, default=20, help="per round")
+  parser.add_argument("--rounds", type=int, default=40)
+  parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+  args = parser.parse_args()
+  print("| worlds | step without [ms] | step with [ms] | guard [% of a step] | memory [MB] |")
+  print("|---|---|---|---|---|")
+  for num_envs in args.num_envs:
+    plain, guarded = (build(args.task, num_envs, args.device, enabled=enabled) for enabled in (False, True))
+    for env in (plain, guarded):
+      seconds(env, 10)
+    rounds = [(seconds(plain, args.steps), seconds(guarded, args.steps)) for _ in range(args.rounds)]
+    without, with_guard = (1e3 * min(times) for times in zip(*rounds, strict=True))
+    assert guarded.nan_guard is not None
+    size = guarded.nan_guard.num_bytes / 1e6
+    print(
+      f"| {num_envs} | {without:.2f} | {with_guard:.2f} | {100 * (with_guard / without - 1.0):.1f} | {size:.1f} |",
+      flush=True,
+    )
+    plain.close()
+    guarded.close()
+
+
+if __name__ == "__main__":
+  main()
