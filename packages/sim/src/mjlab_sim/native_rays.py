@@ -11,6 +11,8 @@ from mjlab_sim.static_rays import Geoms, RayTargets, fixed_geoms, triangulate
 
 # A ray takes as long for one mesh of any size as for about so many boxes, one after another.
 _MANY = 32
+# How far behind a surface that a ray passes through it goes on [m].
+_SKIN = 1e-6
 _Geom = mujoco.mjtGeom
 
 
@@ -30,24 +32,26 @@ class NativeRayCaster:
   ) -> None:
     self._worlds, self._ground = worlds, ground
     self._max_distance = max_distance
-    self._bodyexclude = targets.bodyexclude
+    self._bodyexclude, self._owner, self._exclude = targets.bodyexclude, targets.owner, targets.exclude
     self._groups = None if targets.geomgroup is None else np.array(targets.geomgroup, dtype=np.uint8)
     self._others_move = bool(len(ground_geoms(worlds.model, targets)[1]))
     shape = (worlds.nsim, len(targets.bodyexclude))
+    self.origins = torch.zeros((*shape, 3), dtype=torch.float64)
+    self.directions = torch.zeros((*shape, 3), dtype=torch.float64)
     self._hits = RayHits(
       distance=torch.full(shape, -1.0, dtype=torch.float64),
       geomid=torch.full(shape, -1, dtype=torch.int32) if geomid else None,
       normal=torch.zeros((*shape, 3), dtype=torch.float64),
     )
 
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor, *, fixed: bool) -> RayHits:
-    rays = origins.numpy(), directions.numpy()
+  def cast(self, *, fixed: bool) -> RayHits:
+    rays = self.origins.numpy(), self.directions.numpy()
     if self._ground is None or not fixed:
-      distance, geomid, normal = self._against_all(rays, flg_static=True)
+      distance, geomid, normal = self._against_all(*rays, flg_static=True)
     else:
       distance, geomid, normal = self._ground.ray(*rays, normal=True)
       if self._others_move:
-        moving, _, moving_normal = self._against_all(rays, flg_static=False)
+        moving, _, moving_normal = self._against_all(*rays, flg_static=False)
         nearer = (moving >= 0.0) & ((moving < distance) | (distance < 0.0))
         distance = np.where(nearer, moving, distance)
         normal = np.where(nearer[..., None], moving_normal, normal)
@@ -61,15 +65,40 @@ class NativeRayCaster:
     return self._hits
 
   def _against_all(
-    self, rays: tuple[NDArray[np.float64], NDArray[np.float64]], *, flg_static: bool
-  ) -> tuple[NDArray, ...]:
-    return self._worlds.ray(*rays, self._groups, flg_static, self._bodyexclude, normal=True)
+    self, origins: NDArray[np.float64], directions: NDArray[np.float64], *, flg_static: bool
+  ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    distance, geomid, normal = self._worlds.ray(
+      origins, directions, self._groups, flg_static, self._bodyexclude, normal=True
+    )
+    # MuJoCo's rays pass through one body. To pass through more, those that hit them go on behind what they hit.
+    own = self._hits_own(geomid)
+    while own.any():
+      worlds = np.flatnonzero(own.any(axis=1))
+      passed = np.where(own, distance + _SKIN, 0.0)[worlds]
+      further, geom, surface = self._worlds.ray(
+        origins[worlds] + passed[..., None] * directions[worlds],
+        directions[worlds],
+        self._groups,
+        flg_static,
+        self._bodyexclude,
+        ids=worlds,
+        normal=True,
+      )
+      again = own[worlds]
+      distance[worlds] = np.where(again, np.where(further < 0.0, -1.0, passed + further), distance[worlds])
+      geomid[worlds] = np.where(again, geom, geomid[worlds])
+      normal[worlds] = np.where(again[..., None], surface, normal[worlds])
+      own &= self._hits_own(geomid)
+    return distance, geomid, normal
+
+  def _hits_own(self, geomid: NDArray[np.int32]) -> NDArray[np.bool_]:
+    return (geomid >= 0) & (self._owner[geomid] == self._exclude)
 
 
 def ground_geoms(model: mujoco.MjModel, targets: RayTargets) -> tuple[Geoms, Geoms]:
   """Geoms among `targets` that never move and that all rays see, and the rest."""
   is_ground = fixed_geoms(model)[targets.others]
-  is_ground &= ~np.isin(model.geom_bodyid[targets.others], targets.bodyexclude)
+  is_ground &= ~np.isin(targets.owner[targets.others], targets.exclude)
   ground = np.concatenate((targets.fixed, targets.others[is_ground]))
   return ground, targets.others[~is_ground]
 

@@ -26,31 +26,42 @@ class RayHits:
 class RayCaster(Protocol):
   """Casts a fixed number of rays in every world, inside a captured step too."""
 
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
-    """Cast rays from `origins` along unit `directions`, world frame, both (num_envs, num_rays, 3) [m]."""
+  origins: torch.Tensor
+  """Where the rays of the next cast start, world frame, (num_envs, num_rays, 3) [m]; write it in place."""
+  directions: torch.Tensor
+  """Unit directions of the rays of the next cast, world frame, (num_envs, num_rays, 3); write it in place."""
+
+  def cast(self, origins: torch.Tensor | None = None, directions: torch.Tensor | None = None) -> RayHits:
+    """Cast the rays in `origins` and `directions`; what is given is written there first."""
     ...
 
 
 class EngineRayCaster(Protocol):
   """An engine's own caster."""
 
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor, *, fixed: bool) -> RayHits:
-    """Cast rays; `fixed` tells whether geoms that never move are where the compiled model has them."""
+  origins: torch.Tensor
+  directions: torch.Tensor
+
+  def cast(self, *, fixed: bool) -> RayHits:
+    """Cast its rays; `fixed` tells whether geoms that never move are where the compiled model has them."""
     ...
 
 
 class FreshRayCaster:
   """An engine's caster that sees geoms where the written state, and the written model, put them."""
 
-  def __init__(self, sim: "Simulation", caster: EngineRayCaster, num_rays: int) -> None:
+  def __init__(self, sim: "Simulation", caster: EngineRayCaster) -> None:
     self._sim = sim
     self._caster = caster
-    self._shape = (sim.num_envs, num_rays, 3)
+    self.origins = caster.origins
+    self.directions = caster.directions
 
-  def cast(self, origins: torch.Tensor, directions: torch.Tensor) -> RayHits:
-    for name, rays in (("origins", origins), ("directions", directions)):
-      if rays.shape != self._shape:
-        raise SimulationError(f"cast: {name} must have shape {self._shape}, got {tuple(rays.shape)}")
+  def cast(self, origins: torch.Tensor | None = None, directions: torch.Tensor | None = None) -> RayHits:
+    for name, given, rays in (("origins", origins, self.origins), ("directions", directions, self.directions)):
+      if given is not None:
+        if given.shape != rays.shape:
+          raise SimulationError(f"cast: {name} must have shape {tuple(rays.shape)}, got {tuple(given.shape)}")
+        rays.copy_(given)
     self._sim._check_open()
     self._sim._refresh()
-    return self._caster.cast(origins, directions, fixed=self._sim._geoms_are_in_place())
+    return self._caster.cast(fixed=self._sim._geoms_are_in_place())

@@ -242,6 +242,7 @@ class Simulation:
     *,
     geomgroup: Sequence[bool] | None = None,
     bodyexclude: int | Sequence[int] = -1,
+    exclude_trees: bool = False,
     max_distance: float = math.inf,
     geomid: bool = True,
   ) -> RayCaster:
@@ -253,16 +254,17 @@ class Simulation:
       num_rays: Rays of each world.
       geomgroup: Which of the six geom groups rays see; all by default.
       bodyexclude: A body that rays pass through, or one for each ray, -1 for none.
+      exclude_trees: Rays pass through the whole kinematic tree of that body: all of a robot.
       max_distance: How far rays see [m].
       geomid: Whether hits tell their geom. On a CPU terrains of many geoms are faster without.
     """
     self._check_open()
     if not max_distance > 0.0:
       raise SimulationError(f"max_distance must be positive, got {max_distance}")
-    targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude)
+    targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude, exclude_trees)
     if self._fixed_geometry is None:
       self._fixed_geometry = FixedGeometry(self.mj_model, self._engine.model_field)
-    return FreshRayCaster(self, self._engine.ray_caster(targets, max_distance, geomid), num_rays)
+    return FreshRayCaster(self, self._engine.ray_caster(targets, max_distance, geomid))
 
   def _geoms_are_in_place(self) -> bool:
     """Whether geoms that never move are where the compiled model has them; graphs that count on it are dropped."""

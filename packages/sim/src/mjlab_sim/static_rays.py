@@ -38,6 +38,10 @@ class RayTargets:
   """Which of the six geom groups rays see, None for all."""
   bodyexclude: NDArray[np.int32]
   """The body that each ray passes through, -1 for none, (num_rays,)."""
+  owner: NDArray[np.int32]
+  """What each geom is excluded with, (ngeom,): its body, or the root of its kinematic tree."""
+  exclude: NDArray[np.int32]
+  """The owner whose geoms each ray passes through, -1 for none, (num_rays,)."""
   fixed: Geoms
   """Geoms with flat faces that never move and that all rays see."""
   others: Geoms
@@ -45,7 +49,11 @@ class RayTargets:
 
 
 def find_targets(
-  model: mujoco.MjModel, num_rays: int, geomgroup: Sequence[bool] | None, bodyexclude: int | Sequence[int]
+  model: mujoco.MjModel,
+  num_rays: int,
+  geomgroup: Sequence[bool] | None,
+  bodyexclude: int | Sequence[int],
+  exclude_trees: bool,
 ) -> RayTargets:
   """Sort the geoms that `mj_ray` would look at under the same filters: it skips those of zero alpha too.
 
@@ -62,19 +70,24 @@ def find_targets(
   for body in bodies:
     if not -1 <= body < model.nbody:
       raise SimulationError(f"bodyexclude must be a body from 0 to {model.nbody - 1}, or -1, got {body}")
-  exclude = np.array(np.broadcast_to(np.asarray(bodies, dtype=np.int32), num_rays))
+  body_of_ray = np.array(np.broadcast_to(np.asarray(bodies, dtype=np.int32), num_rays))
+  owner_of_body = model.body_rootid if exclude_trees else np.arange(model.nbody, dtype=np.int32)
+  owner = owner_of_body[model.geom_bodyid]
+  exclude = np.where(body_of_ray < 0, -1, owner_of_body[body_of_ray]).astype(np.int32)
   matid = model.geom_matid
   seen = np.where(matid < 0, model.geom_rgba[:, 3], 1.0) != 0.0
   seen[matid >= 0] = model.mat_rgba[matid[matid >= 0], 3] != 0.0
   if geomgroup is not None:
     seen &= np.asarray(geomgroup, dtype=bool)[model.geom_group.clip(0, mujoco.mjNGROUP - 1)]
-  excluded = np.isin(model.geom_bodyid, exclude)
+  excluded = np.isin(owner, exclude)
   if (exclude == exclude[0]).all():
     seen &= ~excluded
   flat = fixed_geoms(model) & np.isin(model.geom_type, _FLAT_FACES) & ~excluded
   return RayTargets(
     geomgroup=None if geomgroup is None else tuple(bool(group) for group in geomgroup),
-    bodyexclude=exclude,
+    bodyexclude=body_of_ray,
+    owner=owner,
+    exclude=exclude,
     fixed=np.flatnonzero(seen & flat).astype(np.int32),
     others=np.flatnonzero(seen & ~flat).astype(np.int32),
   )
@@ -114,13 +127,21 @@ def _surface(model: mujoco.MjModel, geom: int) -> Mesh:
   kind, data = model.geom_type[geom], model.geom_dataid[geom]
   if kind == _Geom.mjGEOM_BOX:
     return _CORNERS * model.geom_size[geom], _FACES
-  if kind == _Geom.mjGEOM_MESH:
-    first, count = model.mesh_vertadr[data], model.mesh_vertnum[data]
-    face, faces = model.mesh_faceadr[data], model.mesh_facenum[data]
-    return model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
-  rows, columns, first = model.hfield_nrow[data], model.hfield_ncol[data], model.hfield_adr[data]
+  return mesh_surface(model, data) if kind == _Geom.mjGEOM_MESH else hfield_surface(model, data)
+
+
+def mesh_surface(model: mujoco.MjModel, mesh: int) -> Mesh:
+  """Surface of a mesh in the frame of its geoms."""
+  first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+  face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+  return model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
+
+
+def hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
+  """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it."""
+  rows, columns, first = model.hfield_nrow[hfield], model.hfield_ncol[hfield], model.hfield_adr[hfield]
   heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
-  return _height_field(heights.astype(np.float64), model.hfield_size[data])
+  return _height_field(heights.astype(np.float64), model.hfield_size[hfield])
 
 
 def _height_field(heights: NDArray[np.float64], size: NDArray[np.float64]) -> Mesh:

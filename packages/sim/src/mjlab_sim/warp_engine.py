@@ -19,7 +19,7 @@ from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.graph import Recorder
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
-from mjlab_sim.warp_rays import FixedTriangles, WarpRayCaster
+from mjlab_sim.warp_rays import FixedTriangles, Surfaces, WarpRayCaster
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -58,6 +58,7 @@ class WarpEngine:
     self._capture = cfg.capture
     self._graphs: dict[str, Callable[[], None]] = {}
     self._fixed_triangles: dict[bytes, FixedTriangles] = {}
+    self._surfaces: Surfaces | None = None
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
     self._caster_numbers = itertools.count()
@@ -228,6 +229,7 @@ class WarpEngine:
   def close(self) -> None:
     self._graphs.clear()
     self._fixed_triangles.clear()
+    self._surfaces = None
     self._data_views.clear()
     self._model_views.clear()
 

@@ -2,6 +2,10 @@
 
 import warp as wp
 from mujoco_warp._src.ray import ray_geom
+from mujoco_warp._src.types import GeomType
+
+MESH = wp.constant(int(GeomType.MESH))
+HFIELD = wp.constant(int(GeomType.HFIELD))
 
 
 @wp.kernel
@@ -52,11 +56,14 @@ def cast_rays(
   triangle_geom: wp.array[int],
   others: wp.array[int],
   geom_type: wp.array[int],
-  geom_bodyid: wp.array[int],
+  geom_dataid: wp.array2d[int],
   geom_size: wp.array2d[wp.vec3],
   geom_xpos: wp.array2d[wp.vec3],
   geom_xmat: wp.array2d[wp.mat33],
-  bodyexclude: wp.array[int],
+  mesh_surface: wp.array[wp.uint64],
+  hfield_surface: wp.array[wp.uint64],
+  owner: wp.array[int],
+  exclude: wp.array[int],
   max_distance: float,
   origins: wp.array2d[wp.vec3],
   directions: wp.array2d[wp.vec3],
@@ -64,7 +71,10 @@ def cast_rays(
   geomid: wp.array2d[int],
   normal: wp.array2d[wp.vec3],
 ):
-  """Nearest hit of each ray on the triangles of fixed geoms (`mesh`, 0 for none) and on `others`, one by one."""
+  """Nearest hit of each ray on the triangles of fixed geoms (`mesh`, 0 for none) and on `others`, one by one.
+
+  Rays pass through geoms whose `owner` they `exclude`. Meshes and height fields are surfaces in their geom's frame.
+  """
   world, ray = wp.tid()
   origin = origins[world, ray]
   direction = directions[world, ray]
@@ -79,13 +89,30 @@ def cast_rays(
       hit_normal = query.normal
   for i in range(others.shape[0]):
     geom = others[i]
-    if geom_bodyid[geom] != bodyexclude[ray]:
-      size = geom_size[world % geom_size.shape[0], geom]
-      t, n = ray_geom(geom_xpos[world, geom], geom_xmat[world, geom], size, origin, direction, geom_type[geom])
-      if t >= 0.0 and t <= nearest:
-        nearest = t
-        hit_geom = geom
-        hit_normal = n
+    if owner[geom] != exclude[ray]:
+      kind = geom_type[geom]
+      position = geom_xpos[world, geom]
+      rotation = geom_xmat[world, geom]
+      if kind == MESH or kind == HFIELD:  # noqa: SIM109 - Warp has no "in"
+        asset = geom_dataid[world % geom_dataid.shape[0], geom]
+        surface = wp.uint64(0)
+        if kind == MESH:
+          surface = mesh_surface[asset]
+        else:
+          surface = hfield_surface[asset]
+        unturned = wp.transpose(rotation)
+        found = wp.mesh_query_ray(surface, unturned * (origin - position), unturned * direction, nearest)
+        if found.result:
+          nearest = found.t
+          hit_geom = geom
+          hit_normal = rotation * found.normal
+      else:
+        size = geom_size[world % geom_size.shape[0], geom]
+        t, n = ray_geom(position, rotation, size, origin, direction, kind)
+        if t >= 0.0 and t <= nearest:
+          nearest = t
+          hit_geom = geom
+          hit_normal = n
   distance[world, ray] = wp.where(hit_geom < 0, -1.0, nearest)
   geomid[world, ray] = hit_geom
   normal[world, ray] = hit_normal

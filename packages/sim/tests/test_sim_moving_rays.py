@@ -1,0 +1,152 @@
+"""Rays among geoms of every type that move, and past everything that moves with where they start."""
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sim import RayHits, Simulation, SimulationCfg
+
+NUM_ENVS, NUM_RAYS = 3, 150
+Geom = mujoco.mjtGeom
+MOVING = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+
+
+def tumbling() -> mujoco.MjSpec:
+  """One free body for each type of geom, a robot of three bodies around which rays start, and a field on a lift."""
+  spec = mujoco.MjSpec()
+  spec.worldbody.add_geom(name="plane", type=Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -1])
+  rng = np.random.default_rng(0)
+  star = [(0, 0, 1), (1, 0.2, 0), (0.3, 0.3, 0), (0, 1, 0), (-1, -0.5, 0), (0, 0, -0.4)]
+  faces = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1), (5, 2, 1), (5, 3, 2), (5, 4, 3), (5, 1, 4)]
+  for name, scale in (("star", 0.5), ("big star", 0.9)):
+    spec.add_mesh(name=name, uservert=scale * np.ravel(star), userface=np.ravel(faces))
+  for name in MOVING:
+    body = spec.worldbody.add_body(name=name)
+    body.add_freejoint()
+    geom = body.add_geom(name=name, type=getattr(Geom, f"mjGEOM_{name.upper()}"))
+    if name == "mesh":
+      geom.meshname = "star"
+    else:
+      geom.size = [0.3, 0.2, 0.15]
+  lift = spec.worldbody.add_body(name="lift", mocap=True, pos=[0, 0, -0.9])
+  spec.add_hfield(name="field", nrow=4, ncol=5, size=[1.5, 1.5, 0.5, 0.1], userdata=rng.uniform(size=20))
+  lift.add_geom(name="hfield", type=Geom.mjGEOM_HFIELD, hfieldname="field")
+  trunk = spec.worldbody.add_body(name="trunk")
+  trunk.add_freejoint()
+  trunk.add_geom(name="trunk", type=Geom.mjGEOM_BOX, size=[0.4, 0.3, 0.2])
+  for side in (-1, 1):
+    leg = trunk.add_body(name=f"leg{side}", pos=[0.2, 0.2 * side, 0])
+    leg.add_joint(axis=[0, 1, 0])
+    leg.add_geom(name=f"leg{side}", type=Geom.mjGEOM_CAPSULE, size=[0.1, 0, 0], fromto=[0, 0, 0, 0, 0, -0.7])
+  for geom in spec.geoms:
+    geom.contype = geom.conaffinity = 0
+  return spec
+
+
+@pytest.fixture(scope="module", params=["native", pytest.param("warp", marks=pytest.mark.warp)])
+def sim(request: pytest.FixtureRequest) -> Simulation:
+  sim = Simulation(NUM_ENVS, tumbling(), SimulationCfg(engine=request.param, num_threads=1))
+  rng = np.random.default_rng(1)
+  for number in range(len(MOVING) + 1):
+    place = 7 * number
+    around = [[0.0, 0.0, 0.0]] if number == len(MOVING) else rng.uniform(-1.5, 1.5, (NUM_ENVS, 3))
+    pose = np.concatenate((np.broadcast_to(around, (NUM_ENVS, 3)), rng.normal(size=(NUM_ENVS, 4))), axis=1)
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    sim.data.qpos[:, place : place + 7] = torch.tensor(pose, dtype=sim.dtype)
+  sim.data.mocap_pos[:, 0, 2] += torch.tensor([0.0, 0.1, 0.2], dtype=sim.dtype)
+  return sim
+
+
+def rays(sim: Simulation) -> tuple[torch.Tensor, torch.Tensor]:
+  """From within the robot towards all geoms, and past them."""
+  rng = np.random.default_rng(2)
+  origins = rng.uniform(-0.3, 0.3, (NUM_ENVS, NUM_RAYS, 3))
+  geoms = sim.data.geom_xpos.double().numpy()
+  directions = geoms[:, rng.integers(1, geoms.shape[1], NUM_RAYS)] + rng.normal(0.0, 0.15, origins.shape) - origins
+  directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+  return torch.tensor(origins, dtype=sim.dtype), torch.tensor(directions, dtype=sim.dtype)
+
+
+def mujoco_rays(
+  sim: Simulation, rays: tuple[torch.Tensor, torch.Tensor], models: list[mujoco.MjModel]
+) -> tuple[np.ndarray, ...]:
+  distance, geom = np.zeros((NUM_ENVS, NUM_RAYS)), np.full((NUM_ENVS, NUM_RAYS, 1), -1, dtype=np.int32)
+  normal = np.zeros((NUM_ENVS, NUM_RAYS, 3))
+  for world, model in enumerate(models):
+    data = mujoco.MjData(model)
+    data.qpos[:] = sim.data.qpos[world].double().numpy()
+    data.mocap_pos[:] = sim.data.mocap_pos[world].double().numpy()
+    mujoco.mj_kinematics(model, data)
+    for ray in range(NUM_RAYS):
+      origin, direction = (part[world, ray].double().numpy() for part in rays)
+      found = geom[world, ray], normal[world, ray]
+      distance[world, ray] = mujoco.mj_ray(model, data, origin, direction, None, 1, -1, *found)
+  return distance, geom[..., 0], normal
+
+
+def check(hits: RayHits, expected: tuple[np.ndarray, ...]) -> None:
+  """Equal but for rays that graze an edge, of which single precision may hit the other side."""
+  distance, geom, normal = expected
+  wrong = np.abs(hits.distance.double().numpy() - distance) > 3e-5
+  assert wrong.mean() < 0.01
+  np.testing.assert_allclose(hits.normal.double().numpy()[~wrong], normal[~wrong], atol=5e-4)
+  assert hits.geomid is not None
+  assert (hits.geomid.numpy() == geom)[~wrong].mean() > 0.99
+
+
+def without(model: mujoco.MjModel, *bodies: str) -> mujoco.MjModel:
+  """The model with the geoms of these bodies invisible, which rays pass through."""
+  model = copy.copy(model)
+  model.geom_rgba[np.isin(model.geom_bodyid, [model.body(body).id for body in bodies]), 3] = 0.0
+  return model
+
+
+def test_rays_see_every_type_of_geom_where_it_is(sim: Simulation) -> None:
+  expected = mujoco_rays(sim, rays(sim), [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
+  trunk = sim.mj_model.body("trunk").id
+  hits = sim.make_ray_caster(NUM_RAYS, bodyexclude=trunk, exclude_trees=True).cast(*rays(sim))
+  check(hits, expected)
+  seen = {sim.mj_model.geom(geom).name for geom in np.unique(expected[1]) if geom >= 0}
+  assert seen == {*MOVING, "plane", "hfield"}
+
+
+def test_rays_pass_through_the_tree_of_a_body_or_through_that_body_alone(sim: Simulation) -> None:
+  model = sim.mj_model
+  leg = model.body("leg1").id
+  alone = sim.make_ray_caster(NUM_RAYS, bodyexclude=leg)
+  check(alone.cast(*rays(sim)), mujoco_rays(sim, rays(sim), [without(model, "leg1")] * NUM_ENVS))
+  # Rays of a robot and rays of others go together.
+  half = NUM_RAYS // 2
+  mixed = sim.make_ray_caster(NUM_RAYS, bodyexclude=[leg] * half + [-1] * half, exclude_trees=True)
+  hits = mixed.cast(*rays(sim))
+  past, all_of_it = (
+    mujoco_rays(sim, rays(sim), [seen] * NUM_ENVS) for seen in (without(model, "trunk", "leg-1", "leg1"), model)
+  )
+  check(hits, tuple(np.concatenate((a[:, :half], b[:, half:]), axis=1) for a, b in zip(past, all_of_it, strict=True)))
+
+
+def test_a_ray_passes_through_all_of_its_robot_however_far_it_must_go(sim: Simulation) -> None:
+  trunk = sim.mj_model.body("trunk").id
+  caster = sim.make_ray_caster(NUM_RAYS, bodyexclude=trunk, exclude_trees=True, max_distance=0.8)
+  hits = caster.cast(*rays(sim))
+  distance, geom, normal = mujoco_rays(sim, rays(sim), [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
+  far = distance > 0.8
+  distance[far], geom[far], normal[far] = -1.0, -1, 0.0
+  check(hits, (distance, geom, normal))
+  assert far.any()
+
+
+def test_a_world_that_was_given_another_mesh_sees_that(sim: Simulation) -> None:
+  model = without(sim.mj_model, "trunk", "leg-1", "leg1")
+  geom, big = model.geom("mesh").id, model.mesh("big star").id
+  caster = sim.make_ray_caster(NUM_RAYS, bodyexclude=model.body("trunk").id, exclude_trees=True)
+  sim.expand_model_fields(["geom_dataid"])
+  sim.model.geom_dataid[1, geom] = big
+  changed = copy.copy(model)
+  changed.geom_dataid[geom] = big
+  expected = mujoco_rays(sim, rays(sim), [model, changed, model])
+  check(caster.cast(*rays(sim)), expected)
+  before = mujoco_rays(sim, rays(sim), [model] * NUM_ENVS)
+  assert (expected[0] != before[0]).any(axis=1).tolist() == [False, True, False]
