@@ -67,6 +67,11 @@ def build(
   return sim, sensors
 
 
+def get(value: torch.Tensor | None) -> torch.Tensor:
+  assert value is not None
+  return value
+
+
 def place(sim: Simulation, *poses: tuple[Any, ...]) -> None:
   """Put the base of each world at x, y, z with a `Rotation`, or upright for None."""
   for world, (x, y, z, rotation) in enumerate(poses):
@@ -189,6 +194,45 @@ def test_rays_are_cast_when_first_asked_for_and_once_a_state(count_operations: C
   assert sensor.data.frame_pos_w[0, 0, 2].item() == pytest.approx(1.02)
 
 
+def test_a_robot_looks_through_itself_alone() -> None:
+  # A hand right below the head, which would hide the ground.
+  fields: dict[str, Any] = {
+    "frames": HEADS,
+    "pattern": GridPatternCfg(size=(0.6, 0.2), resolution=0.1),
+    "alignment": "world",
+    "start_height": 0.5,
+    "identify_geoms": True,
+  }
+  sim, (through, not_through) = build(
+    RayCastSensorCfg(exclude_own_tree=True, **fields),
+    RayCastSensorCfg(**fields),
+    terrain=PLANE + '<geom name="wall" type="box" size="0.1 1 0.2" pos="0.4 0 0.2"/>',
+  )
+  geoms = [
+    {sim.mj_model.geom(geom).name for geom in get(sensor.data.geom_ids).unique()} for sensor in (through, not_through)
+  ]
+  assert geoms[0] == {"", "wall"}
+  assert {"robot/shell", "robot/hand"} & geoms[1]
+  # Of the hits on the ground, those of both agree.
+  same = get(through.data.geom_ids) == get(not_through.data.geom_ids)
+  assert torch.equal(through.data.hit_pos_w[same], not_through.data.hit_pos_w[same])
+
+
+def test_a_reading_works_in_memory_that_stays() -> None:
+  sim, sensors = build(*[RayCastSensorCfg(frames=HEADS, alignment=how) for how in ("base", "yaw", "world")])
+  for sensor in sensors:
+    _ = sensor.data
+  rays = [rays for sensor in sensors for rays in (sensor._caster.origins, sensor._caster.directions)]
+  before = [(ray.data_ptr(), ray._version) for ray in rays]
+  sim.data.qpos[:, 2] += 0.1
+  for sensor in sensors:
+    _ = sensor.data
+  assert [ray.data_ptr() for ray in rays] == [address for address, _ in before]
+  # Directions of rays that never turn are written once, when the sensor is built.
+  turned = [ray._version != version for ray, (_, version) in zip(rays, before, strict=True)]
+  assert turned == [True, True, True, False, True, False]
+
+
 def test_what_is_not_hit_says_so() -> None:
   sim, (sensor,) = build(RayCastSensorCfg(frames=HEADS, max_distance=0.9, pattern=RingPatternCfg(num_samples=3)))
   tilted = Rotation.from_euler("x", 60, degrees=True)
@@ -221,10 +265,10 @@ def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_o
   sim, sensors = build(*[RayCastSensorCfg(frames=EYE, alignment=how) for how in ("base", "yaw", "world")])
   _ = sim.epoch
   for sensor, most in zip(sensors, (16, 18, 8), strict=True):
-    caster = sensor._fan._caster
+    caster = sensor._caster
     rays = torch.ones(3, sensor.num_rays, 3, dtype=sim.dtype)
     hits = caster.cast(rays, rays)
-    monkeypatch.setattr(caster, "cast", lambda origins, directions, hits=hits: hits)
+    monkeypatch.setattr(caster, "cast", lambda hits=hits: hits)
     assert count_operations(sensor._read) <= most
 
 

@@ -104,7 +104,7 @@ def test_a_plane_that_needs_no_rays_reads_as_the_rays_do(monkeypatch: pytest.Mon
   turned = Rotation.from_euler("xz", (40, 70), degrees=True)
   place(sim, (0, 0, GROUND_Z + 0.9, None), (3, 1, GROUND_Z + 0.3, turned), (0, 0, GROUND_Z - 0.05, None))
   direct = [(sensor.data.heights.clone(), sensor.data.valid.clone()) for sensor in sensors]
-  monkeypatch.setattr("mjlab_sensors.terrain_height.plane_is_fixed", lambda sim: False)
+  monkeypatch.setattr(Simulation, "fixed_geoms_are_in_place", lambda sim: False)
   for sensor, (heights, valid) in zip(sensors, direct, strict=True):
     by_rays = sensor._read()
     torch.testing.assert_close(heights, by_rays.heights)
@@ -113,14 +113,18 @@ def test_a_plane_that_needs_no_rays_reads_as_the_rays_do(monkeypatch: pytest.Mon
   assert direct[0][1].any()
 
 
-def test_a_plane_that_moved_is_seen_by_rays() -> None:
-  sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
-  before = sensor.data.heights.clone()
-  sim.expand_model_fields(["geom_pos"])
+@pytest.mark.parametrize("per_world", [True, False])
+def test_a_plane_that_moved_is_seen_by_rays(per_world: bool) -> None:
+  sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET, max_distance=2.0))
   assert sensor._plane is not None
-  sim.step()
-  assert sensor.data.heights.shape == before.shape
-  torch.testing.assert_close(sensor.data.heights, sim.data.site_xpos[:, [0, 2], 2] - GROUND_Z)
+  assert sensor.data.heights[0, 0] == pytest.approx(1.0 - GROUND_Z)
+  if per_world:
+    sim.expand_model_fields(["geom_pos"])
+    sim.model.geom_pos[1, 0, 2] += 0.1
+  else:
+    sim.model.geom_pos[:, 0, 2] += 0.1
+  moved = torch.tensor([0.0 if per_world else 0.1, 0.1, 0.0 if per_world else 0.1], dtype=sim.dtype)
+  torch.testing.assert_close(sensor.data.heights, (1.0 - GROUND_Z - moved)[:, None].expand(3, 2))
 
 
 def test_heights_are_those_of_the_state_that_is_and_are_cast_once(count_operations: Count) -> None:
@@ -138,15 +142,15 @@ def test_heights_are_those_of_the_state_that_is_and_are_cast_once(count_operatio
 
 def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_operations: Count) -> None:
   sim, (sensor,) = build(TerrainHeightSensorCfg(frames=FEET))
-  _ = sim.epoch
+  _ = sensor.data  # The first reading looks whether the plane is where it was.
   assert count_operations(sensor._read) <= 5
-  monkeypatch.setattr("mjlab_sensors.terrain_height.plane_is_fixed", lambda sim: False)
+  monkeypatch.setattr(Simulation, "fixed_geoms_are_in_place", lambda sim: False)
   sim.step()
   _ = sim.epoch
   # Whatever the engine's caster does is not ours.
-  caster = sensor._fan._caster
+  caster = sensor._caster
   hits = caster.cast(torch.zeros(3, 18, 3, dtype=sim.dtype), torch.ones(3, 18, 3, dtype=sim.dtype))
-  monkeypatch.setattr(caster, "cast", lambda origins, directions: hits)
+  monkeypatch.setattr(caster, "cast", lambda: hits)
   assert count_operations(sensor._read) <= 20
 
 

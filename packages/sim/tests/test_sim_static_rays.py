@@ -206,9 +206,9 @@ def test_moving_geoms_may_differ_per_world_while_the_ground_is_trusted() -> None
   sim.expand_model_fields(["geom_size"])
   sim.model.geom_size[1, sim.mj_model.geom("ball").id] = 0.2
   caster.cast(*random_rays(sim))
-  assert sim._geoms_are_in_place()
+  assert sim.fixed_geoms_are_in_place()
   sim.model.geom_size[1, sim.mj_model.geom("box0").id] = 0.2
-  assert not sim._geoms_are_in_place()
+  assert not sim.fixed_geoms_are_in_place()
 
 
 def test_triangles_are_counter_clockwise_from_outside_and_closed() -> None:

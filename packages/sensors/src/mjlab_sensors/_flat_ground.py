@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,19 +12,19 @@ if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 
-def plane_height(sim: Simulation, geom_groups: tuple[int, ...] | None, excluded: set[int]) -> float | None:
+def plane_height(sim: Simulation, geom_groups: Iterable[int], excluded: list[int], *, trees: bool) -> float | None:
   """World height of the only geom in `geom_groups` if it is a fixed, infinite, horizontal plane [m]; else None.
 
-  Geoms of bodies in `excluded`, through which some rays pass, do not count where that is one body.
+  Geoms of bodies in `excluded`, or of their kinematic `trees`, through which some rays pass, do not count where all
+  rays pass through the same.
   """
   model = sim.mj_model
-  unseen = excluded if len(excluded) == 1 else set()
-  seen = [
-    geom
-    for geom in range(model.ngeom)
-    if (geom_groups is None or model.geom_group[geom] in geom_groups) and model.geom_bodyid[geom] not in unseen
-  ]
-  if len(seen) != 1 or model.geom_bodyid[seen[0]] in excluded:
+  owner = model.body_rootid if trees else np.arange(model.nbody)
+  through = {int(owner[body]) for body in excluded}
+  unseen = through if len(through) == 1 else set()
+  owners = owner[model.geom_bodyid]
+  seen = [g for g in range(model.ngeom) if model.geom_group[g] in geom_groups and owners[g] not in unseen]
+  if len(seen) != 1 or owners[seen[0]] in through:
     return None
   geom = seen[0]
   body = int(model.geom_bodyid[geom])
@@ -35,8 +36,3 @@ def plane_height(sim: Simulation, geom_groups: tuple[int, ...] | None, excluded:
   mujoco.mj_kinematics(model, data)
   is_level = np.allclose(data.geom_xmat[geom].reshape(3, 3)[:, 2], (0.0, 0.0, 1.0), atol=1e-9)
   return float(data.geom_xpos[geom, 2]) if is_level else None
-
-
-def plane_is_fixed(sim: Simulation) -> bool:
-  """Whether no world has been given geoms or bodies in other places than the model's."""
-  return not any(sim.is_expanded(name) for name in ("geom_pos", "geom_quat", "body_pos", "body_quat", "geom_size"))

@@ -6,43 +6,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import torch
 from mjlab_core import quat_from_matrix
 
-from mjlab_sensors._ray_fan import RayAlignment, RayFan, check_rays
-from mjlab_sensors.frames import FrameMatch, FrameSet
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
-from mjlab_sensors.sensor import Sensor, SensorCfg
+from mjlab_sensors.rays import RayAlignment, RaySensor, RaySensorCfg
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 
 @dataclass(kw_only=True)
-class RayCastSensorCfg(SensorCfg):
-  """A pattern of rays from each of several frames."""
+class RayCastSensorCfg(RaySensorCfg):
+  """What a pattern of rays from each of several frames hits."""
 
-  frames: FrameMatch
-  """The frames that rays start from."""
   pattern: RayPatternCfg = field(default_factory=GridPatternCfg)
-  """The rays of each frame."""
   alignment: RayAlignment = "base"
-  """Whether the pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world")."""
   max_distance: float = 10.0
-  """How far from their points of the pattern rays see [m]."""
   start_height: float = 0.0
-  """How far behind these points, against their direction, rays start [m]. A height scan whose rays start at the frame
-  itself starts them inside of terrain that is higher than the frame; a height above all terrain around it sees that."""
+  """How far behind the points of the pattern, against their direction, rays start [m]. A height scan whose rays start
+  at the frame itself starts them inside of terrain that is higher than the frame; a height above all terrain around it
+  sees that."""
   geom_groups: tuple[int, ...] | None = (0, 1, 2)
-  """Geom groups that rays see; None for all."""
   exclude_parent_body: bool = True
-  """Rays of a frame pass through the geoms of the body that carries it."""
   identify_geoms: bool = False
   """Tell which geoms are hit. On a CPU that is slower on terrain of many geoms."""
-
-  def validate(self) -> None:
-    check_rays(self.label, self.alignment, self.max_distance, self.start_height, self.geom_groups)
 
   def _make(self, name: str) -> RayCastSensor:
     return RayCastSensor(name, self)
@@ -86,59 +74,32 @@ class RayCastData:
     return quat_from_matrix(self.frame_mat_w[:, 0])
 
 
-class RayCastSensor(Sensor[RayCastData]):
-  """Casts a pattern of rays from each of its frames, in all worlds at once.
+class RayCastSensor(RaySensor[RayCastData]):
+  """What a pattern of rays hits, from each of its frames.
 
-  Rays are cast when the data are first asked for after a change of state, so whoever reads them sees the state that
-  is. Surfaces are hit from both sides, but planes from above only.
+  Surfaces are hit from both sides, but planes from above only.
   """
 
   _constants = frozenset({"_hit_pos", "_valid"})
   cfg: RayCastSensorCfg
-
-  def __init__(self, name: str, cfg: RayCastSensorCfg) -> None:
-    super().__init__(name, cfg)
-    self.frame_names: tuple[str, ...] = ()
-
-  @property
-  def num_frames(self) -> int:
-    """Number of frames."""
-    return len(self.frame_names)
-
-  @property
-  def rays_per_frame(self) -> int:
-    """Number of rays of each frame."""
-    return self._fan.num_rays
 
   @property
   def num_rays(self) -> int:
     """Number of rays of all frames of a world."""
     return self.num_frames * self.rays_per_frame
 
-  def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
-    self.frame_names = tuple(self.cfg.frames.resolve(spec, entities, f"{self.label}: frames"))
+  @property
+  def _identifies_geoms(self) -> bool:
+    return self.cfg.identify_geoms
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
-    cfg = self.cfg
-    self._frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
-    self._fan = RayFan(
-      sim,
-      self._frames,
-      cfg.pattern,
-      alignment=cfg.alignment,
-      setback=cfg.start_height,
-      max_distance=cfg.max_distance,
-      geom_groups=cfg.geom_groups,
-      exclude_parent_body=cfg.exclude_parent_body,
-      geomid=cfg.identify_geoms,
-    )
     shape = (sim.num_envs, self.num_rays)
     self._hit_pos = torch.zeros((*shape, 3), dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def _read(self) -> RayCastData:
-    rays = self._fan.cast()
+    rays = self._cast()
     torch.ge(rays.distance, 0.0, out=self._valid)
     torch.addcmul(rays.origins, rays.directions, rays.distance.clamp(min=0.0)[..., None], out=self._hit_pos)
     return RayCastData(

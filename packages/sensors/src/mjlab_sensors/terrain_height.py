@@ -10,11 +10,9 @@ import mujoco
 import torch
 from mjlab_core import unknown
 
-from mjlab_sensors._flat_ground import plane_height, plane_is_fixed
-from mjlab_sensors._ray_fan import RayAlignment, RayFan, check_rays
-from mjlab_sensors.frames import FrameMatch, FrameSet
+from mjlab_sensors._flat_ground import plane_height
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
-from mjlab_sensors.sensor import Sensor, SensorCfg
+from mjlab_sensors.rays import RayAlignment, RaySensor, RaySensorCfg
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -23,15 +21,11 @@ HeightReduction = Literal["min", "max", "mean", "none"]
 
 
 @dataclass(kw_only=True)
-class TerrainHeightSensorCfg(SensorCfg):
+class TerrainHeightSensorCfg(RaySensorCfg):
   """Height of frames above the ground, seen by rays."""
 
-  frames: FrameMatch
-  """The frames whose heights are measured."""
   pattern: RayPatternCfg = field(default_factory=RingPatternCfg)
-  """The rays of each frame."""
   alignment: RayAlignment = "yaw"
-  """Whether the pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world")."""
   reduction: HeightReduction = "min"
   """How the rays of a frame become one height: that over the highest ground ("min"), the lowest ("max") or the mean;
   "none" gives all."""
@@ -43,10 +37,9 @@ class TerrainHeightSensorCfg(SensorCfg):
   geom_groups: tuple[int, ...] | None = (0,)
   """Geom groups that count as ground; None for all."""
   exclude_parent_body: bool = False
-  """Rays of a frame pass through the geoms of the body that carries it."""
 
   def validate(self) -> None:
-    check_rays(self.label, self.alignment, self.max_distance, self.start_height, self.geom_groups)
+    super().validate()
     if self.reduction not in get_args(HeightReduction):
       raise ValueError(unknown("reduction", self.reduction, get_args(HeightReduction), self.label))
 
@@ -65,65 +58,42 @@ class TerrainHeightData:
   """Whether any ray saw ground, or each ray without reduction, bool of the shape of `heights`."""
 
 
-class TerrainHeightSensor(Sensor[TerrainHeightData]):
+class TerrainHeightSensor(RaySensor[TerrainHeightData]):
   """Height of frames above the ground: z of the frame less z of the point that a ray hits.
 
-  Rays are cast when the data are first asked for after a change of state, so rewards and terminations read the
-  heights of the state they judge. Ground that a ray does not see (nothing there, or farther than `max_distance`) takes
-  no part in the reduction. Above a level plane that never moves, rays straight down are not cast: what they would
-  measure is the height above it.
+  Ground that a ray does not see (nothing there, or farther than `max_distance`) takes no part in the reduction. Above a
+  level plane that never moves, rays straight down are not cast: what they would measure is the height above it.
   """
 
   _constants = frozenset({"_heights", "_valid"})
   cfg: TerrainHeightSensorCfg
 
-  def __init__(self, name: str, cfg: TerrainHeightSensorCfg) -> None:
-    super().__init__(name, cfg)
-    self.frame_names: tuple[str, ...] = ()
-
-  @property
-  def num_frames(self) -> int:
-    """Number of frames."""
-    return len(self.frame_names)
-
   @property
   def num_rays(self) -> int:
     """Number of rays of each frame."""
-    return self._fan.num_rays
-
-  def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
-    self.frame_names = tuple(self.cfg.frames.resolve(spec, entities, f"{self.label}: frames"))
+    return self.rays_per_frame
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self.cfg
-    frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
-    self._fan = RayFan(
-      sim,
-      frames,
-      cfg.pattern,
-      alignment=cfg.alignment,
-      setback=cfg.start_height,
-      max_distance=cfg.max_distance,
-      geom_groups=cfg.geom_groups,
-      exclude_parent_body=cfg.exclude_parent_body,
-    )
-    self._frames = frames
-    excluded = set(frames.body_ids) if cfg.exclude_parent_body else set()
-    self._plane = plane_height(sim, cfg.geom_groups, excluded) if self._fan.points_down else None
+    self._plane: float | None = None
+    if self._points_down:
+      groups = range(mujoco.mjNGROUP) if cfg.geom_groups is None else cfg.geom_groups
+      excludes = cfg.exclude_parent_body or cfg.exclude_own_tree
+      self._plane = plane_height(sim, groups, self._frames.body_ids if excludes else [], trees=cfg.exclude_own_tree)
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def _read(self) -> TerrainHeightData:
-    if self._plane is not None and plane_is_fixed(self.sim):
+    if self._plane is not None and self.sim.fixed_geoms_are_in_place():
       return self._read_above_plane(self._plane)
     cfg = self.cfg
-    rays = self._fan.cast()
+    rays = self._cast()
     seen, height, from_inside = (
       values.unflatten(1, (self.num_frames, self.num_rays))
-      for values in (rays.distance >= 0.0, rays.height, self._fan.from_inside(rays))
+      for values in (rays.distance >= 0.0, rays.height, self._leaves_inside(rays))
     )
     heights = (self._frames.heights[..., None] - height).clamp_(min=0.0).masked_fill_(from_inside, 0.0)
     heights = torch.where(seen, heights, self._unseen)

@@ -64,4 +64,4 @@ class FreshRayCaster:
         rays.copy_(given)
     self._sim._check_open()
     self._sim._refresh()
-    return self._caster.cast(fixed=self._sim._geoms_are_in_place())
+    return self._caster.cast(fixed=self._sim.fixed_geoms_are_in_place())

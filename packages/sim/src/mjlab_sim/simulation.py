@@ -266,8 +266,12 @@ class Simulation:
       self._fixed_geometry = FixedGeometry(self.mj_model, self._engine.model_field)
     return FreshRayCaster(self, self._engine.ray_caster(targets, max_distance, geomid))
 
-  def _geoms_are_in_place(self) -> bool:
-    """Whether geoms that never move are where the compiled model has them; graphs that count on it are dropped."""
+  def fixed_geoms_are_in_place(self) -> bool:
+    """Whether geoms that never move are where the compiled model has them; graphs that count on it are dropped.
+
+    Looks at the device only after a model field was written, and never inside a recording, where written fields are not
+    trusted.
+    """
     geometry = self._fixed_geometry
     if geometry is None:
       return True
@@ -390,7 +394,7 @@ class StepGraph:
       self._fn()
       sim._refresh()
       return
-    sim._geoms_are_in_place()
+    sim.fixed_geoms_are_in_place()
     if self._recorder is None and self._calls >= _WARM_UP_CALLS:
       self._record()
     if self._recorder is None:

@@ -1,0 +1,172 @@
+"""What sensors made of rays share: frames that rays start from, one pattern at each, cast together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, get_args
+
+import mujoco
+import torch
+from mjlab_core import unknown
+
+from mjlab_sensors.frames import FrameMatch, FrameSet
+from mjlab_sensors.patterns import RayPatternCfg
+from mjlab_sensors.sensor import Sensor, SensorCfg
+
+if TYPE_CHECKING:
+  from mjlab_sim import Simulation
+
+T = TypeVar("T")
+RayAlignment = Literal["base", "yaw", "world"]
+
+
+@dataclass(kw_only=True)
+class RaySensorCfg(SensorCfg):
+  """A pattern of rays from each of several frames."""
+
+  frames: FrameMatch
+  """The frames that rays start from."""
+  pattern: RayPatternCfg
+  """The rays of each frame."""
+  alignment: RayAlignment
+  """Whether the pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world")."""
+  max_distance: float
+  """How far from their points of the pattern rays see [m]."""
+  start_height: float
+  """How far behind these points, against their direction, rays start [m]."""
+  geom_groups: tuple[int, ...] | None
+  """Geom groups that rays see; None for all. Geoms of zero alpha are never seen."""
+  exclude_parent_body: bool
+  """Rays of a frame pass through the geoms of the body that carries it."""
+  exclude_own_tree: bool = False
+  """Rays of a frame pass through everything that moves with it: all bodies of its kinematic tree, such as a robot."""
+
+  def validate(self) -> None:
+    label, groups = self.label, self.geom_groups
+    if self.alignment not in get_args(RayAlignment):
+      raise ValueError(unknown("alignment", self.alignment, get_args(RayAlignment), label))
+    if not self.max_distance > 0.0:
+      raise ValueError(f"{label}: max_distance must be positive, not {self.max_distance}")
+    if not 0.0 <= self.start_height < inf:
+      raise ValueError(f"{label}: start_height must not be negative, but is {self.start_height}")
+    if groups is not None and not (groups and all(0 <= group < mujoco.mjNGROUP for group in groups)):
+      raise ValueError(f"{label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {groups}")
+
+
+class RayReading(NamedTuple):
+  """Rays of a sensor and what they hit, (num_envs, num_frames * rays_per_frame, ...), frame by frame; world frame."""
+
+  origins: torch.Tensor
+  """Where the rays start, `start_height` behind the points of the pattern, (..., 3) [m]."""
+  directions: torch.Tensor
+  """Unit directions, (..., 3)."""
+  distance: torch.Tensor
+  """Distance from where the ray starts; -1 where nothing was hit [m]."""
+  normal: torch.Tensor
+  """Surface normal at the hit; zero where nothing was hit, (..., 3)."""
+  geomid: torch.Tensor | None
+  """Geom that was hit, -1 where nothing was; None if the sensor does not tell."""
+
+  @property
+  def height(self) -> torch.Tensor:
+    """World height of the hit; meaningless where nothing was hit [m]."""
+    return torch.addcmul(self.origins[..., 2], self.distance, self.directions[..., 2])
+
+
+class RaySensor(Sensor[T]):
+  """Casts a pattern of rays from each of its frames, in all worlds at once.
+
+  Rays are cast when the data are first asked for after a change of state, so whoever reads them sees the state that
+  is.
+  """
+
+  _constants = frozenset({"_origins", "_directions", "_zero"})
+  _identifies_geoms = False
+
+  def __init__(self, name: str, cfg: RaySensorCfg) -> None:
+    super().__init__(name, cfg)
+    self._ray_cfg = cfg
+    self.frame_names: tuple[str, ...] = ()
+
+  @property
+  def num_frames(self) -> int:
+    """Number of frames."""
+    return len(self.frame_names)
+
+  def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
+    self.frame_names = tuple(self._ray_cfg.frames.resolve(spec, entities, f"{self.label}: frames"))
+
+  def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
+    super().initialize(sim, entities)
+    cfg = self._ray_cfg
+    self._frames = frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
+    rows = cfg.pattern.resolve(sim.mj_model).rays()
+    starts, directions = (torch.as_tensor(row, dtype=sim.dtype, device=sim.device) for row in rows)
+    self.rays_per_frame: int = len(starts)
+    """Number of rays of each frame."""
+    starts = starts - cfg.start_height * directions
+    self._starts, self._pointing = self._parts(starts), self._parts(directions)
+    self._zero = torch.zeros(sim.num_envs, self.num_frames, 1, 3, dtype=sim.dtype, device=sim.device)
+    self._one = torch.ones((), dtype=sim.dtype, device=sim.device)
+    straight_down = bool((directions == directions.new_tensor((0.0, 0.0, -1.0))).all())
+    self._points_down = straight_down and cfg.alignment != "base"
+    self._turns_directions = cfg.alignment == "base" or (cfg.alignment == "yaw" and bool(directions[:, :2].any()))
+    excludes = cfg.exclude_parent_body or cfg.exclude_own_tree
+    groups = cfg.geom_groups
+    self._caster = sim.make_ray_caster(
+      self.num_frames * self.rays_per_frame,
+      geomgroup=None if groups is None else [group in groups for group in range(mujoco.mjNGROUP)],
+      bodyexclude=[body if excludes else -1 for body in frames.body_ids for _ in range(self.rays_per_frame)],
+      exclude_trees=cfg.exclude_own_tree,
+      max_distance=cfg.max_distance + cfg.start_height,
+      geomid=self._identifies_geoms,
+    )
+    shape = (self.num_frames, self.rays_per_frame)
+    self._origins, self._directions = (
+      rays.unflatten(1, shape) for rays in (self._caster.origins, self._caster.directions)
+    )
+    self._directions.copy_(directions)
+
+  def _cast(self) -> RayReading:
+    """What the rays hit now; the simulation must be current (`sim.epoch`)."""
+    position, factors = self._frames.positions[:, :, None], self._factors()
+    self._combine(position, factors, self._starts, out=self._origins)
+    if self._turns_directions:
+      self._combine(self._zero, factors, self._pointing, out=self._directions)
+    hits = self._caster.cast()
+    return RayReading(self._caster.origins, self._caster.directions, hits.distance, hits.normal, hits.geomid)
+
+  # A vector of the pattern in the world is a sum of three products, each of something that the frames tell with
+  # something that never changes. It is not written as a matrix product: on a GPU those may run in reduced precision.
+
+  def _parts(self, rows: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    x, y, z = rows.split(1, dim=-1)
+    if self._ray_cfg.alignment == "base":
+      return x, y, z
+    if self._ray_cfg.alignment == "world":
+      return (rows,)
+    zero = torch.zeros_like(x)
+    return torch.cat((zero, zero, z), -1), torch.cat((x, y, zero), -1), torch.cat((-y, x, zero), -1)
+
+  def _factors(self) -> tuple[torch.Tensor, ...]:
+    if self._ray_cfg.alignment == "base":
+      return self._frames.rotations[:, :, None].unbind(-1)
+    if self._ray_cfg.alignment == "world":
+      return (self._one,)
+    return self._one, *self._frames.headings[:, :, None].split(1, dim=-1)
+
+  @staticmethod
+  def _combine(
+    start: torch.Tensor, factors: tuple[torch.Tensor, ...], parts: tuple[torch.Tensor, ...], *, out: torch.Tensor
+  ) -> None:
+    torch.addcmul(start, factors[0], parts[0], out=out)
+    for factor, part in zip(factors[1:], parts[1:], strict=True):
+      out.addcmul_(factor, part)
+
+  def _leaves_inside(self, rays: RayReading) -> torch.Tensor:
+    """Whether rays started inside what they hit, and leave it there, (num_envs, num_frames * rays_per_frame) bool."""
+    if self._points_down:
+      return rays.normal[..., 2] < 0.0
+    return (rays.normal * rays.directions).sum(-1) > 0.0
