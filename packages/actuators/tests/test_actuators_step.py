@@ -55,11 +55,11 @@ def build(*cfgs: ActuatorCfg) -> tuple[ActuatorSet, torch.Tensor]:
   return actuators, ctrl
 
 
-def pd(*joints: str, **delay: int) -> ActuatorCfg:
+def pd(*joints: str, **delay: Any) -> ActuatorCfg:
   return IdealPdActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, effort_limit=1.0, **delay)
 
 
-def servo(*joints: str, **delay: int) -> ActuatorCfg:
+def servo(*joints: str, **delay: Any) -> ActuatorCfg:
   return NativePositionActuatorCfg(target_names_expr=joints, stiffness=1.0, damping=0.1, **delay)
 
 

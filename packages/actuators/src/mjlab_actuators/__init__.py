@@ -1,7 +1,7 @@
 """Actuator models for batched MuJoCo: native servos, PD laws, motors, networks, wrapped MJCF, delay."""
 
 from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, DelaySettings, PerTarget, fuse
-from mjlab_actuators.actuator_set import ActuatorSet, scalar_joints
+from mjlab_actuators.actuator_set import ActuatorSet
 from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
 from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
@@ -24,7 +24,8 @@ from mjlab_actuators.native import (
 from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
-from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, joints_with_actuator
+from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
+from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
 
 __all__ = [
   "UNITREE_ENVELOPES",
@@ -53,15 +54,18 @@ __all__ = [
   "PassThrough",
   "PdGains",
   "PerTarget",
+  "SiteGear",
+  "Target",
   "TorqueSpeedEnvelope",
+  "Transmission",
   "XmlActuatorCfg",
   "clip_to_dc_motor",
   "command_fields_of",
   "fuse",
   "gains_from_frequency",
-  "joints_with_actuator",
   "reflected_inertia",
   "reflected_inertia_of_stages",
   "rotary_to_linear",
-  "scalar_joints",
+  "targets_of",
+  "targets_with_actuator",
 ]

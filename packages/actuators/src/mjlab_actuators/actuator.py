@@ -4,18 +4,34 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import mujoco
 import torch
 from mjlab_core.buffers import DelayBuffer
-from mjlab_core.names import match_names, match_values, match_values_full
+from mjlab_core.names import match_names, match_values, match_values_full, unknown
 from mjlab_core.state import Stateful
 
 from mjlab_actuators.command import COMMAND_FIELDS, ActuatorCmd, CommandField
+from mjlab_actuators.transmission import (
+  TRANSMISSIONS,
+  SiteGear,
+  Target,
+  Transmission,
+  actuators_of,
+  add_element,
+  targets_of,
+)
+
+T = TypeVar("T")
 
 PerTarget = float | Mapping[str, float]
 """One number for all targets, or numbers by pattern (full match; every target by exactly one pattern)."""
+
+
+def is_zero(values: PerTarget) -> bool:
+  """Whether a number is zero for all targets."""
+  return not any(values.values()) if isinstance(values, Mapping) else values == 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +50,8 @@ class ActuatorGroup:
 
   law: type["Actuator"]
   """The runtime class."""
-  target_names: tuple[str, ...]
-  """One name per column; a name appears twice when two elements of a wrapped MJCF act on one joint."""
+  targets: tuple[Target, ...]
+  """One per column; a target appears twice when two elements of a wrapped MJCF act on one joint."""
   command_fields: tuple[CommandField, ...]
   """Set-points that the law reads; these, and never the measurements, are delayed."""
   parameters: Mapping[str, tuple[float, ...]]
@@ -51,11 +67,16 @@ class ActuatorGroup:
     """Groups that agree in this are one computation."""
     return (self.law, self.command_fields, self.delay, tuple(self.parameters), self.settings)
 
+  @property
+  def target_names(self) -> tuple[str, ...]:
+    """Names of the targets."""
+    return tuple(target.name for target in self.targets)
+
   def reordered(self, order: Sequence[int]) -> "ActuatorGroup":
     """The same group with column i taken from column `order[i]`."""
     return replace(
       self,
-      target_names=tuple(self.target_names[i] for i in order),
+      targets=tuple(self.targets[i] for i in order),
       parameters={name: tuple(values[i] for i in order) for name, values in self.parameters.items()},
       ctrl_ids=tuple(self.ctrl_ids[i] for i in order) if self.ctrl_ids else (),
     )
@@ -76,7 +97,7 @@ def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
     fused.append(
       replace(
         first,
-        target_names=tuple(name for group in members for name in group.target_names),
+        targets=tuple(target for group in members for target in group.targets),
         parameters={
           name: tuple(value for group in members for value in group.parameters[name]) for name in first.parameters
         },
@@ -201,13 +222,24 @@ class ActuatorCfg(ABC):
   """What all actuators are configured with."""
 
   target_names_expr: tuple[str, ...]
-  """Patterns of the driven joints (full match)."""
+  """Patterns of what is driven (full match): names of joints, tendons or sites, as `transmission_type` says."""
+  transmission_type: Transmission = "joint"
+  """Whether `target_names_expr` names joints, tendons or sites.
+
+  Positions and velocities are then those of the joint, the length of the tendon, or of the site along `site_gear`; the
+  effort acts on the joint, along the tendon, or as a wrench at the site."""
+  site_gear: SiteGear | Mapping[str, SiteGear] | None = None
+  """For sites, required there: wrench of a unit effort, force x, y, z [1] then torque x, y, z [m], in the frame of the
+  site, or of `refsite`. One for all, or by pattern."""
+  refsite: str | None = None
+  """For sites: name of the site that positions and velocities are relative to. Without it there is a velocity, but no
+  position, and laws that read one are refused."""
   armature: PerTarget | None = None
-  """Reflected rotor inertia written on the joint [kg or kg m^2]; None, or no matching pattern, keeps the MJCF's."""
+  """Reflected rotor inertia written on joint or tendon [kg or kg m^2]; None, or no match, keeps the MJCF's."""
   frictionloss: PerTarget | None = None
-  """Dry friction written on the joint [N or N m]; None, or no matching pattern, keeps the MJCF's."""
+  """Dry friction written on joint or tendon [N or N m]; None, or no match, keeps the MJCF's."""
   viscous_damping: PerTarget | None = None
-  """Linear passive damping written on the joint [N s/m or N m s/rad]; None, or no match, keeps the MJCF's."""
+  """Linear passive damping written on joint or tendon [N s/m or N m s/rad]; None, or no match, keeps the MJCF's."""
   delay_min_lag: int = 0
   """Least lag of the set-points [substeps]."""
   delay_max_lag: int = 0
@@ -226,21 +258,25 @@ class ActuatorCfg(ABC):
     """The runtime class."""
 
   def match(self, candidates: Sequence[str], owner: str = "") -> list[str]:
-    """The driven joints among `candidates`, in the candidates' order.
+    """What is driven among `candidates`, in the candidates' order.
 
     Raises:
       NameMatchError: A pattern matches nothing, or two patterns match one name.
     """
-    return match_names(self.target_names_expr, candidates, what="joint", owner=owner)[1]
+    self._check_transmission()
+    return match_names(self.target_names_expr, candidates, what=self.transmission_type, owner=owner)[1]
 
   def edit_spec(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    """Writes joint properties, and adds one MuJoCo actuator per target, named like it.
+    """Writes joint or tendon properties, and adds one MuJoCo actuator per target, named like it.
 
     Raises:
-      ValueError: A number is negative or not finite, a delay is inverted, or an element of that name exists.
+      ValueError: A number is negative or not finite, a delay is inverted, an element of that name exists, or the
+        transmission lacks what the law needs.
     """
     self.validate(target_names)
-    joints = {joint.name: joint for joint in spec.joints}
+    if self.refsite is not None and self.refsite not in targets_of(spec, "site"):
+      raise ValueError(unknown("refsite", self.refsite, targets_of(spec, "site"), owner=type(self).__name__))
+    element_of = spec.joint if self.transmission_type == "joint" else spec.tendon
     for attribute, values in (
       ("armature", self.armature),
       ("frictionloss", self.frictionloss),
@@ -248,18 +284,19 @@ class ActuatorCfg(ABC):
     ):
       for name, value in self._overrides(attribute, values, target_names).items():
         if attribute == "viscous_damping":
-          joints[name].damping[0] = value
+          element_of(name).damping[0] = value
         else:
-          setattr(joints[name], attribute, value)
+          setattr(element_of(name), attribute, value)
     self._add_elements(spec, target_names)
 
   def validate(self, target_names: Sequence[str]) -> None:
     """Refuses impossible numbers by name.
 
     Raises:
-      ValueError: What is wrong, at which joint.
+      ValueError: What is wrong, at which target.
     """
     kind = type(self).__name__
+    self._validate_transmission(kind, target_names)
     for name in ("delay_min_lag", "delay_max_lag", "delay_update_period"):
       value = getattr(self, name)
       if isinstance(value, bool) or not isinstance(value, int) or value < 0:
@@ -272,6 +309,47 @@ class ActuatorCfg(ABC):
       self._overrides(name, getattr(self, name), target_names)
     self.parameters(target_names)
 
+  def _check_transmission(self) -> None:
+    if self.transmission_type not in TRANSMISSIONS:
+      kind = type(self).__name__
+      raise ValueError(unknown("transmission_type", str(self.transmission_type), TRANSMISSIONS, owner=kind))
+
+  def _validate_transmission(self, kind: str, target_names: Sequence[str]) -> None:
+    self._check_transmission()
+    if self.transmission_type != "site":
+      for name in ("site_gear", "refsite"):
+        if getattr(self, name) is not None:
+          raise ValueError(f"{kind}: {name} is given, but transmission_type is {self.transmission_type!r}")
+      return
+    for name in ("armature", "frictionloss", "viscous_damping"):
+      if getattr(self, name) is not None:
+        raise ValueError(f"{kind}: {name} is given, but a site has none; joints and tendons have")
+    self._validate_site(kind, target_names)
+
+  def _validate_site(self, kind: str, target_names: Sequence[str]) -> None:
+    self._site_gears(target_names)
+    if self.refsite is None and self._reads_position():
+      raise ValueError(
+        f"{kind}: site {target_names[0]!r} has no position to be driven to without a refsite to measure it from; "
+        "give refsite, or zero stiffness"
+      )
+
+  def _site_gears(self, target_names: Sequence[str]) -> dict[str, SiteGear]:
+    kind = type(self).__name__
+    if self.site_gear is None:
+      raise ValueError(f"{kind}: site_gear is missing; say the wrench of a unit effort, e.g. (0, 0, 1, 0, 0, 0)")
+    gears = self._by_target("site_gear", self.site_gear, target_names)
+    for target, gear in zip(target_names, gears, strict=True):
+      if len(gear) != 6 or not all(map(math.isfinite, gear)) or not any(gear):
+        raise ValueError(
+          f"{self._field_of('site_gear', target)} is {gear}; it must be six finite numbers, not all zero"
+        )
+    return dict(zip(target_names, gears, strict=True))
+
+  def _reads_position(self) -> bool:
+    """Whether the law needs the position of its target."""
+    return False
+
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """Constants that the runtime law needs, one number per target each."""
     return {}
@@ -282,15 +360,26 @@ class ActuatorCfg(ABC):
     Raises:
       ValueError: The model has no actuator named like a target: `edit_spec` was not called before it was compiled.
     """
-    ctrl_ids = []
+    elements = self.elements(model, target_names, prefix)
+    return [self._group(target_names, [int(model.actuator_ctrladr[index]) for index in elements])]
+
+  def elements(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[int]:
+    """Ids of the actuators that `edit_spec` added, one per target.
+
+    Raises:
+      ValueError: The model has no such actuator: `edit_spec` was not called before it was compiled.
+    """
+    found = []
     for name in target_names:
-      index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, prefix + name)
-      if index < 0:
+      target = Target(self.transmission_type, name)
+      names = (prefix + name, f"{prefix}{name}_{self.transmission_type}")
+      ids = [index for index in actuators_of(model, target, prefix) if model.actuator(index).name in names]
+      if not ids:
         raise ValueError(
           f"{type(self).__name__}: the model has no actuator {prefix + name!r}; call edit_spec before it is compiled"
         )
-      ctrl_ids.append(int(model.actuator_ctrladr[index]))
-    return [self._group(target_names, ctrl_ids)]
+      found.append(ids[0])
+    return found
 
   def build(
     self,
@@ -323,10 +412,27 @@ class ActuatorCfg(ABC):
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     """Adds this law's MuJoCo actuators."""
 
+  def _bare_elements(
+    self, spec: mujoco.MjSpec, target_names: Sequence[str], gear: float = 1.0
+  ) -> list[mujoco.MjsActuator]:
+    """Adds an actuator to each target, whose effort is `gear` times its force, and returns them."""
+    scalar = dict.fromkeys(target_names, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    directions = self._site_gears(target_names) if self.transmission_type == "site" else scalar
+    return [
+      add_element(
+        spec,
+        type(self).__name__,
+        Target(self.transmission_type, name),
+        gear=[gear * part for part in directions[name]],
+        refsite=self.refsite,
+      )
+      for name in target_names
+    ]
+
   def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
     return ActuatorGroup(
       law=self.law,
-      target_names=tuple(target_names),
+      targets=tuple(Target(self.transmission_type, name) for name in target_names),
       command_fields=self.command_fields,
       parameters=self.parameters(target_names),
       delay=self.delay,
@@ -336,7 +442,7 @@ class ActuatorCfg(ABC):
 
   def _numbers(self, name: str, target_names: Sequence[str]) -> tuple[float, ...]:
     """The field `name` for each target, checked to be finite and not negative."""
-    values = match_values_full(getattr(self, name), target_names, what="joint", owner=f"{type(self).__name__}.{name}")
+    values = self._by_target(name, getattr(self, name), target_names)
     for target, value in zip(target_names, values, strict=True):
       self._check(name, target, value)
     return tuple(float(value) for value in values)
@@ -346,7 +452,7 @@ class ActuatorCfg(ABC):
     values = self._numbers(name, target_names)
     for target, value in zip(target_names, values, strict=True):
       if value == 0.0:
-        raise ValueError(f"{type(self).__name__}: {name} of joint {target!r} is 0; it must be positive")
+        raise ValueError(f"{self._field_of(name, target)} is 0; it must be positive")
     return values
 
   def _limits(self, name: str, target_names: Sequence[str]) -> tuple[float, ...]:
@@ -354,19 +460,18 @@ class ActuatorCfg(ABC):
     value = getattr(self, name)
     if value is None:
       return (math.inf,) * len(target_names)
-    values = match_values_full(value, target_names, what="joint", owner=f"{type(self).__name__}.{name}")
+    values = self._by_target(name, value, target_names)
     for target, limit in zip(target_names, values, strict=True):
       if not limit > 0.0:
-        raise ValueError(
-          f"{type(self).__name__}: {name} of joint {target!r} is {limit}; it must be positive, or None for no limit"
-        )
+        raise ValueError(f"{self._field_of(name, target)} is {limit}; it must be positive, or None for no limit")
     return tuple(float(limit) for limit in values)
 
   def _overrides(self, name: str, values: PerTarget | None, target_names: Sequence[str]) -> dict[str, float]:
     if values is None:
       return {}
     if isinstance(values, Mapping):
-      _, names, numbers = match_values(values, target_names, what="joint", owner=f"{type(self).__name__}.{name}")
+      owner = f"{type(self).__name__}.{name}"
+      _, names, numbers = match_values(values, target_names, what=self.transmission_type, owner=owner)
       chosen: dict[str, float] = dict(zip(names, numbers, strict=True))
     else:
       chosen = dict.fromkeys(target_names, values)
@@ -374,45 +479,14 @@ class ActuatorCfg(ABC):
       self._check(name, target, value)
     return chosen
 
+  def _by_target(self, name: str, values: T | Mapping[str, T], target_names: Sequence[str]) -> list[T]:
+    """The values of the field `name`, one per target."""
+    return match_values_full(values, target_names, what=self.transmission_type, owner=f"{type(self).__name__}.{name}")
+
   def _check(self, name: str, target: str, value: float) -> None:
     if not (math.isfinite(value) and value >= 0.0):
-      raise ValueError(
-        f"{type(self).__name__}: {name} of joint {target!r} is {value}; it must be finite and not negative"
-      )
+      raise ValueError(f"{self._field_of(name, target)} is {value}; it must be finite and not negative")
 
-
-def add_joint_element(spec: mujoco.MjSpec, owner: str, target: str) -> mujoco.MjsActuator:
-  """A joint actuator named like its target, free of everything that the MJCF's default classes would put on it.
-
-  Raises:
-    ValueError: An actuator of that name exists already.
-  """
-  if any(actuator.name == target for actuator in spec.actuators):
-    raise ValueError(
-      f"{owner}: joint {target!r} already has an actuator of that name; drive each joint by one config "
-      "(XmlActuatorCfg keeps the MJCF's own actuator)"
-    )
-  element = spec.add_actuator(name=target, target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-  element.set_to_motor()
-  element.dyntype = mujoco.mjtDyn.mjDYN_NONE
-  element.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-  element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.ctrlrange = [0.0, 0.0]
-  element.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.forcerange = [0.0, 0.0]
-  element.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.actrange = [0.0, 0.0]
-  element.inheritrange = 0.0
-  # MuJoCo can delay, damp and add inertia in the actuator itself; here those belong to the config's own fields.
-  element.delay = 0.0
-  element.nsample = 0
-  element.armature = 0.0
-  element.damping = [0.0, 0.0, 0.0]
-  return element
-
-
-def limit_force(element: mujoco.MjsActuator, effort_limit: float) -> None:
-  """Clamps the element's force to +-effort_limit inside MuJoCo; infinity leaves it free."""
-  if math.isfinite(effort_limit):
-    element.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    element.forcerange = [-effort_limit, effort_limit]
+  def _field_of(self, name: str, target: str) -> str:
+    """How messages begin that are about a field of one target."""
+    return f"{type(self).__name__}: {name} of {self.transmission_type} {target!r}"

@@ -1,30 +1,37 @@
-"""All actuators of one entity: from joint set-points to the entity's part of ctrl, once a substep."""
+"""All actuators of one entity: from set-points to the entity's part of ctrl, once a substep."""
 
+import re
 from collections.abc import Sequence
 
 import mujoco
 import torch
+from mjlab_core.names import NameMatchError
 from mjlab_core.state import Stateful
 
 from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, fuse
 from mjlab_actuators.command import ActuatorCmd
 from mjlab_actuators.native import PassThrough
-from mjlab_actuators.xml import XmlActuatorCfg, joints_with_actuator
+from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, acts_on, actuators_of, targets_of
+from mjlab_actuators.xml import XmlActuatorCfg, targets_with_actuator
+
+_Names = dict[Transmission, list[str]]
 
 
 class ActuatorSet(Stateful):
   """Builds, fuses and runs the actuators of an entity.
 
   `edit_spec` before the model is compiled, `build` after, then `compute` in every substep and `reset` for worlds that
-  start anew. Set-points and measurements have one column per target (the entity's joints, in the order given to
-  `build`); where each command goes in ctrl is a map made at build by name, so the order of MuJoCo's elements, of the
-  configs and of the joints may all differ.
+  start anew. Set-points and measurements have one column per target: the entity's joints, in the order given to
+  `build`, then the tendons and then the sites that are driven, in the model's order. Where each command goes in ctrl is
+  a map made at build by name, so the order of MuJoCo's elements, of the configs and of the joints may all differ.
 
   Attributes, after `build`:
     groups: The runtime laws, one per law and delay setting.
-    target_names: Names of the set-point columns.
+    targets: What the set-point columns belong to.
     ctrl_ids: Indices into the model's ctrl that this set drives, ascending.
-    ctrl_targets: Target of each driven ctrl, in the order of `ctrl_ids`.
+    ctrl_targets: Name of the target of each driven ctrl, in the order of `ctrl_ids`.
+    site_outputs: For each driven site, where `actuator_length` and `actuator_velocity` hold its position and velocity
+      along the wrench.
     ctrl: Commands of the last substep, (num_envs, len(ctrl_ids)), fixed memory; a view of the simulation's ctrl where
       `build` was given that and the driven indices are contiguous.
     needs_feedback: Whether any law reads measurements; if not, `compute` may be given any tensors for them.
@@ -35,9 +42,10 @@ class ActuatorSet(Stateful):
   _constants = frozenset({"ctrl"})
 
   groups: tuple[Actuator, ...]
-  target_names: tuple[str, ...]
+  targets: tuple[Target, ...]
   ctrl_ids: tuple[int, ...]
   ctrl_targets: tuple[str, ...]
+  site_outputs: tuple[int, ...]
   ctrl: torch.Tensor
   needs_feedback: bool
 
@@ -54,17 +62,16 @@ class ActuatorSet(Stateful):
       target_names: Joints that patterns may match; None for all hinges and slides.
 
     Raises:
-      NameMatchError: A pattern matches no joint.
-      ValueError: A number is impossible, or a joint is driven twice.
+      NameMatchError: A pattern matches nothing of its kind; the message says so where it fits another kind.
+      ValueError: A number is impossible, or a target is driven twice.
     """
-    names = scalar_joints(spec) if target_names is None else list(target_names)
-    joint = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    actuated = [actuator.target for actuator in spec.actuators if actuator.trntype in joint]
+    names = self._candidates(spec, target_names)
+    actuated: _Names = {
+      kind: [name for name in names[kind] if any(acts_on(element, Target(kind, name)) for element in spec.actuators)]
+      for kind in TRANSMISSIONS
+    }
     for cfg in self.cfgs:
-      matched = (
-        cfg.match(names, self.owner, actuated) if isinstance(cfg, XmlActuatorCfg) else cfg.match(names, self.owner)
-      )
-      cfg.edit_spec(spec, matched)
+      cfg.edit_spec(spec, self._match(cfg, names, actuated))
 
   def build(
     self,
@@ -82,7 +89,7 @@ class ActuatorSet(Stateful):
 
     Args:
       model: The compiled model, of this entity alone or of a whole scene.
-      target_names: Columns of set-points and measurements, without prefix; None for all hinges and slides.
+      target_names: Joints of the first columns, without prefix; None for all hinges and slides.
       num_envs: Number of worlds.
       device: Where set-points and ctrl live.
       dtype: Type of set-points and ctrl.
@@ -97,31 +104,41 @@ class ActuatorSet(Stateful):
       ValueError: An actuator is missing in the model, or is driven by two configs.
     """
     self.num_envs = num_envs
-    names = scalar_joints(model, prefix) if target_names is None else list(target_names)
-    self.target_names = tuple(names)
+    names = self._candidates(model, target_names, prefix)
     groups = self._groups(model, names, prefix)
     target_of = _target_of_ctrl(groups, self.owner)
+    driven = set(target_of.values())
+    joints = [Target("joint", name) for name in names["joint"]]
+    others = [Target(kind, name) for kind in TRANSMISSIONS[1:] for name in names[kind] if Target(kind, name) in driven]
+    self.targets = (*joints, *others)
     self.ctrl_ids = tuple(sorted(target_of))
-    self.ctrl_targets = tuple(target_of[index] for index in self.ctrl_ids)
+    self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
+    # The MJCF's own elements come first, and none of them needs a measurement.
+    self.site_outputs = tuple(
+      int(model.actuator_outadr[actuators_of(model, target, prefix)[-1]])
+      for target in others
+      if target.transmission == "site"
+    )
+    self._driven = tuple(target_of[index] for index in self.ctrl_ids)
     self._place_ctrl(ctrl, device=device, dtype=dtype)
-    column = {name: index for index, name in enumerate(names)}
+    column = {target: index for index, target in enumerate(self.targets)}
     position = {index: place for place, index in enumerate(self.ctrl_ids)}
     laws, self._routes = [], []
     for group in fuse(groups):
       # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
       # columns are plain slices when they keep the order of the targets.
       order = sorted(
-        range(len(group.target_names)),
+        range(len(group.targets)),
         key=group.ctrl_ids.__getitem__
         if issubclass(group.law, PassThrough)
-        else [column[name] for name in group.target_names].__getitem__,
+        else [column[target] for target in group.targets].__getitem__,
       )
       group = group.reordered(order)
       law = group.law(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
       laws.append(law)
-      columns = [column[name] for name in group.target_names]
+      columns = [column[target] for target in group.targets]
       places = [position[index] for index in group.ctrl_ids]
-      self._routes.append(_Route(law, columns, places, len(names), self.ctrl))
+      self._routes.append(_Route(law, columns, places, len(self.targets), self.ctrl))
     self.groups = tuple(laws)
     self.needs_feedback = any(law.needs_feedback for law in laws)
     return self
@@ -136,7 +153,7 @@ class ActuatorSet(Stateful):
   ) -> torch.Tensor:
     """Commands of this substep, (num_envs, len(ctrl_ids)), in `self.ctrl` and in the ctrl given to `build`.
 
-    To be called exactly once a substep: it advances delays. All arguments are (num_envs, len(target_names)).
+    To be called exactly once a substep: it advances delays. All arguments are (num_envs, len(targets)).
     """
     cmd = ActuatorCmd(position_target, velocity_target, effort_target, position, velocity)
     for route in self._routes:
@@ -153,7 +170,7 @@ class ActuatorSet(Stateful):
     velocity_target: torch.Tensor,
     effort_target: torch.Tensor,
   ) -> None:
-    """Starts masked worlds as if these set-points, (num_envs, len(target_names)), had always been given.
+    """Starts masked worlds as if these set-points, (num_envs, len(targets)), had always been given.
 
     Time does not pass: nothing is pushed, and worlds outside `mask` (num_envs,) stay bit-identical. The entity gives
     its default pose, so that a delayed robot holds it rather than driving to zero.
@@ -163,17 +180,57 @@ class ActuatorSet(Stateful):
     for route in self._routes:
       route.reset(mask, cmd)
 
-  def _groups(self, model: mujoco.MjModel, names: Sequence[str], prefix: str) -> list[ActuatorGroup]:
-    matches = [cfg.match(names, self.owner) if not isinstance(cfg, XmlActuatorCfg) else None for cfg in self.cfgs]
-    # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
-    added = {prefix + name for matched in matches if matched is not None for name in matched}
-    actuated = joints_with_actuator(model, prefix, without=added)
-    groups: list[ActuatorGroup] = []
-    for cfg, matched in zip(self.cfgs, matches, strict=True):
+  @property
+  def target_names(self) -> tuple[str, ...]:
+    """Names of the set-point columns."""
+    return tuple(target.name for target in self.targets)
+
+  def driven(self, transmission: Transmission) -> tuple[str, ...]:
+    """Names of the joints, tendons or sites that an actuator drives, in the order of their columns."""
+    return tuple(
+      target.name for target in self.targets if target in self._driven and target.transmission == transmission
+    )
+
+  def _candidates(
+    self, source: mujoco.MjSpec | mujoco.MjModel, joints: Sequence[str] | None, prefix: str = ""
+  ) -> _Names:
+    """What patterns may match, by kind."""
+    names: _Names = {kind: targets_of(source, kind, prefix) for kind in TRANSMISSIONS}
+    if joints is not None:
+      names["joint"] = list(joints)
+    return names
+
+  def _match(self, cfg: ActuatorCfg, names: _Names, actuated: _Names) -> list[str]:
+    """What `cfg` drives; `actuated` are the names that have an actuator in the MJCF."""
+    candidates = names.get(cfg.transmission_type, [])
+    try:
       if isinstance(cfg, XmlActuatorCfg):
-        groups += cfg.groups(model, cfg.match(names, self.owner, actuated), prefix, without=added)
-      elif matched is not None:
-        groups += cfg.groups(model, matched, prefix)
+        return cfg.match(candidates, self.owner, actuated.get(cfg.transmission_type))
+      return cfg.match(candidates, self.owner)
+    except NameMatchError as error:
+      if isinstance(error.__cause__, re.error):
+        raise
+      lost = [p for p in cfg.target_names_expr if not any(re.fullmatch(p, name) for name in candidates)]
+      for kind in TRANSMISSIONS:
+        meant = [name for name in names[kind] if any(re.fullmatch(p, name) for p in lost)]
+        if kind != cfg.transmission_type and meant:
+          raise NameMatchError(f"{error} There is a {kind} {meant[0]!r}: transmission_type={kind!r}?") from error
+      raise
+
+  def _groups(self, model: mujoco.MjModel, names: _Names, prefix: str) -> list[ActuatorGroup]:
+    added: dict[int, list[str]] = {}
+    for place, cfg in enumerate(self.cfgs):
+      if not isinstance(cfg, XmlActuatorCfg):
+        added[place] = self._match(cfg, names, names)
+    # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
+    own = {index for place, matched in added.items() for index in self.cfgs[place].elements(model, matched, prefix)}
+    actuated: _Names = {kind: targets_with_actuator(model, kind, prefix, without=own) for kind in TRANSMISSIONS}
+    groups: list[ActuatorGroup] = []
+    for place, cfg in enumerate(self.cfgs):
+      if isinstance(cfg, XmlActuatorCfg):
+        groups += cfg.groups(model, self._match(cfg, names, actuated), prefix, without=own)
+      else:
+        groups += cfg.groups(model, added[place], prefix)
     return groups
 
   def _place_ctrl(self, ctrl: torch.Tensor | None, *, device: torch.device | str, dtype: torch.dtype) -> None:
@@ -236,25 +293,15 @@ class _Route:
     return selected
 
 
-def scalar_joints(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[str]:
-  """Names of all hinges and slides that begin with `prefix`, without it, in the source's order."""
-  scalar = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-  if isinstance(source, mujoco.MjSpec):
-    names = [joint.name for joint in source.joints if joint.type in scalar]
-  else:
-    names = [
-      source.joint(index).name for index in range(source.njnt) if mujoco.mjtJoint(source.jnt_type[index]) in scalar
-    ]
-  return [name.removeprefix(prefix) for name in names if name and name.startswith(prefix)]
-
-
-def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, str]:
-  target_of: dict[int, str] = {}
+def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, Target]:
+  target_of: dict[int, Target] = {}
   for group in groups:
-    for index, name in zip(group.ctrl_ids, group.target_names, strict=True):
+    for index, target in zip(group.ctrl_ids, group.targets, strict=True):
       if index in target_of:
-        raise ValueError(f"{owner + ': ' if owner else ''}joint {name!r} is driven by two actuator configs")
-      target_of[index] = name
+        raise ValueError(
+          f"{owner + ': ' if owner else ''}{target.transmission} {target.name!r} is driven by two actuator configs"
+        )
+      target_of[index] = target
   return target_of
 
 

@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import torch
-from mjlab_core.names import match_values_full
 
 from mjlab_actuators.actuator import Actuator
 from mjlab_actuators.command import ActuatorCmd
@@ -86,22 +85,18 @@ class EnvelopedPdActuatorCfg(PdActuatorCfg):
     return EnvelopedPd
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    owner = type(self).__name__
-    envelopes = match_values_full(self.envelope, target_names, what="joint", owner=f"{owner}.envelope")
+    envelopes = self._by_target("envelope", self.envelope, target_names)
     for target, envelope in zip(target_names, envelopes, strict=True):
       for name, value in envelope._asdict().items():
         if not (math.isfinite(value) and value >= 0.0) or (value == 0.0 and name != "full_effort_speed"):
-          raise ValueError(f"{owner}: {name} of joint {target!r} is {value}; it must be finite and positive")
-      if envelope.no_load_speed <= envelope.full_effort_speed:
-        raise ValueError(
-          f"{owner}: no_load_speed {envelope.no_load_speed} of joint {target!r} is not above its full_effort_speed "
-          f"{envelope.full_effort_speed}; the two may be swapped"
-        )
-      if envelope.braking_effort < envelope.motoring_effort:
-        raise ValueError(
-          f"{owner}: braking_effort {envelope.braking_effort} of joint {target!r} is below its motoring_effort "
-          f"{envelope.motoring_effort}; the two may be swapped"
-        )
+          raise ValueError(f"{self._field_of(name, target)} is {value}; it must be finite and positive")
+      for larger, smaller in (("no_load_speed", "full_effort_speed"), ("braking_effort", "motoring_effort")):
+        low, high = getattr(envelope, smaller), getattr(envelope, larger)
+        # Drive and brake may be equally strong; a line between two equal speeds has no slope.
+        if high < low or (high == low and larger == "no_load_speed"):
+          raise ValueError(
+            f"{self._field_of(larger, target)} is {high}, not above its {smaller} {low}; the two may be swapped"
+          )
     return super().parameters(target_names) | {
       name: tuple(float(getattr(envelope, name)) for envelope in envelopes) for name in TorqueSpeedEnvelope._fields
     }

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, add_joint_element
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, is_zero
 from mjlab_actuators.command import ActuatorCmd
 
 
@@ -70,8 +70,7 @@ class TorqueActuatorCfg(ActuatorCfg):
   """
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    for name in target_names:
-      add_joint_element(spec, type(self).__name__, name)
+    self._bare_elements(spec, target_names)
 
 
 @dataclass(kw_only=True)
@@ -85,6 +84,9 @@ class PdActuatorCfg(TorqueActuatorCfg):
   """kp [N/m or N m/rad]."""
   damping: PerTarget
   """kd [N s/m or N m s/rad]."""
+
+  def _reads_position(self) -> bool:
+    return not is_zero(self.stiffness)
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
     return {

@@ -185,6 +185,9 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
     except ValueError as error:
       raise ValueError(f"{kind}: {error}") from error
 
+  def _reads_position(self) -> bool:
+    return True
+
   def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
     timestep = model.opt.timestep
     if self.sample_period is not None and not math.isclose(self.sample_period, timestep, rel_tol=1e-6):

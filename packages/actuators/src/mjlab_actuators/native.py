@@ -8,8 +8,9 @@ from typing import ClassVar
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget, add_joint_element, limit_force
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget, is_zero
 from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.transmission import Target, limit_force, range_of
 
 
 class PassThrough(Actuator):
@@ -46,10 +47,12 @@ class NativePositionActuatorCfg(ActuatorCfg):
     super().validate(target_names)
     self._gains(target_names)
 
-  def _gains(self, target_names: Sequence[str]) -> list[tuple[str, float, float, float]]:
+  def _reads_position(self) -> bool:
+    return not is_zero(self.stiffness)
+
+  def _gains(self, target_names: Sequence[str]) -> list[tuple[float, float, float]]:
     return list(
       zip(
-        target_names,
         self._numbers("stiffness", target_names),
         self._numbers("damping", target_names),
         self._limits("effort_limit", target_names),
@@ -58,13 +61,12 @@ class NativePositionActuatorCfg(ActuatorCfg):
     )
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    joints = {joint.name: joint for joint in spec.joints}
-    for name, kp, kd, limit in self._gains(target_names):
-      element = add_joint_element(spec, type(self).__name__, name)
+    elements = self._bare_elements(spec, target_names)
+    for name, element, (kp, kd, limit) in zip(target_names, elements, self._gains(target_names), strict=True):
       element.set_to_position(kp=kp, kv=kd)
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
       limit_force(element, limit)
-      low, high = joint_range(spec, joints[name])
+      low, high = range_of(spec, Target(self.transmission_type, name))
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
       if high > low and kp > 0.0 and math.isfinite(limit):
         element.ctrlrange = [low - limit / kp, high + limit / kp]
@@ -93,20 +95,19 @@ class NativeVelocityActuatorCfg(ActuatorCfg):
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     gains = self._numbers("damping", target_names)
     limits = self._limits("effort_limit", target_names)
-    for name, kd, limit in zip(target_names, gains, limits, strict=True):
-      element = add_joint_element(spec, type(self).__name__, name)
+    for element, kd, limit in zip(self._bare_elements(spec, target_names), gains, limits, strict=True):
       element.set_to_velocity(kv=kd)
       limit_force(element, limit)
 
 
 @dataclass(kw_only=True)
 class NativeMotorActuatorCfg(ActuatorCfg):
-  """A torque source: joint effort = gear clamp(u, +-effort_limit), u = effort target."""
+  """A torque source: effort = gear clamp(u, +-effort_limit), u = effort target."""
 
   effort_limit: PerTarget | None = None
   """Largest |u|, before the gear [N or N m]; None for no limit."""
   gear: float = 1.0
-  """Reduction between motor and joint; the effort target is on the motor's side. Negative turns the sense round."""
+  """Reduction between motor and target; the effort target is on the motor's side. Negative turns the sense round."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
@@ -121,18 +122,8 @@ class NativeMotorActuatorCfg(ActuatorCfg):
     self._limits("effort_limit", target_names)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    for name, limit in zip(target_names, self._limits("effort_limit", target_names), strict=True):
-      element = add_joint_element(spec, type(self).__name__, name)
-      element.gear = [self.gear, 0.0, 0.0, 0.0, 0.0, 0.0]
+    elements = self._bare_elements(spec, target_names, self.gear)
+    for element, limit in zip(elements, self._limits("effort_limit", target_names), strict=True):
       limit_force(element, limit)
       if math.isfinite(limit):
         element.ctrlrange = [-limit, limit]
-
-
-def joint_range(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> tuple[float, float]:
-  """Position limits of a joint [m or rad]; equal when there are none."""
-  if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE:
-    return 0.0, 0.0
-  # A spec holds what the file says; the compiler turns degrees into radians later, in joints but not in actuators.
-  unit = math.pi / 180.0 if spec.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
-  return float(joint.range[0]) * unit, float(joint.range[1]) * unit

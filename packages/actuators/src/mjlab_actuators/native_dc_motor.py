@@ -8,9 +8,10 @@ from typing import Literal
 import mujoco
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, add_joint_element, limit_force
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget
 from mjlab_actuators.command import COMMAND_FIELDS, CommandField
 from mjlab_actuators.native import PassThrough
+from mjlab_actuators.transmission import limit_force
 
 _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
   "position_target": mujoco.mjtCtrlInput.mjINPUT_POS,
@@ -21,7 +22,7 @@ _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
 
 @dataclass(kw_only=True)
 class NativeDcMotorActuatorCfg(ActuatorCfg):
-  """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the joint.
+  """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the target.
 
   With `inputs="voltage"`, V is the effort target in volts. Otherwise a controller inside MuJoCo asks for the force
   kp (q* - l) + kd (q*' - w) + effort*, of which only the set-points in `inputs` are there (the others count as zero),
@@ -48,7 +49,7 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
   inductance: float = 0.0
   """L [H]; when positive the current lags with L / R and lives in the simulation's `act`."""
   gear: float = 1.0
-  """Reduction between motor and joint."""
+  """Reduction between motor and target."""
 
   @property
   def law(self) -> type[Actuator]:
@@ -73,6 +74,9 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
       raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
     self._limits("effort_limit", target_names)
     self._validate_inputs(kind)
+
+  def _reads_position(self) -> bool:
+    return self.stiffness > 0.0
 
   def _validate_inputs(self, kind: str) -> None:
     if self.inputs == "voltage":
@@ -114,8 +118,8 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
     controlled = self.inputs != "voltage"
     bits = [_BITS[field] for field in self._fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
     constant = self.torque_constant or 0.0
-    for name, limit in zip(target_names, self._limits("effort_limit", target_names), strict=True):
-      element = add_joint_element(spec, type(self).__name__, name)
+    elements = self._bare_elements(spec, target_names, self.gear)
+    for element, limit in zip(elements, self._limits("effort_limit", target_names), strict=True):
       element.set_to_dcmotor(
         motorconst=[constant, constant],
         resistance=self.resistance or 0.0,
@@ -125,7 +129,6 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
         controller=[self.stiffness, 0.0, self.damping, 0.0, 0.0, volts if controlled else 0.0],
         ctrlspec=sum(int(bit) for bit in bits),
       )
-      element.gear = [self.gear, 0.0, 0.0, 0.0, 0.0, 0.0]
       limit_force(element, limit)
       if volts and not controlled:
         element.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE

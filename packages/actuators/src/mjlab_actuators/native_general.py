@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import mujoco
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, add_joint_element
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup
 from mjlab_actuators.command import COMMAND_FIELDS, CommandField
 from mjlab_actuators.native import PassThrough
 
@@ -19,10 +19,11 @@ Bias = Literal["none", "affine"]
 
 @dataclass(kw_only=True)
 class NativeGeneralActuatorCfg(ActuatorCfg):
-  """MuJoCo's general actuator on a joint: force = gain(l, l') w + bias(l, l'), all clamped to `force_range`.
+  """MuJoCo's general actuator: force = gain(l, l') w + bias(l, l'), all clamped to `force_range`.
 
-  With l = gear q: gain is g0 ("fixed") or g0 + g1 l + g2 l' ("affine"), bias is 0 ("none") or b0 + b1 l + b2 l'
-  ("affine"), and w is the input u itself ("none") or the activation that integrates or low-pass filters u.
+  With l = gear q, the length of the transmission, gain is g0 ("fixed") or g0 + g1 l + g2 l' ("affine"), bias is 0
+  ("none") or b0 + b1 l + b2 l' ("affine"), and w is the input u itself ("none") or the activation that integrates or
+  low-pass filters u.
   """
 
   command_field: CommandField
@@ -37,7 +38,7 @@ class NativeGeneralActuatorCfg(ActuatorCfg):
   dyn_prm: tuple[float, ...] = ()
   """Time constant of the filters [s]."""
   gear: float = 1.0
-  """Transmission length per joint position."""
+  """Transmission length per position of the target."""
   ctrl_range: tuple[float, float] | None = None
   """Clamp of u; None for none."""
   force_range: tuple[float, float] | None = None
@@ -82,20 +83,22 @@ class NativeGeneralActuatorCfg(ActuatorCfg):
       if limits is not None and not limits[0] < limits[1]:
         raise ValueError(f"{kind}: {name} is {limits}; the first must be less than the second")
 
+  def _reads_position(self) -> bool:
+    kinds = ((self.gain_type, self.gain_prm), (self.bias_type, self.bias_prm))
+    return any(kind == "affine" and _padded(numbers)[1] != 0.0 for kind, numbers in kinds)
+
   def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
     return replace(super()._group(target_names, ctrl_ids), command_fields=(self.command_field,))
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    for name in target_names:
-      element = add_joint_element(spec, type(self).__name__, name)
+    for element in self._bare_elements(spec, target_names, self.gear):
       element.gaintype = getattr(mujoco.mjtGain, f"mjGAIN_{self.gain_type.upper()}")
       element.biastype = getattr(mujoco.mjtBias, f"mjBIAS_{self.bias_type.upper()}")
       element.dyntype = getattr(mujoco.mjtDyn, f"mjDYN_{self.dyn_type.upper()}")
       element.gainprm = _padded(self.gain_prm)
       element.biasprm = _padded(self.bias_prm)
       element.dynprm = _padded(self.dyn_prm)
-      element.gear = [self.gear, 0.0, 0.0, 0.0, 0.0, 0.0]
       if self.ctrl_range is not None:
         element.ctrllimited, element.ctrlrange = limited, list(self.ctrl_range)
       if self.force_range is not None:

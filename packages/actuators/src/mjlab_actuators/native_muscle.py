@@ -7,14 +7,15 @@ from typing import ClassVar
 
 import mujoco
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget, add_joint_element
+from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget
 from mjlab_actuators.command import CommandField
-from mjlab_actuators.native import PassThrough, joint_range
+from mjlab_actuators.native import PassThrough
+from mjlab_actuators.transmission import Target, range_of
 
 
 @dataclass(kw_only=True)
 class NativeMuscleActuatorCfg(ActuatorCfg):
-  """MuJoCo's muscle on a joint, u = effort target, clamped to [0, 1].
+  """MuJoCo's muscle, u = effort target, clamped to [0, 1].
 
   force = -F0 (FL(l) FV(v) act + FP(l)): the muscle pulls, so its sense is against a positive gear. The activation act
   follows u with the time constants, and lives in the simulation's `act`; the curves FL, FV, FP are those of MuJoCo's
@@ -23,9 +24,9 @@ class NativeMuscleActuatorCfg(ActuatorCfg):
 
   length_range: tuple[float, float] | None = None
   """Least and greatest length of the transmission, that is gear times joint position [m or rad]; None takes the range
-  of the joint, which must then be limited."""
+  of the joint or tendon, which must then be limited."""
   gear: float = 1.0
-  """Moment arm: transmission length per joint position."""
+  """Moment arm: transmission length per position of the target."""
   force: PerTarget | None = None
   """Peak active force at rest F0 [N]; None makes it `scale` over the acceleration that unit force causes at qpos0."""
   scale: float = 200.0
@@ -76,11 +77,13 @@ class NativeMuscleActuatorCfg(ActuatorCfg):
       if not low < high:
         raise ValueError(f"{kind}: {name} is ({low}, {high}); the first must be less than the second")
 
+  def _reads_position(self) -> bool:
+    return True
+
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     forces = (-1.0,) * len(target_names) if self.force is None else self._positives("force", target_names)
-    joints = {joint.name: joint for joint in spec.joints}
-    for name, force in zip(target_names, forces, strict=True):
-      element = add_joint_element(spec, type(self).__name__, name)
+    elements = self._bare_elements(spec, target_names, self.gear)
+    for name, element, force in zip(target_names, elements, forces, strict=True):
       element.set_to_muscle(
         timeconst=list(self.time_constants),
         tausmooth=self.smoothing,
@@ -93,15 +96,16 @@ class NativeMuscleActuatorCfg(ActuatorCfg):
         fpmax=self.fpmax,
         fvmax=self.fvmax,
       )
-      element.gear = [self.gear, 0.0, 0.0, 0.0, 0.0, 0.0]
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
       element.ctrlrange = [0.0, 1.0]
-      element.lengthrange = sorted(self._length_range(spec, joints[name]))
+      element.lengthrange = sorted(self._length_range(spec, name))
 
-  def _length_range(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> tuple[float, float]:
+  def _length_range(self, spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     if self.length_range is not None:
       return self.length_range
-    low, high = joint_range(spec, joint)
+    low, high = range_of(spec, Target(self.transmission_type, name))
     if not low < high:
-      raise ValueError(f"{type(self).__name__}: joint {joint.name!r} is not limited, so length_range must be given")
+      raise ValueError(
+        f"{type(self).__name__}: {self.transmission_type} {name!r} is not limited, so length_range must be given"
+      )
     return self.gear * low, self.gear * high

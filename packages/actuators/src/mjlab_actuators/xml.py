@@ -4,12 +4,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
-import numpy as np
 from mjlab_core.names import match_names
 
 from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup
 from mjlab_actuators.command import CommandField
 from mjlab_actuators.native import PassThrough
+from mjlab_actuators.transmission import Target, Transmission, actuators_of, targets_of
 
 # The order in which MuJoCo lays out the inputs of an actuator with several.
 _INPUTS: tuple[tuple[mujoco.mjtCtrlInput, CommandField], ...] = (
@@ -22,10 +22,11 @@ _INPUTS: tuple[tuple[mujoco.mjtCtrlInput, CommandField], ...] = (
 
 @dataclass(kw_only=True)
 class XmlActuatorCfg(ActuatorCfg):
-  """Drives the joint actuators that the MJCF declares; adds nothing and changes nothing on them.
+  """Drives the actuators that the MJCF declares on joints, tendons or sites; adds and changes nothing on them.
 
-  Which set-point an actuator takes is read from its gain, bias and dynamics. Patterns match names of joints that have
-  an actuator in the MJCF; every actuator of such a joint is driven.
+  Which set-point an actuator takes is read from its gain, bias and dynamics. Patterns match names of joints (tendons,
+  sites) that have an actuator in the MJCF; every actuator of such a target is driven. The MJCF says where the wrench of
+  a site points.
   """
 
   command_field: CommandField | None = None
@@ -36,10 +37,17 @@ class XmlActuatorCfg(ActuatorCfg):
     return PassThrough
 
   def match(self, candidates: Sequence[str], owner: str = "", actuated: Sequence[str] | None = None) -> list[str]:
-    """The driven joints among `candidates`; with `actuated`, only those that have an actuator can match."""
+    """What is driven among `candidates`; with `actuated`, only what has an actuator can match."""
     if actuated is not None:
       candidates = [name for name in candidates if name in actuated]
-    return match_names(self.target_names_expr, candidates, what="joint with an MJCF actuator", owner=owner)[1]
+    self._check_transmission()
+    what = f"{self.transmission_type} with an MJCF actuator"
+    return match_names(self.target_names_expr, candidates, what=what, owner=owner)[1]
+
+  def _validate_site(self, kind: str, target_names: Sequence[str]) -> None:
+    for name in ("site_gear", "refsite"):
+      if getattr(self, name) is not None:
+        raise ValueError(f"{kind}: {name} is given, but the MJCF says it already")
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     pass
@@ -54,35 +62,41 @@ class XmlActuatorCfg(ActuatorCfg):
     model: mujoco.MjModel,
     target_names: Sequence[str],
     prefix: str = "",
-    without: Collection[str] = (),
+    without: Collection[int] = (),
   ) -> list[ActuatorGroup]:
-    """One group per kind of set-point among the actuators of these joints, those named in `without` left out.
+    """One group per kind of set-point among the actuators of these targets, those with an id in `without` left out.
 
     Raises:
-      ValueError: A joint has no actuator, or the set-point of one cannot be told and `command_field` does not say.
+      ValueError: A target has no actuator, the set-point of one cannot be told and `command_field` does not say, or two
+        on one site would get the same set-point for wrenches of their own.
     """
-    found: dict[CommandField, tuple[list[str], list[int]]] = {}
-    for target in target_names:
-      joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + target)
-      on_joint = np.flatnonzero(_drives_joint(model, without) & (model.actuator_trnid[:, 0] == joint))
-      if joint < 0 or on_joint.size == 0:
-        raise ValueError(f"XmlActuatorCfg: joint {prefix + target!r} has no actuator in the MJCF")
-      for actuator in on_joint:
-        first = int(model.actuator_ctrladr[actuator])
-        for offset, field in enumerate(self._fields(model, int(actuator))):
-          names, ids = found.setdefault(field, ([], []))
-          names.append(target)
+    found: dict[CommandField, tuple[list[Target], list[int]]] = {}
+    for name in target_names:
+      target = Target(self.transmission_type, name)
+      elements = [index for index in actuators_of(model, target, prefix) if index not in without]
+      if not elements:
+        raise ValueError(f"XmlActuatorCfg: {target.transmission} {prefix + name!r} has no actuator in the MJCF")
+      for element in elements:
+        first = int(model.actuator_ctrladr[element])
+        for offset, field in enumerate(self._fields(model, element)):
+          targets, ids = found.setdefault(field, ([], []))
+          if target.transmission == "site" and target in targets:
+            raise ValueError(
+              f"XmlActuatorCfg: site {prefix + name!r} has one {field}, but several actuators that take one; give each "
+              "a site of its own, or leave the site out and write its ctrl"
+            )
+          targets.append(target)
           ids.append(first + offset)
     return [
       ActuatorGroup(
         law=PassThrough,
-        target_names=tuple(names),
+        targets=tuple(targets),
         command_fields=(field,),
         parameters={},
         delay=self.delay,
         ctrl_ids=tuple(ids),
       )
-      for field, (names, ids) in found.items()
+      for field, (targets, ids) in found.items()
     ]
 
   def _fields(self, model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
@@ -129,14 +143,12 @@ def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandFiel
   return ()
 
 
-def joints_with_actuator(model: mujoco.MjModel, prefix: str = "", without: Collection[str] = ()) -> list[str]:
-  """Names of the joints that an actuator drives which is not named in `without`, prefix removed, in model order."""
-  joints = sorted(set(model.actuator_trnid[_drives_joint(model, without), 0].tolist()))
-  names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or "" for joint in joints]
-  return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
-
-
-def _drives_joint(model: mujoco.MjModel, without: Collection[str] = ()) -> np.ndarray:
-  kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-  names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, index) for index in range(model.nactuator)]
-  return np.isin(model.actuator_trntype, kinds) & np.array([name not in without for name in names], dtype=bool)
+def targets_with_actuator(
+  model: mujoco.MjModel, transmission: Transmission, prefix: str = "", without: Collection[int] = ()
+) -> list[str]:
+  """Names of what an actuator drives whose id is not in `without`, prefix removed, in model order."""
+  return [
+    name
+    for name in targets_of(model, transmission, prefix)
+    if any(index not in without for index in actuators_of(model, Target(transmission, name), prefix))
+  ]
