@@ -240,6 +240,8 @@ def test_a_restored_scene_goes_on_as_the_saved_one(make_worlds: MakeWorlds) -> N
 
 def test_constants_of_a_single_world_are_not_taken_for_state(make_worlds: MakeWorlds) -> None:
   scene, _ = make_worlds(cfg=three(num_envs=1))
-  state = {"joint_pos_target", "joint_vel_target", "joint_effort_target", "encoder_bias"}
+  set_points = ("joint_pos", "joint_vel", "joint_effort", "tendon_len", "tendon_vel", "tendon_effort")
+  set_points += ("site_pos", "site_vel", "site_effort")
+  state = {"encoder_bias", *(f"{name}_target" for name in set_points)}
   for entity_state in scene.state_dict()["entities"].values():
     assert set(entity_state["data"]) == state

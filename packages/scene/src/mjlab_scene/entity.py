@@ -9,6 +9,7 @@ import torch
 from mjlab_actuators import ActuatorSet
 from mjlab_core.masking import fill_, where_
 
+from mjlab_scene.actuator_columns import ActuatorColumns
 from mjlab_scene.collision import apply_collisions
 from mjlab_scene.element_names import KINDS, name_everything, spec_names
 from mjlab_scene.entity_cfg import EntityArticulationCfg, EntityCfg
@@ -60,7 +61,7 @@ class Entity(EntityNames, EntityWrites):
     self._wrapped = own_root is None or not (self.is_floating or own_root.mocap)
     apply_collisions(self.spec, cfg.collisions, owner)
     self.actuators = ActuatorSet(articulation.actuators, owner) if articulation.actuators else None
-    """What drives the joints; None if nothing is configured to."""
+    """What drives joints, tendons and sites; None if nothing is configured to."""
     if self.actuators is not None:
       self.actuators.edit_spec(self.spec)
       name_everything(self.spec)
@@ -79,8 +80,7 @@ class Entity(EntityNames, EntityWrites):
     self._data: EntityData | None = None
     self._sim: Simulation | None = None
     self._columns_of: dict[tuple[object, ...], tuple[object, Columns]] = {}
-    self._target_columns: tuple[torch.Tensor, torch.Tensor] | None = None
-    self._follows_targets_only = False
+    self._actuator_columns: ActuatorColumns | None = None
     self._written: tuple[int, bool] | None = None
 
   # Building
@@ -117,29 +117,9 @@ class Entity(EntityNames, EntityWrites):
     self._columns_of.clear()
     data = EntityData(sim, indexing, self.initial_state, self._soft_joint_pos_limit_factor)
     self._data = data
-    self._target_columns = None
     if self.actuators is not None:
-      names = indexing.names["joint"]
-      driven = [joint for joint, columns in enumerate(indexing.q_of_joint) if len(columns) == 1]
-      if not indexing.scalar_joints:
-        # Actuators know joints with one position; a ball joint's columns are left out of what they are given.
-        q, v = (
-          torch.tensor([ranges[joint][0] for joint in driven], dtype=torch.long, device=sim.device)
-          for ranges in (indexing.q_of_joint, indexing.v_of_joint)
-        )
-        self._target_columns = (q, v)
-      self.actuators.build(
-        sim.mj_model,
-        target_names=[names[joint] for joint in driven],
-        num_envs=sim.num_envs,
-        device=sim.device,
-        dtype=sim.dtype,
-        generator=rng,
-        prefix=self.prefix,
-        ctrl=sim.data.ctrl,
-      )
-      self._follows_targets_only = not self.actuators.needs_feedback and all(
-        group.delay is None for group in self.actuators.groups
+      self._actuator_columns = ActuatorColumns(
+        self.actuators, sim, indexing, data, self.initial_state, prefix=self.prefix, rng=rng
       )
     self._written = None
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
@@ -155,8 +135,8 @@ class Entity(EntityNames, EntityWrites):
     where_(data.joint_pos_target, mask, data.default_joint_pos)
     fill_(data.joint_vel_target, mask, 0.0)
     fill_(data.joint_effort_target, mask, 0.0)
-    if self.actuators is not None:
-      self.actuators.reset(mask, *self._targets())
+    if self._actuator_columns is not None:
+      self._actuator_columns.reset(mask)
     # The simulation's reset clears controls.
     self._written = None
 
@@ -176,36 +156,17 @@ class Entity(EntityNames, EntityWrites):
 
   def write_ctrl(self) -> None:
     """Turn set-points into controls; to be called exactly once before each substep."""
-    actuators = self.actuators
-    if actuators is None:
+    columns = self._actuator_columns
+    if columns is None:
       return
-    data = self.data
-    if self._follows_targets_only:
+    if columns.follows_set_points_only:
       # Servos inside MuJoCo hold their set-point: within a decimation there is nothing to write twice.
-      versions = data.joint_pos_target._version + data.joint_vel_target._version + data.joint_effort_target._version
       # The first substep of a recording writes whatever was written before it: each replay starts from new set-points.
-      written = (versions, self.sim.is_capturing)
+      written = (columns.version, self.sim.is_capturing)
       if written == self._written:
         return
       self._written = written
-      actuators.compute(*self._targets(), data.joint_pos_target, data.joint_vel_target)
-      return
-    position, velocity = data.joint_pos, data.joint_vel
-    if self._target_columns is not None:
-      position = position.index_select(1, self._target_columns[0])
-      velocity = velocity.index_select(1, self._target_columns[1])
-    actuators.compute(*self._targets(), position, velocity)
-
-  def _targets(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    data = self.data
-    if self._target_columns is None:
-      return data.joint_pos_target, data.joint_vel_target, data.joint_effort_target
-    q, v = self._target_columns
-    return (
-      data.joint_pos_target.index_select(1, q),
-      data.joint_vel_target.index_select(1, v),
-      data.joint_effort_target.index_select(1, v),
-    )
+    columns.compute()
 
   # What it is
 
@@ -253,7 +214,7 @@ class Entity(EntityNames, EntityWrites):
 
   @property
   def is_actuated(self) -> bool:
-    """Whether actuators are configured to drive its joints."""
+    """Whether actuators are configured to drive its joints, tendons or sites."""
     return self.actuators is not None
 
   def _selections(self) -> dict[tuple[object, ...], tuple[object, Columns]]:

@@ -41,10 +41,10 @@ class InitialStateCfg:
 
 @dataclass(kw_only=True)
 class EntityArticulationCfg:
-  """How the joints of an entity are driven and limited."""
+  """How an entity is driven and its joints are limited."""
 
   actuators: tuple[ActuatorCfg, ...] = ()
-  """Actuator groups; a joint is driven by at most one of them."""
+  """Actuator groups; a joint, tendon or site is driven by at most one of them."""
   soft_joint_pos_limit_factor: float = 1.0
   """Soft position limits span this fraction of the joint's range about its middle, in (0, 1]."""
 

@@ -49,6 +49,18 @@ class EntityData(RootQuantities, FrameQuantities):
   """Velocity set-points of the joints, (num_envs, num_joint_vel) [rad/s or m/s]."""
   joint_effort_target: torch.Tensor
   """Effort set-points of the joints, (num_envs, num_joint_vel) [N m or N]."""
+  tendon_len_target: torch.Tensor
+  """Length set-points of the tendons, (num_envs, num_tendons) [m or rad]."""
+  tendon_vel_target: torch.Tensor
+  """Velocity set-points of the tendons, (num_envs, num_tendons) [m/s or rad/s]."""
+  tendon_effort_target: torch.Tensor
+  """Effort set-points along the tendons, (num_envs, num_tendons) [N or N m]."""
+  site_pos_target: torch.Tensor
+  """Position set-points of the sites from their reference site, along the gear, (num_envs, num_sites) [m or rad]."""
+  site_vel_target: torch.Tensor
+  """Velocity set-points of the sites along the gear, (num_envs, num_sites) [m/s or rad/s]."""
+  site_effort_target: torch.Tensor
+  """Effort set-points of the sites, times the gear their wrench, (num_envs, num_sites) [N or N m]."""
   encoder_bias: torch.Tensor
   """What the encoders add to each joint position, (num_envs, num_joint_pos) [rad or m]."""
   default_root_state: torch.Tensor
@@ -89,6 +101,11 @@ class EntityData(RootQuantities, FrameQuantities):
     self.joint_pos_target = self.default_joint_pos.repeat(sim.num_envs, 1)
     self.joint_vel_target = torch.zeros((sim.num_envs, num_v), dtype=sim.dtype, device=sim.device)
     self.joint_effort_target = torch.zeros_like(self.joint_vel_target)
+    num_tendons, num_sites = len(indexing.names["tendon"]), len(indexing.names["site"])
+    for kind, width, position in (("tendon", num_tendons, "len"), ("site", num_sites, "pos")):
+      for quantity in (position, "vel", "effort"):
+        zeros = torch.zeros((sim.num_envs, width), dtype=sim.dtype, device=sim.device)
+        setattr(self, f"{kind}_{quantity}_target", zeros)
     self.encoder_bias = torch.zeros_like(self.joint_pos_target)
 
   # Joints, tendons and actuators

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import torch
+from mjlab_actuators import ActuatorSet
 from mjlab_core.masking import where_
 from mjlab_core.rotations import quat_apply, quat_apply_inverse
 from mjlab_core.state import Stateful
@@ -47,6 +48,7 @@ class EntityWrites(Stateful):
   """
 
   name: str
+  actuators: ActuatorSet | None
 
   @property
   def data(self) -> EntityData:
@@ -173,6 +175,60 @@ class EntityWrites(Stateful):
     """Set effort set-points of joints, (num_envs, k) [N m or N]."""
     self._set_target(self.data.joint_effort_target, "velocity", target, joint_ids, mask, "set_joint_effort_target")
 
+  # Tendons and sites
+
+  def set_tendon_len_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set length set-points of tendons, (num_envs, k) [m or rad]."""
+    self._set_other("tendon", self.data.tendon_len_target, target, tendon_ids, mask, "set_tendon_len_target")
+
+  def set_tendon_vel_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set velocity set-points of tendons, (num_envs, k) [m/s or rad/s]."""
+    self._set_other("tendon", self.data.tendon_vel_target, target, tendon_ids, mask, "set_tendon_vel_target")
+
+  def set_tendon_effort_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set effort set-points along tendons, (num_envs, k) [N or N m]."""
+    self._set_other("tendon", self.data.tendon_effort_target, target, tendon_ids, mask, "set_tendon_effort_target")
+
+  def set_site_pos_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set position set-points of sites from their reference site along their gear, (num_envs, k) [m or rad]."""
+    self._set_other("site", self.data.site_pos_target, target, site_ids, mask, "set_site_pos_target")
+
+  def set_site_vel_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set velocity set-points of sites along their gear, (num_envs, k) [m/s or rad/s]."""
+    self._set_other("site", self.data.site_vel_target, target, site_ids, mask, "set_site_vel_target")
+
+  def set_site_effort_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set effort set-points of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
+    self._set_other("site", self.data.site_effort_target, target, site_ids, mask, "set_site_effort_target")
+
+  def _set_other(
+    self,
+    kind: Literal["tendon", "site"],
+    buffer: torch.Tensor,
+    target: torch.Tensor,
+    ids: Selection,
+    mask: torch.Tensor | None,
+    what: str,
+  ) -> None:
+    driven = () if self.actuators is None else self.actuators.driven(kind)
+    if not driven:
+      raise ValueError(f"entity '{self.name}': {what}: no actuator config drives a {kind} of it")
+    columns = self._rows(kind, ids, what)
+    target = self._checked(target, (columns.count,), what)
+    _write_columns(buffer, columns.local, mask, target)
+
   def _set_target(
     self,
     buffer: torch.Tensor,
@@ -199,7 +255,7 @@ class EntityWrites(Stateful):
 
     They act in every substep until they are overwritten or the world is reset.
     """
-    rows = self._body_rows(body_ids)
+    rows = self._rows("body", body_ids, "write_external_wrench")
     forces = self._checked(forces, (rows.count, 3), "write_external_wrench, forces")
     torques = self._checked(torques, (rows.count, 3), "write_external_wrench, torques")
     wrench = torch.cat(torch.broadcast_tensors(forces, torques), dim=-1)
@@ -235,16 +291,9 @@ class EntityWrites(Stateful):
 
     return self._resolve(kind, joint_ids, len(ranges), resolve, what)
 
-  def _body_rows(self, body_ids: Selection) -> Columns:
-    state = self.indexing.index["body"]
-    count = len(self.indexing.names["body"])
-    return self._resolve(
-      "body",
-      body_ids,
-      count,
-      lambda rows: _columns(rows, state, (), self.sim.device),
-      "write_external_wrench",
-    )
+  def _rows(self, kind: str, ids: Selection, what: str) -> Columns:
+    state, count = self.indexing.index[kind], len(self.indexing.names[kind])
+    return self._resolve(kind, ids, count, lambda rows: _columns(rows, state, (), self.sim.device), what)
 
   def _resolve(
     self, kind: str, selection: Selection, count: int, resolve: Callable[[list[int]], Columns], what: str

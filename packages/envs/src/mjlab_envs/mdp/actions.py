@@ -70,7 +70,7 @@ class JointAction(ActionTerm):
     super().__init__(cfg, env)
     self._entity = env.scene[cfg.entity]
     owner = f"entity '{cfg.entity}'"
-    driven = () if self._entity.actuators is None else self._entity.actuators.ctrl_targets
+    driven = () if self._entity.actuators is None else self._entity.actuators.driven("joint")
     actuated = [name for name in self._entity.joint_names if name in driven]
     _, self.joint_names = match_names(
       cfg.actuators, actuated, what="actuated joint", owner=owner, preserve_order=cfg.preserve_order
