@@ -1,6 +1,7 @@
 """Actuator models for batched MuJoCo: native servos, PD laws, motors, networks, wrapped MJCF, delay."""
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, DelaySettings, PerTarget, fuse
+from mjlab_actuators.actuator import Actuator, ActuatorGroup, DelaySettings, fuse
+from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.actuator_set import ActuatorSet
 from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor

@@ -8,7 +8,8 @@ import torch
 from mjlab_core.names import NameMatchError
 from mjlab_core.state import Stateful
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, fuse
+from mjlab_actuators.actuator import Actuator, ActuatorGroup, fuse
+from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.command import ActuatorCmd
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, acts_on, actuators_of, targets_of

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
-from mjlab_actuators.actuator import Actuator, PerTarget
+from mjlab_actuators.actuator import Actuator
+from mjlab_actuators.actuator_cfg import PerTarget
 from mjlab_actuators.command import ActuatorCmd
 from mjlab_actuators.ideal_pd import Pd, PdActuatorCfg
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget, is_zero
+from mjlab_actuators.actuator import Actuator, ActuatorGroup
+from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget, is_zero
 from mjlab_actuators.command import ActuatorCmd
 
 

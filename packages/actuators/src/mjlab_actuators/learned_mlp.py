@@ -14,7 +14,8 @@ import torch
 from mjlab_core.buffers import HistoryBuffer
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup, PerTarget
+from mjlab_actuators.actuator import Actuator, ActuatorGroup
+from mjlab_actuators.actuator_cfg import PerTarget
 from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.dc_motor import clip_to_dc_motor
 from mjlab_actuators.ideal_pd import TorqueActuatorCfg

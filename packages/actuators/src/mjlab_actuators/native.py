@@ -8,7 +8,8 @@ from typing import ClassVar
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget, is_zero
+from mjlab_actuators.actuator import Actuator
+from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget, is_zero
 from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.transmission import Target, limit_force, range_of
 

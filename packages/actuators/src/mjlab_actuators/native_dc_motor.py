@@ -8,7 +8,8 @@ from typing import Literal
 import mujoco
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup, PerTarget
+from mjlab_actuators.actuator import Actuator, ActuatorGroup
+from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.command import COMMAND_FIELDS, CommandField
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import limit_force

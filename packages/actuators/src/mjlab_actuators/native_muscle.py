@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import mujoco
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, PerTarget
+from mjlab_actuators.actuator import Actuator
+from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.command import CommandField
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, range_of

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import mujoco
 from mjlab_core.names import match_names
 
-from mjlab_actuators.actuator import Actuator, ActuatorCfg, ActuatorGroup
+from mjlab_actuators.actuator import Actuator, ActuatorGroup
+from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.command import CommandField
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission, actuators_of, targets_of
