@@ -253,3 +253,24 @@ def test_inverted_ranges_are_refused_by_name() -> None:
 def test_stages_that_do_not_follow_each_other_from_the_start_are_refused() -> None:
   for steps in ((), (1,), (0, 5, 5)):
     assert f"got steps {list(steps)}" in refused([VelocityStage(step=step) for step in steps])
+
+
+def test_a_command_given_by_hand_holds_in_its_world_until_it_is_taken_back() -> None:
+  env = make_env(2)
+  env.reset()
+  command = twist(env)
+  own = follow(env)
+  command.steer(1, (0.5, -0.25, 0.125))
+  np.testing.assert_array_equal(follow(env), [own[0], [0.5, -0.25, 0.125]])
+  env.command_manager.reset(torch.ones(2, dtype=torch.bool))
+  np.testing.assert_array_equal(follow(env)[1], [0.5, -0.25, 0.125])
+  assert command.speed[1] == pytest.approx(np.hypot(0.5, 0.25) + 0.125)
+  command.steer(1, None)
+  assert (follow(env)[1] != [0.5, -0.25, 0.125]).all()
+
+
+def test_the_axes_of_the_command_are_its_ranges() -> None:
+  env = make_env(1)
+  names, lower, upper = zip(*twist(env).axes, strict=True)
+  assert len(names) == 3
+  np.testing.assert_allclose([lower, upper], twist(env).ranges[:3].T)

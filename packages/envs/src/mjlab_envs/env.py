@@ -8,7 +8,9 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from mjlab_core import DebugDraw
 from mjlab_core.seeding import draw_seed, make_generator
 from mjlab_core.state import StateError, Stateful
 from mjlab_managers import (
@@ -28,6 +30,7 @@ from mjlab_managers import (
 from mjlab_scene import Scene
 from mjlab_sim import NanGuard, Simulation
 
+from mjlab_envs import viewing
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
 from mjlab_envs.worlds import select_worlds
@@ -46,6 +49,7 @@ class ManagerBasedRlEnv:
   Args:
     cfg: What the environment is made of; copied.
     device: "cpu", "cuda[:i]", or "auto" for a GPU if there is one.
+    render_mode: "rgb_array", for `render`, or None. It may be set later, too.
 
   Raises:
     ConfigError: everything that is wrong with `cfg`, by name.
@@ -53,10 +57,13 @@ class ManagerBasedRlEnv:
 
   is_vector_env = True
 
-  def __init__(self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto") -> None:
+  def __init__(
+    self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto", render_mode: str | None = None
+  ) -> None:
     self.cfg = copy.deepcopy(cfg)
     if problems := self.cfg.problems():
       raise ConfigError("env", problems)
+    self.render_mode = render_mode
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
     self.seed: int = draw_seed() if self.cfg.seed is None else self.cfg.seed
@@ -73,8 +80,12 @@ class ManagerBasedRlEnv:
     # A length that is a whole number of steps must not gain one by rounding.
     self.max_episode_length = math.ceil(self.max_episode_length_s / self.step_dt - 1e-9)
     autoreset = "SameStep" if self.cfg.auto_reset else "Disabled"
-    self.metadata: dict[str, Any] = {"render_modes": [], "render_fps": 1.0 / self.step_dt, "autoreset_mode": autoreset}
-    self.render_mode: str | None = None
+    self.metadata: dict[str, Any] = {
+      "render_modes": list(viewing.RENDER_MODES),
+      "render_fps": 1.0 / self.step_dt,
+      "autoreset_mode": autoreset,
+    }
+    self._camera: viewing.Camera | None = None
 
     n, device = self.num_envs, self.device
     self.episode_length_buf = torch.zeros(n, dtype=torch.int64, device=device)
@@ -289,11 +300,53 @@ class ManagerBasedRlEnv:
     """Release recorders, threads and graphs. Calling it again does nothing."""
     if not self._closed:
       self._closed = True
+      if self._camera is not None:
+        self._camera.close()
       try:
         self.recorder_manager.close()
         self._warn_of_divergence()
       finally:
         self.sim.close()
+
+  @property
+  def render_mode(self) -> str | None:
+    """What `render` returns: "rgb_array", or nothing."""
+    return self._render_mode
+
+  @render_mode.setter
+  def render_mode(self, mode: str | None) -> None:
+    if mode is not None and mode not in viewing.RENDER_MODES:
+      raise ValueError(f"render_mode '{mode}' does not exist; there is {', '.join(viewing.RENDER_MODES)} (and None)")
+    self._render_mode = mode
+
+  def render(self) -> np.ndarray | None:
+    """A picture of the first worlds, side by side, each followed by its camera: (height, width, 3) uint8.
+
+    None where `render_mode` is None. Nothing of the simulation is changed.
+
+    Raises:
+      RuntimeError: mjlab-viewer is not installed, or OpenGL does not work here; the message says what is missing.
+    """
+    self._check_open()
+    if self.render_mode is None:
+      return None
+    if self._camera is None:
+      self._camera = viewing.Camera(self)
+    return self._camera.picture()
+
+  # What viewers ask for
+
+  def signals(self) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
+    """Names and live values, (num_envs, k), of what can be plotted, by group: "rewards", observations, commands."""
+    return viewing.signals(self)
+
+  def drawers(self) -> dict[str, Callable[[DebugDraw], None]]:
+    """Who draws over pictures: the `debug_draw` of commands and sensors that have one, by name."""
+    return viewing.drawers(self)
+
+  def steering(self) -> dict[str, Any]:
+    """Commands that can be given by hand, by name: those that have `axes` and `steer(world, values)`."""
+    return viewing.steering(self)
 
   def __enter__(self) -> "ManagerBasedRlEnv":
     return self

@@ -28,7 +28,7 @@ class CommandTermCfg(ABC):
   resampling_time_range: tuple[float, float]
   """Shortest and longest time between two draws [s]."""
   debug_vis: bool = False
-  """Whether viewers draw the command."""
+  """Whether viewers draw the command at first, which its term does if it has `debug_draw(draw)`."""
 
   @abstractmethod
   def build(self, env: Any) -> CommandTerm:

@@ -1,13 +1,15 @@
 """The velocity command: what forward, sideways and turning speed the robot is to walk at."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
+from mjlab_core import DebugDraw
 from mjlab_core.frames import heading
 from mjlab_core.masking import fill_, where_
-from mjlab_core.rotations import quat_apply_inverse, wrap_to_pi
+from mjlab_core.rotations import quat_apply, quat_apply_inverse, quat_yaw, wrap_to_pi
 from mjlab_core.sampling import check_range
 from mjlab_managers import CommandTerm, CommandTermCfg
 
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
 Range = tuple[float, float]
+
+# Arrows in viewers
+ARROW_HEIGHT = 0.25  # above the root [m]
+ARROW_SCALE = 0.4  # [m per m/s]
 
 
 @dataclass(kw_only=True)
@@ -40,6 +46,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
 
   entity: str = "robot"
   resampling_time_range: Range = (3.0, 8.0)
+  debug_vis: bool = True
   ranges: VelocityRanges = field(default_factory=VelocityRanges)
   standing_fraction: float = 0.1
   """Share of draws whose command is zero."""
@@ -59,7 +66,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
 class UniformVelocityCommand(CommandTerm):
   """See `UniformVelocityCommandCfg`. Works on state alone, so that following it costs no forward pass."""
 
-  _constants = frozenset({"_shares"})
+  _constants = frozenset({"_shares", "_by_hand", "_is_steered"})
   _extra_state = ("ranges",)
   cfg: UniformVelocityCommandCfg
 
@@ -83,6 +90,10 @@ class UniformVelocityCommand(CommandTerm):
     self._stands = torch.zeros(n, dtype=torch.bool, device=device)
     self._holds_heading = torch.zeros(n, dtype=torch.bool, device=device)
     self._steps = torch.zeros(n, device=device)
+    self._by_hand = torch.zeros(n, 3, device=device)
+    self._is_steered = torch.zeros(n, dtype=torch.bool, device=device)
+    # Only once somebody steers is it part of a step.
+    self._may_be_steered = False
     self._shares = torch.tensor([[cfg.standing_fraction, cfg.heading_fraction, cfg.forward_fraction]], device=device)
     self.metrics["error_vel_xy"] = torch.zeros(n, device=device)
     self.metrics["error_vel_yaw"] = torch.zeros(n, device=device)
@@ -116,7 +127,37 @@ class UniformVelocityCommand(CommandTerm):
     command.copy_(self._drawn)
     where_(command[:, 2], self._holds_heading, turn.to(command.dtype))
     fill_(command, self._stands, 0.0)
+    if self._may_be_steered:
+      where_(command, self._is_steered, self._by_hand)
     torch.add(torch.linalg.vector_norm(command[:, :2], dim=-1), command[:, 2].abs(), out=self._speed)
+
+  @property
+  def axes(self) -> list[tuple[str, float, float]]:
+    """Name, least and greatest value of each component of the command."""
+    ranges = self.ranges.tolist()
+    names = ("forward [m/s]", "left [m/s]", "turn left [rad/s]")
+    return [(name, *limits) for name, limits in zip(names, ranges, strict=False)]
+
+  def steer(self, world: int, values: Sequence[float] | None) -> None:
+    """Give one world this command, in place of those drawn, until it is taken back with None; on the host."""
+    if not self._may_be_steered:
+      self._may_be_steered = True
+      self.env.request_recapture(f"command '{self.name}' is given by hand")
+    self._is_steered[world] = values is not None
+    if values is not None:
+      self._by_hand[world] = torch.tensor(values, device=self.device)
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Above each robot an arrow for the velocity it is to have, green, and one for that it has, blue; 0.4 m per m/s."""
+    worlds = torch.tensor(draw.worlds, device=self.device)
+    data = self._robot.data
+    start = data.root_link_pos_w[worlds].clone()
+    start[:, 2] += ARROW_HEIGHT
+    turn = quat_yaw(data.root_link_quat_w[worlds])
+    wanted = torch.nn.functional.pad(self._command[worlds, :2], (0, 1)).to(start.dtype)
+    actual = torch.nn.functional.pad(data.root_link_lin_vel_w[worlds, :2], (0, 1))
+    draw.arrows(start, start + ARROW_SCALE * quat_apply(turn, wanted), (0.2, 0.7, 0.3, 1.0), 0.012)
+    draw.arrows(start, start + ARROW_SCALE * actual, (0.2, 0.4, 0.9, 1.0), 0.012)
 
   def update_metrics(self) -> None:
     """Running means over the episode of |v_xy error| [m/s] and |w_z error| [rad/s]; the reset step does not count."""

@@ -1,0 +1,132 @@
+"""Pictures without a window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from mjlab_viewer.camera import CameraCfg
+from mjlab_viewer.errors import ViewerError
+from mjlab_viewer.host_world import HostWorld
+from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms
+from mjlab_viewer.opengl import make_context
+from mjlab_viewer.snapshot import Snapshot
+
+
+@dataclass(kw_only=True, frozen=True)
+class PictureCfg:
+  """What pictures look like."""
+
+  width: int = 640
+  """[px]"""
+  height: int = 480
+  """[px]"""
+  camera: CameraCfg = field(default_factory=CameraCfg)
+  contacts: bool = False
+  """Draw contact points and forces."""
+  shadows: bool = True
+  geom_groups: tuple[bool, ...] = (True, True, True, False, False, False)
+  """Which of MuJoCo's geom groups are drawn."""
+
+
+class OffscreenRenderer:
+  """Renders snapshots: every world is a tile of the picture, and its camera follows its robot.
+
+  It belongs to the thread that made it.
+
+  Args:
+    model: The simulation's model; copied.
+    cfg: What pictures look like.
+
+  Raises:
+    RenderingError: OpenGL does not work here.
+    ViewerError: a size or camera that cannot be.
+  """
+
+  def __init__(self, model: mujoco.MjModel, cfg: PictureCfg | None = None) -> None:
+    self.cfg = PictureCfg() if cfg is None else cfg
+    if self.cfg.width < 1 or self.cfg.height < 1:
+      raise ViewerError(f"a picture must have pixels, got {self.cfg.width} x {self.cfg.height}")
+    self._world = HostWorld(model)
+    model = self._world.model
+    model.vis.global_.offwidth, model.vis.global_.offheight = self.cfg.width, self.cfg.height
+    # Sharper shadows than these cannot be seen in a film, and without a GPU they take most of the time.
+    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
+    self._view = self.cfg.camera.resolve(model)
+    self._camera = mujoco.MjvCamera()
+    self._options = mujoco.MjvOption()
+    self._options.geomgroup[:] = self.cfg.geom_groups
+    for flag in (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE):
+      self._options.flags[flag] = self.cfg.contacts
+    self._scene = self._new_scene(model.ngeom + 512)
+    self._gl = make_context(self.cfg.width, self.cfg.height)
+    self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+
+  def render(self, snapshot: Snapshot) -> np.ndarray:
+    """The worlds of a snapshot side by side, (height, width, 3) uint8."""
+    if self._context is None:
+      raise ViewerError("this renderer is closed")
+    self._gl.make_current()
+    for row, rectangle in enumerate(tiles(len(snapshot.worlds), self.cfg.width, self.cfg.height)):
+      self._world.load(snapshot, row)
+      self._update_scene(snapshot, row)
+      mujoco.mjr_render(mujoco.MjrRect(*rectangle), self._scene, self._context)
+    pixels = np.empty((self.cfg.height, self.cfg.width, 3), dtype=np.uint8)
+    mujoco.mjr_readPixels(pixels, None, mujoco.MjrRect(0, 0, self.cfg.width, self.cfg.height), self._context)
+    return np.flipud(pixels).copy()
+
+  def close(self) -> None:
+    """Free what OpenGL holds. Calling it again does nothing."""
+    if self._context is not None:
+      self._gl.make_current()
+      self._context.free()
+      self._context = None
+      self._gl.free()
+
+  def __enter__(self) -> OffscreenRenderer:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self.close()
+
+  def _new_scene(self, maxgeom: int) -> mujoco.MjvScene:
+    scene = mujoco.MjvScene(self._world.model, maxgeom=maxgeom)
+    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.cfg.shadows
+    scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+    return scene
+
+  def _update_scene(self, snapshot: Snapshot, row: int) -> None:
+    world = self._world
+    self._view.aim(self._camera, self._view.target(world.data.xpos))
+    drawing = snapshot.drawings[row if len(snapshot.drawings) > 1 else 0]
+    extra = count_geoms(drawing)
+    while True:
+      mujoco.mjv_updateScene(
+        world.model, world.data, self._options, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+      )
+      wanted = self._scene.ngeom + extra
+      if wanted <= self._scene.maxgeom and not self._scene.status:
+        break
+      self._scene = self._new_scene(2 * max(wanted, self._scene.maxgeom))
+    add_to_scene(self._scene, world.model, drawing)
+
+
+def tiles(count: int, width: int, height: int) -> list[tuple[int, int, int, int]]:
+  """Rectangles (left, bottom, width, height) [px] of `count` equal tiles in rows from the top left."""
+  columns = math.ceil(math.sqrt(count))
+  rows = math.ceil(count / columns)
+  lefts = [width * i // columns for i in range(columns + 1)]
+  tops = [height - height * i // rows for i in range(rows + 1)]
+  return [
+    (
+      lefts[i % columns],
+      tops[i // columns + 1],
+      lefts[i % columns + 1] - lefts[i % columns],
+      tops[i // columns] - tops[i // columns + 1],
+    )
+    for i in range(count)
+  ]

@@ -1,0 +1,119 @@
+"""Copies of a few worlds on the host: all that viewers look at."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from mjlab_viewer.draw_list import DrawList
+from mjlab_viewer.worlds import ViewedEnv
+
+# What MuJoCo needs to compute everything else, and the poses that are drawn.
+_FIELDS = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active
+xpos xquat""".split()
+
+
+@dataclass(kw_only=True)
+class Snapshot:
+  """Some worlds at one moment."""
+
+  worlds: tuple[int, ...]
+  """Which; the first one is selected."""
+  data: dict[str, np.ndarray]
+  """Fields of MjData, (len(worlds), ...)."""
+  model: dict[str, np.ndarray]
+  """Fields of MjModel that have one value per world, (len(worlds), ...)."""
+  signals: dict[str, np.ndarray]
+  """Numbers of the selected world by group, (k,)."""
+  drawings: list[DrawList]
+  """What was drawn: one for all worlds, or one for each."""
+  step: int = 0
+  """Steps done when it was taken."""
+
+
+@dataclass
+class _Layout:
+  """How rows of one kind lie in the packed transfer."""
+
+  names: list[str] = field(default_factory=list)
+  rows: list[torch.Tensor] = field(default_factory=list)
+
+  def add(self, name: str, values: torch.Tensor) -> None:
+    self.names.append(name)
+    self.rows.append(values)
+
+
+class SnapshotTaker:
+  """Takes snapshots of an environment. Its cost grows with the worlds asked for, not with those there are.
+
+  All values of a snapshot come to the host in one transfer. Nothing of the environment is written to.
+  """
+
+  def __init__(self, env: ViewedEnv) -> None:
+    self._env = env
+    self._indices: dict[tuple[int, ...], torch.Tensor] = {}
+    data = env.sim.data
+    self._fields = {name: value for name in _FIELDS if (value := getattr(data, name)).numel()}
+
+  def take(self, worlds: Sequence[int], *, drawers: Sequence[str] = (), apart: bool = False, step: int = 0) -> Snapshot:
+    """Copy some worlds.
+
+    Args:
+      worlds: Which, the selected one first.
+      drawers: Names of those who draw.
+      apart: Draw over each world by itself, for pictures that show one world each.
+      step: Steps done, to be kept with it.
+    """
+    env, worlds = self._env, tuple(worlds)
+    chosen = self._indices.get(worlds)
+    if chosen is None:
+      # Few sets of worlds are ever looked at; a copy of the indices each time would be one more transfer.
+      self._indices = {worlds: torch.tensor(worlds, device=env.sim.device)}
+      chosen = self._indices[worlds]
+    selected = chosen[:1]
+    data, model, signals = _Layout(), _Layout(), _Layout()
+    # Read by name: whoever reads derived fields gets them fresh.
+    for name in self._fields:
+      data.add(name, getattr(env.sim.data, name).index_select(0, chosen))
+    for name in env.sim.expanded_fields:
+      model.add(name, env.sim.model[name].index_select(0, chosen))
+    for name, (_, values) in env.signals().items():
+      signals.add(name, values.index_select(0, selected)[0])
+    drawings = [DrawList((world,)) for world in worlds] if apart else [DrawList(worlds)]
+    if drawers:
+      known = env.drawers()
+      for drawing, name in itertools.product(drawings, drawers):
+        if name in known:
+          known[name](drawing)
+    layouts = (data, model, signals)
+    rows = [row for layout in layouts for row in layout.rows]
+    arrays = to_host(rows + [tensor for drawing in drawings for tensor in drawing.pending])
+    arrived = iter(arrays[len(rows) :])
+    for drawing in drawings:
+      drawing.finish(arrived)
+    named: list[dict[str, np.ndarray]] = []
+    start = 0
+    for layout in layouts:
+      stop = start + len(layout.names)
+      named.append(dict(zip(layout.names, arrays[start:stop], strict=True)))
+      start = stop
+    return Snapshot(worlds=worlds, data=named[0], model=named[1], signals=named[2], drawings=drawings, step=step)
+
+
+def to_host(tensors: Sequence[torch.Tensor]) -> list[np.ndarray]:
+  """Copies of tensors as arrays, brought over in one transfer where they are on a device."""
+  if not tensors:
+    return []
+  if all(tensor.device.type == "cpu" for tensor in tensors):
+    return [np.array(tensor.detach().numpy()) for tensor in tensors]
+  packed = torch.cat([tensor.detach().reshape(-1).double() for tensor in tensors]).cpu().numpy()
+  arrays, start = [], 0
+  for tensor in tensors:
+    stop = start + tensor.numel()
+    arrays.append(packed[start:stop].reshape(tensor.shape))
+    start = stop
+  return arrays

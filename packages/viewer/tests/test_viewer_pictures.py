@@ -1,0 +1,199 @@
+"""Pictures and films of worlds, without a screen."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_viewer import (
+  BackgroundVideo,
+  CameraCfg,
+  OffscreenRenderer,
+  PictureCfg,
+  RenderingError,
+  SnapshotTaker,
+  VideoFile,
+  ViewerError,
+)
+from mjlab_viewer.offscreen import tiles
+from viewer_env import BoxEnv
+
+SMALL = PictureCfg(width=96, height=72, shadows=False)
+
+
+def red(picture: np.ndarray) -> np.ndarray:
+  """Where the red box is, bool (height, width)."""
+  image = picture.astype(int)
+  return (image[..., 0] > 60) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+
+
+def middle(mask: np.ndarray) -> np.ndarray:
+  rows, columns = np.nonzero(mask)
+  return np.array([columns.mean() / mask.shape[1], rows.mean() / mask.shape[0]])
+
+
+def test_the_camera_follows_the_robot_wherever_it_is(opengl: None) -> None:
+  env = BoxEnv(4)
+  taker = SnapshotTaker(env)
+  with OffscreenRenderer(env.sim.mj_model, SMALL) as renderer:
+    for world in range(4):
+      picture = renderer.render(taker.take((world,)))
+      assert picture.shape == (72, 96, 3)
+      np.testing.assert_allclose(middle(red(picture)), [0.5, 0.5], atol=0.06)
+
+
+def test_every_world_has_a_tile_of_its_own(opengl: None) -> None:
+  env = BoxEnv(4)
+  with OffscreenRenderer(env.sim.mj_model, SMALL) as renderer:
+    picture = red(renderer.render(SnapshotTaker(env).take((0, 1, 2, 3))))
+  for rows in (slice(0, 36), slice(36, 72)):
+    for columns in (slice(0, 48), slice(48, 96)):
+      np.testing.assert_allclose(middle(picture[rows, columns]), [0.5, 0.5], atol=0.08)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 9])
+def test_tiles_fill_the_picture_in_reading_order_and_do_not_overlap(count: int) -> None:
+  painted = np.zeros((51, 67), dtype=int)
+  for number, (left, bottom, width, height) in enumerate(tiles(count, 67, 51), start=1):
+    assert painted[bottom : bottom + height, left : left + width].max() == 0
+    painted[bottom : bottom + height, left : left + width] = number
+  assert painted[-1, 0] == 1
+  assert painted.max() == count
+  assert (painted > 0).mean() >= count / (count + 2)
+
+
+def test_colours_sizes_and_meshes_of_each_world_are_shown(opengl: None) -> None:
+  env = BoxEnv(4)
+  model = env.sim.mj_model
+  box, ornament = model.geom("box").id, model.geom("ornament").id
+  env.sim.expand("geom_rgba")[1, box] = torch.tensor([0.1, 0.1, 0.9, 1.0])
+  env.sim.expand("geom_size")[2, box] *= 0.5
+  env.sim.expand("geom_dataid")[3, ornament] = model.mesh("spike").id
+  taker = SnapshotTaker(env)
+  with OffscreenRenderer(model, SMALL) as renderer:
+    first, second, third, fourth = (renderer.render(taker.take((world,))).astype(int) for world in range(4))
+    again = renderer.render(taker.take((0,)))
+  assert red(first).sum() > 100
+  assert red(second).sum() == 0
+  assert ((second[..., 2] > 60) & (second[..., 2] > 2 * second[..., 0])).sum() > 100
+  assert 0 < red(third).sum() < 0.5 * red(first).sum()
+  wedge, spike = ((image[..., 1] > 30 + image[..., 0]).sum() for image in (first, fourth))
+  assert 0 < spike < 0.7 * wedge
+  np.testing.assert_array_equal(again, first)
+
+
+def test_contacts_are_those_that_mujoco_computes_for_the_very_state(opengl: None) -> None:
+  env = BoxEnv(1)
+  for _ in range(60):
+    env.step(torch.zeros(1, 1))
+  cfg = PictureCfg(width=96, height=72, shadows=False, contacts=True)
+  snapshot = SnapshotTaker(env).take((0,))
+  with OffscreenRenderer(env.sim.mj_model, cfg) as renderer:
+    renderer.render(snapshot)
+    ours, theirs = renderer._world.data, env.sim.datas[0]
+    assert ours.ncon == theirs.ncon > 0
+    np.testing.assert_array_equal(ours.contact.pos, theirs.contact.pos)
+    force, expected = np.zeros(6), np.zeros(6)
+    for contact in range(ours.ncon):
+      mujoco.mj_contactForce(renderer._world.model, ours, contact, force)
+      mujoco.mj_contactForce(env.sim.mj_model, theirs, contact, expected)
+      np.testing.assert_allclose(force, expected, rtol=1e-6, atol=1e-6)
+    kinds = [geom.type for geom in renderer._scene.geoms[: renderer._scene.ngeom]]
+  assert kinds.count(mujoco.mjtGeom.mjGEOM_ARROW) == theirs.ncon
+
+
+def test_looking_leaves_the_model_as_it_was(opengl: None) -> None:
+  env = BoxEnv(2)
+  env.sim.expand("geom_rgba")[1] = 0.5
+  before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
+  mujoco.mj_saveModel(env.sim.mj_model, None, before)
+  with OffscreenRenderer(env.sim.mj_model, SMALL) as renderer:
+    renderer.render(SnapshotTaker(env).take((1, 0), drawers=("command speed",)))
+  after = np.zeros_like(before)
+  mujoco.mj_saveModel(env.sim.mj_model, None, after)
+  np.testing.assert_array_equal(before, after)
+
+
+def test_a_body_that_does_not_exist_is_refused_by_name() -> None:
+  with pytest.raises(ViewerError, match=r"body 'leg' does not exist; the model has: box"):
+    OffscreenRenderer(BoxEnv(1).sim.mj_model, PictureCfg(camera=CameraCfg(body="leg")))
+
+
+def frames(path: Path) -> list[np.ndarray]:
+  with av.open(str(path)) as container:
+    assert container.streams.video[0].average_rate == 50
+    return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_a_video_holds_the_frames_given_and_appears_only_when_whole(tmp_path: Path) -> None:
+  path = tmp_path / "new" / "film.mp4"
+  video = VideoFile(path, 50)
+  for level in (40, 120, 200):
+    video.add(np.full((49, 65, 3), level, dtype=np.uint8))
+    assert not path.exists()
+  video.close()
+  levels = [frame.mean() for frame in frames(path)]
+  np.testing.assert_allclose(levels, [40, 120, 200], atol=4)
+  assert frames(path)[0].shape == (48, 64, 3)
+  assert [file.name for file in path.parent.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize("name", ["film.avi", "film"])
+def test_a_video_of_another_kind_is_refused(name: str, tmp_path: Path) -> None:
+  with pytest.raises(ViewerError, match=r"films are written as \.mp4"):
+    VideoFile(tmp_path / name, 50)
+
+
+def test_a_film_made_in_the_background_shows_every_step(opengl: None, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  taker = SnapshotTaker(env)
+  video = BackgroundVideo(tmp_path / "film.mp4", 50, env.sim.mj_model, SMALL, wait=True)
+  for _ in range(40):
+    env.step(torch.zeros(1, 1))
+    video.add(taker.take((0,)))
+  assert video.close() == tmp_path / "film.mp4"
+  assert len(frames(tmp_path / "film.mp4")) == 40
+  assert video.num_dropped == 0
+
+
+def test_without_opengl_a_film_fails_in_one_line_and_nothing_else_does(
+  monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+  monkeypatch.setenv("MUJOCO_GL", "disabled")
+  env = BoxEnv(1)
+  errors: list[Exception] = []
+  video = BackgroundVideo(tmp_path / "film.mp4", 50, env.sim.mj_model, wait=True, on_error=errors.append)
+  snapshot = SnapshotTaker(env).take((0,))
+  for _ in range(100):
+    video.add(snapshot)
+  assert video.close() is None
+  (error,) = errors
+  assert isinstance(error, RenderingError)
+  assert "\n" not in str(error)
+  assert list(tmp_path.iterdir()) == []
+
+
+def test_torchs_compiler_can_be_loaded_after_a_picture(opengl: None) -> None:
+  code = (
+    "import mujoco; from mjlab_viewer import OffscreenRenderer\n"
+    "OffscreenRenderer(mujoco.MjModel.from_xml_string('<mujoco/>')).close()\n"
+    "import torch._dynamo"
+  )
+  subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() -> None:
+  code = (
+    "import os, ctypes.util; os.environ.pop('MUJOCO_GL', None); os.environ.pop('DISPLAY', None)\n"
+    "ctypes.util.find_library = lambda name: None\n"
+    "from mjlab_viewer.opengl import make_context\n"
+    "try: make_context(8, 8)\n"
+    "except RuntimeError as error: print(error)"
+  )
+  told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+  assert "neither EGL nor OSMesa is installed" in told
+  assert told.count("\n") == 1

@@ -1,0 +1,115 @@
+"""Whoever watches an environment leaves it as it is; every task can be drawn."""
+
+import mjlab
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab.making import make
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_viewer import RenderingError, SnapshotTaker
+
+TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
+
+
+def seeded_env() -> ManagerBasedRlEnv:
+  cfg = mjlab.load_task(TASK).env
+  cfg.seed, cfg.scene.num_envs = 0, 6
+  env = ManagerBasedRlEnv(cfg, device="cpu")
+  env.reset()
+  return env
+
+
+def rollout(env: ManagerBasedRlEnv, steps: int) -> list[torch.Tensor]:
+  generator = torch.Generator().manual_seed(3)
+  seen: list[torch.Tensor] = []
+  for _ in range(steps):
+    action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=generator)
+    observations, reward, terminated, _, _ = env.step(action)
+    seen += [value for value in observations.values() if isinstance(value, torch.Tensor)] + [reward, terminated]
+  return [*seen, *(value for _, value in sorted(env.sim.state_dict()["data"].items()))]
+
+
+def packed(model: mujoco.MjModel) -> np.ndarray:
+  buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+  mujoco.mj_saveModel(model, None, buffer)
+  return buffer
+
+
+def test_a_watched_rollout_is_the_unwatched_one_bit_for_bit() -> None:
+  with seeded_env() as env:
+    alone = rollout(env, 25)
+  with seeded_env() as env:
+    before = packed(env.sim.mj_model)
+    taker = SnapshotTaker(env)
+    step = env.step
+
+    def watched_step(action: torch.Tensor):
+      taker.take((4, 1), drawers=tuple(env.drawers()))
+      returned = step(action)
+      taker.take((2,), drawers=tuple(env.drawers()), apart=True)
+      return returned
+
+    env.step = watched_step
+    watched = rollout(env, 25)
+    np.testing.assert_array_equal(packed(env.sim.mj_model), before)
+  assert all(torch.equal(a, b) for a, b in zip(alone, watched, strict=True))
+
+
+def test_a_snapshot_holds_the_chosen_worlds_and_the_numbers_of_the_first() -> None:
+  with make(TASK, num_envs=6, device="cpu") as env:
+    env.reset(seed=0)
+    rollout(env, 3)
+    snapshot = SnapshotTaker(env).take((4, 1), drawers=tuple(env.drawers()), step=3)
+    np.testing.assert_array_equal(snapshot.data["qpos"], env.sim.data.qpos[[4, 1]].numpy())
+    assert set(snapshot.model) == set(env.sim.expanded_fields) != set()
+    np.testing.assert_array_equal(snapshot.model["geom_friction"], env.sim.model["geom_friction"][[4, 1]].numpy())
+    for group, (names, values) in env.signals().items():
+      assert len(names) == values.shape[1] == len(set(names))
+      np.testing.assert_array_equal(snapshot.signals[group], values[4].numpy())
+    assert {"rewards", "command twist", "observations actor"} <= set(snapshot.signals)
+
+
+def test_the_command_is_drawn_as_it_is_and_where_the_robot_is() -> None:
+  with make(TASK, num_envs=3, device="cpu") as env:
+    env.reset(seed=0)
+    env.steering()["twist"].steer(1, (1.0, 0.0, 0.0))
+    rollout(env, 1)
+    snapshot = SnapshotTaker(env).take((1,), drawers=("command twist",))
+    wanted, actual = snapshot.drawings[0].shapes
+    data = env.scene["robot"].data
+    np.testing.assert_allclose(wanted.position[0, :2], data.root_link_pos_w[1, :2])
+    forward = data.root_link_quat_w[1]
+    heading = torch.atan2(2 * (forward[0] * forward[3] + forward[1] * forward[2]), 1 - 2 * forward[2:].square().sum())
+    np.testing.assert_allclose(
+      wanted.direction[0], np.array([0.4 * heading.cos(), 0.4 * heading.sin(), 0.0]), atol=1e-6
+    )
+    np.testing.assert_allclose(actual.direction[0, :2], 0.4 * data.root_link_lin_vel_w[1, :2], atol=1e-6)
+
+
+def test_every_task_can_be_drawn(task: str) -> None:
+  with make(task, num_envs=5, device="cpu", play=True) as env:
+    env.reset(seed=0)
+    assert env.render() is None
+    env.render_mode = "rgb_array"
+    try:
+      picture = env.render()
+    except RenderingError as error:
+      pytest.skip(str(error))
+    assert picture is not None
+    assert picture.shape == (480, 640, 3)
+    # Something is seen in each of the four tiles.
+    for rows in (slice(0, 240), slice(240, 480)):
+      for columns in (slice(0, 320), slice(320, 640)):
+        assert picture[rows, columns].std() > 5
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+  if "task" in metafunc.fixturenames:
+    metafunc.parametrize("task", mjlab.list_tasks())
+
+
+def test_another_render_mode_is_refused_by_name() -> None:
+  env = make("Mjlab-Cartpole-Balance", num_envs=1, device="cpu")
+  with env, pytest.raises(ValueError, match="render_mode 'human' does not exist; there is rgb_array"):
+    env.render_mode = "human"
