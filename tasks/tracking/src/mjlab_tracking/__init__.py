@@ -1,0 +1,55 @@
+"""Motion imitation: from any clip to a scored policy."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+  from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
+  from mjlab_tracking.formats import Statement, read_motion
+  from mjlab_tracking.kinematics import Kinematics, derived_arrays
+  from mjlab_tracking.motion import Motion, MotionError, load_motion, save_motion
+  from mjlab_tracking.quality import QualityReport, check_quality
+  from mjlab_tracking.quality_plot import plot_quality
+  from mjlab_tracking.timeline import resample
+
+__all__ = [
+  "Kinematics",
+  "Motion",
+  "MotionError",
+  "QualityReport",
+  "Statement",
+  "check_quality",
+  "concatenate",
+  "crop",
+  "derived_arrays",
+  "load_motion",
+  "mirror",
+  "plot_quality",
+  "read_motion",
+  "resample",
+  "save_motion",
+  "smooth",
+  "to_ground",
+]
+
+# Loaded on first use: files and their checks need no environment.
+_MODULES = {
+  "editing": "concatenate crop mirror smooth to_ground",
+  "formats": "Statement read_motion",
+  "kinematics": "Kinematics derived_arrays",
+  "motion": "Motion MotionError load_motion save_motion",
+  "quality": "QualityReport check_quality",
+  "quality_plot": "plot_quality",
+  "timeline": "resample",
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+  if name not in _HOMES:
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+  return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+  return sorted(__all__)

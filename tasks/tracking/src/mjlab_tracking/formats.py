@@ -1,0 +1,330 @@
+"""Reading clips as the field writes them: CSV of root and joints, and four kinds of `.npz`.
+
+What a file does not say must be stated or is proven from its numbers. Nothing is assumed: a wrong rate plays at the
+wrong speed, a wrong quaternion order lies on its back, a wrong body order trains towards nothing.
+"""
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from mjlab_core.names import unknown
+from mjlab_core.rotations import quat_apply, quat_error_magnitude
+
+from mjlab_tracking.kinematics import Kinematics
+from mjlab_tracking.motion import Motion, MotionError, is_ours, load_arrays, motion_from_arrays
+
+QuaternionOrder = Literal["wxyz", "xyzw"]
+JointMap = Mapping[str, str | float]
+"""For each joint of the robot the name of the column that holds it, or the number it is held at [rad or m]."""
+
+SEVEN_KEYS = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w")
+PLACED = 0.005
+"""How far bodies may be from where forward kinematics puts them [m, rad] for an order of names to count as proven."""
+UPRIGHT, TILTED = 0.9, 0.8
+"""Mean height of the root's z axis, of 1, above which a reading is upright, and below which it clearly is not."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Statement:
+  """What the user says about a file; None where the file says it or its numbers prove it."""
+
+  rate: float | None = None
+  """Frames per second [Hz]."""
+  quaternion: QuaternionOrder | None = None
+  """Order of the root's quaternion in a CSV."""
+  joint_names: Sequence[str] | None = None
+  """Names of the joint columns, in order."""
+  body_names: Sequence[str] | None = None
+  """Names of the bodies of a seven-key `.npz`, in order."""
+  joint_map: JointMap | None = None
+  """How the file's joints become the robot's; None: names are the same."""
+
+
+def read_motion(path: str | os.PathLike[str], robot: Kinematics, said: Statement | None = None) -> Motion:
+  """Read a clip and place it on a robot.
+
+  Args:
+    path: `.csv` (root position, root quaternion, joints), or `.npz`: a motion file of ours, the seven keys of
+      BeyondMimic and mjlab, arrays with `joint_names`, or a MuJoCo rollout with `qpos`.
+    robot: Whose motion it is.
+    said: What the file does not say.
+
+  Raises:
+    MotionError: The file cannot be read, something is neither stated nor provable, or it does not fit the robot.
+  """
+  said = said or Statement()
+  path = Path(path)
+  if not path.is_file():
+    raise MotionError(f"{path}: no such file")
+  if path.suffix == ".csv":
+    motion = _from_csv(path, robot, said)
+  elif path.suffix == ".npz":
+    motion = _from_npz(path, robot, said)
+  else:
+    raise MotionError(f"{path}: this reads .csv and .npz; convert other files without pickles to one of them")
+  robot.columns_of(motion)
+  return motion
+
+
+def _from_npz(path: Path, robot: Kinematics, said: Statement) -> Motion:
+  arrays = load_arrays(path)
+  if is_ours(arrays):
+    motion = motion_from_arrays(arrays, path)
+    if said.rate is not None and said.rate != motion.rate:
+      raise MotionError(f"{path}: it says {motion.rate:g} Hz, you say {said.rate:g}")
+    motion = _mapped(motion, robot, said)
+    if "body_pos_w" in arrays and said.joint_map is None:
+      _check_bodies(path, arrays, motion, robot)
+    return motion
+  if "qpos" in arrays:
+    return _from_qpos(path, arrays["qpos"], robot, said, _rate(path, arrays, said))
+  if "joint_pos" in arrays and arrays["joint_pos"].ndim == 2 and "body_pos_w" not in arrays:
+    return _from_qpos(path, arrays["joint_pos"], robot, _named(arrays, said), _rate(path, arrays, said))
+  if missing := [name for name in ("joint_pos", "body_pos_w", "body_quat_w") if name not in arrays]:
+    raise MotionError(f"{path}: lacks {', '.join(missing)}, it has: {', '.join(arrays) or 'nothing'}")
+  return _from_seven_keys(path, arrays, robot, _named(arrays, said), _rate(path, arrays, said))
+
+
+def _named(arrays: dict[str, np.ndarray], said: Statement) -> Statement:
+  """The statement, completed by names that are in the file."""
+  found = {
+    kind: tuple(str(name) for name in arrays[kind])
+    for kind in ("joint_names", "body_names")
+    if kind in arrays and getattr(said, kind) is None
+  }
+  return dataclasses.replace(said, **found)
+
+
+def _rate(path: Path, arrays: dict[str, np.ndarray], said: Statement) -> float:
+  found = None
+  if "fps" in arrays:
+    found = float(arrays["fps"].reshape(-1)[0])
+  elif "times" in arrays and arrays["times"].size > 1:
+    steps = np.diff(arrays["times"].reshape(-1))
+    if np.ptp(steps) > 1e-3 * steps.mean():
+      raise MotionError(f"{path}: its times are not evenly spaced: steps of {steps.min():.4g} to {steps.max():.4g} s")
+    found = float(1.0 / steps.mean())
+  stated = said.rate
+  if found is None:
+    if stated is None:
+      raise MotionError(f"{path}: it does not say its rate; state it with --rate")
+    return stated
+  if stated is not None and abs(found - stated) > 1e-3 * found:
+    raise MotionError(f"{path}: it says {found:g} Hz, you say {stated:g}")
+  return found
+
+
+# CSV
+
+
+def _from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
+  with path.open(encoding="utf-8-sig") as file:
+    first = file.readline().strip()
+  header = [cell.strip() for cell in first.split(",")]
+  has_header = not all(_is_number(cell) for cell in header)
+  try:
+    table = np.loadtxt(path, delimiter=",", skiprows=int(has_header), ndmin=2, encoding="utf-8-sig")
+  except ValueError as error:
+    raise MotionError(f"{path}: not a table of numbers ({error})") from error
+  names = said.joint_names
+  if names is None and has_header:
+    names = header[7:]
+  if said.rate is None:
+    raise MotionError(f"{path}: a CSV does not say its rate; state it with --rate")
+  quaternions = torch.from_numpy(table[:, 3:7])
+  if table.shape[1] < 8:
+    raise MotionError(f"{path}: {table.shape[1]} columns; expected root position, quaternion and joints")
+  order = said.quaternion or _proven_order(path, quaternions)
+  if order == "xyzw":
+    quaternions = quaternions.roll(1, 1)
+  stated = dataclasses.replace(said, joint_names=names)
+  qpos = np.concatenate((table[:, :3], quaternions.numpy(), table[:, 7:]), 1)
+  motion = _from_qpos(path, qpos, robot, stated, said.rate)
+  how = "stated" if said.quaternion else "proven: only so it is upright"
+  return motion.changed(f"quaternions {order} ({how})")
+
+
+def _is_number(cell: str) -> bool:
+  try:
+    float(cell)
+  except ValueError:
+    return False
+  return True
+
+
+def _proven_order(path: Path, quaternions: torch.Tensor) -> QuaternionOrder:
+  """The order in which the root is upright, if in the other one it clearly is not.
+
+  The two readings of a row are as far apart from one another in every frame, so speeds of rotation prove nothing.
+  """
+  up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+  heights: dict[QuaternionOrder, float] = {}
+  shifts: dict[QuaternionOrder, int] = {"wxyz": 0, "xyzw": 1}
+  for order, shift in shifts.items():
+    quat = quaternions.roll(shift, 1)
+    quat = quat / torch.linalg.vector_norm(quat, dim=-1, keepdim=True)
+    heights[order] = float(quat_apply(quat, up)[:, 2].mean())
+  wrong, right = sorted(heights, key=lambda order: heights[order])
+  if heights[right] < UPRIGHT or heights[wrong] > TILTED:
+    readings = ", ".join(f"{order} {height:+.2f}" for order, height in heights.items())
+    raise MotionError(
+      f"{path}: the order of its quaternions cannot be proven (mean height of the root's z axis: {readings}); state it "
+      "with --quaternion wxyz or xyzw"
+    )
+  return right
+
+
+def _from_qpos(path: Path, qpos: np.ndarray, robot: Kinematics, said: Statement, rate: float) -> Motion:
+  """Columns root position, quaternion (w, x, y, z), joints."""
+  names = tuple(said.joint_names) if said.joint_names is not None else robot.joint_names
+  if qpos.ndim != 2 or qpos.shape[1] != 7 + len(names):
+    whose = "names were given" if said.joint_names is not None else "joints has the robot"
+    raise MotionError(
+      f"{path}: {qpos.shape[-1]} columns, expected 7 of the root and {len(names)} of joints (so many {whose}); state "
+      "their names with --joint-names, and how they become the robot's with --joint-map"
+    )
+  table = torch.from_numpy(qpos.astype(np.float64))
+  motion = Motion(
+    name=path.stem,
+    rate=rate,
+    root_body=robot.root_body,
+    joint_names=names,
+    root_pos=table[:, :3],
+    root_quat=table[:, 3:7],
+    joint_pos=table[:, 7:],
+    history=(f"read from {path.name}, {rate:g} Hz",),
+  )
+  return _mapped(motion, robot, said)
+
+
+def _mapped(motion: Motion, robot: Kinematics, said: Statement) -> Motion:
+  if said.joint_map is None:
+    return motion
+  columns: list[torch.Tensor] = []
+  for joint, source in said.joint_map.items():
+    if joint not in robot.joint_names:
+      raise MotionError(unknown("joint", joint, robot.joint_names, owner="joint map: robot"))
+    if isinstance(source, str) and source not in motion.joint_names:
+      raise MotionError(unknown("column", source, motion.joint_names, owner=f"joint map: motion '{motion.name}'"))
+  for joint in robot.joint_names:
+    source = said.joint_map.get(joint, joint)
+    if isinstance(source, str):
+      if source not in motion.joint_names:
+        raise MotionError(
+          unknown("column", source, motion.joint_names, owner=f"motion '{motion.name}': joint '{joint}'")
+        )
+      columns.append(motion.joint_pos[:, motion.joint_names.index(source)])
+    else:
+      columns.append(torch.full((motion.num_frames,), float(source), dtype=torch.float64))
+  return motion.changed(
+    "joints renamed", joint_names=robot.joint_names, joint_pos=torch.stack(columns, 1), root_body=robot.root_body
+  )
+
+
+# Seven keys
+
+
+def _from_seven_keys(
+  path: Path, arrays: dict[str, np.ndarray], robot: Kinematics, said: Statement, rate: float
+) -> Motion:
+  """Joints and bodies in the order stated, or in the one that forward kinematics proves."""
+  body_pos = torch.from_numpy(arrays["body_pos_w"].astype(np.float64))
+  body_quat = torch.from_numpy(arrays["body_quat_w"].astype(np.float64))
+  joint_pos = torch.from_numpy(arrays["joint_pos"].astype(np.float64))
+  frames = joint_pos.shape[0]
+  if body_pos.shape != (frames, body_pos.shape[1], 3) or body_quat.shape != (frames, body_pos.shape[1], 4):
+    raise MotionError(f"{path}: shapes {tuple(body_pos.shape)} and {tuple(body_quat.shape)} of bodies do not fit")
+  if said.body_names is not None:
+    if len(said.body_names) != body_pos.shape[1]:
+      raise MotionError(f"{path}: {len(said.body_names)} names for {body_pos.shape[1]} bodies")
+    if robot.root_body not in said.body_names:
+      raise MotionError(unknown("body", robot.root_body, said.body_names, owner=f"{path}: the names stated"))
+    roots = [list(said.body_names).index(robot.root_body)]
+  else:
+    roots = list(range(body_pos.shape[1]))
+  orders = {"as stated": tuple(said.joint_names)} if said.joint_names else _joint_orders(robot)
+  best, reason = float("inf"), ""
+  for how, names in orders.items():
+    if len(names) != joint_pos.shape[1]:
+      raise MotionError(f"{path}: {joint_pos.shape[1]} joint columns, {len(names)} names ({how})")
+    for root in roots:
+      motion = Motion(
+        name=path.stem,
+        rate=rate,
+        root_body=robot.root_body,
+        joint_names=names,
+        root_pos=body_pos[:, root],
+        root_quat=body_quat[:, root],
+        joint_pos=joint_pos,
+        history=(f"read from {path.name}, {rate:g} Hz",),
+      )
+      motion = _mapped(motion, robot, said)
+      few = torch.linspace(0, frames - 1, min(frames, 8)).long()
+      error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names, few)
+      if error <= PLACED:
+        error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names)
+      if error <= PLACED:
+        note = f"orders of joints ({how}) and bodies agree with forward kinematics within {error * 1e3:.2g} mm"
+        return motion.changed(note)
+      if error < best:
+        best, reason = error, f"joints {how}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
+  raise MotionError(
+    f"{path}: it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
+    f"Nearest: {reason}. State the orders with --joint-names and --body-names, or it is another robot's."
+  )
+
+
+def _joint_orders(robot: Kinematics) -> dict[str, tuple[str, ...]]:
+  """Depth first, as MuJoCo numbers joints, and breadth first, as PhysX does."""
+  model = robot.model
+  depth = {0: 0}
+  for body in range(1, model.nbody):
+    depth[body] = depth[int(model.body_parentid[body])] + 1
+  by_level = sorted(range(len(robot.joint_ids)), key=lambda i: depth[int(model.jnt_bodyid[robot.joint_ids[i]])])
+  return {"depth first": robot.joint_names, "breadth first": tuple(robot.joint_names[i] for i in by_level)}
+
+
+def _misplacement(
+  motion: Motion,
+  robot: Kinematics,
+  body_pos: torch.Tensor,
+  body_quat: torch.Tensor,
+  body_names: Sequence[str] | None,
+  frames: torch.Tensor | slice = slice(None),
+) -> tuple[float, str]:
+  """How far the worst body is from forward kinematics, [m or rad] over `frames`, and its name.
+
+  Without names, a body of the robot is the row that is nearest to it throughout.
+  """
+  body_pos, body_quat = body_pos[frames], body_quat[frames]
+  pos, quat = robot.poses(motion.root_pos[frames], motion.root_quat[frames], robot.columns_of(motion)[frames])
+  worst, name = 0.0, robot.root_body
+  for row, body in enumerate(robot.body_names):
+    if body_names is not None:
+      if body not in body_names:
+        continue
+      candidates = [list(body_names).index(body)]
+    else:
+      candidates = list(range(body_pos.shape[1]))
+    distance = torch.linalg.vector_norm(body_pos[:, candidates] - pos[:, row, None], dim=-1).amax(0)
+    angle = quat_error_magnitude(body_quat[:, candidates], quat[:, row, None]).amax(0)
+    error = float(torch.maximum(distance, angle).min())
+    if error > worst:
+      worst, name = error, body
+  return worst, name
+
+
+def _check_bodies(path: Path, arrays: dict[str, np.ndarray], motion: Motion, robot: Kinematics) -> None:
+  names = [str(name) for name in arrays.get("body_names", ())]
+  body_pos = torch.from_numpy(arrays["body_pos_w"].astype(np.float64))
+  body_quat = torch.from_numpy(arrays["body_quat_w"].astype(np.float64))
+  error, body = _misplacement(motion, robot, body_pos, body_quat, names)
+  if error > PLACED:
+    raise MotionError(
+      f"{path}: its body '{body}' is {error:.3g} m or rad from where this robot has it: it was made for another model"
+    )

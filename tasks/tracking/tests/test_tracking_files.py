@@ -1,0 +1,226 @@
+"""Motion files, and the formats of the field: what is written comes back, what is unsaid is proven or refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from mjlab_tracking.formats import Statement, read_motion
+from mjlab_tracking.kinematics import derived_arrays
+from mjlab_tracking.motion import Motion, MotionError, load_arrays, load_motion, save_motion
+from tracking_robot import robot, wiggle
+
+
+def written(motion: Motion, path: Path, quaternion: str = "wxyz", header: bool = False) -> Path:
+  quat = motion.root_quat.roll(-1, 1) if quaternion == "xyzw" else motion.root_quat
+  table = torch.cat((motion.root_pos, quat, motion.joint_pos), 1).numpy()
+  names = ["x", "y", "z", "q0", "q1", "q2", "q3", *motion.joint_names]
+  np.savetxt(path, table, delimiter=",", header=",".join(names) if header else "", comments="")
+  return path
+
+
+def assert_same(one: Motion, other: Motion, atol: float = 1e-6) -> None:
+  assert one.joint_names == other.joint_names
+  assert one.rate == other.rate
+  torch.testing.assert_close(one.root_pos, other.root_pos, atol=atol, rtol=0)
+  torch.testing.assert_close(one.joint_pos, other.joint_pos, atol=atol, rtol=0)
+  torch.testing.assert_close(
+    (one.root_quat * other.root_quat).sum(-1).abs(), torch.ones(one.num_frames, dtype=torch.float64), atol=atol, rtol=0
+  )
+
+
+def seven_keys(motion: Motion) -> dict[str, Any]:
+  arrays: dict[str, Any] = derived_arrays(motion, robot())
+  del arrays["body_names"]
+  return {"fps": np.array([motion.rate]), "joint_pos": motion.joint_pos.numpy().astype(np.float32), **arrays}
+
+
+def test_a_motion_file_gives_back_what_was_written(tmp_path: Path) -> None:
+  motion = wiggle().changed("made for a test", source="here", license="Apache-2.0")
+  path = tmp_path / "wiggle.npz"
+  save_motion(motion, path, derived_arrays(motion, robot()))
+  back = load_motion(path)
+  assert_same(back, motion)
+  assert (back.name, back.source, back.license, back.history) == ("wiggle", "here", "Apache-2.0", ("made for a test",))
+  assert_same(read_motion(path, robot()), motion)
+
+
+def test_a_motion_file_says_what_it_is_to_whoever_opens_it_and_holds_the_seven_keys(tmp_path: Path) -> None:
+  path = tmp_path / "wiggle.npz"
+  save_motion(wiggle(), path, derived_arrays(wiggle(), robot()))
+  arrays = load_arrays(path)
+  for word in ("rad", "(w, x, y, z)", "mjlab-motion"):
+    assert word in str(arrays["metadata"])
+  assert list(arrays["body_names"]) == list(robot().body_names)
+  assert {key: arrays[key].shape for key in seven_keys(wiggle())} == {
+    key: value.shape for key, value in seven_keys(wiggle()).items()
+  }
+
+
+def test_a_file_with_python_objects_is_refused_unread(tmp_path: Path) -> None:
+  path = tmp_path / "pickled.npz"
+  np.savez(path, metadata=np.array([{"a": 1}], dtype=object))
+  with pytest.raises(MotionError, match="allow_pickle"):
+    load_motion(path)
+
+
+@pytest.mark.parametrize("contents", [b"", b"not a zip", b"PK\x03\x04 cut off"])
+def test_a_damaged_file_is_named(tmp_path: Path, contents: bytes) -> None:
+  path = tmp_path / "broken.npz"
+  path.write_bytes(contents)
+  with pytest.raises(MotionError, match=r"broken\.npz"):
+    load_motion(path)
+
+
+def test_a_half_written_file_never_takes_the_place_of_a_whole_one(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  path = tmp_path / "wiggle.npz"
+  save_motion(wiggle(), path)
+  before = path.read_bytes()
+
+  def fails(target: Path, **_: object) -> None:
+    Path(target).write_bytes(b"half")
+    raise OSError("disk full")
+
+  monkeypatch.setattr(np, "savez_compressed", fails)
+  with pytest.raises(OSError, match="disk full"):
+    save_motion(wiggle(), path)
+  assert path.read_bytes() == before
+  assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_the_order_of_quaternions_of_an_upright_clip_is_proven(tmp_path: Path, order: str) -> None:
+  path = written(wiggle(), tmp_path / "wiggle.csv", order)
+  motion = read_motion(path, robot(), Statement(rate=50.0))
+  assert_same(motion, wiggle())
+  assert f"quaternions {order} (proven" in motion.history[-1]
+
+
+def test_an_order_of_quaternions_that_cannot_be_proven_must_be_stated(tmp_path: Path) -> None:
+  # Facing straight ahead, (0, 0, 0, 1) is upright in both readings: unturned, or turned round once.
+  motion = wiggle()
+  ahead = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(motion.num_frames, 1)
+  path = written(motion.changed("ahead", root_quat=ahead), tmp_path / "ahead.csv", "xyzw")
+  with pytest.raises(MotionError, match=r"cannot be proven .*wxyz \+1\.00, xyzw \+1\.00.*--quaternion"):
+    read_motion(path, robot(), Statement(rate=50.0))
+  assert torch.equal(read_motion(path, robot(), Statement(rate=50.0, quaternion="xyzw")).root_quat, ahead)
+
+
+def test_the_rate_of_a_csv_must_be_stated(tmp_path: Path) -> None:
+  with pytest.raises(MotionError, match="--rate"):
+    read_motion(written(wiggle(), tmp_path / "wiggle.csv"), robot())
+
+
+def test_a_rate_other_than_the_file_says_is_refused(tmp_path: Path) -> None:
+  path = tmp_path / "seven.npz"
+  np.savez(path, **seven_keys(wiggle()))
+  with pytest.raises(MotionError, match="it says 50 Hz, you say 30"):
+    read_motion(path, robot(), Statement(rate=30.0))
+
+
+def test_a_wrong_number_of_columns_is_refused(tmp_path: Path) -> None:
+  path = tmp_path / "short.csv"
+  np.savetxt(path, np.tile([0, 0, 0.7, 1, 0, 0, 0.0, 0.1], (5, 1)), delimiter=",")
+  with pytest.raises(MotionError, match=r"8 columns, expected 7 of the root and 5 of joints"):
+    read_motion(path, robot(), Statement(rate=50.0, quaternion="wxyz"))
+
+
+def test_a_header_names_the_joints_and_their_order_does_not_matter(tmp_path: Path) -> None:
+  motion = wiggle()
+  turned = motion.changed("turned", joint_names=motion.joint_names[::-1], joint_pos=motion.joint_pos.flip(1))
+  path = written(turned, tmp_path / "named.csv", header=True)
+  back = read_motion(path, robot(), Statement(rate=50.0))
+  torch.testing.assert_close(robot().columns_of(back), motion.joint_pos, atol=1e-12, rtol=0)
+
+
+def test_a_joint_map_renames_leaves_out_and_holds_joints(tmp_path: Path) -> None:
+  motion = wiggle()
+  names = [f"J{i}" for i in range(5)]
+  joint_map: dict[str, str | float] = {name: f"J{i}" for i, name in enumerate(motion.joint_names)}
+  joint_map["reach"] = 0.25
+  said = Statement(rate=50.0, joint_names=names, joint_map=joint_map)
+  back = read_motion(written(motion, tmp_path / "other.csv"), robot(), said)
+  kept = [i for i, name in enumerate(motion.joint_names) if name != "reach"]
+  torch.testing.assert_close(back.joint_pos[:, kept], motion.joint_pos[:, kept], atol=1e-12, rtol=0)
+  assert (back.joint_pos[:, motion.joint_names.index("reach")] == 0.25).all()
+  joint_map["left_nee"] = "J1"
+  with pytest.raises(MotionError, match=r"'left_nee' does not exist\. Nearest: left_knee"):
+    read_motion(tmp_path / "other.csv", robot(), said)
+
+
+def test_a_mujoco_rollout_is_read_with_the_rate_of_its_times(tmp_path: Path) -> None:
+  motion = wiggle()
+  qpos = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy()
+  path = tmp_path / "rollout.npz"
+  np.savez(path, qpos=qpos, times=np.arange(motion.num_frames) / 50.0)
+  assert_same(read_motion(path, robot()), motion.changed("", rate=read_motion(path, robot()).rate))
+  assert read_motion(path, robot()).rate == pytest.approx(50.0)
+  np.savez(path, qpos=qpos, times=np.arange(motion.num_frames) ** 1.1)
+  with pytest.raises(MotionError, match="not evenly spaced"):
+    read_motion(path, robot())
+
+
+@pytest.mark.parametrize("bodies", ["depth first", "shuffled"])
+@pytest.mark.parametrize("joints", ["depth first", "breadth first"])
+def test_orders_of_a_seven_key_file_are_proven_by_kinematics(tmp_path: Path, joints: str, bodies: str) -> None:
+  motion, kinematics = wiggle(), robot()
+  arrays = seven_keys(motion)
+  # hip, hip, reach, knee, knee: by distance from the root.
+  order = [0, 2, 4, 1, 3] if joints == "breadth first" else [0, 1, 2, 3, 4]
+  arrays |= {key: arrays[key][:, order] for key in ("joint_pos", "joint_vel")}
+  rows = [0, 1, 2, 3, 4, 5] if bodies == "depth first" else [3, 5, 0, 1, 4, 2]
+  arrays |= {key: value[:, rows] for key, value in arrays.items() if key.startswith("body")}
+  path = tmp_path / "seven.npz"
+  np.savez(path, **arrays)
+  back = read_motion(path, kinematics)
+  assert f"joints ({joints})" in back.history[-1]
+  torch.testing.assert_close(kinematics.columns_of(back), motion.joint_pos, atol=1e-6, rtol=0)
+  torch.testing.assert_close(back.root_pos, motion.root_pos, atol=1e-6, rtol=0)
+
+
+def test_a_seven_key_file_that_no_order_explains_is_refused(tmp_path: Path) -> None:
+  arrays = seven_keys(wiggle())
+  arrays["joint_pos"] = arrays["joint_pos"][:, [1, 2, 3, 4, 0]]
+  path = tmp_path / "seven.npz"
+  np.savez(path, **arrays)
+  with pytest.raises(MotionError, match=r"cannot be placed .*--joint-names and --body-names"):
+    read_motion(path, robot())
+  stated = [robot().joint_names[i] for i in (1, 2, 3, 4, 0)]
+  back = read_motion(path, robot(), Statement(joint_names=stated))
+  torch.testing.assert_close(robot().columns_of(back), wiggle().joint_pos, atol=1e-6, rtol=0)
+
+
+def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
+  path = tmp_path / "seven.npz"
+  np.savez(path, **seven_keys(wiggle()))
+  names = list(robot().body_names)
+  assert_same(read_motion(path, robot(), Statement(body_names=names)), wiggle())
+  names[1], names[3] = names[3], names[1]
+  with pytest.raises(MotionError, match="cannot be placed"):
+    read_motion(path, robot(), Statement(body_names=names))
+
+
+def test_bodies_of_another_model_in_a_motion_file_are_noticed(tmp_path: Path) -> None:
+  derived = derived_arrays(wiggle(), robot())
+  derived["body_pos_w"][:, 2] += 0.03
+  path = tmp_path / "other.npz"
+  save_motion(wiggle(), path, derived)
+  with pytest.raises(MotionError, match=r"body 'left_shin' is 0\.0\d+ m or rad from"):
+    read_motion(path, robot())
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"joint_pos": torch.full((60, 5), torch.nan, dtype=torch.float64)}, "joint_pos has numbers that are not finite"),
+    ({"root_quat": 1.1 * wiggle().root_quat}, r"length 1\.100 in frame"),
+    ({"rate": 0.0}, "rate is 0.0 Hz"),
+    ({"root_pos": wiggle().root_pos[:59]}, "shape"),
+  ],
+)
+def test_a_motion_that_makes_no_sense_is_refused(change: dict, message: str) -> None:
+  with pytest.raises(MotionError, match=message):
+    wiggle().changed("broken", **change)

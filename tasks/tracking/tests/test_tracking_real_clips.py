@@ -1,0 +1,65 @@
+"""Clips as people have them. They are not part of the repository: MJLAB_MOTIONS names a folder that has some.
+
+It holds `g1-moves/*.csv` (60 Hz) with `B_HandsUp.mjlab.npz`, and `kimodo/*.csv` (30 Hz).
+"""
+
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_robots import g1_spec
+from mjlab_tracking.formats import Statement, read_motion
+from mjlab_tracking.kinematics import Kinematics, derived_arrays
+from mjlab_tracking.motion import load_arrays
+from mjlab_tracking.timeline import resample
+
+pytestmark = pytest.mark.skipif(
+  "MJLAB_MOTIONS" not in os.environ, reason="set MJLAB_MOTIONS to a folder with g1-moves and kimodo to test real clips"
+)
+FOLDER = Path(os.environ.get("MJLAB_MOTIONS", "."))
+CLIPS = [(path, 60.0, "xyzw") for path in sorted(FOLDER.glob("g1-moves/*.csv"))]
+CLIPS += [(path, 30.0, "wxyz") for path in sorted(FOLDER.glob("kimodo/*.csv"))]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Kinematics:
+  return Kinematics(g1_spec(meshes="never").compile())
+
+
+def test_the_folder_has_clips() -> None:
+  assert len(CLIPS) >= 8
+
+
+@pytest.mark.parametrize(("path", "rate", "order"), CLIPS, ids=lambda value: getattr(value, "stem", None))
+def test_a_clip_is_read_in_the_right_order_and_its_bodies_are_where_mujoco_has_them(
+  path: Path, rate: float, order: str, robot: Kinematics
+) -> None:
+  motion = read_motion(path, robot, Statement(rate=rate))
+  assert f"quaternions {order} (proven" in motion.history[-1]
+  motion = resample(motion, 50.0)
+  derived = derived_arrays(motion, robot)
+  data = mujoco.MjData(robot.model)
+  for frame in range(0, motion.num_frames, 10):
+    data.qpos[:] = torch.cat((motion.root_pos[frame], motion.root_quat[frame], motion.joint_pos[frame]))
+    mujoco.mj_kinematics(robot.model, data)
+    np.testing.assert_allclose(derived["body_pos_w"][frame], data.xpos[1:], atol=1e-5)
+
+
+def test_a_seven_key_file_and_our_reading_of_its_csv_are_the_same(robot: Kinematics) -> None:
+  path = FOLDER / "g1-moves" / "B_HandsUp.mjlab.npz"
+  theirs, read = load_arrays(path), read_motion(path, robot)
+  assert read.rate == 60.0
+  csv = read_motion(path.with_name("B_HandsUp.csv"), robot, Statement(rate=60.0))
+  ours = {"joint_pos": csv.joint_pos.numpy(), **derived_arrays(csv, robot)}
+  frames = len(theirs["joint_pos"])
+  # Their converter drops the last frame, and repeats angular velocities at the ends where we take one-sided ones.
+  assert frames == csv.num_frames - 1
+  inner = slice(1, frames - 1)
+  # Its sample times have single precision, so that it interpolates between frames even where it need not.
+  for key, bound in (("joint_pos", 1e-5), ("body_pos_w", 1e-5), ("body_quat_w", 1e-5)):
+    np.testing.assert_allclose(ours[key][:frames], theirs[key], atol=bound, err_msg=key)
+  for key in ("joint_vel", "body_lin_vel_w", "body_ang_vel_w"):
+    np.testing.assert_allclose(ours[key][inner], theirs[key][inner], atol=2e-3, err_msg=key)
