@@ -1,0 +1,188 @@
+"""`convert-motion CLIP ... --output FILE`: any clip of the field becomes a checked motion file."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+
+from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
+from mjlab_tracking.formats import JointMap, Statement, read_motion
+from mjlab_tracking.kinematics import Kinematics, derived_arrays
+from mjlab_tracking.motion import Motion, MotionError, save_motion
+from mjlab_tracking.quality import check_quality
+from mjlab_tracking.quality_plot import plot_quality
+from mjlab_tracking.timeline import resample
+
+EPILOG = """\
+exit codes: 0 written, or only looked at; 1 the report has errors, nothing written; 2 wrong usage or an unreadable clip.
+
+examples:
+  convert-motion dance.csv --rate 60 --ground --output dance.npz --report dance.png
+  convert-motion walk.npz                                    a report, nothing written
+  convert-motion clips/*.csv --rate 30 --output library/     a folder of clips
+  convert-motion a.csv --rate 30 --robot my_robot.xml --joint-map map.json --output a.npz
+"""
+
+
+def load_robot(name: str) -> Kinematics:
+  """A robot by name (g1, go1) or by the path of its MJCF.
+
+  Raises:
+    MotionError: There is no such robot or file, or it has no floating base.
+  """
+  from mjlab_robots import g1_spec, go1_spec
+
+  specs = {"g1": g1_spec, "go1": go1_spec}
+  if name in specs:
+    return Kinematics(specs[name](meshes="never").compile())
+  if not name.endswith(".xml"):
+    raise MotionError(f"robot '{name}': neither one of {', '.join(specs)} nor the path of an .xml")
+  if not Path(name).is_file():
+    raise MotionError(f"robot {name}: no such file")
+  try:
+    return Kinematics(mujoco.MjModel.from_xml_path(name))
+  except ValueError as error:
+    raise MotionError(f"robot {name}: {error}") from error
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+  """`convert-motion`; returns the exit code."""
+  options = _parser().parse_args(argv)
+  try:
+    return _convert(options)
+  except (MotionError, OSError) as error:
+    print(f"error: {error}", file=sys.stderr)
+    return 2
+  except KeyboardInterrupt:
+    print("interrupted", file=sys.stderr)
+    return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+  parser = argparse.ArgumentParser(
+    prog="convert-motion",
+    description="Reads clips (.csv, .npz), edits them in the order of the options below, reports and writes them.",
+    epilog=EPILOG,
+    formatter_class=argparse.RawDescriptionHelpFormatter,
+  )
+  parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP")
+  parser.add_argument("--robot", default="g1", help="g1, go1 or the path of an MJCF (default: g1)")
+  said = parser.add_argument_group("what the file does not say")
+  said.add_argument("--rate", type=float, metavar="HZ", help="frames per second of the clip")
+  said.add_argument("--quaternion", choices=("wxyz", "xyzw"), help="order in a CSV; left out, it is proven or refused")
+  said.add_argument("--joint-names", type=_names, metavar="NAMES", help="of the joint columns: a,b,c or a text file")
+  said.add_argument("--body-names", type=_names, metavar="NAMES", help="of the bodies of a seven-key .npz, likewise")
+  said.add_argument(
+    "--joint-map", type=Path, metavar="JSON", help='{"robot joint": "column" or the angle it is held at, ...}'
+  )
+  edit = parser.add_argument_group("edits, in this order")
+  edit.add_argument("--crop", nargs=2, type=float, metavar=("START", "END"), help="keep the part between two times [s]")
+  edit.add_argument("--output-rate", type=float, metavar="HZ", help="resample; training resamples by itself")
+  edit.add_argument("--mirror", action="store_true", help="left becomes right")
+  edit.add_argument("--concatenate", type=float, metavar="BLEND", help="join the clips, each blended so long [s]")
+  edit.add_argument("--smooth", type=float, metavar="WIDTH", help="Gaussian of this deviation in time [s]")
+  edit.add_argument("--ground", action="store_true", help="move up or down as a whole until the feet are on the ground")
+  out = parser.add_argument_group("output")
+  out.add_argument("--output", type=Path, metavar="PATH", help="an .npz, or a folder for several clips")
+  out.add_argument("--report", type=Path, metavar="PICTURE", help="draw the report (a folder for several clips)")
+  out.add_argument("--source", default=None, help="where the clip comes from")
+  out.add_argument("--license", default=None, help="its terms, e.g. CC-BY-4.0")
+  out.add_argument("--compact", action="store_true", help="without what follows from robot and joints")
+  out.add_argument("--accept-errors", action="store_true", help="write in spite of errors in the report")
+  out.add_argument("--overwrite", action="store_true", help="replace files that are there")
+  return parser
+
+
+def _names(text: str) -> tuple[str, ...]:
+  path = Path(text)
+  words = path.read_text(encoding="utf-8").replace(",", " ").split() if path.is_file() else text.split(",")
+  return tuple(word.strip() for word in words if word.strip())
+
+
+def _convert(options: argparse.Namespace) -> int:
+  robot = load_robot(options.robot)
+  said = Statement(
+    rate=options.rate,
+    quaternion=options.quaternion,
+    joint_names=options.joint_names,
+    body_names=options.body_names,
+    joint_map=None if options.joint_map is None else _joint_map(options.joint_map),
+  )
+  motions = [_edited(read_motion(path, robot, said), robot, options) for path in options.clips]
+  if options.concatenate is not None:
+    motions = [concatenate(motions, blend=options.concatenate)]
+  motions = [_finished(motion, robot, options) for motion in motions]
+  targets = _targets(options.output, motions, ".npz", options.overwrite)
+  pictures = _targets(options.report, motions, ".png", options.overwrite)
+  has_errors = False
+  for motion, target, picture in zip(motions, targets, pictures, strict=True):
+    report = check_quality(motion, robot)
+    print(report.table())
+    if picture is not None:
+      plot_quality(report, picture)
+      print(f"drew {picture}")
+    if report.severity == "error" and not options.accept_errors:
+      has_errors = True
+      if target is not None:
+        print(f"not written: {target}, for the errors above; --accept-errors writes it all the same", file=sys.stderr)
+    elif target is not None:
+      save_motion(motion, target, None if options.compact else derived_arrays(motion, robot))
+      print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
+    print()
+  return int(has_errors)
+
+
+def _edited(motion: Motion, robot: Kinematics, options: argparse.Namespace) -> Motion:
+  """What is done to each clip before clips are joined."""
+  if options.crop is not None:
+    motion = crop(motion, *options.crop)
+  if options.output_rate is not None:
+    motion = resample(motion, options.output_rate)
+  return mirror(motion, robot) if options.mirror else motion
+
+
+def _finished(motion: Motion, robot: Kinematics, options: argparse.Namespace) -> Motion:
+  """What is done to each clip that is written."""
+  if options.smooth is not None:
+    motion = smooth(motion, options.smooth)
+  if options.ground:
+    motion = to_ground(motion, robot)
+  if options.source is not None:
+    motion = motion.changed("source stated", source=options.source)
+  if options.license is not None:
+    motion = motion.changed("licence stated", license=options.license)
+  return motion
+
+
+def _joint_map(path: Path) -> JointMap:
+  try:
+    table = json.loads(path.read_text(encoding="utf-8"))
+  except ValueError as error:
+    raise MotionError(f"{path}: not JSON ({error})") from error
+  if not isinstance(table, dict) or not all(
+    isinstance(value, str | int | float) and not isinstance(value, bool) for value in table.values()
+  ):
+    raise MotionError(f'{path}: expected {{"robot joint": "column" or a number, ...}}')
+  return table
+
+
+def _targets(path: Path | None, motions: Sequence[Motion], ending: str, overwrite: bool) -> list[Path | None]:
+  """Where each motion goes; nothing is there yet unless it may be replaced."""
+  if path is None:
+    return [None] * len(motions)
+  if path.suffix and len(motions) > 1:
+    raise MotionError(f"{path}: {len(motions)} clips need a folder, not a file; --concatenate makes one of them")
+  if path.suffix:
+    targets = [path]
+  else:
+    path.mkdir(parents=True, exist_ok=True)
+    targets = [path / f"{motion.name}{ending}" for motion in motions]
+  taken = [target for target in targets if target.exists()]
+  if taken and not overwrite:
+    raise MotionError(f"{taken[0]} is there already; --overwrite replaces it")
+  if len(set(targets)) < len(targets):
+    raise MotionError(f"two clips would both be written to {targets[0].parent}; rename one of them")
+  return [*targets]
