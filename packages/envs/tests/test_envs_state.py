@@ -168,8 +168,11 @@ def test_progress_alone_fits_any_number_of_worlds(make: Make) -> None:
   env, larger = make(), make(num_envs=5)
   larger.reset()
   run(larger, range(4))
+  begun = env.rng.get_state()
   env.load_progress(larger.state_dict())
   assert env.common_step_counter == 4
+  # What was drawn at the beginning is not drawn again.
+  assert not torch.equal(env.rng.get_state(), begun)
 
 
 def test_one_seed_gives_one_run(make: Make) -> None:

@@ -226,6 +226,8 @@ def test_an_action_of_the_wrong_shape_is_refused_before_anything_moves(make: Mak
   before = env.sim.data.qpos.clone()
   with pytest.raises(ValueError, match=r"action must have shape \(4, 2\), got \(4, 3\)"):
     env.step(torch.zeros(4, 3))
+  with pytest.raises(TypeError, match=r"action must be a torch tensor, got ndarray; torch\.as_tensor makes one"):
+    env.step(torch.zeros(4, 2).numpy())  # pyright: ignore[reportArgumentType]
   assert torch.equal(env.sim.data.qpos, before)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import torch
+from mjlab_core import UnknownNameError
 from mjlab_core.masking import where_
 from mjlab_managers import CommandManager, CommandTerm, CommandTermCfg, ConfigError
 
@@ -137,7 +138,7 @@ def test_an_impossible_time_range_is_an_error(env, limits):
 
 
 def test_unknown_names_get_a_suggestion(env):
-  with pytest.raises(KeyError, match="Nearest: twist"):
+  with pytest.raises(UnknownNameError, match=r"^CommandManager: term 'twst' does not exist\. Nearest: twist"):
     build(env).get_command("twst")
 
 

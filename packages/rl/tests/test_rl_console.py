@@ -1,4 +1,6 @@
+import errno
 import io
+import os
 
 import pytest
 from mjlab_rl import Console, IterationReport
@@ -35,6 +37,28 @@ def test_a_terminal_shows_one_line_that_is_overwritten() -> None:
     "\r\x1b[2K   1/1000  215k steps/s  no episode finished yet  ETA 1:02:05"
     "\r\x1b[2K   2/1000  215k steps/s  reward 1.50  episode 812 steps  ETA 1:02:05\ndone\n"
   )
+
+
+def test_a_narrow_terminal_keeps_what_matters_most(monkeypatch: pytest.MonkeyPatch) -> None:
+  for columns, line in (
+    (60, "   2/1000  215k steps/s  reward 1.50  ETA 1:02:05"),
+    (42, "   2/1000  215k steps/s  ETA 1:02:05"),
+    (10, "   2/1000  ETA 1:02:05"),
+  ):
+    monkeypatch.setattr("shutil.get_terminal_size", lambda columns=columns: os.terminal_size((columns, 24)))
+    stream = Terminal()
+    Console("normal", stream).show(report(1))
+    assert stream.getvalue() == "\r\x1b[2K" + line
+
+
+def test_a_terminal_that_is_gone_stops_nothing() -> None:
+  class Gone(Terminal):
+    def write(self, text: str) -> int:
+      raise OSError(errno.EIO, "Input/output error")
+
+  console = Console("normal", Gone())
+  console.show(report(0))
+  console.say("done")
 
 
 def test_a_file_gets_the_first_line_the_last_and_few_between() -> None:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -248,7 +249,7 @@ def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: p
   assert [file.name for file in tmp_path.iterdir()] == ["model_0.pt"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Signals) -> None:
   interrupted = runner(tmp_path, agent())
   step, calls = interrupted.env.step, []
@@ -307,6 +308,19 @@ with StopSignals():
   done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=20)
   assert done.returncode == -signal.SIGINT
   assert "once more to quit" in done.stderr
+  assert "Stopped at once" in done.stderr
+
+
+def test_what_was_told_to_ignore_a_closing_terminal_goes_on_doing_so() -> None:
+  code = """
+import os, signal
+from mjlab_rl.stop_signals import StopSignals
+with StopSignals() as stop:
+  os.kill(os.getpid(), signal.SIGHUP)
+assert stop.received is None
+"""
+  done = subprocess.run(["nohup", sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=20)
+  assert done.returncode == 0, done.stderr
 
 
 def test_every_iteration_is_a_row_and_checkpoints_come_at_the_interval(tmp_path: Path) -> None:
@@ -341,7 +355,7 @@ def test_wandb_gets_the_same_values_the_config_and_checkpoints_if_wanted(
 ) -> None:
   run, opened = MagicMock(), MagicMock()
   opened.return_value = run
-  monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=opened))
+  monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=opened, __spec__=object()))
   runner(tmp_path, agent(logger="wandb", wandb_project="walk", upload_model=upload)).learn(3)
   assert opened.call_args.kwargs["project"] == "walk"
   assert opened.call_args.kwargs["config"]
@@ -358,10 +372,50 @@ def test_wandb_is_imported_only_when_chosen(tmp_path: Path, monkeypatch: pytest.
   runner(tmp_path, agent(logger="tensorboard")).learn(1)
 
 
-def test_wandb_that_is_not_installed_is_a_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wandb_that_is_not_installed_is_a_clear_error_before_anything_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setitem(sys.modules, "wandb", None)
   with pytest.raises(ConfigError, match="pip install wandb"):
-    runner(tmp_path, agent(logger="wandb")).learn(1)
+    agent(logger="wandb").to_rsl_rl()
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    (
+      lambda cfg: setattr(cfg.algorithm, "learning_rate", -1.0),
+      "agent.algorithm.learning_rate is -1.0; it must be pos",
+    ),
+    (lambda cfg: setattr(cfg.algorithm, "gamma", 1.5), "agent.algorithm.gamma is 1.5; it must be between 0 and 1"),
+    (lambda cfg: setattr(cfg.critic, "hidden_dims", (64, 0)), "agent.critic.hidden_dims is 0; it must be at least 1"),
+    (lambda cfg: setattr(cfg.actor, "activation", "ellu"), "agent.actor.activation: activation 'ellu' does not exist"),
+  ],
+)
+def test_impossible_settings_are_named_as_flags_name_them(change: Callable[[Any], None], message: str) -> None:
+  cfg = agent()
+  change(cfg)
+  with pytest.raises(ConfigError, match=message):
+    cfg.to_rsl_rl()
+
+
+def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path) -> None:
+  class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+      return True
+
+  stream = Terminal()
+  broken = runner(tmp_path, agent(), console=Console("normal", stream))
+  step, calls = broken.env.step, []
+
+  def stepping(actions: torch.Tensor) -> Any:
+    calls.append(1)
+    if len(calls) == 40:
+      raise RuntimeError("out of luck")
+    return step(actions)
+
+  broken.env.step = stepping
+  with pytest.raises(RuntimeError, match="out of luck"):
+    broken.learn(50)
+  assert stream.getvalue().endswith("\n")
 
 
 @pytest.mark.parametrize("field", ["experiment_name", "run_name"])

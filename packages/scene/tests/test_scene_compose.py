@@ -6,7 +6,8 @@ from typing import Any
 import mujoco
 import pytest
 import torch
-from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, SceneKeyError
+from mjlab_core import UnknownNameError
+from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg
 from mjlab_sensors import BuiltinSensorCfg
 from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
@@ -192,7 +193,7 @@ def test_an_unknown_name_is_answered_with_the_nearest() -> None:
   scene = Scene(three())
   assert scene["robot"] is scene.entities["robot"]
   assert scene["terrain"] is scene.terrain
-  with pytest.raises(SceneKeyError, match=r"scene: entity or sensor 'robt' does not exist. Nearest: robot"):
+  with pytest.raises(UnknownNameError, match=r"scene: entity or sensor 'robt' does not exist. Nearest: robot"):
     scene["robt"]
 
 

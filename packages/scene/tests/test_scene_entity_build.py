@@ -220,6 +220,13 @@ def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, v
     build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))
 
 
+def test_an_mjcf_that_mujoco_refuses_is_named_with_its_entity() -> None:
+  with pytest.raises(ValueError, match=r"entity 'robot': its model cannot be made: .*unrecognized"):
+    EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string("<mujoco><bdy/></mujoco>")).build("robot")
+  with pytest.raises(ValueError, match=r"entity 'robot': its model cannot be made: .*nowhere\.xml"):
+    EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_file("nowhere.xml")).build("robot")
+
+
 @pytest.mark.parametrize("spec_fn", ["robot.xml", lambda: None, mujoco.MjSpec()])
 def test_what_makes_no_spec_is_refused_by_name(spec_fn: Any) -> None:
   with pytest.raises(ValueError, match="entity 'robot': spec_fn must be a function that returns an MjSpec"):

@@ -14,7 +14,15 @@ if TYPE_CHECKING:
   from mjlab_core.drawing import DebugDraw
   from mjlab_core.frames import combine_frames, heading, subtract_frames, transform_points, velocity_at
   from mjlab_core.masking import fill_, where_
-  from mjlab_core.names import NameMatchError, match_names, match_values, match_values_full, nearest, unknown
+  from mjlab_core.names import (
+    NameMatchError,
+    UnknownNameError,
+    match_names,
+    match_values,
+    match_values_full,
+    nearest,
+    unknown,
+  )
   from mjlab_core.rotations import (
     cross,
     euler_xyz_from_quat,
@@ -50,6 +58,7 @@ __all__ = [
   "NameMatchError",
   "StateError",
   "Stateful",
+  "UnknownNameError",
   "check_range",
   "combine_frames",
   "cross",
@@ -99,7 +108,7 @@ _MODULES = {
   "drawing": "DebugDraw",
   "frames": "combine_frames heading subtract_frames transform_points velocity_at",
   "masking": "fill_ where_",
-  "names": "NameMatchError match_names match_values match_values_full nearest unknown",
+  "names": "NameMatchError UnknownNameError match_names match_values match_values_full nearest unknown",
   "rotations": (
     "cross euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
     "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "

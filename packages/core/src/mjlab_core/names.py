@@ -91,6 +91,14 @@ def nearest(name: str, candidates: Iterable[str], n: int = 3) -> list[str]:
   return [candidate for _, candidate in sorted(scored, key=lambda pair: -pair[0])[:n]]
 
 
+class UnknownNameError(KeyError):
+  """Something was asked for by a name that does not exist; the message lists what does."""
+
+  def __str__(self) -> str:
+    # A KeyError shows its message quoted and escaped.
+    return str(self.args[0])
+
+
 def unknown(what: str, name: str, candidates: Iterable[str], owner: str = "") -> str:
   """The message for a name that does not exist: "owner: what 'x' does not exist. Nearest: a, b. All 12: ..."."""
   return f"{_prefix(owner)}{what} {name!r} does not exist. {_offer(name, list(candidates))}"

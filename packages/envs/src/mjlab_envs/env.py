@@ -228,10 +228,12 @@ class ManagerBasedRlEnv:
       extras; all fresh tensors. Observations of worlds that ended are the first of their next episode.
 
     Raises:
-      ValueError: an action of the wrong shape.
+      TypeError, ValueError: what is no tensor, or has the wrong shape.
       RuntimeError: without auto-reset, a world whose episode ended was not reset; it is named.
     """
     self._check_open()
+    if not isinstance(action, torch.Tensor):
+      raise TypeError(f"action must be a torch tensor, got {type(action).__name__}; torch.as_tensor makes one")
     if action.shape != self._action.shape:
       raise ValueError(f"action must have shape {tuple(self._action.shape)}, got {tuple(action.shape)}")
     if not self.cfg.auto_reset and bool(self._pending.any()):
@@ -489,8 +491,12 @@ class ManagerBasedRlEnv:
     return {"scene": self.scene, **self.managers}
 
   def load_progress(self, state: dict[str, Any]) -> None:
-    """Take over only how far training had come: what a run with another number of worlds can use."""
+    """Take over only how far training had come: what a run with another number of worlds can use.
+
+    Draws go on from elsewhere, so that nobody sees the noise of the beginning again.
+    """
     self.common_step_counter.copy_(state["step_counter"])
+    self.rng.manual_seed(self.seed + int(self.common_step_counter))
 
   def describe(self) -> str:
     """The environment's parts as tables."""

@@ -119,7 +119,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     return self._frames[2]
 
   def get_term(self, name: str) -> ActionTerm:
-    """A term; KeyError with the nearest names if there is none such."""
+    """A term; UnknownNameError with the nearest names if there is none such."""
     return self._lookup(self._terms, name)
 
   def term_slices(self) -> dict[str, slice]:

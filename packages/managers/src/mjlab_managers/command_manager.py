@@ -144,7 +144,7 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
 
   def get_term(self, name: str) -> CommandTerm:
-    """A term; KeyError with the nearest names if there is none such."""
+    """A term; UnknownNameError with the nearest names if there is none such."""
     return self._lookup(self._terms, name)
 
   def get_command(self, name: str) -> torch.Tensor:

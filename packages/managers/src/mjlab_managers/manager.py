@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
-from mjlab_core.names import unknown
+from mjlab_core.names import UnknownNameError, unknown
 from mjlab_core.state import Stateful
 
 from mjlab_managers.binding import Term, bind, copy_cfg
@@ -67,7 +67,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
     """The live config of a term; its values may be changed on the host.
 
     Raises:
-      KeyError: no such term.
+      UnknownNameError: no such term.
     """
     return self._lookup(self._cfgs, name)
 
@@ -107,7 +107,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _lookup(self, table: Mapping[str, Any], name: str) -> Any:
     if name not in table:
-      raise KeyError(unknown("term", name, list(table), owner=self.label))
+      raise UnknownNameError(unknown("term", name, list(table), owner=self.label))
     return table[name]
 
   def _problem(self, text: str, cause: BaseException | None = None) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from mjlab_core.buffers import DelayBuffer, HistoryBuffer
 from mjlab_core.masking import where_
-from mjlab_core.names import unknown
+from mjlab_core.names import UnknownNameError, unknown
 from mjlab_core.sampling import check_range
 from mjlab_core.state import Stateful
 
@@ -308,14 +308,14 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     Parameters, noise, clip, scale, `corrupt` and `nan_policy` may be replaced on the host; the rest is fixed at build.
 
     Raises:
-      KeyError: no such group or term.
+      UnknownNameError: no such group or term.
     """
     cfg = self._lookup(self._cfgs, group)
     if name is None:
       return cfg
     terms = {key: term for key, term in cfg.terms.items() if term is not None}
     if name not in terms:
-      raise KeyError(unknown("term", name, list(terms), owner=f"{self.label}: group '{group}'"))
+      raise UnknownNameError(unknown("term", name, list(terms), owner=f"{self.label}: group '{group}'"))
     return terms[name]
 
   def get(self) -> dict[str, Observation]:

@@ -67,7 +67,7 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     self._raise_problems()
 
   def get_term(self, name: str) -> RecorderTerm:
-    """A recorder; KeyError with the nearest names if there is none such."""
+    """A recorder; UnknownNameError with the nearest names if there is none such."""
     return self._lookup(self._terms, name)
 
   def pre_reset(self, mask: torch.Tensor) -> None:

@@ -1,7 +1,15 @@
 """Learner configuration: plain dataclass instances that become rsl-rl's dictionaries."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from importlib.util import find_spec
+from typing import Any, Literal, get_args
+
+from mjlab_core import unknown
+
+Activation = Literal[
+  "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
+]
 
 
 class ConfigError(ValueError):
@@ -14,8 +22,8 @@ class RslRlModelCfg:
 
   hidden_dims: tuple[int, ...] = (128, 128, 128)
   """Widths of the hidden layers."""
-  activation: str = "elu"
-  """Activation function by rsl-rl's name: elu, relu, selu, tanh, lrelu, sigmoid, softplus, gelu, swish, mish."""
+  activation: Activation = "elu"
+  """Activation function by rsl-rl's name."""
   obs_normalization: bool = False
   """Normalise observations by their running mean and deviation, shared by all worlds."""
   distribution_cfg: dict[str, Any] | None = None
@@ -151,11 +159,24 @@ class RslRlOnPolicyRunnerCfg:
     """rsl-rl's configuration dictionary; a fresh one, rsl-rl writes into it.
 
     Raises:
-      ConfigError: A count is not positive, the run's name is no name, or the actor has no action distribution.
+      ConfigError: A number is out of its range, a name is no name, the actor has no action distribution, or the logger
+        is not installed.
     """
     for name in ("num_steps_per_env", "max_iterations", "save_interval"):
-      if getattr(self, name) < 1:
-        raise ConfigError(f"agent.{name} is {getattr(self, name)}; it must be at least 1")
+      _check(f"agent.{name}", getattr(self, name), "at least 1", lambda x: x >= 1)
+    for name in ("num_learning_epochs", "num_mini_batches"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
+    for name in ("learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", lambda x: x > 0)
+    for name in ("gamma", "lam"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
+    for network, model in (("actor", self.actor), ("critic", self.critic)):
+      for width in model.hidden_dims:
+        _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
+      if model.activation not in get_args(Activation):
+        raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
+    if self.logger == "wandb" and find_spec("wandb") is None:
+      raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb")
     for key, name in (("experiment_name", self.experiment_name), ("run_name", self.run_name)):
       if "/" in name or name == "..":
         raise ConfigError(f"agent.{key} is {name!r}; it is the name of one folder, or part of one, and takes no path")
@@ -176,3 +197,8 @@ class RslRlOnPolicyRunnerCfg:
       # The environment finds and resets broken worlds itself; rsl-rl's check would stop the GPU three times a step.
       "check_for_nan": False,
     }
+
+
+def _check(name: str, value: float, wanted: str, holds: Callable[[float], bool]) -> None:
+  if not holds(value):
+    raise ConfigError(f"{name} is {value}; it must be {wanted}")

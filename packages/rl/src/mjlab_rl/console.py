@@ -1,8 +1,11 @@
 """What a person watching the training sees."""
 
+import contextlib
+import errno
 import shutil
 import sys
 import time
+from collections.abc import Generator
 from typing import Literal, TextIO
 
 from mjlab_rl.iteration_report import IterationReport
@@ -37,42 +40,61 @@ class Console:
     if self._verbosity == "quiet":
       return
     self.end_line()
-    print(text, file=self._stream, flush=True)
+    self._write(text + "\n")
 
   def show(self, report: IterationReport) -> None:
     """Show one iteration."""
     if self._verbosity == "quiet":
       return
     if self._verbosity == "verbose":
-      print(_block(report), file=self._stream, flush=True)
+      self._write(_block(report) + "\n")
     elif self._is_live:
-      width = shutil.get_terminal_size().columns
-      self._stream.write("\r\x1b[2K" + summary(report)[: width - 1])
-      self._stream.flush()
+      self._write("\r\x1b[2K" + summary(report, shutil.get_terminal_size().columns - 1))
       self._line_open = True
     else:
       now = time.monotonic()
       is_last = report.iteration + 1 == report.end
       if is_last or now - self._last_line >= _PLAIN_INTERVAL:
         self._last_line = now
-        print(summary(report), file=self._stream, flush=True)
+        self._write(summary(report) + "\n")
+
+  @contextlib.contextmanager
+  def live(self) -> Generator[None]:
+    """While entered there may be a live line; whatever comes after it begins a new one."""
+    try:
+      yield
+    finally:
+      self.end_line()
 
   def end_line(self) -> None:
     """Leave the live line as it is and go on below it."""
     if self._line_open:
-      self._stream.write("\n")
       self._line_open = False
+      self._write("\n")
+
+  def _write(self, text: str) -> None:
+    try:
+      self._stream.write(text)
+      self._stream.flush()
+    except OSError as error:
+      if error.errno != errno.EIO:
+        raise
+      # The terminal was closed; the run goes on to its next checkpoint without it.
+      self._verbosity = "quiet"
 
 
-def summary(report: IterationReport) -> str:
-  """One line: iteration, speed, reward, episode length, time to go."""
-  width = len(str(report.end))
-  parts = [f"{report.iteration + 1:>{width}}/{report.end}", f"{_count(report.steps_per_second)} steps/s"]
+def summary(report: IterationReport, width: int | None = None) -> str:
+  """One line: iteration, speed, reward, episode length, time to go; on a narrow one the least important is left out."""
+  digits = len(str(report.end))
+  parts = [f"{report.iteration + 1:>{digits}}/{report.end}", f"{_count(report.steps_per_second)} steps/s"]
   if report.mean_reward is not None and report.mean_episode_length is not None:
     parts += [f"reward {report.mean_reward:.2f}", f"episode {report.mean_episode_length:.0f} steps"]
   else:
     parts += ["no episode finished yet"]
   parts += [f"ETA {_duration(report.eta)}"]
+  while width is not None and len("  ".join(parts)) > width and len(parts) > 2:
+    # Iteration and time to go stay; speed is the last of the others to go.
+    del parts[-2]
   return "  ".join(parts)
 
 

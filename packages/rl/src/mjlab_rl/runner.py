@@ -94,7 +94,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self.alg.train_mode()
     if self.is_distributed:
       self.alg.broadcast_parameters()
-    with self._open_logs() as logs, StopSignals() as stop:
+    with self._open_logs() as logs, StopSignals() as stop, self.console.live():
       started, before = time.perf_counter(), self._elapsed
       for iteration in range(start, end):
         began = time.perf_counter()
@@ -127,7 +127,6 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
             log.save_file(path)
         if is_last:
           break
-    self.console.end_line()
 
   def checkpoint_path(self) -> Path:
     """Where the present state is saved."""

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, Protocol
 
-from mjlab_rl.config import ConfigError, RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlOnPolicyRunnerCfg
 from mjlab_rl.iteration_report import IterationReport
 
 
@@ -99,10 +99,8 @@ class WandbLog:
   """Scalars, configuration and checkpoints in a Weights & Biases run; wandb is imported here and nowhere else."""
 
   def __init__(self, directory: Path, cfg: RslRlOnPolicyRunnerCfg, config: dict[str, Any]):
-    try:
-      import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
-    except ModuleNotFoundError as error:
-      raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb") from error
+    import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+
     self._run = wandb.init(
       project=cfg.wandb_project, name=directory.name, dir=str(directory), tags=list(cfg.wandb_tags), config=config
     )

@@ -1,5 +1,6 @@
 """Stopping a run from outside without losing it."""
 
+import contextlib
 import os
 import signal
 import threading
@@ -8,12 +9,15 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 _MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
+_LAST_WORD = b"\nStopped at once; what came after the last checkpoint is lost.\n"
+# Besides Ctrl-C: what a scheduler sends, and what a closing terminal sends where nothing like nohup is between.
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 # Launchers pass on a Ctrl-C that the terminal has sent to everybody already; that is not a second one [s].
 _ECHO = 0.5
 
 
 class StopSignals:
-  """While entered, the first Ctrl-C or SIGTERM only sets `received`; a second one ends the process at once.
+  """While entered, the first Ctrl-C, SIGTERM or SIGHUP only sets `received`; a second one ends the process at once.
 
   Does nothing outside the main thread, where Python allows no signal handlers.
   """
@@ -26,8 +30,9 @@ class StopSignals:
 
   def __enter__(self) -> Self:
     if threading.current_thread() is threading.main_thread():
-      for number in (signal.SIGINT, signal.SIGTERM):
-        self._previous[number] = signal.signal(number, self._on_signal)
+      for number in (getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)):
+        if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+          self._previous[number] = signal.signal(number, self._on_signal)
     return self
 
   def __exit__(
@@ -44,8 +49,14 @@ class StopSignals:
     if self.received is None:
       self.received = signal.Signals(number).name
       self._received_at = now
-      # print() may not be entered again from a handler; a bare write may.
-      os.write(2, _MESSAGE)
+      _say(_MESSAGE)
     elif now - self._received_at > _ECHO:
+      _say(_LAST_WORD)
       signal.signal(number, signal.SIG_DFL)
       os.kill(os.getpid(), number)
+
+
+def _say(message: bytes) -> None:
+  # print() may not be entered again from a handler; a bare write may, and the terminal may be gone.
+  with contextlib.suppress(OSError):
+    os.write(2, message)

@@ -7,7 +7,7 @@ from mjlab_scene.entity_data import EntityData
 from mjlab_scene.indexing import EntityIndexing
 from mjlab_scene.initial_state import InitialState
 from mjlab_scene.keyframes import INIT_STATE
-from mjlab_scene.scene import Scene, SceneCfg, SceneKeyError, TerrainCfg
+from mjlab_scene.scene import Scene, SceneCfg, TerrainCfg
 from mjlab_scene.terrain_levels import TerrainLevels
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
   "InitialStateCfg",
   "Scene",
   "SceneCfg",
-  "SceneKeyError",
   "TerrainCfg",
   "TerrainLevels",
 ]

@@ -226,7 +226,10 @@ def _floats(body: mujoco.MjsBody) -> bool:
 
 
 def _make_spec(cfg: EntityCfg, owner: str) -> mujoco.MjSpec:
-  spec = cfg.spec_fn() if callable(cfg.spec_fn) else None
+  try:
+    spec = cfg.spec_fn() if callable(cfg.spec_fn) else None
+  except (ValueError, OSError) as error:
+    raise ValueError(f"{owner}: its model cannot be made: {error}") from error
   if not isinstance(spec, mujoco.MjSpec):
     raise ValueError(f"{owner}: spec_fn must be a function that returns an MjSpec")
   return spec

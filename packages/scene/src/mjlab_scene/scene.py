@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.names import unknown
+from mjlab_core.names import UnknownNameError, unknown
 from mjlab_core.state import Stateful
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
 from mjlab_terrain import Terrain, grid_origins
@@ -196,14 +196,14 @@ class Scene(Stateful):
   # Access
 
   def __getitem__(self, name: str) -> Any:
-    """The entity, sensor or terrain of this name; KeyError lists the names there are."""
+    """The entity, sensor or terrain of this name; UnknownNameError lists the names there are."""
     if name in self.entities:
       return self.entities[name]
     if name in self.sensors:
       return self.sensors[name]
     if name == TERRAIN and self.terrain is not None:
       return self.terrain
-    raise SceneKeyError(unknown("entity or sensor", name, list(self), "scene"))
+    raise UnknownNameError(unknown("entity or sensor", name, list(self), "scene"))
 
   def __contains__(self, name: object) -> bool:
     return name in list(self)
@@ -221,11 +221,3 @@ class Scene(Stateful):
   def keys(self) -> list[str]:
     """Names that the scene can be asked for."""
     return list(self)
-
-
-class SceneKeyError(KeyError):
-  """A scene has nothing of that name; the message lists what it has."""
-
-  def __str__(self) -> str:
-    # A KeyError shows its message quoted and escaped.
-    return str(self.args[0])
