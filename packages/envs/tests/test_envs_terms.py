@@ -21,7 +21,7 @@ from mjlab_managers import (
   SceneEntityCfg,
   TerminationTermCfg,
 )
-from mjlab_sensors import FrameMatch, GridPatternCfg, RayCastSensorCfg
+from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, GridPatternCfg, RayCastSensorCfg
 from scipy.spatial.transform import Rotation
 
 # An environment, of which tests also touch what is not public.
@@ -98,6 +98,16 @@ def test_a_height_scan_is_the_height_of_its_frame_and_says_what_it_misses(make: 
   expected = np.concatenate((expected[:3] - 0.2, np.full((1, 4), -1.0)))
   scan = observed(env, mdp.height_scan, sensor="scan", offset=0.2, miss_value=-1.0)
   np.testing.assert_allclose(scan[:, outer], expected, atol=1e-6)
+
+
+def test_a_contact_sensor_keeps_the_forces_of_all_substeps_of_a_step(make: Make) -> None:
+  for decimation in (2, 3):
+    cfg = hopper_cfg()
+    cfg.decimation = decimation
+    cfg.scene.sensors["touch"] = ContactSensorCfg(
+      primary=ContactMatch(mode="subtree", pattern="trunk", entity="robot"), history_length="decimation"
+    )
+    assert make(cfg).scene["touch"].data.force_history.shape == (4, 1, decimation, 3)
 
 
 def test_joints_are_relative_to_the_default_pose(env: Any) -> None:

@@ -67,7 +67,7 @@ class ManagerBasedRlEnv:
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
     self.seed: int = draw_seed() if self.cfg.seed is None else self.cfg.seed
-    self.scene = Scene(self.cfg.scene)
+    self.scene = Scene(self.cfg.scene, self.cfg.decimation)
     self.sim = Simulation(self.cfg.scene.num_envs, self.scene.spec, self.cfg.sim, device)
     self.device = self.sim.device
     self.num_envs = self.sim.num_envs

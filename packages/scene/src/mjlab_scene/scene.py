@@ -66,6 +66,10 @@ class Scene(Stateful):
   entity, a sensor or, under "terrain", the terrain. Sensors that an entity's model brings are read as
   `scene["robot/imu_gyro"]` unless a configured sensor claims them.
 
+  Args:
+    cfg: What the worlds contain.
+    decimation: Physics steps of one environment step, for sensors that follow it; None where there is no such thing.
+
   Raises:
     ValueError: anything wrong in the configuration, by name.
   """
@@ -75,7 +79,7 @@ class Scene(Stateful):
   env_origins: torch.Tensor
   """Where each world has its origin, world frame, (num_envs, 3) [m]; there once the scene is initialized."""
 
-  def __init__(self, cfg: SceneCfg) -> None:
+  def __init__(self, cfg: SceneCfg, decimation: int | None = None) -> None:
     if cfg.num_envs < 1:
       raise ValueError(f"scene: num_envs {cfg.num_envs} must be at least 1")
     self.cfg = cfg
@@ -97,7 +101,7 @@ class Scene(Stateful):
         raise ValueError(f"scene: '{name}' is both an entity and a sensor; scene['{name}'] can only be one of them")
     self.entities: dict[str, Entity] = self._attach_entities()
     """Entities by name."""
-    self.sensors: dict[str, Sensor[Any]] = self._add_sensors()
+    self.sensors: dict[str, Sensor[Any]] = self._add_sensors(decimation)
     """Sensors by name."""
     if cfg.spec_fn is not None:
       cfg.spec_fn(self.spec)
@@ -119,7 +123,7 @@ class Scene(Stateful):
       entity.attach(self.spec)
     return entities
 
-  def _add_sensors(self) -> dict[str, Sensor[Any]]:
+  def _add_sensors(self, decimation: int | None) -> dict[str, Sensor[Any]]:
     found = [sensor.name for sensor in self.spec.sensors if sensor.name]
     claimed = {getattr(cfg, "element", None) for cfg in self.cfg.sensors.values()}
     sensors: dict[str, Sensor[Any]] = {}
@@ -131,6 +135,7 @@ class Scene(Stateful):
       if name not in claimed and name not in sensors:
         sensors[name] = BuiltinSensorCfg(element=name).build(name)
     for sensor in sensors.values():
+      sensor.decimation = decimation
       sensor.edit_spec(self.spec, self.entities)
     return sensors
 
@@ -154,6 +159,7 @@ class Scene(Stateful):
     for entity in self.entities.values():
       entity.initialize(sim, rng=rng)
     for sensor in self.sensors.values():
+      sensor.rng = rng
       sensor.initialize(sim, self.entities)
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=sim.device)
     self.reset(everywhere)

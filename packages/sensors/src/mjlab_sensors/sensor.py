@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import Stateful
+from mjlab_core import DebugDraw, Stateful
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -59,10 +59,16 @@ class Sensor(Stateful, ABC, Generic[T]):
   """Something that is read from a simulation.
 
   A scene calls, in this order: `edit_spec` before the model is compiled, `initialize` once there is a simulation, then
-  `update` after every substep and `reset` for the worlds that start anew. Whoever wants the reading asks `data`.
+  `update` after every substep and `reset` for the worlds that start anew. Whoever wants the reading asks `data`; a
+  viewer calls `debug_draw` once a picture.
   """
 
   _constants = frozenset({"_reading"})
+
+  decimation: int | None = None
+  """Physics steps of one environment step, for what follows it; whoever knows sets it before `edit_spec`."""
+  rng: torch.Generator | None = None
+  """Source of randomness on the simulation's device, set before `initialize`; torch's own if None."""
 
   def __init__(self, name: str, cfg: SensorCfg) -> None:
     self.name = name
@@ -103,6 +109,15 @@ class Sensor(Stateful, ABC, Generic[T]):
   def reset(self, mask: torch.Tensor) -> None:
     """Forget the past of the worlds in `mask`, (num_envs,) bool. By default there is none."""
     del mask
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Show what is sensed in the worlds of `draw.worlds`. By default there is nothing to show."""
+    del draw
+
+  @property
+  def _draw_size(self) -> float:
+    """Size of a small thing in this model's picture [m]."""
+    return 0.2 * float(self.sim.mj_model.stat.meansize)
 
   @property
   def data(self) -> T:
