@@ -138,9 +138,11 @@ def test_sensors_are_those_of_the_table(name: str) -> None:
     assert isinstance(touch, ContactSensor)
     assert tuple(primary.removeprefix("robot/") for primary in touch.primary_names) == geoms
   for sensor in expected & {"self_collision", *facts.robot.touch}:
-    cfg = configured[sensor].cfg
-    assert isinstance(cfg, ContactSensorCfg)
-    assert (cfg.history_length, cfg.num_slots) == (4, 1)
+    touch = configured[sensor]
+    assert isinstance(touch, ContactSensor)
+    assert touch.history_length == env.cfg.decimation == 4
+    cfg = touch.cfg
+    assert (cfg.history_length, cfg.num_slots) == ("decimation", 1)
   if facts.rough:
     scan = configured["terrain_scan"].cfg
     assert isinstance(scan, RayCastSensorCfg)

@@ -21,7 +21,7 @@ from mjlab_terrain import (
 )
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.legged import DECIMATION, LeggedRobot, flat_env, play
+from mjlab_velocity.legged import LeggedRobot, flat_env, play
 
 RIM = 0.2  # m, level edge of tiles that are height fields
 SCAN_DISTANCE = 5.0  # m
@@ -83,7 +83,7 @@ def self_collision(root: str) -> ContactSensorCfg:
   """The strongest contact of the robot with itself, over the substeps of a step."""
   robot = ContactMatch(mode="subtree", pattern=root, entity="robot")
   return ContactSensorCfg(
-    primary=robot, secondary=robot, fields=("found", "force"), reduce="maxforce", history_length=DECIMATION
+    primary=robot, secondary=robot, fields=("found", "force"), reduce="maxforce", history_length="decimation"
   )
 
 
@@ -94,7 +94,7 @@ def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
     secondary=ContactMatch(mode="body", pattern="terrain"),
     fields=("found", "force"),
     reduce="maxforce",
-    history_length=DECIMATION,
+    history_length="decimation",
   )
 
 
