@@ -6,18 +6,22 @@ from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.nan_dump import Culprit, DivergedWorld, NanDump, Replay
 from mjlab_sim.nan_guard import NanGuard
 from mjlab_sim.rays import RayCaster, RayHits
+from mjlab_sim.rendering import DataType, Images, Renderer
 from mjlab_sim.simulation import Simulation, StepGraph
 from mjlab_sim.torch_array import TorchArray
 
 __all__ = [
   "PER_WORLD",
   "Culprit",
+  "DataType",
   "DivergedWorld",
+  "Images",
   "NanDump",
   "NanGuard",
   "NanGuardCfg",
   "RayCaster",
   "RayHits",
+  "Renderer",
   "Replay",
   "Simulation",
   "SimulationCfg",

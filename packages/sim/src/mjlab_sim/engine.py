@@ -5,6 +5,7 @@ from typing import Protocol
 import torch
 
 from mjlab_sim.rays import EngineRayCaster
+from mjlab_sim.rendering import EngineRenderer, View
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
 
@@ -49,6 +50,10 @@ class Engine(Protocol):
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRayCaster:
     """A caster with fixed outputs that sees `targets` up to `max_distance` [m]."""
+    ...
+
+  def renderer(self, view: View) -> EngineRenderer:
+    """A renderer with fixed images."""
     ...
 
   def count_overflow(self) -> None:

@@ -2,7 +2,7 @@
 
 import copy
 import ctypes
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -13,8 +13,12 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
 from mjlab_sim.native_rays import NativeRayCaster, ground_geoms, ground_model
+from mjlab_sim.rendering import EngineRenderer, View
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
+
+if TYPE_CHECKING:
+  from mjlab_sim.warp_rendering import Stage
 
 _NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _VEL = mujoco.mjtStage.mjSTAGE_VEL.value
@@ -65,6 +69,7 @@ class NativeEngine:
     self._per_world: dict[str, TorchArray] = {}
     self._shared: dict[str, tuple[TorchArray, int]] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
+    self._stage: Stage | None = None
     self._batch.reset(stage=_VEL)
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
     self._seen = [array.copy() for array in self._kinematic]
@@ -171,6 +176,14 @@ class NativeEngine:
       self._grounds[key] = batch.Batch(ground, self._num_envs, self._batch.nthread, persistent=True)
     return self._grounds[key]
 
+  def renderer(self, view: View) -> EngineRenderer:
+    if self._stage is None:
+      # Whoever draws no images does not wait for Warp.
+      from mjlab_sim.native_rendering import native_stage
+
+      self._stage = native_stage(self)
+    return self._stage.renderer(view)
+
   def _count_warnings(self) -> np.ndarray:
     return self._batch.warning[:, list(_BUFFERS.values()), 1]
 
@@ -198,4 +211,5 @@ class NativeEngine:
     self._shared.clear()
     self._kinematic.clear()
     self._grounds.clear()
+    self._stage = None
     del self._batch

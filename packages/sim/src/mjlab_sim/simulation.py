@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import mujoco
 import torch
@@ -14,6 +14,7 @@ from mjlab_sim.engine import Engine
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
 from mjlab_sim.rays import FreshRayCaster, RayCaster
+from mjlab_sim.rendering import DataType, FreshRenderer, Look, Renderer, View
 from mjlab_sim.static_rays import FixedGeometry, find_targets
 from mjlab_sim.torch_array import TorchArray
 from mjlab_sim.views import DataView, ModelView
@@ -234,7 +235,7 @@ class Simulation:
       target.copy_(value)
     self._state_version = -1
 
-  # Rays, overflow
+  # Rays, images, overflow
 
   def make_ray_caster(
     self,
@@ -265,6 +266,52 @@ class Simulation:
     if self._fixed_geometry is None:
       self._fixed_geometry = FixedGeometry(self.mj_model, self._engine.model_field)
     return FreshRayCaster(self, self._engine.ray_caster(targets, max_distance, geomid))
+
+  def make_renderer(
+    self,
+    camera: int,
+    width: int,
+    height: int,
+    data_types: Sequence[DataType] = ("rgb",),
+    *,
+    geomgroup: Sequence[bool] | None = None,
+    textures: bool = True,
+    shadows: bool = False,
+  ) -> Renderer:
+    """A renderer of what a camera of the model sees in every world, by MuJoCo Warp on either engine.
+
+    Surfaces are seen from outside only, and nothing beyond the far plane, `vis.map.zfar * stat.extent`; there is no
+    near plane. Geoms of zero alpha are not seen, and others as if they were opaque.
+
+    Args:
+      camera: Number of the camera.
+      width: Pixels of a row.
+      height: Rows.
+      data_types: What to draw.
+      geomgroup: Which of the six geom groups are seen; all by default.
+      textures: Draw textures.
+      shadows: Let lights cast shadows.
+
+    Raises:
+      SimulationError: an argument that does not fit the model, or a model that MuJoCo Warp cannot draw.
+    """
+    self._check_open()
+    if not 0 <= camera < self.mj_model.ncam:
+      raise SimulationError(f"camera must be from 0 to {self.mj_model.ncam - 1}, got {camera}")
+    if min(width, height) < 1:
+      raise SimulationError(f"an image needs at least one pixel, got width {width} and height {height}")
+    for kind in data_types:
+      if kind not in get_args(DataType):
+        raise SimulationError(unknown("data type", kind, get_args(DataType)))
+    if geomgroup is not None and len(geomgroup) != mujoco.mjNGROUP:
+      raise SimulationError(f"geomgroup needs {mujoco.mjNGROUP} entries, got {len(geomgroup)}")
+    groups = None if geomgroup is None else tuple(bool(group) for group in geomgroup)
+    look = Look(geomgroup=groups, textures=textures, shadows=shadows)
+    view = View(camera=camera, width=width, height=height, data_types=tuple(data_types), look=look)
+    renderer = FreshRenderer(self, self._engine.renderer(view))
+    for graph in self._graphs:
+      graph.invalidate()
+    return renderer
 
   def fixed_geoms_are_in_place(self) -> bool:
     """Whether geoms that never move are where the compiled model has them; graphs that count on it are dropped.

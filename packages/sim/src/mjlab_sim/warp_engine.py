@@ -17,9 +17,11 @@ from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.graph import Recorder
+from mjlab_sim.rendering import View
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
 from mjlab_sim.warp_rays import FixedTriangles, Surfaces, WarpRayCaster
+from mjlab_sim.warp_rendering import Stage, WarpRenderer
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -87,6 +89,7 @@ class WarpEngine:
       self._overflow_seen = wp.zeros(num_envs, dtype=wp.int32)
       self._overflow_wanted = wp.zeros(3, dtype=wp.int32)
     self._reset_mask_torch = wp.to_torch(self._reset_mask)
+    self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
     self._run("forward", self._forward)
 
   # Fields
@@ -225,6 +228,9 @@ class WarpEngine:
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> WarpRayCaster:
     return WarpRayCaster(self, targets, max_distance, geomid=geomid)
+
+  def renderer(self, view: View) -> WarpRenderer:
+    return self._stage.renderer(view)
 
   def close(self) -> None:
     self._graphs.clear()

@@ -2,6 +2,7 @@
 
 import warp as wp
 from mujoco_warp._src.ray import ray_geom
+from mujoco_warp._src.render_util import compute_ray
 from mujoco_warp._src.types import GeomType
 
 MESH = wp.constant(int(GeomType.MESH))
@@ -116,3 +117,80 @@ def cast_rays(
   distance[world, ray] = wp.where(hit_geom < 0, -1.0, nearest)
   geomid[world, ray] = hit_geom
   normal[world, ray] = hit_normal
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def aim_cameras(
+  is_due: wp.array[bool],
+  cam_xpos: wp.array2d[wp.vec3],
+  cam_xmat: wp.array2d[wp.mat33],
+  aimed_xpos: wp.array2d[wp.vec3],
+  aimed_xmat: wp.array2d[wp.mat33],
+):
+  """Poses of cameras; in worlds that are not due they are far below everything and look down."""
+  world, camera = wp.tid()
+  if is_due[world]:
+    aimed_xpos[world, camera] = cam_xpos[world, camera]
+    aimed_xmat[world, camera] = cam_xmat[world, camera]
+  else:
+    aimed_xpos[world, camera] = wp.vec3(0.0, 0.0, -1.0e9)
+    aimed_xmat[world, camera] = wp.identity(3, float)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def develop(
+  is_due: wp.array[bool],
+  packed_rgb: wp.array2d[wp.uint32],
+  planar_depth: wp.array2d[float],
+  seen_object: wp.array2d[wp.vec2i],
+  rgb_adr: wp.array[int],
+  depth_adr: wp.array[int],
+  seg_adr: wp.array[int],
+  cam_projection: wp.array[int],
+  cam_fovy: wp.array2d[float],
+  cam_sensorsize: wp.array[wp.vec2],
+  cam_intrinsic: wp.array2d[wp.vec4],
+  camera: int,
+  width: int,
+  height: int,
+  znear: float,
+  rgb: wp.array3d[wp.uint8],
+  depth: wp.array3d[float],
+  distance: wp.array3d[float],
+  segmentation: wp.array3d[int],
+):
+  """Images of the worlds that are due, channels first; what was not asked for has no pixels."""
+  world, pixel = wp.tid()
+  if not is_due[world]:
+    return
+  if rgb.shape[2] > 0:
+    color = packed_rgb[world, rgb_adr[0] + pixel]
+    for channel in range(3):
+      rgb[world, channel, pixel] = wp.uint8((color >> wp.uint32(16 - 8 * channel)) & wp.uint32(0xFF))
+  if depth.shape[2] > 0 or distance.shape[2] > 0:
+    planar = planar_depth[world, depth_adr[0] + pixel]
+    along = planar
+    if planar <= 0.0:
+      planar = -1.0
+      along = -1.0
+    elif distance.shape[2] > 0:
+      ray, _offset = compute_ray(
+        cam_projection[camera],
+        cam_fovy[world % cam_fovy.shape[0], camera],
+        cam_sensorsize[camera],
+        cam_intrinsic[world % cam_intrinsic.shape[0], camera],
+        width,
+        height,
+        pixel % width,
+        pixel // width,
+        znear,
+      )
+      along = -planar / ray[2]
+    if depth.shape[2] > 0:
+      depth[world, 0, pixel] = planar
+    if distance.shape[2] > 0:
+      distance[world, 0, pixel] = along
+  if segmentation.shape[2] > 0:
+    seen = seen_object[world, seg_adr[0] + pixel]
+    segmentation[world, 0, pixel] = seen[0]
+    segmentation[world, 1, pixel] = seen[1]

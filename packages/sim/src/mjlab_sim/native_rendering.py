@@ -1,0 +1,77 @@
+"""The batch renderer on a CPU, fed with what MuJoCo's own engine computes."""
+
+import copy
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from mjlab_sim.errors import SimulationError
+from mjlab_sim.warp_rendering import POSES, Stage
+
+if TYPE_CHECKING:
+  from mjlab_sim.native import NativeEngine
+
+wp.config.log_level = wp.LOG_WARNING
+
+_DRAWN = """geom_dataid geom_matid geom_size geom_rgba cam_fovy cam_intrinsic light_type light_castshadow light_active
+light_attenuation light_cutoff light_exponent light_ambient light_diffuse light_specular mat_texid mat_texuniform
+mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
+"""Per-world fields of the model that an image depends on, beside those that it sees as poses."""
+
+_OPTIONS = ("solver", "integrator", "jacobian", "disableflags", "enableflags")
+
+
+def native_stage(engine: "NativeEngine") -> Stage:
+  """The worlds of an engine as MuJoCo Warp's renderer wants them, copied before each image.
+
+  Raises:
+    SimulationError: MuJoCo Warp does not know something that the model contains.
+  """
+  wp.init()
+  device, worlds, model = wp.get_device("cpu"), engine._num_envs, copy.copy(engine._model)
+  # Nothing is stepped here: how it would be must not keep a model from being drawn.
+  for name in _OPTIONS:
+    setattr(model.opt, name, getattr(mujoco.MjOption(), name))
+  with wp.ScopedDevice(device):
+    try:
+      m = mjw.put_model(model)
+    except (NotImplementedError, ValueError) as error:
+      raise SimulationError(f"MuJoCo Warp, which draws images on a CPU too, cannot take this model: {error}") from error
+    kinds = {"xmat": wp.mat33}
+    d = SimpleNamespace(nworld=worlds)
+    copies: list[tuple[NDArray, NDArray]] = []
+    for name in POSES:
+      source = engine.data_field(name)
+      array: Any = wp.zeros((worlds, source.shape[1]), dtype=kinds.get(name.split("_")[1], wp.vec3))
+      setattr(d, name, array)
+      copies.append((array.numpy(), source.numpy()))
+
+  def refresh() -> None:
+    for target, source in copies:
+      np.copyto(target, source, casting="same_kind")
+    for name in _DRAWN:
+      rows = engine._batch.expanded(name)
+      if rows is None:
+        continue
+      array = getattr(m, name)
+      if array.shape[0] != worlds:
+        array = wp.zeros((worlds, *array.shape[1:]), dtype=array.dtype, device=device)
+        setattr(m, name, array)
+      np.copyto(array.numpy(), rows, casting="same_kind")
+
+  return Stage(model, worlds, m, d, device, _run(device), refresh)
+
+
+def _run(device: Any) -> Callable[[str, Callable[[], None]], None]:
+  def run(name: str, launches: Callable[[], None]) -> None:
+    del name
+    with wp.ScopedDevice(device):
+      launches()
+
+  return run

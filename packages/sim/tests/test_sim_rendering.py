@@ -1,0 +1,79 @@
+"""Images: each world's own, in fixed memory, drawn where they are asked for."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from mjlab_sim import Simulation, SimulationError
+from sim_world import scatter
+
+MakeSim = Callable[..., Simulation]
+
+ALL: Any = ("rgb", "depth", "distance", "segmentation")
+
+
+def clones(images: Any) -> list[torch.Tensor]:
+  return [value.clone() for value in vars(images).values() if value is not None]
+
+
+@pytest.mark.warp
+def test_worlds_outside_the_mask_keep_their_images(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  scatter(sim)
+  renderer, reference = (sim.make_renderer(0, 6, 4, ALL) for _ in range(2))
+  black = clones(renderer.images)
+  assert [value.unique().tolist() for value in black] == [[0], [-1], [-1], [-1]]
+  mask = torch.arange(sim.num_envs) % 2 == 0
+  now = clones(reference.render())
+  for drawn, before, expected in zip(clones(renderer.render(mask)), black, now, strict=True):
+    assert torch.equal(drawn[mask], expected[mask])
+    assert torch.equal(drawn[~mask], before[~mask])
+  for drawn, expected in zip(clones(renderer.render()), now, strict=True):
+    assert torch.equal(drawn, expected)
+  # Masked once does not mean masked for good, and the other way round.
+  sim.data.qpos[:, 2] += 0.3
+  later = clones(reference.render())
+  for drawn, before, expected in zip(clones(renderer.render(~mask)), now, later, strict=True):
+    assert torch.equal(drawn[~mask], expected[~mask])
+    assert torch.equal(drawn[mask], before[mask])
+
+
+@pytest.mark.warp
+def test_both_engines_draw_the_same(make_sim: MakeSim) -> None:
+  images: list[Any] = []
+  for engine in ("native", "warp"):
+    sim = make_sim(engine)
+    scatter(sim)
+    images.append(sim.make_renderer(0, 12, 8, ALL).render())
+  native, warp = images
+  assert torch.equal(native.segmentation, warp.segmentation)
+  torch.testing.assert_close(native.depth, warp.depth, rtol=1e-5, atol=1e-5)
+  assert (native.rgb.int() - warp.rgb.int()).abs().max() <= 1
+
+
+@pytest.mark.parametrize(
+  ("arguments", "message"),
+  [
+    ((1, 6, 4), "camera must be from 0 to 0, got 1"),
+    ((-1, 6, 4), "camera must be from 0 to 0, got -1"),
+    ((0, 0, 4), "an image needs at least one pixel, got width 0 and height 4"),
+    ((0, 6, 4, ("deph",)), "data type 'deph' does not exist. Nearest: depth"),
+  ],
+)
+def test_a_view_that_there_is_not_is_refused(make_sim: MakeSim, arguments: Any, message: str) -> None:
+  with pytest.raises(SimulationError, match=message):
+    make_sim("native").make_renderer(*arguments)
+
+
+@pytest.mark.warp
+def test_wrong_groups_and_masks_are_refused(make_sim: MakeSim) -> None:
+  sim = make_sim("native")
+  with pytest.raises(SimulationError, match="geomgroup needs 6 entries, got 2"):
+    sim.make_renderer(0, 6, 4, geomgroup=(True, False))
+  renderer = sim.make_renderer(0, 6, 4)
+  with pytest.raises(SimulationError, match="render: mask must be bool"):
+    renderer.render(torch.zeros(sim.num_envs))
+  sim.close()
+  with pytest.raises(SimulationError, match="closed"):
+    renderer.render()
