@@ -1,6 +1,7 @@
-"""Native, contact, ray-cast and terrain-height sensors over batched MuJoCo worlds."""
+"""Native, contact, ray-cast, camera and terrain-height sensors over batched MuJoCo worlds."""
 
 from mjlab_sensors.builtin import BuiltinSensor, BuiltinSensorCfg, ObjRef, SensorType
+from mjlab_sensors.camera import CameraData, CameraSensor, CameraSensorCfg
 from mjlab_sensors.contact import ContactData, ContactMatch, ContactSensor, ContactSensorCfg
 from mjlab_sensors.frames import FrameMatch
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg, RingPatternCfg
@@ -12,6 +13,9 @@ from mjlab_sensors.terrain_height import TerrainHeightData, TerrainHeightSensor,
 __all__ = [
   "BuiltinSensor",
   "BuiltinSensorCfg",
+  "CameraData",
+  "CameraSensor",
+  "CameraSensorCfg",
   "ContactData",
   "ContactMatch",
   "ContactSensor",
