@@ -20,8 +20,16 @@ from mjlab_managers import (
   RewardTermCfg,
   SceneEntityCfg,
   TerminationTermCfg,
+  UniformNoiseCfg,
 )
-from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, GridPatternCfg, RayCastSensorCfg
+from mjlab_sensors import (
+  CameraSensorCfg,
+  ContactMatch,
+  ContactSensorCfg,
+  FrameMatch,
+  GridPatternCfg,
+  RayCastSensorCfg,
+)
 from scipy.spatial.transform import Rotation
 
 # An environment, of which tests also touch what is not public.
@@ -108,6 +116,111 @@ def test_a_contact_sensor_keeps_the_forces_of_all_substeps_of_a_step(make: Make)
       primary=ContactMatch(mode="subtree", pattern="trunk", entity="robot"), history_length="decimation"
     )
     assert make(cfg).scene["touch"].data.force_history.shape == (4, 1, decimation, 3)
+
+
+def camera_cfg(update_period: int = 0, **terms: Any) -> Any:
+  """The hopper with a camera that looks at it from its right, and what is observed of that."""
+  cfg = hopper_cfg()
+  cfg.scene.sensors["side"] = CameraSensorCfg(
+    body="robot/trunk",
+    pos=(0.0, -1.0, -0.1),
+    quat=(0.7071, 0.7071, 0.0, 0.0),
+    width=12,
+    height=8,
+    data_types=("rgb", "depth", "segmentation"),
+    update_period=update_period,
+  )
+  cfg.observations["camera"] = ObservationGroupCfg(
+    terms={
+      name: ObservationTermCfg(func, params={"sensor": "side", **params}) for name, (func, params) in terms.items()
+    },
+    concatenate_terms=False,
+  )
+  return cfg
+
+
+@pytest.mark.warp
+def test_images_are_numbers_that_a_policy_can_use(make: Make) -> None:
+  shank = SceneEntityCfg("robot", geom_names=("shank", "foot"))
+  env = make(
+    camera_cfg(
+      color=(mdp.camera_rgb, {}),
+      depth=(mdp.camera_depth, {"max_depth": 4.0}),
+      marked=(mdp.camera_depth, {"max_depth": 4.0, "miss_value": 9.0}),
+      robot=(mdp.camera_mask, {"asset": SceneEntityCfg("robot")}),
+      leg=(mdp.camera_mask, {"asset": shank}),
+    )
+  )
+  images = env.reset()[0]["camera"]
+  seen = env.scene["side"].data
+  assert {name: tuple(image.shape[1:]) for name, image in images.items()} == {
+    "color": (3, 8, 12),
+    **dict.fromkeys(("depth", "marked", "robot", "leg"), (1, 8, 12)),
+  }
+  assert all(image.dtype == torch.float32 for image in images.values())
+  torch.testing.assert_close(images["color"] * 255.0, seen.rgb.float())
+  missed = seen.depth < 0.0
+  assert missed.any()
+  assert (seen.depth > 4.0).any()
+  torch.testing.assert_close(images["depth"], torch.where(missed, 4.0, seen.depth.clamp(max=4.0)))
+  assert (images["marked"][missed] == 9.0).all()
+  assert torch.equal(images["marked"][~missed], images["depth"][~missed])
+  number = seen.segmentation[:, :1]
+  geoms = [env.sim.mj_model.geom(f"robot/{name}").id for name in ("trunk", "thigh", "shank", "foot")]
+  for name, expected in (("robot", geoms), ("leg", geoms[2:])):
+    assert torch.equal(images[name], torch.isin(number, torch.tensor(expected)).float())
+    assert 0.0 < images[name].mean() < 0.5
+
+
+@pytest.mark.warp
+def test_an_image_can_be_late_and_noisy_and_is_new_in_a_new_episode(make: Make) -> None:
+  cfg = camera_cfg(depth=(mdp.camera_depth, {"max_depth": 4.0}), late=(mdp.camera_depth, {"max_depth": 4.0}))
+  terms = cfg.observations["camera"].terms
+  terms["late"].delay_min_lag = terms["late"].delay_max_lag = 2
+  terms["noisy"] = ObservationTermCfg(
+    mdp.camera_rgb, params={"sensor": "side"}, noise=UniformNoiseCfg(n_min=-0.1, n_max=0.1)
+  )
+  cfg.observations["camera"].corrupt = True
+  cfg.terminations["ended"] = TerminationTermCfg(Ended)
+  env = make(cfg)
+  images = [env.reset()[0]["camera"]]
+  for step in range(5):
+    end(env, *([1] if step == 3 else []))
+    images.append(env.step(actions(env, step))[0]["camera"])
+  now, before = images[3]["depth"], images[1]["depth"]
+  assert not torch.equal(now, before)
+  assert torch.equal(images[3]["late"], before)
+  assert torch.equal(images[4]["late"][1], images[4]["depth"][1])
+  assert torch.equal(images[4]["late"][0], images[2]["depth"][0])
+  error = images[5]["noisy"] - env.scene["side"].data.rgb_float
+  assert 0.05 < error.abs().max() <= 0.1 + 1e-6
+  assert error.unique().numel() > 500
+
+
+@pytest.mark.warp
+def test_a_camera_of_its_own_rate_starts_anew_with_the_episode(make: Make) -> None:
+  cfg = camera_cfg(update_period=12, depth=(mdp.camera_depth, {"max_depth": 4.0}))
+  cfg.terminations = {"ended": TerminationTermCfg(Ended)}
+  env = make(cfg)
+  env.reset()
+  period = 12 // env.cfg.decimation
+  held, new = env.get_observations()["camera"]["depth"], []
+  for step in range(2 * period + 1):
+    end(env, *([1] if step == period else []))
+    seen = env.step(actions(env, step))[0]["camera"]["depth"]
+    new.append([not torch.equal(seen[world], held[world]) for world in (0, 1)])
+    held = seen
+  on, off = period - 1, [False, False]
+  expected = [off] * on + [[True, True], [False, True]] + [off] * (on - 1) + [[True, False], [False, True]]
+  assert new == expected
+
+
+@pytest.mark.warp
+def test_an_image_that_is_not_drawn_is_refused_by_name(make: Make) -> None:
+  cfg = camera_cfg(color=(mdp.camera_rgb, {}))
+  cfg.scene.sensors["side"].data_types = ("depth",)
+  with pytest.raises(ConfigError, match="camera 'side' draws depth only; add 'rgb' to its data_types"):
+    make(cfg)
 
 
 def test_joints_are_relative_to_the_default_pose(env: Any) -> None:

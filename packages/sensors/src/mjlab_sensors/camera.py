@@ -33,7 +33,8 @@ class CameraSensorCfg(SensorCfg):
   """Full name of a camera of the scene, such as `robot/head`. It is taken as it is: body, pos, quat, fovy and
   orthographic are for a new one."""
   body: str | None = None
-  """Full name of the body that a new camera is fixed to; None is the world."""
+  """Full name of the body that a new camera is fixed to; None is the world, in whose coordinates the worlds of a scene
+  have their origins apart from one another."""
   pos: tuple[float, float, float] = (0.0, 0.0, 0.0)
   """Where it is in the frame of its body [m]."""
   quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)

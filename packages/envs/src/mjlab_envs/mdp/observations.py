@@ -1,12 +1,13 @@
 """Observations that any task can use."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+import mujoco
 import torch
-from mjlab_managers import SceneEntityCfg
+from mjlab_managers import ManagerTermBase, ObservationTermCfg, SceneEntityCfg
 
 if TYPE_CHECKING:
-  from mjlab_sensors import RayCastSensor
+  from mjlab_sensors import CameraSensor, RayCastSensor
 
   from mjlab_envs.env import ManagerBasedRlEnv
 
@@ -68,3 +69,49 @@ def height_scan(
   below = data.frame_pos_w[..., 2:] - data.hit_pos_w[..., 2].unflatten(1, (scan.num_frames, scan.rays_per_frame))
   miss = scan.cfg.max_distance if miss_value is None else miss_value
   return (below.flatten(1) - offset).masked_fill_(~data.valid, miss)
+
+
+def camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Colours that a camera sensor sees, from 0 to 1, (num_envs, 3, height, width)."""
+  return _drawn(env, sensor, "rgb") / 255.0
+
+
+def camera_depth(
+  env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None = None
+) -> torch.Tensor:
+  """Depth that a camera sensor sees, along its optical axis, (num_envs, 1, height, width) [m].
+
+  What is farther than `max_depth` reads that; where nothing is seen it is `miss_value`, by default `max_depth` too.
+  """
+  depth = _drawn(env, sensor, "depth")
+  return depth.clamp(max=max_depth).masked_fill_(depth < 0.0, max_depth if miss_value is None else miss_value)
+
+
+class camera_mask(ManagerTermBase):
+  """1 where a camera sensor sees a selected geom of the entity and 0 elsewhere, (num_envs, 1, height, width)."""
+
+  _constants = frozenset({"_is_selected"})
+
+  def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    asset: SceneEntityCfg = cfg.params["asset"]
+    model, prefix = env.sim.mj_model, env.scene[asset.name].prefix
+    # A resolved selection holds the selected names.
+    names = cast("tuple[str, ...]", asset.geom_names)
+    # What is not seen is number -1: the last entry.
+    self._is_selected = torch.zeros(model.ngeom + 1, device=env.device)
+    self._is_selected[[model.geom(prefix + name).id for name in names]] = 1.0
+
+  def __call__(self, env: "ManagerBasedRlEnv", *, sensor: str, asset: SceneEntityCfg) -> torch.Tensor:
+    del asset  # Resolved at build.
+    number, kind = _drawn(env, sensor, "segmentation").split(1, dim=1)
+    number = number.masked_fill(kind != mujoco.mjtObj.mjOBJ_GEOM.value, -1)
+    return self._is_selected[number.long()]
+
+
+def _drawn(env: "ManagerBasedRlEnv", sensor: str, kind: str) -> torch.Tensor:
+  camera: CameraSensor = env.scene[sensor]
+  image = getattr(camera.data, kind)
+  if image is None:
+    raise ValueError(f"camera '{sensor}' draws {', '.join(camera.cfg.data_types)} only; add {kind!r} to its data_types")
+  return image
