@@ -243,6 +243,45 @@ def test_constants_are_recomputed_only_in_masked_worlds(make_sim: MakeSim, engin
   assert (after[[0, 2], 3]).tolist() == [3.0, 5.0]
 
 
+def test_worlds_outside_of_the_mask_keep_every_bit_of_the_model(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.expand_model_fields(["body_ipos", "geom_size", "cam_pos"])
+  sim.model.body_ipos[:, 4, 0] += torch.tensor([0.01, 0.02, 0.03, 0.04], dtype=sim.dtype)
+  before = {name: sim.model[name].clone() for name in sorted(PER_WORLD)}
+  sim.recompute_constants(torch.tensor([False, True, False, False]))
+  changed = {name for name, value in before.items() if not torch.equal(sim.model[name], value)}
+  assert {"body_invweight0", "dof_invweight0"} <= changed <= set(sim.expanded_fields)
+  for name in changed:
+    assert torch.equal(sim.model[name][[0, 2, 3]], before[name][[0, 2, 3]]), name
+
+
+def test_one_world_recomputes_what_follows_from_any_field(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine, num_envs=1)
+  sim.expand_model_fields(["geom_size"])
+  sim.model.body_mass[:, 3] = 5.0
+  sim.recompute_constants()
+  assert sim.model.body_subtreemass[0, 3] == 5.0
+
+
+def test_geoms_that_never_move_are_where_each_world_puts_them(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  floor, crate = sim.mj_model.geom("floor").id, sim.mj_model.geom("crate").id
+  fence = sim.mj_model.body("fence").id
+  sim.expand_model_fields(["geom_pos", "body_pos"])
+  depth = 0.2 * torch.arange(NUM_WORLDS, dtype=sim.dtype)
+  sim.model.geom_pos[:, floor, 2] -= depth
+  sim.model.body_pos[:, fence, 0] += depth
+  sim.recompute_constants()
+  torch.testing.assert_close(sim.data.geom_xpos[:, floor, 2], -depth)
+  torch.testing.assert_close(sim.data.geom_xpos[:, crate, 0], depth - 2.0)
+  sim.reset()
+  for _ in range(200):
+    sim.step()
+  # The ball fell onto the floor of its own world.
+  torch.testing.assert_close(sim.data.geom_xpos[:, floor, 2], -depth)
+  torch.testing.assert_close(sim.data.qpos[:, 2], 0.1 - depth, rtol=0.0, atol=0.02)
+
+
 def test_recomputing_constants_leaves_state_and_forces_alone(make_sim: MakeSim, engine: str) -> None:
   sim, other = make_sim(engine), make_sim(engine)
   for s in (sim, other):

@@ -1,5 +1,7 @@
 """Which fields of MuJoCo's model may differ per world, and which of them are derived from others."""
 
+import mujoco
+import numpy as np
 from mjlab_core.names import unknown
 
 from mjlab_sim.errors import SimulationError
@@ -45,6 +47,7 @@ _INERTIAL = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_in
 _CAMERA = ("cam_pos0", "cam_poscom0", "cam_mat0")
 _LIGHT = ("light_pos0", "light_poscom0", "light_dir0")
 _REFERENCE = ("tendon_length0", "eq_data", *_CAMERA, *_LIGHT)
+_ROUTE = ("tendon_length0", *_INERTIAL[1:])
 
 DERIVED: dict[str, tuple[str, ...]] = {
   **dict.fromkeys(("body_mass", "body_inertia", "body_ipos", "body_iquat"), (*_INERTIAL, *_CAMERA, *_LIGHT)),
@@ -61,8 +64,20 @@ A derived field left shared while its source differs per world would hold one wo
 expanded together.
 """
 
+ROUTED: dict[str, tuple[str, ...]] = dict.fromkeys(
+  ("geom_pos", "geom_quat", "geom_size", "site_pos", "site_quat", "actuator_cranklength"), _ROUTE
+)
+"""What else follows where tendons run through sites or around geoms, or actuators act at sites."""
 
-def closure(names: list[str]) -> list[str]:
+CONSTANTS: dict[str, frozenset[str]] = {
+  "FIXED": frozenset(("body_subtreemass", "geom_aabb", "geom_rbound")),
+  "KIN0": frozenset(_REFERENCE),
+  "INERT0": frozenset(_INERTIAL[1:]),
+}
+"""Derived fields by the part of MuJoCo Warp's `set_const` that computes them."""
+
+
+def closure(names: list[str], model: mujoco.MjModel) -> list[str]:
   """`names` and every field derived from them, in a stable order without repetition.
 
   Raises:
@@ -71,4 +86,13 @@ def closure(names: list[str]) -> list[str]:
   for name in names:
     if name not in PER_WORLD:
       raise SimulationError(unknown("per-world model field", name, sorted(PER_WORLD)))
-  return list(dict.fromkeys([*names, *(derived for name in names for derived in DERIVED.get(name, ()))]))
+  tables = (DERIVED, ROUTED) if _has_routes(model) else (DERIVED,)
+  derived = (name for source in names for table in tables for name in table.get(source, ()))
+  return list(dict.fromkeys([*names, *derived]))
+
+
+def _has_routes(model: mujoco.MjModel) -> bool:
+  kinds = (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)
+  return bool(np.isin(model.actuator_trntype, [int(kind) for kind in kinds]).any()) or bool(
+    (model.wrap_type != int(mujoco.mjtWrap.mjWRAP_JOINT)).any()
+  )

@@ -133,7 +133,9 @@ class Simulation:
     """
     self._check_open()
     field_of = self._engine.model_field
-    fresh = [name for name in closure(list(names)) if name not in self._expanded and field_of(name).numel() > 0]
+    fresh = [
+      name for name in closure(list(names), self.mj_model) if name not in self._expanded and field_of(name).numel() > 0
+    ]
     if fresh and (self._recorder is not None or self._is_replaying):
       raise SimulationError(
         f"model fields {', '.join(fresh)} cannot be expanded inside a recorded step; expand them before the first step"

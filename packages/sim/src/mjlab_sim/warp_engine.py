@@ -11,11 +11,13 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
+from mjlab_core.masking import where_
+from mujoco_warp._src import smooth
 
 from mjlab_sim import warp_kernels
 from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
-from mjlab_sim.fields import PER_WORLD
+from mjlab_sim.fields import CONSTANTS, PER_WORLD
 from mjlab_sim.graph import Recorder
 from mjlab_sim.rendering import View
 from mjlab_sim.static_rays import RayTargets
@@ -25,7 +27,7 @@ from mjlab_sim.warp_rendering import Stage, WarpRenderer
 
 wp.config.log_level = wp.LOG_WARNING
 
-_CONSTANTS = mjw.SetConstGroup.FIXED | mjw.SetConstGroup.KIN0 | mjw.SetConstGroup.INERT0
+_PLACES = ("geom_pos", "geom_quat", "body_pos", "body_quat")
 
 # Bits of `overflow` that mean dropped physics, with what was short and the setting to raise.
 _BUFFERS = (
@@ -64,6 +66,10 @@ class WarpEngine:
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
     self._caster_numbers = itertools.count()
+    self._expanded: set[str] = set()
+    # Memory for what derived fields were before they are computed anew.
+    self._before: dict[str, torch.Tensor] = {}
+    self._shared_version = 0
     if cfg.capture:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
@@ -86,6 +92,7 @@ class WarpEngine:
       self._has_acceleration_sensors = bool(columns.any())
       self._is_acceleration = wp.array(columns, dtype=wp.bool)
       self._saved_sensors = wp.zeros((num_envs, model.nsensordata), dtype=wp.float32)
+      self._ones = wp.ones(model.nbody, dtype=wp.int32)
       self._overflow_seen = wp.zeros(num_envs, dtype=wp.int32)
       self._overflow_wanted = wp.zeros(3, dtype=wp.int32)
     self._reset_mask_torch = wp.to_torch(self._reset_mask)
@@ -115,6 +122,7 @@ class WarpEngine:
     return self._model_views[name]
 
   def expand(self, name: str) -> None:
+    self._expanded.add(name)
     owner, attribute = self._owner(name)
     shared = getattr(owner, attribute)
     if shared.shape[0] == self._num_envs:
@@ -125,6 +133,7 @@ class WarpEngine:
     view.copy_(self.model_field(name))
     setattr(owner, attribute, rows)
     self._model_views[name] = view
+    self._before.pop(name, None)
     self._graphs.clear()
 
   # Stages
@@ -133,16 +142,43 @@ class WarpEngine:
     self._run("step", self._step)
 
   def forward(self, model_changed: bool) -> None:
-    del model_changed  # Every world is recomputed; one that nothing wrote to gets the values it had.
-    self._run("forward", self._forward)
+    # Every world is recomputed; one that nothing wrote to gets the values it had.
+    if model_changed and self._has_moved():
+      self._run("forward with places", self._forward_with_places)
+    else:
+      self._run("forward", self._forward)
 
   def reset(self, mask: torch.Tensor) -> None:
     self._reset_mask_torch.copy_(mask)
     self._run("reset", self._reset)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
-    del mask  # A world whose inputs did not change gets the constants it had.
-    self._run("constants", self._recompute)
+    version = sum(view._version for name, view in self._model_views.items() if name not in self._expanded)
+    is_shared = version != self._shared_version
+    groups = [name for name, fields in CONSTANTS.items() if is_shared or not fields.isdisjoint(self._expanded)]
+    if not groups:
+      return
+    fields = sorted(name for group in groups for name in CONSTANTS[group])
+    # MuJoCo Warp derives them for all worlds, in single precision: what nobody changed must not change by a rounding.
+    for name in fields:
+      view = self.model_field(name)
+      if name not in self._before:
+        self._before[name] = torch.empty_like(view)
+      self._before[name].copy_(view)
+    places = self._has_moved()
+    self._run(f"constants {groups} {places}", lambda: self._recompute(groups, places))
+    for name in fields:
+      view, before = self.model_field(name), self._before[name]
+      if name not in self._expanded and not is_shared:
+        view.copy_(before)
+      elif name in self._expanded and mask is not None:
+        where_(before, mask, view)
+        view.copy_(before)
+    self._shared_version = sum(v._version for name, v in self._model_views.items() if name not in self._expanded)
+
+  def _has_moved(self) -> bool:
+    """Whether somebody may have moved geoms that never move by themselves."""
+    return any(name in self._model_views and self._model_views[name]._version for name in _PLACES)
 
   def count_overflow(self) -> None:
     self._run("overflow", self._count_overflow)
@@ -182,9 +218,28 @@ class WarpEngine:
         flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
         wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._reset_mask], outputs=[flat], device=device)
 
-  def _recompute(self) -> None:
+  def _recompute(self, groups: list[str], places: bool) -> None:
+    if places:
+      self._place()
     # What it leaves of kinematics at qpos0 is computed anew by the forward pass that follows.
-    mjw.set_const(self._m, self._d, groups=_CONSTANTS, restore=False)
+    mjw.set_const(self._m, self._d, groups=sum(int(mjw.SetConstGroup[name]) for name in groups), restore=False)
+
+  def _forward_with_places(self) -> None:
+    self._place()
+    self._forward()
+
+  def _place(self) -> None:
+    """Put every geom where its body is; MuJoCo Warp leaves those of bodies that never move where they were compiled."""
+    m, d = self._m, self._d
+    mjw.kinematics(m, d)
+    wp.launch(
+      smooth._geom_local_to_global,
+      dim=(self._num_envs, m.ngeom),
+      # No body is welded to the world.
+      inputs=[m.body_rootid, self._ones, m.body_mocapid, m.geom_bodyid, m.geom_pos, m.geom_quat, d.xpos, d.xquat],
+      outputs=[d.geom_xpos, d.geom_xmat],
+      device=self._wp_device,
+    )
 
   def _count_overflow(self) -> None:
     d = self._d
