@@ -96,7 +96,7 @@ def test_apply_writes_masked_worlds_only_in_place_and_without_a_sync(cfg: FieldR
   assert tensor._version > version
   assert torch.equal(tensor[~mask], before[~mask])
   assert (term.values()[mask] != term.default).all()
-  assert torch.equal(term.values()[~mask], term.default.expand(3, -1, -1))
+  assert torch.equal(term.values()[~mask], term.default.expand(3, -1))
 
 
 @pytest.mark.parametrize("cfg", CFGS, ids=lambda c: c.label)

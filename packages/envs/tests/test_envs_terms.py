@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from envs_hopper import HOPPER, Ended, actions, end, hopper_cfg
-from mjlab_dr import body_com_offset, geom_friction
+from mjlab_dr import body_com_offset, geom_friction, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import (
   ConfigError,
@@ -424,6 +424,28 @@ def test_randomised_fields_differ_per_world_and_constants_follow_once(make: Make
     env.reset()
   default = env.sim.default_field("body_ipos")[0, trunk, 0]
   assert (env.sim.model.body_ipos[:, trunk, 0] - default).abs().max() <= 0.05 + 1e-6
+
+
+def test_two_events_that_write_the_same_number_are_refused_by_name(make: Make) -> None:
+  once = randomiser(geom_friction("foot", (0.3, 1.2)), "startup")
+  again = randomiser(geom_friction("foot", (0.3, 1.2)), "reset")
+  with pytest.raises(ConfigError, match=r"geom_friction of geom 'foot' is written by two randomisers"):
+    make(events={"once": once, "again": again})
+
+
+def test_options_and_elements_of_every_kind_are_found_by_their_local_names(make: Make) -> None:
+  cfg = hopper_cfg()
+  extra = HOPPER.replace(
+    "</mujoco>", '<contact><pair name="heel" geom1="foot" geom2="thigh" friction="1 1 .1 .1 .1"/></contact></mujoco>'
+  )
+  cfg.scene.entities["robot"].spec_fn = lambda: mujoco.MjSpec.from_string(extra)
+  cfg.events["gravity"] = randomiser(randomize_field("opt.gravity", ".*", {"z": (-10.0, -9.0)}))
+  cfg.events["heel"] = randomiser(randomize_field("pair_friction", "heel", {"sliding1": (0.3, 0.6)}))
+  env = make(cfg)
+  assert env.sim.model.opt.gravity[:, 2].unique().numel() == 4
+  friction = env.sim.model.pair_friction[:, 0]
+  assert ((friction[:, 0] >= 0.3) & (friction[:, 0] <= 0.6)).all()
+  assert (friction[:, 1] == 1.0).all()
 
 
 def test_observation_groups_that_are_not_concatenated_are_dicts(make: Make) -> None:

@@ -1,14 +1,28 @@
 """Domain randomisation of MuJoCo models: one model, tensors for any engine, or a running simulation."""
 
 from mjlab_dr.apply import ModelFields, RandomizeField, apply_all
-from mjlab_dr.catalogue import FIELDS, Field
-from mjlab_dr.distributions import Distribution, Gaussian, LogUniform, Uniform
-from mjlab_dr.randomizers import FieldRandomizer, body_com_offset, encoder_bias, geom_friction, randomize_field
+from mjlab_dr.binding import Component
+from mjlab_dr.catalogue import FIELDS, LEFT_OUT, Field, element_names
+from mjlab_dr.distributions import Categorical, Custom, Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.inertia import inertia_perturbation, perturb_inertia, pseudo_inertia_matrix
+from mjlab_dr.randomizers import (
+  FieldRandomizer,
+  body_com_offset,
+  body_mass,
+  encoder_bias,
+  geom_friction,
+  pseudo_inertia,
+  randomize_field,
+)
 from mjlab_dr.standalone import Change, Randomization, randomize
 
 __all__ = [
   "FIELDS",
+  "LEFT_OUT",
+  "Categorical",
   "Change",
+  "Component",
+  "Custom",
   "Distribution",
   "Field",
   "FieldRandomizer",
@@ -20,8 +34,14 @@ __all__ = [
   "Uniform",
   "apply_all",
   "body_com_offset",
+  "body_mass",
+  "element_names",
   "encoder_bias",
   "geom_friction",
+  "inertia_perturbation",
+  "perturb_inertia",
+  "pseudo_inertia",
+  "pseudo_inertia_matrix",
   "randomize",
   "randomize_field",
 ]

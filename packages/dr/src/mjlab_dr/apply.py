@@ -8,11 +8,13 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import match_names, where_
+from mjlab_core import normalize, quat_from_euler_xyz, quat_mul, where_
 from torch import Tensor
 
-from mjlab_dr.catalogue import FIELDS, candidates, element_names
+from mjlab_dr.binding import bind, check_results, with_ids
+from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import joint_sampler
+from mjlab_dr.inertia import perturb_inertia, rounded_moments
 from mjlab_dr.randomizers import FieldRandomizer
 
 
@@ -36,7 +38,7 @@ class ModelFields(Protocol):
 
   @property
   def model(self) -> Any:
-    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory."""
+    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory; options `opt.<name>`."""
     ...
 
   def expand_model_fields(self, names: Iterable[str], /) -> None:
@@ -65,6 +67,7 @@ class RandomizeField:
     names: names that the pattern is matched against; None is all of the model that the field makes sense for.
     ids: the element of the model, or the column of `target`, behind each of `names`; None counts from 0.
     target: for fields that MjModel does not have, the tensor (num_envs, ...) to be written, in fixed memory.
+    prefix: what names of materials and textures may lack.
     owner: whose randomiser it is, as error messages should say it.
 
   Raises:
@@ -80,108 +83,176 @@ class RandomizeField:
     names: Sequence[str] | None = None,
     ids: Sequence[int] | None = None,
     target: Tensor | None = None,
+    prefix: str = "",
     owner: str = "",
   ) -> None:
     self.cfg, self.needs_constants = cfg, cfg.needs_constants
-    self._field = FIELDS[cfg.field]
-    self._sim, self._generator, self._target = sim, generator, target
+    field = FIELDS[cfg.field]
+    self._form, self._sim, self._generator, self._target = field.form, sim, generator, target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
-    if self._field.in_model == (target is not None):
+    if field.in_model == (target is not None):
       raise ValueError(f"{owner}: a target is for fields outside of MjModel, and only for those.")
-    model, kind = sim.mj_model, self._field.kind
-    if names is None:
-      of_model = element_names(model, kind)
-      ids = candidates(model, kind)
-      names = [of_model[i] for i in ids]
-    elif ids is None:
-      ids = range(len(names))
-    picked, self.element_names = match_names(cfg.pattern, names, what=kind, owner=owner)
-    self.element_ids = [int(ids[i]) for i in picked]
-    self.axes = list(cfg.values)
-    self._check_effect(model, owner)
+    model = sim.mj_model
+    binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)
+    self.element_names, self.components = binding.elements, binding.components
+    distributions = with_ids(cfg, model, owner, prefix)
 
-    width = len(self._field.axes)
-    columns = np.add.outer(np.array(self.element_ids) * width, self.axes).ravel()
+    fields = list(dict.fromkeys(component.field for component in self.components))
     if target is None:
-      sim.expand_model_fields((cfg.field,))
-      dtype = getattr(sim.model, cfg.field).dtype
-      default = sim.default_field(cfg.field).reshape(1, -1)[:, columns.tolist()]
-    else:
-      dtype, default = target.dtype, target.new_zeros(1, len(columns))
-    self.default = default.reshape(1, len(picked), len(self.axes)).to(dtype)
-    """Compiled values of what it writes, (1, number of elements, number of written axes)."""
-    self._check_result(owner)
-    self._columns = _columns(columns, sim.device)
-    self._sample = joint_sampler(list(cfg.values.values()), device=sim.device, dtype=dtype)
-    self._shape = (sim.num_envs, 1 if cfg.shared else len(picked))
+      sim.expand_model_fields((*fields, field.moves_with) if field.moves_with else fields)
+    defaults: list[np.ndarray] = []
+    self._writes: list[_Columns] = []
+    for name in fields:
+      components = [component for component in self.components if component.field == name]
+      write = _Columns(name, [component.columns for component in components], sim.device)
+      if target is None:
+        write.default = sim.default_field(name).reshape(1, -1).index_select(1, write.all)
+      else:
+        write.default = target.new_zeros(1, len(write.all))
+      defaults.append(write.default[0, write.first.to(sim.device)].double().cpu().numpy())
+      self._writes.append(write)
+    check_results(cfg, binding, np.concatenate(defaults), model, owner)
+    self._follower: _Columns | None = None
+    if field.moves_with:
+      self._follower = _Columns(field.moves_with, [component.columns for component in self.components], sim.device)
+      self._follower.default = sim.default_field(field.moves_with).reshape(1, -1).index_select(1, self._follower.all)
+
+    dtype = self._writes[0].default.dtype
+    self._dtype = dtype if dtype.is_floating_point else torch.float64
+    self._sample = joint_sampler(
+      distributions[:1] if cfg.isotropic else distributions, device=sim.device, dtype=self._dtype
+    )
+    self._axes = list(cfg.values)
+    self._shape = (sim.num_envs, 1 if cfg.shared else len(self.element_names))
+    self._full = (sim.num_envs, len(self.element_names), len(self._axes))
+    sources = [component.source for component in self.components for _ in component.columns]
+    is_all = sources == list(range(len(sources)))
+    self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=sim.device)
+    self._strength: Tensor | None = None
+    if self._form == "intrinsics":
+      cameras = [component.row for component in self.components if component.field == "cam_fovy"]
+      self._half_heights = torch.tensor(0.5 * model.cam_sensorsize[cameras, 1], device=sim.device, dtype=self._dtype)
+
+  @property
+  def default(self) -> Tensor:
+    """Compiled value of each of `components`, (1, number of components)."""
+    return torch.cat([write.default[:, write.first] for write in self._writes], -1)
+
+  @property
+  def strength(self) -> Tensor:
+    """How far from the default what is written lies, from 0 for the default itself to 1 for the draw as asked for, ().
+
+    For curricula: written in place it widens every range. Ask for it before the first step is recorded.
+
+    Raises:
+      ValueError: the field is a choice, of which there is no part.
+    """
+    if FIELDS[self.cfg.field].integer:
+      raise ValueError(f"{self.cfg.label}: it is a choice, which cannot be widened.")
+    if self._strength is None:
+      self._strength = torch.ones((), device=self._sim.device, dtype=self._dtype)
+    return self._strength
 
   def apply(self, mask: Tensor, *, recompute: bool = True) -> None:
     """Draws for all worlds and writes those of `mask`, bool (num_envs,); the others stay bit-identical.
 
     With `recompute` the derived fields follow at once; without, the caller does that after several randomisers.
     """
-    draw = self._sample(self._shape, self._generator)
-    operation = self.cfg.operation
-    if operation == "add":
-      draw = self.default + draw
-    elif operation == "scale":
-      draw = self.default * draw
-    value = draw.expand(-1, *self.default.shape[1:]).flatten(1)
-    flat = self._flat()
-    if isinstance(self._columns, slice):
-      where_(flat[:, self._columns], mask, value)
-    else:
-      flat.index_copy_(1, self._columns, torch.where(mask[:, None], value, flat.index_select(1, self._columns)))
+    draw = self._sample(self._shape, self._generator).expand(self._full)
+    results = self._results(draw)
+    for write, value in zip(self._writes, results, strict=True):
+      write.store(self._flat(write.field), mask, value)
+    if self._follower is not None:
+      moved = self._follower.default + (results[0] - self._writes[0].default)
+      self._follower.store(self._flat(self._follower.field), mask, moved)
     if recompute and self.needs_constants:
       self._sim.recompute_constants(mask)
 
   def values(self) -> Tensor:
-    """What the worlds have now, (num_envs, number of elements, number of written axes), in new memory."""
-    flat = self._flat()
-    columns = self._columns
-    now = flat[:, columns].clone() if isinstance(columns, slice) else flat.index_select(1, columns)
-    return now.unflatten(1, self.default.shape[1:])
+    """What the worlds have now, (num_envs, number of `components`), in new memory."""
+    parts = [self._flat(write.field).index_select(1, write.all)[:, write.first] for write in self._writes]
+    return torch.cat([part.to(self._dtype) for part in parts], -1)
 
-  def written(self) -> set[tuple[str, int, int]]:
-    """(field, element, axis) of everything that it writes."""
-    return {(self.cfg.field, element, axis) for element in self.element_ids for axis in self.axes}
+  def written(self) -> dict[tuple[str, int], str]:
+    """The element behind everything that it writes, by field and column."""
+    out = {(c.field, column): c.element for c in self.components for column in c.columns}
+    if self._follower is not None:
+      out |= {(self._follower.field, column): c.element for c in self.components for column in c.columns}
+    return out
 
-  def _flat(self) -> Tensor:
+  def _flat(self, name: str) -> Tensor:
     # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
-    tensor = getattr(self._sim.model, self.cfg.field) if self._target is None else self._target
+    tensor = getattr(self._sim.model, name) if self._target is None else self._target
     return tensor.view(self._sim.num_envs, -1)
 
-  def _check_result(self, owner: str) -> None:
-    default = self.default[0]
-    if self.cfg.operation == "absolute":
-      return
-    for j, (axis, distribution) in enumerate(self.cfg.values.items()):
-      lo = distribution.support()[0]
-      least = default[:, j] + lo if self.cfg.operation == "add" else default[:, j] * lo
-      worst = int(least.argmin())
-      if least[worst] < self._field.minimum:
-        raise ValueError(
-          f"{owner}: {self._field.kind} {self.element_names[worst]!r} may get {self._field.axes[axis]} "
-          f"{least[worst].item():g}, below the physical minimum {self._field.minimum:g}."
-        )
+  def _results(self, draw: Tensor) -> list[Tensor]:
+    """What to write to each field, in the order of its columns."""
+    if self._form == "plain":
+      default = self._writes[0].default
+      draw = draw.reshape(draw.shape[0], -1)
+      draw = draw if self._sources is None else draw.index_select(1, self._sources)
+      if self.cfg.operation == "add":
+        draw = default + draw
+      elif self.cfg.operation == "scale":
+        draw = default * draw
+      return [draw if self._strength is None else torch.lerp(default.expand_as(draw), draw, self._strength)]
+    if self._form in ("direction", "intrinsics"):
+      default = self._writes[0].default.unflatten(1, (len(self.element_names), -1))
+      vector = self._combined(draw, default)
+      if self._form == "direction":
+        return [normalize(vector).flatten(1)]
+      return [vector.flatten(1), torch.rad2deg(2.0 * torch.atan(self._half_heights / vector[..., 1]))]
+    draw = draw if self._strength is None else draw * self._strength
+    if self._form == "rotation":
+      default = self._writes[0].default.unflatten(1, (-1, 4))
+      angles = self._on_all_axes(draw, torch.zeros_like(default[..., :3]))
+      turn = quat_from_euler_xyz(*angles.unbind(-1))
+      return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
+    mass, com, inertia, quat = (write.default.unflatten(1, (len(self.element_names), -1)) for write in self._writes)
+    parameters = self._on_all_axes(draw, draw.new_zeros(1, len(self.element_names), 10))
+    results = perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)
+    mass, com, inertia, quat = results
+    return [mass, com.flatten(1), rounded_moments(inertia, self._dtype).flatten(1), quat.flatten(1)]
 
-  def _check_effect(self, model: mujoco.MjModel, owner: str) -> None:
-    if self._field.breaks_simple:
-      for name, element in zip(self.element_names, self.element_ids, strict=True):
-        if model.body_simple[element]:
-          raise ValueError(
-            f"{owner}: body {name!r} was compiled as simple, with its centre of mass fixed at its origin. "
-            'Set simple="false" on it before compiling (`MjSpec.body(name).simple = False`).'
-          )
-    if self.cfg.field == "geom_friction":
-      condim = max([*model.geom_condim, *model.pair_dim], default=1)
-      needed = {0: 3, 1: 4, 2: 6}
-      for axis in self.axes:
-        if condim < needed[axis]:
-          raise ValueError(
-            f"{owner}: {self._field.axes[axis]} friction has no effect, for no contact can have condim "
-            f"{needed[axis]}: the largest in the model is {condim}."
-          )
+  def _combined(self, draw: Tensor, default: Tensor) -> Tensor:
+    """Draws on the axes that are drawn and the default on the others, (num_envs, elements, all axes)."""
+    if self.cfg.operation == "absolute":
+      value = self._on_all_axes(draw, default)
+    elif self.cfg.operation == "add":
+      value = default + self._on_all_axes(draw, torch.zeros_like(default))
+    else:
+      value = default * self._on_all_axes(draw, torch.ones_like(default))
+    return value if self._strength is None else torch.lerp(default.expand_as(value), value, self._strength)
+
+  def _on_all_axes(self, draw: Tensor, otherwise: Tensor) -> Tensor:
+    """Draws on the axes that are drawn, and on the others what is given, (1, elements, all axes)."""
+    otherwise = otherwise.expand(draw.shape[0], -1, -1)
+    drawn = {axis: draw[..., j] for j, axis in enumerate(self._axes)}
+    return torch.stack([drawn.get(axis, otherwise[..., axis]) for axis in range(otherwise.shape[-1])], -1)
+
+
+class _Columns:
+  """Columns of one field, in flat rows of worlds."""
+
+  def __init__(self, field: str, columns: Sequence[tuple[int, ...]], device: torch.device) -> None:
+    self.field = field
+    flat = [column for group in columns for column in group]
+    self.all = torch.tensor(flat, device=device)
+    """Every column, with repetitions where several belong to one component."""
+    starts = np.cumsum([0, *(len(group) for group in columns)])[:-1]
+    self.first = torch.tensor(starts, device=device)
+    """Where among `all` each component has its first column."""
+    self.default = torch.empty(0)
+    """Compiled values of `all`, (1, number of columns)."""
+    self._slice = _as_slice(flat)
+
+  def store(self, flat: Tensor, mask: Tensor, value: Tensor) -> None:
+    """Writes (num_envs, number of columns) into the masked rows."""
+    if self._slice is not None:
+      where_(flat[:, self._slice], mask, value)
+    else:
+      value = value.to(flat.dtype)
+      flat.index_copy_(1, self.all, torch.where(mask[:, None], value, flat.index_select(1, self.all)))
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:
@@ -192,10 +263,10 @@ def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -
     sim.recompute_constants(mask)
 
 
-def _columns(columns: np.ndarray, device: torch.device) -> slice | Tensor:
-  """A slice, which is a view to write through, if the columns are evenly spaced; else an index tensor."""
+def _as_slice(columns: Sequence[int]) -> slice | None:
+  """A slice, which is a view to write through, if the columns are evenly spaced."""
   steps = np.diff(columns)
   if len(columns) == 1 or (steps[0] > 0 and (steps == steps[0]).all()):
     step = int(steps[0]) if len(steps) else 1
-    return slice(int(columns[0]), int(columns[-1]) + 1, step)
-  return torch.tensor(columns, device=device)
+    return slice(columns[0], columns[-1] + 1, step)
+  return None

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from itertools import accumulate
 from typing import Any, ClassVar, Protocol
 
 import torch
 from mjlab_core import check_range, log_uniform, truncated_normal, uniform
 from torch import Tensor
+
+
+class SampleFunction(Protocol):
+  """Independent draws of a shape, without a host sync, always consuming the same amount of randomness."""
+
+  def __call__(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """A tensor of `shape`."""
+    ...
 
 
 class Distribution(Protocol):
@@ -108,6 +119,88 @@ class Gaussian(_Parametric):
     return self.lo, self.hi
 
 
+@dataclass(frozen=True)
+class Categorical:
+  """One of these values, as likely as its weight says; or of these names, where a field refers to named things."""
+
+  values: tuple[float | str, ...]
+  weights: tuple[float, ...] | None = None
+
+  def check(self, name: str) -> None:
+    """Raises ValueError if there is nothing to choose from, or weights do not fit it."""
+    if not self.values:
+      raise ValueError(f"{name}: there is nothing to choose from.")
+    _check_finite(name, *(x for x in self.values if not isinstance(x, str)))
+    if self.weights is None:
+      return
+    if len(self.weights) != len(self.values):
+      raise ValueError(f"{name}: {len(self.values)} values have {len(self.weights)} weights.")
+    _check_finite(name, *self.weights)
+    if min(self.weights) < 0.0 or not sum(self.weights):
+      raise ValueError(f"{name}: weights must not be negative, nor all zero, got {self.weights}.")
+
+  def support(self) -> tuple[float, float]:
+    """Smallest and largest value; those given by name are not known yet, and count as 0."""
+    numbers = [0.0 if isinstance(x, str) else x for x in self.values]
+    return min(numbers), max(numbers)
+
+  def named(self, ids: Callable[[str], int]) -> Categorical:
+    """The same with ids instead of names."""
+    return replace(self, values=tuple(ids(x) if isinstance(x, str) else x for x in self.values))
+
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """Independent draws of this shape."""
+    return self.prepared(device=device, dtype=dtype)(shape, generator=generator, device=device, dtype=dtype)
+
+  def prepared(self, *, device: torch.device, dtype: torch.dtype) -> SampleFunction:
+    """`sample` with its table on the device already."""
+    weights = self.weights or (1.0,) * len(self.values)
+    table = torch.tensor(self.values, device=device, dtype=dtype)
+    # The last edge is left out, so that rounding cannot reach beyond the table.
+    edges = torch.tensor(list(accumulate(w / sum(weights) for w in weights))[:-1], device=device, dtype=torch.float64)
+
+    def sample(
+      shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+    ) -> Tensor:
+      del dtype
+      u = torch.rand(tuple(shape), generator=generator, device=device, dtype=torch.float64)
+      return table[torch.bucketize(u, edges, right=True)]
+
+    return sample
+
+
+@dataclass(frozen=True)
+class Custom:
+  """Whatever a function draws, which must stay within [lo, hi].
+
+  It runs inside a captured step: it must draw from the generator it is given, and not wait for the device.
+  """
+
+  function: SampleFunction
+  lo: float
+  hi: float
+
+  def check(self, name: str) -> None:
+    """Raises ValueError if the range is inverted or not finite."""
+    check_range(name, self.lo, self.hi)
+    _check_finite(name, self.lo, self.hi)
+
+  def support(self) -> tuple[float, float]:
+    """(lo, hi)."""
+    return self.lo, self.hi
+
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """What the function draws, held within [lo, hi]."""
+    drawn = self.function(shape, generator=generator, device=device, dtype=dtype)
+    if drawn.shape != tuple(shape):
+      raise ValueError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
+    return drawn.to(dtype).clamp(self.lo, self.hi)
+
+
 def _check_finite(name: str, *numbers: float) -> None:
   if not all(math.isfinite(x) for x in numbers):
     raise ValueError(f"{name}: needs finite numbers, got {numbers}.")
@@ -127,6 +220,7 @@ def joint_sampler(
     columns = [torch.tensor(column, **options) for column in zip(*rows, strict=True)]
     draw, k = type(first)._draw, len(rows)
     return lambda shape, generator: draw(*columns, (*shape, k), generator=generator, **options)
+  samplers = [d.prepared(**options) if isinstance(d, Categorical) else d.sample for d in distributions]
   return lambda shape, generator: torch.stack(
-    [d.sample(shape, generator=generator, **options) for d in distributions], dim=-1
+    [sample(shape, generator=generator, **options) for sample in samplers], dim=-1
   )

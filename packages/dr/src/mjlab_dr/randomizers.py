@@ -8,10 +8,9 @@ from typing import Literal, get_args
 
 from mjlab_core import unknown
 
-from mjlab_dr.catalogue import FIELDS
-from mjlab_dr.distributions import Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.catalogue import FIELDS, Operation
+from mjlab_dr.distributions import Categorical, Distribution, Gaussian, LogUniform, Uniform
 
-Operation = Literal["absolute", "add", "scale"]
 DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
 ByAxis = Mapping[int, Values] | Mapping[str, Values]
@@ -46,12 +45,23 @@ class FieldRandomizer:
   shared: bool = False
   """Whether all elements of a world get one draw instead of each its own."""
 
+  isotropic: bool = False
+  """Whether all axes of an element get one draw instead of each its own; all have the same distribution then."""
+
+  every_axis: bool = False
+  """Whether the axes are all that there are, so that one without effect is left out rather than refused."""
+
   def __post_init__(self) -> None:
     if self.field not in FIELDS:
       raise ValueError(unknown("field", self.field, FIELDS, owner="randomizer"))
     field = FIELDS[self.field]
     if self.operation not in get_args(Operation):
       raise ValueError(unknown("operation", self.operation, get_args(Operation), owner=self.label))
+    only = "add" if field.form in ("rotation", "pseudo_inertia") else "absolute" if field.integer else self.operation
+    if self.operation != only:
+      raise ValueError(f"{self.label}: operation {self.operation!r} makes no sense for it; there is only {only!r}.")
+    if field.form == "intrinsics" and self.operation == "add":
+      raise ValueError(f"{self.label}: a sum might turn a focal length negative; scale it, or give it absolute.")
     if not self.values:
       raise ValueError(f"{self.label}: no axis is given values. Axes: {', '.join(field.axes)}.")
     for axis, distribution in self.values.items():
@@ -59,14 +69,29 @@ class FieldRandomizer:
         raise ValueError(f"{self.label}: axis {axis} does not exist; there are {len(field.axes)}, from 0.")
       name = f"{self.label} {field.axes[axis]}".rstrip()
       distribution.check(name)
-      lo, hi = distribution.support()
-      # A sum can only be judged against the defaults, when the elements are known.
-      limit = 0.0 if self.operation == "scale" and field.minimum >= 0.0 else field.minimum
-      if self.operation != "add" and lo < limit:
-        raise ValueError(
-          f"{name}: {self.operation} values in [{lo:g}, {hi:g}] may fall below the physical minimum {limit:g}."
-          + (f" Truncate it, as in Gaussian(mean, std, lo={limit:g})." if isinstance(distribution, Gaussian) else "")
-        )
+      if field.integer and not isinstance(distribution, Categorical):
+        raise ValueError(f"{name} is a choice: give a Categorical.")
+      self._check_bounds(name, distribution, *field.bounds(axis))
+    if self.isotropic and len(set(map(repr, self.values.values()))) > 1:
+      raise ValueError(f"{self.label}: isotropic means one draw for all axes, but they have different distributions.")
+
+  def _check_bounds(self, name: str, distribution: Distribution, minimum: float, maximum: float) -> None:
+    lo, hi = distribution.support()
+    strict = FIELDS[self.field].positive
+    # A sum, and a product that has an upper bound, can only be judged against the defaults.
+    if self.operation == "scale":
+      minimum, maximum = (0.0 if minimum >= 0.0 else minimum), float("inf")
+    if self.operation == "add":
+      return
+    hint = ""
+    if isinstance(distribution, Gaussian):
+      hint = f" Truncate it, as in Gaussian(mean, std, lo={minimum:g}{f', hi={maximum:g}' if maximum < 1e9 else ''})."
+    values = f"{name}: {self.operation} values in [{lo:g}, {hi:g}] may"
+    if lo < minimum or (strict and lo == minimum):
+      what = "reach" if lo == minimum else "fall below"
+      raise ValueError(f"{values} {what} the physical minimum {minimum:g}.{hint}")
+    if hi > maximum:
+      raise ValueError(f"{values} exceed the physical maximum {maximum:g}.{hint}")
 
   @property
   def label(self) -> str:
@@ -85,21 +110,23 @@ def randomize_field(
   values: Values | ByAxis,
   *,
   axes: Sequence[int | str] | None = None,
-  operation: Operation = "absolute",
+  operation: Operation | None = None,
   distribution: DistributionName = "uniform",
   shared: bool = False,
+  isotropic: bool = False,
 ) -> FieldRandomizer:
   """A randomiser of any field of the catalogue.
 
   Args:
     field: name of the field.
-    pattern: regular expressions that select elements by their whole name.
+    pattern: regular expressions that select elements by their whole name; options are one element, `".*"`.
     values: a pair, a `Distribution`, or a mapping from axes, by number or name, to these. A pair is (lo, hi), or
       (mean, std) for "gaussian".
     axes: the axes that unmapped `values` apply to; None is all.
-    operation: what a draw does to the compiled default.
+    operation: what a draw does to the compiled default; None is what the catalogue says for the field.
     distribution: how pairs are read.
     shared: one draw for all elements of a world.
+    isotropic: one draw for all axes of an element.
 
   Raises:
     ValueError: a name that does not exist, an impossible range, or values outside of what is physical.
@@ -124,8 +151,10 @@ def randomize_field(
       _axis(axis, names, label): _BY_NAME[distribution](*value) if isinstance(value, tuple) else value
       for axis, value in by_axis.items()
     },
-    operation=operation,
+    operation=FIELDS[field].operation if operation is None else operation,
     shared=shared,
+    isotropic=isotropic,
+    every_axis=axes is None and not isinstance(values, Mapping),
   )
 
 
@@ -157,6 +186,18 @@ def geom_friction(
   )
 
 
+def body_mass(
+  pattern: str | Sequence[str],
+  values: Values,
+  *,
+  operation: Operation = "absolute",
+  distribution: DistributionName = "uniform",
+  shared: bool = False,
+) -> FieldRandomizer:
+  """Mass of bodies [kg], with the inertia about the centre of mass as it is; `pseudo_inertia` changes both as one."""
+  return randomize_field("body_mass", pattern, values, operation=operation, distribution=distribution, shared=shared)
+
+
 def body_com_offset(
   pattern: str | Sequence[str],
   values: Values | ByAxis,
@@ -168,7 +209,40 @@ def body_com_offset(
 
   Mass, and inertia about the centre of mass, stay as they are.
   """
-  return randomize_field("body_ipos", pattern, values, operation="add", distribution=distribution, shared=shared)
+  return randomize_field("body_ipos", pattern, values, distribution=distribution, shared=shared)
+
+
+def pseudo_inertia(
+  pattern: str | Sequence[str],
+  *,
+  scale: float | None = None,
+  alpha: Values | None = None,
+  d: Values | None = None,
+  s: Values | None = None,
+  t: Values | None = None,
+  distribution: DistributionName = "uniform",
+  shared: bool = False,
+) -> FieldRandomizer:
+  """Mass, centre of mass and inertia of bodies at once, physically consistent whatever is drawn; see `perturb_inertia`.
+
+  Args:
+    pattern: regular expressions that select bodies by their whole name.
+    scale: shorthand for (-scale, scale) of `alpha`, `d` and `s`, as far as these are not given.
+    alpha: mass and inertia are multiplied by e^(2 alpha).
+    d: stretch of each body axis by e^d, about the body's origin.
+    s: shear of each plane.
+    t: shift of the centre of mass along each body axis [m].
+    distribution: how pairs are read.
+    shared: one draw for all bodies of a world.
+
+  Raises:
+    ValueError: nothing is given, or an impossible range.
+  """
+  around = None if scale is None else Uniform(-scale, scale)
+  groups = {"alpha": alpha or around, "d": d or around, "s": s or around, "t": t}
+  numbers = {"alpha": ("",), "d": ("1", "2", "3"), "s": ("12", "13", "23"), "t": ("1", "2", "3")}
+  values = {name + i: value for name, value in groups.items() if value is not None for i in numbers[name]}
+  return randomize_field("pseudo_inertia", pattern, values, distribution=distribution, shared=shared)
 
 
 def encoder_bias(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField, apply_all
-from mjlab_dr.catalogue import FIELDS, count, element_names
+from mjlab_dr.catalogue import FIELDS, count
 from mjlab_dr.randomizers import FieldRandomizer
 
 
@@ -27,7 +27,7 @@ class Change:
   field: str
   """Name of the field."""
   element: str
-  """Name of the geom, body or joint."""
+  """Name of the body, joint, geom, ..."""
   axis: str
   """Name of the component; empty for a scalar."""
   before: float
@@ -66,16 +66,18 @@ class Randomization:
     """A randomised field as last drawn, all elements; the way to those that MjModel does not have."""
     return getattr(self._fields.model, field)[0].numpy().copy()
 
+  def written(self) -> dict[tuple[str, int], str]:
+    """The element behind every number that is randomised, by field and place in the flat array."""
+    return {key: element for term in self._terms for key, element in term.written().items()}
+
   def changes(self) -> list[Change]:
     """All numbers that were written, in the order of the randomisers."""
     out: list[Change] = []
     for term in self._terms:
-      after, before = term.values()[0], term.default[0]
-      axes = FIELDS[term.cfg.field].axes
-      for i, element in enumerate(term.element_names):
-        for j, axis in enumerate(term.axes):
-          pair = {"before": before[i, j].item(), "after": after[i, j].item()}
-          out.append(Change(field=term.cfg.field, element=element, axis=axes[axis], **pair))
+      after, before = term.values()[0].tolist(), term.default[0].tolist()
+      for component, old, new in zip(term.components, before, after, strict=True):
+        where = {"field": component.field, "element": component.element, "axis": component.axis}
+        out.append(Change(**where, before=float(old), after=float(new)))
     return out
 
   def report(self) -> str:
@@ -88,8 +90,8 @@ class Randomization:
 
   def _write(self, fields: dict[str, np.ndarray]) -> None:
     for name, value in fields.items():
-      if name in FIELDS and FIELDS[name].in_model:
-        getattr(self.model, name)[:] = value
+      if name in self._fields.written:
+        _put(self.model, name, value)
     if any(term.needs_constants for term in self._terms):
       mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
       if self._follow_inertia and self.model.nv:
@@ -156,19 +158,33 @@ def _bind(
   randomizers: Sequence[FieldRandomizer], fields: _BatchedFields, generator: torch.Generator
 ) -> list[RandomizeField]:
   terms: list[RandomizeField] = []
-  writer: dict[tuple[str, int, int], FieldRandomizer] = {}
+  writer: dict[tuple[str, int], FieldRandomizer] = {}
   for cfg in randomizers:
-    fields.expand_model_fields((cfg.field,))
-    kind = FIELDS[cfg.field].kind
-    target = None if FIELDS[cfg.field].in_model else getattr(fields.model, cfg.field)
+    target = None
+    if not FIELDS[cfg.field].in_model:
+      fields.expand_model_fields((cfg.field,))
+      target = getattr(fields.model, cfg.field)
     term = RandomizeField(cfg, fields, generator=generator, target=target)
-    for key in term.written():
+    for key, element in term.written().items():
       if key in writer:
-        name = element_names(fields.mj_model, kind)[key[1]]
-        raise ValueError(f"{kind} {name!r} is written by two randomizers, {writer[key].label} and {cfg.label}.")
+        kind = FIELDS[cfg.field].kind
+        raise ValueError(f"{kind} {element!r} is written by two randomizers, {writer[key].label} and {cfg.label}.")
       writer[key] = cfg
     terms.append(term)
   return terms
+
+
+def _get(model: mujoco.MjModel, name: str) -> np.ndarray:
+  return np.asarray(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name))
+
+
+def _put(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
+  if not name.startswith("opt."):
+    getattr(model, name)[:] = value
+  elif value.ndim:
+    getattr(model.opt, name[4:])[:] = value
+  else:
+    setattr(model.opt, name[4:], float(value))
 
 
 class _BatchedFields:
@@ -177,16 +193,21 @@ class _BatchedFields:
   def __init__(self, mj_model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype) -> None:
     self.mj_model, self.num_envs, self.device, self.dtype = mj_model, num_envs, device, dtype
     self.model = SimpleNamespace()
+    self.written: dict[str, None] = {}
+    """Fields of MjModel that randomisers write; the other tensors are derived from them."""
 
   def default_field(self, name: str) -> Tensor:
     """The compiled value, (1, ...); zero for a field that MjModel does not have."""
     if name in FIELDS and not FIELDS[name].in_model:
       return torch.zeros(1, count(self.mj_model, FIELDS[name].kind), device=self.device, dtype=self.dtype)
-    return torch.tensor(getattr(self.mj_model, name), device=self.device, dtype=self.dtype).unsqueeze(0)
+    value = torch.tensor(_get(self.mj_model, name), device=self.device)
+    return (value.to(self.dtype) if value.is_floating_point() else value).unsqueeze(0)
 
   def expand_model_fields(self, names: Iterable[str]) -> None:
     """Gives these fields, and what derives from them, one value per world."""
     for name in names:
+      if name not in FIELDS or FIELDS[name].in_model:
+        self.written[name] = None
       for field in (name, *FIELDS[name].derived):
         default = self.default_field(field)
         if not hasattr(self.model, field) and default.numel() > 0:
@@ -196,17 +217,16 @@ class _BatchedFields:
     """Runs `mj_setConst` on the host for the masked worlds, one after the other."""
     worlds = range(self.num_envs) if mask is None else mask.nonzero().flatten().tolist()
     fields: dict[str, Tensor] = vars(self.model)
-    sources = [name for name in fields if name in FIELDS and FIELDS[name].needs_constants]
-    derived = [name for name in fields if name not in FIELDS]
-    host = {name: fields[name].double().cpu().numpy() for name in sources}
-    found = {name: fields[name].double().cpu().numpy() for name in derived}
+    derived = [name for source in self.written for name in FIELDS[source].derived if name in fields]
+    host = {name: fields[name].cpu().numpy() for name in self.written}
+    found = {name: fields[name].cpu().numpy().copy() for name in derived}
     scratch = copy.copy(self.mj_model)
     data = mujoco.MjData(scratch)
     for world in worlds:
-      for name in sources:
-        getattr(scratch, name)[:] = host[name][world]
+      for name, values in host.items():
+        _put(scratch, name, values[world])
       mujoco.mj_setConst(scratch, data)
-      for name in derived:
-        found[name][world] = getattr(scratch, name)
-    for name in derived:
-      fields[name].copy_(torch.from_numpy(found[name]))
+      for name, values in found.items():
+        values[world] = getattr(scratch, name)
+    for name, values in found.items():
+      fields[name].copy_(torch.from_numpy(values))

@@ -1,43 +1,58 @@
 """Domain randomisation as an event."""
 
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import torch
-from mjlab_dr import FIELDS, FieldRandomizer, RandomizeField
+from mjlab_dr import FIELDS, Field, FieldRandomizer, RandomizeField, element_names
 from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
+  from mjlab_scene import Entity
+
   from mjlab_envs.env import ManagerBasedRlEnv
 
 _ROBOT = SceneEntityCfg("robot")
+
+
+# Who writes what in each simulation: two randomisers of one number would undo each other's work in silence.
+_writers: WeakKeyDictionary[object, dict[tuple[str, int], str]] = WeakKeyDictionary()
 
 
 class randomize(ManagerTermBase):
   """Draw new values of a field of an entity in masked worlds, always from the compiled default.
 
   The randomiser's pattern is matched against the names of the entity's own elements. Fields of MjModel become per-world
-  by themselves; "encoder_bias" is the entity's own.
+  by themselves; "encoder_bias" is the entity's own; options belong to no entity.
   """
 
   def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     randomizer: FieldRandomizer = cfg.params["randomizer"]
     entity = env.scene[cfg.params["asset"].name]
-    field, ix = FIELDS[randomizer.field], entity.indexing
-    names, ids = list(ix.names[field.kind]), ix.ids[field.kind].tolist()
-    if not field.in_model:
-      # Joints with one column, and where it is among the entity's.
-      one = [i for i, columns in enumerate(ix.q_of_joint) if len(columns) == 1]
-      names, ids = [names[i] for i in one], [ix.q_of_joint[i][0] for i in one]
-    self._field = RandomizeField(
+    field = FIELDS[randomizer.field]
+    names, ids = _elements(env, entity, field)
+    self.field = RandomizeField(
       randomizer,
       env.sim,
       generator=env.rng,
       names=names,
       ids=ids,
       target=None if field.in_model else getattr(entity.data, randomizer.field),
+      prefix=entity.prefix,
       owner=f"entity '{entity.name}'",
     )
+    """The randomiser in the worlds of this environment."""
+    written = _writers.setdefault(env.sim, {})
+    whose = "" if field.in_model else entity.prefix
+    for (name, column), element in self.field.written().items():
+      key = whose + name, column
+      if key in written:
+        raise ValueError(
+          f"entity '{entity.name}': {name} of {field.kind} '{element}' is written by two randomisers, {written[key]} "
+          f"and {randomizer.label}; only one of them would count."
+        )
+      written[key] = randomizer.label
     self.needs_constants = randomizer.needs_constants
 
   def __call__(
@@ -50,4 +65,21 @@ class randomize(ManagerTermBase):
   ) -> None:
     del env, randomizer, asset  # Resolved at build.
     # The event manager recomputes derived fields once for all randomisers that fired.
-    self._field.apply(mask, recompute=False)
+    self.field.apply(mask, recompute=False)
+
+
+def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple[list[str] | None, list[int] | None]:
+  """Names of an entity's elements that a field is about, and their ids, or columns of the entity's own tensor."""
+  if field.kind == "option":
+    return None, None
+  ix = entity.indexing
+  if not field.in_model:
+    # Joints with one column, and where it is among the entity's.
+    one = [i for i, columns in enumerate(ix.q_of_joint) if len(columns) == 1]
+    return [ix.names["joint"][i] for i in one], [ix.q_of_joint[i][0] for i in one]
+  if field.kind in ix.names:
+    return list(ix.names[field.kind]), ix.ids[field.kind].tolist()
+  found = [
+    (i, name) for i, name in enumerate(element_names(env.sim.mj_model, field.kind)) if name.startswith(entity.prefix)
+  ]
+  return [name.removeprefix(entity.prefix) for _, name in found], [i for i, _ in found]

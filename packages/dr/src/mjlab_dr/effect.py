@@ -1,0 +1,197 @@
+"""Which elements and axes of a field count in a model: what would change nothing is found before it is trained on."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjlab_dr.catalogue import FIELDS, rows
+
+_SIZES = {
+  int(mujoco.mjtGeom.mjGEOM_SPHERE): 1,
+  int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2,
+  int(mujoco.mjtGeom.mjGEOM_CYLINDER): 2,
+  int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): 3,
+  int(mujoco.mjtGeom.mjGEOM_BOX): 3,
+}
+_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_CONTACT = {
+  "geom_friction",
+  "geom_solref",
+  "geom_solimp",
+  "geom_solmix",
+  "geom_margin",
+  "geom_gap",
+  "geom_surfacevel",
+  "geom_adhesion",
+}
+_CONDIM = {"geom_friction": (3, 4, 6), "pair_friction": (3, 3, 4, 6, 6)}
+
+
+def why_element_idle(model: mujoco.MjModel, name: str, i: int) -> str:
+  """Why changing field `name` of element `i` would change nothing, as the end of a sentence; "" if it counts."""
+  field = FIELDS[name]
+  reason = _REASONS[field.kind](model, name, i)
+  if not reason and not field.from_zero:
+    value = np.asarray(getattr(model.opt, name[4:]) if field.kind == "option" else getattr(model, name))
+    at = value if field.kind == "option" else value[list(rows(model, field, i))]
+    if not at.any():
+      return "was compiled as zero, and engines leave out what is off"
+  return reason
+
+
+def why_axis_idle(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
+  """Why changing one axis of an element that counts would change nothing; "" if it counts."""
+  if name == "geom_size":
+    used = _SIZES[int(model.geom_type[i])]
+    if axis >= used:
+      return f"has only {used} size{'s' if used > 1 else ''}"
+  elif name in _CONDIM:
+    # Of two geoms in contact the larger condim counts.
+    condim = (
+      max([*model.geom_condim, *model.pair_dim], default=1) if name == "geom_friction" else int(model.pair_dim[i])
+    )
+    needed = _CONDIM[name][axis]
+    if condim < needed:
+      whose = "no contact can have" if name == "geom_friction" else "its contacts do not have"
+      return f"needs condim {needed}, which {whose}: it is {condim}"
+  elif name == "eq_data":
+    kind = mujoco.mjtEq(int(model.eq_type[i]))
+    if kind == mujoco.mjtEq.mjEQ_CONNECT and axis >= 3:
+      return "is a connection of bodies, whose other numbers follow"
+    if kind == mujoco.mjtEq.mjEQ_WELD and axis not in (0, 1, 2, 10):
+      return "is a weld, whose relative pose follows"
+    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD) and axis >= 5:
+      return "has a polynomial of five numbers"
+  elif name == "mat_texid" and model.mat_texid[i, axis] < 0:
+    return "was compiled without a texture for it"
+  elif name == "actuator_gear" and axis > 0 and int(model.actuator_trntype[i]) in _SCALAR_TRANSMISSIONS:
+    joint = int(model.actuator_trnid[i, 0])
+    if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_TENDON) or model.jnt_type[joint] in _SCALAR_JOINTS:
+      return "has one gear"
+  return ""
+
+
+_SCALAR_TRANSMISSIONS = (
+  int(mujoco.mjtTrn.mjTRN_JOINT),
+  int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
+  int(mujoco.mjtTrn.mjTRN_TENDON),
+)
+
+
+def _option(model: mujoco.MjModel, name: str, i: int) -> str:
+  del i
+  if name == "opt.wind" and not (model.opt.density or model.opt.viscosity):
+    return "needs a density or a viscosity of the medium"
+  return ""
+
+
+def _body(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name in ("body_pos", "body_quat"):
+    first = int(model.body_jntadr[i])
+    if model.body_mocapid[i] >= 0 or (first >= 0 and model.jnt_type[first] == _FREE):
+      return "floats: its pose is state, which resets write"
+    return ""
+  if model.body_mass[i] == 0.0:
+    return "has no mass"
+  if model.body_weldid[i] == 0:
+    return "never moves"
+  return ""
+
+
+def _joint(model: mujoco.MjModel, name: str, i: int) -> str:
+  kind = int(model.jnt_type[i])
+  if name in ("qpos0", "qpos_spring", "encoder_bias") and kind not in _SCALAR_JOINTS:
+    return "has more than one coordinate"
+  if name == "qpos_spring" and not (model.jnt_stiffness[i] or model.jnt_stiffnesspoly[i].any()):
+    return "has no spring"
+  if name in ("jnt_range", "jnt_margin", "jnt_solref", "jnt_solimp") and not model.jnt_limited[i]:
+    return "has no limits"
+  if name == "jnt_actfrcrange" and not model.jnt_actfrclimited[i]:
+    return "has no limit of actuator force"
+  if name == "jnt_axis" and kind not in _SCALAR_JOINTS:
+    return "turns about any axis"
+  if name == "jnt_pos" and kind == _FREE:
+    return "has no anchor"
+  if name in ("dof_solref", "dof_solimp") and not model.dof_frictionloss[model.jnt_dofadr[i]]:
+    return "has no dry friction"
+  return ""
+
+
+def _geom(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name in _CONTACT and not (model.geom_contype[i] or model.geom_conaffinity[i]):
+    return "collides with nothing"
+  if name == "geom_size" and int(model.geom_type[i]) not in _SIZES:
+    return "is no primitive with a size"
+  if name == "geom_rgba" and model.geom_matid[i] >= 0:
+    return "has the colour of its material"
+  return ""
+
+
+def _camera(model: mujoco.MjModel, name: str, i: int) -> str:
+  has_sensor = bool(model.cam_sensorsize[i].any())
+  if name == "cam_fovy" and has_sensor:
+    return "has a sensor size, from which its field of view follows"
+  if name == "cam_intrinsic" and not has_sensor:
+    return "has no sensor size"
+  return ""
+
+
+def _light(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name in ("light_cutoff", "light_exponent") and model.light_type[i] != int(mujoco.mjtLightType.mjLIGHT_SPOT):
+    return "is no spot light"
+  return ""
+
+
+def _tendon(model: mujoco.MjModel, name: str, i: int) -> str:
+  if (
+    name in ("tendon_range", "tendon_margin", "tendon_solref_lim", "tendon_solimp_lim") and not model.tendon_limited[i]
+  ):
+    return "has no limits"
+  if name == "tendon_actfrcrange" and not model.tendon_actfrclimited[i]:
+    return "has no limit of actuator force"
+  if name in ("tendon_solref_fri", "tendon_solimp_fri") and not model.tendon_frictionloss[i]:
+    return "has no dry friction"
+  if name == "tendon_lengthspring" and not (model.tendon_stiffness[i] or model.tendon_stiffnesspoly[i].any()):
+    return "has no spring"
+  return ""
+
+
+def _actuator(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name == "actuator_forcerange" and not model.actuator_forcelimited[i]:
+    return "has no limit of force"
+  if name == "actuator_actrange" and not model.actuator_actlimited[i]:
+    return "has no limit of activation"
+  if name == "actuator_ctrlrange" and not model.actuator_ctrllimited[model.actuator_ctrladr[i]]:
+    return "has no limit of control"
+  if name == "actuator_dynprm" and model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_NONE):
+    return "has no dynamics"
+  if name == "actuator_lengthrange" and model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_MUSCLE):
+    return "is no muscle"
+  if name == "actuator_cranklength" and model.actuator_trntype[i] != int(mujoco.mjtTrn.mjTRN_SLIDERCRANK):
+    return "is no slider-crank"
+  if name == "actuator_delay" and model.actuator_historyadr[i] < 0:
+    return "was compiled without a delay"
+  return ""
+
+
+def _always(model: mujoco.MjModel, name: str, i: int) -> str:
+  del model, name, i
+  return ""
+
+
+_REASONS = {
+  "option": _option,
+  "body": _body,
+  "joint": _joint,
+  "geom": _geom,
+  "site": _always,
+  "camera": _camera,
+  "light": _light,
+  "material": _always,
+  "tendon": _tendon,
+  "pair": _always,
+  "equality": _always,
+  "actuator": _actuator,
+}

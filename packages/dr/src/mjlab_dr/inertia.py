@@ -1,0 +1,148 @@
+"""Perturbation of inertial parameters that stays physical whatever is drawn.
+
+After Rucker and Wensing, "Smooth parameterization of rigid-body inertia", IEEE RA-L 7(2), 2022. A body of mass m,
+centre of mass c and second moments S about it (S = tr(I)/2 - I) is physically consistent if and only if its
+pseudo-inertia J = [[S + m c c^T, m c], [m c^T, m]] is positive definite. With the upper triangular
+
+  U = e^alpha [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]]
+
+J' = U J U^T is so again, for any ten real numbers (alpha, d1, d2, d3, s12, s13, s23, t1, t2, t3): mass and inertia are
+scaled by e^(2 alpha), space is stretched by d and sheared by s about the origin of the body frame, and moved by t.
+With A, the upper left of U / e^alpha, that is m' = e^(2 alpha) m, c' = A c + t, S' = e^(2 alpha) A S A^T, which needs
+no factorisation, loses nothing for light bodies far from the origin, and holds for planar and rod-like bodies too.
+"""
+
+from __future__ import annotations
+
+import torch
+from mjlab_core import matrix_from_quat, quat_mul
+from torch import Tensor
+
+_SWEEPS = 6
+# The plane in which a rotation zeroes an entry, and the axis and sense of that rotation.
+_ROTATIONS = ((0, 1, 2, -1.0), (0, 2, 1, 1.0), (1, 2, 0, -1.0))
+_UPPER = ((0, 1), (0, 2), (1, 2))
+
+
+def perturb_inertia(
+  mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor, parameters: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+  """Inertial parameters after J' = U J U^T, exactly those given where all parameters are zero.
+
+  Computed in float64, without a host sync. Principal axes turn as little as they can: nothing is reordered for small
+  perturbations, and equal moments are no special case. A body without mass stays without.
+
+  Args:
+    mass: (...) [kg].
+    com: centre of mass in the body frame, (..., 3) [m].
+    inertia: principal moments, (..., 3) [kg m^2].
+    quat: principal axes in the body frame, (..., 4).
+    parameters: alpha, d1, d2, d3, s12, s13, s23 [1], t1, t2, t3 [m], (..., 10); batch dimensions broadcast.
+
+  Returns:
+    The same four in float64. Moments are at least zero, and none is above the sum of the other two.
+  """
+  mass, com, inertia, quat, p = (x.double() for x in (mass, com, inertia, quat, parameters))
+  gain = (2.0 * p[..., 0]).exp()
+  stretch = torch.expm1(p[..., 1:4])
+  s12, s13, s23 = p[..., 4:7].unbind(-1)
+  zero = torch.zeros_like(s12)
+  # A - 1, so that a perturbation of nothing is nothing.
+  change = torch.stack((stretch[..., 0], s12, s13, zero, stretch[..., 1], s23, zero, zero, stretch[..., 2]), -1)
+  change = change.unflatten(-1, (3, 3))
+  moved = com + (change @ com.unsqueeze(-1)).squeeze(-1) + p[..., 7:]
+
+  axes = matrix_from_quat(quat)
+  second = (0.5 * inertia.sum(-1, keepdim=True) - inertia).clamp_min(0.0)
+  # In the principal frame of before, where the second moments are diagonal.
+  local = torch.eye(3, dtype=p.dtype, device=p.device) + axes.mT @ change @ axes
+  moments, turn = _diagonalize((local * second.unsqueeze(-2)) @ local.mT)
+  moments = moments.clamp_min(0.0) * gain.unsqueeze(-1)
+  result = moments.sum(-1, keepdim=True) - moments
+  # Moments of inertia from second moments and back again lose the last bit.
+  is_scaled = (p[..., 1:7] == 0.0).all(-1, keepdim=True)
+  result = torch.where(is_scaled, inertia * gain.unsqueeze(-1), result)
+  return mass * gain, moved, result, quat_mul(quat.expand(turn.shape), turn)
+
+
+def inertia_perturbation(
+  mass: Tensor,
+  com: Tensor,
+  inertia: Tensor,
+  quat: Tensor,
+  to_mass: Tensor,
+  to_com: Tensor,
+  to_inertia: Tensor,
+  to_quat: Tensor,
+) -> Tensor:
+  """The ten parameters that turn the first four inertial parameters into the last four, (..., 10), in float64.
+
+  The inverse of `perturb_inertia`. Both must have mass and volume: a planar body has no unique answer.
+  """
+  before, after = _second_moments(inertia, quat), _second_moments(to_inertia, to_quat)
+  ratio = to_mass.double() / mass.double()
+  # A S A^T = S' / e^(2 alpha), with upper triangular factors on both sides.
+  a = _upper_factor(after / ratio[..., None, None]) @ torch.linalg.inv(_upper_factor(before))
+  moved = to_com.double() - (a @ com.double().unsqueeze(-1)).squeeze(-1)
+  shear = torch.stack([a[..., i, j] for i, j in _UPPER], -1)
+  return torch.cat((0.5 * ratio.log().unsqueeze(-1), a.diagonal(dim1=-2, dim2=-1).log(), shear, moved), -1)
+
+
+def pseudo_inertia_matrix(mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor) -> Tensor:
+  """J of inertial parameters, (..., 4, 4), in float64: positive definite if and only if they are physical."""
+  m, c = mass.double()[..., None, None], com.double().unsqueeze(-1)
+  top = torch.cat((_second_moments(inertia, quat) + m * c @ c.mT, m * c), -1)
+  return torch.cat((top, torch.cat((m * c.mT, m), -1)), -2)
+
+
+def rounded_moments(inertia: Tensor, dtype: torch.dtype) -> Tensor:
+  """Moments in the type of a field, (..., 3), in which no moment is above the sum of the other two either."""
+  rounded = inertia.to(dtype)
+  if dtype == torch.float64:
+    return rounded
+  # Rounding may lift one above by half a unit in its last place.
+  others = (rounded.sum(-1, keepdim=True) - rounded) * (1.0 - 2.0 * torch.finfo(dtype).eps)
+  return torch.where(rounded > others, others, rounded)
+
+
+def _second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
+  """tr(I)/2 - I about the centre of mass in the body frame, (..., 3, 3)."""
+  inertia, axes = inertia.double(), matrix_from_quat(quat.double())
+  return (axes * (0.5 * inertia.sum(-1, keepdim=True) - inertia).unsqueeze(-2)) @ axes.mT
+
+
+def _upper_factor(matrix: Tensor) -> Tensor:
+  """Upper triangular F with F F^T = `matrix`."""
+  return torch.linalg.cholesky(matrix.flip(-1, -2)).flip(-1, -2)
+
+
+def _diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
+  """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
+
+  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place.
+  """
+  entry = {(i, j): matrix[..., i, j] for i in range(3) for j in range(i, 3)}
+  one, zero = torch.ones_like(entry[0, 0]), torch.zeros_like(entry[0, 0])
+  turn = torch.stack((one, zero, zero, zero), -1)
+  for _ in range(_SWEEPS):
+    for p, q, axis, sense in _ROTATIONS:
+      off = entry[p, q]
+      is_done = off == 0.0
+      ratio = (entry[q, q] - entry[p, p]) / (2.0 * torch.where(is_done, one, off))
+      tangent = torch.where(ratio >= 0.0, 1.0, -1.0) / (ratio.abs() + (ratio * ratio + 1.0).sqrt())
+      tangent = torch.where(is_done, zero, tangent)
+      cosine = (tangent * tangent + 1.0).rsqrt()
+      sine = tangent * cosine
+      entry[p, p] = entry[p, p] - tangent * off
+      entry[q, q] = entry[q, q] + tangent * off
+      entry[p, q] = zero
+      first, second = (min(axis, p), max(axis, p)), (min(axis, q), max(axis, q))
+      entry[first], entry[second] = (
+        cosine * entry[first] - sine * entry[second],
+        sine * entry[first] + cosine * entry[second],
+      )
+      half = ((1.0 + cosine) * 0.5).sqrt()
+      rotation = [half, zero, zero, zero]
+      rotation[axis + 1] = sense * sine / (2.0 * half)
+      turn = quat_mul(turn, torch.stack(rotation, -1))
+  return torch.stack((entry[0, 0], entry[1, 1], entry[2, 2]), -1), turn

@@ -1,0 +1,123 @@
+"""Every row of the catalogue: what is drawn, what stays, and what derives from it."""
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_core import euler_xyz_from_quat, quat_conjugate, quat_mul
+from mjlab_dr import FIELDS, Categorical, Randomization, inertia_perturbation, randomize
+from scipy import stats
+
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from dr_everything import EVERYTHING, owner_of, recompiled, trial
+
+WORLDS = 300
+SPEC_MODEL = mujoco.MjModel.from_xml_string(EVERYTHING)
+# The tree of bounding boxes, its margins and the scale of sleep are MuJoCo's own engine's.
+ENGINE_ONLY = {"bvh_aabb", "body_margin", "dof_length"}
+each_row = pytest.mark.parametrize("name", FIELDS)
+
+
+def compiled(name: str, model: mujoco.MjModel = SPEC_MODEL) -> np.ndarray:
+  if name == "encoder_bias":
+    return np.zeros(model.njnt)
+  return np.asarray(getattr(owner_of(model, name), name.removeprefix("opt.")))
+
+
+def written_by(name: str) -> tuple[str, ...]:
+  field = FIELDS[name]
+  return field.fields or ((name, field.moves_with) if field.moves_with else (name,))
+
+
+def draws(name: str, fields: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
+  """What was drawn, by axis, in all worlds and elements, seen from what was written."""
+  field, cfg = FIELDS[name], trial(name)
+  value = fields[written_by(name)[0]].double()
+  default = torch.tensor(compiled(written_by(name)[0]), dtype=torch.float64)
+  if field.form == "pseudo_inertia":
+    moving = [i for i in range(SPEC_MODEL.nbody) if SPEC_MODEL.body_weldid[i] and SPEC_MODEL.body_mass[i]]
+    before = [torch.tensor(compiled(part)[moving]) for part in field.fields]
+    after = [fields[part][:, moving] for part in field.fields]
+    found = inertia_perturbation(*[x.expand(y.shape) for x, y in zip(before, after, strict=True)], *after)
+    return {axis: found[..., i].numpy().ravel() for i, axis in enumerate(field.axes)}
+  if field.form == "rotation":
+    changed = (value != default).flatten(2).any(-1).any(0)
+    turn = quat_mul(value[:, changed], quat_conjugate(default[changed]).expand_as(value[:, changed]))
+    return {axis: x.numpy().ravel() for axis, x in zip(field.axes, euler_xyz_from_quat(turn), strict=True)}
+  if cfg.operation == "add":
+    value = value - default
+  elif cfg.operation == "scale":
+    value = torch.where(default == 0.0, torch.nan, value / default)
+  changed = (fields[name] != torch.tensor(compiled(name))).any(0) & ~value.isnan().any(0)
+  if len(field.axes) == 1 or field.kind == "option":
+    changed = changed.unsqueeze(-1) if len(field.axes) == 1 else changed
+    value = value.unsqueeze(-1) if len(field.axes) == 1 else value
+  return {axis: value[..., i][:, changed[..., i]].numpy().ravel() for i, axis in enumerate(field.axes)}
+
+
+@each_row
+def test_draws_have_the_asked_distribution_in_every_world_and_the_rest_is_bit_identical(name: str) -> None:
+  cfg, field = trial(name), FIELDS[name]
+  fields = randomize(SPEC_MODEL, [cfg], num_worlds=WORLDS, seed=5, dtype=torch.float64)
+  for part in written_by(name):
+    assert fields[part].reshape(WORLDS, -1).unique(dim=0).shape[0] >= min(WORLDS, 2 if field.integer else WORLDS), part
+  if field.form == "direction":
+    # Its components are no longer what was drawn.
+    np.testing.assert_allclose(fields[name].norm(dim=-1), 1.0, rtol=1e-12)
+  else:
+    found = draws(name, fields)
+    for axis, distribution in cfg.values.items():
+      sample = found[field.axes[axis]]
+      if isinstance(distribution, Categorical):
+        weights = np.array(distribution.weights or [1.0] * len(distribution.values))
+        counts = np.unique(sample, return_counts=True)[1]
+        assert stats.chisquare(counts, weights / weights.sum() * counts.sum()).pvalue > 1e-3
+      elif cfg.every_axis and not len(sample):
+        continue
+      else:
+        lo, hi = distribution.support()
+        # Degrees of freedom of one joint share a draw, so that one of each is looked at.
+        assert stats.kstest(np.unique(sample), stats.uniform(lo, hi - lo).cdf).pvalue > 1e-3, field.axes[axis]
+  # Elements without effect keep every bit; in eq_data, the rest follows from what was written.
+  once = Randomization(mujoco.MjModel.from_xml_string(EVERYTHING), [cfg], seed=0)
+  written = once.written()
+  for part in set(written_by(name)) - {"eq_data"}:
+    flat, default = fields[part].reshape(WORLDS, -1), torch.tensor(compiled(part)).flatten()
+    others = [i for i in range(flat.shape[1]) if (part, i) not in written]
+    assert torch.equal(flat[:, others], default[others].to(flat.dtype).expand(WORLDS, -1)), part
+
+
+@pytest.mark.parametrize("name", [name for name in FIELDS if FIELDS[name].in_model])
+def test_every_world_is_the_model_recompiled_with_its_values(name: str) -> None:
+  fields = randomize(SPEC_MODEL, [trial(name)], num_worlds=2, seed=1, dtype=torch.float64)
+  for world in range(2):
+    oracle = recompiled({part: fields[part][world].numpy() for part in written_by(name)})
+    for other in dir(oracle):
+      value = None if other.startswith("_") else getattr(oracle, other, None)
+      if not isinstance(value, np.ndarray) or value.dtype.kind not in "fib" or other in ENGINE_ONLY:
+        continue
+      actual = fields[other][world].numpy() if other in fields else compiled(other)
+      # MjModel has some in single precision, and the field of view that follows from those.
+      is_single = value.dtype == np.float32 or other == "cam_fovy"
+      np.testing.assert_allclose(actual, value, rtol=1e-6 if is_single else 1e-9, atol=1e-12, err_msg=other)
+
+
+@each_row
+def test_a_hundred_repeats_on_one_model_do_not_drift(name: str) -> None:
+  model = mujoco.MjModel.from_xml_string(EVERYTHING)
+  once = randomize(model, [trial(name)], seed=2)
+  first = once.changes()
+  for _ in range(100):
+    once.resample()
+  once.resample(2)
+  assert once.changes() == first
+  once.restore()
+  for other in dir(model):
+    value = None if other.startswith("_") else getattr(model, other, None)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fib":
+      np.testing.assert_allclose(value, compiled(other), rtol=1e-12, atol=1e-15, err_msg=other)

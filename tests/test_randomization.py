@@ -1,0 +1,124 @@
+"""The catalogue of mjlab-dr on both engines: every row against a recompiled model, and MuJoCo Warp's own list."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_dr import FIELDS, LEFT_OUT, RandomizeField, apply_all
+from mjlab_sim import PER_WORLD, Simulation, SimulationCfg
+from mjlab_sim.fields import closure
+
+# The model of the member's own tests.
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "dr" / "tests"))
+
+from dr_everything import EVERYTHING, recompiled, trial
+
+IN_MODEL = [name for name in FIELDS if FIELDS[name].in_model]
+NUM_WORLDS = 4
+MASK = torch.tensor([True, False, True, False])
+
+
+def make_sim(engine: Literal["native", "warp"]) -> Simulation:
+  cfg = SimulationCfg(engine=engine, integrator=None, num_threads=1, nconmax=16, njmax=64)
+  return Simulation(NUM_WORLDS, mujoco.MjSpec.from_string(EVERYTHING), cfg, "cpu")
+
+
+def written_by(name: str) -> tuple[str, ...]:
+  field = FIELDS[name]
+  return field.fields or ((name, field.moves_with) if field.moves_with else (name,))
+
+
+def bound(name: str, sim: Simulation, seed: int = 0) -> RandomizeField:
+  return RandomizeField(trial(name), sim, generator=torch.Generator().manual_seed(seed))
+
+
+def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+  """Every array of a compiled model, and its options."""
+  out = {name: getattr(model, name, None) for name in dir(model) if not name.startswith("_")}
+  out |= {f"opt.{name}": np.asarray(getattr(model.opt, name)) for name in ("timestep", "gravity", "wind", "density")}
+  out |= {f"opt.{name}": np.asarray(getattr(model.opt, name)) for name in ("viscosity", "magnetic")}
+  return {name: value for name, value in out.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fib"}
+
+
+def test_every_field_that_mujoco_warp_holds_per_world_is_in_the_catalogue_or_left_out_for_a_reason() -> None:
+  types = pytest.importorskip("mujoco_warp._src.types")
+  owners = {"": types.Model, "opt.": types.Option}
+  kinds: dict[str, Any] = {
+    prefix + field.name: field.type for prefix, owner in owners.items() for field in dataclasses.fields(owner)
+  }
+  # An array whose first dimension may be one or one per world.
+  listed = {name for name, kind in kinds.items() if getattr(kind, "shape", None) and kind.shape[0] == "*"}
+  assert len(listed) > 120
+  written = {part for name in IN_MODEL for part in written_by(name)}
+  assert not written & set(LEFT_OUT)
+  assert listed == written | set(LEFT_OUT)
+  assert all(LEFT_OUT.values())
+
+
+def test_what_the_catalogue_derives_is_expanded_with_its_source_by_the_simulation() -> None:
+  model = mujoco.MjModel.from_xml_string(EVERYTHING)
+  for name in IN_MODEL:
+    assert set(FIELDS[name].derived) & PER_WORLD <= set(closure(list(written_by(name)), model)), name
+
+
+@pytest.mark.parametrize("name", IN_MODEL)
+def test_masked_worlds_are_recompiled_models_and_the_others_keep_every_bit(name: str) -> None:
+  sim = make_sim("native")
+  term = bound(name, sim)
+  before = {field: sim.model[field].clone() for field in sorted(PER_WORLD)}
+  replay = sim.capture(lambda: term.apply(MASK))
+  replay()
+  first = term.values()
+  assert (first[MASK] != term.default).any(-1).all() or FIELDS[name].integer
+  for field, value in before.items():
+    rows = ~MASK if sim.is_expanded(field) else slice(None)
+    assert torch.equal(sim.model[field][rows], value[rows]), field
+  for _ in range(100):
+    replay()
+  again = bound(name, sim)
+  again.apply(MASK)
+  assert torch.equal(again.values(), first)
+
+  sim.reset()
+  engine: Any = sim._engine
+  batch = engine._batch
+  for world in MASK.nonzero().flatten().tolist():
+    oracle = recompiled({part: sim.model[part][world].numpy() for part in written_by(name)})
+    actual = numbers(batch.get_model(world))
+    for field, value in numbers(oracle).items():
+      # MjModel has some in single precision, and the field of view that follows from those.
+      tolerance = 1e-6 if value.dtype == np.float32 or field == "cam_fovy" else 1e-9
+      np.testing.assert_allclose(actual[field], value, rtol=tolerance, atol=1e-12, err_msg=field)
+  sim.close()
+
+
+@pytest.mark.warp
+def test_on_mujoco_warp_worlds_with_everything_randomised_are_recompiled_models() -> None:
+  sim = make_sim("warp")
+  # Each number once: the pseudo-inertia writes all four fields, and a joint's zero moves its spring.
+  left_out = {*FIELDS["pseudo_inertia"].fields, "qpos_spring"}
+  names = [name for name in IN_MODEL if name not in left_out]
+  terms = [bound(name, sim, seed) for seed, name in enumerate(names)]
+  for _ in range(3):
+    # The first is recorded as a graph of the engine, the others replay it.
+    apply_all(terms, sim, torch.ones(NUM_WORLDS, dtype=torch.bool))
+  before = {field: sim.model[field].clone() for field in sorted(PER_WORLD)}
+  apply_all(terms, sim, MASK)
+  for field, value in before.items():
+    rows = ~MASK if sim.is_expanded(field) else slice(None)
+    assert torch.equal(sim.model[field][rows], value[rows]), field
+  values = {part: sim.model[part].numpy() for name in names for part in written_by(name)}
+  for world in range(NUM_WORLDS):
+    oracle = recompiled({part: value[world] for part, value in values.items()})
+    expected = numbers(oracle)
+    for field in sorted(PER_WORLD & set(expected)):
+      actual = sim.model[field][world if sim.is_expanded(field) else 0].numpy()
+      value = expected[field].reshape(actual.shape)
+      scale = 1e-5 * np.abs(value).max(initial=1.0)
+      np.testing.assert_allclose(actual, value, rtol=2e-4, atol=scale, err_msg=field)
+  sim.close()
