@@ -35,7 +35,7 @@ EVERYTHING = """
       <camera name="lens" pos="-.2 0 .1" sensorsize=".004 .003" focal=".003 .003" principal=".0001 .0002"
         resolution="8 6"/>
       <camera name="follow" mode="trackcom" pos="1 0 1"/>
-      <light name="lamp" mode="track" pos="0 0 1" dir=".1 0 -1"/>
+      <light name="lamp" type="directional" mode="track" pos="0 0 1" dir=".1 0 -1"/>
       <site name="anchor" pos="0 .1 .1"/>
       <body name="thigh" pos=".2 0 0" gravcomp=".5">
         <joint name="hip" axis="0 1 .1" pos="0 0 .02" range="-1 1.2" stiffness="3 .4 .2" springref=".2"

@@ -1,13 +1,18 @@
 """A randomiser on many worlds behind the protocol: masks, fixed memory, no sync, once-only recomputation."""
 
+import sys
 from collections.abc import Iterable
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
 import pytest
 import torch
-from mjlab_core import make_generator
+from mjlab_core import make_generator, matrix_from_quat, quat_error_magnitude
 from mjlab_dr import (
+  FIELDS,
+  Categorical,
+  Custom,
   FieldRandomizer,
   ModelFields,
   RandomizeField,
@@ -15,8 +20,15 @@ from mjlab_dr import (
   body_com_offset,
   encoder_bias,
   geom_friction,
+  pseudo_inertia,
+  randomize_field,
 )
 from torch.utils._python_dispatch import TorchDispatchMode
+
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from dr_everything import EVERYTHING, trial
 
 XML = """
 <mujoco>
@@ -38,19 +50,21 @@ N = 6
 class FakeSim:
   """The protocol and nothing more, counting what it is asked."""
 
-  def __init__(self) -> None:
-    self.mj_model = mujoco.MjModel.from_xml_string(XML)
+  def __init__(self, xml: str = XML) -> None:
+    self.mj_model = mujoco.MjModel.from_xml_string(xml)
     self.num_envs, self.device = N, torch.device("cpu")
-    self.model = SimpleNamespace(**{n: self.default_field(n) for n in ("geom_friction", "body_ipos")})
+    self.model = SimpleNamespace()
     self.recomputed: list[torch.Tensor | None] = []
 
   def expand_model_fields(self, names: Iterable[str], /) -> None:
     for name in names:
-      if getattr(self.model, name).shape[0] == 1:
-        setattr(self.model, name, self.default_field(name).repeat(N, 1, 1))
+      if not hasattr(self.model, name):
+        default = self.default_field(name)
+        setattr(self.model, name, default.repeat(N, *[1] * (default.dim() - 1)))
 
   def default_field(self, name: str, /) -> torch.Tensor:
-    return torch.tensor(getattr(self.mj_model, name)).unsqueeze(0)
+    owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
+    return torch.tensor(getattr(owner, name.removeprefix("opt."))).unsqueeze(0)
 
   def recompute_constants(self, mask: torch.Tensor | None = None, /) -> None:
     self.recomputed.append(mask)
@@ -154,3 +168,139 @@ def test_a_field_replaced_after_construction_is_still_the_one_written(sim: FakeS
   sim.model.geom_friction = sim.model.geom_friction.clone()
   term.apply(torch.ones(N, dtype=torch.bool))
   assert (sim.model.geom_friction[:, 1, 0] != 1.0).all()
+
+
+@pytest.mark.parametrize("name", [name for name in FIELDS if FIELDS[name].in_model])
+def test_every_row_writes_in_place_without_a_sync_and_the_same_for_a_world_whoever_else_draws(name: str) -> None:
+  sims = [FakeSim(EVERYTHING), FakeSim(EVERYTHING)]
+  terms = [bound(trial(name), sim) for sim in sims]
+  names = list(vars(sims[0].model))
+  addresses = [getattr(sims[0].model, field).data_ptr() for field in names]
+  mask = torch.tensor([True, False, True, True, False, False])
+  with NoSync():
+    terms[0].apply(mask)
+  terms[1].apply(torch.ones(N, dtype=torch.bool))
+  assert [getattr(sims[0].model, field).data_ptr() for field in names] == addresses
+  values, default = terms[0].values(), terms[0].default
+  assert torch.equal(values[mask], terms[1].values()[mask])
+  assert torch.equal(values[~mask], default.expand(N, -1)[~mask].to(values.dtype))
+
+
+def test_strength_takes_every_kind_of_field_from_its_default_to_the_draw() -> None:
+  everyone = torch.ones(N, dtype=torch.bool)
+  for name in ("geom_friction", "qpos0", "jnt_axis", "cam_intrinsic", "body_pos", "pseudo_inertia", "opt.gravity"):
+    results = []
+    for strength in (0.0, 0.5, 1.0, None):
+      term = bound(trial(name), FakeSim(EVERYTHING))
+      if strength is not None:
+        term.strength.fill_(strength)
+      term.apply(everyone)
+      results.append(term.values() - term.default)
+    nothing, half, full, plain = results
+    # The compiler took the field of view from intrinsics before it rounded them to single precision.
+    assert nothing.abs().max() <= (1e-5 if name == "cam_intrinsic" else 0.0), name
+    assert torch.equal(full, plain), name
+    if name in ("geom_friction", "qpos0", "body_pos", "opt.gravity"):
+      torch.testing.assert_close(half, 0.5 * full)
+    else:
+      # Unit vectors, and what follows by a formula, are nearer to the default all the same.
+      assert half.abs().max() < full.abs().max(), name
+
+
+def test_strength_of_a_rotation_is_the_share_of_its_angles() -> None:
+  sims = [FakeSim(EVERYTHING) for _ in range(2)]
+  angles = []
+  for sim, strength in zip(sims, (1.0, 0.25), strict=True):
+    term = bound(randomize_field("cam_quat", "eye", {"yaw": (0.5, 1.0)}), sim)
+    term.strength.fill_(strength)
+    term.apply(torch.ones(N, dtype=torch.bool))
+    angles.append(quat_error_magnitude(sim.model.cam_quat[:, 0], sim.default_field("cam_quat")[:, 0]))
+  torch.testing.assert_close(angles[1], 0.25 * angles[0])
+
+
+def test_a_choice_has_no_strength() -> None:
+  with pytest.raises(ValueError, match="a choice, which cannot be widened"):
+    _ = bound(trial("light_active"), FakeSim(EVERYTHING)).strength
+
+
+def test_a_rotation_turns_about_the_axes_of_the_parent() -> None:
+  sim = FakeSim(EVERYTHING)
+  bound(randomize_field("body_quat", "shin", {"yaw": (0.3, 0.3)}), sim).apply(torch.ones(N, dtype=torch.bool))
+  shin = sim.mj_model.body("shin").id
+  before, after = (matrix_from_quat(x[:, shin]) for x in (sim.default_field("body_quat"), sim.model.body_quat))
+  cos, sin = torch.tensor(0.3).cos(), torch.tensor(0.3).sin()
+  about_z = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+  torch.testing.assert_close(after, (about_z @ before).expand(N, 3, 3))
+
+
+def test_degrees_of_freedom_of_a_joint_share_a_draw_and_other_joints_keep_their_addresses() -> None:
+  sim = FakeSim(EVERYTHING)
+  bound(randomize_field("dof_damping", ("shoulder", "crank"), (1.0, 2.0)), sim).apply(torch.ones(N, dtype=torch.bool))
+  damping, model = sim.model.dof_damping, sim.mj_model
+  ball = [int(model.joint("shoulder").dofadr[0]) + i for i in range(3)]
+  crank = int(model.joint("crank").dofadr[0])
+  assert (damping[:, ball] == damping[:, ball[:1]]).all()
+  assert (damping[:, crank] >= 1.0).all()
+  assert (damping[:, crank] != damping[:, ball[0]]).all()
+  untouched = [i for i in range(model.nv) if i not in (*ball, crank)]
+  assert torch.equal(damping[:, untouched], sim.default_field("dof_damping")[:, untouched].expand(N, -1))
+
+
+def test_the_zero_of_a_joint_takes_its_spring_along() -> None:
+  sim = FakeSim(EVERYTHING)
+  bound(randomize_field("qpos0", "hip|slide", (-0.1, 0.1)), sim).apply(torch.ones(N, dtype=torch.bool))
+  shift = sim.model.qpos0 - sim.default_field("qpos0")
+  assert (shift != 0.0).any(0).sum() == 2
+  torch.testing.assert_close(sim.model.qpos_spring - sim.default_field("qpos_spring"), shift)
+
+
+def test_one_actuator_is_changed_when_one_is_asked_for() -> None:
+  sim = FakeSim(EVERYTHING)
+  values = {"0": (20.0, 40.0)}
+  bound(randomize_field("actuator_gainprm", "hip", values), sim).apply(torch.ones(N, dtype=torch.bool))
+  changed = (sim.model.actuator_gainprm != sim.default_field("actuator_gainprm")).any(0).nonzero()
+  assert changed.tolist() == [[sim.mj_model.actuator("hip").id, 0]]
+
+
+def test_isotropic_means_one_draw_for_all_axes_of_an_element() -> None:
+  sim = FakeSim(EVERYTHING)
+  cfg = randomize_field("geom_size", "trunk|arm", (0.5, 1.5), isotropic=True)
+  bound(cfg, sim).apply(torch.ones(N, dtype=torch.bool))
+  for name in ("trunk", "arm"):
+    geom = sim.mj_model.geom(name).id
+    factor = sim.model.geom_size[:, geom] / sim.default_field("geom_size")[:, geom]
+    torch.testing.assert_close(factor, factor[:, :1].expand(-1, 3))
+  assert sim.model.geom_size[:, sim.mj_model.geom("trunk").id].unique().numel() == 3 * N
+
+
+def test_gaussian_draws_differ_between_worlds_for_rotations_and_inertia_too() -> None:
+  sim = FakeSim(EVERYTHING)
+  turn = randomize_field("cam_quat", "eye", (0.0, 0.1), distribution="gaussian")
+  mass = pseudo_inertia("thigh|shin", alpha=(0.0, 0.1), distribution="gaussian")
+  for cfg in (turn, mass):
+    bound(cfg, sim).apply(torch.ones(N, dtype=torch.bool))
+  assert sim.model.cam_quat[:, 0].unique(dim=0).shape[0] == N
+  moving = [sim.mj_model.body(name).id for name in ("thigh", "shin")]
+  assert sim.model.body_mass[:, moving].unique().numel() == 2 * N
+
+
+def test_a_function_of_ones_own_is_held_within_its_bounds() -> None:
+  def waves(shape, *, generator, device, dtype) -> torch.Tensor:
+    return 2.0 * torch.rand(tuple(shape), generator=generator, device=device, dtype=dtype).sin()
+
+  sim = FakeSim(EVERYTHING)
+  bound(randomize_field("geom_friction", "shin", Custom(waves, 0.2, 1.1), axes=(0,)), sim).apply(torch.ones(N).bool())
+  friction = sim.model.geom_friction[:, sim.mj_model.geom("shin").id, 0]
+  assert friction.unique().numel() > 1
+  assert ((friction >= 0.2) & (friction <= 1.1)).all()
+  short = Custom(lambda shape, **more: torch.zeros(1), 0.0, 1.0)
+  with pytest.raises(ValueError, match="a custom distribution returned"):
+    bound(randomize_field("geom_friction", "shin", short, axes=(0,)), sim).apply(torch.ones(N).bool())
+
+
+def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> None:
+  xml = EVERYTHING.replace('"dull"', '"a/dull"').replace('"shiny"', '"a/shiny"')
+  sim = FakeSim(xml)
+  cfg = randomize_field("geom_matid", "post", Categorical(("dull",)))
+  RandomizeField(cfg, sim, prefix="a/").apply(torch.ones(N, dtype=torch.bool))
+  assert (sim.model.geom_matid[:, sim.mj_model.geom("post").id] == sim.mj_model.material("a/dull").id).all()

@@ -1,5 +1,7 @@
 """The perturbation of inertial parameters: its definition, its inverse, and its limits."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ Body = tuple[Tensor, Tensor, Tensor, Tensor]
 def bodies(n: int, *, seed: int = 0, thinnest: float = 0.02) -> Body:
   """n random bodies: mass over four decades, anywhere, any orientation, second moments over a range of 1 / thinnest."""
   generator = make_generator("cpu", seed)
-  draw = {"generator": generator, "dtype": torch.float64}
+  draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
   mass = 10.0 ** (torch.rand(n, **draw) * 4.0 - 3.0)
   second = mass[:, None] * 0.1 * (thinnest + (1.0 - thinnest) * torch.rand(n, 3, **draw))
   inertia = second.sum(-1, keepdim=True) - second

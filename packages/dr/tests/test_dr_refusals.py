@@ -1,0 +1,161 @@
+"""What is refused by name before anything is trained on it: no effect, nothing physical, or nothing there."""
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_dr import (
+  Categorical,
+  Custom,
+  FieldRandomizer,
+  Gaussian,
+  body_mass,
+  pseudo_inertia,
+  randomize,
+  randomize_field,
+)
+
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from dr_everything import EVERYTHING
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+  return mujoco.MjModel.from_xml_string(EVERYTHING)
+
+
+def refused(model: mujoco.MjModel, cfg: FieldRandomizer, message: str) -> None:
+  before = {name: getattr(model, name).copy() for name in ("geom_size", "body_mass", "jnt_range")}
+  with pytest.raises(ValueError, match=message):
+    randomize(model, [cfg], seed=0)
+  for name, value in before.items():
+    np.testing.assert_array_equal(getattr(model, name), value)
+
+
+FIELD = randomize_field
+IDLE = [
+  (FIELD("jnt_range", "crank", (-1.0, 1.0)), "joint 'crank' would do nothing, for it has no limits"),
+  (FIELD("jnt_actfrcrange", "slide", (-1.0, 1.0)), "joint 'slide' would do nothing, for it has no limit of actuator"),
+  (FIELD("jnt_axis", "shoulder", (0.0, 0.1)), "turns about any axis"),
+  (FIELD("jnt_pos", "root", (0.0, 0.1)), "has no anchor"),
+  (FIELD("qpos0", "shoulder", (0.0, 0.1)), "has more than one coordinate"),
+  (FIELD("qpos_spring", "crank", (0.0, 0.1)), "has no spring"),
+  (FIELD("dof_solref", "crank", (0.01, 0.02)), "has no dry friction"),
+  (FIELD("actuator_forcerange", "rope", (-1.0, 1.0)), "actuator 'rope' would do nothing, for it has no limit of force"),
+  (FIELD("actuator_ctrlrange", "pull", (-1.0, 1.0)), "has no limit of control"),
+  (FIELD("actuator_actrange", "hip", (-1.0, 1.0)), "has no limit of activation"),
+  (FIELD("actuator_dynprm", "hip", (0.1, 0.2), axes=(0,)), "has no dynamics"),
+  (FIELD("actuator_delay", "rope", (0.0, 0.01)), "was compiled without a delay"),
+  (FIELD("actuator_lengthrange", "hip", (0.1, 0.2)), "is no muscle"),
+  (FIELD("actuator_cranklength", "hip", (0.1, 0.2)), "is no slider-crank"),
+  (FIELD("actuator_gear", "hip", (1.0, 2.0), axes=(1,)), "of actuator 'hip' would do nothing, for it has one gear"),
+  (FIELD("geom_friction", "roller", (0.3, 1.2), axes=(0,)), "collides with nothing"),
+  (FIELD("geom_size", "floor", (0.9, 1.1)), "geom 'floor' would do nothing, for it is no primitive"),
+  (FIELD("geom_size", "shin", (0.9, 1.1), axes=("size2",)), "size2 of geom 'shin' would do nothing, for it has only 1"),
+  (FIELD("geom_rgba", "post", (0.0, 1.0)), "has the colour of its material"),
+  (FIELD("geom_adhesion", "shin", (0.0, 1.0)), "was compiled as zero"),
+  (FIELD("body_gravcomp", "shin", (0.0, 1.0)), "was compiled as zero"),
+  (FIELD("body_pos", "trunk", (0.0, 0.1)), "body 'trunk' would do nothing, for it floats"),
+  (FIELD("body_pos", "target", (0.0, 0.1)), "body 'target' would do nothing, for it floats"),
+  (FIELD("body_mass", "post", (1.0, 2.0)), "body 'post' would do nothing, for it never moves"),
+  (FIELD("body_mass", "target", (1.0, 2.0)), "has no mass"),
+  (FIELD("cam_fovy", "lens", (30.0, 60.0)), "has a sensor size"),
+  (FIELD("cam_intrinsic", "eye", {"fx": (0.9, 1.1)}), "has no sensor size"),
+  (FIELD("light_cutoff", "lamp", (30.0, 60.0)), "is no spot light"),
+  (FIELD("mat_texid", "dull", {"normal": Categorical(("wood",))}), "without a texture for it"),
+  (FIELD("eq_data", "leash", (0.0, 0.1), axes=("4",)), "other numbers follow"),
+  (FIELD("eq_data", "glue", (0.0, 0.1), axes=("7",)), "relative pose follows"),
+  (FIELD("eq_data", "couple", (0.0, 0.1), axes=("6",)), "a polynomial of five"),
+  (FIELD("tendon_range", "belt", (0.0, 1.0)), "tendon 'belt' would do nothing, for it has no limits"),
+  (FIELD("tendon_actfrcrange", "belt", (0.0, 1.0)), "has no limit of actuator force"),
+  (FIELD("tendon_solref_fri", "belt", (0.01, 0.02)), "has no dry friction"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cfg", "message"), IDLE, ids=[c[0].label for c in IDLE])
+def test_what_would_do_nothing_is_refused(model: mujoco.MjModel, cfg: FieldRandomizer, message: str) -> None:
+  refused(model, cfg, re.escape(message))
+
+
+def test_a_pattern_leaves_out_what_would_do_nothing_and_says_so_if_that_is_all(model: mujoco.MjModel) -> None:
+  once = randomize(model, [randomize_field("jnt_range", ".*", (0.9, 1.0), operation="scale")], seed=0)
+  assert {change.element for change in once.changes()} == {"hip", "slide", "shoulder"}
+  several = r"joint 'root' would do nothing, for it has no limits\. Nor would one of the 1 others"
+  refused(model, randomize_field("jnt_range", "root|crank", (0.9, 1.0)), several)
+  # One word of several that does nothing is as much a mistake as one alone.
+  refused(model, randomize_field("jnt_range", ("hip", "crank"), (0.9, 1.0)), "joint 'crank' would do nothing")
+
+
+def test_wind_without_a_medium_is_refused() -> None:
+  vacuum = mujoco.MjModel.from_xml_string("<mujoco/>")
+  refused(vacuum, randomize_field("opt.wind", ".*", (0.0, 1.0)), "needs a density or a viscosity")
+  refused(vacuum, randomize_field("opt.density", ".*", (0.0, 1.0)), "compiled as zero")
+
+
+UNPHYSICAL = [
+  (lambda: body_mass("thigh", (0.0, 1.0)), "may reach the physical minimum 0"),
+  (lambda: body_mass("thigh", (-1.0, 1.0)), "may fall below the physical minimum 0"),
+  (lambda: body_mass("thigh", (-0.1, 1.0), operation="scale"), "may fall below the physical minimum 0"),
+  (lambda: FIELD("opt.timestep", ".*", (0.0, 0.01)), "may reach the physical minimum 0"),
+  (lambda: FIELD("geom_solimp", ".*", (0.5, 1.5), axes=("dmax",)), "may exceed the physical maximum 0.9999"),
+  (lambda: FIELD("geom_rgba", ".*", Gaussian(0.5, 0.2, lo=0.0)), r"exceed the physical maximum 1\. Truncate it, as in"),
+  (lambda: FIELD("cam_fovy", ".*", (10.0, 200.0)), "may exceed the physical maximum 180"),
+  (lambda: FIELD("cam_quat", ".*", (0.9, 1.1), operation="scale"), "'scale' makes no sense for it"),
+  (lambda: FIELD("geom_matid", ".*", (0.0, 1.0)), "is a choice: give a Categorical"),
+  (lambda: FIELD("cam_intrinsic", ".*", (0.0, 1.0), operation="add"), "might turn a focal length negative"),
+  (lambda: FIELD("geom_size", ".*", {0: (0.9, 1.0), 1: (0.8, 1.0)}, isotropic=True), "isotropic means one draw"),
+  (lambda: FIELD("geom_rgba", ".*", Categorical(())), "nothing to choose from"),
+  (lambda: FIELD("geom_rgba", ".*", Categorical((0.0, 1.0), (1.0,))), "2 values have 1 weights"),
+  (lambda: FIELD("geom_rgba", ".*", Categorical((0.0, 1.0), (-1.0, 1.0))), "weights must not be negative"),
+  (lambda: FIELD("geom_rgba", ".*", Custom(lambda shape, **more: torch.ones(shape), 1.0, 0.0)), "is inverted"),
+  (lambda: pseudo_inertia("thigh", scale=-0.1), r"range \(0\.1, -0\.1\) is inverted"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "message"), UNPHYSICAL)
+def test_what_no_model_could_have_is_refused_when_it_is_made(make: Callable[[], Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    make()
+
+
+RESULTS = [
+  (FIELD("body_mass", "shin", (-1.0, 0.5), operation="add"), r"body 'shin' may get body_mass -0\.2, below"),
+  (FIELD("jnt_range", "hip", {"lower": (0.0, 2.5)}, operation="add"), r"'hip' may get a lower bound of 1\.5 with"),
+  (FIELD("actuator_ctrlrange", "hip", (-1.0, 1.0)), "a lower bound of 1 with an upper bound of -1"),
+  (FIELD("body_inertia", "trunk", (0.3, 2.0), operation="scale"), "the other two moments sum to 0.039, which no body"),
+  (FIELD("geom_solref", "shin", {"timeconst": (-0.1, 0.1)}), "both must be positive, or both negative"),
+  (FIELD("geom_solref", "shin", {"timeconst": (-0.2, -0.1)}), "both must be positive, or both negative"),
+  (FIELD("light_cutoff", "spot", (0.0, 200.0), operation="add"), r"light 'spot' may get light_cutoff 240, above the"),
+  (FIELD("actuator_delay", "hip", (0.0, 0.1)), r"a delay of 0\.1 s, but its buffer was compiled for 0\.016 s"),
+  (FIELD("geom_matid", "post", Categorical(("steal", "dull"))), "material 'steal' does not exist"),
+  (FIELD("geom_matid", "post", Categorical((0, 7))), "7 is no material; there are 2"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cfg", "message"), RESULTS, ids=[c[0].label for c in RESULTS])
+def test_what_may_come_out_unphysical_is_refused_before_anything_is_written(
+  model: mujoco.MjModel, cfg: FieldRandomizer, message: str
+) -> None:
+  refused(model, cfg, message)
+
+
+def test_bounds_moved_by_one_draw_keep_their_order(model: mujoco.MjModel) -> None:
+  cfg = randomize_field("jnt_range", "hip", (-0.5, 2.5), operation="add", isotropic=True)
+  lower, upper = np.array([randomize(model, [cfg], seed=seed).model.joint("hip").range for seed in range(20)]).T
+  np.testing.assert_allclose(upper - lower, 2.2)
+
+
+def test_a_part_of_the_pseudo_inertia_and_the_centre_of_mass_cannot_be_written_twice(model: mujoco.MjModel) -> None:
+  both = [pseudo_inertia("thigh", scale=0.1), randomize_field("body_ipos", "thigh|shin", (0.0, 0.01))]
+  with pytest.raises(
+    ValueError, match=r"body 'thigh' is written by two randomizers, pseudo_inertia 'thigh' and body_i"
+  ):
+    randomize(model, both, seed=0)
