@@ -1,0 +1,70 @@
+"""The clips that ship: named, faultless, smooth, and balanced in every frame."""
+
+import math
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_robots import g1_spec
+from mjlab_tracking.kinematics import Kinematics
+from mjlab_tracking.motion import Motion, load_motion
+from mjlab_tracking.quality import check_quality
+from mjlab_tracking.timeline import derivative
+
+CLIPS = sorted(Path(str(files("mjlab_tracking") / "clips")).glob("*.npz"))
+DIRECTIONS = torch.stack([torch.tensor([math.cos(a), math.sin(a)]) for a in np.linspace(0, 2 * np.pi, 72)]).double()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Kinematics:
+  return Kinematics(g1_spec(meshes="never").compile())
+
+
+@pytest.fixture(params=CLIPS, ids=lambda path: path.stem)
+def clip(request: pytest.FixtureRequest) -> Motion:
+  return load_motion(request.param)
+
+
+def test_three_clips_ship_and_say_whose_they_are() -> None:
+  assert [path.stem for path in CLIPS] == ["march_in_place", "side_step_dance", "squat_and_wave"]
+  assert {load_motion(path).license for path in CLIPS} == {"Apache-2.0"}
+  assert sum(path.stat().st_size for path in CLIPS) < 300_000
+
+
+def test_a_clip_that_ships_is_faultless(clip: Motion, robot: Kinematics) -> None:
+  report = check_quality(clip, robot)
+  assert report.severity == "ok", report.table()
+
+
+def test_a_clip_that_ships_is_smooth(clip: Motion) -> None:
+  # Servos of the G1 turn no joint faster than some hundred rad/s^2.
+  acceleration = derivative(derivative(clip.joint_pos, clip.rate), clip.rate)
+  assert acceleration.abs().max() < 60.0
+  assert derivative(clip.root_pos, clip.rate).abs().max() < 0.5
+
+
+def test_a_clip_that_ships_is_balanced_in_every_frame(clip: Motion, robot: Kinematics) -> None:
+  pos, quat = robot.poses(clip.root_pos, clip.root_quat, robot.columns_of(clip))
+  mass = robot.center_of_mass(pos, quat)[:, :2]
+  # The soles are capsules; where both ends of one are is where the robot can stand.
+  model = robot.model
+  soles = [geom for geom in robot.collision_geoms() if "foot" in model.geom(geom).name]
+  assert len(soles) == 14
+  data = mujoco.MjData(model)
+  margins = []
+  for frame in range(0, clip.num_frames, 5):
+    data.qpos[:] = torch.cat((clip.root_pos[frame], clip.root_quat[frame], clip.joint_pos[frame]))
+    mujoco.mj_kinematics(model, data)
+    points = []
+    for geom in soles:
+      along = data.geom_xmat[geom].reshape(3, 3)[:, 2] * model.geom_size[geom][1]
+      points += [data.geom_xpos[geom] + along, data.geom_xpos[geom] - along]
+    lowest = min(point[2] for point in points)
+    touching = torch.tensor(np.array([point[:2] for point in points if point[2] < lowest + 0.004]))
+    # Within the support polygon: in every direction something stands further out.
+    reach = (touching @ DIRECTIONS.T).amax(0) - mass[frame] @ DIRECTIONS.T
+    margins.append(float(reach.min()))
+  assert min(margins) > 0.015
