@@ -149,3 +149,42 @@ def test_a_step_asks_the_device_nothing_and_no_terms_do_nothing(env, dispatched)
   dispatched(lambda: manager.reset(mask))
   empty = CommandManager({}, env)
   assert dispatched(lambda: (empty.compute(0.02, mask), empty.reset(mask))) == []
+
+
+class Counting(Uniform):
+  """Logs how many draws there were in all, and takes that over into any number of worlds."""
+
+  _extra_state = ("total",)
+
+  def __init__(self, cfg, env):
+    super().__init__(cfg, env)
+    self.total = torch.zeros(1)
+
+  def resample(self, mask):
+    super().resample(mask)
+    self.total += mask.sum()
+
+  def log_values(self):
+    return {"draws": self.total[0]}
+
+  def load_progress(self, state):
+    self.total.copy_(state["total"])
+
+
+@dataclass(kw_only=True)
+class CountingCfg(UniformCfg):
+  def build(self, env):
+    return Counting(self, env)
+
+
+def test_a_term_logs_values_of_its_own_and_takes_its_progress_into_another_number_of_worlds(make_env):
+  def draws(manager):
+    names, values = manager.log_tensors()
+    return dict(zip(names, values.tolist(), strict=True))["Metrics/twist/draws"]
+
+  few, many = make_env(num_envs=3), make_env(num_envs=5)
+  managers = [CommandManager({"twist": CountingCfg(resampling_time_range=(1.0, 2.0))}, env) for env in (few, many)]
+  managers[0].reset(torch.ones(3, dtype=torch.bool))
+  assert [draws(manager) for manager in managers] == [3.0, 0.0]
+  managers[1].load_progress(managers[0].state_dict())
+  assert draws(managers[1]) == 3.0

@@ -497,6 +497,7 @@ class ManagerBasedRlEnv:
     """
     self.common_step_counter.copy_(state["step_counter"])
     self.rng.manual_seed(self.seed + int(self.common_step_counter))
+    self.command_manager.load_progress(state["commands"])
 
   def describe(self) -> str:
     """The environment's parts as tables."""

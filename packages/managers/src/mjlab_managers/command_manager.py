@@ -83,6 +83,14 @@ class CommandTerm(Stateful, ABC):
     """Forgets what belongs to the episodes of the worlds in `mask`, bool (N,), before the command is drawn anew."""
     del mask
 
+  def log_values(self) -> dict[str, torch.Tensor]:
+    """What to log beside the metrics, by name: 0-d tensors, asked for once per log interval; always the same names."""
+    return {}
+
+  def load_progress(self, state: Mapping[str, Any]) -> None:
+    """Takes from a `state_dict` what a run with another number of worlds can use."""
+    del state
+
   def _renew(self, mask: torch.Tensor) -> None:
     lo, hi = self.cfg.resampling_time_range
     draw = uniform(lo, hi, (self.num_envs,), generator=self.env.rng, device=self.device, dtype=torch.float64)
@@ -188,8 +196,20 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       term._renew(mask)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Metrics/<command>/<metric>`: mean over the episodes that ended."""
-    return self._log.tensors()
+    """`Metrics/<command>/<metric>`: mean over the episodes that ended; and what terms log of their own."""
+    names, values = self._log.tensors()
+    own = {
+      f"Metrics/{name}/{key}": value for name, term in self._terms.items() for key, value in term.log_values().items()
+    }
+    if not own:
+      return names, values
+    return [*names, *own], torch.cat((values, torch.stack([value.double() for value in own.values()])))
+
+  def load_progress(self, state: Mapping[str, Any]) -> None:
+    """Lets each term take from a `state_dict` what a run with another number of worlds can use."""
+    for name, term in self._terms.items():
+      if name in state.get("_stateful_terms", {}):
+        term.load_progress(state["_stateful_terms"][name])
 
   def clear_log(self) -> None:
     self._log.clear()
