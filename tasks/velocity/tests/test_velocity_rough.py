@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv
+from mjlab_envs.mdp import contact_count, illegal_contact
 from mjlab_scene import EntityCfg, TerrainLevels
 from mjlab_terrain import TerrainGridCfg
-from mjlab_velocity.mdp import contact_count, illegal_contact, plane_normal
+from mjlab_velocity.mdp import plane_normal
 from velocity_facts import TASKS
 from velocity_oracle import fitted_normal
 from velocity_rollout import make_env

@@ -1,14 +1,13 @@
 """The Unitree G1: its numbers, and its tasks on flat and rough ground."""
 
 from mjlab_dr import geom_friction
-from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg
 from mjlab_rl import TaskCfg
 from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
-from mjlab_velocity import mdp as velocity
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
 
@@ -99,7 +98,5 @@ def g1_rough_env() -> ManagerBasedRlEnvCfg:
 
 def _with_self_collision(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   cfg.scene.sensors["self_collision"] = self_collision("pelvis")
-  cfg.rewards["self_collisions"] = RewardTermCfg(
-    velocity.contact_count, weight=-1.0, params={"sensor": "self_collision"}
-  )
+  cfg.rewards["self_collisions"] = RewardTermCfg(mdp.contact_count, weight=-1.0, params={"sensor": "self_collision"})
   return cfg

@@ -1,7 +1,7 @@
 """The Unitree Go1: its numbers, and its tasks on flat and rough ground."""
 
 from mjlab_dr import geom_friction
-from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg, TerminationTermCfg
 from mjlab_rl import TaskCfg
 from mjlab_robots import GO1_ACTION_SCALE, go1
@@ -87,12 +87,10 @@ def go1_rough_env() -> ManagerBasedRlEnvCfg:
     ("shank_collision", "shank_ground_touch"),
     ("trunk_head_collision", "trunk_ground_touch"),
   ):
-    cfg.rewards[reward] = RewardTermCfg(velocity.contact_count, weight=-0.1, params={"sensor": sensor})
+    cfg.rewards[reward] = RewardTermCfg(mdp.contact_count, weight=-0.1, params={"sensor": sensor})
   # A leg may slip without ending the episode; the weight of the robot on its thighs does.
   cfg.terminations["fell_over"] = None
-  cfg.terminations["illegal_contact"] = TerminationTermCfg(
-    velocity.illegal_contact, params={"sensor": "thigh_ground_touch"}
-  )
+  cfg.terminations["illegal_contact"] = TerminationTermCfg(mdp.illegal_contact, params={"sensor": "thigh_ground_touch"})
   return cfg
 
 

@@ -9,6 +9,7 @@ from mjlab_envs.mdp.actions import (
   JointVelocityAction,
   JointVelocityActionCfg,
 )
+from mjlab_envs.mdp.contacts import contact_count, illegal_contact
 from mjlab_envs.mdp.events import (
   push_by_setting_velocity,
   reset_joints_by_offset,
@@ -62,9 +63,11 @@ __all__ = [
   "camera_depth",
   "camera_mask",
   "camera_rgb",
+  "contact_count",
   "flat_orientation_l2",
   "generated_commands",
   "height_scan",
+  "illegal_contact",
   "is_alive",
   "is_terminated",
   "joint_acc_l2",

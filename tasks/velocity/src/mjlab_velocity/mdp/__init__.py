@@ -17,8 +17,6 @@ from mjlab_velocity.mdp.rewards import (
   variable_posture,
 )
 from mjlab_velocity.mdp.terrain import (
-  contact_count,
-  illegal_contact,
   out_of_terrain_bounds,
   plane_normal,
   randomize_terrain,
@@ -34,7 +32,6 @@ __all__ = [
   "angular_momentum_l2",
   "body_ang_vel_xy_l2",
   "commands_vel",
-  "contact_count",
   "feet_air_time",
   "feet_clearance",
   "feet_slip",
@@ -43,7 +40,6 @@ __all__ = [
   "foot_contact",
   "foot_contact_forces",
   "foot_height",
-  "illegal_contact",
   "out_of_terrain_bounds",
   "plane_normal",
   "randomize_terrain",

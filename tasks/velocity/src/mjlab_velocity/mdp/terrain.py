@@ -1,4 +1,4 @@
-"""Terms of rough ground: levels, bounds, contacts that should not be, and the slope underfoot."""
+"""Terms of rough ground: levels, bounds, and the slope underfoot."""
 
 from typing import TYPE_CHECKING
 
@@ -69,21 +69,6 @@ class out_of_terrain_bounds(ManagerTermBase):
   def __call__(self, env: "ManagerBasedRlEnv", *, margin: float = 0.3, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     del margin  # Resolved at build.
     return (env.scene[asset.name].data.root_link_pos_w[:, :2].abs() > self._bounds).any(-1)
-
-
-def contact_count(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
-  """Number of the last substeps with any contact stronger than `threshold` [N], (num_envs,)."""
-  return _strong(env, sensor, threshold).any(1).sum(-1, dtype=torch.float32)
-
-
-def illegal_contact(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
-  """Whether any contact in the last substeps was stronger than `threshold` [N], (num_envs,)."""
-  return _strong(env, sensor, threshold).flatten(1).any(-1)
-
-
-def _strong(env: "ManagerBasedRlEnv", sensor: str, threshold: float) -> torch.Tensor:
-  """Which contacts were stronger than `threshold` [N] in which of the last substeps, (num_envs, contacts, substeps)."""
-  return env.scene[sensor].data.force_history.square().sum(-1) > threshold**2
 
 
 class upright_on_terrain(ManagerTermBase):
