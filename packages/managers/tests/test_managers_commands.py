@@ -188,3 +188,18 @@ def test_a_term_logs_values_of_its_own_and_takes_its_progress_into_another_numbe
   assert [draws(manager) for manager in managers] == [3.0, 0.0]
   managers[1].load_progress(managers[0].state_dict())
   assert draws(managers[1]) == 3.0
+
+
+def test_a_command_without_times_is_drawn_at_resets_only(make_env):
+  env = make_env()
+  env.command_manager = manager = CommandManager({"twist": UniformCfg(resampling_time_range=None)}, env)
+  everybody = torch.ones(env.num_envs, dtype=torch.bool)
+  manager.reset(everybody)
+  first = manager.get_command("twist").clone()
+  for _ in range(20):
+    manager.compute(1e3)
+  assert torch.equal(manager.get_command("twist"), first)
+  assert manager.get_term("twist").command_counter.eq(1).all()
+  manager.reset(everybody)
+  assert not torch.equal(manager.get_command("twist"), first)
+  assert "the reset" in manager.describe()

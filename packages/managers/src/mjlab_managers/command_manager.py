@@ -25,8 +25,8 @@ _DUE = 1e-6
 class CommandTermCfg(ABC):
   """Base of command configs."""
 
-  resampling_time_range: tuple[float, float]
-  """Shortest and longest time between two draws [s]."""
+  resampling_time_range: tuple[float, float] | None
+  """Shortest and longest time between two draws [s]; None: a command lasts until the reset."""
   debug_vis: bool = False
   """Whether viewers draw the command at first, which its term does if it has `debug_draw(draw)`."""
 
@@ -60,7 +60,7 @@ class CommandTerm(Stateful, ABC):
     self.metrics = Metrics()
     self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
     self.time_left = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-    """Time to the next draw, float64 (N,) [s]."""
+    """Time to the next draw, float64 (N,) [s]; zero where only resets draw."""
     self.command_counter = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
     """Draws since the reset, int64 (N,)."""
 
@@ -92,9 +92,10 @@ class CommandTerm(Stateful, ABC):
     del state
 
   def _renew(self, mask: torch.Tensor) -> None:
-    lo, hi = self.cfg.resampling_time_range
-    draw = uniform(lo, hi, (self.num_envs,), generator=self.env.rng, device=self.device, dtype=torch.float64)
-    where_(self.time_left, mask, draw)
+    if self.cfg.resampling_time_range is not None:
+      lo, hi = self.cfg.resampling_time_range
+      draw = uniform(lo, hi, (self.num_envs,), generator=self.env.rng, device=self.device, dtype=torch.float64)
+      where_(self.time_left, mask, draw)
     self.command_counter.add_(mask)
     self.resample(mask)
 
@@ -114,7 +115,8 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     log_names: list[str] = []
     for name, cfg in self._cfgs.items():
       try:
-        check_range(f"term '{name}': resampling_time_range", *cfg.resampling_time_range, minimum=0.0)
+        if cfg.resampling_time_range is not None:
+          check_range(f"term '{name}': resampling_time_range", *cfg.resampling_time_range, minimum=0.0)
       except ValueError as error:
         self._problem(str(error), error)
       term = self._build(name, cfg)
@@ -173,8 +175,9 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     passed = moving.double()
     for term in self._terms.values():
       term.update_metrics()
-      term.time_left.sub_(passed, alpha=dt)
-      term._renew((term.time_left <= _DUE) & moving)
+      if term.cfg.resampling_time_range is not None:
+        term.time_left.sub_(passed, alpha=dt)
+        term._renew((term.time_left <= _DUE) & moving)
       term.update()
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -218,8 +221,9 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     return [(name, term.command[env_idx].flatten().tolist()) for name, term in self._terms.items()]
 
   def describe(self) -> str:
-    rows = [
-      (name, type(term).__name__, tuple(term.command.shape[1:]), "{} to {} s".format(*term.cfg.resampling_time_range))
-      for name, term in self._terms.items()
-    ]
+    rows = []
+    for name, term in self._terms.items():
+      times = term.cfg.resampling_time_range
+      after = "the reset" if times is None else "{} to {} s".format(*times)
+      rows.append((name, type(term).__name__, tuple(term.command.shape[1:]), after))
     return table("Commands", ("term", "type", "shape", "resampled after"), rows)

@@ -45,7 +45,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
   """
 
   entity: str = "robot"
-  resampling_time_range: Range = (3.0, 8.0)
+  resampling_time_range: Range | None = (3.0, 8.0)
   debug_vis: bool = True
   ranges: VelocityRanges = field(default_factory=VelocityRanges)
   standing_fraction: float = 0.1
