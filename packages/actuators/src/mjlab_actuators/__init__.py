@@ -16,6 +16,7 @@ from mjlab_actuators.motor_design import (
   reflected_inertia_of_stages,
   rotary_to_linear,
 )
+from mjlab_actuators.motor_fit import FitError, FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
 from mjlab_actuators.native import (
   NativeMotorActuatorCfg,
   NativePositionActuatorCfg,
@@ -25,6 +26,7 @@ from mjlab_actuators.native import (
 from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
+from mjlab_actuators.records import Records, RecordsError, read_records
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
 
@@ -41,11 +43,15 @@ __all__ = [
   "DelaySettings",
   "EnvelopedPd",
   "EnvelopedPdActuatorCfg",
+  "FitError",
+  "FitProgress",
   "IdealPd",
   "IdealPdActuatorCfg",
   "LearnedMlp",
   "LearnedMlpActuatorCfg",
   "LinearMotor",
+  "MotorFit",
+  "MotorFitCfg",
   "NativeDcMotorActuatorCfg",
   "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
@@ -55,6 +61,8 @@ __all__ = [
   "PassThrough",
   "PdGains",
   "PerTarget",
+  "Records",
+  "RecordsError",
   "SiteGear",
   "Target",
   "TorqueSpeedEnvelope",
@@ -62,10 +70,13 @@ __all__ = [
   "XmlActuatorCfg",
   "clip_to_dc_motor",
   "command_fields_of",
+  "fit_motor",
   "fuse",
   "gains_from_frequency",
+  "read_records",
   "reflected_inertia",
   "reflected_inertia_of_stages",
+  "require_matplotlib",
   "rotary_to_linear",
   "targets_of",
   "targets_with_actuator",

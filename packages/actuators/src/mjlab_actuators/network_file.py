@@ -13,7 +13,7 @@ from mjlab_core.names import unknown
 Activation = Literal["softsign", "elu", "relu", "tanh"]
 """What stands between the linear layers of a network that is stored as a plain state dict."""
 
-_ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
+ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
   "softsign": torch.nn.Softsign,
   "elu": torch.nn.ELU,
   "relu": torch.nn.ReLU,
@@ -87,7 +87,7 @@ def _from_state_dict(state: dict[str, torch.Tensor], path: Path, activation: Act
       raise ValueError(f"network file {str(path)!r}: {name!r} of shape {tuple(weight.shape)} is not a linear layer")
     layer = torch.nn.Linear(weight.shape[1], weight.shape[0], bias=bias is not None)
     layer.load_state_dict({"weight": weight} if bias is None else {"weight": weight, "bias": bias})
-    layers += [layer, _ACTIVATIONS[activation]()]
+    layers += [layer, ACTIVATIONS[activation]()]
   if left or not layers:
     raise ValueError(
       f"network file {str(path)!r} is not a chain of linear layers; it also has: {', '.join(left) or 'nothing at all'}"

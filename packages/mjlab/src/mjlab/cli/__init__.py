@@ -15,6 +15,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "train": ("_train", "TASK [flags]", "train a policy"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
   "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
+  "fit-actuator": ("_fit_actuator", "RECORDS", "learn a motor from a CSV of commands and responses"),
 }
 
 
@@ -63,6 +64,7 @@ def _run(name: str, arguments: list[str]) -> int:
 train = _command("train")
 list_envs = _command("list-envs")
 viz_nan = _command("viz-nan")
+fit_actuator = _command("fit-actuator")
 
 
 def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:

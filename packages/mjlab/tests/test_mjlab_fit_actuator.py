@@ -1,0 +1,123 @@
+"""`fit-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from mjlab import cli
+from mjlab_actuators import LearnedMlpActuatorCfg
+
+QUICK = ["--epochs", "3", "--hidden", "8"]
+
+
+@pytest.fixture
+def records(tmp_path: Path) -> Path:
+  """Two seconds of a motor that is a spring, with a column that nobody asked for."""
+  torch.manual_seed(0)
+  error, velocity = torch.randn(2, 400).double()
+  lines = ["time,position_target,position,velocity,effort,temperature"]
+  for k in range(400):
+    lines.append(f"{0.005 * k:.3f},{error[k]},0,{velocity[k]},{2 * error[k] - 0.1 * velocity[k]},20")
+  path = tmp_path / "motor.csv"
+  path.write_text("\n".join(lines) + "\n")
+  return path
+
+
+def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.main(["fit-actuator", str(records), *QUICK, "--history-length", "2"]) == 0
+  network = records.with_suffix(".pt")
+  assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}
+  shown = capsys.readouterr().out
+  assert "400 rows in 1 segment, every 0.005 s" in shown
+  assert "not read: columns temperature" in shown
+  assert "epoch 3/3  error: train " in shown
+  assert "best PD   held out" in shown
+  assert "(stiffness 2, damping 0.1)" in shown
+  pasted = shown.partition("use it as: ")[2].replace("(...,)", "('.*',)")
+  cfg = eval(pasted, {"LearnedMlpActuatorCfg": LearnedMlpActuatorCfg})
+  assert (cfg.network_file, cfg.history_length, cfg.sample_period) == (str(network), 2, 0.005)
+  cfg.validate(["hinge"])
+
+
+def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  for suffix in (".pt", ".png"):
+    mine = records.with_suffix(suffix)
+    mine.write_text("mine")
+    assert cli.fit_actuator([str(records), *QUICK]) == 2
+    assert f"{mine} exists; name another file, or overwrite it with --force" in capsys.readouterr().err
+    assert {path.name for path in records.parent.iterdir()} == {"motor.csv", mine.name}
+    assert mine.read_text() == "mine"
+    mine.unlink()
+  records.with_suffix(".pt").write_text("mine")
+  assert cli.fit_actuator([str(records), *QUICK, "--force"]) == 0
+  assert torch.load(records.with_suffix(".pt"), weights_only=True)
+
+
+@pytest.mark.parametrize(
+  ("words", "code", "message"),
+  [
+    ([], 2, "no records given. usage: fit-actuator RECORDS.csv"),
+    (["--force"], 2, "no records given"),
+    (["motor.csv", "--histroy-length", "2"], 2, "no such option. Did you mean --history-length?"),
+    (["motor.csv", "--epochs", "many"], 2, "--epochs: expected INT, got many"),
+    (["motor.csv", "--activation", "relo"], 2, "--activation: expected"),
+    (["motor.csv", "--epochs", "0"], 1, "epochs is 0; it must be 1 or more"),
+    (["motor.csv", "--output", "motor.csv"], 2, "--output: motor.csv is one of the records"),
+    (["motor.csv", "--output", "."], 2, "--output: . is a folder"),
+    (["motor.csv", "--output", "no/where.pt"], 2, "--output: folder no does not exist"),
+    (["motor.csv", "--output", "a.png"], 2, "--plot: a.png is the network's own file"),
+    (["nowhere.csv"], 1, "nowhere.csv: No such file"),
+    (["broken.csv"], 1, "broken.csv, line 3, column 'effort': 'much' is not a finite number"),
+  ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(
+  records: Path,
+  monkeypatch: pytest.MonkeyPatch,
+  capsys: pytest.CaptureFixture[str],
+  words: list[str],
+  code: int,
+  message: str,
+) -> None:
+  monkeypatch.chdir(records.parent)
+  Path("broken.csv").write_text("time,position_target,position,velocity,effort\n0,0,0,0,0\n1,0,0,0,much\n")
+  assert cli.fit_actuator(words) == code
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+  assert {path.name for path in Path.cwd().iterdir()} == {"motor.csv", "broken.csv"}
+
+
+def test_without_matplotlib_there_is_a_network_but_no_plot(
+  records: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.setitem(sys.modules, "matplotlib", None)
+  assert cli.fit_actuator([str(records), *QUICK]) == 0
+  assert "no plot: matplotlib is not installed (extra 'plot' of mjlab-actuators)" in capsys.readouterr().out
+  assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt"}
+  assert cli.fit_actuator([str(records), *QUICK, "--output", str(records) + ".pt", "--plot", "p.png"]) == 2
+  assert "--plot: a plot needs matplotlib" in capsys.readouterr().err
+
+
+def test_ctrl_c_writes_what_was_learned(records: Path) -> None:
+  call = "import sys; from mjlab.cli import fit_actuator; sys.exit(fit_actuator())"
+  process = subprocess.Popen(
+    [sys.executable, "-u", "-c", call, str(records), "--epochs", "1000000", "--hidden", "8"],
+    stdout=subprocess.PIPE,
+    stderr=subprocess.PIPE,
+    text=True,
+    env=os.environ | {"OMP_NUM_THREADS": "1"},
+  )
+  assert process.stdout is not None
+  for line in process.stdout:
+    if line.startswith("epoch"):
+      break
+  process.send_signal(signal.SIGINT)
+  out, error = process.communicate(timeout=60)
+  assert (process.returncode, error) == (0, "")
+  assert "stopped (Ctrl-C) after" in out
+  assert torch.load(records.with_suffix(".pt"), weights_only=True)
+  assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}
