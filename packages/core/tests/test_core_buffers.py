@@ -213,3 +213,39 @@ def test_bad_settings_and_frames_are_refused() -> None:
 def test_frames_are_cast_to_the_type_of_the_buffer() -> None:
   buffer = delay(1, 1)
   assert buffer.push(frame(0).double()).dtype == torch.float32
+
+
+@pytest.mark.parametrize("options", [{}, {"hold_prob": 0.5}, {"update_period": 2}, {"hold_prob": 1.0}])
+def test_pinned_lags_stay_through_draws_and_resets_and_others_are_drawn_as_ever(options: dict[str, Any]) -> None:
+  buffer, twin = delay(1, 4, **options), delay(1, 4, **options)
+  nobody, everybody = torch.zeros(N, dtype=torch.bool), torch.ones(N, dtype=torch.bool)
+  mask = torch.arange(N) < 2
+  buffer.pin(nobody, 3)
+  wanted = torch.where(mask, torch.arange(N) + 2, 9)
+  for step in range(12):
+    if step == 3:
+      buffer.pin(mask, wanted)
+    served = buffer.push(frame(step))
+    freely = twin.push(frame(step))
+    assert torch.equal(served[~mask], freely[~mask])
+    assert torch.equal(buffer.lag[~mask], twin.lag[~mask])
+    if step >= 3:
+      assert buffer.lag[mask].tolist() == [2, 3]
+    if step == 6:
+      buffer.reset(everybody)
+      twin.reset(everybody)
+  assert len(set(twin.lag.tolist())) > 1 or options == {"hold_prob": 1.0}
+  # A lag outside of the bounds is the nearest within, and a pin replaces the one before.
+  buffer.pin(everybody, torch.tensor([0, 9, 1, 4, 2]))
+  buffer.push(frame(12))
+  assert buffer.lag.tolist() == [1, 4, 1, 4, 2]
+  copy = delay(1, 4, seed=5, **options)
+  copy.pin(nobody, 1)
+  copy.load_state_dict(buffer.state_dict())
+  assert torch.equal(copy.push(frame(13)), buffer.push(frame(13)))
+
+
+def test_a_lag_that_never_varies_cannot_be_pinned() -> None:
+  for buffer in (delay(2, 2), delay(0, 2, per_env=False)):
+    with pytest.raises(ValueError, match="are alike in all rows; they cannot be pinned"):
+      buffer.pin(torch.ones(N, dtype=torch.bool), 2)

@@ -153,6 +153,7 @@ class DelayBuffer(_Ring):
     self._varies = min_lag < max_lag
     self._lag = torch.full((num_envs,), min_lag, device=device, dtype=torch.int64)
     self._until_draw = torch.full((num_envs,), update_period, device=device, dtype=torch.int64)
+    self._pinned: Tensor | None = None
     if self._varies:
       self._lag.copy_(self._draw_lags())
       self._until_draw.copy_(self._draw_phases())
@@ -189,6 +190,26 @@ class DelayBuffer(_Ring):
     super().fill(mask, x)
     self._restart(mask)
 
+  def pin(self, mask: Tensor, lag: Tensor | int) -> None:
+    """Sets the lags of the masked rows, bool (num_envs,), and keeps them through draws and resets until the next pin.
+
+    `lag` is int64 and broadcasts to (num_envs,) [pushes]; it is clamped to [min_lag, max_lag]. The first call makes
+    memory, so it belongs before a step is recorded; an empty mask does only that.
+
+    Raises:
+      ValueError: the lag is the same for all rows at all times, so there is nothing to set.
+    """
+    if not (self._varies and self._per_env):
+      raise ValueError(
+        f"DelayBuffer: lags in [{self.min_lag}, {self.max_lag}], per_env {self._per_env}, are alike in all rows; they "
+        "cannot be pinned."
+      )
+    if self._pinned is None:
+      self._pinned = torch.full_like(self._lag, -1)
+    lag = torch.as_tensor(lag, device=self.device).clamp(self.min_lag, self.max_lag)
+    where_(self._pinned, mask, lag)
+    where_(self._lag, mask, lag)
+
   def _restart(self, mask: Tensor) -> None:
     if self._varies and self._per_env:
       where_(self._lag, mask, self._draw_lags())
@@ -216,9 +237,10 @@ class DelayBuffer(_Ring):
     return (self.num_envs,) if self._per_env else (1,)
 
   def _draw_lags(self) -> Tensor:
-    return torch.randint(
+    lags = torch.randint(
       self.min_lag, self.max_lag + 1, self._draws, generator=self._generator, device=self.device, dtype=torch.int64
     )
+    return lags if self._pinned is None else torch.where(self._pinned >= 0, self._pinned, lags)
 
   def _draw_phases(self) -> Tensor:
     if self.update_period == 0 or not (self._per_env and self._per_env_phase):
