@@ -18,6 +18,8 @@ REFUSALS = [
   ({"nconmax": -1}, "nconmax must be at least 1, got -1"),
   ({"tolerance": -1.0}, "tolerance must not be negative"),
   ({"num_threads": -2}, "num_threads must not be negative"),
+  ({"engine": "wrap"}, "engine 'wrap' does not exist. Nearest: warp"),
+  ({"engine": None}, "engine 'None' does not exist"),
   ({"solver": "newtn"}, "solver 'newtn' does not exist. Nearest: newton"),
   ({"integrator": "rk5"}, "integrator 'rk5' does not exist"),
   ({"cone": "eliptic"}, "Nearest: elliptic"),
@@ -137,6 +139,14 @@ def test_an_option_that_is_set_wins_and_flags_add_up(make_sim: MakeSim) -> None:
   assert option.disableflags == disable.mjDSBL_WARMSTART.value | disable.mjDSBL_CONTACT.value
   assert spec.option.timestep == 0.004
   sim.close()
+
+
+def test_a_sensor_that_mujoco_warp_would_get_wrong_is_refused_by_name(make_sim: MakeSim) -> None:
+  spec = """<mujoco><worldbody><site name="zone"/><body name="ball"><freejoint/><geom size=".1"/></body></worldbody>
+    <sensor><insidesite name="out" objtype="body" objname="ball" site="zone" enclosed="true"/></sensor></mujoco>"""
+  with pytest.raises(SimulationError, match="sensor 'out': MuJoCo Warp knows no insidesite sensor with enclosed"):
+    make_sim("warp", spec=spec)
+  assert make_sim("native", spec=spec).data.sensordata[0, 0] > 0.09
 
 
 @pytest.mark.warp

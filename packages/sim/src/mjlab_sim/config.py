@@ -104,8 +104,10 @@ class SimulationCfg:
     """The engine that runs on a device of this type ("cpu" or "cuda").
 
     Raises:
-      SimulationError: the native engine was asked for on a GPU.
+      SimulationError: the native engine was asked for on a GPU, or one that does not exist.
     """
+    if self.engine not in ("auto", "native", "warp"):
+      raise SimulationError(f"SimulationCfg: {unknown('engine', str(self.engine), ['auto', 'native', 'warp'])}")
     if self.engine == "native" and device_type != "cpu":
       raise SimulationError(
         f"engine 'native' runs on a CPU, the device is '{device_type}'; set device 'cpu' or engine 'auto'"

@@ -74,6 +74,13 @@ class WarpEngine:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
       raise SimulationError("the model asks for integrator RK4; " + RK4_REFUSED)
+    # It would tell whether a frame is inside instead of how far a body reaches out.
+    enclosed = (model.sensor_type == mujoco.mjtSensor.mjSENS_INSIDESITE) & (model.sensor_intprm[:, 0] != 0)
+    for sensor in np.flatnonzero(enclosed):
+      raise SimulationError(
+        f"sensor '{model.sensor(sensor).name}': MuJoCo Warp knows no insidesite sensor with enclosed=\"true\";"
+        " use it without, or the native engine"
+      )
     host = mujoco.MjData(model)
     mujoco.mj_forward(model, host)
     with wp.ScopedDevice(self._wp_device):
