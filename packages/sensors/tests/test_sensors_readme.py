@@ -1,4 +1,4 @@
-"""The example of the README runs, and prints what it says."""
+"""The examples of the README run, one after another, and print what they say."""
 
 import re
 from pathlib import Path
@@ -8,8 +8,9 @@ import pytest
 README = Path(__file__).parents[1] / "README.md"
 
 
-def test_the_example_runs_and_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
-  (block,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+@pytest.mark.warp
+def test_the_examples_run_and_print_what_they_say(capsys: pytest.CaptureFixture[str]) -> None:
+  block = "\n".join(re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL))
   exec(compile(block, str(README), "exec"), {})
   promised = [text.strip() for text in re.findall(r"print\(.*\)  # (.*)", block)]
   printed = capsys.readouterr().out.splitlines()
