@@ -224,7 +224,7 @@ def test_images_are_those_of_mujocos_renderer(tmp_path: Path) -> None:
   )
   xml = xml.replace("<visual>", '<visual><quality offsamples="0"/>')
   sim, (sensor,) = build(CameraSensorCfg(camera="robot/eye", width=32, height=24, data_types=ALL), xml=xml, num_envs=1)
-  place(sim, (0.1, 0.2, 1.7, Rotation.from_euler("xyz", (20, -15, 25), degrees=True)))
+  place(sim, (0.4, -1.6, 1.2, Rotation.from_euler("xyz", (55, 0, 0), degrees=True)))
   (tmp_path / "scene.xml").write_text(xml)
   pose = " ".join(map(str, sim.data.qpos[0].tolist()))
   command = [sys.executable, "-c", _OPENGL, str(tmp_path / "scene.xml"), pose, str(tmp_path / "images.npz")]
@@ -232,11 +232,18 @@ def test_images_are_those_of_mujocos_renderer(tmp_path: Path) -> None:
   if drawn.returncode:
     pytest.skip(f"needs OpenGL without a screen: {drawn.stderr.strip().splitlines()[-1]}")
   expected, images = np.load(tmp_path / "images.npz"), sensor.data
-  np.testing.assert_array_equal(images.segmentation[0].permute(1, 2, 0), expected["segmentation"])
-  seen = expected["segmentation"][..., 0] >= 0
+  number = expected["segmentation"][..., 0]
+  # At an edge the middle of a pixel may be rounded to either side.
+  inner = np.ones(number.shape, dtype=bool)
+  for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+    inner &= number == np.roll(number, shift, axis)
+  assert inner.mean() > 0.6
+  assert set(number[inner]) == {-1, *(sim.mj_model.geom(name).id for name in ("floor", "box", "tent"))}
+  np.testing.assert_array_equal(images.segmentation[0].permute(1, 2, 0)[inner], expected["segmentation"][inner])
+  seen = inner & (number >= 0)
   np.testing.assert_allclose(images.depth[0, 0][seen], expected["depth"][seen], rtol=1e-3)
   difference = images.rgb[0].permute(1, 2, 0).numpy().astype(int) - expected["color"].astype(int)
-  assert np.abs(difference).max() <= 2, np.abs(difference).max()
+  assert np.abs(difference[inner]).max() <= 2
 
 
 def test_an_object_is_where_the_matrices_of_the_camera_project_it() -> None:
@@ -330,6 +337,9 @@ def test_colours_materials_and_lights_are_those_of_each_world(engine: str) -> No
   sim.model.geom_rgba[:2, floor] = 0.5
   sim.model.geom_rgba[:2, floor, 3] = 1.0
   assert_floor_is(sensor, lights[0] * (1, 0, 0), lights[1] * (0, 0, 1), lights[2] * colors[2] * (1, 0, 0))
+  sim.expand_model_fields(["mat_texid"])
+  sim.model.mat_texid[0, model.material("red").id, mujoco.mjtTextureRole.mjTEXROLE_RGB.value] = model.texture("blue").id
+  assert_floor_is(sensor, lights[0] * (0, 0, 1), lights[1] * (0, 0, 1), lights[2] * colors[2] * (1, 0, 0))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -366,9 +376,15 @@ def test_cameras_and_shapes_are_those_of_each_world(engine: str) -> None:
 def test_images_are_drawn_when_first_asked_for_and_once_a_state(
   monkeypatch: pytest.MonkeyPatch, count_operations: Count
 ) -> None:
-  drawn = []
-  draw = mujoco_warp.render
+  drawn, built = [], []
+  draw, build_context = mujoco_warp.render, mujoco_warp.create_render_context
   monkeypatch.setattr(mujoco_warp, "render", lambda *args: drawn.append(draw(*args)))
+
+  def counted(*args: Any, **options: Any) -> Any:
+    built.append(args)
+    return build_context(*args, **options)
+
+  monkeypatch.setattr(mujoco_warp, "create_render_context", counted)
   sim, (sensor,) = build(eye(data_types=("depth", "rgb")))
   over_the_floor(sim)
   held = sensor.data
@@ -386,6 +402,9 @@ def test_images_are_drawn_when_first_asked_for_and_once_a_state(
   sim.data.qpos[0, :2] = 2.5
   torch.testing.assert_close(sensor.data.depth[:, 0, 4, 6], torch.tensor([2.0, 1.0, 1.0]))
   assert sensor.state_dict() == {}
+  sim.expand_model_fields(["geom_rgba", "cam_fovy"])
+  _ = sensor.data
+  assert len(built) == 1
 
 
 def test_sensors_on_one_camera_keep_to_themselves() -> None:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import mujoco
 import torch
 from mjlab_core import NameMatchError, Stateful, quat_from_matrix, unknown, where_
-from mjlab_sim import DataType, Images
+from mjlab_sim import DataType
 
 from mjlab_sensors._elements import find_element, names_of
 from mjlab_sensors.frames import FrameSet
 from mjlab_sensors.sensor import Sensor, SensorCfg
 
 if TYPE_CHECKING:
-  from mjlab_sim import Simulation
+  from mjlab_sim import Images, Simulation
 
 _ORTHOGRAPHIC = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC
 
