@@ -1,6 +1,7 @@
 """The catalogue of mjlab-dr on both engines: every row against a recompiled model, and MuJoCo Warp's own list."""
 
 import dataclasses
+import runpy
 import sys
 from pathlib import Path
 from typing import Any, Literal
@@ -58,6 +59,14 @@ def test_every_field_that_mujoco_warp_holds_per_world_is_in_the_catalogue_or_lef
   assert not written & set(LEFT_OUT)
   assert listed == written | set(LEFT_OUT)
   assert all(LEFT_OUT.values())
+
+
+def test_the_documented_table_is_the_one_in_the_code() -> None:
+  root = Path(__file__).parents[1]
+  tool = runpy.run_path(str(root / "tools" / "write_catalogue.py"))
+  assert (root / "packages" / "dr" / "CATALOGUE.md").read_text(encoding="utf-8") == tool["table"](), (
+    "run tools/write_catalogue.py"
+  )
 
 
 def test_what_the_catalogue_derives_is_expanded_with_its_source_by_the_simulation() -> None:

@@ -1,6 +1,7 @@
 """Randomised models: distribution, independence, no drift, and derived fields against a recompiled model."""
 
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -277,6 +278,18 @@ def test_the_example_of_the_readme_runs() -> None:
   readme = Path(__file__).parents[1] / "README.md"
   for block in re.findall(r"```python\n(.*?)```", readme.read_text(), re.DOTALL):
     exec(compile(block, str(readme), "exec"), {})
+
+
+def test_the_example_script_randomises_a_robot_of_its_own_and_says_what_changed(capsys) -> None:
+  script = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "randomize_my_robot.py"))
+  script["main"]()
+  printed = capsys.readouterr().out
+  assert re.search(r"^body_mass +base +5 +\d", printed, re.MULTILINE)
+  distances = re.findall(r"pushed (\d\.\d+) m", printed)
+  assert len(set(distances)) == 5
+  model = mujoco.MjModel.from_xml_string(script["ROBOT"])
+  # What was restored moves as the model that was never touched.
+  assert f"as compiled: pushed {script['pushed'](model):.3f} m" in printed
 
 
 def test_it_needs_no_warp() -> None:

@@ -1,0 +1,119 @@
+"""Writes the table of all randomisable fields from the code: `python tools/write_catalogue.py`.
+
+A test holds the file against what this would write.
+"""
+
+import math
+from pathlib import Path
+
+from mjlab_dr import FIELDS, LEFT_OUT, Field
+
+FILE = Path(__file__).parents[1] / "packages" / "dr" / "CATALOGUE.md"
+
+_GROUPS = {
+  "*inverse weights*": ("body_invweight0", "dof_invweight0", "dof_M0", "tendon_invweight0", "actuator_acc0"),
+  "*lengths*": ("tendon_length0", "actuator_length0"),
+  "*cameras*": ("cam_poscom0", "cam_pos0", "cam_mat0"),
+  "*lights*": ("light_poscom0", "light_pos0", "light_dir0"),
+}
+
+_HEAD = """\
+# What can be randomised
+
+Written by `tools/write_catalogue.py` from the one table in `mjlab_dr.catalogue`; every row is tested by itself against
+a model recompiled with its values. Use any row as `randomize_field(field, pattern, values)`; options are one element,
+`".*"`.
+
+Operations are `absolute`, `add` and `scale`, from the compiled default every time; the one listed is the default. What
+MuJoCo keeps for each degree of freedom is drawn once for a joint. What *follows* gets a value per world together with
+the field, and is derived anew after every change; "bookkeeping" is MuJoCo's own, such as bounds of bodies.
+
+GROUPS
+"""
+
+
+def table() -> str:
+  """The whole document."""
+  groups = "\n".join(f"- {group}: {', '.join(f'`{name}`' for name in names)}" for group, names in _GROUPS.items())
+  lines = [
+    _HEAD.replace("GROUPS", groups),
+    "| field | of | axes [unit] | admissible | operation | follows | notes |",
+    "|---|---|---|---|---|---|---|",
+  ]
+  for name, field in FIELDS.items():
+    cells = (f"`{name}`", field.kind, _axes(field), _admissible(field), field.operation, _follows(field), _notes(field))
+    lines.append("| " + " | ".join(cells) + " |")
+  lines += [
+    "",
+    "## What MuJoCo Warp can hold per world but is not in the table",
+    "",
+    "| field | because it |",
+    "|---|---|",
+  ]
+  reasons: dict[str, list[str]] = {}
+  for name, reason in LEFT_OUT.items():
+    reasons.setdefault(reason, []).append(f"`{name}`")
+  lines += [f"| {', '.join(names)} | {reason} |" for reason, names in reasons.items()]
+  return "\n".join(lines) + "\n"
+
+
+def _axes(field: Field) -> str:
+  units = [field.unit_of(axis) for axis in range(len(field.axes))]
+  if field.axes == ("",):
+    return f"[{units[0]}]"
+  if len(set(units)) == 1:
+    return f"{', '.join(field.axes)} [{units[0]}]"
+  return ", ".join(f"{axis} [{unit}]" for axis, unit in zip(field.axes, units, strict=True))
+
+
+def _admissible(field: Field) -> str:
+  if field.integer:
+    return f"names or ids of {field.names}s" if field.names else "0 or 1"
+  bounds = {field.bounds(axis) for axis in range(len(field.axes))}
+  parts = []
+  for lo, hi in sorted(bounds):
+    if hi < math.inf:
+      parts.append(f"{'above' if field.positive else 'from'} {lo:g} to {hi:g}")
+    elif lo > -math.inf:
+      parts.append(f"{'above' if field.positive else 'at least'} {lo:g}")
+  if field.ordered:
+    parts.append("lower at most upper")
+  if not field.from_zero:
+    parts.append("not if compiled as zero")
+  if len(bounds) > 1:
+    return "by axis: " + ", ".join(_bound(field, axis) for axis in range(len(field.axes)))
+  return ", ".join(parts) or "any"
+
+
+def _bound(field: Field, axis: int) -> str:
+  lo, hi = field.bounds(axis)
+  if lo == -math.inf:
+    return f"{field.axes[axis]} any"
+  return f"{field.axes[axis]} {'above' if field.positive else 'from'} {lo:g}" + (f" to {hi:g}" if hi < math.inf else "")
+
+
+def _follows(field: Field) -> str:
+  names = [field.moves_with] if field.moves_with else []
+  names += field.derived
+  cells: list[str] = []
+  for group, members in _GROUPS.items():
+    if set(members) <= set(names):
+      cells.append(group)
+      names = [name for name in names if name not in members]
+  cells = [f"`{name}`" for name in names] + cells
+  return ", ".join(cells) or ("bookkeeping" if field.constants else "-")
+
+
+def _notes(field: Field) -> str:
+  form = {
+    "direction": "unit length",
+    "rotation": "angles about the axes of the parent",
+    "intrinsics": "",
+    "pseudo_inertia": "writes " + ", ".join(f"`{name}`" for name in field.fields),
+  }
+  return "; ".join(filter(None, (field.note, form.get(field.form, ""))))
+
+
+if __name__ == "__main__":
+  FILE.write_text(table(), encoding="utf-8")
+  print(f"wrote {FILE}")
