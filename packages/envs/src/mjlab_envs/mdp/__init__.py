@@ -31,7 +31,7 @@ from mjlab_envs.mdp.observations import (
   last_action,
   projected_gravity,
 )
-from mjlab_envs.mdp.randomize import randomize
+from mjlab_envs.mdp.randomize import randomize, randomized_values, randomizer_of, widen_randomization
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
   action_rate_l2,
@@ -83,9 +83,12 @@ __all__ = [
   "projected_gravity",
   "push_by_setting_velocity",
   "randomize",
+  "randomized_values",
+  "randomizer_of",
   "reset_joints_by_offset",
   "reset_root_state_uniform",
   "reset_scene_to_default",
   "root_height_below_minimum",
   "time_out",
+  "widen_randomization",
 ]

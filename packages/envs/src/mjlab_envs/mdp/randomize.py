@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 
 import torch
 from mjlab_dr import FIELDS, Field, FieldRandomizer, RandomizeField, element_names
-from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
+from mjlab_managers import CurriculumTermCfg, EventTermCfg, ManagerTermBase, ObservationTermCfg, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_scene import Entity
@@ -66,6 +66,55 @@ class randomize(ManagerTermBase):
     del env, randomizer, asset  # Resolved at build.
     # The event manager recomputes derived fields once for all randomisers that fired.
     self.field.apply(mask, recompute=False)
+
+
+class widen_randomization(ManagerTermBase):
+  """Curriculum: what the `randomize` event `event` does grows from nothing to the ranges as configured.
+
+  The strength goes from 0 to 1 between two counts of environment steps, `steps`; it is what is logged, ().
+  """
+
+  def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    begin, end = cfg.params["steps"]
+    if not 0 <= begin < end:
+      raise ValueError(f"steps: must grow from 0 or more, got ({begin}, {end})")
+    self.strength = randomizer_of(env, cfg.params["event"]).strength
+    self(env, env.reset_buf, **cfg.params)
+
+  def __call__(
+    self, env: "ManagerBasedRlEnv", mask: torch.Tensor, *, event: str, steps: tuple[int, int]
+  ) -> torch.Tensor:
+    del mask, event
+    begin, end = steps
+    return self.strength.copy_(((env.common_step_counter - begin) / (end - begin)).clamp(0.0, 1.0)).clone()
+
+
+class randomized_values(ManagerTermBase):
+  """What the `randomize` event `event` has written in each world, minus what was compiled, (num_envs, numbers written).
+
+  For critics that may know what the policy has to feel.
+  """
+
+  def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    self._field = randomizer_of(env, cfg.params["event"])
+
+  def __call__(self, env: "ManagerBasedRlEnv", *, event: str) -> torch.Tensor:
+    del env, event
+    return (self._field.values() - self._field.default).float()
+
+
+def randomizer_of(env: "ManagerBasedRlEnv", event: str) -> RandomizeField:
+  """The randomiser of the `randomize` event of that name, for curricula and observations of one's own.
+
+  Raises:
+    ValueError: there is no such event, or it is of another kind.
+  """
+  term = env.event_manager.get_term_cfg(event).func
+  if not isinstance(term, randomize):
+    raise ValueError(f"event '{event}' randomises no field: its function is no mdp.randomize")
+  return term.field
 
 
 def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple[list[str] | None, list[int] | None]:

@@ -1,0 +1,150 @@
+"""Randomisation as events: when it fires, in which worlds, how a curriculum widens it, and who may see it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from envs_hopper import actions, end, hopper_cfg
+from mjlab_dr import Categorical, geom_friction, pseudo_inertia, randomize_field
+from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_managers import ConfigError, CurriculumTermCfg, EventTermCfg, ObservationGroupCfg, ObservationTermCfg
+
+Make = Callable[..., ManagerBasedRlEnv]
+
+
+def event(mode: Any, **options: Any) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": geom_friction("foot", (0.3, 1.2))}, **options)
+
+
+def quiet(**options: Any) -> Any:
+  """The hopper, whose episodes end when a test ends them."""
+  cfg = hopper_cfg(**options)
+  cfg.terminations = {"ended": cfg.terminations["ended"]}
+  return cfg
+
+
+def friction(env: ManagerBasedRlEnv) -> torch.Tensor:
+  return env.sim.model.geom_friction[:, env.sim.mj_model.geom("robot/foot").id, 0].clone()
+
+
+def history(env: ManagerBasedRlEnv, steps: int, ended: dict[int, tuple[int, ...]] | None = None) -> torch.Tensor:
+  """Friction of every world after each step, (steps, num_envs); `ended` says whose episodes end in which step."""
+  rows = []
+  for step in range(steps):
+    end(env, *(ended or {}).get(step, ()))
+    env.step(actions(env, step))
+    rows.append(friction(env))
+  return torch.stack(rows)
+
+
+def changes(rows: torch.Tensor) -> torch.Tensor:
+  """Whether each world's value differs from the step before, (steps - 1, num_envs)."""
+  return rows[1:] != rows[:-1]
+
+
+def test_startup_happens_once_and_resets_leave_it_alone(make: Make) -> None:
+  env = make(quiet(events={"friction": event("startup")}))
+  rows = history(env, 6, {2: (0, 1), 4: (3,)})
+  assert rows[0].unique().numel() == 4
+  assert not changes(rows).any()
+
+
+def test_a_reset_draws_in_the_worlds_that_begin_anew_and_no_sooner_than_the_gap(make: Make) -> None:
+  env = make(quiet(events={"friction": event("reset", min_step_count_between_reset=4)}))
+  env.reset()
+  first = friction(env)
+  rows = torch.cat([first[None], history(env, 9, {1: (0,), 4: (0, 2), 8: (0,)})])
+  changed = changes(rows)
+  # World 0 ends in steps 1, 4 and 8: too early, allowed, allowed again.
+  assert changed[:, 0].nonzero().flatten().tolist() == [4, 8]
+  assert changed[:, 2].nonzero().flatten().tolist() == [4]
+  assert not changed[:, [1, 3]].any()
+
+
+def test_intervals_run_for_each_world_or_for_all_at_once(make: Make) -> None:
+  every = (0.02, 0.05)
+  own = history(make(quiet(events={"friction": event("interval", interval_range_s=every)})), 30)
+  assert (changes(own).any(1) & ~changes(own).all(1)).any()
+  assert changes(own).sum(0).min() >= 3
+  shared = history(make(quiet(events={"friction": event("interval", interval_range_s=every, is_global_time=True)})), 30)
+  fired = changes(shared)
+  assert (fired.any(1) == fired.all(1)).all()
+  assert fired.any(1).sum() >= 3
+
+
+def test_a_step_event_draws_every_step(make: Make) -> None:
+  assert changes(history(make(quiet(events={"friction": event("step")})), 5)).all()
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_inertia_drawn_at_resets_leaves_the_worlds_that_go_on_bit_identical(make: Make, engine: str) -> None:
+  inertia = EventTermCfg(mdp.randomize, mode="reset", params={"randomizer": pseudo_inertia("thigh", scale=0.3)})
+  states = []
+  for ended in ({}, {3: (1,), 5: (1, 3)}):
+    env = make(quiet(engine=engine, events={"inertia": inertia}))
+    env.reset()
+    history(env, 8, ended)
+    states.append((env.sim.data.qpos.clone(), env.sim.model.body_inertia.clone(), env.sim.model.dof_invweight0.clone()))
+  for calm, busy in zip(*states, strict=True):
+    assert torch.equal(calm[[0, 2]], busy[[0, 2]])
+    assert not torch.equal(calm[[1, 3]], busy[[1, 3]])
+
+
+def test_a_curriculum_widens_a_range_while_training_runs(make: Make) -> None:
+  scaled = geom_friction("foot", (0.5, 1.5), operation="scale")
+  events = {"friction": EventTermCfg(mdp.randomize, mode="step", params={"randomizer": scaled})}
+  widen = CurriculumTermCfg(mdp.widen_randomization, params={"event": "friction", "steps": (4, 24)})
+  env = make(quiet(events=events, curriculum={"friction": widen}))
+  default = env.sim.default_field("geom_friction")[0, env.sim.mj_model.geom("robot/foot").id, 0]
+  assert torch.equal(friction(env), default.expand(4))
+  spread = (history(env, 40) / default - 1.0).abs().max(1).values
+  assert not spread[:4].any()
+  for step in range(4, 40):
+    assert spread[step] <= 0.5 * min(1.0, (step + 1 - 4) / 20) + 1e-9
+  assert spread[24:].max() > 0.4
+  names, values = env.curriculum_manager.log_tensors()
+  assert dict(zip(names, values.tolist(), strict=True)) == {"Curriculum/friction": 1.0}
+
+
+def test_a_critic_may_see_what_was_drawn(make: Make) -> None:
+  seen: dict[str, ObservationTermCfg | None] = {
+    "friction": ObservationTermCfg(mdp.randomized_values, params={"event": "friction"})
+  }
+  env = make(quiet(events={"friction": event("reset")}, observations={"critic": ObservationGroupCfg(terms=seen)}))
+  obs, _ = env.reset()
+  default = env.sim.default_field("geom_friction")[0, env.sim.mj_model.geom("robot/foot").id, 0]
+  critic = obs["critic"]
+  assert isinstance(critic, torch.Tensor)
+  torch.testing.assert_close(critic[:, 0], (friction(env) - default).float())
+
+
+@pytest.mark.parametrize(
+  ("params", "message"),
+  [
+    ({"event": "frction", "steps": (0, 10)}, "Nearest: friction"),
+    ({"event": "push", "steps": (0, 10)}, "event 'push' randomises no field"),
+    ({"event": "friction", "steps": (10, 10)}, r"must grow from 0 or more, got \(10, 10\)"),
+    ({"event": "light", "steps": (0, 10)}, "a choice, which cannot be widened"),
+  ],
+)
+def test_a_curriculum_of_nothing_is_refused_at_build(make: Make, params: dict[str, Any], message: str) -> None:
+  cfg = quiet()
+  cfg.scene.entities["robot"].spec_fn = with_light(cfg.scene.entities["robot"].spec_fn)
+  light = randomize_field("light_active", "lamp", Categorical((0, 1)))
+  cfg.events |= {
+    "friction": event("startup"),
+    "light": EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": light}),
+  }
+  cfg.curriculum = {"wider": CurriculumTermCfg(mdp.widen_randomization, params=params)}
+  with pytest.raises(ConfigError, match=message):
+    make(cfg)
+
+
+def with_light(spec_fn: Callable[[], Any]) -> Callable[[], Any]:
+  def build() -> Any:
+    spec = spec_fn()
+    spec.body("trunk").add_light(name="lamp")
+    return spec
+
+  return build
