@@ -16,8 +16,11 @@ from mjlab_dr import (
   FieldRandomizer,
   ModelFields,
   RandomizeField,
+  Uniform,
+  agreement,
   apply_all,
   body_com_offset,
+  drawn_values,
   encoder_bias,
   geom_friction,
   pseudo_inertia,
@@ -304,3 +307,30 @@ def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> N
   cfg = randomize_field("geom_matid", "post", Categorical(("dull",)))
   RandomizeField(cfg, sim, prefix="a/").apply(torch.ones(N, dtype=torch.bool))
   assert (sim.model.geom_matid[:, sim.mj_model.geom("post").id] == sim.mj_model.material("a/dull").id).all()
+
+
+@pytest.mark.parametrize("name", [name for name in FIELDS if FIELDS[name].in_model])
+def test_what_was_drawn_is_told_from_what_was_written(name: str) -> None:
+  term = bound(trial(name), FakeSim(EVERYTHING))
+  seen: list[torch.Tensor] = []
+  sample = term._sample
+  term._sample = lambda shape, generator: seen.append(sample(shape, generator)) or seen[0]
+  term.apply(torch.ones(N, dtype=torch.bool))
+  told = torch.stack(list(drawn_values(term).values()), -1)
+  seen[0] = seen[0].expand_as(told)
+  known = told.isfinite()
+  assert known.any() or FIELDS[name].form == "direction"
+  # What MjModel has in single precision is drawn, and told, no better than that.
+  torch.testing.assert_close(told[known], seen[0].double()[known], rtol=1e-4, atol=1e-6)
+
+
+def test_agreement_tells_the_asked_distribution_from_another_and_from_one_draw_for_all() -> None:
+  generator = make_generator("cpu", 0)
+  drawn = 0.3 + 0.9 * torch.rand(500, generator=generator)
+  assert agreement(drawn, Uniform(0.3, 1.2)) > 0.01
+  assert agreement(drawn, Uniform(0.3, 1.0)) < 1e-6
+  assert agreement(drawn[:1].expand(500), Uniform(0.3, 1.2)) < 1e-6
+  coins = torch.rand(500, generator=generator).lt(0.25).double()
+  assert agreement(coins, Categorical((0.0, 1.0), (3.0, 1.0))) > 0.01
+  assert agreement(coins, Categorical((0.0, 1.0))) < 1e-6
+  assert agreement(torch.full((3,), torch.nan), Uniform(0.0, 1.0)) == 1.0

@@ -68,6 +68,14 @@ def test_parameters_are_found_again() -> None:
   torch.testing.assert_close(pseudo_inertia_matrix(*reached), pseudo_inertia_matrix(*other), rtol=1e-9, atol=1e-9)
 
 
+def test_between_flat_bodies_there_is_no_one_answer() -> None:
+  mass, com, inertia, quat = bodies(2)
+  inertia[0] = torch.tensor([1.0, 1.0, 2.0])
+  found = inertia_perturbation(mass, com, inertia, quat, mass, com, inertia, quat)
+  assert found[0, 1:7].isnan().all()
+  torch.testing.assert_close(found[1], torch.zeros(10, dtype=torch.float64), rtol=0.0, atol=1e-12)
+
+
 def test_a_million_bodies_stay_physical_at_sizes_up_to_3() -> None:
   n = 1_000_000
   p = parameters(n, 1.0, seed=4) * torch.linspace(0.0, 3.0, n)[:, None]

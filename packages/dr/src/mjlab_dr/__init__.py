@@ -4,6 +4,7 @@ from mjlab_dr.apply import ModelFields, RandomizeField, apply_all
 from mjlab_dr.binding import Component
 from mjlab_dr.catalogue import FIELDS, LEFT_OUT, Field, element_names
 from mjlab_dr.distributions import Categorical, Custom, Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.draws import agreement, drawn_values
 from mjlab_dr.inertia import inertia_perturbation, perturb_inertia, pseudo_inertia_matrix
 from mjlab_dr.randomizers import (
   FieldRandomizer,
@@ -32,9 +33,11 @@ __all__ = [
   "Randomization",
   "RandomizeField",
   "Uniform",
+  "agreement",
   "apply_all",
   "body_com_offset",
   "body_mass",
+  "drawn_values",
   "element_names",
   "encoder_bias",
   "geom_friction",

@@ -77,12 +77,14 @@ def inertia_perturbation(
 ) -> Tensor:
   """The ten parameters that turn the first four inertial parameters into the last four, (..., 10), in float64.
 
-  The inverse of `perturb_inertia`. Both must have mass and volume: a planar body has no unique answer.
+  The inverse of `perturb_inertia`. NaN unless both have mass and volume: for a planar body there is no one answer.
   """
   before, after = _second_moments(inertia, quat), _second_moments(to_inertia, to_quat)
   ratio = to_mass.double() / mass.double()
   # A S A^T = S' / e^(2 alpha), with upper triangular factors on both sides.
-  a = _upper_factor(after / ratio[..., None, None]) @ torch.linalg.inv(_upper_factor(before))
+  a = torch.linalg.solve_triangular(
+    _upper_factor(before), _upper_factor(after / ratio[..., None, None]), upper=True, left=False
+  )
   moved = to_com.double() - (a @ com.double().unsqueeze(-1)).squeeze(-1)
   shear = torch.stack([a[..., i, j] for i, j in _UPPER], -1)
   return torch.cat((0.5 * ratio.log().unsqueeze(-1), a.diagonal(dim1=-2, dim2=-1).log(), shear, moved), -1)
@@ -112,8 +114,11 @@ def _second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
 
 
 def _upper_factor(matrix: Tensor) -> Tensor:
-  """Upper triangular F with F F^T = `matrix`."""
-  return torch.linalg.cholesky(matrix.flip(-1, -2)).flip(-1, -2)
+  """Upper triangular F with F F^T = `matrix`; NaN unless that is positive definite beyond rounding."""
+  factor, info = torch.linalg.cholesky_ex(matrix.flip(-1, -2))
+  pivots = factor.diagonal(dim1=-2, dim2=-1)
+  is_solid = (info == 0) & (pivots.amin(-1) > 1e-7 * pivots.amax(-1))
+  return torch.where(is_solid[..., None, None], factor, torch.nan).flip(-1, -2)
 
 
 def _diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
