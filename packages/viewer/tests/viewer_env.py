@@ -31,10 +31,11 @@ BOX = """
 
 
 class BoxData:
-  """Fields of all worlds; every read is a copy."""
+  """Fields of all worlds; every read is a copy, but velocities, which may be written to."""
 
   def __init__(self, datas: list[mujoco.MjData]) -> None:
     self._datas = datas
+    self.qvel = torch.zeros(len(datas), datas[0].qvel.size, dtype=torch.float64)
 
   def __getattr__(self, name: str) -> torch.Tensor:
     return torch.from_numpy(np.stack([np.array(getattr(data, name)) for data in self._datas]))
@@ -111,10 +112,12 @@ class BoxEnv:
 
   def step(self, action: torch.Tensor) -> Any:
     for world, data in enumerate(self.sim.datas):
+      data.qvel[:] = self.sim.data.qvel[world].numpy()
       data.qfrc_applied[0] = float(action[world, 0])
       mujoco.mj_step(self.sim.mj_model, data)
       # What is derived describes the state that is.
       mujoco.mj_forward(self.sim.mj_model, data)
+      self.sim.data.qvel[world] = torch.from_numpy(data.qvel)
     self.age += 1
     done = self.age >= self.length
     for world in range(self.num_envs):
@@ -131,4 +134,5 @@ class BoxEnv:
     mujoco.mj_resetData(self.sim.mj_model, data)
     data.qpos[0] = world
     mujoco.mj_forward(self.sim.mj_model, data)
+    self.sim.data.qvel[world] = 0.0
     self.age[world] = 0

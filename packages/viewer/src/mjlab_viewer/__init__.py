@@ -10,7 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+  from mjlab_viewer.browser import BrowserViewer
   from mjlab_viewer.camera import Camera, CameraCfg
+  from mjlab_viewer.checkpoint_list import CheckpointList
   from mjlab_viewer.draw_list import DrawList
   from mjlab_viewer.errors import RenderingError, ViewerError
   from mjlab_viewer.offscreen import OffscreenRenderer, PictureCfg
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
 __all__ = [
   "SPEEDS",
   "BackgroundVideo",
+  "BrowserViewer",
   "Camera",
   "CameraCfg",
+  "CheckpointList",
   "DrawList",
   "OffscreenRenderer",
   "PictureCfg",
@@ -43,7 +47,9 @@ __all__ = [
 ]
 
 _MODULES = {
+  "browser": "BrowserViewer",
   "camera": "Camera CameraCfg",
+  "checkpoint_list": "CheckpointList",
   "draw_list": "DrawList",
   "errors": "RenderingError ViewerError",
   "offscreen": "OffscreenRenderer PictureCfg",

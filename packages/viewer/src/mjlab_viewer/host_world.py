@@ -26,23 +26,23 @@ class HostWorld:
 
     Contacts and forces are those that MuJoCo computes for exactly this state, model, control and warm start.
     """
-    self.load_model(snapshot, row)
-    for name in _STATE:
-      if name in snapshot.data:
-        field = np.asarray(getattr(self.data, name))
-        if name == "time":
-          self.data.time = float(snapshot.data[name][row])
-        else:
-          field[...] = snapshot.data[name][row].reshape(field.shape)
+    copy_world(snapshot, row, self.model, self.data)
     mujoco.mj_forward(self.model, self.data)
 
-  def load_model(self, snapshot: Snapshot, row: int = 0) -> None:
-    """Take over only the values of the model."""
-    for name, rows in snapshot.model.items():
-      owner = self.model.opt if name.startswith("opt.") else self.model
-      name = name.removeprefix("opt.")
-      field = getattr(owner, name)
-      if isinstance(field, np.ndarray):
-        field[...] = rows[row].reshape(field.shape)
-      else:
-        setattr(owner, name, type(field)(rows[row]))
+
+def copy_world(snapshot: Snapshot, row: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+  """Write one world of a snapshot into a model and data of one's own; nothing is computed from it."""
+  for name, rows in snapshot.model.items():
+    owner = model.opt if name.startswith("opt.") else model
+    _assign(owner, name.removeprefix("opt."), rows[row])
+  for name in _STATE:
+    if name in snapshot.data:
+      _assign(data, name, snapshot.data[name][row])
+
+
+def _assign(owner: object, name: str, value: np.ndarray) -> None:
+  field = getattr(owner, name)
+  if isinstance(field, np.ndarray):
+    field[...] = value.reshape(field.shape)
+  else:
+    setattr(owner, name, type(field)(value))

@@ -47,6 +47,8 @@ class Playback:
     """What went wrong, one line; None if nothing did."""
     self.step_count = 0
     """Steps since the last reset of all worlds."""
+    self.total_steps = 0
+    """Steps since the beginning."""
     self.is_capped = False
     """Whether the machine is too slow for `speed`: time was dropped in the last tick."""
     self.on_step: list[Callable[[], None]] = []
@@ -56,7 +58,6 @@ class Playback:
     self._budget = 0.0
     self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
     self._history: deque[tuple[float, int]] = deque()
-    self._total_steps = 0
     self.reset()
 
   @property
@@ -134,7 +135,7 @@ class Playback:
     if not self._guard("policy or environment", self._advance):
       return 0
     self.step_count += 1
-    self._total_steps += 1
+    self.total_steps += 1
     for callback in self.on_step:
       self._guard("viewer", callback)
     return 1
@@ -168,7 +169,7 @@ class Playback:
     return True
 
   def _measure(self, now: float) -> None:
-    self._history.append((now, self._total_steps))
+    self._history.append((now, self.total_steps))
     while len(self._history) > 2 and now - self._history[1][0] >= _MEASURED:
       self._history.popleft()
 

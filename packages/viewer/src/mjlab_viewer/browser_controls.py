@@ -1,0 +1,208 @@
+"""Buttons and sliders of the page. They leave wishes; the thread that owns the environment fulfils them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import viser
+
+from mjlab_viewer.checkpoint_list import CheckpointList
+from mjlab_viewer.errors import ViewerError
+from mjlab_viewer.playback import SPEEDS, Playback
+from mjlab_viewer.pushing import floating_dofs, push
+
+if TYPE_CHECKING:
+  from mjlab_viewer.browser import BrowserViewer
+
+
+class WorldControls:
+  """Which worlds are shown, whether the eye follows, and what is drawn over them."""
+
+  def __init__(self, viewer: BrowserViewer, max_worlds: int) -> None:
+    gui, env = viewer.server.gui, viewer.env
+    self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
+    with gui.add_folder("Worlds"):
+      if env.num_envs > 1:
+        world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=viewer.selected)
+        world.on_update(lambda _: setattr(viewer, "selected", int(world.value)))
+        most = min(max_worlds, env.num_envs)
+        drawn = gui.add_slider(
+          "Shown", min=1, max=most, step=1, initial_value=viewer.num_drawn, hint="This world and those after it"
+        )
+        drawn.on_update(lambda _: setattr(viewer, "num_drawn", int(drawn.value)))
+      follow = gui.add_checkbox("Follow", initial_value=viewer.scene.scene.camera_tracking_enabled)
+
+      def move(_: object) -> None:
+        viewer.scene.follow(follow.value)
+        for client in viewer.server.get_clients().values():
+          viewer.scene.look(client)
+
+      follow.on_update(move)
+    known = env.drawers()
+    if known:
+      with gui.add_folder("Draw"):
+        for name, drawer in known.items():
+          cfg = getattr(getattr(drawer, "__self__", None), "cfg", None)
+          self._boxes[name] = gui.add_checkbox(name, initial_value=bool(getattr(cfg, "debug_vis", False)))
+
+  def drawers(self) -> tuple[str, ...]:
+    """Names of those who are to draw."""
+    return tuple(name for name, box in self._boxes.items() if box.value)
+
+
+class PlaybackControls:
+  """Pause, step, speed, reset, time line, pushes, commands by hand, policies, films."""
+
+  def __init__(self, viewer: BrowserViewer, playback: Playback, checkpoints: CheckpointList | None) -> None:
+    self._viewer, self._playback = viewer, playback
+    self._gui = gui = viewer.server.gui
+    self._status = gui.add_html("")
+    self._shown_status = ""
+    self._told_error: str | None = None
+    self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+    self._ask(self._pause, self._toggle)
+    self._ask(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
+    self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), playback.reset)
+    names = [f"{speed:g}" if speed >= 1 else f"1/{round(1 / speed)}" for speed in SPEEDS]
+    speed = gui.add_dropdown("Speed", names, initial_value="1")
+    speed.on_update(lambda _: playback.request(lambda: setattr(playback, "speed", SPEEDS[names.index(speed.value)])))
+    self._timeline = gui.add_slider(
+      "Seconds back", min=0.0, max=10.0, step=0.05, initial_value=0.0, disabled=True, hint="While paused"
+    )
+    self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
+    self._record.on_click(lambda event: playback.request(lambda: self._toggle_recording(event.client)))
+    for command, action in (
+      (gui.add_command("Pause", hotkey="space"), self._toggle),
+      (gui.add_command("Step", hotkey="arrowright"), self._step),
+      (gui.add_command("Reset", hotkey="enter"), playback.reset),
+    ):
+      command.on_trigger(lambda _, action=action: playback.request(action))
+    self._add_pushes()
+    self._add_commands()
+    if checkpoints is not None:
+      self._add_checkpoints(checkpoints)
+
+  @property
+  def seconds_back(self) -> float:
+    """How long ago what is to be shown was [s]; 0 unless paused."""
+    return float(self._timeline.value) if self._playback.paused else 0.0
+
+  def show_status(self) -> None:
+    """Say how it goes."""
+    playback = self._playback
+    self._pause.label = "Play" if playback.paused else "Pause"
+    self._timeline.disabled = not playback.paused
+    state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
+    if playback.is_capped:
+      state += f" (this machine is too slow for {playback.speed:g})"
+    time = playback.step_count * playback.env.step_dt
+    line = f"<b>{state}</b><br>step {playback.step_count}, {time:.2f} s, world {self._viewer.selected}"
+    if playback.error is not None:
+      line += f'<br><span style="color:#c92a2a">{html.escape(playback.error)}</span>'
+    if line != self._shown_status:
+      self._shown_status = line
+      self._status.content = f'<div style="padding:0 0.75em 0.5em;font-size:0.875em">{line}</div>'
+    if playback.error != self._told_error:
+      self._told_error = playback.error
+      if playback.error is not None:
+        self._tell("Paused", playback.error, "red")
+
+  def _ask(self, button: viser.GuiButtonHandle, action: Callable[[], None]) -> None:
+    button.on_click(lambda _: self._playback.request(action))
+
+  def _toggle(self) -> None:
+    if self._playback.paused:
+      self._timeline.value = 0.0
+      self._playback.resume()
+    else:
+      self._playback.pause()
+
+  def _step(self) -> None:
+    self._timeline.value = 0.0
+    self._playback.step_once()
+
+  def _add_pushes(self) -> None:
+    env = self._playback.env
+    if floating_dofs(env.sim.mj_model) is None:
+      return
+    with self._gui.add_folder("Push", expand_by_default=False):
+      speed = self._gui.add_slider("Speed [m/s]", min=0.1, max=3.0, step=0.1, initial_value=1.0)
+      directions = {"forward": (1, 0, 0), "back": (-1, 0, 0), "left": (0, 1, 0), "right": (0, -1, 0), "up": (0, 0, 1)}
+      buttons = self._gui.add_button_group("Direction", list(directions), hint="Of the world's axes: forward is +x")
+
+      def act(_: object) -> None:
+        x, y, z = (part * speed.value for part in directions[buttons.value])
+        world = self._viewer.selected
+        self._playback.request(lambda: push(env.sim, world, (x, y, z)))
+
+      buttons.on_click(act)
+
+  def _add_commands(self) -> None:
+    for name, command in self._playback.env.steering().items():
+      with self._gui.add_folder(f"Command {name}"):
+        by_hand = self._gui.add_checkbox("By hand", initial_value=False, hint="Of the selected world")
+        sliders = [
+          self._gui.add_slider(
+            label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=_zero(lower, upper)
+          )
+          for label, lower, upper in command.axes
+        ]
+        stop = self._gui.add_button("Stop", hint="All to zero")
+
+        def steer(_: object, command=command, by_hand=by_hand, sliders=sliders) -> None:
+          world = self._viewer.selected
+          values: Sequence[float] | None = [float(slider.value) for slider in sliders] if by_hand.value else None
+          self._playback.request(lambda: command.steer(world, values))
+
+        def zero(_: object, sliders=sliders, steer=steer) -> None:
+          for slider in sliders:
+            slider.value = _zero(slider.min, slider.max)
+          steer(None)
+
+        for part in (by_hand, *sliders):
+          part.on_update(steer)
+        stop.on_click(zero)
+
+  def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
+    with self._gui.add_folder("Policy"):
+      names = list(checkpoints.names()) or [checkpoints.loaded]
+      choice = self._gui.add_dropdown("Checkpoint", names, initial_value=checkpoints.loaded or names[-1])
+      choice.on_update(lambda _: load(choice.value))
+      newest = self._gui.add_button("Newest", hint="Look for new checkpoints and take the last one")
+
+      def load(name: str) -> None:
+        self._playback.request(lambda: self._playback.set_policy(checkpoints.load(name)))
+
+      def refresh() -> None:
+        found = list(checkpoints.names())
+        if found:
+          choice.options = found
+          choice.value = found[-1]
+
+      newest.on_click(lambda _: self._playback.request(refresh))
+
+  def _toggle_recording(self, client: viser.ClientHandle | None) -> None:
+    if self._record.label == "Record":
+      self._viewer.start_recording()
+      self._record.label = "Stop recording"
+      return
+    self._record.label = "Record"
+    try:
+      path = self._viewer.stop_recording()
+    except ViewerError as error:
+      self._tell("Record", str(error), "red")
+      return
+    self._tell("Record", f"saved as {path}", "green")
+    if client is not None:
+      client.send_file_download(path.name, path.read_bytes())
+
+  def _tell(self, title: str, body: str, color: str) -> None:
+    for client in self._viewer.server.get_clients().values():
+      client.add_notification(title, body, color=color, auto_close_seconds=10.0)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+
+
+def _zero(lower: float, upper: float) -> float:
+  """Zero, or the middle of a range that does not hold it."""
+  return 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)

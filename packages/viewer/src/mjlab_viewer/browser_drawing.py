@@ -1,0 +1,126 @@
+"""Drawn shapes in the browser."""
+
+from __future__ import annotations
+
+import functools
+from collections import defaultdict
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+
+from mjlab_viewer.draw_list import DrawList, Shapes
+from mjlab_viewer.mjv_drawing import mesh_id
+
+# Shares of an arrow, as MuJoCo draws it, and how much wider its head is.
+_SHAFT = 0.8
+_HEAD_WIDTH = 2.0
+_Z = np.array([0.0, 0.0, 1.0], dtype=float)
+
+
+class BrowserDrawing:
+  """Shows drawings, one batch for each kind of shape, however many there are.
+
+  Args:
+    server: Where.
+    model: Holds the meshes of ghosts.
+  """
+
+  def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
+    self._server = server
+    self._model = model
+    self._root = server.scene.add_frame("/drawn", show_axes=False)
+    self._handles: dict[str, viser.BatchedMeshHandle] = {}
+
+  def show(self, drawing: DrawList, offset: np.ndarray) -> None:
+    """Replace what is shown; `offset` moves all of it, (3,) [m]."""
+    self._root.position = offset
+    batches: dict[str, list[Shapes]] = defaultdict(list)
+    for shapes in drawing.shapes:
+      if shapes.kind == "mesh":
+        if mesh_id(self._model, shapes.mesh) >= 0:
+          batches[f"mesh/{shapes.mesh}"].append(shapes)
+      elif shapes.kind == "arrow":
+        batches["shaft"].append(shapes)
+        batches["head"].append(shapes)
+      else:
+        batches[shapes.kind].append(shapes)
+    for name, parts in batches.items():
+      self._show_batch(name, parts)
+    for name, handle in self._handles.items():
+      if name not in batches:
+        handle.visible = False
+
+  def _show_batch(self, name: str, parts: list[Shapes]) -> None:
+    position, direction, size, color = (
+      np.concatenate([getattr(shapes, field) for shapes in parts])
+      for field in ("position", "direction", "size", "color")
+    )
+    if name in ("shaft", "head", "line"):
+      length = np.linalg.norm(direction, axis=1, keepdims=True)
+      share = {"shaft": _SHAFT, "head": 1.0 - _SHAFT, "line": 1.0}[name]
+      width = size * (_HEAD_WIDTH if name == "head" else 1.0)
+      scale = np.concatenate([width, width, share * length], axis=1)
+      if name == "head":
+        position = position + _SHAFT * direction
+      wxyz = turns_from_z(direction)
+    else:
+      scale, wxyz = np.broadcast_to(size, (len(size), 3)), direction
+    rgb, opacity = (255 * color[:, :3]).astype(np.uint8), color[:, 3]
+    if (opacity == 1.0).all():
+      # Then they hide each other as solid things do.
+      opacity = None
+    handle = self._handles.get(name)
+    if handle is None:
+      mesh = self._unit_mesh(name)
+      self._handles[name] = self._server.scene.add_batched_meshes_simple(
+        f"/drawn/{name}",
+        np.asarray(mesh.vertices, dtype=np.float32),
+        np.asarray(mesh.faces, dtype=np.uint32),
+        batched_wxyzs=wxyz,
+        batched_positions=position,
+        batched_scales=scale,
+        batched_colors=rgb,
+        batched_opacities=opacity,
+        lod="off",
+        cast_shadow=False,
+        receive_shadow=False,
+      )
+      return
+    handle.batched_positions = position.astype(np.float32)
+    handle.batched_wxyzs = wxyz.astype(np.float32)
+    handle.batched_scales = scale.astype(np.float32)
+    handle.batched_colors, handle.batched_opacities = rgb, opacity
+    handle.visible = True
+
+  def _unit_mesh(self, name: str) -> trimesh.Trimesh:
+    if not name.startswith("mesh/"):
+      return _primitive(name)
+    mesh = mesh_id(self._model, name.removeprefix("mesh/"))
+    vertices = self._model.mesh_vertadr[mesh] + np.arange(self._model.mesh_vertnum[mesh])
+    faces = self._model.mesh_faceadr[mesh] + np.arange(self._model.mesh_facenum[mesh])
+    return trimesh.Trimesh(self._model.mesh_vert[vertices], self._model.mesh_face[faces], process=False)
+
+
+@functools.cache
+def _primitive(name: str) -> trimesh.Trimesh:
+  if name == "ellipsoid":
+    return trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+  if name == "head":
+    return trimesh.creation.cone(radius=1.0, height=1.0, sections=16)
+  rod = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=12)
+  rod.apply_translation([0.0, 0.0, 0.5])
+  return rod
+
+
+def turns_from_z(direction: np.ndarray) -> np.ndarray:
+  """Unit quaternions (n, 4) that turn z to these directions, (n, 3); one of no length turns nothing."""
+  length = np.linalg.norm(direction, axis=1, keepdims=True)
+  unit = np.divide(direction, length, out=np.tile(_Z, (len(direction), 1)), where=length > 0)
+  # Half the angle between z and the direction: (1 + cos, z x direction), normalised.
+  w = 1.0 + unit[:, 2]
+  quaternion = np.stack([w, -unit[:, 1], unit[:, 0], np.zeros_like(w)], axis=1)
+  opposite = w < 1e-6
+  quaternion[opposite] = [0.0, 1.0, 0.0, 0.0]
+  return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

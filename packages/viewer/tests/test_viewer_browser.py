@@ -1,0 +1,260 @@
+"""The page in a real browser: what is seen, what each control does, who comes and goes."""
+
+import io
+import shutil
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, ViewerError, ZeroPolicy
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+from viewer_env import BoxEnv
+
+# Chromium without a GPU, a sandbox or a network.
+FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
+--disable-background-networking --disable-component-update --disable-sync""".split()
+SIZE = ViewportSize(width=760, height=560)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+  executable = shutil.which("chromium") or shutil.which("chromium-browser")
+  if executable is None:
+    pytest.skip("needs Chromium (on Debian: apt install chromium)")
+  with sync_playwright() as playwright:
+    browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+    yield browser
+    browser.close()
+
+
+class Running:
+  """A viewer whose loop runs in a thread of its own, as it does in a process of its own."""
+
+  def __init__(self, env: BoxEnv, folder: Path, policies: dict[str, Callable[..., torch.Tensor]]) -> None:
+    self.env = env
+    names = list(policies)
+    self.playback = Playback(env, policies[names[0]])
+    self.policies = policies
+    checkpoints = CheckpointList(names=lambda: list(policies), load=policies.__getitem__, loaded=names[0])
+    self.viewer = BrowserViewer(
+      env, playback=self.playback, checkpoints=checkpoints, port=8300, max_worlds=8, video_folder=folder
+    )
+    self._over = False
+    self._thread = threading.Thread(target=self.viewer.run, args=(lambda: self._over,))
+    self._thread.start()
+
+  def shown(self) -> Snapshot:
+    assert self.viewer.scene.shown is not None
+    return self.viewer.scene.shown
+
+  def close(self) -> None:
+    self._over = True
+    self._thread.join()
+    self.viewer.close()
+
+
+@contextmanager
+def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) -> Generator[Running]:
+  run = Running(env, folder, policies or {"zero": ZeroPolicy(env.num_envs, 1, env.sim.device)})
+  try:
+    yield run
+  finally:
+    run.close()
+
+
+def eventually(holds: Callable[[], object], what: str = "", seconds: float = 15.0) -> None:
+  """Waits until something holds; the browser is slow where it has no GPU."""
+  end = time.monotonic() + seconds
+  while not holds():
+    assert time.monotonic() < end, what or "it did not happen"
+    time.sleep(0.05)
+
+
+def opened(browser: Browser, run: Running) -> Page:
+  page = browser.new_page(viewport=SIZE)
+  page.goto(run.viewer.url)
+  page.get_by_role("button", name="Reset").wait_for(timeout=20000)
+  return page
+
+
+def row(page: Page, label: str) -> Locator:
+  return page.locator(f'xpath=//label[text()="{label}"]/ancestor::div[contains(@class,"mantine-Flex-root")][1]')
+
+
+def slide(page: Page, label: str, value: float) -> None:
+  field = row(page, label).locator("input[inputmode]")
+  field.fill(f"{value:g}")
+  field.press("Enter")
+
+
+def choose(page: Page, label: str, option: str) -> None:
+  row(page, label).locator("input").first.click()
+  page.get_by_role("option", name=option, exact=True).click()
+
+
+def red(page: Page) -> np.ndarray:
+  """Where the red boxes are on the left of the page, bool (height, width)."""
+  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
+  return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+
+
+def push(value: float, env: BoxEnv) -> Callable[..., torch.Tensor]:
+  return lambda observations: torch.full((env.num_envs, 1), value)
+
+
+def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path: Path) -> None:
+  env = BoxEnv(6)
+  with running(env, tmp_path, first=push(0.0, env), second=push(3.0, env)) as run:
+    playback, viewer = run.playback, run.viewer
+    page = opened(chromium, run)
+    eventually(lambda: red(page).sum() > 300, "the robot is not seen")
+
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    assert playback.paused
+    before = playback.step_count
+    page.get_by_role("button", name="Step").click()
+    eventually(lambda: playback.step_count == before + 1)
+    page.get_by_role("button", name="Reset").click()
+    eventually(lambda: playback.step_count == 0)
+
+    choose(page, "Speed", "2")
+    eventually(lambda: playback.speed == 2.0)
+    slide(page, "World", 3)
+    eventually(lambda: viewer.drawn_worlds() == (3, 4, 5, 0, 1, 2))
+    slide(page, "Shown", 2)
+    eventually(lambda: viewer.drawn_worlds() == (3, 4))
+    eventually(lambda: len(viewer.history[-1].worlds) == 2)
+
+    page.get_by_label("By hand").check()
+    slide(page, "forward", 0.5)
+    eventually(lambda: env.command.by_hand.get(3) == (0.5, 0.0))
+    page.get_by_role("button", name="Stop", exact=True).click()
+    eventually(lambda: env.command.by_hand.get(3) == (0.0, 0.0))
+    page.get_by_label("By hand").uncheck()
+    eventually(lambda: 3 not in env.command.by_hand)
+
+    page.get_by_text("Push").click()
+    page.get_by_role("button", name="left").click()
+    eventually(lambda: env.sim.data.qvel[3, 1] > 0.99)
+    assert env.sim.data.qvel[[0, 1, 2, 4, 5], 1].abs().max() < 1e-6
+
+    assert not viewer.history[-1].drawings[0].shapes
+    page.get_by_label("command speed").check()
+    eventually(lambda: viewer.history[-1].drawings[0].shapes)
+    page.get_by_label("Follow").uncheck()
+    eventually(lambda: not viewer.scene.scene.camera_tracking_enabled)
+    page.get_by_label("Follow").check()
+
+    choose(page, "Checkpoint", "second")
+    eventually(lambda: playback.policy is run.policies["second"])
+    run.policies["third"] = push(1.0, env)
+    page.get_by_role("button", name="Newest").click()
+    eventually(lambda: playback.policy is run.policies["third"])
+
+    page.get_by_role("tab", name="Overlays").click()
+    page.get_by_label("Enabled").first.check()
+    eventually(lambda: viewer.scene.scene.show_contact_points)
+    page.get_by_role("tab", name="Plots").click()
+    page.locator(".uplot").first.wait_for()
+    page.get_by_text("height").first.wait_for()
+    page.get_by_role("tab", name="Controls").click()
+    page.get_by_role("button", name="Play", exact=True).click()
+    eventually(lambda: playback.step_count > 20)
+    assert playback.error is None
+    page.close()
+
+
+def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  with running(env, tmp_path, slide=push(2.0, env)) as run:
+    page = opened(chromium, run)
+    eventually(lambda: run.playback.step_count > 60)
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    eventually(lambda: run.shown().step == run.playback.total_steps)
+    slide(page, "Seconds back", 0.6)
+    eventually(lambda: run.shown().step < run.playback.total_steps - 20)
+    past, now = run.shown(), run.viewer.history[-1]
+    assert past.step == pytest.approx(run.playback.total_steps - 0.6 / env.step_dt, abs=3)
+    assert past.data["qpos"][0, 0] < now.data["qpos"][0, 0]
+    page.get_by_role("button", name="Play", exact=True).click()
+    eventually(lambda: run.shown().step > now.step)
+    page.close()
+
+
+def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_path: Path) -> None:
+  with running(BoxEnv(1), tmp_path) as run:
+    page = opened(chromium, run)
+    page.get_by_role("button", name="Record").click()
+    page.get_by_role("button", name="Stop recording").wait_for()
+    first = run.playback.step_count
+    eventually(lambda: run.playback.step_count > first + 10)
+    page.get_by_role("button", name="Stop recording").click()
+    eventually(lambda: list(tmp_path.glob("*.mp4")))
+    page.get_by_text("saved as").wait_for()
+    page.close()
+
+
+def test_an_error_of_the_policy_is_shown_and_reset_goes_on(chromium: Browser, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  is_broken = threading.Event()
+  zeros = ZeroPolicy(1, 1, env.sim.device)
+
+  def policy(observations: object) -> torch.Tensor:
+    if is_broken.is_set():
+      raise RuntimeError("the policy <broke>")
+    return zeros(observations)
+
+  with running(env, tmp_path, policy=policy) as run:
+    page = opened(chromium, run)
+    is_broken.set()
+    page.get_by_text("RuntimeError: the policy <broke>").first.wait_for()
+    assert run.playback.paused
+    is_broken.clear()
+    page.get_by_role("button", name="Reset").click()
+    eventually(lambda: run.playback.error is None and run.playback.step_count > 5)
+    page.close()
+
+
+def test_two_may_look_at_once_and_one_may_vanish(chromium: Browser, tmp_path: Path) -> None:
+  with running(BoxEnv(2), tmp_path) as run:
+    first, second = opened(chromium, run), opened(chromium, run)
+    eventually(lambda: len(run.viewer.server.get_clients()) == 2)
+    eventually(lambda: red(first).sum() > 300)
+    eventually(lambda: red(second).sum() > 300)
+    first.close(run_before_unload=False)
+    eventually(lambda: len(run.viewer.server.get_clients()) == 1)
+    second.get_by_role("button", name="Pause").click()
+    eventually(lambda: run.playback.paused)
+    second.close()
+    eventually(lambda: not run.viewer.server.get_clients())
+    run.playback.request(run.playback.resume)
+    before = run.playback.step_count
+    eventually(lambda: run.playback.step_count > before + 5)
+    assert run.playback.error is None
+
+
+def test_nobody_looking_costs_no_snapshot() -> None:
+  env = BoxEnv(1)
+  with BrowserViewer(env, port=8300) as viewer:
+    for _ in range(3):
+      viewer.update()
+    assert not viewer.history
+
+
+def test_the_page_is_served_to_this_machine_alone_unless_told_otherwise() -> None:
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    assert viewer.server.get_host() == "127.0.0.1"
+    assert viewer.url == f"http://localhost:{viewer.server.get_port()}"
+
+
+def test_an_address_that_is_not_here_is_refused_by_name() -> None:
+  with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1: "):
+    BrowserViewer(BoxEnv(1), host="192.0.2.1", port=8300)
