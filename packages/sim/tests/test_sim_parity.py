@@ -349,6 +349,40 @@ def test_what_rests_is_carried_by_contacts(make_sim: MakeSim, engine: str) -> No
   torch.testing.assert_close(slots[:, :, 9].abs(), torch.ones(NUM_WORLDS, 4).double())
 
 
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_sensors_of_forces_do_not_remember_the_substep_before(make_sim: MakeSim, engine: str) -> None:
+  # MuJoCo Warp adds touch up, and writes the force of a limit only where there is one.
+  spec = """
+  <mujoco>
+    <worldbody>
+      <geom type="plane" size="0 0 1"/>
+      <body pos="0 0 .098"><freejoint/><geom size=".1" mass="1"/><site name="skin" size=".11"/></body>
+      <body pos="1 0 1">
+        <joint name="hinge" axis="0 1 0" limited="true" range="-1 1"/><geom size=".1" pos=".2 0 0"/>
+      </body>
+    </worldbody>
+    <sensor><touch site="skin"/><jointlimitfrc joint="hinge"/></sensor>
+  </mujoco>
+  """
+  sim = make_sim(engine, num_envs=1, spec=spec)
+  data = mujoco.MjData(sim.mj_model)
+  sim.data.qpos[:, 7] = data.qpos[7] = 1.01
+  expected = torch.zeros(2)
+  for substep in range(20):
+    if substep == 15:
+      sim.data.qpos[:, 2] = data.qpos[2] = 1.0
+      sim.data.qpos[:, 7] = data.qpos[7] = 0.0
+      sim.data.qvel[:] = 0.0
+      data.qvel[:] = 0.0
+    sim.step()
+    mujoco.mj_step(sim.mj_model, data)
+    expected = torch.tensor(data.sensordata)
+    torch.testing.assert_close(sim.data.sensordata[0].double(), expected, rtol=1e-3, atol=1e-3)
+    if substep < 5:
+      assert (expected > 0).all()
+  assert not expected.any()
+
+
 def sensor_columns(model: mujoco.MjModel, name: str) -> slice:
   sensor = model.sensor(name)
   return slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])

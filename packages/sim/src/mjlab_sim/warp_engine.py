@@ -191,6 +191,15 @@ class WarpEngine:
     self._run("overflow", self._count_overflow)
 
   def _step(self) -> None:
+    # Touch is added up, and forces of limits are written where there are any: both count on columns that are zero.
+    if self._has_acceleration_sensors:
+      wp.launch(
+        warp_kernels.clear_acceleration_sensors,
+        dim=self._saved_sensors.shape,
+        inputs=[self._is_acceleration],
+        outputs=[self._d.sensordata],
+        device=self._wp_device,
+      )
     mjw.step2(self._m, self._d)
     self._forward()
 

@@ -25,6 +25,13 @@ def restore_acceleration_sensors(
 
 
 @wp.kernel
+def clear_acceleration_sensors(is_acceleration: wp.array[bool], sensordata: wp.array2d[float]):
+  world, column = wp.tid()
+  if is_acceleration[column]:
+    sensordata[world, column] = 0.0
+
+
+@wp.kernel
 def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
   world, column = wp.tid()
   if mask[world]:
