@@ -1,16 +1,22 @@
 """Sensors that MuJoCo computes: equal to MuJoCo's own, fresh, and checked by name."""
 
-from typing import Any
+from typing import Any, get_args
 
 import mujoco
+import numpy as np
 import pytest
 import torch
-from mjlab_sensors import BuiltinSensor, BuiltinSensorCfg, ObjRef
+from mjlab_sensors import NATIVE_TYPES, BuiltinSensor, BuiltinSensorCfg, ObjRef
+from mjlab_sensors.builtin import SensorType
 from mjlab_sim import Simulation, SimulationCfg
+from scipy.spatial.transform import Rotation
 
 ROBOT = """
 <mujoco>
+  <asset><mesh name="plate" builtin="plate" params="3 3" scale="0.1 0.1 0.005"/></asset>
   <worldbody>
+    <camera name="watch" pos="0 -3 1" xyaxes="1 0 0 0 0 1" resolution="4 3"/>
+    <site name="zone" type="box" size="0.3 0.3 0.4" pos="0.1 0 1"/>
     <body name="base" pos="0 0 1">
       <freejoint/>
       <geom name="shell" size="0.1 0.2 0.3" type="box" mass="2"/>
@@ -20,12 +26,19 @@ ROBOT = """
         <joint name="elbow" axis="0 1 0" range="-1 1" limited="true"/>
         <geom name="rod" type="capsule" size="0.02" fromto="0 0 0 0.3 0 0" mass="0.5"/>
         <site name="tip" pos="0.3 0 0"/>
+        <body pos="0.3 0 0"><joint name="knuckle" axis="0 1 0"/><geom size="0.02" pos="0.1 0 0" mass="0.1"/></body>
       </body>
     </body>
     <body name="wrist" pos="2 0 1"><joint name="ball" type="ball"/><geom name="hand" size="0.1" pos="0.1 0 0"/></body>
+    <body name="pad" pos="3 0 1">
+      <geom name="pad" type="box" size="0.1 0.1 0.005"/>
+      <geom name="skin" type="mesh" mesh="plate" pos="0 0 0.011" contype="0" conaffinity="0" mass="0"/>
+    </body>
+    <body name="finger" pos="3 0 1.053"><freejoint/><geom name="finger" size="0.05" mass="1"/>
+      <site name="pulp" size="0.06"/></body>
   </worldbody>
-  <tendon><fixed name="cable" limited="true" range="-1 1"><joint joint="elbow" coef="2"/></fixed></tendon>
-  <actuator><motor name="motor" joint="elbow"/></actuator>
+  <tendon><fixed name="cable" limited="true" range="-1 1"><joint joint="knuckle" coef="2"/></fixed></tendon>
+  <actuator><motor name="motor" joint="elbow"/><motor name="winch" tendon="cable"/></actuator>
   <sensor><gyro name="imu_gyro" site="imu"/><framequat name="tilt" objtype="site" objname="imu"/></sensor>
 </mujoco>
 """
@@ -43,8 +56,9 @@ CABLE, MOTOR, BASE = ref("tendon", "cable"), ref("actuator", "motor"), ref("body
 OBJECTS: list[tuple[Any, ObjRef | None, ObjRef | None, str]] = [
   *[
     (kind, IMU, None, 'site="robot/imu"')
-    for kind in "accelerometer velocimeter gyro force torque touch magnetometer rangefinder".split()
+    for kind in "accelerometer velocimeter gyro force torque magnetometer rangefinder".split()
   ],
+  ("touch", ref("site", "pulp"), None, 'site="robot/pulp"'),
   *[
     (kind, ELBOW, None, 'joint="robot/elbow"')
     for kind in "jointpos jointvel jointlimitpos jointlimitvel jointlimitfrc jointactuatorfrc".split()
@@ -68,7 +82,21 @@ OBJECTS: list[tuple[Any, ObjRef | None, ObjRef | None, str]] = [
   ),
   *[(kind, BASE, None, 'body="robot/base"') for kind in ("subtreecom", "subtreelinvel", "subtreeangmom")],
   *[(kind, None, None, "") for kind in ("e_potential", "e_kinetic", "clock")],
+  ("camprojection", TIP, ref("camera", "watch"), 'site="robot/tip" camera="robot/watch"'),
+  (
+    "insidesite",
+    ref("xbody", "base"),
+    ref("site", "zone"),
+    'objtype="xbody" objname="robot/base" site="robot/zone"',
+  ),
+  *[
+    (kind, ref("geom", "hand"), ref("body", "pad"), 'geom1="robot/hand" body2="robot/pad"')
+    for kind in ("distance", "normal", "fromto")
+  ],
+  ("tactile", ref("mesh", "plate"), ref("geom", "skin"), 'mesh="robot/plate" geom="robot/skin"'),
 ]
+# Collision sensors see as far as their cutoff.
+CUTOFF = dict.fromkeys(("distance", "normal", "fromto"), 5.0)
 
 
 def scene(elements: str = "") -> mujoco.MjSpec:
@@ -82,31 +110,44 @@ def scene(elements: str = "") -> mujoco.MjSpec:
   return spec
 
 
-def build(*cfgs: BuiltinSensorCfg, num_envs: int = 2) -> tuple[Simulation, list[BuiltinSensor]]:
-  spec, sensors = scene(), []
+def build(
+  *cfgs: BuiltinSensorCfg, num_envs: int = 2, engine: Any = "native", elements: str = ""
+) -> tuple[Simulation, list[BuiltinSensor]]:
+  spec, sensors = scene(elements), []
   for number, cfg in enumerate(cfgs):
     sensor = cfg.build("" if cfg.name else f"sensor{number}")
     assert isinstance(sensor, BuiltinSensor)
     sensor.edit_spec(spec, ENTITIES)
     sensors.append(sensor)
-  sim = Simulation(num_envs, spec, SimulationCfg())
+  sim = Simulation(num_envs, spec, SimulationCfg(engine=engine, num_threads=1))
   for sensor in sensors:
     sensor.initialize(sim, ENTITIES)
   return sim, sensors
 
 
-def test_every_sensor_type_equals_the_same_sensor_in_mjcf() -> None:
-  cfgs = [BuiltinSensorCfg(sensor_type=kind, obj=obj, ref=relative) for kind, obj, relative, _ in OBJECTS]
-  sim, sensors = build(*cfgs)
-  elements = "".join(f'<{kind} name="{i}" {attributes}/>' for i, (kind, *_, attributes) in enumerate(OBJECTS))
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_every_sensor_type_equals_the_same_sensor_in_mjcf(engine: Any) -> None:
+  cfgs = [
+    BuiltinSensorCfg(sensor_type=kind, obj=obj, ref=relative, cutoff=CUTOFF.get(kind, 0.0))
+    for kind, obj, relative, _ in OBJECTS
+  ]
+  sim, sensors = build(*cfgs, engine=engine)
+  elements = "".join(
+    f'<{kind} name="{i}" cutoff="{CUTOFF.get(kind, 0)}" {attributes}/>'
+    for i, (kind, *_, attributes) in enumerate(OBJECTS)
+  )
   model = scene(elements.replace("robot/", "")).compile()
   model.opt.integrator = sim.mj_model.opt.integrator
   data = mujoco.MjData(model)
   velocity = torch.linspace(-1.0, 1.0, model.nv, dtype=sim.dtype)
+  velocity[-6:] = 0.0  # The finger stays on its pad.
   sim.data.qvel[:] = velocity
   sim.data.ctrl[:] = 0.5
+  # Beyond the limits of joint and tendon.
+  sim.data.qpos[:, 7:9] = 1.2
+  data.qpos[7:9] = 1.2
   data.qvel[:], data.ctrl[:] = velocity.numpy(), 0.5
-  for _ in range(20):
+  for _ in range(3):
     sim.step()
     mujoco.mj_step(model, data)
   stepped = data.sensordata.copy()
@@ -118,7 +159,102 @@ def test_every_sensor_type_equals_the_same_sensor_in_mjcf() -> None:
     late = element.needstage[0] == mujoco.mjtStage.mjSTAGE_ACC
     expected = torch.from_numpy((stepped if late else data.sensordata)[columns].copy())
     assert sensor.dim == len(expected)
-    torch.testing.assert_close(sensor.data, expected.expand(2, -1), rtol=1e-9, atol=1e-9, msg=kind)
+    tolerance = 1e-9 if engine == "native" else 2e-3 * max(1.0, float(expected.abs().max()))
+    torch.testing.assert_close(sensor.data.double(), expected.expand(2, -1), rtol=0, atol=tolerance, msg=kind)
+    assert expected.any(), f"{kind} reads nothing, which would tell nothing"
+
+
+def test_the_table_has_every_type_of_mujoco_and_is_right_about_each() -> None:
+  assert {kind.enum for kind in NATIVE_TYPES.values()} == set(mujoco.mjtSensor.__members__.values())
+  assert len(NATIVE_TYPES) == len(mujoco.mjtSensor.__members__)
+  declared = {name for name, kind in NATIVE_TYPES.items() if kind.declared_by == "BuiltinSensorCfg"}
+  assert declared == set(get_args(SensorType)) == {name for name, *_ in OBJECTS}
+  assert set(NATIVE_TYPES) - declared == {"contact", "plugin", "user"}
+  stages = {"position": "POS", "velocity": "VEL", "acceleration": "ACC"}
+  sim, sensors = build(
+    *[BuiltinSensorCfg(sensor_type=name, obj=obj, ref=relative) for name, obj, relative, _ in OBJECTS]
+  )
+  model = sim.mj_model
+  for sensor, (name, *_) in zip(sensors, OBJECTS, strict=True):
+    kind, index = NATIVE_TYPES[name], model.sensor(sensor.name).id
+    assert model.sensor_type[index] == kind.enum
+    assert model.sensor_needstage[index] == getattr(mujoco.mjtStage, f"mjSTAGE_{stages[kind.stage]}"), name
+    if kind.dim is not None:
+      assert model.sensor_dim[index] == kind.dim, name
+
+
+def test_readings_turn_with_the_world_as_their_frame_says() -> None:
+  readings = []
+  for angle in (0.0, np.pi / 2):
+    spec = scene()
+    # The whole world turned about the vertical, which neither gravity nor a plane notices.
+    turned = mujoco.MjSpec()
+    turned.option.magnetic = Rotation.from_euler("z", angle).apply(turned.option.magnetic)
+    turned.attach(spec, prefix="", frame=turned.worldbody.add_frame(quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]))
+    sensors = []
+    for number, (kind, obj, relative, _) in enumerate(OBJECTS):
+      # Without a reference, where that can be: then its frame is the world's.
+      keeps = NATIVE_TYPES[kind].needs_reference
+      sensors.append(
+        BuiltinSensorCfg(
+          sensor_type=kind, obj=obj, ref=relative if keeps else None, cutoff=CUTOFF.get(kind, 0.0)
+        ).build(f"s{number}")
+      )
+      sensors[-1].edit_spec(turned, ENTITIES)
+    sim = Simulation(1, turned, SimulationCfg(num_threads=1))
+    for sensor in sensors:
+      sensor.initialize(sim, ENTITIES)
+    velocity = torch.linspace(-1.0, 1.0, sim.mj_model.nv, dtype=sim.dtype)
+    for joint in range(sim.mj_model.njnt):
+      if sim.mj_model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        first = sim.mj_model.jnt_dofadr[joint]
+        velocity[first : first + 3] = torch.from_numpy(
+          Rotation.from_euler("z", angle).apply(velocity[first : first + 3].numpy())
+        )
+    sim.data.qvel[:], sim.data.ctrl[:] = velocity, 0.5
+    for _ in range(5):
+      sim.step()
+    readings.append([sensor.data[0].clone().numpy() for sensor in sensors])
+  turn = Rotation.from_euler("z", np.pi / 2)
+  for (name, *_), before, after in zip(OBJECTS, *readings, strict=True):
+    kind = NATIVE_TYPES[name]
+    if kind.frame in ("world", "reference") and len(before) % 3 == 0:
+      expected = turn.apply(before.reshape(-1, 3)).ravel()
+      assert not np.allclose(before, after, atol=1e-9) or np.allclose(expected, before, atol=1e-9), name
+    elif kind.frame == "reference":
+      expected = (turn * Rotation.from_quat(before, scalar_first=True)).as_quat(scalar_first=True)
+      expected *= np.sign(expected @ after)
+    else:
+      expected = before
+    np.testing.assert_allclose(after, expected, atol=1e-9, err_msg=name)
+
+
+def test_a_rangefinder_tells_what_it_is_asked_for() -> None:
+  fields: Any = ("dist", "origin", "point", "depth")
+  _, (sensor,) = build(BuiltinSensorCfg(sensor_type="rangefinder", obj=ref("camera", "watch"), ray_data=fields))
+  rays = sensor.data[0].unflatten(0, (12, 8))
+  distance, origin, point, depth = rays[:, 0], rays[:, 1:4], rays[:, 4:7], rays[:, 7]
+  hit = distance > 0
+  assert hit.any()
+  assert not hit.all()
+  torch.testing.assert_close((point - origin).norm(dim=1)[hit], distance[hit])
+  # The camera looks along y.
+  torch.testing.assert_close(depth[hit], (point - origin)[hit][:, 1])
+  assert (depth[~hit] == -1).all()
+
+
+def test_enclosed_tells_how_far_something_reaches_out() -> None:
+  cfg = BuiltinSensorCfg(sensor_type="insidesite", obj=ref("geom", "shell"), ref=ref("site", "zone"), enclosed=True)
+  sim, (sensor,) = build(cfg)
+  # A box of half height 0.3 in one of 0.4 around the same height, 0.2 wide along y in 0.3.
+  assert sensor.data[0].item() == pytest.approx(-0.1)
+  sim.data.qpos[0, 2] += 0.25
+  assert sensor.data[0].item() == pytest.approx(0.15)
+
+
+def test_what_only_an_mjcf_can_declare_is_read_as_it_is() -> None:
+  _, (sensor,) = build(BuiltinSensorCfg(element="robot/mine"), elements='<user name="mine" dim="3"/>')
+  assert sensor.data.shape == (2, 3)
 
 
 def test_an_existing_element_is_wrapped_by_its_full_name() -> None:
@@ -170,7 +306,14 @@ def test_cutoff_clamps_the_reading() -> None:
     ({"sensor_type": "clock", "obj": IMU}, r"takes none as `obj`"),
     ({"sensor_type": "framepos", "obj": ELBOW}, r"takes a body or xbody or geom or site or camera as `obj`"),
     ({"sensor_type": "gyro", "obj": IMU, "cutoff": -1.0}, r"cutoff must be"),
-    ({"element": "robot/imu_gyro", "sensor_type": "gyro"}, r"leave sensor_type"),
+    ({"element": "robot/imu_gyro", "sensor_type": "gyro", "enclosed": True}, r"leave sensor_type, enclosed out"),
+    ({"sensor_type": "distance", "obj": ref("geom", "rod")}, r"a distance sensor needs a geom or body as `ref`"),
+    ({"sensor_type": "contact", "obj": BASE}, r"a contact sensor cannot be declared here; .* by ContactSensorCfg"),
+    ({"sensor_type": "user"}, r"a user sensor cannot be declared here; only an MJCF can declare it"),
+    ({"sensor_type": "rangefinder", "obj": IMU, "ray_data": ("dist", "pnt")}, r"ray_data 'pnt' does not exist. Nea"),
+    ({"sensor_type": "rangefinder", "obj": IMU, "ray_data": ("point", "dist")}, r"must keep the order"),
+    ({"sensor_type": "gyro", "obj": IMU, "ray_data": ("point",)}, r"is a rangefinder's, not a gyro"),
+    ({"sensor_type": "gyro", "obj": IMU, "enclosed": True}, r"enclosed is for insidesite, not for a gyro"),
   ],
 )
 def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:

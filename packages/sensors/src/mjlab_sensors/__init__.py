@@ -4,6 +4,7 @@ from mjlab_sensors.builtin import BuiltinSensor, BuiltinSensorCfg, ObjRef, Senso
 from mjlab_sensors.camera import CameraData, CameraSensor, CameraSensorCfg
 from mjlab_sensors.contact import ContactData, ContactMatch, ContactSensor, ContactSensorCfg
 from mjlab_sensors.frames import FrameMatch
+from mjlab_sensors.native_types import NATIVE_TYPES, NativeType
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg, RingPatternCfg
 from mjlab_sensors.pinhole import PinholeCameraPatternCfg
 from mjlab_sensors.ray_cast import RayCastData, RayCastSensor, RayCastSensorCfg
@@ -11,6 +12,7 @@ from mjlab_sensors.sensor import Sensor, SensorCfg
 from mjlab_sensors.terrain_height import TerrainHeightData, TerrainHeightSensor, TerrainHeightSensorCfg
 
 __all__ = [
+  "NATIVE_TYPES",
   "BuiltinSensor",
   "BuiltinSensorCfg",
   "CameraData",
@@ -22,6 +24,7 @@ __all__ = [
   "ContactSensorCfg",
   "FrameMatch",
   "GridPatternCfg",
+  "NativeType",
   "ObjRef",
   "PinholeCameraPatternCfg",
   "RayCastData",

@@ -14,6 +14,7 @@ _ELEMENTS: dict[str, Callable[[mujoco.MjSpec], Iterable[Any]]] = {
   "actuator": lambda spec: spec.actuators,
   "tendon": lambda spec: spec.tendons,
   "camera": lambda spec: spec.cameras,
+  "mesh": lambda spec: spec.meshes,
   "sensor": lambda spec: spec.sensors,
 }
 

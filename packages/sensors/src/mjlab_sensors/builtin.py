@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import torch
 from mjlab_core import NameMatchError, unknown
 
 from mjlab_sensors._elements import find_element, names_of
+from mjlab_sensors.native_types import NATIVE_TYPES
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
-ObjKind = Literal["body", "xbody", "joint", "geom", "site", "actuator", "tendon", "camera"]
+ObjKind = Literal["body", "xbody", "joint", "geom", "site", "actuator", "tendon", "camera", "mesh"]
 
 SensorType = Literal[
   "accelerometer",
@@ -59,44 +60,18 @@ SensorType = Literal[
   "e_potential",
   "e_kinetic",
   "clock",
+  "camprojection",
+  "insidesite",
+  "distance",
+  "normal",
+  "fromto",
+  "tactile",
 ]
 
 
-class _Kind(NamedTuple):
-  objects: tuple[str, ...]
-  """What it can be attached to; nothing for a sensor of the whole world."""
-  references: tuple[str, ...] = ()
-  """What it can be measured relative to."""
-  enum: str = ""
-  """Name in `mujoco.mjtSensor` where it differs from the sensor's name."""
-
-
-# A rangefinder may report more than the distance; this bit asks for that alone.
-_DISTANCE = 1 << mujoco.mjtRayDataField.mjRAYDATA_DIST.value
-_FRAMES = ("body", "xbody", "geom", "site", "camera")
-
-
-def _kind(sensor_type: str) -> _Kind:
-  match sensor_type:
-    case "accelerometer" | "velocimeter" | "gyro" | "force" | "torque" | "touch" | "magnetometer" | "rangefinder":
-      return _Kind(("site",))
-    case "jointactuatorfrc":
-      return _Kind(("joint",), enum="JOINTACTFRC")
-    case "tendonactuatorfrc":
-      return _Kind(("tendon",), enum="TENDONACTFRC")
-    case "framelinacc" | "frameangacc":
-      return _Kind(_FRAMES)
-    case "e_potential" | "e_kinetic" | "clock":
-      return _Kind(())
-  if sensor_type.startswith(("joint", "ball")):
-    return _Kind(("joint",))
-  if sensor_type.startswith("tendon"):
-    return _Kind(("tendon",))
-  if sensor_type.startswith("actuator"):
-    return _Kind(("actuator",))
-  if sensor_type.startswith("subtree"):
-    return _Kind(("body",))
-  return _Kind(_FRAMES, _FRAMES)
+RayDataField = Literal["dist", "dir", "origin", "point", "normal", "depth"]
+# In the order in which MuJoCo lays them out for each ray.
+_RAY_FIELDS: tuple[str, ...] = get_args(RayDataField)
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -129,28 +104,50 @@ class BuiltinSensorCfg(SensorCfg):
   obj: ObjRef | None = None
   """What a new sensor is attached to."""
   ref: ObjRef | None = None
-  """Frame that a frame sensor is measured in; without one, the world."""
+  """What a new sensor is measured relative to: the frame of a frame sensor, which without one is the world's; the other
+  side of a distance; the camera of a projection; the site that something is inside of; the geom that carries a mesh of
+  taxels."""
   cutoff: float = 0.0
-  """Readings are clamped to this magnitude, in the sensor's own unit; 0 for no limit."""
+  """Readings are clamped to this magnitude, in the sensor's own unit; 0 for no limit. Of "distance", "normal" and
+  "fromto" it is how far they see [m]; 0 sees penetration only."""
+  ray_data: tuple[RayDataField, ...] = ("dist",)
+  """What a rangefinder tells of each of its rays, one after the other in this order: distance [m], -1 where nothing is
+  hit; direction; origin, hit point and normal in the world frame [m]; depth along the axis of a camera [m]."""
+  enclosed: bool = False
+  """Let "insidesite" tell how far an object reaches out of the site [m] instead of whether its frame is inside."""
 
   def validate(self) -> None:
     if self.element is not None:
-      if self.sensor_type is not None or self.obj is not None or self.ref is not None or self.cutoff:
-        raise ValueError(f"{self.label}: `element` wraps a sensor as it is; leave sensor_type, obj, ref and cutoff out")
+      others = [field for field in fields(self) if field.name not in ("name", "element")]
+      if given := [field.name for field in others if getattr(self, field.name) != field.default]:
+        raise ValueError(f"{self.label}: `element` wraps a sensor as it is; leave {', '.join(given)} out")
       return
     if self.sensor_type is None:
       raise ValueError(f"{self.label}: give `element`, a sensor that the scene has, or `sensor_type` for a new one")
-    if self.sensor_type not in get_args(SensorType):
+    kind = NATIVE_TYPES.get(self.sensor_type)
+    if kind is None:
       raise ValueError(unknown("sensor type", self.sensor_type, get_args(SensorType), self.label))
-    kind = _kind(self.sensor_type)
+    if kind.declared_by != BuiltinSensorCfg.__name__:
+      instead = f"it is declared by {kind.declared_by}" if kind.declared_by else "only an MJCF can declare it"
+      raise ValueError(f"{self.label}: a {self.sensor_type} sensor cannot be declared here; {instead}")
     for field, ref, allowed in (("obj", self.obj, kind.objects), ("ref", self.ref, kind.references)):
       if ref is not None and ref.type not in allowed:
         takes = f"takes a {' or '.join(allowed)}" if allowed else "takes none"
         raise ValueError(f"{self.label}: a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}")
-    if kind.objects and self.obj is None:
-      raise ValueError(f"{self.label}: a {self.sensor_type} sensor needs a {' or '.join(kind.objects)} as `obj`")
-    if self.cutoff < 0.0:
+      if ref is None and allowed and (field == "obj" or kind.needs_reference):
+        raise ValueError(f"{self.label}: a {self.sensor_type} sensor needs a {' or '.join(allowed)} as `{field}`")
+    if not self.cutoff >= 0.0:
       raise ValueError(f"{self.label}: cutoff must be 0 (none) or positive, not {self.cutoff}")
+    if self.sensor_type == "rangefinder":
+      for name in self.ray_data:
+        if name not in _RAY_FIELDS:
+          raise ValueError(unknown("ray_data", name, _RAY_FIELDS, self.label))
+      if list(self.ray_data) != [name for name in _RAY_FIELDS if name in self.ray_data] or not self.ray_data:
+        raise ValueError(f"{self.label}: ray_data must keep the order {_RAY_FIELDS}, but is {self.ray_data}")
+    elif self.ray_data != ("dist",):
+      raise ValueError(f"{self.label}: ray_data is a rangefinder's, not a {self.sensor_type} sensor's")
+    if self.enclosed and self.sensor_type != "insidesite":
+      raise ValueError(f"{self.label}: enclosed is for insidesite, not for a {self.sensor_type} sensor")
 
   def _make(self, name: str) -> BuiltinSensor:
     return BuiltinSensor(name, self)
@@ -159,6 +156,7 @@ class BuiltinSensorCfg(SensorCfg):
 class BuiltinSensor(Sensor[torch.Tensor]):
   """A sensor computed by MuJoCo; `data` are its columns of the simulation's sensordata, (num_envs, dim).
 
+  Frame and unit of each type are in `NATIVE_TYPES`. Noise and delay are the observation manager's.
   What depends on positions and velocities describes the present state. What depends on accelerations and forces
   (accelerometer, force, torque, touch, actuator forces of joints, frame accelerations) describes the substep
   just done, and is zero in worlds just reset.
@@ -188,10 +186,11 @@ class BuiltinSensor(Sensor[torch.Tensor]):
         f"{self.label}: the scene already has a sensor element of this name; "
         f"use BuiltinSensorCfg(element={self._element!r}), or another name"
       )
-    enum = _kind(cfg.sensor_type).enum or cfg.sensor_type.upper()
-    sensor = spec.add_sensor(name=self._element, type=getattr(mujoco.mjtSensor, f"mjSENS_{enum}"), cutoff=cfg.cutoff)
+    sensor = spec.add_sensor(name=self._element, type=NATIVE_TYPES[cfg.sensor_type].enum, cutoff=cfg.cutoff)
     if cfg.sensor_type == "rangefinder":
-      sensor.intprm[0] = _DISTANCE
+      sensor.intprm[0] = sum(1 << _RAY_FIELDS.index(name) for name in cfg.ray_data)
+    elif cfg.enclosed:
+      sensor.intprm[0] = 1
     if cfg.obj is not None:
       sensor.objtype = getattr(mujoco.mjtObj, f"mjOBJ_{cfg.obj.type.upper()}")
       sensor.objname = cfg.obj.resolve(spec, entities, self.label)
