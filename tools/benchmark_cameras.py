@@ -3,7 +3,8 @@
   python tools/benchmark_cameras.py --num-envs 512 4096 --device cuda --output docs/benchmarks
 
 A Go1 with a camera on its head, on a plane or among blocks (`--ground blocks`). Each row is a step graph: physics
-alone, then physics and one reading. What a reading adds is the time of its image.
+alone, then physics and one reading. What a reading adds is the time of its image. "rays" is a ray-cast sensor through
+the same pixels, which measures the same distances.
 """
 
 import argparse
@@ -15,13 +16,12 @@ import torch
 from benchmark_step import heading, timed
 from mjlab_robots import go1
 from mjlab_scene import Scene, SceneCfg
-from mjlab_sensors import CameraSensorCfg
+from mjlab_sensors import CameraSensorCfg, FrameMatch, PinholeCameraPatternCfg, RayCastSensorCfg, SensorCfg
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_terrain import PlaneCfg, RandomGridCfg, TerrainGridCfg
 
 # What is read after the step, by the name of its row.
-IMAGES: dict[str, dict[str, Any] | None] = {
-  "nothing": None,
+IMAGES: dict[str, dict[str, Any]] = {
   "depth": {"data_types": ("depth",)},
   "rgb": {"data_types": ("rgb",)},
   "rgb, shadows": {"data_types": ("rgb",), "use_shadows": True},
@@ -50,22 +50,26 @@ def main() -> None:
 
 
 def measure(num_envs: int, device: str, ground: str, size: int, steps: int, repeats: int) -> list[dict[str, Any]]:
-  """One row for each entry of `IMAGES`: milliseconds of a physics step with its reading, and what the reading adds."""
-  sensors = {
+  """A row for physics alone and one for each sensor: milliseconds of a step with its reading, and what that adds."""
+  sensors: dict[str, SensorCfg] = {
     name: CameraSensorCfg(
       body="robot/trunk", pos=(0.3, 0.0, 0.08), quat=(0.58, 0.41, -0.41, -0.58), width=size, height=size, **fields
     )
     for name, fields in IMAGES.items()
-    if fields is not None
   }
+  sensors["rays"] = RayCastSensorCfg(
+    frames=FrameMatch(type="camera", pattern="depth"),
+    pattern=PinholeCameraPatternCfg.from_mujoco_camera("depth"),
+    max_distance=100.0,
+  )
   blocks = TerrainGridCfg(rows=5, columns=5, border_width=5.0, types={"blocks": RandomGridCfg()})
   terrain = PlaneCfg() if ground == "plane" else blocks
   entities = {"robot": go1()}
-  scene = Scene(SceneCfg(num_envs=num_envs, terrain=terrain, entities=entities, sensors={**sensors}))
+  scene = Scene(SceneCfg(num_envs=num_envs, terrain=terrain, entities=entities, sensors=sensors))
   sim = Simulation(num_envs, scene.spec, SimulationCfg(timestep=0.005, nconmax=60, njmax=200), device)
   scene.initialize(sim)
   rows: list[dict[str, Any]] = []
-  for name in IMAGES:
+  for name in ("nothing", *sensors):
 
     def step(name: str = name) -> None:
       scene.write_ctrl()
