@@ -371,6 +371,10 @@ def test_cameras_and_shapes_are_those_of_each_world(engine: str) -> None:
   sim.model.cam_fovy[:, number] = 2.0
   sim.model.geom_size[:, ball, 0] = torch.tensor([0.2, 0.7, 1.1], dtype=sim.dtype)
   torch.testing.assert_close(sensor.data.depth.amin((1, 2, 3)), torch.tensor([1.5, 1.0, 0.6]), atol=1e-3, rtol=0.0)
+  # So does it where geoms are that never move by themselves.
+  sim.expand_model_fields(["geom_pos"])
+  sim.model.geom_pos[:, ball, 2] += torch.tensor([0.0, 0.1, 0.3], dtype=sim.dtype)
+  torch.testing.assert_close(sensor.data.depth.amin((1, 2, 3)), torch.tensor([1.5, 0.9, 0.3]), atol=1e-3, rtol=0.0)
 
 
 def test_images_are_drawn_when_first_asked_for_and_once_a_state(

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,25 +22,24 @@ _PER_VIEW = ("cam_res", "cam_id_map", "rgb_adr", "depth_adr", "seg_adr", "render
 Run = Callable[[str, Callable[[], None]], None]
 
 
+@dataclass
 class Stage:
-  """What is drawn: a model and the poses of its parts in every world, on a device of Warp's.
+  """What is drawn: a model and the poses of its parts in every world."""
 
-  Args:
-    model: The compiled model.
-    num_envs: Number of worlds.
-    m: MuJoCo Warp's model. Its arrays may be replaced, when a field is expanded.
-    d: Holds the poses, under the names that MuJoCo Warp's data have.
-    device: Where arrays live.
-    run: Runs launches under a name; it may record and replay them.
-    refresh: Brings `m` and `d` up to date.
-  """
+  model: mujoco.MjModel
+  num_envs: int
+  m: Any
+  """MuJoCo Warp's model. Its arrays may be replaced, when a field is expanded."""
+  d: Any
+  """Holds the poses, under the names that MuJoCo Warp's data have."""
+  device: Any
+  """Warp's device."""
+  run: Run
+  """Runs launches under a name, by which they may be recorded and replayed."""
+  refresh: Callable[[], None]
+  """Brings `m` and `d` up to date."""
 
-  def __init__(
-    self, model: mujoco.MjModel, num_envs: int, m: Any, d: Any, device: Any, run: Run, refresh: Callable[[], None]
-  ) -> None:
-    self.model, self.num_envs, self.m, self.d, self.device, self.run, self.refresh = (
-      *(model, num_envs, m, d, device, run, refresh),
-    )
+  def __post_init__(self) -> None:
     self._scenes: dict[Look, _Scene] = {}
 
   def renderer(self, view: View) -> "WarpRenderer":
@@ -125,14 +124,13 @@ class WarpRenderer:
     worlds, pixels = stage.num_envs, view.width * view.height
     with wp.ScopedDevice(stage.device):
 
-      def image(*kinds: str, channels: int, dtype: Any, value: int) -> Any:
-        wanted = any(kind in view.data_types for kind in kinds)
-        return wp.full((worlds, channels, pixels if wanted else 0), value, dtype=dtype)
+      def image(kind: str, channels: int, dtype: Any, value: int) -> Any:
+        return wp.full((worlds, channels, pixels if kind in view.data_types else 0), value, dtype=dtype)
 
-      self._rgb = image("rgb", channels=3, dtype=wp.uint8, value=0)
-      self._depth = image("depth", channels=1, dtype=wp.float32, value=-1)
-      self._distance = image("distance", channels=1, dtype=wp.float32, value=-1)
-      self._segmentation = image("segmentation", channels=2, dtype=wp.int32, value=-1)
+      self._rgb = image("rgb", 3, wp.uint8, 0)
+      self._depth = image("depth", 1, wp.float32, -1)
+      self._distance = image("distance", 1, wp.float32, -1)
+      self._segmentation = image("segmentation", 2, wp.int32, -1)
       self._is_due: Any = wp.ones(worlds, dtype=wp.bool)
       # Poses of cameras in the worlds that are due. In the others they look away, which costs next to nothing.
       self._cam_xpos: Any = wp.zeros((worlds, stage.model.ncam), dtype=wp.vec3)
