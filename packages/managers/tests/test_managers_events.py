@@ -37,6 +37,23 @@ def test_each_mode_fires_its_own_terms_where_it_is_told(env):
   assert (startup.masks, reset.masks, step.masks) == ([[True] * 4], [[False, True, False, False]], [])
 
 
+def test_one_term_can_be_fired_whatever_its_mode_says(env):
+  push, other = Fired(), Fired()
+  manager = EventManager(
+    {
+      "push": EventTermCfg(push, mode="interval", interval_range_s=(5.0, 10.0)),
+      "other": EventTermCfg(other, mode="interval", interval_range_s=(5.0, 10.0)),
+    },
+    env,
+  )
+  manager.fire("push")
+  manager.fire("push", env.mask(2))
+  assert push.masks == [[True] * 4, [False, False, True, False]]
+  assert other.masks == []
+  with pytest.raises(KeyError, match="Nearest: push"):
+    manager.fire("pusch")
+
+
 def test_the_mean_time_between_firings_is_the_middle_of_the_range(make_env):
   env = make_env(256)
   fired = Fired()

@@ -143,6 +143,19 @@ class EventManager(ManagerBase[EventTermCfg]):
       fired = self._allowed(mask)
     else:
       fired = {}
+    self._fire(terms, mask, fired)
+
+  def fire(self, name: str, mask: torch.Tensor | None = None) -> None:
+    """Fires one term now, whatever its mode and timers say; outside of a step.
+
+    Raises:
+      KeyError: no such term.
+    """
+    term = self._lookup({term.name: term for term in self._all_terms()}, name)
+    self._fire([term], self._everyone if mask is None else mask, {})
+
+  def _fire(self, terms: list[Term], mask: torch.Tensor, fired: dict[str, torch.Tensor]) -> None:
+    """Calls terms on the worlds where each is due, `mask` unless `fired` says otherwise."""
     derived: list[torch.Tensor] = []
     for term in terms:
       where = fired.get(term.name, mask)

@@ -14,6 +14,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   # name: module, arguments, what it does
   "train": ("_train", "TASK [flags]", "train a policy"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
+  "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
   "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
   "fit-actuator": ("_fit_actuator", "RECORDS", "learn a motor from a CSV of commands and responses"),
 }
@@ -63,6 +64,7 @@ def _run(name: str, arguments: list[str]) -> int:
 
 train = _command("train")
 list_envs = _command("list-envs")
+inspect_dr = _command("inspect-dr")
 viz_nan = _command("viz-nan")
 fit_actuator = _command("fit-actuator")
 

@@ -1,0 +1,194 @@
+"""`inspect-dr TASK [flags]`: what the events of a task do, as a table and a picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core import unknown
+
+from mjlab.cli._errors import BuildError, UsageError
+from mjlab.registry import list_tasks
+
+if TYPE_CHECKING:
+  from mjlab.inspection import EventReport, InertiaReport
+
+_HELP = """\
+usage: inspect-dr TASK [flags]
+
+Fires every event of TASK once in many worlds and shows what was drawn beside what was asked for, the state that each
+event changes, and the total mass. Says so in capitals where an event does nothing, or not what was asked.
+
+flags:
+  --num-envs N   worlds to draw in (512)
+  --device NAME  cpu, cuda:0, or auto for a GPU where there is one (cpu)
+  --seed N       seed of the draws (0)
+  --png FILE     also draw distributions, total mass and inertia ellipsoids; needs matplotlib
+"""
+_OPTIONS = ("--num-envs", "--device", "--seed", "--png")
+
+
+def run(arguments: list[str]) -> int:
+  """Inspect one task; returns 1 if an event does nothing, or not what was asked."""
+  if "-h" in arguments or "--help" in arguments:
+    print(_HELP, end="")
+    return 0
+  if not arguments or arguments[0].startswith("-"):
+    raise UsageError("the task comes first. usage: inspect-dr TASK [flags]; list-envs lists the tasks.")
+  task, options = arguments[0], _options(arguments[1:])
+  if task not in list_tasks():
+    raise UsageError(unknown("task", task, list_tasks()))
+  picture = Path(options["--png"]) if "--png" in options else None
+  if picture is not None:
+    _check_picture(picture)
+
+  from mjlab import making
+  from mjlab.inspection import inspect_events, inspect_inertia, table
+  from mjlab.registry import load_task
+
+  making.share_cores()
+  device = making.resolve_device(options.get("--device", "cpu"))
+  loaded = load_task(task)
+  loaded.env.scene.num_envs = _number(options, "--num-envs", 512, least=2)
+  loaded.env.seed = _number(options, "--seed", 0, least=0)
+  try:
+    env = (loaded.make_env or making.standard_env)(loaded.env, device=device)
+  except (ValueError, OSError) as error:
+    raise BuildError(str(error)) from error
+  try:
+    env.reset()
+    reports, inertia = inspect_events(env), None
+    inertia = inspect_inertia(env)
+    print(f"{task}: {env.num_envs} worlds on {device}, one draw each")
+    print(table(reports, inertia))
+    if picture is not None:
+      draw(reports, inertia, task, picture)
+      print(f"wrote {picture}")
+  finally:
+    env.close()
+  wrong = any(axis.verdict != "as asked" for report in reports for axis in report.axes)
+  return 1 if wrong else 0
+
+
+def _options(words: list[str]) -> dict[str, str]:
+  found: dict[str, str] = {}
+  words = [part for word in words for part in (word.split("=", 1) if word.startswith("--") else [word])]
+  while words:
+    name = words.pop(0)
+    if name not in _OPTIONS:
+      raise UsageError(unknown("option", name, _OPTIONS, owner="inspect-dr"))
+    if not words or words[0].startswith("--"):
+      raise UsageError(f"{name} needs a value")
+    found[name] = words.pop(0)
+  return found
+
+
+def _number(options: dict[str, str], name: str, otherwise: int, *, least: int) -> int:
+  given = options.get(name, str(otherwise)).replace("_", "")
+  if not given.isdecimal() or int(given) < least:
+    raise UsageError(f"{name} needs a whole number from {least}, got '{options[name]}'")
+  return int(given)
+
+
+def _check_picture(path: Path) -> None:
+  import importlib.util
+
+  if importlib.util.find_spec("matplotlib") is None:
+    raise UsageError("--png needs matplotlib: uv pip install matplotlib")
+  if path.suffix.lower() != ".png":
+    raise UsageError(f"--png: {path} does not end in .png")
+  if path.exists():
+    raise UsageError(f"--png: {path} exists; nothing is overwritten")
+  if not path.absolute().parent.is_dir():
+    raise UsageError(f"--png: there is no directory {path.absolute().parent}")
+
+
+def draw(reports: "list[EventReport]", inertia: "InertiaReport", title: str, path: Path) -> None:
+  """Draws a panel for every axis, every entity's mass, and every body whose inertia differs; at most 40."""
+  from matplotlib.backends.backend_agg import FigureCanvasAgg
+  from matplotlib.figure import Figure
+
+  axes = [(report, axis) for report in reports for axis in report.axes]
+  panels: list[Any] = [lambda panel, r=report, a=axis: _draw_axis(panel, r, a) for report, axis in axes]
+  panels += [lambda panel, n=name: _draw_mass(panel, n, inertia) for name in inertia.masses]
+  panels += [lambda panel, n=name: _draw_ellipsoids(panel, n, inertia) for name in inertia.bodies]
+  left_out = max(0, len(panels) - 40)
+  panels = panels[:40]
+  columns = min(5, max(1, len(panels)))
+  lines = -(-len(panels) // columns) or 1
+  figure = Figure(figsize=(3.4 * columns, 2.7 * lines + 0.5), layout="constrained")
+  FigureCanvasAgg(figure)
+  grid = figure.subplots(lines, columns, squeeze=False).ravel()
+  for panel, paint in zip(grid, panels, strict=False):
+    paint(panel)
+  for panel in grid[len(panels) :]:
+    panel.set_axis_off()
+  more = f" ({left_out} more panels left out)" if left_out else ""
+  figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
+  # Through a file of its own, so that a picture is there whole or not at all.
+  part = path.with_name(path.name + ".part")
+  figure.savefig(part, dpi=100, format="png")
+  part.replace(path)
+
+
+_BLUE, _GREY = "#1b6ca8", "#c9ced3"
+
+
+def _draw_axis(panel: Any, report: "EventReport", axis: Any) -> None:
+  import torch
+
+  generator = torch.Generator().manual_seed(0)
+  asked = axis.asked.sample((20_000,), generator=generator, device=torch.device("cpu"), dtype=torch.float64).numpy()
+  drawn = axis.drawn.double().cpu().numpy()
+  lo, hi = (
+    min(asked.min(), *drawn[:1], drawn.min(initial=asked.min())),
+    max(asked.max(), drawn.max(initial=asked.max())),
+  )
+  span = {"bins": 25, "range": (lo, hi if hi > lo else lo + 1e-9), "density": True}
+  panel.hist(asked, color=_GREY, **span)
+  if drawn.size:
+    panel.hist(drawn, color=_BLUE, histtype="step", linewidth=1.5, **span)
+  colour = "black" if axis.verdict == "as asked" else "#c0392b"
+  what = f"{axis.field} {axis.axis}".strip()
+  panel.set_title(f"{report.name} ({report.mode})\n{what}: {axis.verdict}", fontsize=8, color=colour)
+  panel.set_xlabel(
+    {"add": "added", "scale": "factor", "absolute": "value"}[axis.operation] + f" [{axis.unit}]", fontsize=8
+  )
+  _plain(panel)
+
+
+def _draw_mass(panel: Any, name: str, inertia: "InertiaReport") -> None:
+  mass = inertia.masses[name].double().cpu().numpy()
+  panel.hist(mass, bins=40, color=_BLUE)
+  panel.axvline(inertia.compiled[name], color="black", linestyle=":", linewidth=1)
+  panel.set_title(f"total mass of {name}", fontsize=8)
+  panel.set_xlabel("[kg]", fontsize=8)
+  _plain(panel)
+
+
+def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
+  """Ellipsoids of uniform density with a body's inertia, seen along y; the compiled one in black."""
+  import torch
+  from matplotlib.patches import Ellipse
+  from mjlab_core import matrix_from_quat
+
+  com, moments, quat = (part[:31].double().cpu() for part in inertia.bodies[name])
+  # Semi-axes squared are five times the second moments per mass.
+  squares = 5.0 * (0.5 * moments.sum(-1, keepdim=True) - moments).clamp_min(0.0)
+  axes = matrix_from_quat(quat)
+  shadow = ((axes * squares.unsqueeze(-2)) @ axes.mT)[:, [0, 2]][:, :, [0, 2]]
+  values, vectors = torch.linalg.eigh(shadow)
+  for i in reversed(range(len(com))):
+    angle = float(torch.rad2deg(torch.atan2(vectors[i, 1, 1], vectors[i, 0, 1])))
+    height, width = (2.0 * values[i].clamp_min(0.0).sqrt()).tolist()
+    style = {"edgecolor": _BLUE, "alpha": 0.35} if i else {"edgecolor": "black", "linewidth": 1.5}
+    panel.add_patch(Ellipse((float(com[i, 0]), float(com[i, 2])), width, height, angle=angle, fill=False, **style))
+  panel.autoscale_view()
+  panel.set_aspect("equal", adjustable="datalim")
+  panel.set_title(f"{name}: inertia ellipsoids, 30 worlds", fontsize=8)
+  panel.set_xlabel("x [m]; upwards z [m]", fontsize=8)
+  panel.tick_params(labelsize=7)
+
+
+def _plain(panel: Any) -> None:
+  panel.set_yticks([])
+  panel.tick_params(labelsize=7)
+  panel.spines[["top", "right", "left"]].set_visible(False)

@@ -1,0 +1,173 @@
+"""What the events of an environment do, measured: each fired once in many worlds and held against what was asked."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import torch
+from mjlab_dr import FIELDS, Distribution, RandomizeField, agreement, drawn_values
+from mjlab_envs import mdp
+
+if TYPE_CHECKING:
+  from mjlab_envs import ManagerBasedRlEnv
+
+_STATE = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "qfrc_applied", "mocap_pos", "mocap_quat", "eq_active")
+_UNLIKELY = 1e-4
+
+
+@dataclass(kw_only=True)
+class AxisReport:
+  """One axis of one randomised field, all of its elements together."""
+
+  field: str
+  axis: str
+  unit: str
+  elements: tuple[str, ...]
+  operation: str
+  asked: Distribution
+  drawn: torch.Tensor
+  """What was drawn, finite values only, (number of draws,)."""
+  probability: float
+  """How likely draws like these are if they follow `asked`."""
+  values: torch.Tensor
+  """What was written for this axis, (num_envs, number of elements)."""
+
+  @property
+  def verdict(self) -> str:
+    """In words: as asked, or what is wrong."""
+    lo, hi = self.asked.support()
+    if self.values.numel() and not (self.values - self.values[:1]).any() and lo != hi:
+      return "NOTHING DIFFERS"
+    return "as asked" if self.probability > _UNLIKELY else "NOT AS ASKED"
+
+
+@dataclass(kw_only=True)
+class EventReport:
+  """What one event did."""
+
+  name: str
+  mode: str
+  axes: list[AxisReport] = field(default_factory=list)
+  changed: dict[str, int] = field(default_factory=dict)
+  """Of an event that randomises no field: how many numbers of each state field it changed."""
+
+
+@dataclass(kw_only=True)
+class InertiaReport:
+  """Mass of every entity, and shape of the bodies whose inertia differs between worlds."""
+
+  masses: dict[str, torch.Tensor]
+  """Total mass by entity, (num_envs,) [kg]."""
+  compiled: dict[str, float]
+  """The same as compiled."""
+  bodies: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+  """Centre of mass, principal moments and axes by body, (num_envs + 1, 3 or 4); the first is as compiled."""
+
+
+def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
+  """Fires every event of an environment in all worlds, one after the other, at full strength.
+
+  The environment is used up by it: its state is whatever the events made of it.
+  """
+  reports = []
+  manager = env.event_manager
+  for name in manager.active_terms:
+    cfg = manager.get_term_cfg(name)
+    report = EventReport(name=name, mode=cfg.mode)
+    reports.append(report)
+    if isinstance(cfg.func, mdp.randomize):
+      term = cfg.func.field
+      if not FIELDS[term.cfg.field].integer:
+        term.strength.fill_(1.0)
+      manager.fire(name)
+      report.axes = _axes(term)
+      continue
+    before = {state: value.clone() for state in _STATE if (value := getattr(env.sim.data, state)).numel()}
+    manager.fire(name)
+    for state, old in before.items():
+      now = getattr(env.sim.data, state)
+      differs = (now != old).any(0).sum().item()
+      if differs:
+        report.changed[state] = int(differs)
+  return reports
+
+
+def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
+  """Masses and inertias of an environment's worlds as they are."""
+  sim = env.sim
+  report = InertiaReport(masses={}, compiled={}, bodies={})
+  fields = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+  default = {name: sim.default_field(name) for name in fields}
+  now = {name: sim.model[name].expand(env.num_envs, *default[name].shape[1:]) for name in fields}
+  for name, entity in env.scene.entities.items():
+    ids = entity.indexing.ids["body"].tolist()
+    mass = now["body_mass"][:, ids].sum(-1)
+    if not mass.any():
+      continue
+    report.masses[name], report.compiled[name] = mass, float(default["body_mass"][0, ids].sum())
+    for body, local in zip(ids, entity.indexing.names["body"], strict=True):
+      if any((now[part][:, body] != default[part][:, body]).any() for part in fields):
+        rows = [torch.cat([default[part][:, body], now[part][:, body]]) for part in fields]
+        mass, com, moments, quat = rows
+        report.bodies[f"{name}/{local}"] = com, moments / mass[:, None].clamp_min(1e-12), quat
+  return report
+
+
+def _axes(term: RandomizeField) -> list[AxisReport]:
+  cfg, info = term.cfg, FIELDS[term.cfg.field]
+  values, reports = term.values(), []
+  for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), cfg.values.items(), strict=True):
+    columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.field]
+    finite = drawn[drawn.isfinite()]
+    # One draw for all elements is one draw.
+    sample = drawn[:, :1] if cfg.shared else drawn
+    reports.append(
+      AxisReport(
+        field=cfg.field,
+        axis=name,
+        unit=info.unit_of(axis),
+        elements=tuple(term.element_names),
+        operation=cfg.operation,
+        asked=asked,
+        drawn=finite,
+        probability=agreement(sample, asked),
+        values=values[:, columns] if columns else values,
+      )
+    )
+  return reports
+
+
+def table(reports: list[EventReport], inertia: InertiaReport) -> str:
+  """The reports as text."""
+  head = ("event", "mode", "changes", "of", "asked", "drawn: least", "mean", "most", "verdict")
+  rows: list[tuple[str, ...]] = []
+  for report in reports:
+    lead = (report.name, report.mode)
+    if not report.axes:
+      what = ", ".join(f"{state} ({count})" for state, count in report.changed.items())
+      rows.append((*lead, what or "-", "", "", "", "", "", "" if what else "NO STATE CHANGED"))
+    for axis in report.axes:
+      drawn = axis.drawn.double()
+      numbers = [f"{x:.4g}" for x in (drawn.min(), drawn.mean(), drawn.max())] if drawn.numel() else ["-"] * 3
+      what = f"{axis.field} {axis.axis}".strip()
+      rows.append((*lead, what, _listed(axis.elements), _asked(axis), *numbers, axis.verdict))
+      lead = ("", "")
+  widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+  lines = [
+    "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in (head, *rows)
+  ]
+  for name, mass in inertia.masses.items():
+    lines.append(
+      f"total mass of {name}: {mass.min():.4g} to {mass.max():.4g} kg, mean {mass.mean():.4g}; "
+      f"as compiled {inertia.compiled[name]:.4g}"
+    )
+  return "\n".join(lines)
+
+
+def _asked(axis: AxisReport) -> str:
+  parameters: dict[str, Any] = getattr(axis.asked, "__dict__", {})
+  numbers = ", ".join(f"{value:g}" if isinstance(value, float | int) else str(value) for value in parameters.values())
+  return f"{axis.operation} {type(axis.asked).__name__}({numbers})"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+  return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

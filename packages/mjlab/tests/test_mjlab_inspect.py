@@ -1,0 +1,124 @@
+"""`inspect-dr`: what events do is measured, shown, and held against what was asked."""
+
+import importlib.util
+from pathlib import Path
+
+import mjlab
+import mjlab.registry as registry
+import mjlab_pendulum
+import pytest
+import torch
+from mjlab import cli
+from mjlab_dr import Custom, FieldRandomizer, body_mass, pseudo_inertia, randomize_field
+from mjlab_envs import mdp
+from mjlab_managers import EventTermCfg
+
+TASK = "Test-Randomised-Pendulum"
+
+
+def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> None:
+  def task():
+    cfg = mjlab_pendulum.pendulum()
+    cfg.env.events |= {
+      name: EventTermCfg(mdp.randomize, mode="reset", params={"randomizer": randomizer})
+      for name, randomizer in randomizers.items()
+    }
+    cfg.env.events["nothing"] = EventTermCfg(lambda env, mask: None, mode="step")
+    return cfg
+
+  monkeypatch.setattr(registry, "_registered", {})
+  mjlab.register_task(TASK, task)
+
+
+def inspect(*flags: str) -> int:
+  return cli.main(["inspect-dr", TASK, "--num-envs", "200", *flags])
+
+
+def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+  pytest.importorskip("matplotlib")
+  damping = randomize_field("dof_damping", "hinge", (0.5, 2.0), operation="scale", distribution="log_uniform")
+  offer(monkeypatch, inertia=pseudo_inertia("pole", scale=0.2), damping=damping)
+  picture = tmp_path / "events.png"
+  assert inspect("--png", str(picture)) == 0
+  shown = capsys.readouterr().out
+  rows = [line.split() for line in shown.splitlines()]
+  assert sum(row[-2:] == ["as", "asked"] for row in rows) == 8
+  (damping_row,) = [row for row in rows if row[0] == "damping"]
+  assert damping_row[1:5] == ["reset", "dof_damping", "hinge", "scale"]
+  least, mean, most = (float(cell) for cell in damping_row[-5:-2])
+  assert 0.5 <= least < 0.6 < mean < 1.9 < most <= 2.0
+  assert ["nothing", "step", "-", "NO", "STATE", "CHANGED"] in rows
+  assert "as compiled 0.2" in shown
+  assert picture.read_bytes().startswith(b"\x89PNG")
+  assert [path.name for path in tmp_path.iterdir()] == ["events.png"]
+
+
+def test_an_event_that_does_nothing_or_not_what_was_asked_is_said_in_capitals_and_by_the_exit_code(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  calls = []
+
+  def stuck(shape, *, generator, device, dtype) -> torch.Tensor:
+    calls.append(shape)
+    # Alike for all worlds of the environment, while many are asked for at once to compare with.
+    return torch.ones(shape, device=device, dtype=dtype) if len(shape) == 2 else torch.linspace(0.5, 1.5, shape[0])
+
+  offer(monkeypatch, mass=body_mass("pole", Custom(stuck, 0.5, 1.5), operation="scale"))
+  assert inspect() == 1
+  assert "NOTHING DIFFERS" in capsys.readouterr().out
+
+  def low(shape, *, generator, device, dtype) -> torch.Tensor:
+    draw = torch.rand(shape, generator=generator, device=device, dtype=dtype)
+    return 0.5 + (0.5 if len(shape) == 2 else 1.0) * draw
+
+  offer(monkeypatch, mass=body_mass("pole", Custom(low, 0.5, 1.5), operation="scale"))
+  assert inspect() == 1
+  assert "NOT AS ASKED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+  ("flags", "message"),
+  [
+    (["--num-env", "4"], "Nearest: --num-envs"),
+    (["--num-envs", "many"], "--num-envs needs a whole number from 2, got 'many'"),
+    (["--seed"], "--seed needs a value"),
+    (["--device", "tpu"], "device 'tpu' does not exist"),
+    (["--png", "picture.jpg"], "does not end in .png"),
+    (["--png", "nowhere/picture.png"], "there is no directory"),
+  ],
+)
+def test_a_mistake_is_one_line(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: list[str], message: str
+) -> None:
+  offer(monkeypatch)
+  assert inspect(*flags) in (1, 2)
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+
+
+def test_a_picture_overwrites_nothing_and_says_what_it_needs(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+  offer(monkeypatch)
+  mine = tmp_path / "mine.png"
+  mine.write_text("precious")
+  assert inspect("--png", str(mine)) == 2
+  assert "exists; nothing is overwritten" in capsys.readouterr().err
+  assert mine.read_text() == "precious"
+  find = importlib.util.find_spec
+  monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else find(name, *a))
+  assert inspect("--png", str(tmp_path / "new.png")) == 2
+  assert "--png needs matplotlib: uv pip install matplotlib" in capsys.readouterr().err
+
+
+def test_a_task_that_cannot_be_built_says_why_in_a_line(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  offer(monkeypatch, mass=body_mass("pol", (0.1, 0.2)))
+  assert inspect() == 1
+  assert "pattern 'pol' matches no body. Nearest: pole" in capsys.readouterr().err
+  assert cli.inspect_dr(["Test-Randomized-Pendulum"]) == 2
+  assert f"Nearest: {TASK}" in capsys.readouterr().err
