@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_robots import g1_spec
+from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec
 from mjlab_tracking.kinematics import Kinematics
 from mjlab_tracking.motion import Motion, load_motion
 from mjlab_tracking.quality import check_quality
@@ -37,6 +37,14 @@ def test_three_clips_ship_and_say_whose_they_are() -> None:
 def test_a_clip_that_ships_is_faultless(clip: Motion, robot: Kinematics) -> None:
   report = check_quality(clip, robot)
   assert report.severity == "ok", report.table()
+
+
+def test_a_clip_that_ships_is_within_soft_limits(clip: Motion, robot: Kinematics) -> None:
+  low, high = torch.from_numpy(robot.model.jnt_range[robot.joint_ids]).unbind(1)
+  inset = 0.5 * (1.0 - G1_SOFT_JOINT_POS_LIMIT_FACTOR) * (high - low)
+  joints = robot.columns_of(clip)
+  assert (joints > low + inset).all()
+  assert (joints < high - inset).all()
 
 
 def test_a_clip_that_ships_is_smooth(clip: Motion) -> None:

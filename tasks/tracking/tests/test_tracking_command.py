@@ -1,0 +1,281 @@
+"""The motion command: starts, frames, the end of a clip, and the reference laid over the robot."""
+
+import copy
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul, quat_yaw
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_managers import ConfigError
+from mjlab_tracking.g1 import BODIES
+from mjlab_tracking.library import shipped_clips
+from mjlab_tracking.mdp import MotionCommand
+from mjlab_tracking.motion import load_motion, save_motion
+from mjlab_tracking.timeline import resample
+from tracking_env import clips, command, make, still, without_failures, zeros
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  return clips(tmp_path_factory.mktemp("clips"))
+
+
+def frames(term: MotionCommand, clip: torch.Tensor, frame: torch.Tensor, column: str) -> torch.Tensor:
+  library = term.library
+  return library.table[library.offsets[clip] + frame][:, library.columns[column]]
+
+
+def test_an_episode_starts_in_the_pose_of_a_frame_and_is_to_reach_the_next(folder: Path) -> None:
+  env, term = make(still(folder, num_envs=16))
+  start = term.frame - 1
+  assert (start >= 0).all()
+  assert start.unique().numel() > 4
+  data = env.scene["robot"].data
+  torch.testing.assert_close(data.joint_pos, frames(term, term.clip, start, "joint_pos"))
+  torch.testing.assert_close(data.joint_vel, frames(term, term.clip, start, "joint_vel"))
+  pos = frames(term, term.clip, start, "body_pos").unflatten(1, (-1, 3)) + env.scene.env_origins[:, None]
+  torch.testing.assert_close(term.robot_body_pos_w, pos, atol=1e-6, rtol=0)
+  for column, found in (("lin_vel", term.robot_body_lin_vel_w), ("ang_vel", term.robot_body_ang_vel_w)):
+    expected = frames(term, term.clip, start, column).unflatten(1, (-1, 3))
+    torch.testing.assert_close(found, expected, atol=1e-6, rtol=0)
+  torch.testing.assert_close(term.joint_pos, frames(term, term.clip, start + 1, "joint_pos"))
+  assert torch.equal(term.command, torch.cat((term.joint_pos, term.joint_vel), 1).float())
+
+
+def test_a_start_is_off_by_no_more_than_it_may_and_within_soft_limits(folder: Path) -> None:
+  cfg = still(folder, num_envs=64)
+  command(cfg).pose_range = {"x": (-0.05, 0.05), "yaw": (-0.2, 0.2)}
+  command(cfg).velocity_range = {"z": (-0.2, 0.2)}
+  command(cfg).joint_position_range = (-0.1, 0.1)
+  env, term = make(cfg)
+  start = term.frame - 1
+  data = env.scene["robot"].data
+  root = frames(term, term.clip, start, "body_pos")[:, :3] + env.scene.env_origins
+  off = data.root_link_pos_w - root
+  assert 0.03 < off[:, 0].abs().max() <= 0.05
+  assert off[:, 1:].abs().max() < 1e-9
+  turned = quat_mul(
+    data.root_link_quat_w, frames(term, term.clip, start, "body_quat")[:, :4] * torch.tensor([1, -1, -1, -1.0])
+  )
+  assert 0.1 < 2.0 * torch.asin(turned[:, 3].abs()).max() <= 0.2
+  assert turned[:, 1:3].abs().max() < 1e-9
+  faster = data.root_link_lin_vel_w - frames(term, term.clip, start, "lin_vel")[:, :3]
+  assert 0.1 < faster[:, 2].abs().max() <= 0.2
+  moved = data.joint_pos - frames(term, term.clip, start, "joint_pos")
+  assert 0.08 < moved.abs().max() <= 0.1 + 1e-9
+  limits = data.soft_joint_pos_limits
+  assert ((data.joint_pos >= limits[..., 0] - 1e-9) & (data.joint_pos <= limits[..., 1] + 1e-9)).all()
+
+
+def test_a_clip_beyond_soft_limits_is_started_where_it_is(tmp_path: Path) -> None:
+  motion = load_motion(shipped_clips()["squat_and_wave"])
+  joints = motion.joint_pos.clone()
+  elbow = motion.joint_names.index("left_elbow_joint")
+  joints[:, elbow] = 2.0  # of 2.0944, softly 1.937
+  save_motion(motion.changed("", joint_pos=joints), tmp_path / "bent.npz")
+  cfg = still(tmp_path / "bent.npz")
+  command(cfg).joint_position_range = (-0.1, 0.1)
+  env, _ = make(cfg)
+  bent = env.scene["robot"].data.joint_pos[:, elbow]
+  assert (bent <= 2.0 + 1e-6).all()
+  assert (bent > 1.9).all()
+  assert bent.max() == pytest.approx(2.0, abs=1e-6)
+
+
+def test_the_target_advances_by_one_frame_in_every_step_and_by_none_in_a_reset_by_hand(folder: Path) -> None:
+  cfg = without_failures(still(folder))
+  command(cfg).sampling = "start"
+  env, term = make(cfg)
+  assert term.frame.tolist() == [1] * 4
+  for step in range(5):
+    env.step(zeros(env))
+    assert term.frame.tolist() == [step + 2] * 4
+  env.reset(env_ids=[1])
+  assert term.frame.tolist() == [6, 1, 6, 6]
+
+
+def test_the_end_of_a_clip_is_a_truncation_and_nothing_moves_without_a_flag(folder: Path) -> None:
+  # Failures off, so that the robot falls and a silent start over would show as a leap.
+  cfg = without_failures(still(folder))
+  command(cfg).sampling = "start"
+  env, term = make(cfg)
+  lengths = term.num_frames.clone()
+  truncations = torch.zeros(4, dtype=torch.int64)
+  for step in range(1, 60):
+    before = env.scene["robot"].data.joint_pos.clone()
+    last = term.frame == term.num_frames - 1
+    _, _, terminated, truncated, _ = env.step(zeros(env))
+    assert not terminated.any()
+    assert torch.equal(truncated, last)
+    leapt = (env.scene["robot"].data.joint_pos - before).abs().amax(1) > 0.5
+    assert not (leapt & ~truncated).any(), step
+    assert torch.equal(env.episode_length_buf == 0, truncated)
+    truncations += truncated
+    # An episode from the first frame is to reach each other one.
+    assert all(step == length - 1 for length, ended in zip(lengths, truncated, strict=True) if ended and step < 41)
+  assert (truncations >= 1).all()
+
+
+def test_a_clip_of_another_rate_lasts_as_long_as_it_did(tmp_path: Path) -> None:
+  motion = resample(load_motion(shipped_clips()["squat_and_wave"]), 30.0)
+  save_motion(motion, tmp_path / "thirty.npz")
+  cfg = without_failures(still(tmp_path / "thirty.npz"))
+  env, term = make(cfg)
+  assert term.num_frames[0] == int(motion.duration / env.step_dt + 1e-6) + 1
+  env.close()
+
+
+def test_the_reference_is_laid_over_the_robot_as_it_is_now(folder: Path) -> None:
+  env, term = make(still(folder))
+  robot = env.scene["robot"]
+  # As if it had run ahead by 6 cm and turned, within a step.
+  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
+  half = torch.full((4,), 0.5, dtype=pose.dtype)
+  turn = quat_from_euler_xyz(0 * half, 0 * half, half)
+  moved = torch.cat((pose[:, :3] + torch.tensor([0.06, 0.0, 0.1]), quat_mul(turn, pose[:, 3:])), -1)
+  robot.write_root_pose(moved)
+  index = BODIES.index("torso_link")
+  relative = term.body_pos_relative_w
+  torch.testing.assert_close(relative[:, index, :2], term.robot_anchor_pos_w[:, :2], atol=1e-9, rtol=0)
+  # Height is the reference's own.
+  torch.testing.assert_close(relative[..., 2], term.body_pos_w[..., 2], atol=1e-9, rtol=0)
+  # By the definition, for each body.
+  dq = quat_yaw(quat_mul(term.robot_anchor_quat_w, term.anchor_quat_w * torch.tensor([1.0, -1.0, -1.0, -1.0])))
+  for body in range(len(BODIES)):
+    arm = quat_apply(dq, term.body_pos_w[:, body] - term.anchor_pos_w)
+    held = torch.cat((term.robot_anchor_pos_w[:, :2], term.anchor_pos_w[:, 2:]), -1)
+    torch.testing.assert_close(relative[:, body], held + arm, atol=1e-9, rtol=0)
+    torch.testing.assert_close(term.body_quat_relative_w[:, body], quat_mul(dq, term.body_quat_w[:, body]))
+  # A step later the same holds for the state and the frame that then are.
+  env.step(zeros(env))
+  gap = term.body_pos_relative_w[:, index, :2] - term.robot_anchor_pos_w[:, :2]
+  assert gap.abs().max() < 1e-9
+
+
+@pytest.mark.parametrize("bodies", [("torso_link", "left_knee_link"), ("left_knee_link", "torso_link", "pelvis")])
+def test_the_root_is_where_it_starts_whatever_bodies_are_followed(folder: Path, bodies: tuple[str, ...]) -> None:
+  cfg = still(folder)
+  command(cfg).bodies = bodies
+  for name in ("ee_body_pos",):
+    cfg.terminations[name] = None
+  env, term = make(cfg)
+  expected, reference = make(still(folder))
+  torch.testing.assert_close(env.sim.data.qpos, expected.sim.data.qpos)
+  ids = [BODIES.index(body) for body in bodies]
+  torch.testing.assert_close(term.body_pos_w, reference.body_pos_w[:, ids])
+  assert term.body_quat_w.shape == (4, len(bodies), 4)
+
+
+def test_a_preview_shows_the_frames_ahead_and_holds_the_last(folder: Path) -> None:
+  cfg = without_failures(still(folder))
+  command(cfg).preview = (1, 10)
+  command(cfg).sampling = "start"
+  env, term = make(cfg)
+  assert env.observation_manager.group_obs_dim["actor"] == (160 + 2 * 58,)
+  for _ in range(28):
+    env.step(zeros(env))
+  for i, ahead in enumerate((0, 1, 10)):
+    at = torch.minimum(term.frame + ahead, term.num_frames - 1)
+    shown = term.command[:, 58 * i : 58 * (i + 1)]
+    expected = torch.cat((frames(term, term.clip, at, "joint_pos"), frames(term, term.clip, at, "joint_vel")), 1)
+    torch.testing.assert_close(shown, expected.float())
+
+
+def test_failures_are_counted_where_they_happen_and_ends_of_clips_are_not(folder: Path) -> None:
+  env, term = make(still(folder))
+  seen = torch.zeros(2)
+  for _ in range(80):
+    clip = term.clip.clone()
+    _, _, terminated, truncated, _ = env.step(5.0 * torch.randn(4, 29, generator=torch.Generator().manual_seed(1)))
+    seen += torch.tensor([terminated.sum(), (terminated | truncated).sum()])
+    assert (term.sampler.failures >= 0).all()
+    del clip
+  books = term.sampler
+  # Undo the running means: with so small a memory they are sums, nearly.
+  total = (
+    books.clip_failures.sum() * env.num_envs / books.cfg.memory,
+    books.clip_ends.sum() * env.num_envs / books.cfg.memory,
+  )
+  assert seen[0] > 0
+  assert total[0].item() == pytest.approx(seen[0].item(), rel=0.1)
+  assert total[1].item() == pytest.approx(seen[1].item(), rel=0.1)
+  assert "Metrics/motion/a_squat/success" in env.drain_log()
+
+
+def test_a_reset_by_hand_after_a_failure_counts_it_once(folder: Path) -> None:
+  cfg = still(folder)
+  cfg.auto_reset = False
+  env, term = make(cfg)
+  env.scene["robot"].write_root_pose(torch.tensor([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]]))
+  _, _, terminated, _, _ = env.step(zeros(env))
+  assert terminated.all()
+  for _ in range(3):
+    env.reset()
+  failures = term.sampler.state_dict()["_new"]
+  bins, clips_ = term.library.num_bins, term.library.num_clips
+  assert failures[bins : 2 * bins].sum() == 4.0
+  assert failures[2 * bins : 2 * bins + clips_].sum() == 4.0
+
+
+def test_learned_odds_go_along_to_another_number_of_worlds(folder: Path) -> None:
+  env, term = make(still(folder))
+  for _ in range(40):
+    env.step(5.0 * torch.randn(4, 29, generator=torch.Generator().manual_seed(1)))
+  more, other = make(still(folder, num_envs=6))
+  assert not torch.equal(other.sampler.probabilities(), term.sampler.probabilities())
+  more.load_progress(env.state_dict())
+  assert torch.equal(other.sampler.probabilities(), term.sampler.probabilities())
+  # Books of other clips are left alone.
+  single, alone = make(still(shipped_clips()["march_in_place"]))
+  before = alone.sampler.probabilities()
+  single.load_progress(env.state_dict())
+  assert torch.equal(alone.sampler.probabilities(), before)
+
+
+def names(state: dict, prefix: str = "") -> set[str]:
+  found: set[str] = set()
+  for name, value in state.items():
+    found |= names(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
+  return found
+
+
+@pytest.mark.parametrize("num_envs", [1, 2, 14])
+def test_what_is_saved_does_not_depend_on_the_number_of_worlds(folder: Path, num_envs: int) -> None:
+  def saved(count: int) -> set[str]:
+    return names(make(still(folder, num_envs=count))[0].state_dict()["commands"])
+
+  assert saved(num_envs) == saved(9)
+
+
+def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uniform(folder: Path) -> None:
+  cfg = still(folder, num_envs=3)
+  command(cfg).sampling = "uniform"
+  command(cfg).joint_position_range = (-0.1, 0.1)
+  envs = [make(copy.deepcopy(cfg))[0] for _ in range(2)]
+  envs[0].reset(env_ids=[0, 1])
+  envs[1].reset(env_ids=[1, 2])
+  assert torch.equal(envs[0].sim.data.qpos[1], envs[1].sim.data.qpos[1])
+  assert not torch.equal(envs[0].sim.data.qpos[0], envs[1].sim.data.qpos[0])
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"motion": "squat_and_wawe"}, "motion 'squat_and_wawe' does not exist. Nearest: squat_and_wave"),
+    ({"anchor_body": "head"}, "anchor_body 'head' is not among bodies"),
+    ({"bodies": ("torso_link", "left_nee_link")}, "body 'left_nee_link' does not exist. Nearest: left_knee_link"),
+    ({"sampling": "adaptve"}, "sampling must be adaptive, uniform or start, got 'adaptve'"),
+    ({"preview": (0,)}, "preview counts steps ahead"),
+    ({"pose_range": {"jaw": (0.0, 1.0)}}, "axis 'jaw' does not exist"),
+    ({"joint_position_range": (0.1, -0.1)}, "joint_position_range"),
+    ({"entity": "robbot"}, "entity 'robbot' does not exist; the scene has: robot"),
+  ],
+)
+def test_a_mistake_is_named_at_build(change: dict, message: str) -> None:
+  cfg = still("squat_and_wave", num_envs=1)
+  cfg.commands["motion"] = dataclasses.replace(command(cfg), **change)
+  with pytest.raises(ConfigError) as caught:
+    ManagerBasedRlEnv(cfg, device="cpu")
+  assert message in str(caught.value)
