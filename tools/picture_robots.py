@@ -9,12 +9,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_robots import MeshMode, g1_spec, go1_spec
+from mjlab_robots import YAM_DEFAULT_HEIGHT, MeshMode, g1_spec, go1_spec, yam_spec
 from PIL import Image
 
-ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {"go1": go1_spec, "g1": g1_spec}
+ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {"go1": go1_spec, "g1": g1_spec, "yam": yam_spec}
 # Width and height in pixels: as wide as the robot is.
-SIZES = {"go1": (1200, 700), "g1": (800, 900)}
+SIZES = {"go1": (1200, 700), "g1": (800, 900), "yam": (1000, 800)}
 # Rendered larger and averaged: smoother edges than the renderer's own multisampling.
 OVERSAMPLING = 2
 
@@ -58,9 +58,16 @@ def stage(spec: mujoco.MjSpec, size: tuple[int, int]) -> mujoco.MjModel:
 
 
 def stand(model: mujoco.MjModel) -> mujoco.MjData:
-  """The first keyframe, raised or lowered until the lowest colliding sphere, box or capsule end touches the floor."""
+  """The first keyframe; what floats is raised or lowered until its lowest colliding shape touches the floor.
+
+  What does not float stands where its entity does.
+  """
   data = mujoco.MjData(model)
   mujoco.mj_resetDataKeyframe(model, data, 0)
+  if model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+    model.body_pos[1, 2] = YAM_DEFAULT_HEIGHT
+    mujoco.mj_forward(model, data)
+    return data
   mujoco.mj_forward(model, data)
   floor = model.geom("floor").id
   gap = min(

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab_actuators import ActuatorCfg, ActuatorSet
-from mjlab_robots import G1_ACTUATORS, GO1_ACTUATORS, MeshMode, g1, g1_spec, go1, go1_spec
+from mjlab_robots import G1_ACTUATORS, GO1_ACTUATORS, YAM_ACTUATORS, MeshMode, g1, g1_spec, go1, go1_spec, yam
+from mjlab_robots.yam import CollisionPreset
 from mjlab_scene import EntityCfg
 
-ROBOTS: dict[str, Callable[..., EntityCfg]] = {"go1": go1, "g1": g1}
+ROBOTS: dict[str, Callable[..., EntityCfg]] = {"go1": go1, "g1": g1, "yam": yam}
 FACTS = {
   name: json.loads((Path(__file__).parent / "data" / f"{name}.json").read_text(encoding="utf-8")) for name in ROBOTS
 }
@@ -25,7 +26,7 @@ each_robot = pytest.mark.parametrize("name", ROBOTS)
 def test_contact_parameters_follow_the_preset(name: str, preset: str) -> None:
   model = ROBOTS[name](meshes="never", collision=preset).build("robot").spec.compile()
   for geom in FACTS[name]["geoms_collision"]:
-    index = model.geom(geom["name"]).id
+    index = model.geom(geom["name"] or "camera_housing").id
     wanted = geom["contact_presets"][preset]
     collides = wanted["contype"] or wanted["conaffinity"]
     # Of a shape that touches nothing, nothing else matters.
@@ -75,6 +76,7 @@ def test_each_config_is_a_copy_of_its_own(name: str) -> None:
   assert second.articulation.actuators[0].armature != 1.0
   assert GO1_ACTUATORS[0].armature != 1.0
   assert G1_ACTUATORS[0].armature != 1.0
+  assert YAM_ACTUATORS[0].armature != 1.0
 
 
 # Ankles are too soft to balance a humanoid for longer than the time it takes its legs to settle.
@@ -108,3 +110,69 @@ def test_servos_hold_the_robot_up(
   assert lowest < data.qpos[2] < highest
   assert data.xmat[1, 8] > 0.98
   assert np.abs(data.qvel).max() < 1.0
+
+
+def grasping(collision: CollisionPreset) -> tuple[mujoco.MjModel, mujoco.MjData]:
+  """The arm at home on a floor, with a cube of 4 cm inside its forearm."""
+  spec = yam(meshes="never", collision=collision).build("robot").spec
+  spec.option.timestep = 0.005
+  spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+  spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], pos=[0, 0, -0.05])
+  cube = spec.worldbody.add_body(name="cube", mocap=True, pos=[0.0, 0.0, -1.0])
+  cube.add_geom(name="cube", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02] * 3)
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  mujoco.mj_resetDataKeyframe(model, data, 0)
+  data.ctrl[:] = data.qpos[:7]
+  mujoco.mj_forward(model, data)
+  return model, data
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
+  return {frozenset(model.geom(int(g)).name for g in contact.geom) for contact in data.contact}
+
+
+@pytest.mark.parametrize("collision", ["full", "gripper_only"])
+def test_the_arm_at_home_touches_nothing_however_wide_it_opens(collision: CollisionPreset) -> None:
+  model, data = grasping(collision)
+  _, high = model.joint("left_finger").range
+  for opening in np.linspace(0.002, high, 5):
+    data.qpos[6:8] = opening, -opening
+    mujoco.mj_forward(model, data)
+    assert not touching(model, data)
+
+
+@pytest.mark.parametrize("collision", ["full", "gripper_only"])
+def test_only_the_full_preset_stops_the_arm_at_things_the_floor_and_itself(collision: CollisionPreset) -> None:
+  model, data = grasping(collision)
+  data.mocap_pos[0] = data.geom("link3_1_collision").xpos
+  mujoco.mj_forward(model, data)
+  assert (frozenset({"cube", "link3_1_collision"}) in touching(model, data)) == (collision == "full")
+  data.mocap_pos[0, 2] = -1.0
+  # Folded onto its own upper arm, and then laid down.
+  data.qpos[:6] = 1.0, 1.0, 0.15, -1.5, 1.0, 1.7
+  mujoco.mj_forward(model, data)
+  bodies = [{model.body(model.geom_bodyid[int(g)]).name for g in contact.geom} for contact in data.contact]
+  folded = any(pair <= {"link_2", "link_5"} for pair in bodies)
+  data.qpos[:6] = 0.0, 3.6, 3.2, 0.0, 0.0, 0.0
+  mujoco.mj_forward(model, data)
+  laid = frozenset({"floor", "link3_1_collision"}) in touching(model, data)
+  assert (folded, laid) == ((True, True) if collision == "full" else (False, False))
+
+
+def test_the_right_finger_follows_the_left_one_under_load() -> None:
+  model, data = grasping("gripper_only")
+  for target in (0.035, 0.002):
+    data.ctrl[6] = target
+    mujoco.mj_step(model, data, nstep=400)
+    np.testing.assert_allclose(data.joint("left_finger").qpos, target, atol=2e-3)
+    np.testing.assert_allclose(data.joint("right_finger").qpos, -data.joint("left_finger").qpos, atol=1e-4)
+
+
+def test_the_servos_carry_the_arm() -> None:
+  model, data = grasping("full")
+  home = data.qpos.copy()
+  mujoco.mj_step(model, data, nstep=600)
+  assert np.abs(data.qvel).max() < 1e-3
+  # They are soft: 2 Hz on the inertia alone, with no feedforward of the arm's weight.
+  assert np.abs(data.qpos - home).max() < 0.25

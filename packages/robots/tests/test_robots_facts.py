@@ -1,6 +1,7 @@
 """Every compiled quantity of each robot against the reference facts in data/."""
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,9 +22,14 @@ from mjlab_robots import (
   GO1_ACTUATORS,
   GO1_DEFAULT_HEIGHT,
   GO1_DEFAULT_JOINT_POS,
+  YAM_ACTION_SCALE,
+  YAM_ACTUATORS,
+  YAM_DEFAULT_HEIGHT,
+  YAM_DEFAULT_JOINT_POS,
   MeshMode,
   g1_spec,
   go1_spec,
+  yam_spec,
 )
 
 # Relative to the largest entry. What we derive uses pi in full where the facts used eleven digits of it.
@@ -47,7 +53,7 @@ class Robot:
 
   @cached_property
   def model(self) -> mujoco.MjModel:
-    return self.configured_spec().compile()
+    return compiled(self.configured_spec())
 
   @cached_property
   def standing(self) -> mujoco.MjData:
@@ -69,7 +75,13 @@ class Robot:
   def configured_spec(self) -> mujoco.MjSpec:
     spec = self.spec_fn("never")
     ActuatorSet(self.actuators).edit_spec(spec)
-    return spec
+    if self.facts["meta"]["base"] == "floating":
+      return spec
+    # A scene places what does not float through a mocap body.
+    scene = mujoco.MjSpec()
+    base = scene.worldbody.add_body(name="mocap_base", mocap=True, pos=[0, 0, self.height])
+    scene.attach(spec, prefix="", frame=base.add_frame())
+    return scene
 
 
 ROBOTS = (
@@ -89,6 +101,14 @@ ROBOTS = (
     height=G1_DEFAULT_HEIGHT,
     joint_pos=G1_DEFAULT_JOINT_POS,
   ),
+  Robot(
+    name="yam",
+    spec_fn=yam_spec,
+    actuators=YAM_ACTUATORS,
+    action_scale=YAM_ACTION_SCALE,
+    height=YAM_DEFAULT_HEIGHT,
+    joint_pos=YAM_DEFAULT_JOINT_POS,
+  ),
 )
 each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=[robot.name for robot in ROBOTS])
 
@@ -103,6 +123,18 @@ def each(argument: str, section: str) -> pytest.MarkDecorator:
       for entry in robot.facts[section]
     ],
   )
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+  with warnings.catch_warnings():
+    # Nobody saves it.
+    warnings.filterwarnings("ignore", "Attaching a spec with an empty prefix")
+    return spec.compile()
+
+
+def named(geom: dict[str, Any]) -> str:
+  """What we call a collision shape; one has no name in the facts."""
+  return geom["name"] or "camera_housing"
 
 
 def assert_equal(got: Any, wanted: Any, what: str) -> None:
@@ -143,8 +175,7 @@ def test_body_equals_the_facts(robot: Robot, body: dict[str, Any]) -> None:
 def test_joint_equals_the_facts(robot: Robot, joint: dict[str, Any]) -> None:
   model = robot.model
   index = model.joint(joint["name"]).id
-  kinds = {"free": mujoco.mjtJoint.mjJNT_FREE, "hinge": mujoco.mjtJoint.mjJNT_HINGE}
-  assert model.jnt_type[index] == kinds[joint["type"]]
+  assert mujoco.mjtJoint(model.jnt_type[index]).name == f"mjJNT_{joint['type'].upper()}"
   assert model.body(model.jnt_bodyid[index]).name == joint["body"]
   dof = model.jnt_dofadr[index]
   assert (model.jnt_qposadr[index], dof) == (joint["qposadr"], joint["dofadr"])
@@ -177,7 +208,7 @@ def test_joint_equals_the_facts(robot: Robot, joint: dict[str, Any]) -> None:
 @each("geom", "geoms_collision")
 def test_collision_shape_and_contact_preset_equal_the_facts(robot: Robot, geom: dict[str, Any]) -> None:
   model = robot.model
-  index = model.geom(geom["name"]).id
+  index = model.geom(named(geom)).id
   assert mujoco.mjtGeom(model.geom_type[index]).name == f"mjGEOM_{geom['type'].upper()}"
   assert model.body(model.geom_bodyid[index]).name == geom["body"]
   assert model.geom_group[index] == geom["group"]
@@ -185,14 +216,16 @@ def test_collision_shape_and_contact_preset_equal_the_facts(robot: Robot, geom: 
   assert_equal(model.geom_pos[index], geom["pos"], "pos")
   assert_same_rotation(model.geom_quat[index], geom["quat"], "quat")
   for name, value in geom["contact_presets"]["full"].items():
-    assert_equal(getattr(model, f"geom_{name}")[index], value, name)
+    if value is not None:
+      assert_equal(getattr(model, f"geom_{name}")[index], value, name)
 
 
 @each_robot
 def test_what_collides_is_exactly_the_listed_shapes(robot: Robot) -> None:
   model = robot.model
   colliding = {model.geom(i).name for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]}
-  assert colliding == {geom["name"] for geom in robot.facts["geoms_collision"]}
+  listed = robot.facts["geoms_collision"]
+  assert colliding == {geom["name"] for geom in listed if geom["contact_presets"]["full"]["contype"]}
   assert not np.any(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -232,11 +265,13 @@ def test_camera_equals_the_facts(robot: Robot, camera: dict[str, Any]) -> None:
   model = robot.model
   index = model.camera(camera["name"]).id
   assert model.body(model.cam_bodyid[index]).name == camera["body"]
-  assert model.cam_mode[index] == mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
+  assert mujoco.mjtCamLight(model.cam_mode[index]).name == f"mjCAMLIGHT_{camera['mode'].upper()}"
   assert_equal(model.cam_pos[index], camera["pos"], "pos")
   assert_same_rotation(model.cam_quat[index], camera["quat"], "quat")
   assert_equal(model.cam_fovy[index], camera["fovy_deg"], "fovy")
   assert_equal(model.cam_resolution[index], camera["resolution"], "resolution")
+  assert_equal(model.cam_sensorsize[index], camera["sensorsize"], "sensorsize")
+  assert_equal(model.cam_intrinsic[index], camera["intrinsic_focal_xy_principal_xy"], "intrinsic")
 
 
 @each_robot
@@ -245,12 +280,28 @@ def test_light_and_materials_equal_the_facts(robot: Robot) -> None:
   (light,) = robot.facts["lights"]
   assert model.nlight == 1
   assert model.body(model.light_bodyid[0]).name == light["body"]
-  assert model.light_mode[0] == mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
+  assert mujoco.mjtCamLight(model.light_mode[0]).name == f"mjCAMLIGHT_{light['mode'].upper()}"
+  if light["target"] is not None:
+    assert model.body(model.light_targetbodyid[0]).name == light["target"]
   assert_equal(model.light_pos[0], light["pos"], "pos")
   assert_equal(model.light_dir[0], light["dir"], "dir")
   assert bool(model.light_castshadow[0]) == light["castshadow"]
   for material in robot.facts["materials"]:
     assert_equal(model.material(material["name"]).rgba, material["rgba"], material["name"])
+
+
+@each_robot
+def test_equalities_equal_the_facts(robot: Robot) -> None:
+  model, facts = robot.model, robot.facts["equalities"]
+  assert model.neq == len(facts)
+  for index, equality in enumerate(facts):
+    assert model.eq_type[index] == mujoco.mjtEq.mjEQ_JOINT
+    joints = [model.joint(ids[index]).name for ids in (model.eq_obj1id, model.eq_obj2id)]
+    assert joints == [equality["joint1"], equality["joint2"]]
+    assert bool(model.eq_active0[index]) == equality["active"]
+    assert_equal(model.eq_data[index, :5], equality["polycoef"], "polycoef")
+    assert_equal(model.eq_solref[index], equality["solref"], "solref")
+    assert_equal(model.eq_solimp[index], equality["solimp"], "solimp")
 
 
 @each("servo", "actuators")
@@ -273,13 +324,15 @@ def test_servo_equals_the_facts(robot: Robot, servo: dict[str, Any]) -> None:
   assert model.actuator_dyntype[index] == mujoco.mjtDyn.mjDYN_NONE
   assert model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED
   assert model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
-  scale = dict(zip(robot.joints, match_values_full(robot.action_scale, robot.joints, what="joint"), strict=True))
+  driven = robot.facts["policy_action_order"]
+  scale = dict(zip(driven, match_values_full(robot.action_scale, driven, what="joint"), strict=True))
   assert_equal(scale[servo["joint"]], servo["action_scale"], "action scale")
 
 
 @each_robot
 def test_joints_come_in_the_order_of_the_policy(robot: Robot) -> None:
-  assert [robot.model.joint(i).name for i in range(1, robot.model.njnt)] == robot.facts["policy_action_order"]
+  actions = robot.facts["policy_action_order"]
+  assert [name for i in range(robot.model.njnt) if (name := robot.model.joint(i).name) in actions] == actions
 
 
 @each_robot
@@ -327,7 +380,7 @@ def test_derived_quantities_equal_the_facts(robot: Robot) -> None:
 
 
 @each_robot
-def test_lowest_point_of_the_default_pose_is_a_foot(robot: Robot) -> None:
+def test_lowest_point_of_the_default_pose_is_that_of_the_facts(robot: Robot) -> None:
   lowest = robot.facts["derived_reference"]["lowest_collision_point_z_at_default_key"]
   index = robot.model.geom(lowest["geom"]).id
   radius, half_length, _ = robot.model.geom_size[index]
@@ -340,7 +393,7 @@ def test_what_is_drawn_has_neither_mass_nor_contact(robot: Robot) -> None:
   bare = robot.configured_spec()
   for geom in [geom for geom in bare.geoms if geom.group == 2]:
     bare.delete(geom)
-  plain = bare.compile()
+  plain = compiled(bare)
   assert robot.model.ngeom > plain.ngeom
   for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_invweight0"):
     np.testing.assert_array_equal(getattr(robot.model, field), getattr(plain, field))

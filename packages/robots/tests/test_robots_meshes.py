@@ -12,10 +12,11 @@ import mujoco
 import mujoco_menagerie
 import numpy as np
 import pytest
-from mjlab_robots import MeshesNotFoundError, MeshMode, download_meshes, find_meshes, g1_spec, go1_spec
+from mjlab_robots import MeshesNotFoundError, MeshMode, download_meshes, find_meshes, g1_spec, go1_spec, yam_spec
 
 SpecFn = Callable[[MeshMode], mujoco.MjSpec]
-ROBOTS: dict[str, SpecFn] = {"go1": go1_spec, "g1": g1_spec}
+ROBOTS: dict[str, SpecFn] = {"go1": go1_spec, "g1": g1_spec, "yam": yam_spec}
+MENAGERIE = {"go1": "unitree_go1", "g1": "unitree_g1", "yam": "i2rt_yam"}
 FACTS = {
   name: json.loads((Path(__file__).parent / "data" / f"{name}.json").read_text(encoding="utf-8")) for name in ROBOTS
 }
@@ -65,7 +66,7 @@ def test_without_meshes_the_robot_is_drawn_from_primitives(name: str) -> None:
 @pytest.mark.usefixtures("without_meshes")
 @each_robot
 def test_required_meshes_that_are_missing_say_how_to_get_them(name: str) -> None:
-  with pytest.raises(MeshesNotFoundError, match=rf"download_meshes\('unitree_{name}'\).*MENAGERIE_ROOT"):
+  with pytest.raises(MeshesNotFoundError, match=rf"download_meshes\('{MENAGERIE[name]}'\).*MENAGERIE_ROOT"):
     ROBOTS[name]("require")
 
 

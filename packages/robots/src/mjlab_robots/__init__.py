@@ -20,6 +20,15 @@ from mjlab_robots.go1 import (
 )
 from mjlab_robots.meshes import MeshesNotFoundError, MeshMode, download_meshes, find_meshes
 from mjlab_robots.motors import Motor
+from mjlab_robots.yam import (
+  YAM_ACTION_SCALE,
+  YAM_ACTUATORS,
+  YAM_DEFAULT_HEIGHT,
+  YAM_DEFAULT_JOINT_POS,
+  YAM_SOFT_JOINT_POS_LIMIT_FACTOR,
+  yam,
+  yam_spec,
+)
 
 __all__ = [
   "G1_ACTION_SCALE",
@@ -32,6 +41,11 @@ __all__ = [
   "GO1_DEFAULT_HEIGHT",
   "GO1_DEFAULT_JOINT_POS",
   "GO1_SOFT_JOINT_POS_LIMIT_FACTOR",
+  "YAM_ACTION_SCALE",
+  "YAM_ACTUATORS",
+  "YAM_DEFAULT_HEIGHT",
+  "YAM_DEFAULT_JOINT_POS",
+  "YAM_SOFT_JOINT_POS_LIMIT_FACTOR",
   "MeshMode",
   "MeshesNotFoundError",
   "Motor",
@@ -41,4 +55,6 @@ __all__ = [
   "g1_spec",
   "go1",
   "go1_spec",
+  "yam",
+  "yam_spec",
 ]

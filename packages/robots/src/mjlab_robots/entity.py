@@ -1,4 +1,4 @@
-"""A robot with a floating base as an entity of a scene."""
+"""A robot as an entity of a scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SpecFn(Protocol):
   def __call__(self, meshes: MeshMode = "auto") -> mujoco.MjSpec: ...
 
 
-def floating_robot(
+def robot_entity(
   spec_fn: SpecFn,
   *,
   meshes: MeshMode,

@@ -23,11 +23,16 @@ class Motor:
   """Largest joint torque [N m]."""
   velocity_limit: float
   """Top joint speed [rad/s]; data sheet only, the servo does not know it."""
+  servo_inertia: float | None = None
+  """Inertia J that the servo is made for [kg m^2]; None for the armature alone."""
+  servo_frequency: float = NATURAL_FREQUENCY
+  """Natural frequency wn / (2 pi) of the servo with that inertia [Hz]."""
 
   @property
   def gains(self) -> PdGains:
     """kp = J wn^2 [N m/rad] and kd = 2 zeta J wn [N m s/rad]."""
-    return gains_from_frequency(self.armature, NATURAL_FREQUENCY, DAMPING_RATIO)
+    inertia = self.armature if self.servo_inertia is None else self.servo_inertia
+    return gains_from_frequency(inertia, self.servo_frequency, DAMPING_RATIO)
 
   @property
   def action_scale(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_robots.entity import floating_robot
+from mjlab_robots.entity import robot_entity
 from mjlab_robots.g1.model import g1_spec
 from mjlab_robots.g1.motors import G1_ACTUATORS
 from mjlab_robots.meshes import MeshMode
@@ -46,7 +46,7 @@ def g1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> Ent
   Raises:
     ValueError: There is no such preset.
   """
-  return floating_robot(
+  return robot_entity(
     g1_spec,
     meshes=meshes,
     height=G1_DEFAULT_HEIGHT,

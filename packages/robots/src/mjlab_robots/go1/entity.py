@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_robots.entity import floating_robot
+from mjlab_robots.entity import robot_entity
 from mjlab_robots.go1.model import go1_spec
 from mjlab_robots.go1.motors import GO1_ACTUATORS
 from mjlab_robots.meshes import MeshMode
@@ -40,7 +40,7 @@ def go1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> En
   Raises:
     ValueError: There is no such preset.
   """
-  return floating_robot(
+  return robot_entity(
     go1_spec,
     meshes=meshes,
     height=GO1_DEFAULT_HEIGHT,
