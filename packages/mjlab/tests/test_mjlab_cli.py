@@ -7,10 +7,14 @@ from pathlib import Path
 import mjlab
 import mjlab.registry as registry
 import mjlab_pendulum
+import numpy as np
 import pytest
 from mjlab import cli
 from mjlab.making import share_cores
+from mjlab.nan_replay import NanReplay
 from mjlab_rl import checkpoints, load_run
+from mjlab_sim import NanDump
+from mjlab_viewer import SnapshotTaker
 
 TASK = "Test-Pendulum"
 
@@ -210,8 +214,18 @@ def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
   capsys.readouterr()
   assert cli.main(["viz-nan", str(dumps[0])]) == 0
   report = capsys.readouterr().out
-  assert "was not finite" in report
+  assert "of joint 'robot/hinge' was " in report
   assert "MuJoCo C diverges too" in report
+
+  replay = NanReplay(NanDump.load(dumps[0]))
+  shown = []
+  for _ in range(replay.num_steps):
+    shown.append(SnapshotTaker(replay).take([0]))
+    replay.step(None)
+  world = NanDump.load(dumps[0]).worlds[0]
+  stored = [snapshot.data["qpos"][0] for snapshot in shown[-world.num_steps - 1 : -1]]
+  np.testing.assert_array_equal(stored, np.where(np.isfinite(world.states["qpos"]), world.states["qpos"], stored[-1]))
+  assert all(np.isfinite(snapshot.data["xpos"]).all() for snapshot in shown)
 
 
 def test_viz_nan_refuses_what_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,12 +21,14 @@ FORMAT = "mjlab NaN dump 1"
 
 # State that a physics step computes; the rest is only ever written from outside.
 _INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+# What MuJoCo takes for a bad state (mjMAXVAL).
+_BOUND = 1e10
 _BAD = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 @dataclass(kw_only=True, frozen=True)
 class Culprit:
-  """The first number of a world that was not finite."""
+  """The first number of a world that was not finite, or beyond all bounds."""
 
   field: str
   """Field of MjData."""
@@ -34,6 +36,7 @@ class Culprit:
   """Position in the field, flat."""
   element: str
   """What it belongs to, such as "joint 'hip'"."""
+  value: float
   step: int
   """Physics step it was seen before; the number of stored steps where only the last one's result has it."""
 
@@ -88,20 +91,22 @@ class DivergedWorld:
 
   @cached_property
   def first(self) -> Culprit:
-    """The first number that was not finite; controls and forces come before the state they act on."""
+    """The first number that was not finite or beyond 1e10; controls and forces come before the state they act on."""
     for step in range(self.num_steps + 1):
       here = {name: values[step] for name, values in self.states.items()} if step < self.num_steps else self.result
       for name in sorted(here, key=lambda name: (name in _INTEGRATED, name == "qacc")):
-        bad = np.flatnonzero(~np.isfinite(here[name]))
+        bad = np.flatnonzero(~(np.abs(here[name]) <= _BOUND))
         if len(bad):
-          element = _element(self._dump.model, name, int(bad[0]), here[name].shape)
-          return Culprit(field=name, index=int(bad[0]), element=element, step=step)
+          index = int(bad[0])
+          element = _element(self._dump.model, name, index, here[name].shape)
+          value = float(here[name].flat[index])
+          return Culprit(field=name, index=index, element=element, value=value, step=step)
     raise SimulationError(f"world {self.index} of this dump has no value that is not finite")
 
   def describe_first(self) -> str:
-    """The first number that was not finite, in a sentence."""
+    """The first number that was not finite or beyond 1e10, in a sentence."""
     first, decimation = self.first, self._dump.decimation
-    head = f"{first.field} of {first.element} was not finite"
+    head = f"{first.field} of {first.element} was {first.value:.3g}"
     substep = first.step % decimation
     if first.step == self.num_steps:
       return f"{head} after physics step {decimation} of {decimation} of environment step {self.env_step}"
@@ -264,4 +269,5 @@ def _element(model: mujoco.MjModel, field: str, index: int, shape: tuple[int, ..
   else:
     return f"entry {index}"
   word = kind.name.removeprefix("mjOBJ_").lower()
-  return f"{word} '{mujoco.mj_id2name(model, kind, number) or number}'"
+  name = mujoco.mj_id2name(model, kind, number)
+  return f"{word} '{name}'" if name else f"{word} {number}"
