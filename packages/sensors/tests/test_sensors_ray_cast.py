@@ -14,6 +14,7 @@ from mjlab_core import matrix_from_quat
 from mjlab_sensors import (
   FrameMatch,
   GridPatternCfg,
+  LidarPatternCfg,
   PinholeCameraPatternCfg,
   RayCastData,
   RayCastSensor,
@@ -101,7 +102,14 @@ def frame_turn(rotation: np.ndarray, alignment: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("alignment", ["yaw", "world", "base"])
-@pytest.mark.parametrize("pattern", [GridPatternCfg(size=(0.8, 0.4), resolution=0.2), PinholeCameraPatternCfg()])
+@pytest.mark.parametrize(
+  "pattern",
+  [
+    GridPatternCfg(size=(0.8, 0.4), resolution=0.2),
+    PinholeCameraPatternCfg(),
+    LidarPatternCfg(rows=6, columns=12, vertical_fov=(-70.0, 20.0)),
+  ],
+)
 def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
   rng = np.random.default_rng(5)
   start, reach, num_envs, groups = 0.15, 1.1, 4, np.array([1, 0, 1, 0, 0, 0], dtype=np.uint8)
@@ -350,6 +358,60 @@ def test_an_intrinsic_matrix_is_used_whole() -> None:
 def test_a_wrong_pinhole_is_refused(make: Callable[[], object], message: str) -> None:
   with pytest.raises(ValueError, match=message):
     make()
+
+
+def angles(pattern: LidarPatternCfg) -> tuple[np.ndarray, np.ndarray]:
+  """Elevation of each row and azimuth of each column [deg]."""
+  starts, rays = pattern.rays()
+  assert not starts.any()
+  np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
+  x, y, z = np.moveaxis(rays.reshape(pattern.rows, pattern.columns, 3), -1, 0)
+  elevation, azimuth = np.degrees(np.arcsin(z)), np.degrees(np.arctan2(y, x))
+  np.testing.assert_allclose(elevation, elevation[:, :1].repeat(pattern.columns, axis=1), atol=1e-9)
+  np.testing.assert_allclose(azimuth, azimuth[:1].repeat(pattern.rows, axis=0), atol=1e-9)
+  return elevation[:, 0], azimuth[0]
+
+
+def test_a_lidar_scans_its_field_from_the_top_left_and_no_direction_twice() -> None:
+  elevation, azimuth = angles(LidarPatternCfg(rows=3, columns=4, vertical_fov=(-20.0, 10.0)))
+  np.testing.assert_allclose(elevation, (10.0, -5.0, -20.0), atol=1e-9)
+  np.testing.assert_allclose(azimuth, (180.0, 90.0, 0.0, -90.0), atol=1e-9)
+  elevation, azimuth = angles(LidarPatternCfg(rows=2, columns=5, vertical_fov=(0, 30), horizontal_fov=(-60, 20)))
+  np.testing.assert_allclose(elevation, (30.0, 0.0), atol=1e-9)
+  np.testing.assert_allclose(azimuth, (20.0, 0.0, -20.0, -40.0, -60.0), atol=1e-9)
+  elevation, azimuth = angles(LidarPatternCfg(rows=1, columns=1, vertical_fov=(-10, 30), horizontal_fov=(-40, 20)))
+  np.testing.assert_allclose((elevation[0], azimuth[0]), (10.0, -10.0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+  ("fields", "message"),
+  [
+    ({"rows": 0}, "at least one row and one column, not 0 and 64"),
+    ({"vertical_fov": (10, -10)}, r"vertical_fov must rise from -90 to 90 degrees, not \(10, -10\)"),
+    ({"vertical_fov": (-100, 0)}, "vertical_fov must rise"),
+    ({"horizontal_fov": (-200, 200)}, "horizontal_fov must rise by at most 360 degrees"),
+    ({"horizontal_fov": (20, -20)}, "horizontal_fov must rise by at most 360 degrees"),
+  ],
+)
+def test_a_wrong_lidar_is_refused(fields: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=f"LidarPatternCfg: .*{message}"):
+    LidarPatternCfg(**fields)
+
+
+def test_the_depth_of_a_pixel_is_its_distance_along_the_optical_axis() -> None:
+  # A wall at 2 m in front of a camera that looks along x: what a rendered image has in every pixel.
+  wall = '<geom type="box" size="0.1 5 5" pos="3.1 0 1" group="0"/>'
+  pattern = PinholeCameraPatternCfg(width=6, height=4, fovy=50.0)
+  frame = FrameMatch(type="camera", pattern="eye", entity="robot")
+  sim, (sensor,) = build(RayCastSensorCfg(frames=frame, pattern=pattern), terrain=wall, num_envs=1)
+  # The camera's negative z axis onto the world's x axis, its y axis up.
+  eye = sim.mj_model.camera("robot/eye")
+  looks = Rotation.from_matrix(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+  base = looks * Rotation.from_quat(eye.quat, scalar_first=True).inv()
+  place(sim, (*(np.array([1.0, 0.0, 1.0]) - base.apply(eye.pos)), base))
+  depth = sensor.data.distances[0] * torch.from_numpy(-pattern.rays()[1][:, 2])
+  torch.testing.assert_close(depth, torch.full((24,), 2.0, dtype=torch.double))
+  assert sensor.data.distances.max() > 2.1
 
 
 @pytest.mark.parametrize(

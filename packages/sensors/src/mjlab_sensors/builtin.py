@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import NameMatchError, unknown
+from mjlab_core import DebugDraw, NameMatchError, quat_from_matrix, unknown
 
 from mjlab_sensors._elements import find_element, names_of
 from mjlab_sensors.native_types import NATIVE_TYPES
@@ -70,6 +70,15 @@ SensorType = Literal[
 
 
 RayDataField = Literal["dist", "dir", "origin", "point", "normal", "depth"]
+_Obj = mujoco.mjtObj
+# Where in the simulation's data what a sensor is attached to has its place and its axes.
+_POSES: dict[int, tuple[str, str]] = {
+  _Obj.mjOBJ_SITE: ("site_xpos", "site_xmat"),
+  _Obj.mjOBJ_GEOM: ("geom_xpos", "geom_xmat"),
+  _Obj.mjOBJ_CAMERA: ("cam_xpos", "cam_xmat"),
+  _Obj.mjOBJ_XBODY: ("xpos", "xmat"),
+  _Obj.mjOBJ_BODY: ("xipos", "ximat"),
+}
 # In the order in which MuJoCo lays them out for each ray.
 _RAY_FIELDS: tuple[str, ...] = get_args(RayDataField)
 
@@ -201,6 +210,27 @@ class BuiltinSensor(Sensor[torch.Tensor]):
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     self._columns = sim.data.sensordata[:, sensordata_columns(sim, self._element, self.label)]
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Show where the sensor is, and the direction of a reading that has one."""
+    sim, worlds = self.sim, list(draw.worlds)
+    model = sim.mj_model
+    index = model.sensor(self._element).id
+    field = _POSES.get(int(model.sensor_objtype[index]))
+    if field is None:
+      return
+    _ = sim.epoch
+    place, turn = (getattr(sim.data, name)[worlds, int(model.sensor_objid[index])] for name in field)
+    draw.frames(place, quat_from_matrix(turn), 3.0 * self._draw_size)
+    kind = next(kind for kind in NATIVE_TYPES.values() if kind.enum.value == model.sensor_type[index])
+    has_direction = kind.dim == 3 and kind.unit != "m" and kind.frame in ("own", "world", "reference")
+    if not has_direction or (kind.frame == "reference" and model.sensor_refid[index] >= 0):
+      return
+    vector = self._columns[worlds]
+    if kind.frame == "own":
+      vector = (turn * vector[:, None]).sum(-1)
+    vector = vector / vector.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+    draw.arrows(place, place + 5.0 * self._draw_size * vector, (1.0, 1.0, 0.0, 1.0), 0.2 * self._draw_size)
 
   def _read(self) -> torch.Tensor:
     return self._columns

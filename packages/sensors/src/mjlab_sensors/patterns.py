@@ -52,6 +52,50 @@ class RingPatternCfg(RayPatternCfg):
 
 
 @dataclass(kw_only=True, frozen=True)
+class LidarPatternCfg(RayPatternCfg):
+  """Rays from one point through a field of view of equal angles, row by row from the top, each from left to right.
+
+  It is the order of an image: ray `row * columns + column`. Angle 0 looks along the frame's x axis, y is to its left
+  and z up. Rows and columns reach both ends of their field of view, but a full turn of columns does not come to the
+  same ray twice; a single row or column looks through the middle.
+  """
+
+  rows: int = 16
+  """Rows, or channels."""
+  columns: int = 64
+  """Rays of each row."""
+  vertical_fov: tuple[float, float] = (-15.0, 15.0)
+  """Lowest and highest angle above the horizontal plane of the frame [deg]."""
+  horizontal_fov: tuple[float, float] = (-180.0, 180.0)
+  """Rightmost and leftmost angle, counted to the left from the frame's x axis [deg]."""
+
+  def __post_init__(self) -> None:
+    if min(self.rows, self.columns) < 1:
+      raise ValueError(f"LidarPatternCfg: needs at least one row and one column, not {self.rows} and {self.columns}")
+    low, high = self.vertical_fov
+    if not -90.0 <= low <= high <= 90.0:
+      raise ValueError(f"LidarPatternCfg: vertical_fov must rise from -90 to 90 degrees, not {self.vertical_fov}")
+    right, left = self.horizontal_fov
+    if not (-360.0 <= right <= left <= 360.0 and left - right <= 360.0):
+      raise ValueError(f"LidarPatternCfg: horizontal_fov must rise by at most 360 degrees, not {self.horizontal_fov}")
+
+  def rays(self) -> tuple[np.ndarray, np.ndarray]:
+    full_turn = self.horizontal_fov[1] - self.horizontal_fov[0] == 360.0
+    elevation = np.radians(_spread(*self.vertical_fov, self.rows, full_turn=False))[::-1, None]
+    azimuth = np.radians(_spread(*self.horizontal_fov, self.columns, full_turn=full_turn))[::-1]
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    directions = np.stack((x, y, np.broadcast_to(np.sin(elevation), x.shape)), axis=-1).reshape(-1, 3)
+    return np.zeros_like(directions), directions
+
+
+def _spread(low: float, high: float, count: int, *, full_turn: bool) -> np.ndarray:
+  if count == 1:
+    return np.array([(low + high) / 2.0])
+  # The leftmost ray of a full turn would be the rightmost one again.
+  return np.linspace(low, high, count + full_turn)[int(full_turn) :]
+
+
+@dataclass(kw_only=True, frozen=True)
 class GridPatternCfg(RayPatternCfg):
   """Rays straight down from a grid centred on the frame; x runs fastest, both from negative to positive.
 

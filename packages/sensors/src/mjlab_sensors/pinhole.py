@@ -21,6 +21,9 @@ class PinholeCameraPatternCfg(RayPatternCfg):
   It is the order of a rendered image: ray `row * width + column` belongs to the pixel `image[row, column]`. The camera
   looks along the frame's negative z axis, x points right and y up in the image, as MuJoCo's cameras do.
 
+  Distances are measured along the rays. The depth that a rendered image has in the same pixel is measured along the
+  optical axis: the distance times -z of the ray's direction.
+
   Pixel coordinates count from the corner of the image: the centre of its first pixel is (0.5, 0.5), and the middle of
   the image (width / 2, height / 2).
   """

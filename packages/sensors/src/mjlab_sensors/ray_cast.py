@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core import quat_from_matrix
+from mjlab_core import DebugDraw, quat_from_matrix
 
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
 from mjlab_sensors.rays import RayAlignment, RaySensor, RaySensorCfg
@@ -97,6 +97,13 @@ class RayCastSensor(RaySensor[RayCastData]):
     shape = (sim.num_envs, self.num_rays)
     self._hit_pos = torch.zeros((*shape, 3), dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Show the frames and every hit."""
+    data, worlds = self.data, list(draw.worlds)
+    places, turns = data.frame_pos_w[worlds].flatten(0, 1), data.frame_quat_w[worlds].flatten(0, 1)
+    draw.frames(places, turns, 2.0 * self._draw_size)
+    draw.spheres(data.hit_pos_w[worlds][data.valid[worlds]], 0.5 * self._draw_size, (0.0, 0.8, 0.9, 1.0))
 
   def _read(self) -> RayCastData:
     rays = self._cast()

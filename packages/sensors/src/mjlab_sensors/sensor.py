@@ -75,7 +75,7 @@ class Sensor(Stateful, ABC, Generic[T]):
     self.cfg = cfg
     self.num_envs = 0
     self._sim: Simulation | None = None
-    self._epoch: int | None = None
+    self._read_at: tuple[int, int] | None = None
     self._reading: T | None = None
 
   @property
@@ -100,7 +100,7 @@ class Sensor(Stateful, ABC, Generic[T]):
     del entities
     self.num_envs = sim.num_envs
     self._sim = sim
-    self._epoch = None
+    self._read_at = None
 
   def update(self, dt: float) -> None:
     """Take note of the substep just done, of `dt` [s]. By default there is nothing to note."""
@@ -127,10 +127,10 @@ class Sensor(Stateful, ABC, Generic[T]):
     access costs nothing. The tensors are the sensor's own memory: read them, do not write them, and clone what
     must outlive the step.
     """
-    epoch = self.sim.epoch
-    if epoch != self._epoch or self._reading is None:
+    now = self.sim.epoch, self._version()
+    if now != self._read_at or self._reading is None:
       self._reading = self._read()
-      self._epoch = epoch
+      self._read_at = now
     return self._reading
 
   @property
@@ -143,6 +143,10 @@ class Sensor(Stateful, ABC, Generic[T]):
     if self._sim is None:
       raise RuntimeError(f"{self.label}: not initialized; it can be read once its scene has a simulation")
     return self._sim
+
+  def _version(self) -> int:
+    """A number that changes when memory of the sensor's own is written that its reading follows from."""
+    return 0
 
   @abstractmethod
   def _read(self) -> T:

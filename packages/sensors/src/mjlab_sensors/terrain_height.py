@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import unknown
+from mjlab_core import DebugDraw, unknown
 
 from mjlab_sensors._flat_ground import plane_height
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
@@ -85,6 +85,18 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Show the height of each frame as a line down to the ground; without reduction, to the highest ground."""
+    data, worlds = self.data, list(draw.worlds)
+    heights, valid = data.heights[worlds], data.valid[worlds]
+    if self.cfg.reduction == "none":
+      heights, valid = heights.amin(-1), valid.any(-1)
+    top = self._frames.positions[worlds][valid]
+    bottom = top.clone()
+    bottom[:, 2] -= heights[valid]
+    draw.lines(top, bottom, (0.1, 0.8, 0.2, 1.0), 0.1 * self._draw_size)
+    draw.spheres(bottom, 0.4 * self._draw_size, (0.1, 0.8, 0.2, 1.0))
 
   def _read(self) -> TerrainHeightData:
     if self._plane is not None and self.sim.fixed_geoms_are_in_place():

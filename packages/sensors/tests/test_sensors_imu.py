@@ -1,0 +1,138 @@
+"""An inertial measurement unit: MuJoCo's readings and a bias of each world's own."""
+
+from typing import Any
+
+import mujoco
+import pytest
+import torch
+from mjlab_core import quat_error_magnitude, quat_from_rotvec, quat_mul
+from mjlab_sensors import ImuSensor, ImuSensorCfg, ObjRef
+from mjlab_sim import Simulation, SimulationCfg
+
+ROBOT = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="0 0 1"/>
+    <body name="box" pos="0 0 0.1">
+      <freejoint/>
+      <geom type="box" size="0.1 0.1 0.1" mass="1"/>
+      <site name="imu" pos="0 0 0.05" euler="0 0 90"/>
+    </body>
+  </worldbody>
+  <sensor>
+    <gyro name="gyro" site="imu"/><accelerometer name="accelerometer" site="imu"/>
+    <framequat name="quat" objtype="site" objname="imu"/>
+  </sensor>
+</mujoco>
+"""
+SITE = ObjRef(type="site", name="imu")
+ALL = torch.ones(64, dtype=torch.bool)
+
+
+def build(num_envs: int = 64, **biases: float) -> tuple[Simulation, ImuSensor]:
+  spec = mujoco.MjSpec.from_string(ROBOT)
+  sensor = ImuSensorCfg(name="imu", site=SITE, **biases).build()
+  assert isinstance(sensor, ImuSensor)
+  sensor.edit_spec(spec, {})
+  sim = Simulation(num_envs, spec, SimulationCfg(num_threads=1))
+  sensor.rng = torch.Generator().manual_seed(0)
+  sensor.initialize(sim, {})
+  return sim, sensor
+
+
+def true_readings(sim: Simulation) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+  columns = {"gyro": slice(0, 3), "accelerometer": slice(3, 6), "quat": slice(6, 10)}
+  _ = sim.epoch
+  gyro, accelerometer, quat = (sim.data.sensordata[:, column].clone() for column in columns.values())
+  return gyro, accelerometer, quat
+
+
+def test_without_bias_it_reads_what_mujoco_does_and_gravity_when_it_rests() -> None:
+  sim, sensor = build(num_envs=2)
+  sim.data.qvel[:, 3:] = torch.tensor([0.5, 0.2, -0.3], dtype=sim.dtype)
+  for _ in range(2000):
+    sim.step()
+    data = sensor.data
+    read = (data.angular_velocity, data.linear_acceleration, data.orientation)
+    for value, true in zip(read, true_readings(sim), strict=True):
+      torch.testing.assert_close(value, true)
+  up = torch.tensor([[0.0, 0.0, 9.81]] * 2, dtype=sim.dtype)
+  torch.testing.assert_close(sensor.data.linear_acceleration, up, rtol=1e-3, atol=1e-3)
+  torch.testing.assert_close(sensor.data.projected_gravity, -up / 9.81, rtol=1e-3, atol=1e-3)
+
+
+def test_a_bias_is_added_in_the_axes_of_the_site() -> None:
+  sim, sensor = build(gyro_bias=0.2, accelerometer_bias=0.5, orientation_bias=0.1)
+  sim.data.qvel[:, 3:] = 0.3
+  sim.step()
+  gyro, accelerometer, quat = true_readings(sim)
+  data = sensor.data
+  torch.testing.assert_close(data.angular_velocity, gyro + sensor.gyro_bias)
+  torch.testing.assert_close(data.linear_acceleration, accelerometer + sensor.accelerometer_bias)
+  torch.testing.assert_close(data.orientation, quat_mul(quat, quat_from_rotvec(sensor.orientation_bias)))
+  angle = quat_error_magnitude(data.orientation, quat)
+  torch.testing.assert_close(angle, sensor.orientation_bias.norm(dim=1))
+  for bias, most in ((sensor.gyro_bias, 0.2), (sensor.accelerometer_bias, 0.5), (sensor.orientation_bias, 0.1)):
+    assert bias.abs().max() <= most
+    # Uniform: every world and axis has its own, with the deviation of that distribution.
+    assert bias.unique().numel() == bias.numel()
+    assert bias.std().item() == pytest.approx(most / 3**0.5, rel=0.15)
+
+
+def test_a_reset_draws_anew_for_masked_worlds_alone() -> None:
+  _, sensor = build(gyro_bias=0.2)
+  before = sensor.gyro_bias.clone()
+  mask = torch.arange(64) % 2 == 0
+  sensor.reset(mask)
+  assert torch.equal(sensor.gyro_bias[~mask], before[~mask])
+  assert (sensor.gyro_bias[mask] != before[mask]).all()
+
+
+def test_what_an_event_sets_is_read_at_once_and_survives_resets_where_nothing_is_drawn() -> None:
+  _, sensor = build(gyro_bias=0.2)
+  mask = torch.arange(64) < 10
+  _ = sensor.data
+  sensor.set_bias(mask, accelerometer=torch.full((64, 3), 0.7), orientation=torch.full((64, 3), 0.01))
+  assert sensor.data.linear_acceleration[:, 0].tolist() == [pytest.approx(0.7)] * 10 + [0.0] * 54
+  sensor.reset(ALL)
+  torch.testing.assert_close(sensor.accelerometer_bias[mask], torch.full((10, 3), 0.7, dtype=torch.float64))
+  # Writing to the bias itself is seen just as well.
+  sensor.gyro_bias.fill_(1.0)
+  assert (sensor.data.angular_velocity == 1.0).all()
+
+
+def test_a_bias_wanders_with_the_root_of_time_and_starts_anew() -> None:
+  _, sensor = build(num_envs=512, gyro_walk=0.1, accelerometer_walk=0.4)
+  for _ in range(400):
+    sensor.update(0.005)
+  for bias, walk in ((sensor.gyro_bias, 0.1), (sensor.accelerometer_bias, 0.4)):
+    assert bias.std().item() == pytest.approx(walk * 2**0.5, rel=0.1)
+    assert abs(bias.mean().item()) < 0.05 * walk * 2**0.5 * 3
+  sensor.reset(torch.arange(512) < 100)
+  assert not sensor.gyro_bias[:100].any()
+  assert sensor.gyro_bias[100:].all()
+
+
+def test_a_unit_of_a_model_that_has_its_elements_already_is_refused() -> None:
+  spec = mujoco.MjSpec.from_string(ROBOT.replace('name="gyro"', 'name="imu:gyro"'))
+  with pytest.raises(ValueError, match="ImuSensorCfg 'imu': the scene already has a sensor element 'imu:gyro'"):
+    ImuSensorCfg(name="imu", site=SITE).build().edit_spec(spec, {})
+
+
+@pytest.mark.parametrize(
+  ("fields", "message"),
+  [
+    ({"site": ObjRef(type="body", name="box")}, "sits at a site, not at body 'box'"),
+    ({"gyro_bias": -0.1}, "gyro_bias is a magnitude and must not be negative, but is -0.1"),
+    ({"accelerometer_walk": float("nan")}, "accelerometer_walk is a magnitude"),
+  ],
+)
+def test_a_wrong_unit_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=f"ImuSensorCfg 'imu': .*{message}"):
+    ImuSensorCfg(**{"name": "imu", "site": SITE, **fields})
+
+
+def test_a_site_that_does_not_exist_is_refused_with_the_nearest() -> None:
+  cfg = ImuSensorCfg(name="imu", site=ObjRef(type="site", name="imo"))
+  with pytest.raises(ValueError, match=r"ImuSensorCfg 'imu': site 'imo' does not exist. Nearest: imu"):
+    cfg.build().edit_spec(mujoco.MjSpec.from_string(ROBOT), {})
