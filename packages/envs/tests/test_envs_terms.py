@@ -28,6 +28,8 @@ from mjlab_sensors import (
   ContactSensorCfg,
   FrameMatch,
   GridPatternCfg,
+  ImuSensorCfg,
+  ObjRef,
   RayCastSensorCfg,
 )
 from scipy.spatial.transform import Rotation
@@ -221,6 +223,37 @@ def test_an_image_that_is_not_drawn_is_refused_by_name(make: Make) -> None:
   cfg.scene.sensors["side"].data_types = ("depth",)
   with pytest.raises(ConfigError, match="camera 'side' draws depth only; add 'rgb' to its data_types"):
     make(cfg)
+
+
+def calibrate(env: Any, mask: torch.Tensor, *, sensor: str, most: float) -> None:
+  """An event that gives the gyro of masked worlds another bias."""
+  bias = torch.empty(env.num_envs, 3, device=env.device).uniform_(-most, most, generator=env.rng)
+  env.scene[sensor].set_bias(mask, gyro=bias)
+
+
+def test_the_bias_of_an_imu_is_randomised_by_events_and_kept_with_the_state(make: Make) -> None:
+  def imu() -> Any:
+    cfg = hopper_cfg()
+    cfg.scene.sensors["imu"] = ImuSensorCfg(
+      site=ObjRef(type="site", name="imu", entity="robot"), accelerometer_bias=0.3, gyro_walk=0.1
+    )
+    cfg.events["calibrate"] = EventTermCfg(calibrate, mode="reset", params={"sensor": "imu", "most": 0.5})
+    return make(cfg)
+
+  env, twin = imu(), imu()
+  env.reset()
+  bias = env.scene["imu"].gyro_bias.clone()
+  assert (bias.abs() <= 0.5).all()
+  assert bias.unique().numel() == bias.numel()
+  env.reset(env_ids=[1])
+  moved = (env.scene["imu"].gyro_bias != bias).any(1)
+  assert moved.tolist() == [False, True, False, False]
+  # Both draw alike from where the state was kept.
+  twin.load_state_dict(env.state_dict())
+  for environment in (env, twin):
+    environment.step(torch.zeros(4, environment.action_manager.total_action_dim))
+  for field, value in vars(env.scene["imu"].data).items():
+    torch.testing.assert_close(getattr(twin.scene["imu"].data, field), value)
 
 
 def test_joints_are_relative_to_the_default_pose(env: Any) -> None:

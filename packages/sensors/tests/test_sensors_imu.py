@@ -128,8 +128,9 @@ def test_a_unit_of_a_model_that_has_its_elements_already_is_refused() -> None:
   ],
 )
 def test_a_wrong_unit_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
+  arguments: dict[str, Any] = {"name": "imu", "site": SITE, **fields}
   with pytest.raises(ValueError, match=f"ImuSensorCfg 'imu': .*{message}"):
-    ImuSensorCfg(**{"name": "imu", "site": SITE, **fields})
+    ImuSensorCfg(**arguments)
 
 
 def test_a_site_that_does_not_exist_is_refused_with_the_nearest() -> None:
