@@ -183,6 +183,24 @@ def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, messa
     build(cfg)
 
 
+class StifferServoCfg(NativePositionActuatorCfg):
+  """A user's own kind of servo."""
+
+  def _gains(self, target_names):
+    return [(2.0 * kp, kd, limit) for kp, kd, limit in super()._gains(target_names)]
+
+
+def test_a_subclass_of_a_native_config_is_one_too() -> None:
+  own = StifferServoCfg(target_names_expr=("a",), stiffness=KP, damping=KD)
+  model, actuators = build(own, NativePositionActuatorCfg(target_names_expr=("[bc]",), stiffness=KP, damping=KD))
+  assert len(actuators.groups) == 1
+  cmd = random_command()
+  got = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
+  factor = torch.tensor([2.0, 1.0, 1.0])
+  expected = factor * KP * (cmd.position_target - cmd.position) - KD * cmd.velocity
+  np.testing.assert_allclose(got, expected.numpy(), rtol=1e-12, atol=1e-12)
+
+
 def test_a_joint_driven_twice_is_refused() -> None:
   with pytest.raises(ValueError, match="joint 'b' already has an actuator"):
     build(NativeMotorActuatorCfg(target_names_expr=ALL), NativeMotorActuatorCfg(target_names_expr=("b",)))

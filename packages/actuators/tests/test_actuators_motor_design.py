@@ -2,9 +2,19 @@
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
-from mjlab_actuators import gains_from_frequency, reflected_inertia, reflected_inertia_of_stages, rotary_to_linear
+import torch
+from mjlab_actuators import (
+  ActuatorSet,
+  NativePositionActuatorCfg,
+  gains_from_frequency,
+  radians_per_second,
+  reflected_inertia,
+  reflected_inertia_of_stages,
+  rotary_to_linear,
+)
 
 
 @pytest.mark.parametrize("damping_ratio", [0.3, 1.0, 2.0])
@@ -31,6 +41,42 @@ def test_a_lever_keeps_power_and_energy() -> None:
   linear = rotary_to_linear(inertia=0.01, velocity_limit=30.0, effort_limit=2.0, radius=0.05)
   assert linear.velocity_limit * linear.effort_limit == pytest.approx(30.0 * 2.0)
   assert linear.mass * linear.velocity_limit**2 == pytest.approx(0.01 * 30.0**2)
+
+
+def test_sixty_revolutions_a_minute_are_one_turn_a_second() -> None:
+  assert radians_per_second(60.0) == pytest.approx(2 * math.pi)
+  assert radians_per_second(-3000.0) == pytest.approx(-100 * math.pi)
+
+
+@pytest.mark.parametrize("damping_ratio", [0.2, 1.0])
+def test_a_servo_with_these_gains_swings_as_the_second_order_response_says(damping_ratio: float) -> None:
+  inertia, frequency = 0.02, 2.0
+  kp, kd = gains_from_frequency(inertia, frequency, damping_ratio)
+  spec = mujoco.MjSpec.from_string(
+    """
+  <mujoco><option timestep="1e-4" gravity="0 0 0" integrator="RK4"/>
+    <worldbody><body><joint name="j"/><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody>
+  </mujoco>""".replace('name="j"', f'name="j" armature="{inertia}"')
+  )
+  servo = NativePositionActuatorCfg(target_names_expr=("j",), stiffness=kp, damping=kd)
+  actuators = ActuatorSet([servo])
+  actuators.edit_spec(spec)
+  model = spec.compile()
+  actuators.build(model, num_envs=1, device="cpu", dtype=torch.float64)
+  data = mujoco.MjData(model)
+  data.qpos[0], data.ctrl[0] = 1.0, 0.0
+  omega, zeta = 2 * math.pi * frequency, damping_ratio
+  for _ in range(3):
+    for _ in range(1000):
+      mujoco.mj_step(model, data)
+    t = data.time
+    if zeta == 1.0:
+      expected = (1 + omega * t) * math.exp(-omega * t)
+    else:
+      damped = omega * math.sqrt(1 - zeta**2)
+      ripple = math.cos(damped * t) + zeta * omega / damped * math.sin(damped * t)
+      expected = math.exp(-zeta * omega * t) * ripple
+    assert data.qpos[0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_impossible_numbers_are_refused() -> None:

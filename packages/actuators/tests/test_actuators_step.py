@@ -1,6 +1,7 @@
 """What the captured step asks for: fixed memory, no host reads, and few operations."""
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,33 @@ def test_a_substep_costs_few_operations_and_none_that_syncs(cfgs: tuple[Actuator
     actuators.compute(*args)
   assert len(stepping.names) <= budget, stepping.names
   assert not [name for name in stepping.names + resetting.names if any(sync in name for sync in SYNCS)]
+
+
+LATE: dict[str, Any] = {"delay_min_lag": 1, "delay_max_lag": 3}
+SPLITS = [((".*",),), (("c",), ("a", "b")), (("b",), ("c",), ("a",))]
+
+
+@pytest.mark.parametrize("delay", [{}, LATE], ids=["at once", "late"])
+@pytest.mark.parametrize("law", [servo, pd, dc_motor, enveloped, learned])
+def test_a_substep_costs_the_same_however_many_groups_a_law_has(law: Any, delay: dict[str, Any]) -> None:
+  counts = []
+  for split in SPLITS:
+    # Groups of a law differ in their numbers, which is why there are several.
+    cfgs = [replace(law(*joints), armature=0.01 * k, **delay) for k, joints in enumerate(split)]
+    if law is not learned:
+      for k, cfg in enumerate(cfgs):
+        cfg.stiffness = 1.0 + k
+    actuators, _ = build(*cfgs)
+    args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
+    with Operations() as stepping:
+      actuators.compute(*args)
+    with Operations() as resetting:
+      actuators.reset(torch.ones(4, dtype=torch.bool), *args[:3])
+    counts.append((len(actuators.groups), len(stepping.names), len(resetting.names)))
+  assert counts[0][0] == 1
+  # A whole robot in its own order needs no selection of columns.
+  assert counts[1] == counts[2]
+  assert all(few <= many <= few + 1 for few, many in zip(counts[0], counts[1], strict=True))
 
 
 @pytest.mark.parametrize("cfgs", [cfgs for cfgs, _ in CASES.values()], ids=CASES.keys())

@@ -9,6 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 
+def radians_per_second(rpm: float) -> float:
+  """Angular speed of so many revolutions per minute, 2 pi / 60 of that [rad/s]; data sheets say rpm."""
+  return 2.0 * math.pi / 60.0 * rpm
+
+
 class PdGains(NamedTuple):
   """Gains of a position servo."""
 
@@ -30,7 +35,7 @@ class LinearMotor(NamedTuple):
 
 
 def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio: float) -> PdGains:
-  """Gains that give J q'' + kd q' + kp q = 0 the wanted poles: kp = J wn^2, kd = 2 zeta J wn.
+  """Gains that give J q'' + kd q' + kp q = 0 the wanted poles: kp = J wn^2, kd = 2 zeta J wn (Franklin et al., 3.3).
 
   Args:
     inertia: J, the inertia that the servo feels at its target [kg or kg m^2].
@@ -48,6 +53,8 @@ def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio
 def reflected_inertia(rotor_inertia: float, gear_ratio: float) -> float:
   """Inertia of a rotor seen behind a reduction, J N^2 [kg m^2]; the MJCF attribute `armature` of a joint.
 
+  The rotor turns N times as fast as the output, and kinetic energy goes with the square (Lynch and Park, 8.9.2).
+
   Raises:
     ValueError: An argument is negative or not finite.
   """
@@ -57,6 +64,9 @@ def reflected_inertia(rotor_inertia: float, gear_ratio: float) -> float:
 
 def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence[float]) -> float:
   """Inertia of a chain of rotating parts seen at the output, sum of J_i (N_i ... N_last)^2 [kg m^2].
+
+  `reflected_inertia` of each part with all the reduction that follows it; of a planetary gearbox of two stages
+  J1 (N1 N2)^2 + J2 N2^2 + J3.
 
   Args:
     inertias: Inertia of the rotor and of each stage's own turning parts, motor side first [kg m^2]. One more than there
@@ -79,6 +89,8 @@ def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence
 
 def rotary_to_linear(inertia: float, velocity_limit: float, effort_limit: float, radius: float) -> LinearMotor:
   """A rotary motor seen through a lever arm of `radius` metres per radian: J / r^2, w r, tau / r.
+
+  Speed is v = w r, and the lever keeps power and kinetic energy: F v = tau w, m v^2 = J w^2.
 
   Raises:
     ValueError: An argument is negative or not finite, or the radius is zero.
