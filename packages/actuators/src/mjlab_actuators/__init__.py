@@ -2,6 +2,7 @@
 
 from mjlab_actuators.actuator import Actuator, ActuatorGroup, DelaySettings, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
+from mjlab_actuators.actuator_parameter import ActuatorParameter, ParameterName, PerWorldModel
 from mjlab_actuators.actuator_set import ActuatorSet
 from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
@@ -37,6 +38,7 @@ __all__ = [
   "ActuatorCfg",
   "ActuatorCmd",
   "ActuatorGroup",
+  "ActuatorParameter",
   "ActuatorSet",
   "CommandField",
   "DcMotor",
@@ -59,9 +61,11 @@ __all__ = [
   "NativeMuscleActuatorCfg",
   "NativePositionActuatorCfg",
   "NativeVelocityActuatorCfg",
+  "ParameterName",
   "PassThrough",
   "PdGains",
   "PerTarget",
+  "PerWorldModel",
   "Records",
   "RecordsError",
   "SiteGear",

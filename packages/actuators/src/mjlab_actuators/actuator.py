@@ -98,6 +98,9 @@ class Actuator(Stateful, ABC):
   needs_feedback: ClassVar[bool] = True
   """Whether `compute` reads `position` and `velocity`."""
 
+  effort_limits: ClassVar[tuple[str, ...]] = ("effort_limit",)
+  """Parameters that bound the effort, those that the law has."""
+
   delay: DelayBuffer | None
   """Memory of late set-points; None without delay."""
 

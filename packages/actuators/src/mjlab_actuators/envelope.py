@@ -52,6 +52,8 @@ class EnvelopedPd(Pd):
   A motor that turns faster than its no-load speed is left alone or brakes, as wanted; it is never driven on.
   """
 
+  effort_limits = ("motoring_effort", "braking_effort")
+
   full_effort_speed: torch.Tensor
   """Knee of the curve, (1, n) or (num_envs, n) [m/s or rad/s]."""
   no_load_speed: torch.Tensor

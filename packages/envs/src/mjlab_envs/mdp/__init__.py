@@ -32,6 +32,7 @@ from mjlab_envs.mdp.observations import (
   projected_gravity,
 )
 from mjlab_envs.mdp.randomize import randomize, randomized_values, randomizer_of, widen_randomization
+from mjlab_envs.mdp.randomize_actuators import randomize_actuator, randomize_actuator_delay
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
   action_rate_l2,
@@ -83,6 +84,8 @@ __all__ = [
   "projected_gravity",
   "push_by_setting_velocity",
   "randomize",
+  "randomize_actuator",
+  "randomize_actuator_delay",
   "randomized_values",
   "randomizer_of",
   "reset_joints_by_offset",

@@ -1,0 +1,193 @@
+"""Gains and effort limits of chosen targets, wherever they live: in a law's tensors, or in fields of the model."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, get_args
+
+import mujoco
+import torch
+from mjlab_core.masking import where_
+from mjlab_core.names import match_names, unknown
+
+from mjlab_actuators.actuator import Actuator
+from mjlab_actuators.actuator_set import ActuatorSet
+from mjlab_actuators.native import PassThrough
+from mjlab_actuators.transmission import Target, Transmission
+
+ParameterName = Literal["stiffness", "damping", "effort_limit"]
+"""What can be scaled, whichever law an actuator has."""
+
+# Where MuJoCo keeps the gains of controllers.
+_DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm", 6)}
+_PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)}
+
+
+class PerWorldModel(Protocol):
+  """What is asked of a simulation of `num_envs` worlds."""
+
+  @property
+  def num_envs(self) -> int: ...
+  @property
+  def device(self) -> torch.device: ...
+  @property
+  def mj_model(self) -> mujoco.MjModel: ...
+  @property
+  def model(self) -> Any:
+    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory."""
+    ...
+
+  def expand_model_fields(self, names: Iterable[str], /) -> None: ...
+  def default_field(self, name: str, /) -> torch.Tensor: ...
+
+
+@dataclass(frozen=True)
+class _Place:
+  """Numbers that are multiplied by the factor of one target: of a law, or of a model field."""
+
+  owner: Actuator | None
+  name: str
+  column: int
+  target: int
+
+
+class ActuatorParameter:
+  """One gain or limit of some targets, with a value per world.
+
+  Scaling always starts from what was configured and compiled, so that repeating it never drifts. For an effort limit,
+  the limit that the MJCF puts on all actuators of a joint or tendon together is scaled too, for it would keep a raised
+  one from taking effect.
+
+  Construction gives everything involved one row per world; `scale` then runs inside a captured step.
+  """
+
+  targets: tuple[Target, ...]
+  """What is scaled, in the order of columns."""
+  nominal: torch.Tensor
+  """Configured values, (1, num_targets) [the parameter's unit]."""
+
+  def __init__(
+    self,
+    actuators: ActuatorSet,
+    sim: PerWorldModel,
+    name: ParameterName,
+    patterns: str | Sequence[str] = ".*",
+    transmission: Transmission = "joint",
+  ) -> None:
+    """Finds the parameter `name` of all targets of one transmission that a pattern matches as a whole.
+
+    Raises:
+      NameMatchError: A pattern matches nothing that is driven.
+      ValueError: A target has no such parameter, or scaling it would change nothing; the message names it.
+    """
+    if name not in get_args(ParameterName):
+      raise ValueError(unknown("actuator parameter", name, get_args(ParameterName), owner=actuators.owner))
+    what = f"driven {transmission}"
+    _, names = match_names(patterns, actuators.driven(transmission), what=what, owner=actuators.owner)
+    self.name, self.targets = name, tuple(Target(transmission, target) for target in names)
+    self._sim = sim
+    self._places: dict[tuple[Actuator | None, str], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+    found: dict[tuple[Actuator | None, str], list[_Place]] = defaultdict(list)
+    nominal: list[float] = []
+    for index, target in enumerate(self.targets):
+      value, places = _find(actuators, sim, name, target, index)
+      nominal.append(value)
+      for place in places:
+        found[place.owner, place.name].append(place)
+    sim.expand_model_fields([field for owner, field in found if owner is None])
+    for (owner, field), places in found.items():
+      columns = torch.tensor([place.column for place in places], device=sim.device)
+      default = sim.default_field(field) if owner is None else owner.nominal(field)
+      if owner is not None:
+        owner.expand(field)
+      of_target = torch.tensor([place.target for place in places], device=sim.device)
+      self._places[owner, field] = (columns, of_target, default.reshape(1, -1).index_select(1, columns))
+    dtype = next(iter(self._places.values()))[2].dtype
+    self.nominal = torch.tensor([nominal], device=sim.device, dtype=dtype)
+
+  def scale(self, factor: torch.Tensor, mask: torch.Tensor) -> None:
+    """Writes `factor`, (num_envs, num_targets), times what was configured, into worlds of `mask`, bool (num_envs,)."""
+    for (owner, field), (columns, of_target, default) in self._places.items():
+      values = default * factor.index_select(1, of_target)
+      flat = self._flat(owner, field)
+      flat.index_copy_(1, columns, where_(flat.index_select(1, columns), mask, values))
+
+  def _flat(self, owner: Actuator | None, field: str) -> torch.Tensor:
+    # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
+    return (getattr(self._sim.model, field) if owner is None else getattr(owner, field)).view(self._sim.num_envs, -1)
+
+
+def _find(
+  actuators: ActuatorSet, sim: PerWorldModel, name: str, target: Target, index: int
+) -> tuple[float, list[_Place]]:
+  """Configured value of a parameter of one target, and all places that hold it."""
+  owner = f"{actuators.owner}: {name} of {target.transmission} {target.name!r}".removeprefix(": ")
+  value, places, elements = 0.0, [], set()
+  for law in actuators.groups:
+    for column, other in enumerate(law.group.targets):
+      if other != target:
+        continue
+      element = _element_of(sim.mj_model, law.group.ctrl_ids[column])
+      if not isinstance(law, PassThrough):
+        fields = law.effort_limits if name == "effort_limit" else (name,)
+        values = {field: law.group.parameters[field][column] for field in fields if field in law.group.parameters}
+        numbers = [(number, _Place(law, field, column, index)) for field, number in values.items()]
+      elif element in elements:
+        continue
+      else:
+        numbers = _in_model(sim.mj_model, name, element, index)
+      elements.add(element)
+      places += [place for _, place in numbers]
+      value = value or next((number for number, _ in numbers if number != 0.0), 0.0)
+  if not places:
+    raise ValueError(f"{owner}: its actuator has none")
+  if value == 0.0 or value == float("inf"):
+    why = "is zero" if value == 0.0 else "was not given"
+    raise ValueError(f"{owner}: it {why}, so that scaling it changes nothing")
+  if name == "effort_limit":
+    places += _shared_limits(sim.mj_model, target, elements, index, owner)
+  return value, places
+
+
+def _element_of(model: mujoco.MjModel, ctrl: int) -> int:
+  """The actuator that an index into ctrl belongs to."""
+  return int((model.actuator_ctrladr <= ctrl).nonzero()[0][-1])
+
+
+def _in_model(model: mujoco.MjModel, name: str, element: int, index: int) -> list[tuple[float, _Place]]:
+  """Values and places of a parameter of an actuator whose law runs in MuJoCo; none where it has no such parameter."""
+  fields: list[tuple[str, int]] = []
+  kind, bias = mujoco.mjtGain(model.actuator_gaintype[element]), mujoco.mjtBias(model.actuator_biastype[element])
+  gain, on_length, on_velocity = model.actuator_gainprm[element, 0], *model.actuator_biasprm[element, 1:3]
+  if name == "effort_limit":
+    fields = [("actuator_forcerange", 1), ("actuator_forcerange", 0)] if model.actuator_forcelimited[element] else []
+  elif kind in (mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_PID):
+    fields = [(_DC_MOTOR if kind == mujoco.mjtGain.mjGAIN_DCMOTOR else _PID)[name]]
+  elif kind == mujoco.mjtGain.mjGAIN_FIXED and bias == mujoco.mjtBias.mjBIAS_AFFINE and gain != 0.0:
+    if on_length == -gain:
+      position = [("actuator_gainprm", 0), ("actuator_biasprm", 1)]
+      fields = position if name == "stiffness" else [("actuator_biasprm", 2)]
+    elif on_length == 0.0 and on_velocity == -gain and name == "damping":
+      fields = [("actuator_gainprm", 0), ("actuator_biasprm", 2)]
+  found = []
+  for field, column in fields:
+    table = getattr(model, field)
+    found.append((abs(float(table[element, column])), _Place(None, field, element * table.shape[1] + column, index)))
+  return found
+
+
+def _shared_limits(model: mujoco.MjModel, target: Target, elements: set[int], index: int, owner: str) -> list[_Place]:
+  """Places of the limit on all actuators of a joint or tendon together, if it has one."""
+  if target.transmission == "site":
+    return []
+  row = int(model.actuator_trnid[next(iter(elements)), 0])
+  field = "jnt_actfrcrange" if target.transmission == "joint" else "tendon_actfrcrange"
+  limited = model.jnt_actfrclimited if target.transmission == "joint" else model.tendon_actfrclimited
+  if not limited[row]:
+    return []
+  same = (model.actuator_trntype == model.actuator_trntype[next(iter(elements))]) & (model.actuator_trnid[:, 0] == row)
+  if int(same.sum()) > 1:
+    raise ValueError(
+      f"{owner}: {int(same.sum())} actuators share its actuatorfrcrange, so that one of them cannot be scaled alone"
+    )
+  return [_Place(None, field, 2 * row + side, index) for side in range(2)]

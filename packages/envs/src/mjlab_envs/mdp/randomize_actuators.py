@@ -1,0 +1,141 @@
+"""Gains, effort limits and delays of actuators as events, alike for every law, in torch or in MuJoCo."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, get_args
+from weakref import WeakKeyDictionary
+
+import torch
+from mjlab_actuators import ActuatorParameter, ActuatorSet, ParameterName, Target, Transmission
+from mjlab_core.names import match_names, unknown
+from mjlab_core.sampling import check_range
+from mjlab_dr import Distribution, Uniform
+from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
+
+if TYPE_CHECKING:
+  from mjlab_envs.env import ManagerBasedRlEnv
+
+ActuatorOperation = Literal["scale", "absolute"]
+Patterns = str | Sequence[str]
+Values = tuple[float, float] | Distribution
+
+_ROBOT = SceneEntityCfg("robot")
+
+# Who draws what: two events for one number would undo each other's work in silence.
+_drawn: WeakKeyDictionary[ActuatorSet, dict[tuple[str, object], str]] = WeakKeyDictionary()
+
+
+class randomize_actuator(ManagerTermBase):
+  """Draw gains or effort limits of an entity's actuators in masked worlds, always from what was configured.
+
+  `parameter` is "stiffness", "damping" or "effort_limit". Each target that a pattern matches gets a draw of its own:
+  "scale" multiplies what was configured, "absolute" replaces it (both limits of an envelope, in proportion to the
+  motoring one). `values` is (lo, hi), uniform, or a distribution of `mjlab_dr`. A limit that the MJCF puts on the joint
+  or tendon follows, so that a raised effort limit lets more through.
+  """
+
+  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    params = cfg.params
+    actuators, owner = _actuators(env, params["asset"], f"{self.name} '{params['parameter']}'")
+    if params["operation"] not in get_args(ActuatorOperation):
+      raise ValueError(unknown("operation", params["operation"], get_args(ActuatorOperation), owner=owner))
+    distribution = _distribution(params["values"])
+    distribution.check(owner)
+    if distribution.support()[0] < 0.0:
+      raise ValueError(f"{owner}: values from {distribution.support()[0]:g} up; none may be negative")
+    self._parameter = ActuatorParameter(
+      actuators, env.sim, params["parameter"], params["targets"], params["transmission_type"]
+    )
+    _claim(actuators, params["parameter"], self._parameter.targets, owner)
+    self._shape = (env.num_envs, len(self._parameter.targets))
+
+  def __call__(
+    self,
+    env: "ManagerBasedRlEnv",
+    mask: torch.Tensor,
+    *,
+    parameter: ParameterName,
+    values: Values,
+    operation: ActuatorOperation = "scale",
+    targets: Patterns = ".*",
+    transmission_type: Transmission = "joint",
+    asset: SceneEntityCfg = _ROBOT,
+  ) -> None:
+    del parameter, targets, transmission_type, asset  # Resolved at build.
+    nominal = self._parameter.nominal
+    draw = _distribution(values).sample(self._shape, generator=env.rng, device=nominal.device, dtype=nominal.dtype)
+    self._parameter.scale(draw / nominal if operation == "absolute" else draw, mask)
+
+
+class randomize_actuator_delay(ManagerTermBase):
+  """Draw the lag of delayed actuators in masked worlds, which keep it, through resets too, until it is drawn again.
+
+  `lag_range` is (least, greatest) in physics steps, both included, within what the actuators' configs allow. Targets of
+  one law and one delay setting share their delay, so a pattern takes all of them or none.
+  """
+
+  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    params = cfg.params
+    actuators, owner = _actuators(env, params["asset"], self.name)
+    transmission: Transmission = params["transmission_type"]
+    lo, hi = params["lag_range"]
+    check_range(f"{owner}: lag_range", lo, hi, minimum=0)
+    if not (isinstance(lo, int) and isinstance(hi, int)):
+      raise ValueError(f"{owner}: lag_range is ({lo}, {hi}); lags are whole numbers of physics steps")
+    what = f"driven {transmission}"
+    _, names = match_names(params["targets"], actuators.driven(transmission), what=what, owner=owner)
+    wanted = {Target(transmission, name) for name in names}
+    laws = [law for law in actuators.groups if wanted & set(law.group.targets)]
+    for law in laws:
+      settings, members = law.group.delay, law.group.targets
+      if others := [target.name for target in members if target not in wanted]:
+        mine = next(target.name for target in members if target in wanted)
+        raise ValueError(f"{owner}: '{mine}' shares its delay with {', '.join(others)}; name all of them, or none")
+      if not settings.min_lag <= lo <= hi <= settings.max_lag or settings.min_lag == settings.max_lag:
+        raise ValueError(
+          f"{owner}: lags in [{lo}, {hi}] for '{members[0].name}', whose config has delay_min_lag {settings.min_lag} "
+          f"and delay_max_lag {settings.max_lag}; widen those"
+        )
+    _claim(actuators, "delay", sorted(wanted), owner)
+    self._delays = [law.delay for law in laws if law.delay is not None]
+    nobody = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+    for delay in self._delays:
+      delay.pin(nobody, lo)
+
+  def __call__(
+    self,
+    env: "ManagerBasedRlEnv",
+    mask: torch.Tensor,
+    *,
+    lag_range: tuple[int, int],
+    targets: Patterns = ".*",
+    transmission_type: Transmission = "joint",
+    asset: SceneEntityCfg = _ROBOT,
+  ) -> None:
+    del targets, transmission_type, asset  # Resolved at build.
+    lo, hi = lag_range
+    for delay in self._delays:
+      delay.pin(mask, torch.randint(lo, hi + 1, (env.num_envs,), generator=env.rng, device=env.device))
+
+
+def _distribution(values: Values) -> Distribution:
+  return Uniform(*values) if isinstance(values, tuple) else values
+
+
+def _actuators(env: "ManagerBasedRlEnv", asset: SceneEntityCfg, what: str) -> tuple[ActuatorSet, str]:
+  entity = env.scene[asset.name]
+  if entity.actuators is None:
+    raise ValueError(f"entity '{entity.name}': {what}: no actuators are configured for it")
+  return entity.actuators, f"entity '{entity.name}': {what}"
+
+
+def _claim(actuators: ActuatorSet, parameter: str, targets: Sequence[Target], owner: str) -> None:
+  drawn = _drawn.setdefault(actuators, {})
+  for target in targets:
+    if (parameter, target) in drawn:
+      raise ValueError(
+        f"{owner}: {parameter} of {target.transmission} '{target.name}' is drawn by another event already; only one of "
+        "them would count"
+      )
+    drawn[parameter, target] = owner

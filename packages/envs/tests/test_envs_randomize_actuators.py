@@ -1,0 +1,307 @@
+"""Gains, effort limits and delays drawn per world: they act in the simulation, and repeating them never drifts."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import pytest
+import torch
+from envs_hopper import hopper_cfg
+from mjlab_actuators import (
+  ActuatorCfg,
+  DcMotorActuatorCfg,
+  EnvelopedPdActuatorCfg,
+  IdealPdActuatorCfg,
+  NativeDcMotorActuatorCfg,
+  NativeMotorActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  TorqueSpeedEnvelope,
+  XmlActuatorCfg,
+)
+from mjlab_dr import LogUniform
+from mjlab_envs import mdp
+from mjlab_managers import ConfigError, EventTermCfg
+from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
+
+# An environment, of which tests also touch what is not public.
+Make = Callable[..., Any]
+
+WORLDS = 4
+LIMIT = 5.0
+LAWS: dict[str, ActuatorCfg] = {
+  "xml": XmlActuatorCfg(target_names_expr=("xml",)),
+  "position": NativePositionActuatorCfg(
+    target_names_expr=("position",), stiffness=20.0, damping=2.0, effort_limit=LIMIT
+  ),
+  "velocity": NativeVelocityActuatorCfg(target_names_expr=("velocity",), damping=2.0, effort_limit=LIMIT),
+  "motor": NativeMotorActuatorCfg(target_names_expr=("motor",), effort_limit=LIMIT),
+  "native_dc": NativeDcMotorActuatorCfg(
+    target_names_expr=("native_dc",),
+    torque_constant=0.5,
+    resistance=0.1,
+    inputs=("position_target", "velocity_target"),
+    stiffness=20.0,
+    damping=2.0,
+    effort_limit=LIMIT,
+  ),
+  "pd": IdealPdActuatorCfg(target_names_expr=("pd",), stiffness=20.0, damping=2.0, effort_limit=LIMIT),
+  "dc": DcMotorActuatorCfg(
+    target_names_expr=("dc",),
+    stiffness=20.0,
+    damping=2.0,
+    effort_limit=LIMIT,
+    saturation_effort=100.0,
+    velocity_limit=1e3,
+  ),
+  "envelope": EnvelopedPdActuatorCfg(
+    target_names_expr=("envelope",),
+    stiffness=20.0,
+    damping=2.0,
+    envelope=TorqueSpeedEnvelope(10.0, 20.0, LIMIT, LIMIT),
+  ),
+}
+# Every other joint limits its actuators itself, too.
+ITS_OWN = ('actuatorfrcrange="-5 5"', "")
+ARM = """<mujoco><worldbody><body name="base">{}</body></worldbody>
+<tendon><fixed name="rope" actuatorfrcrange="-5 5"><joint joint="xml" coef="1"/></fixed></tendon>
+<actuator><position name="own" joint="xml" kp="20" kv="2" forcerange="-5 5"/></actuator></mujoco>""".format(
+  "".join(
+    f'<body pos="0 {k} 0"><joint name="{name}" axis="0 1 0" {ITS_OWN[k % 2]}/><geom size="0.1"/></body>'
+    for k, name in enumerate(LAWS)
+  )
+)
+
+
+def arm_cfg(*laws: ActuatorCfg, engine: str = "native", **events: Any) -> Any:
+  robot = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(ARM), articulation=EntityArticulationCfg(actuators=laws))
+  nothing: dict[str, Any] = {
+    name: {} for name in ("actions", "commands", "observations", "rewards", "terminations", "metrics")
+  }
+  cfg = hopper_cfg(WORLDS, engine, events=events, **nothing)
+  cfg.scene = SceneCfg(num_envs=WORLDS, entities={"robot": robot})
+  return cfg
+
+
+def drawn(parameter: str, values: Any, mode: Any = "startup", **params: Any) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize_actuator, mode=mode, params={"parameter": parameter, "values": values, **params})
+
+
+def forces(env: Any, *, target: float) -> torch.Tensor:
+  """Force of the actuators on every joint at rest in the default pose, all set-points alike, (WORLDS, joints)."""
+  robot = env.scene["robot"]
+  robot.write_default_state()
+  for name in ("position", "velocity", "effort"):
+    getattr(robot, f"set_joint_{name}_target")(torch.full((1, len(LAWS)), target))
+  env.scene.write_ctrl()
+  env.sim.step()
+  return robot.data.qfrc_actuator.double().clone()
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_an_effort_limit_lets_as_much_more_or_less_through_in_the_simulation(
+  make: Make, engine: str, factor: float
+) -> None:
+  once = make(arm_cfg(*LAWS.values(), engine=engine))
+  torch.testing.assert_close(forces(once, target=50.0), torch.full((WORLDS, len(LAWS)), LIMIT).double())
+  event = drawn("effort_limit", (factor, factor))
+  env = make(arm_cfg(*LAWS.values(), engine=engine, limits=event))
+  for sign in (1.0, -1.0):
+    expected = torch.full((WORLDS, len(LAWS)), sign * factor * LIMIT).double()
+    torch.testing.assert_close(forces(env, target=sign * 50.0), expected)
+
+
+@pytest.mark.parametrize("parameter", ["stiffness", "damping"])
+def test_gains_act_in_the_simulation(make: Make, parameter: str) -> None:
+  names = [name for name in LAWS if name != "motor" and not (name == "velocity" and parameter == "stiffness")]
+  event = drawn(parameter, (1.5, 1.5), targets=tuple(names))
+  plain, env = make(arm_cfg(*LAWS.values())), make(arm_cfg(*LAWS.values(), gains=event))
+  robot = env.scene["robot"]
+  # Velocity set-points for dampings, positions for stiffness; the laws that damp towards zero are seen when moving.
+  wanted = {"stiffness": (0.01, 0.0), "damping": (0.0, 0.02)}[parameter]
+  got = []
+  for environment in (plain, env):
+    arm = environment.scene["robot"]
+    still = torch.zeros(1, len(LAWS))
+    arm.write_joint_state(still - wanted[0], still - wanted[1])
+    for name in ("position", "velocity", "effort"):
+      getattr(arm, f"set_joint_{name}_target")(still)
+    environment.scene.write_ctrl()
+    environment.sim.step()
+    got.append(arm.data.qfrc_actuator.clone())
+  for name in names:
+    joint = robot.joint_names.index(name)
+    # The native DC motor brakes by its back EMF besides.
+    if name != "native_dc" or parameter == "stiffness":
+      ratio = got[1][:, joint] / got[0][:, joint]
+      torch.testing.assert_close(ratio, torch.full_like(ratio, 1.5), rtol=1e-2, atol=0.0)
+    assert (got[1][:, joint] > got[0][:, joint]).all()
+
+
+def stored(env: Any) -> dict[str, torch.Tensor]:
+  """Everything that randomisation of actuators may write."""
+  fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "tendon_actfrcrange")
+  found = {field: getattr(env.sim.model, field).clone() for field in fields}
+  for law in env.scene["robot"].actuators.groups:
+    for name in law.group.parameters:
+      found[f"{type(law).__name__}.{name}"] = getattr(law, name).clone()
+  return found
+
+
+def test_a_hundred_repeats_end_where_one_does_and_touch_masked_worlds_only(make: Make) -> None:
+  events: dict[str, Any] = {
+    "limits": drawn("effort_limit", LogUniform(0.5, 2.0), "reset"),
+    "kp": drawn("stiffness", (0.8, 1.2), "reset", targets=("xml", "position", "pd", "dc", "native_dc")),
+    "kd": drawn("damping", (1.0, 3.0), "reset", operation="absolute", targets=("position", "velocity", "pd")),
+  }
+  env = make(arm_cfg(*LAWS.values(), **events))
+  mask = torch.tensor([True, False, True, True])
+  env.event_manager.apply("reset", torch.ones(WORLDS, dtype=torch.bool))
+  before = stored(env)
+  for _ in range(100):
+    env.event_manager.apply("reset", mask)
+  after = stored(env)
+  plain = stored(make(arm_cfg(*LAWS.values())))
+  changed = set()
+  for name, values in after.items():
+    rows = values.shape[0] == WORLDS
+    if rows:
+      assert torch.equal(values[1], before[name][1]), name
+      assert not torch.equal(values[0], before[name][0]) or torch.equal(values[0], plain[name][0]), name
+    default = plain[name]
+    touched = values != default
+    ratio = (values / default)[touched]
+    if touched.any():
+      changed.add(name)
+      assert ratio.min() >= 0.5 - 1e-6, name
+      assert ratio.max() <= 2.0 + 1e-6, name
+  assert {"actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange"} <= changed
+  assert {"IdealPd.stiffness", "IdealPd.damping", "IdealPd.effort_limit", "DcMotor.effort_limit"} <= changed
+  assert {"EnvelopedPd.motoring_effort", "EnvelopedPd.braking_effort"} <= changed
+  assert not {"tendon_actfrcrange", "DcMotor.damping", "DcMotor.saturation_effort"} & changed
+  pd = env.scene["robot"].actuators.groups
+  kd = next(law.damping for law in pd if type(law).__name__ == "IdealPd")
+  assert ((kd >= 1.0) & (kd <= 3.0)).all()
+  assert kd[[0, 2, 3]].unique().numel() == 3
+
+
+def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
+  events: dict[str, Any] = {
+    "limits": drawn("effort_limit", (1.0, 1.0)),
+    "kp": drawn("stiffness", (1.0, 1.0), targets=("xml", "position", "pd", "dc", "envelope", "native_dc")),
+    "kd": drawn("damping", (2.0, 2.0), operation="absolute", targets=("xml", "velocity", "pd")),
+  }
+  plain, env = stored(make(arm_cfg(*LAWS.values()))), stored(make(arm_cfg(*LAWS.values(), **events)))
+  for name, values in env.items():
+    assert torch.equal(values, plain[name].expand_as(values)), name
+
+
+def test_the_limit_of_a_tendon_follows_its_actuators(make: Make) -> None:
+  motor = NativeMotorActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", effort_limit=LIMIT)
+  event = drawn("effort_limit", (2.0, 2.0), transmission_type="tendon", targets="rope")
+  env = make(arm_cfg(motor, limits=event))
+  env.scene["robot"].set_tendon_effort_target(torch.full((WORLDS, 1), 50.0))
+  env.scene.write_ctrl()
+  env.sim.step()
+  row = env.sim.mj_model.actuator("robot/rope").id
+  torch.testing.assert_close(env.sim.data.actuator_force[:, row].double(), torch.full((WORLDS,), 2 * LIMIT).double())
+
+
+def late(kind: str, lag: tuple[int, int], **options: Any) -> ActuatorCfg:
+  delay: dict[str, Any] = {"delay_min_lag": lag[0], "delay_max_lag": lag[1], **options}
+  if kind == "motor":
+    return NativeMotorActuatorCfg(target_names_expr=("motor", "dc"), **delay)
+  return IdealPdActuatorCfg(target_names_expr=("pd",), stiffness=0.0, damping=0.0, **delay)
+
+
+def lags_seen(env: Any, joint: str, substeps: int = 12) -> torch.Tensor:
+  """Age of the effort that reaches the joint in each substep, (substeps, WORLDS)."""
+  robot = env.scene["robot"]
+  column = env.sim.mj_model.actuator(f"robot/{joint}").id
+  ages = []
+  for k in range(substeps):
+    robot.set_joint_effort_target(torch.full((1, len(LAWS)), float(k)))
+    env.scene.write_ctrl()
+    ages.append(k - env.sim.data.ctrl[:, column].clone())
+  return torch.stack(ages)
+
+
+@pytest.mark.parametrize("options", [{}, {"delay_hold_prob": 0.5}, {"delay_update_period": 3}])
+def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, options: dict[str, Any]) -> None:
+  event = EventTermCfg(
+    mdp.randomize_actuator_delay, mode="startup", params={"lag_range": (2, 4), "targets": ("motor", "dc", "pd")}
+  )
+  env = make(arm_cfg(late("motor", (1, 5), **options), late("pd", (0, 6), **options), delay=event))
+  seen = {}
+  for joint in ("motor", "dc", "pd"):
+    env.reset()
+    ages = lags_seen(env, joint)[6:]
+    assert torch.equal(ages, ages[:1].expand_as(ages)), joint
+    assert ((ages >= 2) & (ages <= 4)).all()
+    seen[joint] = ages[0]
+  # Targets of one law share their delay.
+  assert torch.equal(seen["motor"], seen["dc"])
+  assert torch.cat((seen["motor"], seen["pd"])).unique().numel() > 1
+
+
+def test_lags_are_drawn_anew_in_masked_worlds_only(make: Make) -> None:
+  event = EventTermCfg(mdp.randomize_actuator_delay, mode="reset", params={"lag_range": (0, 9), "targets": ("pd",)})
+  env = make(arm_cfg(late("pd", (0, 9)), delay=event))
+  (law,) = env.scene["robot"].actuators.groups
+  everyone, one = torch.ones(WORLDS, dtype=torch.bool), torch.tensor([False, True, False, False])
+  env.event_manager.apply("reset", everyone)
+  kept, mine = law.delay.lag.clone(), set()
+  for _ in range(100):
+    env.event_manager.apply("reset", one)
+    assert torch.equal(law.delay.lag[~one], kept[~one])
+    mine.add(int(law.delay.lag[1]))
+  assert mine == set(range(10))
+
+
+def delays(**params: Any) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize_actuator_delay, mode="startup", params=params)
+
+
+@pytest.mark.parametrize(
+  ("events", "message"),
+  [
+    ({"a": drawn("stifness", (0.8, 1.2))}, "actuator parameter 'stifness' does not exist. Nearest: stiffness"),
+    ({"a": drawn("stiffness", (1.2, 0.8))}, "stiffness.* 1.2"),
+    ({"a": drawn("stiffness", (-0.1, 0.8))}, "values from -0.1 up; none may be negative"),
+    ({"a": drawn("stiffness", (0.8, 1.2), operation="add")}, "operation 'add' does not exist. .*scale"),
+    ({"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
+    ({"a": drawn("stiffness", (0.8, 1.2), targets="motor")}, "stiffness of joint 'motor': its actuator has none"),
+    ({"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),
+    ({"a": drawn("effort_limit", (0.8, 1.2), targets="pd")}, "effort_limit of joint 'pd': it was not given"),
+    ({"a": drawn("effort_limit", (0.8, 1.2), targets="motor")}, "effort_limit of joint 'motor': its actuator has none"),
+    (
+      {"a": drawn("effort_limit", (0.8, 1.2), targets="pd"), "b": drawn("effort_limit", (0.8, 1.2), targets="pd")},
+      "effort_limit of joint 'pd'",
+    ),
+    ({"a": delays(lag_range=(3, 1))}, "lag_range.*3.*1"),
+    ({"a": delays(lag_range=(0.5, 1))}, "lags are whole numbers"),
+    ({"a": delays(lag_range=(0, 4), targets="motor")}, "'motor' shares its delay with dc; name all of them"),
+    ({"a": delays(lag_range=(0, 4), targets=("motor", "dc"))}, "lags in .0, 4. for 'motor', whose config has"),
+    ({"a": delays(lag_range=(2, 2), targets=("pd",))}, "delay_min_lag 2 and delay_max_lag 2; widen those"),
+  ],
+)
+def test_what_would_have_no_effect_is_refused_by_name_at_build(
+  make: Make, events: dict[str, Any], message: str
+) -> None:
+  with pytest.raises(ConfigError, match=message):
+    make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), **events))
+
+
+def test_two_events_for_one_number_are_refused(make: Make) -> None:
+  events: dict[str, Any] = {
+    "a": drawn("stiffness", (0.8, 1.2), targets="pd"),
+    "b": drawn("stiffness", (0.8, 1.2), targets=("pd", "dc")),
+  }
+  with pytest.raises(ConfigError, match="stiffness of joint 'pd' is drawn by another event already"):
+    make(arm_cfg(*LAWS.values(), **events))
+
+
+def test_an_entity_without_actuators_has_none_to_randomise(make: Make) -> None:
+  with pytest.raises(ConfigError, match=r"entity 'robot': .*no actuators are configured for it"):
+    make(arm_cfg(a=drawn("stiffness", (0.8, 1.2))))
