@@ -97,6 +97,37 @@ def test_the_controller_of_the_motor_follows_the_set_points_that_it_has(inputs: 
   assert applied(dc(inputs=inputs, stiffness=3.0, damping=0.2, voltage_limit=1.5)) == pytest.approx(at_most)
 
 
+def test_a_dc_motor_from_a_config_is_the_dc_motor_of_the_mjcf() -> None:
+  model, _ = build(
+    dc(
+      inputs=("position_target", "velocity_target"),
+      stiffness=3.0,
+      integral_gain=1.5,
+      damping=0.2,
+      slew_rate=7.0,
+      integral_limit=0.4,
+      voltage_limit=24.0,
+      inductance=0.01,
+      cogging=(0.1, 6.0, 0.2),
+      thermal=(5.0, 2.0, 0.0, 0.004, 20.0, 25.0),
+      lugre=(100.0, 1.0, 0.1, 0.2, 0.3),
+    )
+  )
+  written = mujoco.MjModel.from_xml_string("""
+  <mujoco><worldbody><body><geom size="0.1"/><joint name="a"/></body></worldbody>
+    <actuator><dcmotor name="a" joint="a" motorconst="0.5" resistance="2" inductance="0.01" input="pos vel"
+      controller="3 1.5 0.2 7 0.4 24" cogging="0.1 6 0.2" thermal="5 2 0 0.004 20 25" lugre="100 1 0.1 0.2 0.3"/>
+    </actuator></mujoco>""")
+  assert model.na == written.na == 5
+  for name in ("gainprm", "biasprm", "dynprm", "gaintype", "biastype", "dyntype", "ctrlspec", "ctrlnum"):
+    np.testing.assert_array_equal(getattr(model, f"actuator_{name}"), getattr(written, f"actuator_{name}"))
+
+
+def test_cogging_adds_its_wave() -> None:
+  cogging = applied(dc(cogging=(0.1, 6.0, 0.2))) - applied(dc())
+  assert cogging == pytest.approx(0.1 * np.sin(6.0 * POSITION + 0.2))
+
+
 def test_the_inputs_of_many_motors_each_get_their_own_set_point() -> None:
   fields = ("position_target", "velocity_target", "effort_target")
   cfgs = [dc(inputs=fields, stiffness=1.0, damping=1.0), dc(inputs=("velocity_target",), damping=1.0)]
@@ -175,6 +206,10 @@ def test_a_muscle_from_a_config_is_the_muscle_of_the_mjcf() -> None:
     (dc(inputs=("posiiton_target",)), "input 'posiiton_target' does not exist. Nearest: position_target"),
     (dc(inputs=()), "name at least one set-point"),
     (dc(inductance=-1.0), "inductance is -1.0"),
+    (dc(slew_rate=-1.0), "slew_rate is -1.0"),
+    (dc(cogging=(0.1, float("nan"), 0.0)), "cogging is"),
+    (dc(inputs=("velocity_target",), damping=1.0, integral_gain=1.0), "inputs has no position_target to integrate"),
+    (dc(integral_gain=1.0), "inputs 'voltage' has none"),
     (dc(gear=0.0), "gear is 0.0"),
     (dc(effort_limit=-2.0), "effort_limit of joint 'a' is -2.0"),
     (general(gain_type="afine"), "gain_type 'afine' does not exist. Nearest: affine"),

@@ -120,7 +120,10 @@ class ActuatorSet(Stateful):
       for target in others
       if target.transmission == "site"
     )
-    self._driven = tuple(target_of[index] for index in self.ctrl_ids)
+    self._driven = {
+      kind: tuple(target.name for target in self.targets if target in driven and target.transmission == kind)
+      for kind in TRANSMISSIONS
+    }
     self._place_ctrl(ctrl, device=device, dtype=dtype)
     column = {target: index for index, target in enumerate(self.targets)}
     position = {index: place for place, index in enumerate(self.ctrl_ids)}
@@ -188,9 +191,7 @@ class ActuatorSet(Stateful):
 
   def driven(self, transmission: Transmission) -> tuple[str, ...]:
     """Names of the joints, tendons or sites that an actuator drives, in the order of their columns."""
-    return tuple(
-      target.name for target in self.targets if target in self._driven and target.transmission == transmission
-    )
+    return self._driven[transmission]
 
   def _candidates(
     self, source: mujoco.MjSpec | mujoco.MjModel, joints: Sequence[str] | None, prefix: str = ""

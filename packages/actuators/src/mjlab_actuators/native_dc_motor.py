@@ -49,6 +49,22 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
   """Largest force of the motor, before the gear [N m]; None for no limit."""
   inductance: float = 0.0
   """L [H]; when positive the current lags with L / R and lives in the simulation's `act`."""
+  integral_gain: float = 0.0
+  """ki of the controller, on the position error [N m/(rad s)]; its integral lives in the simulation's `act`."""
+  integral_limit: float = 0.0
+  """Largest effort of the integral [N m]; 0 for no limit."""
+  slew_rate: float = 0.0
+  """Largest change of the input [unit of the input/s]; 0 for no limit."""
+  cogging: tuple[float, float, float] | None = None
+  """Amplitude a [N m], periods n per turn, and phase f [rad] of the torque a sin(n l + f); not limited by
+  `effort_limit`."""
+  lugre: tuple[float, float, float, float, float] | None = None
+  """Friction after the LuGre model, not limited either: stiffness [N m/rad] and damping [N m s/rad] of the bristles,
+  Coulomb and static friction [N m], Stribeck velocity [rad/s]."""
+  thermal: tuple[float, float, float, float, float, float] | None = None
+  """Winding that warms up: thermal resistance [K/W], heat capacity [J/K] and time constant [s], of which one may be 0
+  and follows from the others; coefficient of the resistance [1/K]; temperature that `resistance` was measured at, and
+  that of the surroundings."""
   gear: float = 1.0
   """Reduction between motor and target."""
 
@@ -68,9 +84,13 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
     for name, value in constants.items():
       if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"{kind}: {name} is {value}; it must be finite and positive")
-    for name in ("stiffness", "damping", "inductance"):
+    for name in ("stiffness", "damping", "inductance", "integral_gain", "integral_limit", "slew_rate"):
       if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
         raise ValueError(f"{kind}: {name} is {getattr(self, name)}; it must be finite and not negative")
+    for name in ("cogging", "lugre", "thermal"):
+      numbers = getattr(self, name)
+      if numbers is not None and not all(math.isfinite(number) for number in numbers):
+        raise ValueError(f"{kind}: {name} is {numbers}; it must be finite")
     if not math.isfinite(self.gear) or self.gear == 0.0:
       raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
     self._limits("effort_limit", target_names)
@@ -81,14 +101,16 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
 
   def _validate_inputs(self, kind: str) -> None:
     if self.inputs == "voltage":
-      if self.stiffness or self.damping:
-        raise ValueError(f"{kind}: stiffness and damping belong to a controller; inputs 'voltage' has none")
+      if self.stiffness or self.damping or self.integral_gain:
+        raise ValueError(f"{kind}: stiffness, damping and integral_gain are a controller's; inputs 'voltage' has none")
       return
     for name in self.inputs:
       if name not in COMMAND_FIELDS:
         raise ValueError(unknown("input", name, COMMAND_FIELDS, owner=kind))
     if not self.inputs or len(set(self.inputs)) != len(self.inputs):
       raise ValueError(f"{kind}: inputs is {self.inputs!r}; name at least one set-point, each once")
+    if self.integral_gain > 0.0 and "position_target" not in self.inputs:
+      raise ValueError(f"{kind}: integral_gain is given, but inputs has no position_target to integrate the error of")
     if "position_target" in self.inputs and self.stiffness == 0.0:
       raise ValueError(f"{kind}: stiffness is 0, so that a position target would do nothing")
     if "velocity_target" in self.inputs and self.damping == 0.0:
@@ -126,8 +148,17 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
         resistance=self.resistance or 0.0,
         nominal=list(self.nominal or (0.0, 0.0, 0.0)),
         inductance=[self.inductance, 0.0],
-        # kp, ki, kd, slew rate, integral limit, voltage limit.
-        controller=[self.stiffness, 0.0, self.damping, 0.0, 0.0, volts if controlled else 0.0],
+        cogging=list(self.cogging or (0.0,) * 3),
+        controller=[
+          self.stiffness,
+          self.integral_gain,
+          self.damping,
+          self.slew_rate,
+          self.integral_limit,
+          volts if controlled else 0.0,
+        ],
+        thermal=list(self.thermal or (0.0,) * 6),
+        lugre=list(self.lugre or (0.0,) * 5),
         ctrlspec=sum(int(bit) for bit in bits),
       )
       limit_force(element, limit)
