@@ -507,6 +507,18 @@ def test_worlds_that_hold_their_image_are_hardly_drawn(monkeypatch: pytest.Monke
   assert [rows.tolist() for rows in looked_at] == [[True] * 3, [False, True, False]]
 
 
+def test_a_world_that_begins_anew_is_drawn_though_nothing_moved() -> None:
+  sim, (live, slow) = build(eye(data_types=ALL), eye(name="slow", data_types=ALL, update_period=100))
+  over_the_floor(sim)
+  held = slow.data.pos_w.clone()
+  step(sim, live, slow)
+  sim.data.qpos[:, 2] += 0.1
+  assert torch.equal(slow.data.pos_w, held)
+  slow.reset(torch.tensor([False, True, False]))
+  assert torch.equal(slow.data.pos_w[1], live.data.pos_w[1])
+  assert torch.equal(slow.data.pos_w[::2], held[::2])
+
+
 def test_a_held_image_is_saved_and_gone_on_from() -> None:
   slow = eye(data_types=ALL, update_period=4)
   (sim, (sensor,)), (other_sim, (other,)) = build(slow), build(slow)

@@ -227,7 +227,7 @@ class CameraSensor(Sensor[CameraData]):
     if self._shutter is not None:
       self._shutter.reset(mask)
       # What is held may have to be drawn anew though the state is the same.
-      self._epoch = None
+      self._read_at = None
 
   @property
   def intrinsic_matrix(self) -> torch.Tensor:
