@@ -183,6 +183,9 @@ class Simulation:
     self._check_open()
     if mask is not None:
       self._check_mask(mask, "recompute_constants")
+      # Looking is free on a CPU, and a forward pass of all worlds is not.
+      if self.device.type == "cpu" and not mask.numpy().any():
+        return
     self._engine.recompute_constants(mask)
     self._model_changed = True
     self._state_version = -1
