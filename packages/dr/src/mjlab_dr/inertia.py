@@ -18,9 +18,8 @@ import torch
 from mjlab_core import matrix_from_quat, quat_mul
 from torch import Tensor
 
-_SWEEPS = 6
-# The plane in which a rotation zeroes an entry, and the axis and sense of that rotation.
-_ROTATIONS = ((0, 1, 2, -1.0), (0, 2, 1, 1.0), (1, 2, 0, -1.0))
+# Convergence is quadratic; random matrices are at rounding after four.
+_SWEEPS = 4
 _UPPER = ((0, 1), (0, 2), (1, 2))
 
 
@@ -124,30 +123,31 @@ def _upper_factor(matrix: Tensor) -> Tensor:
 def _diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
 
-  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place.
+  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Rotations are kept
+  as halves of angles, which are what quaternions are made of. Written for few operations rather than for few numbers.
   """
-  entry = {(i, j): matrix[..., i, j] for i in range(3) for j in range(i, 3)}
-  one, zero = torch.ones_like(entry[0, 0]), torch.zeros_like(entry[0, 0])
-  turn = torch.stack((one, zero, zero, zero), -1)
+  diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
+  # The entry opposite of each diagonal one: 12, 02, 01.
+  off = [matrix[..., 1, 2], matrix[..., 0, 2], matrix[..., 0, 1]]
+  turn = [torch.ones_like(off[0]), *(torch.zeros_like(x) for x in off)]
   for _ in range(_SWEEPS):
-    for p, q, axis, sense in _ROTATIONS:
-      off = entry[p, q]
-      is_done = off == 0.0
-      ratio = (entry[q, q] - entry[p, p]) / (2.0 * torch.where(is_done, one, off))
-      tangent = torch.where(ratio >= 0.0, 1.0, -1.0) / (ratio.abs() + (ratio * ratio + 1.0).sqrt())
-      tangent = torch.where(is_done, zero, tangent)
-      cosine = (tangent * tangent + 1.0).rsqrt()
+    for axis in (2, 1, 0):
+      p, q = (axis + 1) % 3, (axis + 2) % 3
+      # tan(angle) of the rotation about `axis` that zeroes the entry pq, at most 45 degrees.
+      gap, entry = diagonal[p] - diagonal[q], off[axis]
+      # A gap of zero is a tie, for which the sign must not be zero as well.
+      reach = torch.copysign(torch.hypot(gap, 2.0 * entry), gap) + gap
+      tangent = torch.nan_to_num_(2.0 * entry / reach, nan=0.0, posinf=0.0, neginf=0.0)
+      shift = tangent * entry
+      cosine = torch.rsqrt(tangent * tangent + 1.0)
       sine = tangent * cosine
-      entry[p, p] = entry[p, p] - tangent * off
-      entry[q, q] = entry[q, q] + tangent * off
-      entry[p, q] = zero
-      first, second = (min(axis, p), max(axis, p)), (min(axis, q), max(axis, q))
-      entry[first], entry[second] = (
-        cosine * entry[first] - sine * entry[second],
-        sine * entry[first] + cosine * entry[second],
-      )
-      half = ((1.0 + cosine) * 0.5).sqrt()
-      rotation = [half, zero, zero, zero]
-      rotation[axis + 1] = sense * sine / (2.0 * half)
-      turn = quat_mul(turn, torch.stack(rotation, -1))
-  return torch.stack((entry[0, 0], entry[1, 1], entry[2, 2]), -1), turn
+      diagonal[p], diagonal[q] = diagonal[p] + shift, diagonal[q] - shift
+      # Of the two other entries, that of row p becomes a mixture of both, and so does that of row q.
+      off[q], off[p] = cosine * off[q] + sine * off[p], cosine * off[p] - sine * off[q]
+      off[axis] = torch.zeros_like(entry)
+      half = torch.sqrt(0.5 + 0.5 * cosine)
+      slope = 0.5 * sine / half
+      w, i, j, k = turn[0], turn[1 + axis], turn[1 + p], turn[1 + q]
+      turn[0], turn[1 + axis] = w * half - i * slope, i * half + w * slope
+      turn[1 + p], turn[1 + q] = j * half + k * slope, k * half - j * slope
+  return torch.stack(diagonal, -1), torch.stack(turn, -1)
