@@ -19,6 +19,7 @@ from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import CONSTANTS, PER_WORLD
 from mjlab_sim.graph import Recorder
+from mjlab_sim.kernel_loading import load_kernels
 from mjlab_sim.rendering import View
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
@@ -104,6 +105,9 @@ class WarpEngine:
       self._overflow_wanted = wp.zeros(3, dtype=wp.int32)
     self._reset_mask_torch = wp.to_torch(self._reset_mask)
     self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
+    # Copies and fills are no kernels, and do happen meanwhile.
+    with self._stream(), self._preserved():
+      load_kernels([self._forward, self._step, self._reset, self._count_overflow], self._wp_device)
     self._run("forward", self._forward)
 
   # Fields

@@ -1,0 +1,56 @@
+"""Kernels of MuJoCo Warp, compiled several at once: one after another they take a minute on a GPU's first run."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+from unittest.mock import patch
+
+import warp as wp
+
+_Variants = dict[Any, dict[int | None, None]]
+
+
+def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
+  """Compile and load, in parallel, the kernels that `stages` launch on a Warp device.
+
+  The stages run once with launches that do nothing, to learn which kernels they need. Copies and fills do happen: the
+  caller puts back what they change.
+  """
+  variants: _Variants = {}
+  with _launching_nothing(variants):
+    for stage in stages:
+      stage()
+  wanted = [(module, list(dims)) for module, dims in variants.items()]
+  with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None) as pool:
+    # Raises what a worker raised.
+    list(pool.map(lambda item: _load(*item, device), wanted))
+
+
+def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
+  # A module notes the block size that it loads for, so that two of one module take turns.
+  for block_dim in block_dims:
+    module.load(device, block_dim)
+
+
+@contextmanager
+def _launching_nothing(variants: _Variants) -> Iterator[None]:
+  def note(module: Any, device: Any, block_dim: int | None = None) -> None:
+    # A launch whose module does not load returns at once.
+    variants.setdefault(module, {})[block_dim] = None
+
+  def once(condition: Any, while_body: Callable[..., None], stream: Any = None, **arguments: Any) -> None:
+    while_body(**arguments)
+
+  def both(condition: Any, on_true: Any = None, on_false: Any = None, stream: Any = None, **arguments: Any) -> None:
+    for branch in (on_true, on_false):
+      if branch is not None:
+        branch(**arguments)
+
+  with (
+    patch.object(wp.Module, "load", note),
+    patch.object(wp, "capture_while", once),
+    patch.object(wp, "capture_if", both),
+  ):
+    yield

@@ -1,0 +1,69 @@
+"""Kernels are found without running anything, and made before they are launched."""
+
+from collections.abc import Callable
+
+import mujoco
+import pytest
+import torch
+import warp as wp
+from mjlab_sim import Simulation
+from mjlab_sim.kernel_loading import load_kernels
+from sim_world import scatter
+
+MakeSim = Callable[..., Simulation]
+
+
+@wp.kernel
+def _count(out: wp.array(dtype=wp.int32)):  # pyright: ignore  # ty: ignore
+  wp.atomic_add(out, 0, 1)
+
+
+@pytest.mark.warp
+def test_looking_for_kernels_launches_none_and_visits_every_branch() -> None:
+  counter, condition = wp.zeros(1, dtype=wp.int32, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
+  visited: list[str] = []
+
+  def launch(branch: str) -> None:
+    visited.append(branch)
+    wp.launch(_count, dim=1, outputs=[counter], device="cpu")
+
+  def stage() -> None:
+    launch("plain")
+    wp.capture_while(condition, while_body=launch, branch="while")
+    wp.capture_if(condition, on_true=launch, on_false=launch, branch="if")
+
+  load_kernels([stage], wp.get_device("cpu"))
+  assert visited == ["plain", "while", "if", "if"]
+  assert counter.numpy()[0] == 0
+  stage()
+  # The condition does not hold: the loop is left out, and of two branches one is taken.
+  assert visited[4:] == ["plain", "if"]
+  assert counter.numpy()[0] == 2
+
+
+@pytest.mark.warp
+def test_a_step_loads_no_kernel_that_was_not_loaded_when_the_simulation_was_made(
+  make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  sim = make_sim("warp", capture=False)
+  scatter(sim)
+  before = {module: set(module.execs) for module in _modules()}
+  sim.step()
+  sim.reset(torch.tensor([True, False, False, True]))
+  sim.forward()
+  sim.count_overflow()
+  assert {module: set(module.execs) for module in _modules()} == before
+
+
+def _modules() -> list[wp.Module]:
+  from warp._src.context import user_modules
+
+  return list(user_modules.values())
+
+
+def test_what_a_kernel_breaks_on_is_raised() -> None:
+  def stage() -> None:
+    raise mujoco.FatalError("broken")
+
+  with pytest.raises(mujoco.FatalError, match="broken"):
+    load_kernels([stage], wp.get_device("cpu"))
