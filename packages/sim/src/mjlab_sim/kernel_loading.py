@@ -1,7 +1,7 @@
 """Kernels of MuJoCo Warp, compiled several at once: one after another they take a minute on a GPU's first run."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
@@ -22,10 +22,10 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
   with _launching_nothing(variants):
     for stage in stages:
       stage()
-  wanted = [(module, list(dims)) for module, dims in variants.items()]
   with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None) as pool:
-    # Raises what a worker raised.
-    list(pool.map(lambda item: _load(*item, device), wanted))
+    made = [pool.submit(_load, module, list(block_dims), device) for module, block_dims in variants.items()]
+    for future in made:
+      future.result()
 
 
 def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
@@ -35,7 +35,7 @@ def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
 
 
 @contextmanager
-def _launching_nothing(variants: _Variants) -> Iterator[None]:
+def _launching_nothing(variants: _Variants) -> Generator[None]:
   def note(module: Any, device: Any, block_dim: int | None = None) -> None:
     # A launch whose module does not load returns at once.
     variants.setdefault(module, {})[block_dim] = None
