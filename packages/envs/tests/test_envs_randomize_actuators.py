@@ -19,7 +19,7 @@ from mjlab_actuators import (
   TorqueSpeedEnvelope,
   XmlActuatorCfg,
 )
-from mjlab_dr import LogUniform
+from mjlab_dr import LogUniform, randomize_field
 from mjlab_envs import mdp
 from mjlab_managers import ConfigError, EventTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
@@ -298,8 +298,21 @@ def test_two_events_for_one_number_are_refused(make: Make) -> None:
     "a": drawn("stiffness", (0.8, 1.2), targets="pd"),
     "b": drawn("stiffness", (0.8, 1.2), targets=("pd", "dc")),
   }
-  with pytest.raises(ConfigError, match="stiffness of joint 'pd' is drawn by another event already"):
+  with pytest.raises(ConfigError, match="stiffness of joint 'pd' is written by another event already"):
     make(arm_cfg(*LAWS.values(), **events))
+
+
+def test_an_event_on_the_raw_field_of_a_gain_is_refused_beside_one_on_the_gain(make: Make) -> None:
+  raw = EventTermCfg(
+    mdp.randomize,
+    mode="startup",
+    params={"randomizer": randomize_field("actuator_forcerange", "position", (0.5, 1.0), operation="scale")},
+  )
+  limits = drawn("effort_limit", (0.8, 1.2), targets="position")
+  orders: list[dict[str, Any]] = [{"a": raw, "b": limits}, {"a": limits, "b": raw}]
+  for events in orders:
+    with pytest.raises(ConfigError, match=r"actuator_forcerange of .*'position' is written by"):
+      make(arm_cfg(*LAWS.values(), **events))
 
 
 def test_an_entity_without_actuators_has_none_to_randomise(make: Make) -> None:

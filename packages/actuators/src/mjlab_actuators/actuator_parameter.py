@@ -65,6 +65,8 @@ class ActuatorParameter:
   """What is scaled, in the order of columns."""
   nominal: torch.Tensor
   """Configured values, (1, num_targets) [the parameter's unit]."""
+  written: dict[tuple[str, int], Target]
+  """Whose number is written, by field of the model and column of the field's flattened rows."""
 
   def __init__(
     self,
@@ -94,6 +96,12 @@ class ActuatorParameter:
       nominal.append(value)
       for place in places:
         found[place.owner, place.name].append(place)
+    self.written = {
+      (field, place.column): self.targets[place.target]
+      for (owner, field), places in found.items()
+      for place in places
+      if owner is None
+    }
     sim.expand_model_fields([field for owner, field in found if owner is None])
     for (owner, field), places in found.items():
       columns = torch.tensor([place.column for place in places], device=sim.device)

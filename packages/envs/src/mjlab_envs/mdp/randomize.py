@@ -16,7 +16,7 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 # Who writes what in each simulation: two randomisers of one number would undo each other's work in silence.
-_writers: WeakKeyDictionary[object, dict[tuple[str, int], str]] = WeakKeyDictionary()
+_writers: WeakKeyDictionary[object, dict[tuple[str, object], str]] = WeakKeyDictionary()
 
 
 class randomize(ManagerTermBase):

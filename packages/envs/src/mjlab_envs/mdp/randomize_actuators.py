@@ -1,8 +1,7 @@
 """Gains, effort limits and delays of actuators as events, alike for every law, in torch or in MuJoCo."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, get_args
-from weakref import WeakKeyDictionary
 
 import torch
 from mjlab_actuators import ActuatorParameter, ActuatorSet, ParameterName, Target, Transmission
@@ -10,6 +9,8 @@ from mjlab_core.names import match_names, unknown
 from mjlab_core.sampling import check_range
 from mjlab_dr import Distribution, Uniform
 from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
+
+from mjlab_envs.mdp.randomize import _writers
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -19,9 +20,6 @@ Patterns = str | Sequence[str]
 Values = tuple[float, float] | Distribution
 
 _ROBOT = SceneEntityCfg("robot")
-
-# Who draws what: two events for one number would undo each other's work in silence.
-_drawn: WeakKeyDictionary[ActuatorSet, dict[tuple[str, object], str]] = WeakKeyDictionary()
 
 
 class randomize_actuator(ManagerTermBase):
@@ -46,7 +44,7 @@ class randomize_actuator(ManagerTermBase):
     self._parameter = ActuatorParameter(
       actuators, env.sim, params["parameter"], params["targets"], params["transmission_type"]
     )
-    _claim(actuators, params["parameter"], self._parameter.targets, owner)
+    _claim(env, params["asset"], params["parameter"], self._parameter.targets, self._parameter.written, owner)
     self._shape = (env.num_envs, len(self._parameter.targets))
 
   def __call__(
@@ -97,7 +95,7 @@ class randomize_actuator_delay(ManagerTermBase):
           f"{owner}: lags in [{lo}, {hi}] for '{members[0].name}', whose config has delay_min_lag {settings.min_lag} "
           f"and delay_max_lag {settings.max_lag}; widen those"
         )
-    _claim(actuators, "delay", sorted(wanted), owner)
+    _claim(env, params["asset"], "delay", sorted(wanted), {}, owner)
     self._delays = [law.delay for law in laws if law.delay is not None]
     nobody = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     for delay in self._delays:
@@ -130,12 +128,21 @@ def _actuators(env: "ManagerBasedRlEnv", asset: SceneEntityCfg, what: str) -> tu
   return entity.actuators, f"entity '{entity.name}': {what}"
 
 
-def _claim(actuators: ActuatorSet, parameter: str, targets: Sequence[Target], owner: str) -> None:
-  drawn = _drawn.setdefault(actuators, {})
-  for target in targets:
-    if (parameter, target) in drawn:
+def _claim(
+  env: "ManagerBasedRlEnv",
+  asset: SceneEntityCfg,
+  parameter: str,
+  targets: Sequence[Target],
+  fields: Mapping[tuple[str, int], Target],
+  owner: str,
+) -> None:
+  """Refuses what another event writes already: the two would undo each other's work in silence."""
+  written, prefix = _writers.setdefault(env.sim, {}), env.scene[asset.name].prefix
+  numbers: dict[tuple[str, int | Target], Target] = {(prefix + parameter, target): target for target in targets}
+  for (what, column), target in (numbers | {**fields}).items():
+    if (what, column) in written:
       raise ValueError(
-        f"{owner}: {parameter} of {target.transmission} '{target.name}' is drawn by another event already; only one of "
-        "them would count"
+        f"{owner}: {what.removeprefix(prefix)} of {target.transmission} '{target.name}' is written by another event "
+        f"already, {written[what, column]}; only one of them would count"
       )
-    drawn[parameter, target] = owner
+    written[what, column] = owner
