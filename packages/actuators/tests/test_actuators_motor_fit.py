@@ -217,6 +217,12 @@ def test_columns_come_in_any_order_and_others_are_named(tmp_path: Path) -> None:
   assert (records.period, records.ignored, records.num_rows) == (PERIOD, ("temperature",), 12)
 
 
+def test_times_that_were_rounded_still_give_the_timestep(tmp_path: Path) -> None:
+  rows = [[f"{k / 240:.6f}", 0, 0, 0, k] for k in range(2400)]
+  records = read_records([write(tmp_path / "a.csv", rows)])
+  assert math.isclose(records.period, 1 / 240, rel_tol=1e-6)
+
+
 def test_segments_and_files_begin_anew(tmp_path: Path) -> None:
   rows = [[*row, name] for name in ("left", "right") for row in table(5)]
   path = write(tmp_path / "a.csv", rows, (*HEADER, "segment"))

@@ -69,7 +69,8 @@ def read_records(paths: Sequence[str | Path]) -> Records:
   steps = [np.diff(segment[:, 0]) for segment in segments]
   if not any(step.size for step in steps):
     raise RecordsError(f"{starts[0][0]}: no segment has two rows, so there is no sample period")
-  period = float(np.median(np.concatenate(steps)))
+  every = np.concatenate(steps)
+  period = float(np.median(every))
   for (path, lines), step in zip(starts, steps, strict=True):
     wrong = np.flatnonzero(np.abs(step - period) > _JITTER * abs(period)) if period > 0.0 else np.arange(step.size)
     if wrong.size:
@@ -77,7 +78,9 @@ def read_records(paths: Sequence[str | Path]) -> Records:
         f"{path}, line {lines[wrong[0] + 1]}, column 'time': {step[wrong[0]]:g} s after the row before, while rows are "
         f"{period:g} s apart; resample the records, or begin a new '{SEGMENT}' where they were interrupted"
       )
-  return Records(period=_rounded(period), segments=tuple(s[:, 1:] for s in segments), ignored=tuple(ignored))
+  # Written times are rounded; over many rows that averages out.
+  period = _rounded(float(every.mean()))
+  return Records(period=period, segments=tuple(s[:, 1:] for s in segments), ignored=tuple(ignored))
 
 
 def _read(path: Path) -> tuple[list[list[float]], list[int], list[str], list[str]]:
