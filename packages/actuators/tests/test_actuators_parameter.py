@@ -1,6 +1,7 @@
 """Gains and limits are scaled where they live, with nothing but tensors that look like a simulation's model."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
@@ -14,6 +15,8 @@ from mjlab_actuators import (
   ActuatorSet,
   IdealPd,
   IdealPdActuatorCfg,
+  LearnedMlp,
+  LearnedMlpActuatorCfg,
   NativeGeneralActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
@@ -133,3 +136,19 @@ def test_the_gains_of_a_wrapped_pid_are_found() -> None:
     assert parameter.nominal.item() == value
     parameter.scale(torch.full((WORLDS, 1), 3.0).double(), MASK)
     assert sim.model.actuator_biasprm[:, 0, column].tolist() == [-3.0 * value, -value, -3.0 * value]
+
+
+def test_a_learned_motor_has_an_effort_limit_but_no_gains_to_be_scaled(tmp_path: Path) -> None:
+  torch.save({"0.weight": torch.ones(1, 2)}, tmp_path / "n.pt")
+  learned = LearnedMlpActuatorCfg(
+    target_names_expr=("a",), network_file=tmp_path / "n.pt", history_length=1, effort_limit=3.0
+  )
+  actuators, sim = build(learned)
+  gains: list[ParameterName] = ["stiffness", "damping"]
+  for name in gains:
+    with pytest.raises(ValueError, match=f"{name} of joint 'a': its actuator has none"):
+      ActuatorParameter(actuators, sim, name)
+  ActuatorParameter(actuators, sim, "effort_limit").scale(torch.full((WORLDS, 1), 2.0).double(), MASK)
+  (law,) = actuators.groups
+  assert isinstance(law, LearnedMlp)
+  assert law.effort_limit.tolist() == [[6.0], [3.0], [6.0]]
