@@ -77,14 +77,17 @@ def measure(args: argparse.Namespace, delay: dict[str, int] | None) -> dict[str,
   synchronize(env.device)
   total = 1e3 * timed(step, args.steps, args.repeats, env.device)
   spent = time_methods(env, env.scene["robot"], {"write_ctrl": "actuators"}, step, args.steps)["actuators"]
-  env.close()
-  return {
+  row = {
     "groups": len(servos),
     "worlds": args.num_envs,
+    "engine": env.sim.engine,
+    "torch_threads": torch.get_num_threads(),
     "step_ms": round(total, 3),
     "actuators_ms": round(spent, 3),
     "share": f"{spent / total:.1%}",
   }
+  env.close()
+  return row
 
 
 def write(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
