@@ -98,7 +98,6 @@ def forces(env: Any, *, target: float) -> torch.Tensor:
   return robot.data.qfrc_actuator.double().clone()
 
 
-@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_an_effort_limit_lets_as_much_more_or_less_through_in_the_simulation(
   make: Make, engine: str, factor: float
@@ -197,10 +196,10 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
     assert torch.equal(values, plain[name].expand_as(values)), name
 
 
-def test_the_limit_of_a_tendon_follows_its_actuators(make: Make) -> None:
+def test_the_limit_of_a_tendon_follows_its_actuators(make: Make, engine: str) -> None:
   motor = NativeMotorActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", effort_limit=LIMIT)
   event = drawn("effort_limit", (2.0, 2.0), transmission_type="tendon", targets="rope")
-  env = make(arm_cfg(motor, limits=event))
+  env = make(arm_cfg(motor, engine=engine, limits=event))
   env.scene["robot"].set_tendon_effort_target(torch.full((WORLDS, 1), 50.0))
   env.scene.write_ctrl()
   env.sim.step()
