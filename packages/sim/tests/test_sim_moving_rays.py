@@ -138,6 +138,19 @@ def test_a_ray_passes_through_all_of_its_robot_however_far_it_must_go(sim: Simul
   assert far.any()
 
 
+def test_rays_that_need_not_tell_their_geom_see_the_same(sim: Simulation) -> None:
+  leg = sim.mj_model.body("leg1").id
+  for max_distance in (np.inf, 0.8):
+    hits = [
+      sim.make_ray_caster(NUM_RAYS, bodyexclude=leg, exclude_trees=True, geomid=geomid, max_distance=max_distance).cast(
+        *rays(sim)
+      )
+      for geomid in (True, False)
+    ]
+    torch.testing.assert_close(hits[1].distance, hits[0].distance, rtol=0, atol=1e-6)
+    torch.testing.assert_close(hits[1].normal, hits[0].normal, rtol=0, atol=1e-5)
+
+
 def test_a_world_that_was_given_another_mesh_sees_that(sim: Simulation) -> None:
   model = without(sim.mj_model, "trunk", "leg-1", "leg1")
   geom, big = model.geom("mesh").id, model.mesh("big star").id

@@ -106,21 +106,25 @@ def ground_geoms(model: mujoco.MjModel, targets: RayTargets) -> tuple[Geoms, Geo
 def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel | None:
   """A model of the ground in which boxes and meshes are one mesh; None if rays would gain nothing from it.
 
+  They gain from a tree instead of many geoms, and from not meeting the bodies that they pass through one by one.
   MuJoCo looks up the triangles of a mesh in a tree. Its vertices have single precision. Height fields stay as they
   are: as triangles they would take a gigabyte.
   """
   ground, rest = ground_geoms(model, targets)
   merged = ground[np.isin(model.geom_type[ground], (_Geom.mjGEOM_BOX, _Geom.mjGEOM_MESH))]
   # Rays tell moving geoms from others by their weld, so that what is neither ground nor moving would be lost.
-  if len(merged) < _MANY or (model.body_weldid[model.geom_bodyid[rest]] == 0).any():
+  passed = np.isin(targets.owner, targets.exclude) & ~np.isin(model.geom_bodyid, targets.bodyexclude)
+  gains = len(merged) >= _MANY or passed.any()
+  if not (gains and len(ground)) or (model.body_weldid[model.geom_bodyid[rest]] == 0).any():
     return None
-  (vertices, triangles), _ = triangulate(model, merged)
   spec = mujoco.MjSpec()
-  mesh = spec.add_mesh(name="merged", uservert=vertices.ravel(), userface=triangles.ravel())
-  # The soup need not be closed.
-  mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-  # Without collisions it needs no convex hull.
-  spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname="merged", contype=0, conaffinity=0)
+  if len(merged):
+    (vertices, triangles), _ = triangulate(model, merged)
+    mesh = spec.add_mesh(name="merged", uservert=vertices.ravel(), userface=triangles.ravel())
+    # The soup need not be closed.
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    # Without collisions it needs no convex hull.
+    spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname="merged", contype=0, conaffinity=0)
   data = mujoco.MjData(model)
   mujoco.mj_kinematics(model, data)
   fields = []
