@@ -220,6 +220,8 @@ def test_every_sensor_draws_itself_in_the_worlds_shown(world: World, name: str) 
       # Worlds 0 and 2 stand at 0 and 20; what is seen may be as far as rays see.
       assert ((place[:, 0].abs() < 3) | ((place[:, 0] - 20).abs() < 3)).all(), (shape, place)
   assert sum(len(call[0]) for calls in draw.shapes.values() for call in calls) >= 2
+  # Few calls, however many worlds, frames and rays.
+  assert sum(map(len, draw.shapes.values())) <= 2
 
 
 def test_forces_are_drawn_as_they_act(world: World) -> None:

@@ -13,7 +13,7 @@ ReadingFrame = Literal["scalar", "own", "reference", "world", "image"]
 """What the components of a reading refer to.
 
 - "scalar": nothing, it is a number without direction;
-- "own": the axes of what the sensor is attached to: a site, a joint, a geom;
+- "own": the axes of what the sensor reads: a site, a joint, a geom, a contact;
 - "reference": the axes of the reference frame, and the world's without one;
 - "world": the axes of the world;
 - "image": columns and rows of a camera's image, from its top left corner.
@@ -42,8 +42,6 @@ class NativeType:
   """Unit of a reading; empty for a pure number."""
   stage: Stage = "position"
   """When MuJoCo computes it. Readings of the acceleration stage are those of the substep just done."""
-  has_cutoff: bool = True
-  """Whether a cutoff clamps it."""
   declared_by: str | None = "BuiltinSensorCfg"
   """The configuration that makes a new one; None where only an MJCF can. One that is there is always read as is."""
 
@@ -71,7 +69,7 @@ def _subtree(enum: _Type, unit: str, stage: Stage) -> NativeType:
   return NativeType(enum=enum, objects=("body",), dim=3, frame="world", unit=unit, stage=stage)
 
 
-def _nearest(enum: _Type, dim: int, frame: ReadingFrame, unit: str, *, has_cutoff: bool) -> NativeType:
+def _nearest(enum: _Type, dim: int, frame: ReadingFrame, unit: str) -> NativeType:
   return NativeType(
     enum=enum,
     objects=("geom", "body"),
@@ -80,7 +78,6 @@ def _nearest(enum: _Type, dim: int, frame: ReadingFrame, unit: str, *, has_cutof
     dim=dim,
     frame=frame,
     unit=unit,
-    has_cutoff=has_cutoff,
   )
 
 
@@ -144,18 +141,17 @@ NATIVE_TYPES: dict[str, NativeType] = {
     needs_reference=True,
     unit="1, or m if enclosed",
   ),
-  "distance": _nearest(_Type.mjSENS_GEOMDIST, 1, "scalar", "m", has_cutoff=True),
-  "normal": _nearest(_Type.mjSENS_GEOMNORMAL, 3, "world", "", has_cutoff=False),
-  "fromto": _nearest(_Type.mjSENS_GEOMFROMTO, 6, "world", "m", has_cutoff=False),
+  "distance": _nearest(_Type.mjSENS_GEOMDIST, 1, "scalar", "m"),
+  "normal": _nearest(_Type.mjSENS_GEOMNORMAL, 3, "world", ""),
+  "fromto": _nearest(_Type.mjSENS_GEOMFROMTO, 6, "world", "m"),
   "contact": NativeType(
     enum=_Type.mjSENS_CONTACT,
     objects=("geom", "body", "xbody", "site"),
     references=("geom", "body", "xbody"),
     dim=None,
-    frame="world",
+    frame="own",
     unit="N, N m and m",
     stage="acceleration",
-    has_cutoff=False,
     declared_by="ContactSensorCfg",
   ),
   "e_potential": NativeType(enum=_Type.mjSENS_E_POTENTIAL, unit="J"),
@@ -172,10 +168,10 @@ NATIVE_TYPES: dict[str, NativeType] = {
     stage="velocity",
   ),
   "plugin": NativeType(
-    enum=_Type.mjSENS_PLUGIN, dim=None, frame="world", unit="the plugin's own", stage="acceleration", declared_by=None
+    enum=_Type.mjSENS_PLUGIN, dim=None, frame="own", unit="the plugin's own", stage="acceleration", declared_by=None
   ),
   "user": NativeType(
-    enum=_Type.mjSENS_USER, dim=None, frame="world", unit="the callback's own", stage="acceleration", declared_by=None
+    enum=_Type.mjSENS_USER, dim=None, frame="own", unit="the callback's own", stage="acceleration", declared_by=None
   ),
 }
 """Every type of `mujoco.mjtSensor`, by the name of its MJCF element."""
