@@ -12,6 +12,8 @@ from mjlab_sensors import (
   ContactSensorCfg,
   FrameMatch,
   GridPatternCfg,
+  ImuSensorCfg,
+  LidarPatternCfg,
   ObjRef,
   PinholeCameraPatternCfg,
   RayCastSensorCfg,
@@ -79,6 +81,21 @@ CFGS = (
     start_height=0.5,
     geom_groups=(0,),
   ),
+  ContactSensorCfg(
+    name="pairs",
+    primary=ContactMatch(mode="body", pattern=".*", entity="robot"),
+    secondary=ContactMatch(mode="body", pattern="terrain|robot/.*"),
+    reduce="netforce",
+    track_air_time=True,
+  ),
+  ImuSensorCfg(name="imu", site=ObjRef(type="site", name="top", entity="robot")),
+  RayCastSensorCfg(
+    name="lidar",
+    frames=FrameMatch(type="site", pattern="top", entity="robot"),
+    pattern=LidarPatternCfg(rows=3, columns=7, vertical_fov=(-60.0, -20.0)),
+    exclude_own_tree=True,
+    max_distance=2.0,
+  ),
   RayCastSensorCfg(
     name="depth",
     frames=FrameMatch(type="site", pattern="top", entity="robot"),
@@ -91,13 +108,14 @@ CFGS = (
 class World:
   """One simulation with all sensors."""
 
-  def __init__(self, engine: str) -> None:
+  def __init__(self, engine: str, device: str = "cpu", capture: bool = True) -> None:
     spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{TERRAIN}</worldbody></mujoco>")
     spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
     self.sensors: dict[str, Sensor] = {cfg.name: cfg.build() for cfg in CFGS}
     for sensor in self.sensors.values():
       sensor.edit_spec(spec, {"robot": None})
-    self.sim = Simulation(2, spec, SimulationCfg(engine="warp" if engine == "warp" else "native"))
+    cfg = SimulationCfg(engine="warp" if engine == "warp" else "native", capture=capture)
+    self.sim = Simulation(2, spec, cfg, device)
     for sensor in self.sensors.values():
       sensor.initialize(self.sim, {"robot": None})
 
@@ -115,7 +133,9 @@ class World:
     readings = {}
     for name, sensor in self.sensors.items():
       fields = {"": sensor.data} if isinstance(sensor.data, torch.Tensor) else vars(sensor.data)
-      readings |= {f"{name}.{field}": value.double().numpy() for field, value in fields.items() if value is not None}
+      readings |= {
+        f"{name}.{field}": value.double().cpu().numpy() for field, value in fields.items() if value is not None
+      }
     return readings
 
 
@@ -142,6 +162,38 @@ def test_both_engines_read_the_same_through_steps_resets_and_writes(worlds: tupl
       np.testing.assert_allclose(warp[name], expected, rtol=0.0, atol=5e-3 * scale, err_msg=f"{name} at {substep}")
     landed |= bool((native["net.last_air_time"][:, 0] > 0.01).any())
   assert landed
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_recorded_step_with_all_sensors_reads_as_an_eager_one_and_never_waits() -> None:
+  worlds = [World("warp", "cuda", capture) for capture in (True, False)]
+  mask = torch.tensor([True, False], device="cuda")
+
+  def step(world: World, resets: bool) -> None:
+    world.step()
+    if resets:
+      world.reset(mask)
+    world.sim.data.qpos[1, 0] += 0.001
+    for sensor in world.sensors.values():
+      _ = sensor.data
+
+  graphs = [
+    [world.sim.capture(lambda world=world, resets=resets: step(world, resets)) for resets in (False, True)]
+    for world in worlds
+  ]
+  for number in range(12):
+    # Graphs are recorded after a few eager calls.
+    torch.cuda.set_sync_debug_mode("error" if number > 8 else "default")
+    try:
+      graphs[0][number % 2]()
+    finally:
+      torch.cuda.set_sync_debug_mode("default")
+    graphs[1][number % 2]()
+    recorded, eager = (world.readings() for world in worlds)
+    for name, expected in eager.items():
+      scale = max(1.0, np.abs(expected).max())
+      np.testing.assert_allclose(recorded[name], expected, rtol=0.0, atol=1e-3 * scale, err_msg=f"{name} at {number}")
+  assert all(graph.num_graphs == 1 for graph in graphs[0])
 
 
 def feel(cfg: ContactSensorCfg, **options: Any) -> tuple[Simulation, Sensor]:
