@@ -29,6 +29,13 @@ ENTITIES = {"robot": None}
 HEADS = FrameMatch(type="site", pattern=("head", "hand"), entity="robot", preserve_order=True)
 EYE = FrameMatch(type="camera", pattern="eye", entity="robot")
 PLANE = '<geom type="plane" size="0 0 1"/>'
+ASSETS = """
+<asset>
+  <mesh name="rock" vertex="0 0 .3  .4 .1 0  .1 .2 0  0 .4 0  -.4 -.2 0  0 0 -.2" inertia="shell"
+    face="0 1 2  0 2 3  0 3 4  0 4 1  5 2 1  5 3 2  5 4 3  5 1 4"/>
+  <hfield name="hills" nrow="3" ncol="4" size=".5 .4 .4 .1" elevation=".1 .5 1 .3  .8 .2 .9 0  .4 .7 .1 .6"/>
+</asset>
+"""
 ROBOT = """
 <mujoco>
   <worldbody>
@@ -54,7 +61,9 @@ ROBOT = """
 def build(
   *cfgs: RayCastSensorCfg, terrain: str = PLANE, num_envs: int = 3, sim_cfg: SimulationCfg | None = None
 ) -> tuple[Simulation, list[RayCastSensor]]:
-  spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>')
+  spec = mujoco.MjSpec.from_string(
+    f'<mujoco>{ASSETS}<worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>'
+  )
   spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
   sensors = []
   for number, cfg in enumerate(cfgs):
@@ -84,10 +93,14 @@ def random_geoms(rng: np.random.Generator, count: int) -> str:
   def numbers(values: Any) -> str:
     return " ".join(f"{value:.3f}" for value in values)
 
+  def shape(kind: str) -> str:
+    asset = {"mesh": 'mesh="rock"', "hfield": 'hfield="hills"'}.get(kind)
+    return asset or f'size="{numbers(rng.uniform(0.05, 0.3, 3))}"'
+
   return "".join(
-    f'<geom type="{kind}" size="{numbers(rng.uniform(0.05, 0.3, 3))}" group="{k % 3}"'
+    f'<geom type="{kind}" {shape(kind)} group="{k % 3}"'
     f' pos="{numbers((*rng.uniform(-1, 1, 2), rng.uniform(0, 0.3)))}" euler="{numbers(rng.uniform(-90, 90, 3))}"/>'
-    for k, kind in enumerate(("box", "sphere", "capsule", "cylinder", "ellipsoid", "box") * count)
+    for k, kind in enumerate(("box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield") * count)
   )
 
 
@@ -137,7 +150,7 @@ def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
   points, directions = pattern.rays()
   rays = len(points)
   assert (sensor.rays_per_frame, sensor.num_rays, sensor.num_frames) == (rays, 2 * rays, 2)
-  found = 0
+  found, seen = 0, set()
   for world in range(num_envs):
     data = mujoco.MjData(model)
     data.qpos[:] = sim.data.qpos[world].numpy()
@@ -163,11 +176,15 @@ def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
         np.testing.assert_allclose(read.hit_pos_w[at], origin + max(distance, 0.0) * direction, atol=1e-9)
         assert read.geom_ids is not None
         assert read.geom_ids[at].item() == geom[0]
+        seen.add(int(model.geom_type[geom[0]]) if geom[0] >= 0 else -1)
         found += distance >= 0
   torch.testing.assert_close(read.frame_mat_w, matrix_from_quat(read.frame_quat_w))
   torch.testing.assert_close(read.pos_w, read.frame_pos_w[:, 0])
   torch.testing.assert_close(read.quat_w, read.frame_quat_w[:, 0])
   assert 0.2 < found / (num_envs * 2 * rays) < 0.98
+  if rays > 50 and alignment != "base":
+    # A plane, each primitive, a mesh and a height field, and nothing.
+    assert seen == {-1, *range(8)}
 
 
 def test_a_scan_that_starts_above_sees_terrain_higher_than_its_frame() -> None:
