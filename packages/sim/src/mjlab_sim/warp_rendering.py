@@ -148,6 +148,9 @@ class WarpRenderer:
     )
 
   def render(self, epoch: int, mask: torch.Tensor | None) -> None:
+    # On a CPU it costs nothing to see that nobody is to be drawn; a GPU would have to be waited for.
+    if mask is not None and mask.device.type == "cpu" and not mask.any():
+      return
     context = self._scene.context(self._number, epoch)
     name = f"{self._scene.name}, view {self._number}"
     if mask is None:
