@@ -54,6 +54,7 @@ class FakeSim:
   """The protocol and nothing more, counting what it is asked."""
 
   def __init__(self, xml: str = XML) -> None:
+    self.own: dict[str, torch.Tensor] = {}
     self.mj_model = mujoco.MjModel.from_xml_string(xml)
     self.num_envs, self.device = N, torch.device("cpu")
     self.model = SimpleNamespace()
@@ -63,9 +64,11 @@ class FakeSim:
     for name in names:
       if not hasattr(self.model, name):
         default = self.default_field(name)
-        setattr(self.model, name, default.repeat(N, *[1] * (default.dim() - 1)))
+        setattr(self.model, name, default.expand(N, *default.shape[1:]).clone())
 
   def default_field(self, name: str, /) -> torch.Tensor:
+    if name in self.own:
+      return self.own[name].clone()
     owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
     return torch.tensor(getattr(owner, name.removeprefix("opt."))).unsqueeze(0)
 
@@ -187,6 +190,29 @@ def test_every_row_writes_in_place_without_a_sync_and_the_same_for_a_world_whoev
   values, default = terms[0].values(), terms[0].default
   assert torch.equal(values[mask], terms[1].values()[mask])
   assert torch.equal(values[~mask], default.expand(N, -1)[~mask].to(values.dtype))
+
+
+def test_where_worlds_differ_each_starts_from_its_own_default() -> None:
+  sim = FakeSim(EVERYTHING)
+  compiled = sim.default_field
+  factors = torch.arange(1, N + 1, dtype=torch.float64)
+  own = sim.own = {
+    name: compiled(name) * factors.reshape(-1, *[1] * (compiled(name).dim() - 1))
+    for name in ("body_mass", "body_inertia", "body_ipos", "geom_friction")
+  }
+  terms = [bound(pseudo_inertia("thigh", alpha=(0.1, 0.1)), sim), bound(geom_friction("shin", (0.1, 0.2)), sim)]
+  terms.append(bound(randomize_field("geom_friction", "thigh", (2.0, 2.0), axes=(0,), operation="scale"), sim))
+  for term in terms:
+    term.apply(torch.ones(N, dtype=torch.bool))
+  thigh = sim.mj_model.body("thigh").id
+  gain = torch.tensor(0.2, dtype=torch.float64).exp()
+  for name in ("body_mass", "body_inertia"):
+    torch.testing.assert_close(getattr(sim.model, name)[:, thigh], own[name][:, thigh] * gain)
+  geom = sim.mj_model.geom("thigh").id
+  torch.testing.assert_close(sim.model.geom_friction[:, geom, 0], 2.0 * own["geom_friction"][:, geom, 0])
+  heaviest = own["body_mass"][-1, thigh].item()
+  with pytest.raises(ValueError, match=r"body 'thigh' may get body_mass -0\.\d+, below"):
+    bound(randomize_field("body_mass", "thigh", (-1.1 * heaviest / N, 0.0), operation="add"), sim)
 
 
 def test_strength_takes_every_kind_of_field_from_its_default_to_the_draw() -> None:

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_sim import PER_WORLD, Simulation, TorchArray
+from mjlab_sim import PER_WORLD, Simulation, SimulationError, TorchArray
 from sim_world import NUM_WORLDS, reference, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -253,6 +253,18 @@ def test_worlds_outside_of_the_mask_keep_every_bit_of_the_model(make_sim: MakeSi
   assert {"body_invweight0", "dof_invweight0"} <= changed <= set(sim.expanded_fields)
   for name in changed:
     assert torch.equal(sim.model[name][[0, 2, 3]], before[name][[0, 2, 3]]), name
+
+
+def test_defaults_can_be_those_of_each_world(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  with pytest.raises(SimulationError, match=r"model field 'body_mass' is shared by all worlds; expand it first"):
+    sim.rebase_default_fields(["body_mass"])
+  sim.expand_model_fields(["body_mass"])
+  sim.model.body_mass[:, 3] = torch.tensor([1.0, 2.0, 3.0, 4.0], dtype=sim.dtype)
+  sim.rebase_default_fields(["body_mass"])
+  sim.model.body_mass.zero_()
+  sim.default_field("body_mass").zero_()
+  assert sim.default_field("body_mass")[:, 3].tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 def test_one_world_recomputes_what_follows_from_any_field(make_sim: MakeSim, engine: str) -> None:

@@ -46,7 +46,7 @@ class ModelFields(Protocol):
     ...
 
   def default_field(self, name: str, /) -> Tensor:
-    """The compiled value of a field, (1, ...)."""
+    """The value to start from: the compiled one, (1, ...), or one for each world, (num_envs, ...)."""
     ...
 
   def recompute_constants(self, mask: Tensor | None = None, /) -> None:
@@ -106,16 +106,18 @@ class RandomizeField:
       components = [component for component in self.components if component.field == name]
       write = _Columns(name, [component.columns for component in components], sim.device)
       if target is None:
-        write.default = sim.default_field(name).reshape(1, -1).index_select(1, write.all)
+        write.default = _flat_default(sim, name).index_select(1, write.all)
       else:
         write.default = target.new_zeros(1, len(write.all))
-      defaults.append(write.default[0, write.first.to(sim.device)].double().cpu().numpy())
+      defaults.append(write.default[:, write.first].double().cpu().numpy())
       self._writes.append(write)
-    check_results(cfg, binding, np.concatenate(defaults), model, owner)
+    worlds = max(len(default) for default in defaults)
+    table = np.concatenate([np.broadcast_to(x, (worlds, x.shape[1])) for x in defaults], axis=1)
+    check_results(cfg, binding, table, model, owner)
     self._follower: _Columns | None = None
     if field.moves_with:
       self._follower = _Columns(field.moves_with, [component.columns for component in self.components], sim.device)
-      self._follower.default = sim.default_field(field.moves_with).reshape(1, -1).index_select(1, self._follower.all)
+      self._follower.default = _flat_default(sim, field.moves_with).index_select(1, self._follower.all)
 
     dtype = self._writes[0].default.dtype
     self._dtype = dtype if dtype.is_floating_point else torch.float64
@@ -135,8 +137,10 @@ class RandomizeField:
 
   @property
   def default(self) -> Tensor:
-    """Compiled value of each of `components`, (1, number of components)."""
-    return torch.cat([write.default[:, write.first] for write in self._writes], -1)
+    """What it starts from: a value of each of `components`, (1 or num_envs, number of components)."""
+    parts = [write.default[:, write.first] for write in self._writes]
+    worlds = max(len(part) for part in parts)
+    return torch.cat([part.expand(worlds, -1) for part in parts], -1)
 
   @property
   def strength(self) -> Tensor:
@@ -246,7 +250,7 @@ class _Columns:
     self.first = torch.tensor(starts, device=device)
     """Where among `all` each component has its first column."""
     self.default = torch.empty(0)
-    """Compiled values of `all`, (1, number of columns)."""
+    """Values of `all` to start from, (1 or num_envs, number of columns)."""
     self._slice = _as_slice(flat)
 
   def store(self, flat: Tensor, mask: Tensor, value: Tensor) -> None:
@@ -256,6 +260,11 @@ class _Columns:
     else:
       value = value.to(flat.dtype)
       flat.index_copy_(1, self.all, torch.where(mask[:, None], value, flat.index_select(1, self.all)))
+
+
+def _flat_default(sim: ModelFields, name: str) -> Tensor:
+  default = sim.default_field(name)
+  return default.reshape(len(default), -1)
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:

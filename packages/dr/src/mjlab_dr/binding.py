@@ -168,7 +168,8 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
 def check_results(
   cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel, owner: str
 ) -> None:
-  """Checks everything that may come out against what is physical; `defaults` has a number for each component.
+  """Checks everything that may come out against what is physical; `defaults` has a row for each
+  world, or one for all, and a number for each component.
 
   Raises:
     ValueError: naming the element, what it may get, and what is allowed.
@@ -181,16 +182,21 @@ def check_results(
   distributions = list(cfg.values.values())
   # Lowest and highest of each axis of each element, drawn or not.
   spans: dict[str, Spans] = {}
-  for component, default in zip(binding.components, defaults.tolist(), strict=True):
+  for i, component in enumerate(binding.components):
+    minimum, maximum = field.bounds(field.axes.index(component.axis))
+    # Worlds without the element have it out of bounds, so that nothing meets it.
+    start = defaults[defaults[:, i] >= minimum, i]
+    if not len(start):
+      continue
     lo, hi = distributions[component.source % len(distributions)].support()
     if cfg.operation == "add":
-      lo, hi = default + lo, default + hi
+      lo, hi = start.min() + lo, start.max() + hi
     elif cfg.operation == "scale":
-      lo, hi = sorted((default * lo, default * hi))
-    spans.setdefault(component.element, {})[component.axis] = lo, hi
-    minimum, maximum = field.bounds(field.axes.index(component.axis))
+      products = np.outer((start.min(), start.max()), (lo, hi))
+      lo, hi = products.min(), products.max()
+    spans.setdefault(component.element, {})[component.axis] = float(lo), float(hi)
     # A scaled zero stays one, as compiled.
-    is_kept = cfg.operation == "scale" and default == 0.0
+    is_kept = cfg.operation == "scale" and start.min() == 0.0
     what = f"{owner}: {field.kind} {component.element!r} may get {component.axis or cfg.field}"
     if lo < minimum or (field.positive and lo == minimum and not is_kept):
       raise ValueError(f"{what} {lo:g}, below the physical minimum {minimum:g}.")

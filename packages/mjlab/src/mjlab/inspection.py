@@ -96,7 +96,7 @@ def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
   sim = env.sim
   report = InertiaReport(masses={}, compiled={}, bodies={})
   fields = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
-  default = {name: sim.default_field(name) for name in fields}
+  default = {name: sim.default_field(name)[:1] for name in fields}
   now = {name: sim.model[name].expand(env.num_envs, *default[name].shape[1:]) for name in fields}
   for name, entity in env.scene.entities.items():
     ids = entity.indexing.ids["body"].tolist()

@@ -9,6 +9,7 @@ from mjlab_scene.initial_state import InitialState
 from mjlab_scene.keyframes import INIT_STATE
 from mjlab_scene.scene import Scene, SceneCfg, TerrainCfg
 from mjlab_scene.terrain_levels import TerrainLevels
+from mjlab_scene.variants import VariantEntity, VariantEntityCfg
 
 __all__ = [
   "INIT_STATE",
@@ -24,4 +25,6 @@ __all__ = [
   "SceneCfg",
   "TerrainCfg",
   "TerrainLevels",
+  "VariantEntity",
+  "VariantEntityCfg",
 ]

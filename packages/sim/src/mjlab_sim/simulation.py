@@ -69,6 +69,7 @@ class Simulation:
     self.model = ModelView(self)
     self._kinematic = [_plain(self._engine.data_field(name)) for name in KINEMATIC_STATE]
     self._expanded: dict[str, None] = {}
+    self._defaults: dict[str, torch.Tensor] = {}
     # Model fields that somebody asked for, and so may write to.
     self._asked_for: dict[str, TorchArray] = {}
     self._watched: list[torch.Tensor] = []
@@ -165,11 +166,25 @@ class Simulation:
     return name in self._expanded
 
   def default_field(self, name: str) -> torch.Tensor:
-    """The compiled value of a model field, (1, ...), as a fresh tensor."""
+    """The value that randomisation starts from, as a fresh tensor: the compiled one, (1, ...), or that of each world,
+    (num_envs, ...), where `rebase_default_fields` said so."""
+    if name in self._defaults:
+      return self._defaults[name].clone()
     view = self.model[name]
     owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
     value = torch.as_tensor(getattr(owner, name.removeprefix("opt.")), dtype=view.dtype, device=self.device)
     return value.reshape(1, *view.shape[1:]).clone()
+
+  def rebase_default_fields(self, names: Iterable[str]) -> None:
+    """Make what these expanded fields are now their default, world by world: for objects that differ between worlds.
+
+    Raises:
+      SimulationError: a field that all worlds share.
+    """
+    for name in names:
+      if not self.is_expanded(name):
+        raise SimulationError(f"model field '{name}' is shared by all worlds; expand it first")
+      self._defaults[name] = self.model[name].detach().clone()
 
   def recompute_constants(self, mask: torch.Tensor | None = None) -> None:
     """Recompute what MuJoCo's compiler derives (inverse weights, subtree masses, ...) after a model field changed.

@@ -1,0 +1,238 @@
+"""One entity that is another object in another world: of its own shape, inertia and friction, or not there at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import torch
+from mjlab_core.names import unknown
+
+from mjlab_scene.element_names import name_everything
+from mjlab_scene.entity import Entity
+from mjlab_scene.entity_cfg import EntityCfg
+
+if TYPE_CHECKING:
+  from mjlab_sim import Simulation
+
+SpecFn = Callable[[], mujoco.MjSpec]
+_FAR = 1e4
+# Contact begins at a distance below the margin: with this one, never.
+_NO_CONTACT = -1e6
+_TINY = 1e-6
+
+
+def _no_spec() -> mujoco.MjSpec:
+  raise NotImplementedError
+
+
+@dataclass(kw_only=True)
+class VariantEntityCfg(EntityCfg):
+  """A rigid object that differs between worlds.
+
+  Geoms, sites, materials and meshes of a variant are called "<variant>/<name>", and contact presets, sensors and
+  randomisers see them all: friction, contact dimension and the like are each geom's own. There is one moving body,
+  "object", whose mass and inertia are values per world, and are what randomisers start from. Every variant costs
+  collision checks in every world, so that this is for tens of objects rather than thousands.
+  """
+
+  variants: Mapping[str, SpecFn | None]
+  """What the object can be, by name: a function that returns a new spec of one body without joints but a free one;
+  None is nothing at all, which no contact or ray meets and gravity leaves where it is."""
+  assignment: Mapping[str, float] | Sequence[str] | None = None
+  """Shares of the variants in all worlds, those that are not named counting as 1; or the variant of each world by name.
+  Shares are dealt out as evenly as whole worlds allow, and shuffled. None: equal shares."""
+  seed: int = 0
+  """Of the shuffle."""
+  spec_fn: SpecFn = field(default=_no_spec, init=False, repr=False)
+  """Made from the variants."""
+
+  def build(self, name: str) -> VariantEntity:
+    """The entity this describes, under `name`."""
+    return VariantEntity(self, name)
+
+
+@dataclass(frozen=True)
+class _Inertia:
+  mass: float
+  com: np.ndarray
+  moments: np.ndarray
+  quat: np.ndarray
+
+
+class VariantEntity(Entity):
+  """See `VariantEntityCfg`."""
+
+  variant_names: tuple[str, ...]
+  """The variants in their order."""
+  variant: torch.Tensor
+  """Which of them each world has, (num_envs,); there once the scene is initialized."""
+
+  def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
+    owner = f"entity '{name}'"
+    spec, self._inertias = _merge(cfg.variants, owner)
+    self.variant_names = tuple(cfg.variants)
+    self._assignment, self._seed = cfg.assignment, cfg.seed
+    plain = EntityCfg(spec_fn=lambda: spec, init_state=cfg.init_state, articulation=cfg.articulation)
+    super().__init__(replace(plain, collisions=cfg.collisions), name)
+    self.cfg = cfg
+
+  def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:
+    """Find the entity in the simulation's model, and give every world its variant."""
+    super().initialize(sim, prefix, rng)
+    chosen = assign(self.variant_names, self._assignment, sim.num_envs, self._seed, f"entity '{self.name}'")
+    self.variant = torch.tensor(chosen, device=sim.device)
+    model = sim.mj_model
+    fields = ["body_mass", "body_ipos", "body_inertia", "body_iquat", "body_gravcomp"]
+    fields += ["geom_margin", "geom_size", "geom_pos", "geom_rgba"]
+    sim.expand_model_fields(fields)
+    body = model.body(self.prefix + _OBJECT).id
+
+    def by_world(values: Sequence[np.ndarray | float]) -> torch.Tensor:
+      return torch.as_tensor(np.array(values), dtype=sim.dtype, device=sim.device)[self.variant]
+
+    solid = next(inertia for inertia in self._inertias.values() if inertia is not None)
+    inertias = [self._inertias[name] or solid for name in self.variant_names]
+    sim.model.body_mass[:, body] = by_world([inertia.mass for inertia in inertias])
+    sim.model.body_ipos[:, body] = by_world([inertia.com for inertia in inertias])
+    sim.model.body_inertia[:, body] = by_world([inertia.moments for inertia in inertias])
+    sim.model.body_iquat[:, body] = by_world([inertia.quat for inertia in inertias])
+    if None in self._inertias.values():
+      sim.model.body_gravcomp[:, body] = by_world([float(self._inertias[name] is None) for name in self.variant_names])
+    for number, name in enumerate(self.variant_names):
+      start = f"{self.prefix}{name}/"
+      geoms = [i for i in range(model.ngeom) if model.geom(i).name.startswith(start)]
+      absent = (self.variant != number)[:, None]
+      for geom in geoms:
+        is_mesh = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+        sim.model.geom_margin[:, geom].masked_fill_(absent[:, 0], _NO_CONTACT)
+        sim.model.geom_rgba[:, geom, 3].masked_fill_(absent[:, 0], 0.0)
+        if is_mesh:
+          # A mesh has no size to take from it.
+          sim.model.geom_pos[:, geom, 2].masked_fill_(absent[:, 0], _FAR)
+        else:
+          sim.model.geom_size[:, geom] = torch.where(absent, _TINY, sim.model.geom_size[:, geom])
+    sim.recompute_constants()
+    sim.rebase_default_fields(fields)
+
+
+_OBJECT = "object"
+
+
+def assign(
+  names: Sequence[str],
+  assignment: Mapping[str, float] | Sequence[str] | None,
+  num_envs: int,
+  seed: int,
+  owner: str,
+) -> list[int]:
+  """Index of the variant of every world; see `VariantEntityCfg.assignment`.
+
+  Raises:
+    ValueError: a variant that does not exist, a share that is none, or as many names as there are no worlds.
+  """
+  if assignment is not None:
+    for name in assignment:
+      if name not in names:
+        raise ValueError(unknown("variant", name, names, owner=owner))
+  if isinstance(assignment, Sequence):
+    if len(assignment) != num_envs:
+      raise ValueError(f"{owner}: assignment names {len(assignment)} variants for {num_envs} worlds")
+    return [list(names).index(name) for name in assignment]
+  weights = np.array([1.0 if assignment is None else assignment.get(name, 1.0) for name in names])
+  if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.sum() > 0.0):
+    raise ValueError(f"{owner}: shares must be numbers from 0, not all 0, got {weights.tolist()}")
+  # Largest remainders: whole worlds as near to the shares as can be.
+  exact = weights / weights.sum() * num_envs
+  counts = np.floor(exact).astype(int)
+  for i in np.argsort(counts - exact, kind="stable")[: num_envs - counts.sum()]:
+    counts[i] += 1
+  dealt = np.repeat(np.arange(len(names)), counts)
+  return np.random.default_rng(seed).permutation(dealt).tolist()
+
+
+def _merge(variants: Mapping[str, SpecFn | None], owner: str) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None]]:
+  """One spec with the geoms of all variants on one body, and what each variant weighs."""
+  if not any(make is not None for make in variants.values()):
+    raise ValueError(f"{owner}: variants need at least one object")
+  merged = mujoco.MjSpec()
+  root = merged.worldbody.add_body(name=_OBJECT)
+  inertias: dict[str, _Inertia | None] = {}
+  floats: dict[str, bool] = {}
+  for name, make in variants.items():
+    if not name or "/" in name:
+      raise ValueError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
+    if make is None:
+      inertias[name] = None
+      continue
+    what = f"{owner}: variant '{name}'"
+    spec = make()
+    name_everything(spec)
+    body = _only_body(spec, what)
+    joints = list(spec.joints)
+    floats[name] = bool(joints)
+    if len(joints) > 1 or any(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in joints):
+      raise ValueError(f"{what}: is no rigid object, for it has joint '{joints[-1].name}'")
+    for joint in joints:
+      spec.delete(joint)
+    for kind, found in (("actuator", spec.actuators), ("tendon", spec.tendons), ("equality", spec.equalities)):
+      if found:
+        raise ValueError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
+    body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    inertias[name] = _inertia(spec.copy().compile())
+    for part in spec.bodies[1:]:
+      part.explicitinertial = False
+      part.mass = 0.0
+    for geom in spec.geoms:
+      geom.mass = 0.0
+    for key in list(spec.keys):
+      spec.delete(key)
+    merged.attach(spec, prefix=f"{name}/", frame=root.add_frame())
+  if len(set(floats.values())) > 1:
+    fixed = next(name for name, is_free in floats.items() if not is_free)
+    raise ValueError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
+  joint = root.add_freejoint()
+  # Contacts are as stiff as the inverse weight of their geom's body says: all geoms belong to the one that has it.
+  merged.fuse_static()
+  root = merged.body(_OBJECT)
+  if not all(floats.values()):
+    merged.delete(joint)
+  solid = next(inertia for inertia in inertias.values() if inertia is not None)
+  root.explicitinertial = True
+  # What is compiled as simple cannot have another centre of mass, and what is compiled weightless stays so.
+  root.simple = False
+  root.mass, root.ipos, root.inertia, root.iquat = solid.mass, solid.com, solid.moments, solid.quat
+  root.gravcomp = 1.0 if None in inertias.values() else 0.0
+  return merged, inertias
+
+
+def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:
+  roots = [body for body in spec.bodies[1:] if body.parent == spec.worldbody]
+  if len(roots) != 1:
+    raise ValueError(f"{what}: must be one body with all else in it, has {len(roots)} on the top level")
+  if spec.worldbody.geoms:
+    raise ValueError(f"{what}: geom '{spec.worldbody.geoms[0].name}' belongs to no body")
+  return roots[0]
+
+
+def _inertia(model: mujoco.MjModel) -> _Inertia:
+  """Mass, centre of mass, principal moments and axes of all bodies together, in the frame of the first."""
+  data = mujoco.MjData(model)
+  mujoco.mj_kinematics(model, data)
+  masses = model.body_mass
+  mass = float(masses.sum())
+  com = masses @ data.xipos / mass
+  total = np.zeros((3, 3))
+  for i in range(1, model.nbody):
+    axes, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - com
+    total += axes @ np.diag(model.body_inertia[i]) @ axes.T + masses[i] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+  moments, axes = np.linalg.eigh(total)
+  if np.linalg.det(axes) < 0.0:
+    axes[:, 0] *= -1.0
+  quat = np.zeros(4)
+  mujoco.mju_mat2Quat(quat, axes.ravel())
+  return _Inertia(mass, com, moments, quat)
