@@ -129,6 +129,11 @@ def test_shares_are_dealt_in_whole_worlds_and_shuffled() -> None:
   assert sorted(assign(["a", "b"], None, 5, 3, "")) == [0, 0, 0, 1, 1]
 
 
+def test_a_configuration_equals_its_like() -> None:
+  assert all_of_them() == all_of_them()
+  assert all_of_them() != all_of_them(None)
+
+
 def test_names_of_every_variant_are_addressable(make) -> None:
   scene, _ = make(all_of_them(assignment=None), num_envs=8)
   entity = scene["thing"]

@@ -47,7 +47,7 @@ class VariantEntityCfg(EntityCfg):
   Shares are dealt out as evenly as whole worlds allow, and shuffled. None: equal shares."""
   seed: int = 0
   """Of the shuffle."""
-  spec_fn: SpecFn = field(default=_no_spec, init=False, repr=False)
+  spec_fn: SpecFn = field(default=_no_spec, init=False, repr=False, compare=False)
   """Made from the variants."""
 
   def build(self, name: str) -> VariantEntity:
