@@ -397,7 +397,7 @@ LEFT_OUT: dict[str, str] = {
   "sensor_delay": "is a property of the reader: observation terms have a delay of their own",
   "sensor_interval": "fixes how many samples a buffer holds, which is decided when the model is compiled",
   "light_type": "decides which code draws it, when the picture's context is made",
-  "geom_dataid": "changes mesh, mass and bounds at once: see `variants`",
+  "geom_dataid": "decides mesh, mass and bounds at once, which is what `VariantEntityCfg` of mjlab-scene is for",
 }
 """What MuJoCo Warp can hold per world but is not randomised, and why."""
 
