@@ -92,3 +92,15 @@ def test_a_step_asks_the_device_nothing_and_no_terms_do_nothing(env, dispatched)
   dispatched(lambda: manager.reset(mask))
   empty = MetricsManager({}, env)
   assert dispatched(lambda: (empty.compute_substep(), empty.compute(), empty.reset(mask))) == []
+
+
+def test_the_value_of_the_last_step_can_be_asked_for_by_name(env):
+  manager = MetricsManager(all_reductions(), env)
+  for value in (3.0, 4.0):
+    env.values[:] = value
+    manager.compute()
+  assert {name: manager.get_value(name).tolist() for name in ("last", "mean", "max", "sum")} == dict.fromkeys(
+    ("last", "mean", "max", "sum"), [4.0] * env.num_envs
+  )
+  with pytest.raises(KeyError, match="Nearest: mean"):
+    manager.get_value("meen")

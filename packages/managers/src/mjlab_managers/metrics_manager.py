@@ -104,6 +104,11 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
       highest.copy_(torch.maximum(highest, self._values[:, top:]))
     self._steps.add_(1)
 
+  def get_value(self, name: str) -> torch.Tensor:
+    """A metric in the last step, terminal states included, (N,); KeyError with the nearest names if there is none."""
+    columns = {term.name: column for column, term in enumerate(self._terms)}
+    return self._values[:, self._lookup(columns, name)]
+
   def reset(self, mask: torch.Tensor) -> None:
     """Logs the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and starts over there."""
     if not self._terms:
