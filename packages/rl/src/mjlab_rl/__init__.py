@@ -9,6 +9,20 @@ if TYPE_CHECKING:
   from mjlab_rl.config import ConfigError, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
   from mjlab_rl.console import Console
   from mjlab_rl.env_protocol import RlEnv
+  from mjlab_rl.evaluation import (
+    Episodes,
+    Evaluation,
+    EvaluationError,
+    Evaluator,
+    Interval,
+    Policy,
+    Progress,
+    ReturnEvaluation,
+    Threshold,
+    bootstrap,
+    play_first_episodes,
+    summarize,
+  )
   from mjlab_rl.iteration_report import IterationReport
   from mjlab_rl.manifest import ManifestError, RunManifest, load_run
   from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
@@ -21,9 +35,17 @@ __all__ = [
   "CheckpointError",
   "ConfigError",
   "Console",
+  "Episodes",
+  "Evaluation",
+  "EvaluationError",
+  "Evaluator",
+  "Interval",
   "IterationReport",
   "ManifestError",
   "MjlabOnPolicyRunner",
+  "Policy",
+  "Progress",
+  "ReturnEvaluation",
   "RlEnv",
   "RslRlModelCfg",
   "RslRlOnPolicyRunnerCfg",
@@ -32,11 +54,15 @@ __all__ = [
   "RunManifest",
   "RunNotFoundError",
   "TaskCfg",
+  "Threshold",
   "TrainingResult",
+  "bootstrap",
   "checkpoints",
   "create_run_directory",
   "find_checkpoint",
   "load_run",
+  "play_first_episodes",
+  "summarize",
   "train",
 ]
 
@@ -49,6 +75,10 @@ _MODULES = {
   "config": "ConfigError RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg",
   "console": "Console",
   "env_protocol": "RlEnv",
+  "evaluation": (
+    "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
+    "play_first_episodes summarize"
+  ),
   "iteration_report": "IterationReport",
   "manifest": "ManifestError RunManifest load_run",
   "run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+
+if TYPE_CHECKING:
+  from mjlab_rl.evaluation import Evaluator
 
 EnvCfgT = TypeVar("EnvCfgT")
 
@@ -28,3 +31,5 @@ class TaskCfg(Generic[EnvCfgT]):
   """Subclass of MjlabOnPolicyRunner to train with; None: MjlabOnPolicyRunner itself."""
   make_env: Callable[..., Any] | None = None
   """Builds the environment, called as make_env(cfg, device=device); None: the standard environment class."""
+  evaluator: "Evaluator | None" = None
+  """Judges policies of this task; None: only returns and lengths of episodes are looked at."""

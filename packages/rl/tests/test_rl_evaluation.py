@@ -1,0 +1,199 @@
+"""Evaluation: first episodes, their terminal states, intervals and thresholds, against cases worked out by hand."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_rl import (
+  Episodes,
+  Evaluation,
+  EvaluationError,
+  Interval,
+  Threshold,
+  bootstrap,
+  play_first_episodes,
+  summarize,
+)
+
+LENGTHS = (1, 3, 2, 5)
+FAILS = (True, False, True, False)
+
+
+@dataclass
+class Actions:
+  total_action_dim: int = 1
+
+
+class Script:
+  """Worlds that end after so many steps, and then again; the state is the step's number in the episode."""
+
+  def __init__(self) -> None:
+    self.cfg = None
+    self.num_envs, self.device, self.max_episode_length = 4, torch.device("cpu"), 5
+    self.action_manager = Actions()
+    self.output_dir: Path | None = None
+    self.episode_length_buf = torch.zeros(4, dtype=torch.int64)
+    self.terminal = torch.zeros(4)
+    self.seeds: list[int | None] = []
+
+  def reset(self, *, seed: int | None = None) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    self.seeds.append(seed)
+    self.episode_length_buf.zero_()
+    return self.get_observations(), {}
+
+  def step(self, action: torch.Tensor) -> tuple[dict[str, torch.Tensor], Any, Any, Any, dict[str, Any]]:
+    self.episode_length_buf += 1
+    # What the step was like, before anything is reset.
+    self.terminal = self.episode_length_buf.float() * 10.0
+    done = self.episode_length_buf == torch.tensor(LENGTHS)
+    fails = torch.tensor(FAILS)
+    reward = action[:, 0] + self.episode_length_buf
+    self.episode_length_buf[done] = 0
+    return self.get_observations(), reward, done & fails, done & ~fails, {}
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    return {"actor": self.episode_length_buf[:, None].float()}
+
+  def drain_log(self) -> dict[str, float]:
+    return {}
+
+  def state_dict(self) -> dict[str, Any]:
+    return {}
+
+  def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+  def load_progress(self, state: dict[str, Any]) -> None: ...
+
+  def close(self) -> None: ...
+
+
+def play(max_steps: int = 10) -> tuple[Script, Episodes]:
+  env = Script()
+
+  def policy(observations: Any) -> torch.Tensor:
+    return torch.full((4, 1), 100.0)
+
+  return env, play_first_episodes(env, policy, lambda: {"state": env.terminal}, max_steps=max_steps, seed=7)
+
+
+def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -> None:
+  env, played = play()
+  assert env.seeds == [7]
+  assert played.length.tolist() == list(LENGTHS)
+  assert played.has_failed.tolist() == list(FAILS)
+  assert played.has_ended.all()
+  # Each step is worth 100 and its number.
+  assert played.total.tolist() == [101.0, 306.0, 203.0, 515.0]
+  # The world that fails on its first step has one sample, of the state it failed in.
+  assert played.values["state"][:, 0].nan_to_num(-1.0).tolist() == [10.0, -1.0, -1.0, -1.0, -1.0]
+  assert played.values["state"][:, 1].nan_to_num(-1.0).tolist() == [10.0, 20.0, 30.0, -1.0, -1.0]
+  assert played.mean("state").tolist() == [10.0, 20.0, 15.0, 30.0]
+
+
+def test_an_episode_that_is_not_over_at_the_last_step_has_neither_ended_nor_failed() -> None:
+  _, played = play(max_steps=2)
+  assert played.has_ended.tolist() == [True, False, True, False]
+  assert played.has_failed.tolist() == [True, False, True, False]
+  assert played.length.tolist() == [1, 2, 2, 2]
+
+
+def test_a_policy_that_remembers_is_told_which_episodes_ended() -> None:
+  env, told = Script(), []
+
+  @dataclass
+  class Recurrent:
+    def __call__(self, observations: Any) -> torch.Tensor:
+      return torch.zeros(4, 1)
+
+    def reset(self, dones: torch.Tensor) -> None:
+      told.append(dones.tolist())
+
+  play_first_episodes(env, Recurrent(), dict, max_steps=2)
+  assert told == [[True, False, False, False], [True, False, True, False]]
+
+
+def test_an_interval_is_that_of_the_mean() -> None:
+  values = torch.randn(400, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 2.0 + 5.0
+  interval = bootstrap(values)
+  assert interval.mean == pytest.approx(values.mean().item())
+  error = values.std().item() / 20.0
+  assert interval.low == pytest.approx(interval.mean - 1.96 * error, abs=0.1 * error)
+  assert interval.high == pytest.approx(interval.mean + 1.96 * error, abs=0.1 * error)
+  assert bootstrap(values) == interval
+
+
+def test_missing_numbers_are_left_out_of_a_mean() -> None:
+  assert bootstrap(torch.tensor([math.nan, 2.0, 2.0])) == Interval(mean=2.0, low=2.0, high=2.0, count=2)
+  assert bootstrap(torch.tensor([math.nan])).count == 0
+
+
+def evaluation() -> Evaluation:
+  _, played = play()
+  odd = torch.tensor([False, True, False, True])
+  return summarize(
+    {"success_rate": (~played.has_failed).double(), "state": played.mean("state"), "none": torch.full((4,), math.nan)},
+    {"odd": odd, "everybody": ~odd | odd, "even": ~odd},
+    units={"state": "m"},
+    values={"state": played.values["state"]},
+    steps_per_second=2,
+  )
+
+
+def test_groups_are_summed_up_and_curves_are_means_over_who_still_plays() -> None:
+  result = evaluation()
+  assert list(result.groups) == ["all", "odd", "even"]
+  assert result.groups["all"]["success_rate"].mean == 0.5
+  assert result.groups["odd"]["success_rate"].mean == 1.0
+  assert result.groups["even"]["state"].mean == 12.5
+  # Seconds of two steps: 10 10 10 10 20 20 20; 30 30 40; 50.
+  assert result.curves["state"]["all"] == pytest.approx([100 / 7, 100 / 3, 50.0])
+  assert result.curves["state"]["even"][:1] == pytest.approx([40 / 3])
+  table = result.table().splitlines()
+  assert table[0].split() == ["episodes", "success_rate", "state", "[m]", "none"]
+  assert table[1].startswith("all   4")
+  assert table[1].endswith("-")
+
+
+def test_what_is_written_is_strict_json() -> None:
+  data = json.loads(json.dumps(evaluation().to_json(), allow_nan=False))
+  assert data["groups"]["even"]["state"]["mean"] == 12.5
+  assert data["groups"]["all"]["none"]["mean"] is None
+  assert data["curves"]["state"]["even"][1:] == [None, None]
+
+
+@pytest.mark.parametrize(
+  ("text", "reached"),
+  [
+    ("success_rate>=0.5", True),
+    ("success_rate >= 0.51", False),
+    ("odd:success_rate>=1", True),
+    ("state<=18.7", False),
+    ("state<=18.75", True),
+    ("none<=1", False),
+    ("none>=0", False),
+  ],
+)
+def test_a_threshold_is_reached_or_not(text: str, reached: bool) -> None:
+  outcome, line = Threshold.parse(text).check(evaluation())
+  assert outcome is reached
+  assert line.endswith("yes" if reached else "NO")
+
+
+@pytest.mark.parametrize(
+  ("text", "message"),
+  [
+    ("success_rate", "expected"),
+    ("success_rate>0.5", "expected"),
+    ("success_rate>=high", "expected"),
+    ("succes_rate>=0.5", "metric 'succes_rate' does not exist. Nearest: success_rate"),
+    ("od:success_rate>=0.5", "group 'od' does not exist. Nearest: odd"),
+  ],
+)
+def test_a_threshold_that_means_nothing_is_refused(text: str, message: str) -> None:
+  with pytest.raises(EvaluationError) as caught:
+    Threshold.parse(text).check(evaluation())
+  assert message in str(caught.value)
