@@ -25,6 +25,7 @@ def imported_by(statement: str) -> set[str]:
     "from mjlab.cli import main; assert main(['--help']) == 0",
     "from mjlab.cli import main; assert main(['--version']) == 0",
     "from mjlab.cli import train; assert train(['--help']) == 0",
+    "from mjlab.cli import evaluate; assert evaluate(['--help']) == 0",
     "from mjlab.cli import list_envs; assert list_envs(['--help']) == 0",
     "from mjlab.cli import list_envs; assert list_envs([]) == 0",
     "from mjlab.cli import viz_nan; assert viz_nan(['--help']) == 0",

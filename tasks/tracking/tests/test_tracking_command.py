@@ -266,7 +266,7 @@ def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uni
     ({"motion": "squat_and_wawe"}, "motion 'squat_and_wawe' does not exist. Nearest: squat_and_wave"),
     ({"anchor_body": "head"}, "anchor_body 'head' is not among bodies"),
     ({"bodies": ("torso_link", "left_nee_link")}, "body 'left_nee_link' does not exist. Nearest: left_knee_link"),
-    ({"sampling": "adaptve"}, "sampling must be adaptive, uniform or start, got 'adaptve'"),
+    ({"sampling": "adaptve"}, "sampling must be one of adaptive, uniform, start, each, got 'adaptve'"),
     ({"preview": (0,)}, "preview counts steps ahead"),
     ({"pose_range": {"jaw": (0.0, 1.0)}}, "axis 'jaw' does not exist"),
     ({"joint_position_range": (0.1, -0.1)}, "joint_position_range"),

@@ -18,6 +18,7 @@ from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
+from mjlab_cartpole.evaluation import CartpoleEvaluation
 from mjlab_cartpole.observations import joint_angle_cos_sin
 from mjlab_cartpole.rewards import smooth_balance
 
@@ -39,12 +40,16 @@ def cartpole_spec() -> mujoco.MjSpec:
 
 def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The pole begins upright and is to stay so."""
-  return TaskCfg(env=_env(hinge=0.0, slider_range=BALANCE_SLIDER), play=_play, agent=_agent())
+  return TaskCfg(
+    env=_env(hinge=0.0, slider_range=BALANCE_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
+  )
 
 
 def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The pole begins hanging and is to be swung up and kept there."""
-  return TaskCfg(env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER), play=_play, agent=_agent())
+  return TaskCfg(
+    env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
+  )
 
 
 def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEnvCfg:

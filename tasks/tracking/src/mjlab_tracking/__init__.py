@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
   from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
+  from mjlab_tracking.evaluation import TrackingEvaluation
   from mjlab_tracking.formats import Statement, read_motion
   from mjlab_tracking.g1 import g1_flat, g1_flat_env, g1_flat_no_state_estimation
   from mjlab_tracking.kinematics import Kinematics, derived_arrays
@@ -24,6 +25,7 @@ __all__ = [
   "MotionSampler",
   "QualityReport",
   "Statement",
+  "TrackingEvaluation",
   "check_quality",
   "concatenate",
   "crop",
@@ -47,6 +49,7 @@ __all__ = [
 # Loaded on first use: files and their checks need no environment.
 _MODULES = {
   "editing": "concatenate crop mirror smooth to_ground",
+  "evaluation": "TrackingEvaluation",
   "formats": "Statement read_motion",
   "g1": "g1_flat g1_flat_env g1_flat_no_state_estimation",
   "kinematics": "Kinematics derived_arrays",

@@ -23,6 +23,7 @@ from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_tracking import mdp as tracking
+from mjlab_tracking.evaluation import TrackingEvaluation
 
 T = TypeVar("T")
 
@@ -87,7 +88,7 @@ NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """G1 follows a clip and knows where it is."""
-  return TaskCfg(env=g1_flat_env(), play=play, agent=agent())
+  return TaskCfg(env=g1_flat_env(), play=play, agent=agent(), evaluator=evaluator())
 
 
 def g1_flat_no_state_estimation() -> TaskCfg[ManagerBasedRlEnvCfg]:
@@ -97,7 +98,7 @@ def g1_flat_no_state_estimation() -> TaskCfg[ManagerBasedRlEnvCfg]:
   assert actor is not None
   for name in ("motion_anchor_pos_b", "base_lin_vel"):
     del actor.terms[name]
-  return TaskCfg(env=cfg, play=play, agent=agent())
+  return TaskCfg(env=cfg, play=play, agent=agent(), evaluator=evaluator())
 
 
 def g1_flat_env() -> ManagerBasedRlEnvCfg:
@@ -259,6 +260,11 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     motion.pose_range, motion.velocity_range, motion.joint_position_range = {}, {}, (0.0, 0.0)
   cfg.events["push_robot"] = None
   return cfg
+
+
+def evaluator() -> TrackingEvaluation:
+  """Judges both tasks."""
+  return TrackingEvaluation(end_effectors=END_EFFECTORS)
 
 
 def agent() -> RslRlOnPolicyRunnerCfg:

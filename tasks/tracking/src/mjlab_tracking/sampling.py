@@ -9,7 +9,8 @@ from mjlab_core.state import Stateful
 
 from mjlab_tracking.library import MotionLibrary
 
-SamplingMode = Literal["adaptive", "uniform", "start"]
+SamplingMode = Literal["adaptive", "uniform", "start", "each"]
+"""Where the policy fails; any moment; the beginning of any clip; world by world the beginning of each clip in turn."""
 
 
 @dataclass(kw_only=True)
@@ -51,6 +52,7 @@ class MotionSampler(Stateful):
   fixed, nothing waits for the device.
   """
 
+  _constants = frozenset({"_in_turn"})
   _extra_state = ("visits", "failures", "clip_ends", "clip_failures", "_new")
 
   def __init__(self, library: MotionLibrary, cfg: AdaptiveSamplingCfg, mode: SamplingMode, num_envs: int) -> None:
@@ -67,6 +69,7 @@ class MotionSampler(Stateful):
     """The same of episodes that end in a clip, and of those that fail, (clips,)."""
     self._new = zeros(2 * bins + 2 * clips)
     self._counts = self._new.split((bins, bins, clips, clips))
+    self._in_turn = torch.arange(num_envs, device=device) % clips
     weights = torch.tensor([cfg.decay**i for i in range(cfg.lookahead)], device=device)
     self._spread_weights = (weights / weights.sum()).tolist()
     # A bin's successors; the last bin of a clip is its own, so that nothing leaks into the clip before.
@@ -120,6 +123,8 @@ class MotionSampler(Stateful):
   def draw(self, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
     """A clip and a frame of it for every world, int64 (N,) each; after the frame at least one more follows."""
     library = self.library
+    if self.mode == "each":
+      return self._in_turn.clone(), torch.zeros_like(self._in_turn)
     u = torch.rand(2, self.num_envs, generator=generator, device=library.table.device)
     if self.mode == "start":
       clip = _pick(library.clip_share, u[0])

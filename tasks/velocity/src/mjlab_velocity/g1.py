@@ -8,6 +8,7 @@ from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
+from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
 
@@ -76,7 +77,7 @@ def _robot() -> LeggedRobot:
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """G1 follows velocity commands on a plane."""
-  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000))
+  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation())
 
 
 def g1_flat_env() -> ManagerBasedRlEnvCfg:
@@ -86,7 +87,9 @@ def g1_flat_env() -> ManagerBasedRlEnvCfg:
 
 def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """G1 follows velocity commands over stairs, slopes and rough ground."""
-  return TaskCfg(env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000))
+  return TaskCfg(
+    env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation()
+  )
 
 
 def g1_rough_env() -> ManagerBasedRlEnvCfg:

@@ -9,6 +9,7 @@ from mjlab_sensors import ContactMatch, ContactSensorCfg, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
+from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import ground_contact, play_rough, rough_env, self_collision
 
@@ -56,7 +57,9 @@ def _robot() -> LeggedRobot:
 
 def go1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Go1 follows velocity commands on a plane."""
-  return TaskCfg(env=go1_flat_env(), play=play_flat, agent=agent("go1_velocity", 10_000))
+  return TaskCfg(
+    env=go1_flat_env(), play=play_flat, agent=agent("go1_velocity", 10_000), evaluator=VelocityEvaluation()
+  )
 
 
 def go1_flat_env() -> ManagerBasedRlEnvCfg:
@@ -66,7 +69,9 @@ def go1_flat_env() -> ManagerBasedRlEnvCfg:
 
 def go1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Go1 follows velocity commands over stairs, slopes and rough ground."""
-  return TaskCfg(env=go1_rough_env(), play=play_rough, agent=agent("go1_velocity", 10_000))
+  return TaskCfg(
+    env=go1_rough_env(), play=play_rough, agent=agent("go1_velocity", 10_000), evaluator=VelocityEvaluation()
+  )
 
 
 def go1_rough_env() -> ManagerBasedRlEnvCfg:

@@ -1,7 +1,7 @@
 """The motion command: which pose the robot is to be in, frame by frame."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from mjlab_core.masking import where_
@@ -47,7 +47,7 @@ class MotionCommandCfg(CommandTermCfg):
   """Of a folder, only clips of this split."""
   entity: str = "robot"
   sampling: SamplingMode = "adaptive"
-  """Where episodes start: where the policy fails, anywhere, or at the beginning of clips."""
+  """Where episodes start: where the policy fails, anywhere, or at the beginning of clips, drawn or each in turn."""
   adaptive: AdaptiveSamplingCfg = field(default_factory=AdaptiveSamplingCfg)
   preview: tuple[int, ...] = ()
   """Further frames whose joints the command shows, in steps ahead of the present target; the last frame is repeated."""
@@ -78,8 +78,8 @@ class MotionCommand(CommandTerm):
     super().__init__(cfg, env)
     if problems := cfg.adaptive.problems():
       raise MotionError("; ".join(problems))
-    if cfg.sampling not in ("adaptive", "uniform", "start"):
-      raise MotionError(f"sampling must be adaptive, uniform or start, got {cfg.sampling!r}")
+    if cfg.sampling not in get_args(SamplingMode):
+      raise MotionError(f"sampling must be one of {', '.join(get_args(SamplingMode))}, got {cfg.sampling!r}")
     if cfg.anchor_body not in cfg.bodies:
       raise MotionError(f"anchor_body '{cfg.anchor_body}' is not among bodies: {', '.join(cfg.bodies)}")
     if any(step < 1 for step in cfg.preview):

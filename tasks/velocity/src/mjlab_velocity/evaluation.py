@@ -1,0 +1,208 @@
+"""How well a policy follows velocity commands: a grid of them, with pushes of graded size."""
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import torch
+from mjlab_core.masking import fill_, where_
+from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
+from mjlab_rl import Evaluation, EvaluationError, Policy, Progress, play_first_episodes, summarize
+
+from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
+
+if TYPE_CHECKING:
+  from mjlab_envs import ManagerBasedRlEnv
+
+Command = tuple[float, float, float]
+"""Forward and sideways [m/s] and turning speed [rad/s]."""
+
+GRID: tuple[Command, ...] = (
+  (0.0, 0.0, 0.0),
+  (0.5, 0.0, 0.0),
+  (1.0, 0.0, 0.0),
+  (-0.5, 0.0, 0.0),
+  (0.0, 0.5, 0.0),
+  (0.0, -0.5, 0.0),
+  (0.0, 0.0, 0.5),
+  (0.0, 0.0, -0.5),
+  (0.5, 0.0, 0.5),
+)
+GRAVITY = 9.81
+WALKING = 0.3
+"""Commanded speed from which on the cost of transport means something [m/s]."""
+
+
+@dataclass(kw_only=True)
+class CommandGridCfg(UniformVelocityCommandCfg):
+  """A fixed command for each world, from a list in turn."""
+
+  grid: tuple[Command, ...]
+  resampling_time_range: tuple[float, float] | None = None
+
+  def build(self, env: Any) -> "CommandGrid":
+    return CommandGrid(self, env)
+
+
+class CommandGrid(UniformVelocityCommand):
+  """See `CommandGridCfg`."""
+
+  _constants = frozenset({"_grid"})
+
+  def __init__(self, cfg: CommandGridCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    grid = torch.tensor(cfg.grid, device=self.device)
+    self._grid = grid[torch.arange(self.num_envs, device=self.device) % len(cfg.grid)]
+
+  def resample(self, mask: torch.Tensor) -> None:
+    where_(self._drawn, mask, self._grid)
+    fill_(self._stands, mask, 0.0)
+    fill_(self._holds_heading, mask, 0.0)
+
+
+class push_by_level(ManagerTermBase):
+  """Add a horizontal velocity to the root, of a size that the world keeps, in a random direction.
+
+  World i has level (i // block) mod len(levels) of `levels` [m/s].
+  """
+
+  _constants = frozenset({"_size"})
+
+  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    levels = torch.tensor(cfg.params["levels"], device=env.device, dtype=env.sim.dtype)
+    world = torch.arange(env.num_envs, device=env.device)
+    self._size = levels[(world // cfg.params["block"]) % len(levels)]
+
+  def __call__(
+    self, env: "ManagerBasedRlEnv", mask: torch.Tensor, *, levels: tuple[float, ...], block: int, entity: str = "robot"
+  ) -> None:
+    del levels, block  # Resolved at build.
+    angle = 2.0 * torch.pi * torch.rand(env.num_envs, generator=env.rng, device=env.device, dtype=env.sim.dtype)
+    push = torch.stack((angle.cos(), angle.sin()), 1) * self._size[:, None]
+    robot = env.scene[entity]
+    velocity = torch.cat((robot.data.root_link_lin_vel_w, robot.data.root_link_ang_vel_w), -1)
+    robot.write_root_velocity(velocity + torch.nn.functional.pad(push, (0, 4)), mask)
+
+
+@dataclass(kw_only=True)
+class VelocityEvaluation:
+  """Falls, errors and effort over a grid of commands and pushes.
+
+  Every command is played with every push, with training's noise and randomisation, on its terrain:
+
+  - `fall_rate`: share of episodes that ended in failure;
+  - `lin_vel_rmse`, `yaw_rate_rmse`: root mean square errors of the root's velocity in its own frame, while alive;
+  - `cost_of_transport`: mean of |torque x joint velocity| over mass, gravity and mean speed, where it is to walk.
+  """
+
+  grid: tuple[Command, ...] = GRID
+  pushes: tuple[float, ...] = (0.0, 0.5, 1.0)
+  """Sizes of pushes [m/s], one kind for each episode."""
+  push_interval: float = 3.0
+  """Time between pushes [s]."""
+  repeats: int = 8
+  """Episodes of each command with each push."""
+  seconds: float = 10.0
+  """Length of an episode [s]."""
+  seed: int = 0
+  """Of randomisation, starts, noise and the directions of pushes."""
+  command: str = "twist"
+  """Name of the velocity command."""
+  entity: str = "robot"
+
+  def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+    term = cfg.commands.get(self.command)
+    if not isinstance(term, UniformVelocityCommandCfg):
+      raise EvaluationError(f"command '{self.command}' is no velocity command; there are: {', '.join(cfg.commands)}")
+    if not self.grid or not self.pushes or self.repeats < 1:
+      raise EvaluationError("eval.grid, eval.pushes and eval.repeats must not be empty")
+    kept = {field.name: getattr(term, field.name) for field in fields(UniformVelocityCommandCfg)}
+    kept["resampling_time_range"] = None
+    cfg.commands[self.command] = CommandGridCfg(grid=self.grid, **kept)
+    cfg.scene.num_envs = len(self.grid) * len(self.pushes) * self.repeats
+    cfg.seed, cfg.episode_length_s = self.seed, self.seconds
+    # Curricula would move the goal while it is measured.
+    cfg.curriculum = {}
+    cfg.events["push_robot"] = EventTermCfg(
+      push_by_level,
+      mode="interval",
+      interval_range_s=(self.push_interval, self.push_interval),
+      params={"levels": self.pushes, "block": len(self.grid), "entity": self.entity},
+    )
+    params = {"command": self.command, "entity": self.entity}
+    cfg.metrics = {
+      "lin_vel_error2": MetricsTermCfg(linear_error_squared, params=dict(params)),
+      "yaw_rate_error2": MetricsTermCfg(turning_error_squared, params=dict(params)),
+      "power": MetricsTermCfg(mechanical_power, params={"entity": self.entity}),
+      "speed": MetricsTermCfg(horizontal_speed, params={"entity": self.entity}),
+    }
+    return cfg
+
+  def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
+    names = ("lin_vel_error2", "yaw_rate_error2", "power", "speed")
+    played = play_first_episodes(
+      env,
+      policy,
+      lambda: {name: env.metrics_manager.get_value(name) for name in names},
+      max_steps=env.max_episode_length,
+      seed=self.seed,
+      progress=progress,
+    )
+    world = torch.arange(env.num_envs)
+    command, level = world % len(self.grid), (world // len(self.grid)) % len(self.pushes)
+    groups = {_said(value): command == i for i, value in enumerate(self.grid)}
+    groups |= {f"push {size:g} m/s": level == i for i, size in enumerate(self.pushes)}
+    wanted = torch.tensor(self.grid, dtype=torch.float64)[command, :2].norm(dim=-1)
+    entity = env.scene[self.entity]
+    mass = float(env.sim.mj_model.body_subtreemass[entity.indexing.root_body])
+    cost = played.mean("power") / (mass * GRAVITY * played.mean("speed"))
+    metrics = {
+      "fall_rate": played.has_failed.double(),
+      "lin_vel_rmse": played.mean("lin_vel_error2").sqrt(),
+      "yaw_rate_rmse": played.mean("yaw_rate_error2").sqrt(),
+      "cost_of_transport": torch.where(wanted >= WALKING, cost, torch.nan),
+      "survived": played.length * env.step_dt,
+    }
+    alive = (~played.values["speed"].isnan()).double()
+    curves = {
+      "alive": alive,
+      "lin_vel_error": played.values["lin_vel_error2"].sqrt(),
+      "yaw_rate_error": played.values["yaw_rate_error2"].sqrt(),
+    }
+    units = {
+      "lin_vel_rmse": "m/s",
+      "yaw_rate_rmse": "rad/s",
+      "survived": "s",
+      "lin_vel_error": "m/s",
+      "yaw_rate_error": "rad/s",
+    }
+    return summarize(metrics, groups, units=units, values=curves, steps_per_second=round(1.0 / env.step_dt))
+
+
+def _said(command: Command) -> str:
+  parts = [f"{name} {value:+g}" for name, value in zip(("vx", "vy", "wz"), command, strict=True) if value]
+  return " ".join(parts) or "stand"
+
+
+def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+  """|v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
+  velocity = env.scene[entity].data.root_link_lin_vel_b
+  return (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
+
+
+def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+  """(w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
+  velocity = env.scene[entity].data.root_link_ang_vel_b
+  return (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
+
+
+def mechanical_power(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+  """Sum over joints of |torque x velocity|, (num_envs,) [W]."""
+  data = env.scene[entity].data
+  return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
+
+
+def horizontal_speed(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+  """Horizontal speed of the root, (num_envs,) [m/s]."""
+  return torch.linalg.vector_norm(env.scene[entity].data.root_link_lin_vel_w[:, :2], dim=-1)

@@ -1,0 +1,84 @@
+"""The evaluation of velocity tracking: fixed commands, pushes of known size, errors as they are."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_rl import EvaluationError
+from mjlab_velocity import VelocityEvaluation, go1_flat_env
+from mjlab_velocity.evaluation import linear_error_squared, mechanical_power, push_by_level, turning_error_squared
+
+GRID = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5))
+PUSHES = (0.0, 0.75, 1.5)
+
+
+def evaluator() -> VelocityEvaluation:
+  return VelocityEvaluation(grid=GRID, pushes=PUSHES, repeats=2, seconds=0.4, push_interval=0.1)
+
+
+@pytest.fixture
+def env() -> Iterator[ManagerBasedRlEnv]:
+  with ManagerBasedRlEnv(evaluator().configure(go1_flat_env()), device="cpu") as env:
+    env.reset(seed=0)
+    yield env
+
+
+def test_each_world_keeps_its_command(env: ManagerBasedRlEnv) -> None:
+  wanted = torch.tensor(GRID).repeat(6, 1)
+  for _ in range(10):
+    env.step(torch.zeros(12, 12))
+    assert torch.equal(env.command_manager.get_command("twist"), wanted)
+  env.reset(env_ids=[1, 2])
+  assert torch.equal(env.command_manager.get_command("twist"), wanted)
+
+
+def test_pushes_are_as_large_as_they_are_said_to_be_and_go_anywhere(env: ManagerBasedRlEnv) -> None:
+  push = env.event_manager.get_term_cfg("push_robot")
+  assert isinstance(push.func, push_by_level)
+  before = env.scene["robot"].data.root_link_lin_vel_w.clone()
+  push.func(env, torch.ones(12, dtype=torch.bool), **push.params)
+  change = env.scene["robot"].data.root_link_lin_vel_w - before
+  sizes = change.norm(dim=-1)
+  expected = torch.tensor([0.0, 0.0, 0.75, 0.75, 1.5, 1.5] * 2, dtype=sizes.dtype)
+  torch.testing.assert_close(sizes, expected, atol=1e-6, rtol=0)
+  assert change[:, 2].abs().max() < 1e-9
+  directions = torch.atan2(change[:, 1], change[:, 0])[expected > 0]
+  assert directions.unique().numel() == 8
+
+
+def test_errors_and_power_are_their_closed_forms(env: ManagerBasedRlEnv) -> None:
+  env.step(torch.ones(12, 12))
+  data = env.scene["robot"].data
+  for world in range(12):
+    velocity, turn = data.root_link_lin_vel_b[world], data.root_link_ang_vel_b[world, 2]
+    vx, vy, wz = GRID[world % 2]
+    linear = (velocity[0] - vx) ** 2 + (velocity[1] - vy) ** 2
+    assert linear_error_squared(env, command="twist", entity="robot")[world] == pytest.approx(linear.item(), rel=1e-5)
+    found = turning_error_squared(env, command="twist", entity="robot")[world]
+    assert found == pytest.approx((turn - wz).item() ** 2, rel=1e-5)
+    # What the actuators did, by MuJoCo's own account.
+    force = env.sim.data.qfrc_actuator[world, 6:]
+    power = (force * env.sim.data.qvel[world, 6:]).abs().sum()
+    assert mechanical_power(env, entity="robot")[world] == pytest.approx(power.item(), rel=1e-6)
+
+
+def test_the_summary_is_by_command_and_by_push() -> None:
+  with ManagerBasedRlEnv(evaluator().configure(go1_flat_env()), device="cpu") as env:
+    result = evaluator().run(env, lambda _: torch.zeros(12, 12))
+  assert list(result.groups) == ["all", "stand", "vx +1 wz +0.5", "push 0 m/s", "push 0.75 m/s", "push 1.5 m/s"]
+  assert [metrics["fall_rate"].count for metrics in result.groups.values()] == [12, 6, 6, 4, 4, 4]
+  # A robot that stands still where it is to walk at 1 m/s is wrong by that.
+  assert result.groups["vx +1 wz +0.5"]["lin_vel_rmse"].mean == pytest.approx(1.0, abs=0.3)
+  assert result.groups["stand"]["cost_of_transport"].count == 0
+  assert result.groups["vx +1 wz +0.5"]["cost_of_transport"].count == 6
+  assert 0.3 < result.groups["all"]["survived"].mean < 0.4 + 1e-6
+
+
+def test_a_task_without_a_velocity_command_is_refused() -> None:
+  cfg = go1_flat_env()
+  del cfg.commands["twist"]
+  with pytest.raises(EvaluationError, match="'twist' is no velocity command"):
+    evaluator().configure(cfg)
+  with pytest.raises(EvaluationError, match="must not be empty"):
+    VelocityEvaluation(grid=()).configure(go1_flat_env())
