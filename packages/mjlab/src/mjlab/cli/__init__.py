@@ -14,6 +14,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   # name: module, arguments, what it does
   "train": ("_train", "TASK [flags]", "train a policy"),
   "evaluate": ("_evaluate", "TASK [flags]", "say how well a policy does a task"),
+  "record-motion": ("_record_motion", "TASK [flags]", "turn what a policy does into a clip"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
   "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
   "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
@@ -65,6 +66,7 @@ def _run(name: str, arguments: list[str]) -> int:
 
 train = _command("train")
 evaluate = _command("evaluate")
+record_motion = _command("record-motion")
 list_envs = _command("list-envs")
 inspect_dr = _command("inspect-dr")
 viz_nan = _command("viz-nan")

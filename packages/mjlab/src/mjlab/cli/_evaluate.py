@@ -6,17 +6,18 @@ import json
 import sys
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from mjlab_core import unknown
 
 from mjlab import making
-from mjlab.cli._config_flags import flags, replaced
+from mjlab.cli._config_flags import flags
 from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._policies import Baseline, as_trained, find_run, make_policy
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
-  from mjlab_rl import Console, Evaluation, Evaluator, Policy, TaskCfg
+  from mjlab_rl import Evaluation, Evaluator, TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -25,7 +26,7 @@ class Arguments:
 
   run: str = "latest"
   """Whose policy: latest (of this task), the name or directory of a run, or a checkpoint file."""
-  baseline: Literal["zero", "random"] | None = None
+  baseline: Baseline | None = None
   """Instead of a run: no action at all, or standard normal ones."""
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 where one is missed."""
@@ -93,7 +94,7 @@ def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
 
 
 def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab_rl import Console, Threshold, find_checkpoint
+  from mjlab_rl import Console, Threshold
 
   from mjlab.cli._flag_parser import parse
 
@@ -102,10 +103,8 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   console = Console("quiet" if wanted.quiet else "normal")
   checkpoint = None
   if wanted.baseline is None:
-    checkpoint = find_checkpoint(
-      wanted.run, log_root=Path(wanted.log_root), experiment=task.agent.experiment_name, task=name
-    )
-    task = _as_trained(checkpoint, name, task, console)
+    checkpoint = find_run(wanted.run, log_root=wanted.log_root, name=name, task=task)
+    task = as_trained(checkpoint, name, task, console)
     # Once more, upon the configuration of the run.
     wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
   folder = _folder(wanted, checkpoint)
@@ -117,7 +116,7 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
   try:
-    policy, what = _policy(task, env, checkpoint, wanted.baseline, device)
+    policy, what = make_policy(task, env, checkpoint, wanted.baseline, device)
     console.say(f"{name}: {what}, {env.num_envs} episodes on {device}")
     evaluation = evaluator.run(env, policy, None if wanted.quiet else _show)
   finally:
@@ -132,23 +131,6 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   return int(not all(reached for reached, _ in outcomes))
 
 
-def _as_trained(checkpoint: Path, name: str, task: "TaskCfg[Any]", console: "Console") -> "TaskCfg[Any]":
-  """The task with environment and learner as the run had them."""
-  from mjlab_rl import load_run
-
-  try:
-    trained = load_run(checkpoint)
-  except FileNotFoundError:
-    console.say(f"{checkpoint.parent} has no manifest: the configuration of the task is used.")
-    return task
-  if trained.task != name:
-    console.say(f"the checkpoint is of {trained.task}: the configuration of {name} is used.")
-    return task
-  return dataclasses.replace(
-    task, env=trained.env, agent=trained.agent, runner=trained.runner, make_env=trained.make_env
-  )
-
-
 def _folder(wanted: Arguments, checkpoint: Path | None) -> Path | None:
   if wanted.output is not None:
     folder = Path(wanted.output)
@@ -159,40 +141,6 @@ def _folder(wanted: Arguments, checkpoint: Path | None) -> Path | None:
   if (folder / "evaluation.json").exists() and not wanted.overwrite:
     raise UsageError(f"{folder} has an evaluation already: --overwrite replaces it, --output puts this one elsewhere")
   return folder
-
-
-def _policy(
-  task: "TaskCfg[Any]", env: Any, checkpoint: Path | None, baseline: str | None, device: str
-) -> tuple["Policy", str]:
-  import torch
-
-  if checkpoint is None:
-    shape = (env.num_envs, env.action_manager.total_action_dim)
-    generator = torch.Generator(env.device).manual_seed(0)
-    if baseline == "random":
-      return (lambda _: torch.randn(shape, generator=generator, device=env.device)), "random actions"
-    return (lambda _: torch.zeros(shape, device=env.device)), "no actions"
-  from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper
-  from tensordict import TensorDict
-
-  runner_class = task.runner or MjlabOnPolicyRunner
-  agent = replaced(task.agent, ("algorithm", "num_mini_batches"), 1)
-  wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
-  runner = runner_class(wrapped, agent, None, device, console=Console("quiet"))
-  runner.load(str(checkpoint), load_cfg={"actor": True})
-  actor, limit = runner.get_inference_policy(device), agent.clip_actions
-
-  class Actor:
-    """The deterministic policy on plain observations."""
-
-    def __call__(self, observations: Any) -> torch.Tensor:
-      actions = actor(TensorDict(dict(observations), batch_size=[env.num_envs]))
-      return actions if limit is None else actions.clamp(-limit, limit)
-
-    def reset(self, dones: torch.Tensor) -> None:
-      actor.reset(dones)
-
-  return Actor(), str(checkpoint)
 
 
 def _show(step: int, left: int, total: int) -> None:
