@@ -1,9 +1,11 @@
 """The motion command: which pose the robot is to be in, frame by frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args
 
 import torch
+from mjlab_core import DebugDraw
 from mjlab_core.masking import where_
 from mjlab_core.rotations import (
   quat_apply,
@@ -20,6 +22,7 @@ from mjlab_scene.quantities import QuantityCache, cached_quantity
 
 from mjlab_tracking.kinematics import Kinematics
 from mjlab_tracking.library import load_library
+from mjlab_tracking.mdp.ghost import Ghost
 from mjlab_tracking.motion import MotionError
 from mjlab_tracking.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
 
@@ -58,6 +61,7 @@ class MotionCommandCfg(CommandTermCfg):
   joint_position_range: Range = (0.0, 0.0)
   """Perturbation of joint positions at the start [rad]; it leads no joint out of its soft limits."""
   resampling_time_range: Range | None = None
+  debug_vis: bool = True
 
   def build(self, env: Any) -> "MotionCommand":
     return MotionCommand(self, env)
@@ -72,7 +76,7 @@ class MotionCommand(CommandTerm):
 
   cfg: MotionCommandCfg
   _children = ("sampler",)
-  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi", "body_ids"})
+  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi", "body_ids", "_held"})
 
   def __init__(self, cfg: MotionCommandCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -93,6 +97,7 @@ class MotionCommand(CommandTerm):
       raise MotionError(f"entity '{cfg.entity}' has joints outside of its floating tree")
     # The root's state is needed for starting, whether it is followed or not.
     self._root = kinematics.root_body
+    self._ghost = Ghost(kinematics)
     extra = () if self._root in cfg.bodies else (self._root,)
     self.library = load_library(
       cfg.motion, kinematics, (*cfg.bodies, *extra), rate=1.0 / env.step_dt, split=cfg.split, dtype=env.sim.dtype
@@ -104,6 +109,9 @@ class MotionCommand(CommandTerm):
     """Clip of each world, int64 (num_envs,)."""
     self.frame = torch.zeros(n, dtype=torch.int64, device=device)
     """Frame of its clip that is the target of the present step, int64 (num_envs,)."""
+    self._held = torch.full((n,), -1, dtype=torch.int64, device=device)
+    # Only once somebody holds one is it part of a step.
+    self._may_be_held = False
     self._row = self.library.table[:1].repeat(n, 1)
     self._joints = 2 * len(self.library.joint_names)
     self._command = torch.zeros(n, self._joints * (1 + len(cfg.preview)), device=device)
@@ -250,7 +258,29 @@ class MotionCommand(CommandTerm):
     moved = ~self.env.command_manager.fresh
     self.sampler.count_step(self.clip, self.frame, moved)
     torch.minimum(self.frame + moved, self.num_frames - 1, out=self.frame)
+    if self._may_be_held:
+      self.frame.copy_(torch.where(self._held >= 0, torch.minimum(self._held, self.num_frames - 1), self.frame))
     self._fetch()
+
+  @property
+  def axes(self) -> list[tuple[str, float, float]]:
+    """What can be given by hand: the time of the target within the longest clip [s]."""
+    return [("time [s]", 0.0, (int(self.library.lengths.max()) - 1) / self.library.rate)]
+
+  def steer(self, world: int, values: Sequence[float] | None) -> None:
+    """Hold one world's target at a time of its clip, until it goes on with None; on the host."""
+    if not self._may_be_held:
+      self._may_be_held = True
+      self.env.request_recapture(f"command '{self.name}' is given by hand")
+    self._held[world] = -1 if values is None else round(values[0] * self.library.rate)
+
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """The reference as a ghost of the robot, where it is in the world."""
+    worlds = torch.tensor(draw.worlds, device=self.device)
+    root = self.library.body_names.index(self._root)
+    self._ghost.draw(
+      draw, self._placed[worlds, root], self._of_bodies("body_quat")[worlds, root], self.joint_pos[worlds]
+    )
 
   def reset(self, mask: torch.Tensor) -> None:
     played = mask & (self.env.episode_length_buf > 0)
