@@ -31,11 +31,12 @@ BOX = """
 
 
 class BoxData:
-  """Fields of all worlds; every read is a copy, but velocities, which may be written to."""
+  """Fields of all worlds; every read is a copy, but velocities and forces, which may be written to."""
 
   def __init__(self, datas: list[mujoco.MjData]) -> None:
     self._datas = datas
     self.qvel = torch.zeros(len(datas), datas[0].qvel.size, dtype=torch.float64)
+    self.xfrc_applied = torch.zeros(len(datas), *datas[0].xfrc_applied.shape, dtype=torch.float64)
 
   def __getattr__(self, name: str) -> torch.Tensor:
     return torch.from_numpy(np.stack([np.array(getattr(data, name)) for data in self._datas]))
@@ -113,6 +114,7 @@ class BoxEnv:
   def step(self, action: torch.Tensor) -> Any:
     for world, data in enumerate(self.sim.datas):
       data.qvel[:] = self.sim.data.qvel[world].numpy()
+      data.xfrc_applied[:] = self.sim.data.xfrc_applied[world].numpy()
       data.qfrc_applied[0] = float(action[world, 0])
       mujoco.mj_step(self.sim.mj_model, data)
       # What is derived describes the state that is.

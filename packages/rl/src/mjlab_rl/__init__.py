@@ -25,6 +25,7 @@ if TYPE_CHECKING:
   )
   from mjlab_rl.iteration_report import IterationReport
   from mjlab_rl.manifest import ManifestError, RunManifest, load_run
+  from mjlab_rl.policies import CheckpointPolicy, OnnxPolicy
   from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
   from mjlab_rl.runner import MjlabOnPolicyRunner
   from mjlab_rl.task import TaskCfg
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
   "CheckpointError",
+  "CheckpointPolicy",
   "ConfigError",
   "Console",
   "Episodes",
@@ -43,6 +45,7 @@ __all__ = [
   "IterationReport",
   "ManifestError",
   "MjlabOnPolicyRunner",
+  "OnnxPolicy",
   "Policy",
   "Progress",
   "ReturnEvaluation",
@@ -81,6 +84,7 @@ _MODULES = {
   ),
   "iteration_report": "IterationReport",
   "manifest": "ManifestError RunManifest load_run",
+  "policies": "CheckpointPolicy OnnxPolicy",
   "run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
   "runner": "MjlabOnPolicyRunner",
   "task": "TaskCfg",

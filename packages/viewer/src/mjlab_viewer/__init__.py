@@ -15,6 +15,7 @@ if TYPE_CHECKING:
   from mjlab_viewer.checkpoint_list import CheckpointList
   from mjlab_viewer.draw_list import DrawList
   from mjlab_viewer.errors import RenderingError, ViewerError
+  from mjlab_viewer.native import NativeViewer
   from mjlab_viewer.offscreen import OffscreenRenderer, PictureCfg
   from mjlab_viewer.playback import SPEEDS, Playback, RandomPolicy, ZeroPolicy
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
@@ -29,6 +30,7 @@ __all__ = [
   "CameraCfg",
   "CheckpointList",
   "DrawList",
+  "NativeViewer",
   "OffscreenRenderer",
   "PictureCfg",
   "Playback",
@@ -52,6 +54,7 @@ _MODULES = {
   "checkpoint_list": "CheckpointList",
   "draw_list": "DrawList",
   "errors": "RenderingError ViewerError",
+  "native": "NativeViewer",
   "offscreen": "OffscreenRenderer PictureCfg",
   "playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
   "snapshot": "Snapshot SnapshotTaker",

@@ -13,10 +13,13 @@ from mjlab.cli._errors import UsageError, is_users_mistake
 _COMMANDS: dict[str, tuple[str, str, str]] = {
   # name: module, arguments, what it does
   "train": ("_train", "TASK [flags]", "train a policy"),
+  "play": ("_play", "TASK [flags]", "watch a policy"),
+  "demo": ("_demo", "[flags]", "watch a robot that walks, and steer it"),
   "evaluate": ("_evaluate", "TASK [flags]", "say how well a policy does a task"),
   "record-motion": ("_record_motion", "TASK [flags]", "turn what a policy does into a clip"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
   "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
+  "export-scene": ("_export_scene", "TASK [flags]", "write a task's model with its assets"),
   "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
   "fit-actuator": ("_fit_actuator", "RECORDS", "learn a motor from a CSV of commands and responses"),
 }
@@ -65,10 +68,13 @@ def _run(name: str, arguments: list[str]) -> int:
 
 
 train = _command("train")
+play = _command("play")
+demo = _command("demo")
 evaluate = _command("evaluate")
 record_motion = _command("record-motion")
 list_envs = _command("list-envs")
 inspect_dr = _command("inspect-dr")
+export_scene = _command("export-scene")
 viz_nan = _command("viz-nan")
 fit_actuator = _command("fit-actuator")
 

@@ -2,15 +2,13 @@
 
 import dataclasses
 import itertools
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import unknown
-
 from mjlab import making
-from mjlab.cli._config_flags import flags, replaced
+from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
@@ -48,7 +46,7 @@ def run(arguments: list[str]) -> int:
     raise UsageError("no task given. usage: train TASK [flags]; list-envs lists the tasks.")
   name, *given = arguments
   if name in ("-h", "--help"):
-    print(_general_help(), end="")
+    print(general_help("train", "Trains a policy.", Arguments(), _MORE), end="")
     return 0
   if name.startswith("--tyro-"):
     _print_completion(arguments)
@@ -56,43 +54,20 @@ def run(arguments: list[str]) -> int:
   if name.startswith("-"):
     raise UsageError("the task comes first. usage: train TASK [flags]")
   making.share_cores()
-  task = _task(name)
-  wants_help = [index for index, word in enumerate(given) if word in ("-h", "--help")]
-  if wants_help:
-    words = itertools.takewhile(lambda word: word not in ("-h", "--help"), given[wants_help[0] + 1 :])
-    _print_help(name, task, word="-".join(words))
+  task = load_named_task(name)
+  word = help_word(given)
+  if word is not None:
+    print_task_help("train", name, Arguments(agent=task.agent, env=task.env), word)
     return 0
   return _train(name, task, _with_latest(given))
 
 
-def _task(name: str) -> "TaskCfg[Any]":
-  if name not in list_tasks():
-    raise UsageError(unknown("task", name, list_tasks()))
-  return load_task(name)
+_MORE = """\
+  --agent.PATH      Any value of the learner, e.g. --agent.max-iterations 10_000.
+  --help WORD       After a task: its flags, all or those whose name contains WORD.
 
-
-def _general_help() -> str:
-  tasks = [f"  {name}" for name in list_tasks()] or ["  (none is installed)"]
-  options = [f"  --{flag.name:<12}{flag.about}" for flag in flags(Arguments())]
-  return "\n".join(
-    [
-      "usage: train TASK [flags]\n\nTrains a policy.\n\ntasks:",
-      *tasks,
-      "\nflags:",
-      *(textwrap.fill(option, 100, subsequent_indent=" " * 16) for option in options),
-      "  --env.PATH    Any value of the environment, e.g. --env.scene.num-envs 8192.",
-      "  --agent.PATH  Any value of the learner, e.g. --agent.max-iterations 10_000.",
-      "  --help WORD   After a task: its flags, all or those whose name contains WORD.",
-      "\ntrain --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.\n",
-    ]
-  )
-
-
-def _print_help(name: str, task: "TaskCfg[Any]", word: str) -> None:
-  from mjlab.cli._flag_parser import print_help
-
-  more = "" if word else f"train {name} --help WORD shows the flags whose name contains WORD."
-  print_help(Arguments(agent=task.agent, env=task.env), prog=f"train {name}", description=more, word=word)
+train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.
+"""
 
 
 def _print_completion(arguments: list[str]) -> None:

@@ -1,0 +1,269 @@
+"""`play TASK [flags]`: watch a policy."""
+
+import copy
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from mjlab import making
+from mjlab.cli._config_flags import replaced
+from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+
+if TYPE_CHECKING:
+  from mjlab_rl import RunManifest
+  from mjlab_viewer import CheckpointList, Playback, Policy
+
+_WORLDS = {"browser": 8, "native": 1, "none": 1}
+_MOST_TILES = 16
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the task."""
+
+  checkpoint: str = "latest"
+  """What to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
+  policy (.onnx)."""
+  agent: Literal["trained", "zero", "random"] = "trained"
+  """Who acts: a trained policy, nobody, or chance."""
+  viewer: Literal["auto", "native", "browser", "none"] = "auto"
+  """Where to look: a window, a browser, or the window where there is a screen."""
+  video: str | None = None
+  """Film to write, without a viewer: FILE.mp4."""
+  video_length: float = 10.0
+  """Length of the film [s]."""
+  video_width: int = 640
+  """Width of the film [px]."""
+  video_height: int = 480
+  """Height of the film [px]."""
+  force: bool = False
+  """Overwrite the film."""
+  num_envs: int | None = None
+  """Worlds; None: 8 in a browser, else 1."""
+  device: str = "auto"
+  """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
+  seed: int | None = None
+  """Seed of the worlds; None: a fresh one."""
+  speed: float = 1.0
+  """Seconds of the worlds for each real one."""
+  no_terminations: bool = False
+  """Go on whatever happens; only time ends an episode."""
+  host: str = "127.0.0.1"
+  """Address that the browser viewer listens on; 0.0.0.0 lets other machines in."""
+  port: int = 8080
+  """Port of the browser viewer."""
+  camera_body: str | None = None
+  """Body that the camera follows, such as robot/trunk; None: the first that moves."""
+  log_root: str = "logs"
+  """Folder of all runs."""
+  traceback: bool = False
+  """Show where an error came from."""
+  env: Any = None
+  """Configuration of the environment."""
+
+
+def run(arguments: list[str]) -> int:
+  """Play; returns the exit code."""
+  if not arguments:
+    raise UsageError("no task given. usage: play TASK [flags]; list-envs lists the tasks.")
+  name, *given = arguments
+  if name in ("-h", "--help"):
+    print(general_help("play", "Shows a policy in a browser, in a window or as a film.", Arguments()), end="")
+    return 0
+  if name.startswith("-"):
+    raise UsageError("the task comes first. usage: play TASK [flags]")
+  making.share_cores()
+  task = load_named_task(name)
+  word = help_word(given)
+  if word is not None:
+    print_task_help("play", name, Arguments(env=task.env), word)
+    return 0
+  return _play(name, task, given)
+
+
+def _play(name: str, task: Any, given: list[str]) -> int:
+  from mjlab.cli._flag_parser import parse
+
+  # Once to learn what to watch, once more upon its configuration.
+  wanted = parse(Arguments(env=task.env), given)
+  viewer = _viewer(wanted)
+  if wanted.video is not None:
+    _check_video(wanted)
+  device = making.resolve_device(wanted.device)
+  source = None if wanted.agent != "trained" else _source(wanted, name, task.agent.experiment_name)
+  run = None if source is None else _manifest(source, name)
+  parts = task if run is None else run
+  cfg = copy.deepcopy(parts.env)
+  if parts.play is not None:
+    cfg = parts.play(cfg)
+  worlds = _WORLDS[viewer] if wanted.num_envs is None else wanted.num_envs
+  cfg = replaced(cfg, ("scene", "num_envs"), worlds)
+  cfg = replaced(cfg, ("seed",), wanted.seed)
+  wanted = parse(Arguments(env=cfg), given)
+  cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
+  try:
+    env = (parts.make_env or making.standard_env)(cfg, device=device)
+  except (ValueError, OSError) as error:
+    raise BuildError(str(error)) from error
+  try:
+    policy, checkpoints = _policy(wanted, source, env, parts)
+    what = f"{wanted.agent} actions" if source is None else str(source)
+    print(f"{name}: {what}, {env.num_envs} worlds on {device}", flush=True)
+    if wanted.video is not None:
+      return _film(wanted, env, policy)
+    from mjlab_viewer import Playback
+
+    playback = Playback(env, policy)
+    playback.speed = wanted.speed
+    return (_native if viewer == "native" else _browser)(wanted, name, playback, checkpoints)
+  finally:
+    env.close()
+
+
+def _viewer(wanted: Arguments) -> str:
+  if wanted.video is not None:
+    if wanted.viewer not in ("auto", "none"):
+      raise UsageError(f"--video films without a viewer; leave out --viewer {wanted.viewer}")
+    return "none"
+  if wanted.viewer == "none":
+    raise UsageError("--viewer none shows nothing; add --video FILE.mp4")
+  if wanted.viewer == "auto":
+    return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "browser"
+  return wanted.viewer
+
+
+def _check_video(wanted: Arguments) -> None:
+  from mjlab_viewer.video import check_video_path
+
+  assert wanted.video is not None
+  path = check_video_path(wanted.video)
+  if path.exists() and not wanted.force:
+    raise UsageError(f"{path} exists; --force overwrites it")
+  if not wanted.video_length > 0:
+    raise UsageError(f"--video-length must be positive, got {wanted.video_length:g}")
+
+
+def _source(wanted: Arguments, task: str, experiment: str) -> Path:
+  from mjlab_rl import find_checkpoint
+
+  if wanted.checkpoint.endswith(".onnx"):
+    return Path(wanted.checkpoint)
+  try:
+    return find_checkpoint(wanted.checkpoint, log_root=Path(wanted.log_root), experiment=experiment, task=task)
+  except FileNotFoundError as error:
+    if wanted.checkpoint != "latest":
+      raise
+    raise UsageError(f"{error}. Train one with `train {task}`, or watch --agent random.") from error
+
+
+def _manifest(source: Path, task: str) -> "RunManifest | None":
+  """The run that something is of; None where it does not say."""
+  from mjlab_rl import load_run
+
+  try:
+    run = load_run(source)
+  except FileNotFoundError:
+    print(f"{source.parent} has no manifest: the configuration of {task} is used.")
+    return None
+  if run.task != task:
+    print(f"{source} is of {run.task}: the configuration of {task} is used.")
+    return None
+  return run
+
+
+def _without_terminations(cfg: Any) -> Any:
+  kept = {name: term if term is not None and term.time_out else None for name, term in cfg.terminations.items()}
+  return replaced(cfg, ("terminations",), kept)
+
+
+def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Policy, CheckpointList | None]":
+  from mjlab_viewer import CheckpointList, RandomPolicy, ZeroPolicy
+
+  if source is None:
+    shape = env.num_envs, env.action_manager.total_action_dim, env.device
+    return ZeroPolicy(*shape) if wanted.agent == "zero" else RandomPolicy(*shape), None
+  from mjlab_rl import CheckpointPolicy, OnnxPolicy, checkpoints
+
+  if source.suffix == ".onnx":
+    policy = OnnxPolicy(source, parts.agent, env.num_envs)
+    # What does not fit is said before anything opens.
+    policy(env.get_observations())
+    policy.reset(None)
+    return policy, None
+  trained = CheckpointPolicy(env, parts.agent, parts.runner)
+  trained.load(source)
+
+  def load(name: str) -> "Policy":
+    trained.load(source.parent / name)
+    return trained
+
+  def names() -> list[str]:
+    return [path.name for path in checkpoints(source.parent)]
+
+  return trained, CheckpointList(names=names, load=load, loaded=source.name)
+
+
+def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
+  from mjlab_viewer import BackgroundVideo, CameraCfg, PictureCfg, Playback, SnapshotTaker
+
+  assert wanted.video is not None
+  frames = max(1, round(wanted.video_length / env.step_dt))
+  camera = CameraCfg(body=wanted.camera_body)
+  picture = PictureCfg(width=wanted.video_width, height=wanted.video_height, camera=camera)
+  worlds = range(min(env.num_envs, _MOST_TILES))
+  playback = Playback(env, policy)
+  playback.pause()
+  taker = SnapshotTaker(env)
+  video = BackgroundVideo(wanted.video, 1.0 / env.step_dt, env.sim.mj_model, picture, wait=True)
+  try:
+    for frame in range(frames):
+      if frame:
+        playback.step_once()
+      if playback.error is not None or video.error is not None:
+        break
+      video.add(taker.take(worlds, drawers=tuple(env.drawers()), apart=True))
+      if frame % 100 == 99:
+        print(f"{(frame + 1) * env.step_dt:.0f} of {frames * env.step_dt:.0f} s", flush=True)
+  finally:
+    path = video.close()
+  if video.error is not None:
+    raise video.error
+  if playback.error is not None:
+    raise BuildError(f"{playback.error}; the film of {playback.step_count} steps until then is {path}")
+  print(f"wrote {path}")
+  return 0
+
+
+def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
+  from mjlab_viewer import BrowserViewer, CameraCfg
+
+  with BrowserViewer(
+    playback.env,
+    playback=playback,
+    checkpoints=checkpoints,
+    host=wanted.host,
+    port=wanted.port,
+    camera=CameraCfg(body=wanted.camera_body),
+    label=name,
+  ) as viewer:
+    print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
+    return _until_interrupted(viewer.run)
+
+
+def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
+  from mjlab_viewer import CameraCfg, NativeViewer
+
+  del name, checkpoints
+  with NativeViewer(playback, camera=CameraCfg(body=wanted.camera_body)) as viewer:
+    return _until_interrupted(viewer.run)
+
+
+def _until_interrupted(run: Callable[[], None]) -> int:
+  try:
+    run()
+  except KeyboardInterrupt:
+    print()
+  return 0

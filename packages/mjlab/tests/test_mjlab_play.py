@@ -1,0 +1,226 @@
+"""Watching: what is found, what it is built from, what is refused."""
+
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import av
+import mjlab
+import mjlab.cli._play as play_command
+import mjlab.registry as registry
+import mjlab_pendulum
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab import cli
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_viewer import Playback, RenderingError
+from mjlab_viewer.opengl import make_context
+
+TASK = "Test-Pendulum"
+
+
+@pytest.fixture(autouse=True)
+def _pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr(registry, "_registered", {})
+  mjlab.register_task(TASK, mjlab_pendulum.pendulum)
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+  """What a browser would have shown, and the checkpoints it would have offered; ten steps are taken of each."""
+  seen: list[Any] = []
+
+  def look(wanted: object, name: str, playback: Playback, checkpoints: object) -> int:
+    playback.pause()
+    for _ in range(10):
+      playback.step_once()
+    seen.append(SimpleNamespace(playback=playback, env=playback.env, policy=playback.policy, checkpoints=checkpoints))
+    return 0
+
+  monkeypatch.setattr(play_command, "_browser", look)
+  monkeypatch.setattr(play_command, "_native", look)
+  return seen
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+  flags = ["--agent.max-iterations", "2", "--agent.save-interval", "1", "--env.rewards.alive.weight", "7", "--quiet"]
+  assert cli.main(["train", TASK, "--log-root", str(tmp_path), "--device", "cpu", *flags]) == 0
+  return tmp_path
+
+
+def play(logs: Path, *flags: str) -> int:
+  return cli.main(["play", TASK, "--log-root", str(logs), "--device", "cpu", "--viewer", "browser", *flags])
+
+
+def test_the_newest_run_is_played_as_it_was_trained(
+  logs: Path, watched: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+  assert play(logs) == 0
+  (seen,) = watched
+  env = seen.env
+  assert "model_2.pt" in capsys.readouterr().out
+  assert seen.playback.error is None
+  assert seen.playback.step_count == 10
+  # The run's own weight, and the change for watching upon it.
+  assert env.reward_manager.get_term_cfg("alive").weight == 7.0
+  assert env.max_episode_length_s == 1e6
+  assert env.num_envs == 8
+
+
+def test_a_checkpoint_of_a_run_and_flags_of_the_environment_are_taken(logs: Path, watched: list[Any]) -> None:
+  (checkpoint,) = logs.rglob("model_1.pt")
+  assert play(logs, "--checkpoint", str(checkpoint), "--num-envs", "3", "--env.rewards.alive.weight", "2") == 0
+  env = watched[0].env
+  assert env.num_envs == 3
+  assert env.reward_manager.get_term_cfg("alive").weight == 2.0
+
+
+def test_checkpoints_of_the_run_can_be_swapped_while_it_runs(logs: Path, watched: list[Any]) -> None:
+  assert play(logs) == 0
+  checkpoints = watched[0].checkpoints
+  assert checkpoints.names() == ["model_1.pt", "model_2.pt"]
+  assert checkpoints.loaded == "model_2.pt"
+  observations = {group: torch.ones(8, 2) for group in ("actor", "critic")}
+  with torch.no_grad():
+    second = watched[0].policy(observations)
+    first = checkpoints.load("model_1.pt")(observations)
+  assert not torch.equal(first, second)
+
+
+def test_zero_and_random_actions_need_no_run(tmp_path: Path, watched: list[Any]) -> None:
+  for agent in ("zero", "random"):
+    assert play(tmp_path, "--agent", agent, "--num-envs", "2") == 0
+  zero, random = (seen.env for seen in watched)
+  assert zero.action_manager.action.abs().max() == 0.0
+  assert random.action_manager.action.abs().max() > 0.0
+
+
+def test_without_terminations_only_time_ends_an_episode(tmp_path: Path, watched: list[Any]) -> None:
+  assert play(tmp_path, "--agent", "zero", "--no-terminations") == 0
+  env = watched[0].env
+  cfgs = [env.termination_manager.get_term_cfg(name) for name in env.termination_manager.active_terms]
+  assert [cfg.time_out for cfg in cfgs if cfg.func.__name__ != "nan_detection"] == [True]
+
+
+def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  film = tmp_path / "film.mp4"
+  flags = ["--agent", "random", "--video", str(film), "--video-length", "0.5", "--video-width", "64"]
+  arguments = ["play", TASK, "--device", "cpu", "--log-root", str(tmp_path), *flags, "--video-height", "48"]
+  assert cli.main(arguments) == 0
+  with av.open(str(film)) as container:
+    assert sum(1 for _ in container.decode(video=0)) == 25
+  before = film.read_bytes()
+  assert cli.main(arguments) == 2
+  assert "exists; --force overwrites it" in capsys.readouterr().err
+  assert film.read_bytes() == before
+  assert cli.main([*arguments, "--force"]) == 0
+
+
+def test_a_film_where_opengl_is_missing_is_one_line(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.setenv("MUJOCO_GL", "off")
+  arguments = ["play", TASK, "--agent", "zero", "--device", "cpu", "--video", str(tmp_path / "film.mp4")]
+  assert cli.main(arguments) == 1
+  assert capsys.readouterr().err == "error: no pictures: MUJOCO_GL=off switches OpenGL off\n"
+
+
+@pytest.mark.parametrize(
+  ("flags", "code", "said"),
+  [
+    ([], 2, "no run of Test-Pendulum with a checkpoint in"),
+    (["--checkpoint", "missing.pt"], 1, "'missing.pt' is neither a checkpoint nor a run"),
+    (["--checkpoint", "missing.onnx"], 1, "policy missing.onnx: no such file"),
+    (["--agent", "chance"], 2, "--agent: expected"),
+    (["--viewer", "none"], 2, "--viewer none shows nothing; add --video FILE.mp4"),
+    (["--video", "film.gif"], 1, "films are written as .mp4"),
+    (["--video", "film.mp4", "--viewer", "native"], 2, "leave out --viewer native"),
+    (["--num-envs", "0", "--agent", "zero"], 1, "num_envs"),
+    (["--device", "cuda:7"], 1, "device 'cuda:7' does not exist"),
+    (["--agent", "zero", "--viewer", "browser", "--host", "192.0.2.1"], 1, "cannot listen on 192.0.2.1"),
+  ],
+)
+def test_a_mistake_in_playing_is_one_line_and_an_exit_code(
+  flags: list[str], code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  assert cli.main(["play", TASK, "--log-root", str(tmp_path), "--device", "cpu", *flags]) == code
+  told = capsys.readouterr().err
+  assert said in told
+  assert told.count("\n") == 1
+
+
+def test_an_exported_policy_plays_as_its_checkpoint_does(
+  logs: Path, watched: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+  assert play(logs, "--num-envs", "3") == 0
+  trained = watched[0].policy
+  (checkpoint,) = logs.rglob("model_2.pt")
+  exported = checkpoint.parent / "policy.onnx"
+  write_onnx(trained, exported)
+  assert play(logs, "--num-envs", "3", "--checkpoint", str(exported)) == 0
+  observations = {"actor": torch.randn(3, 2, generator=torch.Generator().manual_seed(0))}
+  with torch.no_grad():
+    torch.testing.assert_close(watched[1].policy(observations), trained(observations | {"critic": torch.zeros(3, 2)}))
+
+
+def write_onnx(policy: Any, path: Path) -> None:
+  """The exporter of the runner, whose own warnings are not ours."""
+  with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(path.parent), path.name)
+
+
+def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPatch) -> None:
+  walked: list[torch.Tensor] = []
+
+  def look(wanted: object, name: str, playback: Playback, checkpoints: object) -> int:
+    env = playback.env
+    assert isinstance(env, ManagerBasedRlEnv)
+    playback.pause()
+    for world in range(8):
+      env.steering()["twist"].steer(world, (0.8, 0.0, 0.0))
+    robot = env.scene["robot"].data
+    start = robot.root_link_pos_w.clone()
+    for _ in range(200):
+      playback.step_once()
+    assert playback.error is None
+    assert (robot.projected_gravity_b[:, 2] < -0.9).all()
+    walked.append((robot.root_link_pos_w - start)[:, :2].norm(dim=1))
+    return 0
+
+  monkeypatch.setattr(play_command, "_browser", look)
+  assert cli.main(["demo", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
+  # Four seconds at 0.8 m/s, less what it takes to start and to turn.
+  assert ((walked[0] > 2.4) & (walked[0] < 4.0)).all()
+
+
+def test_a_scene_is_exported_whole_and_replaced_only_by_force(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  folder = tmp_path / "scene"
+  assert cli.main(["export-scene", TASK, "--output", str(folder)]) == 0
+  exported = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+  env = mjlab.make(TASK, num_envs=1, device="cpu")
+  model = env.sim.mj_model
+  env.close()
+  for name in ("qpos0", "body_mass", "geom_size", "jnt_range", "actuator_gainprm"):
+    np.testing.assert_allclose(getattr(exported, name), getattr(model, name), rtol=1e-5)
+  assert exported.opt.timestep == model.opt.timestep
+  (folder / "mine.txt").write_text("kept")
+  assert cli.main(["export-scene", TASK, "--output", str(folder)]) == 2
+  assert (folder / "mine.txt").exists()
+  assert cli.main(["export-scene", TASK, "--output", str(folder), "--force"]) == 0
+  assert sorted(path.name for path in tmp_path.rglob("*")) == ["scene", "scene.xml"]
+  (folder / "scene.xml").unlink()
+  (folder / "mine.txt").write_text("kept")
+  assert cli.main(["export-scene", TASK, "--output", str(folder), "--force"]) == 2
+  assert (folder / "mine.txt").exists()
+  assert "is no exported scene" in capsys.readouterr().err

@@ -1,0 +1,184 @@
+"""MuJoCo's own window."""
+
+from __future__ import annotations
+
+import importlib
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import torch
+
+from mjlab_viewer.camera import CameraCfg
+from mjlab_viewer.errors import RenderingError
+from mjlab_viewer.host_world import HostWorld
+from mjlab_viewer.mjv_drawing import add_to_scene
+from mjlab_viewer.playback import Playback
+from mjlab_viewer.snapshot import SnapshotTaker
+
+FRAME = 1 / 60
+"""Time between pictures [s]."""
+
+KEYS = {
+  " ": "pause and go on",
+  "ENTER": "reset",
+  "RIGHT": "one step, while paused",
+  "-": "slower",
+  "=": "faster",
+  ",": "previous world",
+  ".": "next world",
+  "R": "drawings on and off",
+}
+"""Keys beside those of MuJoCo's window, and what they do."""
+
+_ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
+
+
+class NativeViewer:
+  """Shows one world in MuJoCo's passive viewer, on a model and data of its own.
+
+  What its window offers works: contact points and forces (keys C and F), cameras, and dragging a body with Ctrl and the
+  right mouse button, whose force reaches the simulation. `KEYS` lists the others.
+
+  Args:
+    playback: What steps the worlds.
+    camera: Where one looks from at first.
+
+  Raises:
+    RenderingError: no window can be opened here.
+    ViewerError: a camera that cannot be.
+  """
+
+  def __init__(self, playback: Playback, *, camera: CameraCfg | None = None) -> None:
+    self.playback = playback
+    self.env = playback.env
+    self.selected = 0
+    """World that is shown."""
+    self.draws = True
+    """Whether what commands and sensors draw is shown."""
+    self.num_undrawn = 0
+    """Shapes that the window had no room for in the last picture."""
+    self._world = HostWorld(self.env.sim.mj_model)
+    self._camera = (CameraCfg() if camera is None else camera).resolve(self._world.model)
+    self._taker = SnapshotTaker(self.env)
+    self._due = 0.0
+    self._target: Any = None
+    self._dragged: tuple[int, int] | None = None
+    """World and body that is being pulled."""
+    self._actions: dict[int, Callable[[], None]] = {
+      ord(" "): self._toggle,
+      _ENTER: playback.reset,
+      _RIGHT: playback.step_once,
+      ord("-"): lambda: playback.faster(-1),
+      ord("="): lambda: playback.faster(1),
+      ord(","): lambda: self._select(self.selected - 1),
+      ord("."): lambda: self._select(self.selected + 1),
+      ord("R"): lambda: setattr(self, "draws", not self.draws),
+    }
+    self.window = self._open()
+    """MuJoCo's handle of the window."""
+
+  def run(self, until: Callable[[], bool] = lambda: False) -> None:
+    """Step and show until the window is closed or `until` says so."""
+    while self.window.is_running() and not until():
+      steps = self.playback.tick()
+      self.update()
+      if not steps:
+        time.sleep(0.002)
+
+  def update(self) -> None:
+    """Show what is due."""
+    now = time.perf_counter()
+    if now < self._due:
+      return
+    names = tuple(self.env.drawers()) if self.draws else ()
+    snapshot = self._taker.take((self.selected,), drawers=names)
+    with self.window.lock():
+      self._world.load(snapshot)
+      self._follow()
+      scene = self.window.user_scn
+      scene.ngeom = 0
+      self.num_undrawn = sum(add_to_scene(scene, self._world.model, drawing) for drawing in snapshot.drawings)
+    self._drag()
+    self.window.set_texts([(None, None, *self._status())])
+    self.window.sync()
+    self._due = max(now + FRAME, time.perf_counter() + FRAME / 4)
+
+  def close(self) -> None:
+    """Close the window. Calling it again does nothing."""
+    self.window.close()
+
+  def __enter__(self) -> NativeViewer:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self.close()
+
+  def _open(self) -> Any:
+    import glfw
+
+    passive = importlib.import_module("mujoco.viewer")
+    # MuJoCo ends the process where there is no screen, so that is asked first.
+    with warnings.catch_warnings(record=True) as told:
+      warnings.simplefilter("always")
+      has_screen = glfw.init()
+    if not has_screen:
+      reason = str(told[-1].message) if told else "GLFW does not start"
+      raise RenderingError(f"no window can be opened here ({reason}); --viewer browser needs none")
+    handle = passive.launch_passive(
+      self._world.model, self._world.data, key_callback=self._press, show_left_ui=False, show_right_ui=False
+    )
+    with handle.lock():
+      self._camera.aim(handle.cam, self._camera.target(self._world.data.xpos))
+    return handle
+
+  def _press(self, key: int) -> None:
+    if key in self._actions:
+      self.playback.request(self._actions[key])
+
+  def _toggle(self) -> None:
+    if self.playback.paused:
+      self.playback.resume()
+    else:
+      self.playback.pause()
+
+  def _select(self, world: int) -> None:
+    self.selected = world % self.env.num_envs
+
+  def _follow(self) -> None:
+    # Moved along with the robot, so that whoever turned it keeps their view.
+    target = self._camera.target(self._world.data.xpos)
+    if self._target is None:
+      self._camera.aim(self.window.cam, target)
+    else:
+      self.window.cam.lookat[:] += target - self._target
+    self._target = target
+
+  def _drag(self) -> None:
+    """Pull in the simulation as the mouse pulls in the window."""
+    perturb = self.window.perturb
+    force: torch.Tensor = self.env.sim.data.xfrc_applied
+    pulled = (self.selected, int(perturb.select)) if perturb.active and perturb.select > 0 else None
+    if self._dragged is not None and pulled != self._dragged:
+      force[self._dragged] = 0.0
+    self._dragged = pulled
+    if pulled is not None:
+      self._world.data.xfrc_applied[:] = 0.0
+      mujoco.mjv_applyPerturbForce(self._world.model, self._world.data, perturb)
+      wrench = torch.from_numpy(self._world.data.xfrc_applied[pulled[1]].copy())
+      force[pulled] = wrench.to(force)
+
+  def _status(self) -> tuple[str, str]:
+    playback = self.playback
+    state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} x real time"
+    rows = {
+      "world": f"{self.selected} of {self.env.num_envs}",
+      "step": str(playback.step_count),
+      "speed": f"{playback.speed:g}{' (too slow a machine)' if playback.is_capped else ''}",
+      "state": state,
+    }
+    if playback.error is not None:
+      rows["error"] = playback.error
+    return "\n".join(rows), "\n".join(rows.values())

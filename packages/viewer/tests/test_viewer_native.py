@@ -1,0 +1,115 @@
+"""MuJoCo's window on a virtual screen."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+# Everything in one window: they take long to open, and a process has room for one.
+SCRIPT = """
+import time
+import mujoco
+import numpy as np
+from mjlab_viewer import NativeViewer, Playback, ZeroPolicy
+from viewer_env import BoxEnv
+
+env = BoxEnv(3)
+playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
+mujoco.mj_saveModel(env.sim.mj_model, None, before)
+
+def eventually(holds):
+  end = time.monotonic() + 20
+  viewer.run(lambda: holds() or time.monotonic() > end)
+  assert holds()
+
+with NativeViewer(playback) as viewer:
+  eventually(lambda: playback.step_count > 20)
+  np.testing.assert_allclose(viewer.window.cam.lookat, env.sim.datas[0].xpos[1], atol=0.2)
+  assert viewer.window.user_scn.ngeom == 1
+  viewer._press(ord(" "))
+  eventually(lambda: playback.paused)
+  count = playback.step_count
+  viewer._press(262)
+  eventually(lambda: playback.step_count == count + 1)
+  viewer._press(ord("."))
+  eventually(lambda: viewer.selected == 1)
+  viewer._press(ord(","))
+  viewer._press(ord(","))
+  eventually(lambda: viewer.selected == 2)
+  viewer._press(ord("="))
+  eventually(lambda: playback.speed == 2.0)
+  viewer._press(ord("R"))
+  eventually(lambda: viewer.window.user_scn.ngeom == 0)
+  viewer._press(ord("R"))
+
+  # A pull on the box of the world that is shown, and on no other; gone when it is let go.
+  perturb = viewer.window.perturb
+  perturb.select = 1
+  perturb.localmass = 1.0
+  perturb.active = int(mujoco.mjtPertBit.mjPERT_TRANSLATE)
+  perturb.refselpos[:] = viewer._world.data.xpos[1] + [0, 0, 1]
+  viewer._drag()
+  pulled = env.sim.data.xfrc_applied[:, 1, 2].tolist()
+  assert pulled[2] > 0.1 and pulled[:2] == [0.0, 0.0], pulled
+  perturb.active = 0
+  viewer._drag()
+  assert not env.sim.data.xfrc_applied.any()
+
+after = np.zeros_like(before)
+mujoco.mj_saveModel(env.sim.mj_model, None, after)
+assert (before == after).all()
+print("everything held")
+"""
+
+
+@pytest.fixture
+def screen() -> Iterator[str]:
+  if shutil.which("Xvfb") is None:
+    pytest.skip("needs Xvfb (on Debian: apt install xvfb)")
+  display = f":{90 + os.getpid() % 900}"
+  server = subprocess.Popen(
+    ["Xvfb", display, "-screen", "0", "800x600x24"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+  )
+  lock = Path(f"/tmp/.X11-unix/X{display[1:]}")
+  end = time.monotonic() + 10
+  while not lock.exists() and time.monotonic() < end:
+    time.sleep(0.05)
+  yield display
+  server.terminate()
+  server.wait()
+
+
+def run(script: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+  return subprocess.run(
+    [sys.executable, "-c", script],
+    env=environment | {"PYTHONPATH": str(Path(__file__).parent)},
+    capture_output=True,
+    text=True,
+    timeout=120,
+    check=False,
+  )
+
+
+def test_keys_drawings_and_dragging_work_in_the_window(screen: str) -> None:
+  done = run(SCRIPT, {**os.environ, "DISPLAY": screen, "MUJOCO_GL": "glfw", "LIBGL_ALWAYS_SOFTWARE": "1"})
+  assert "everything held" in done.stdout, done.stdout + done.stderr
+
+
+def test_without_a_screen_the_message_is_one_line_and_names_the_way_out() -> None:
+  script = (
+    "from mjlab_viewer import NativeViewer, Playback, ZeroPolicy\n"
+    "from viewer_env import BoxEnv\n"
+    "env = BoxEnv(1)\n"
+    "try: NativeViewer(Playback(env, ZeroPolicy(1, 1, env.sim.device)))\n"
+    "except RuntimeError as error: print(error)"
+  )
+  environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+  done = run(script, environment)
+  assert done.stdout.count("\n") == 1, done.stdout + done.stderr
+  assert "--viewer browser needs none" in done.stdout
