@@ -119,9 +119,68 @@ def test_the_set_point_reaches_the_engine(make: Make) -> None:
   assert np.abs(env.scene["robot"].data.joint_pos.numpy() - target).max() < 0.6
 
 
+def test_differences_are_from_where_the_joints_are_and_fixed_for_the_whole_step(make: Make) -> None:
+  env = acting(make, legs=mdp.RelativeJointPositionActionCfg(scale=0.1))
+  bias = torch.tensor([0.02, -0.03], dtype=torch.float64)
+  env.scene["robot"].data.encoder_bias.copy_(bias)
+  for step in range(3):
+    before = env.scene["robot"].data.joint_pos.numpy().copy()
+    action = actions(env, step)
+    # A bias moves what is read and what is asked for alike.
+    np.testing.assert_allclose(targets(env, action), before + 0.1 * action.double().numpy(), atol=1e-12)
+    assert np.abs(env.scene["robot"].data.joint_pos.numpy() - before).max() > 1e-4
+
+
+def test_differences_from_the_last_target_add_up_within_the_clip_until_a_reset(make: Make) -> None:
+  cfg = mdp.RelativeJointPositionActionCfg(relative_to="target", scale=0.1, clip={"hip": (-0.3, 0.3)})
+  env = acting(make, legs=cfg)
+  start = env.scene["robot"].data.joint_pos.numpy().copy()
+  action = torch.ones(4, 2)
+  for step in range(1, 4):
+    expected = start + 0.1 * step
+    expected[:, 0] = np.minimum(expected[:, 0], 0.3)
+    np.testing.assert_allclose(targets(env, action), expected, atol=1e-7)
+  env.reset(env_ids=[1])
+  after = targets(env, action)
+  np.testing.assert_allclose(after[1], start[1] + [0.1, 0.1], atol=1e-7)
+  np.testing.assert_allclose(after[0], [0.3, start[0, 1] + 0.4], atol=1e-7)
+
+
+def test_smoothed_set_points_follow_the_average_from_where_an_episode_begins(make: Make) -> None:
+  env = acting(make, legs=mdp.SmoothedJointPositionActionCfg(scale=0.5, smoothing=0.75, clip=(-1.0, 1.0)))
+  start = env.scene["robot"].data.joint_pos.numpy().copy()
+  expected = start
+  for step in range(3):
+    action = 2.0 * actions(env, step)
+    expected = 0.75 * expected + 0.25 * (DEFAULT + 0.5 * action.double().numpy()).clip(-1.0, 1.0)
+    np.testing.assert_allclose(targets(env, action), expected, rtol=1e-12)
+  env.reset(env_ids=[2])
+  action = torch.zeros(4, 2)
+  expected = 0.75 * expected + 0.25 * DEFAULT
+  expected[2] = 0.75 * start[2] + 0.25 * DEFAULT
+  np.testing.assert_allclose(targets(env, action), expected, rtol=1e-12)
+
+
+def test_a_binary_action_opens_for_zero_or_more_and_closes_below(make: Make) -> None:
+  cfg = mdp.BinaryJointPositionActionCfg(open={"hip": 0.5, "knee": 0.2}, close={".*": -0.1}, clip={"hip": (-1.0, 0.4)})
+  env = acting(make, grip=cfg)
+  assert env.action_manager.total_action_dim == 1
+  bias = torch.tensor([0.02, -0.03], dtype=torch.float64)
+  env.scene["robot"].data.encoder_bias.copy_(bias)
+  closed, opened = np.array([-0.1, -0.1]) - bias.numpy(), np.array([0.4, 0.2]) - bias.numpy()
+  got = targets(env, torch.tensor([[-1e-3], [0.0], [5.0], [-7.0]]))
+  np.testing.assert_allclose(got, [closed, opened, opened, closed], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
   ("cfg", "message"),
   [
+    ({"legs": mdp.SmoothedJointPositionActionCfg(smoothing=1.0)}, r"smoothing must be in \[0, 1\), got 1.0"),
+    (
+      {"legs": mdp.RelativeJointPositionActionCfg(relative_to="goal")},  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+      "relative_to must be 'position' or 'target', got 'goal'",
+    ),
+    ({"grip": mdp.BinaryJointPositionActionCfg(open={"hip": 1.0}, close={".*": 0.0})}, "open.*joint knee"),
     ({"legs": mdp.JointPositionActionCfg(offset=5.0)}, "offset is given, and use_default_offset is on"),
     ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "Set use_default_offset=False to use 5.0"),
     ({"legs": mdp.JointPositionActionCfg(clip=(1.0, -1.0))}, "clip"),

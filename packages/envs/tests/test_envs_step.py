@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import torch
 from envs_hopper import Ended, actions, end, hopper_cfg
+from envs_watch import Watch
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, RewardTermCfg, TerminationTermCfg
-from torch.utils._python_dispatch import TorchDispatchMode
 
 # An environment, of which tests also touch what is not public.
 Make = Callable[..., Any]
@@ -317,27 +317,6 @@ def test_rewards_are_rates_unless_told_otherwise(make: Make) -> None:
 # What a step costs
 
 
-class _Watch(TorchDispatchMode):
-  """Counts operations and notes those that wait for a device."""
-
-  def __init__(self) -> None:
-    super().__init__()
-    self.count = 0
-    self.waits: list[str] = []
-
-  def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-    name = func.overloadpacket.__name__
-    if name in ("_local_scalar_dense", "nonzero", "item", "is_nonzero", "masked_select", "equal", "unique"):
-      self.waits.append(name)
-    if any(
-      isinstance(x, list | tuple) and any(isinstance(i, torch.Tensor) and i.dtype == torch.bool for i in x)
-      for x in args
-    ) and name.startswith("index"):
-      self.waits.append(name)
-    self.count += not func.is_view
-    return func(*args, **(kwargs or {}))
-
-
 def test_a_step_never_waits_for_the_device_and_costs_few_operations(
   make: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -349,7 +328,7 @@ def test_a_step_never_waits_for_the_device_and_costs_few_operations(
   for step in range(3, 30):
     end(env, *([step % 4] if step % 3 == 0 else []))
     action = actions(env, step)
-    with _Watch() as watch:
+    with Watch() as watch:
       env.step(action)
     assert watch.waits == []
     counts.append(watch.count)

@@ -1,6 +1,10 @@
 """The term library: what observations, rewards, events and the like any task can use."""
 
 from mjlab_envs.mdp.actions import (
+  BinaryJointPositionAction,
+  BinaryJointPositionActionCfg,
+  DrivenJoints,
+  DrivenJointsCfg,
   JointActionCfg,
   JointEffortAction,
   JointEffortActionCfg,
@@ -8,8 +12,13 @@ from mjlab_envs.mdp.actions import (
   JointPositionActionCfg,
   JointVelocityAction,
   JointVelocityActionCfg,
+  RelativeJointPositionAction,
+  RelativeJointPositionActionCfg,
+  SmoothedJointPositionAction,
+  SmoothedJointPositionActionCfg,
 )
 from mjlab_envs.mdp.contacts import contact_count, illegal_contact
+from mjlab_envs.mdp.differential_ik import DifferentialIKAction, DifferentialIKActionCfg
 from mjlab_envs.mdp.events import (
   push_by_setting_velocity,
   reset_joints_by_offset,
@@ -48,6 +57,12 @@ from mjlab_envs.mdp.rewards import (
 from mjlab_envs.mdp.terminations import bad_orientation, nan_detection, root_height_below_minimum, time_out
 
 __all__ = [
+  "BinaryJointPositionAction",
+  "BinaryJointPositionActionCfg",
+  "DifferentialIKAction",
+  "DifferentialIKActionCfg",
+  "DrivenJoints",
+  "DrivenJointsCfg",
   "JointActionCfg",
   "JointEffortAction",
   "JointEffortActionCfg",
@@ -55,6 +70,10 @@ __all__ = [
   "JointPositionActionCfg",
   "JointVelocityAction",
   "JointVelocityActionCfg",
+  "RelativeJointPositionAction",
+  "RelativeJointPositionActionCfg",
+  "SmoothedJointPositionAction",
+  "SmoothedJointPositionActionCfg",
   "action_acc_l2",
   "action_rate_l2",
   "bad_orientation",

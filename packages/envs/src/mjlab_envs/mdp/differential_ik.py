@@ -1,0 +1,237 @@
+"""Differential inverse kinematics: the policy moves a hand, damped least squares moves the joints."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import torch
+from mjlab_core.names import match_names, match_values_full, unknown
+from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
+from mjlab_scene.indexing import as_index, select
+
+from mjlab_envs.mdp.actions import DrivenJoints, DrivenJointsCfg
+
+if TYPE_CHECKING:
+  from mjlab_envs.env import ManagerBasedRlEnv
+
+FrameType = Literal["body", "site", "geom"]
+
+_WEIGHTS = ("position_weight", "orientation_weight", "joint_limit_weight", "posture_weight")
+
+
+@dataclass(kw_only=True)
+class DifferentialIKActionCfg(DrivenJointsCfg):
+  """Moves a frame of the robot by setting positions of the joints that carry it.
+
+  The goal of the frame is fixed once for each environment step; towards it, before every physics substep, dq of
+
+    (wp^2 Jp'Jp + wo^2 Jr'Jr + wl^2 diag(v) + wq^2 I + damping^2 I) dq
+      = wp^2 Jp'ep + wo^2 Jr'er + wl^2 v r + wq^2 (p - q)
+
+  is limited to `max_dq` joint by joint, and q + dq becomes the set-point, within `clip`. Jp and Jr are the frame's
+  Jacobians, ep and er the way to the goal, v marks joints outside their soft limits, r is the way back inside, p the
+  posture. All of it is what a controller behind biased encoders believes: q is what they read, and the frame is where
+  that puts it, to first order of the bias.
+
+  Columns: the change of position (3) and the rotation vector of the change of orientation (3), both along the axes of
+  the entity's root; or, in absolute mode, position (3) and quaternion (4) in the root's frame. Without an orientation
+  weight only the first three.
+  """
+
+  frame_name: str
+  """Pattern of the frame; it must match exactly one."""
+  frame_type: FrameType = "body"
+  use_relative_mode: bool = True
+  """Actions are changes from where the frame is, or poses."""
+  delta_pos_scale: float = 1.0
+  """Metres per unit of action, relative mode."""
+  delta_ori_scale: float = 1.0
+  """Radians per unit of action, relative mode."""
+  damping: float = 0.05
+  """Keeps dq small near singular poses, at the price of slower ways there; at least 1e-6."""
+  max_dq: float = 0.5
+  """Largest dq of a joint [rad, m]."""
+  position_weight: float = 1.0
+  orientation_weight: float = 1.0
+  joint_limit_weight: float = 0.0
+  posture_weight: float = 0.0
+  posture_target: dict[str, float] | None = None
+  """Posture by joint pattern [rad, m], for each driven joint; None takes the default pose."""
+
+  def build(self, env: Any) -> "DifferentialIKAction":
+    return DifferentialIKAction(self, env)
+
+
+class DifferentialIKAction(DrivenJoints):
+  """See `DifferentialIKActionCfg`.
+
+  Raises:
+    ValueError: no frame or several match, a driven joint does not move the frame, or a number is out of its range.
+  """
+
+  _constants = frozenset({"_dofs", "_posture"})
+  cfg: DifferentialIKActionCfg
+
+  def __init__(self, cfg: DifferentialIKActionCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    _check_numbers(cfg)
+    self._sim = env.sim
+    self._frame, self._body = self._find_frame(cfg)
+    self._tree = int(env.sim.mj_model.body_rootid[self._body])
+    self._dofs = as_index(self._moving_dofs(cfg), env.device)
+    self._posture = self._posture_target(cfg)
+    self.goal_pos_w = torch.zeros(env.num_envs, 3, device=env.device, dtype=env.sim.dtype)
+    """Goal of the frame, world frame, (num_envs, 3) [m]."""
+    self.goal_quat_w = torch.zeros(env.num_envs, 4, device=env.device, dtype=env.sim.dtype)
+    """Goal of the frame's orientation in the world, (num_envs, 4)."""
+
+  def _find_frame(self, cfg: DifferentialIKActionCfg) -> tuple[int, int]:
+    """Ids of the frame and of its body in the model."""
+    if cfg.frame_type not in get_args(FrameType):
+      raise ValueError(unknown("frame_type", str(cfg.frame_type), get_args(FrameType)))
+    ix, model = self._entity.indexing, self._sim.mj_model
+    found, names = match_names(cfg.frame_name, ix.names[cfg.frame_type], what=cfg.frame_type, owner=self._owner)
+    if len(found) > 1:
+      many = ", ".join(names)
+      raise ValueError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {many}")
+    frame = int(ix.ids[cfg.frame_type][found[0]])
+    owner = {"body": range(model.nbody), "site": model.site_bodyid, "geom": model.geom_bodyid}[cfg.frame_type]
+    return frame, int(owner[frame])
+
+  def _moving_dofs(self, cfg: DifferentialIKActionCfg) -> list[int]:
+    """Degrees of freedom of the driven joints, every one of which must move the frame."""
+    model = self._sim.mj_model
+    carriers, body = set[int](), self._body
+    while body:
+      carriers.add(body)
+      body = int(model.body_parentid[body])
+    joints = [model.joint(self._entity.prefix + name).id for name in self.joint_names]
+    idle = [
+      name for name, joint in zip(self.joint_names, joints, strict=True) if model.jnt_bodyid[joint] not in carriers
+    ]
+    if idle:
+      raise ValueError(
+        f"{self._owner}: {cfg.frame_type} '{cfg.frame_name}' is not moved by {', '.join(idle)}; leave out of actuators "
+        "what does not move it"
+      )
+    return [int(model.jnt_dofadr[joint]) for joint in joints]
+
+  def _posture_target(self, cfg: DifferentialIKActionCfg) -> torch.Tensor:
+    if cfg.posture_target is None:
+      return self._entity.data.default_joint_pos[:, self._q].clone()
+    if not cfg.posture_weight:
+      raise ValueError("posture_target is given, but posture_weight is 0")
+    owner = f"{self._owner}: posture_target"
+    numbers = match_values_full(cfg.posture_target, self.joint_names, what="joint", owner=owner)
+    return torch.tensor([numbers], **self._constant)
+
+  @property
+  def action_dim(self) -> int:
+    if not self.cfg.orientation_weight:
+      return 3
+    return 6 if self.cfg.use_relative_mode else 7
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    cfg, actions = self.cfg, actions.to(self.goal_pos_w.dtype)
+    root = self._entity.data.root_link_quat_w
+    move = quat_apply(root, actions[:, :3])
+    pos, quat = self.frame_pose()
+    if cfg.use_relative_mode:
+      self.goal_pos_w.copy_(pos + cfg.delta_pos_scale * move)
+    else:
+      self.goal_pos_w.copy_(self._entity.data.root_link_pos_w + move)
+    if not cfg.orientation_weight:
+      return
+    turn = actions[:, 3:]
+    if cfg.use_relative_mode:
+      self.goal_quat_w.copy_(normalize(quat_box_plus(quat, cfg.delta_ori_scale * quat_apply(root, turn))))
+    else:
+      # Zero, an action nobody has given yet, is no orientation.
+      given = torch.linalg.vector_norm(turn, dim=-1, keepdim=True) > 1e-6
+      self.goal_quat_w.copy_(torch.where(given, quat_mul(root, normalize(turn)), quat))
+
+  def apply_actions(self) -> None:
+    self.set_positions(self.clipped(self.measured_positions() + self.solve()))
+
+  def frame_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+    """Position (num_envs, 3) [m] and orientation (num_envs, 4) of the frame in the world, as the encoders have it."""
+    pos, quat, _ = self._believed()
+    return pos, quat
+
+  def jacobian(self) -> torch.Tensor:
+    """Linear, then angular velocity of the frame per velocity of each driven joint, world axes, (num_envs, 6, joints).
+
+    As `mj_jac`, from MuJoCo's motion axes: those are given about the centre of mass of the kinematic tree.
+    """
+    return self._jacobian(self._pose()[0])
+
+  def _believed(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    pos, quat = self._pose()
+    jacobian = self._jacobian(pos)
+    shift = (jacobian @ self._entity.data.encoder_bias[:, self._q].unsqueeze(-1)).squeeze(-1)
+    return pos + shift[:, :3], quat_box_plus(quat, shift[:, 3:]), jacobian
+
+  def _pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+    data, model, frame = self._sim.data, self._sim.model, self._frame
+    quat = data.xquat[:, self._body]
+    if self.cfg.frame_type == "body":
+      return data.xpos[:, frame], quat
+    if self.cfg.frame_type == "site":
+      return data.site_xpos[:, frame], quat_mul(quat, model.site_quat[:, frame])
+    return data.geom_xpos[:, frame], quat_mul(quat, model.geom_quat[:, frame])
+
+  def _jacobian(self, point: torch.Tensor) -> torch.Tensor:
+    axes = select(self._sim.data.cdof, self._dofs)
+    spin, slide = axes[..., :3], axes[..., 3:]
+    arm = (point - self._sim.data.subtree_com[:, self._tree]).unsqueeze(1)
+    return torch.cat((slide + torch.linalg.cross(spin, arm.expand_as(spin)), spin), dim=-1).mT
+
+  def solve(self) -> torch.Tensor:
+    """dq towards the goal from the state that is, (num_envs, joints) [rad, m]."""
+    cfg = self.cfg
+    pos, quat, jacobian = self._believed()
+    rows, errors = [cfg.position_weight * jacobian[:, :3]], [cfg.position_weight * (self.goal_pos_w - pos)]
+    if cfg.orientation_weight:
+      rows.append(cfg.orientation_weight * jacobian[:, 3:])
+      errors.append(cfg.orientation_weight * quat_box_minus(self.goal_quat_w, quat))
+    # In double precision the sum of squares and damping stays definite for every damping above 1e-6.
+    task, error = torch.cat(rows, dim=1).double(), torch.cat(errors, dim=1).double()
+    normal = task.mT @ task
+    right = (task.mT @ error.unsqueeze(-1)).squeeze(-1)
+    q = self.measured_positions().double()
+    diagonal = torch.full_like(right, cfg.damping**2 + cfg.posture_weight**2)
+    if cfg.joint_limit_weight:
+      limits = self._entity.data.soft_joint_pos_limits[:, self._q].double()
+      back = q.clamp(limits[..., 0], limits[..., 1]) - q
+      diagonal = diagonal + cfg.joint_limit_weight**2 * (back != 0.0)
+      right = right + cfg.joint_limit_weight**2 * back
+    if cfg.posture_weight:
+      right = right + cfg.posture_weight**2 * (self._posture.double() - q)
+    dq = solve_definite(normal + torch.diag_embed(diagonal), right)
+    return dq.clamp(-cfg.max_dq, cfg.max_dq).to(self.goal_pos_w.dtype)
+
+
+def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+  """x of matrix x = right, (n, k), for symmetric positive definite matrices (n, k, k), k small.
+
+  Gauss-Jordan elimination without pivoting, which these need not: a few operations on all worlds per column, on either
+  device, where torch's solvers launch libraries and some of them wait.
+  """
+  table = torch.cat((matrix, right.unsqueeze(-1)), dim=-1)
+  for k in range(matrix.shape[-1]):
+    row = table[:, k] / table[:, k, k : k + 1]
+    factor = table[:, :, k].clone()
+    factor[:, k] -= 1.0
+    table.baddbmm_(factor.unsqueeze(-1), row.unsqueeze(1), alpha=-1.0)
+  return table[..., -1]
+
+
+def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
+  for name in _WEIGHTS:
+    if not 0.0 <= getattr(cfg, name) < float("inf"):
+      raise ValueError(f"{name} must be at least 0 and finite, got {getattr(cfg, name)}")
+  if not cfg.position_weight and not cfg.orientation_weight:
+    raise ValueError("position_weight and orientation_weight are both 0: there is nothing to reach")
+  if not cfg.damping >= 1e-6:
+    raise ValueError(f"damping must be at least 1e-6, got {cfg.damping}")
+  if not cfg.max_dq > 0.0:
+    raise ValueError(f"max_dq must be positive, got {cfg.max_dq}")
