@@ -232,6 +232,39 @@ def test_changes_are_along_the_axes_of_the_root(make: Make) -> None:
     np.testing.assert_allclose(turned, 0.2 * root @ action[world, 3:].double().numpy(), atol=1e-7)
 
 
+def test_changes_of_the_goal_add_up_on_a_leash_and_begin_anew_with_the_episode(make: Make) -> None:
+  _, term = reaching(make, relative_to="goal", delta_pos_scale=0.02, delta_ori_scale=0.2, max_lead=(0.05, 0.5))
+  (pos, quat), action = term.frame_pose(), torch.tensor([[0.0, 0.0, 1.0, 0.0, 1.0, 0.0]]).repeat(4, 1)
+  for lead, turn in ((0.02, 0.2), (0.04, 0.4), (0.05, 0.5), (0.05, 0.5)):
+    term.process_actions(action)
+    ahead = torch.linalg.vector_norm(term.goal_pos_w - pos, dim=-1)
+    torch.testing.assert_close(ahead, torch.full_like(ahead, lead))
+    turned = 2.0 * torch.acos((term.goal_quat_w * quat).sum(-1).abs())
+    torch.testing.assert_close(turned, torch.full_like(turned, turn), atol=1e-6, rtol=0)
+  term.reset(torch.tensor([True, False, False, False]))
+  term.process_actions(torch.zeros(4, 6))
+  assert torch.allclose(term.goal_pos_w[0], pos[0], atol=1e-12)
+  assert torch.linalg.vector_norm(term.goal_pos_w[1] - pos[1]) > 0.049
+
+
+@pytest.mark.parametrize("relative_to", ["pose", "goal"])
+def test_an_arm_that_is_told_nothing_holds_its_goal_and_sinks_from_its_pose(make: Make, relative_to: str) -> None:
+  cfg = arm_cfg(relative_to=relative_to)
+  cfg.sim.gravity = (0.0, 0.0, -3.0)
+  env = make(cfg)
+  env.reset()
+  term = env.action_manager.get_term("hand")
+  heights = []
+  for _ in range(3):
+    heights.append(term.frame_pose()[0][:, 2].clone())
+    for _ in range(60):
+      env.step(torch.zeros(4, 6))
+  # Servos are springs: they give way until they carry the arm. Then it sinks no further, or it does.
+  assert (heights[0] > heights[1]).all()
+  later = heights[1] - heights[2]
+  assert (later < 1e-3).all() if relative_to == "goal" else (later > 0.05).all()
+
+
 def test_poses_are_in_the_frame_of_the_root_and_their_quaternion_need_not_be_unit(make: Make) -> None:
   env, term = reaching(make, use_relative_mode=False)
   assert term.action_dim == 7
@@ -337,6 +370,8 @@ def test_a_step_that_solves_never_waits_for_the_device(make: Make) -> None:
     ({"damping": 0.0}, "damping must be at least 1e-6, got 0.0"),
     ({"damping": float("nan")}, "damping must be at least 1e-6, got nan"),
     ({"max_dq": 0.0}, "max_dq must be positive"),
+    ({"max_lead": (0.1, 0.0)}, "max_lead must be positive"),
+    ({"relative_to": "target"}, "relative_to must be 'pose' or 'goal', got 'target'"),
     ({"posture_weight": -1.0}, "posture_weight must be at least 0"),
     ({"position_weight": 0.0, "orientation_weight": 0.0}, "nothing to reach"),
     ({"posture_target": {".*": 0.0}}, "posture_target is given, but posture_weight is 0"),

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
+from mjlab_core.masking import fill_
 from mjlab_core.names import match_names, match_values_full, unknown
 from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
 from mjlab_scene.indexing import as_index, select
@@ -41,7 +42,11 @@ class DifferentialIKActionCfg(DrivenJointsCfg):
   """Pattern of the frame; it must match exactly one."""
   frame_type: FrameType = "body"
   use_relative_mode: bool = True
-  """Actions are changes from where the frame is, or poses."""
+  """Actions are changes, or poses."""
+  relative_to: Literal["pose", "goal"] = "pose"
+  """Changes are of where the frame is, which lets an arm sink under its weight, or of the goal of the step before."""
+  max_lead: tuple[float, float] = (0.1, 0.5)
+  """How far a goal that changes add up to may be ahead of the frame [m, rad]."""
   delta_pos_scale: float = 1.0
   """Metres per unit of action, relative mode."""
   delta_ori_scale: float = 1.0
@@ -79,10 +84,12 @@ class DifferentialIKAction(DrivenJoints):
     self._tree = int(env.sim.mj_model.body_rootid[self._body])
     self._dofs = as_index(self._moving_dofs(cfg), env.device)
     self._posture = self._posture_target(cfg)
+    self._adds_up = cfg.relative_to == "goal"
     self.goal_pos_w = torch.zeros(env.num_envs, 3, device=env.device, dtype=env.sim.dtype)
     """Goal of the frame, world frame, (num_envs, 3) [m]."""
     self.goal_quat_w = torch.zeros(env.num_envs, 4, device=env.device, dtype=env.sim.dtype)
     """Goal of the frame's orientation in the world, (num_envs, 4)."""
+    self._has_goal = torch.zeros(env.num_envs, 1, device=env.device, dtype=torch.bool)
 
   def _find_frame(self, cfg: DifferentialIKActionCfg) -> tuple[int, int]:
     """Ids of the frame and of its body in the model."""
@@ -132,22 +139,29 @@ class DifferentialIKAction(DrivenJoints):
 
   def process_actions(self, actions: torch.Tensor) -> None:
     cfg, actions = self.cfg, actions.to(self.goal_pos_w.dtype)
-    root = self._entity.data.root_link_quat_w
-    move = quat_apply(root, actions[:, :3])
-    pos, quat = self.frame_pose()
-    if cfg.use_relative_mode:
-      self.goal_pos_w.copy_(pos + cfg.delta_pos_scale * move)
-    else:
+    root, (pos, quat) = self._entity.data.root_link_quat_w, self.frame_pose()
+    move, turn = quat_apply(root, actions[:, :3]), actions[:, 3:]
+    if not cfg.use_relative_mode:
       self.goal_pos_w.copy_(self._entity.data.root_link_pos_w + move)
-    if not cfg.orientation_weight:
+      if cfg.orientation_weight:
+        # Zero, an action nobody has given yet, is no orientation.
+        given = torch.linalg.vector_norm(turn, dim=-1, keepdim=True) > 1e-6
+        self.goal_quat_w.copy_(torch.where(given, quat_mul(root, normalize(turn)), quat))
       return
-    turn = actions[:, 3:]
-    if cfg.use_relative_mode:
-      self.goal_quat_w.copy_(normalize(quat_box_plus(quat, cfg.delta_ori_scale * quat_apply(root, turn))))
-    else:
-      # Zero, an action nobody has given yet, is no orientation.
-      given = torch.linalg.vector_norm(turn, dim=-1, keepdim=True) > 1e-6
-      self.goal_quat_w.copy_(torch.where(given, quat_mul(root, normalize(turn)), quat))
+    lead = cfg.delta_pos_scale * move
+    if self._adds_up:
+      lead = _limited(lead + (self.goal_pos_w - pos) * self._has_goal, cfg.max_lead[0])
+    self.goal_pos_w.copy_(pos + lead)
+    if cfg.orientation_weight:
+      lead = cfg.delta_ori_scale * quat_apply(root, turn)
+      if self._adds_up:
+        goal = quat_box_plus(torch.where(self._has_goal, self.goal_quat_w, quat), lead)
+        lead = _limited(quat_box_minus(goal, quat), cfg.max_lead[1])
+      self.goal_quat_w.copy_(normalize(quat_box_plus(quat, lead)))
+    self._has_goal.fill_(True)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    fill_(self._has_goal, mask, False)
 
   def apply_actions(self) -> None:
     self.set_positions(self.clipped(self.measured_positions() + self.solve()))
@@ -225,6 +239,11 @@ def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
   return table[..., -1]
 
 
+def _limited(vector: torch.Tensor, length: float) -> torch.Tensor:
+  """`vector`, (num_envs, 3), no longer than `length`."""
+  return vector * (length / torch.linalg.vector_norm(vector, dim=-1, keepdim=True).clamp(min=1e-9)).clamp(max=1.0)
+
+
 def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
   for name in _WEIGHTS:
     if not 0.0 <= getattr(cfg, name) < float("inf"):
@@ -233,5 +252,9 @@ def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
     raise ValueError("position_weight and orientation_weight are both 0: there is nothing to reach")
   if not cfg.damping >= 1e-6:
     raise ValueError(f"damping must be at least 1e-6, got {cfg.damping}")
+  if cfg.relative_to not in ("pose", "goal"):
+    raise ValueError(f"relative_to must be 'pose' or 'goal', got {cfg.relative_to!r}")
+  if not min(cfg.max_lead) > 0.0:
+    raise ValueError(f"max_lead must be positive, got {cfg.max_lead}")
   if not cfg.max_dq > 0.0:
     raise ValueError(f"max_dq must be positive, got {cfg.max_dq}")
