@@ -38,7 +38,8 @@ def test_each_shape_is_where_mujoco_has_it() -> None:
   data.qpos[:] = rng.normal(size=model.nq)
   data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
   mujoco.mj_kinematics(model, data)
-  canvas, qpos = Canvas(), torch.from_numpy(data.qpos)[None]
+  canvas: Any = Canvas()
+  qpos = torch.from_numpy(data.qpos)[None]
   Ghost(Kinematics(model)).draw(canvas, qpos[:, :3], qpos[:, 3:7], qpos[:, 7:])
   own = [g for g in range(model.ngeom) if model.geom(g).name != "ground"]
   assert len(canvas.drawn) == len(own)
@@ -73,7 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path) -> None:
   cfg = without_failures(still(folder))
   env, term = make(cfg)
-  canvas = Canvas((2, 0))
+  canvas: Any = Canvas((2, 0))
   term.debug_draw(canvas)
   model = env.sim.mj_model
   data = mujoco.MjData(model)
