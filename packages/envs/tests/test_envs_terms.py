@@ -11,6 +11,7 @@ import torch
 from envs_hopper import HOPPER, Ended, actions, end, hopper_cfg
 from mjlab_dr import body_com_offset, geom_friction, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_envs.viewing import drawn_at_first
 from mjlab_managers import (
   ConfigError,
   EventTermCfg,
@@ -223,6 +224,17 @@ def test_an_image_that_is_not_drawn_is_refused_by_name(make: Make) -> None:
   cfg.scene.sensors["side"].data_types = ("depth",)
   with pytest.raises(ConfigError, match="camera 'side' draws depth only; add 'rgb' to its data_types"):
     make(cfg)
+
+
+def test_pictures_show_the_sensors_that_are_to_be_drawn(make: Make) -> None:
+  cfg = hopper_cfg()
+  for name in ("shown", "hidden"):
+    cfg.scene.sensors[name] = RayCastSensorCfg(
+      frames=FrameMatch(type="body", pattern="trunk", entity="robot"), debug_vis=name == "shown"
+    )
+  env = make(cfg)
+  assert {"sensor shown", "sensor hidden", "sensor robot/gyro"} <= set(env.drawers())
+  assert [name for name in drawn_at_first(env) if name.startswith("sensor")] == ["sensor shown"]
 
 
 def calibrate(env: Any, mask: torch.Tensor, *, sensor: str, most: float) -> None:

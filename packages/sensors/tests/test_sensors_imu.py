@@ -29,7 +29,7 @@ SITE = ObjRef(type="site", name="imu")
 ALL = torch.ones(64, dtype=torch.bool)
 
 
-def build(num_envs: int = 64, **biases: float) -> tuple[Simulation, ImuSensor]:
+def build(num_envs: int = 64, **biases: Any) -> tuple[Simulation, ImuSensor]:
   spec = mujoco.MjSpec.from_string(ROBOT)
   sensor = ImuSensorCfg(name="imu", site=SITE, **biases).build()
   assert isinstance(sensor, ImuSensor)

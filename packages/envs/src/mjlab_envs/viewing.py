@@ -50,6 +50,12 @@ def drawers(env: ManagerBasedRlEnv) -> dict[str, Callable[[DebugDraw], None]]:
   return {name: part.debug_draw for name, part in parts.items() if hasattr(part, "debug_draw")}
 
 
+def drawn_at_first(env: ManagerBasedRlEnv) -> tuple[str, ...]:
+  """Names of the commands and sensors whose configuration wants them drawn."""
+  owners = ((name, getattr(draw, "__self__", None)) for name, draw in drawers(env).items())
+  return tuple(name for name, owner in owners if getattr(getattr(owner, "cfg", None), "debug_vis", False))
+
+
 def steering(env: ManagerBasedRlEnv) -> dict[str, Any]:
   """Commands that can be given by hand: those with `axes` and `steer(world, values)`."""
   terms = {name: env.command_manager.get_term(name) for name in env.command_manager.active_terms}
@@ -67,7 +73,7 @@ class Camera:
     self._taker = SnapshotTaker(env)
     self._renderer = OffscreenRenderer(env.sim.mj_model)
     self._worlds = tuple(range(min(env.num_envs, MOST_TILES)))
-    self._drawers = tuple(drawers(env))
+    self._drawers = drawn_at_first(env)
 
   def picture(self) -> np.ndarray:
     """The first worlds as tiles, (height, width, 3) uint8."""

@@ -107,7 +107,8 @@ class BuiltinSensorCfg(SensorCfg):
   """A sensor computed by MuJoCo: one that the MJCF already has (`element`), or a new one (`sensor_type`, `obj`)."""
 
   element: str | None = None
-  """Full name of an existing sensor element of the scene, such as `robot/imu_gyro`. Excludes all other fields."""
+  """Full name of an existing sensor element of the scene, such as `robot/imu_gyro`. Excludes all fields that describe a
+  new one."""
   sensor_type: SensorType | None = None
   """What a new sensor measures."""
   obj: ObjRef | None = None
@@ -127,7 +128,7 @@ class BuiltinSensorCfg(SensorCfg):
 
   def validate(self) -> None:
     if self.element is not None:
-      others = [field for field in fields(self) if field.name not in ("name", "element")]
+      others = [field for field in fields(self) if field.name not in ("name", "debug_vis", "element")]
       if given := [field.name for field in others if getattr(self, field.name) != field.default]:
         raise ValueError(f"{self.label}: `element` wraps a sensor as it is; leave {', '.join(given)} out")
       return

@@ -275,7 +275,7 @@ class ContactSensor(Sensor[ContactData]):
       fill_(self._memory, mask, 0.0)
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show each contact as a sphere, where `pos` tells or at its primary, and its force as an arrow.
+    """Show each contact as a sphere, where `pos` tells or at its primary, and the force on the primary as an arrow.
 
     The direction of a force is known of "netforce", and where normal and tangent are asked for.
     """
@@ -298,8 +298,8 @@ class ContactSensor(Sensor[ContactData]):
       normal, tangent = slots["normal"], slots["tangent"]
       axes = torch.stack((normal, tangent, torch.linalg.cross(normal, tangent)), dim=-1)
       force = (axes * force[..., None, :]).sum(-1)
-    # As long as MuJoCo's own viewer draws it.
-    tip = place + force * (sim.mj_model.vis.map.force / sim.mj_model.stat.meanmass)
+    # What is read acts on the secondary. It is as long as MuJoCo's own viewer draws it.
+    tip = place - force * (sim.mj_model.vis.map.force / sim.mj_model.stat.meanmass)
     draw.arrows(place[touches], tip[touches], (0.9, 0.6, 0.1, 1.0), 0.2 * self._draw_size)
 
   def compute_first_contact(self, dt: float, tol: float = 1e-6) -> torch.Tensor:

@@ -23,6 +23,8 @@ class SensorCfg(ABC):
 
   name: str = ""
   """Name of the sensor in its scene. May be left to the scene, which passes its own key to `build`."""
+  debug_vis: bool = False
+  """Whether viewers draw the sensor at first."""
 
   def __post_init__(self) -> None:
     self.validate()
@@ -117,7 +119,7 @@ class Sensor(Stateful, ABC, Generic[T]):
   @property
   def _draw_size(self) -> float:
     """Size of a small thing in this model's picture [m]."""
-    return 0.2 * float(self.sim.mj_model.stat.meansize)
+    return 0.5 * float(self.sim.mj_model.stat.meansize)
 
   @property
   def data(self) -> T:
