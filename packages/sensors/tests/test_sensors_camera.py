@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -643,33 +642,6 @@ def test_a_new_camera_is_added_where_it_is_wanted() -> None:
   assert carried.data.pos_w[1].tolist() == pytest.approx([0, 0, 0.8])
   with pytest.raises(ValueError, match="CameraSensorCfg 'flat': camera 'flat' is orthographic"):
     _ = flat.intrinsic_matrix
-
-
-@pytest.mark.parametrize("camera", ["eye", "lens", "flat"])
-def test_what_a_camera_sees_is_drawn_without_drawing_it(monkeypatch: pytest.MonkeyPatch, camera: str) -> None:
-  monkeypatch.setattr(mujoco_warp, "render", lambda *_: pytest.fail("an image is drawn"))
-  sim, (sensor,) = build(CameraSensorCfg(camera=f"robot/{camera}", update_period=3))
-  scatter(sim)
-  lines: list[tuple[torch.Tensor, torch.Tensor]] = []
-  draw = SimpleNamespace(worlds=[2, 0], lines=lambda start, end, color, radius: lines.append((start, end)))
-  before = sensor.state_dict()["_shutter"]
-  sensor.debug_draw(draw)
-  after_it = sensor.state_dict()["_shutter"]
-  assert all(torch.equal(value, after_it[name]) for name, value in before.items())
-  (start, end), (rim, after) = [tuple(points.unflatten(0, (2, 4)) for points in pair) for pair in lines]
-  assert torch.equal(rim, end)
-  assert torch.equal(after, end.roll(-1, 1))
-  for row, world in enumerate(draw.worlds):
-    data = mujoco.MjData(sim.mj_model)
-    data.qpos[:] = sim.data.qpos[world].numpy()
-    mujoco.mj_forward(sim.mj_model, data)
-    # Of an image of many pixels, those at its corners.
-    size = (100 * sensor.width, 100 * sensor.height)
-    origins, rays, _ = pixel_rays(sim.mj_model, data, sim.mj_model.camera(f"robot/{camera}").id, *size)
-    for corner, at in enumerate(((0, 0), (0, -1), (-1, -1), (-1, 0))):
-      np.testing.assert_allclose(start[row, corner], origins[at], atol=2e-3)
-      ray = end[row, corner] - start[row, corner]
-      np.testing.assert_allclose(ray / ray.norm(), rays[at], atol=2e-3)
 
 
 def test_options_that_only_physics_needs_do_not_keep_a_model_from_being_drawn() -> None:

@@ -229,29 +229,6 @@ class CameraSensor(Sensor[CameraData]):
       # What is held may have to be drawn anew though the state is the same.
       self._read_at = None
 
-  def debug_draw(self, draw: DebugDraw) -> None:
-    """Show the edges of what the camera sees now, a short way in front of it."""
-    _ = self.sim.epoch
-    worlds, model = list(draw.worlds), self.sim.mj_model
-    pos, mat = (values[worlds] for values in self._pose())
-    reach = 20.0 * self._draw_size
-    # Corners of the image, clockwise from its first pixel; then right, down, forward to right, up, backward.
-    width, height = self.width, self.height
-    corners = pos.new_tensor(((0, 0, 1), (width, 0, 1), (width, height, 1), (0, height, 1)))
-    if model.cam_projection[self._camera] == _ORTHOGRAPHIC:
-      pixel = (self.sim.model.cam_fovy[:, self._camera].expand(self.num_envs)[worlds] / height)[:, None, None]
-      sides = (corners[:, :2] - corners[2, :2] / 2.0) * pixel
-      far = torch.cat((sides, sides.new_full((*sides.shape[:2], 1), reach)), dim=-1)
-      near = far * far.new_tensor((1.0, 1.0, 0.0))
-    else:
-      far = torch.linalg.solve(self.intrinsic_matrix[worlds], corners.mT).mT * reach
-      near = torch.zeros_like(far)
-    flip = far.new_tensor((1.0, -1.0, -1.0))
-    near, far = (pos[:, None] + (points * flip) @ mat.mT for points in (near, far))
-    color, radius = (0.2, 0.5, 0.9, 1.0), 0.1 * self._draw_size
-    draw.lines(near.flatten(0, 1), far.flatten(0, 1), color, radius)
-    draw.lines(far.flatten(0, 1), far.roll(-1, 1).flatten(0, 1), color, radius)
-
   @property
   def intrinsic_matrix(self) -> torch.Tensor:
     """K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] of each world, (num_envs, 3, 3) [pixel].
