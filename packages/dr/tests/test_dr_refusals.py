@@ -153,9 +153,32 @@ def test_bounds_moved_by_one_draw_keep_their_order(model: mujoco.MjModel) -> Non
   np.testing.assert_allclose(upper - lower, 2.2)
 
 
-def test_a_part_of_the_pseudo_inertia_and_the_centre_of_mass_cannot_be_written_twice(model: mujoco.MjModel) -> None:
-  both = [pseudo_inertia("thigh", scale=0.1), randomize_field("body_ipos", "thigh|shin", (0.0, 0.01))]
-  with pytest.raises(
-    ValueError, match=r"body 'thigh' is written by two randomizers, pseudo_inertia 'thigh' and body_i"
-  ):
-    randomize(model, both, seed=0)
+def test_what_would_undo_another_randomizer_is_refused(model: mujoco.MjModel) -> None:
+  first = pseudo_inertia("thigh", scale=0.1)
+  for second in (body_mass("thigh", (1.0, 2.0)), FIELD("body_inertia", "thigh", (0.9, 1.1), operation="scale")):
+    with pytest.raises(
+      ValueError, match=r"body 'thigh' is written by two randomizers, pseudo_inertia 'thigh' and body"
+    ):
+      randomize(model, [first, second], seed=0)
+
+
+def test_randomizers_of_one_number_compose_and_do_not_drift(model: mujoco.MjModel) -> None:
+  default = {name: getattr(model, name).copy() for name in ("body_mass", "body_ipos", "body_inertia")}
+  twofold = [
+    pseudo_inertia("thigh", alpha=(0.1, 0.1)),
+    body_mass(".*", (2.0, 2.0), operation="scale"),
+    FIELD("body_ipos", "thigh|shin", {"x": (0.01, 0.01)}),
+  ]
+  once = randomize(model, twofold, seed=0)
+  thigh, shin = model.body("thigh").id, model.body("shin").id
+  for _ in range(3):
+    once.resample()
+    np.testing.assert_allclose(model.body_mass[thigh], 2.0 * np.exp(0.2) * default["body_mass"][thigh])
+    np.testing.assert_allclose(model.body_mass[shin], 2.0 * default["body_mass"][shin])
+    np.testing.assert_allclose(model.body_inertia[thigh], np.exp(0.2) * default["body_inertia"][thigh])
+    np.testing.assert_allclose(model.body_ipos[[thigh, shin]], default["body_ipos"][[thigh, shin]] + [0.01, 0.0, 0.0])
+  rows = [(change.field, change.element, change.axis) for change in once.changes()]
+  assert len(rows) == len(set(rows))
+  changed = {(change.field, change.element): change for change in once.changes()}
+  assert changed["body_mass", "thigh"].before == pytest.approx(default["body_mass"][thigh])
+  assert changed["body_mass", "thigh"].after == pytest.approx(model.body_mass[thigh])

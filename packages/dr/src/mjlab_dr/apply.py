@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from typing import Any, Protocol
 
 import mujoco
@@ -68,6 +68,8 @@ class RandomizeField:
     ids: the element of the model, or the column of `target`, behind each of `names`; None counts from 0.
     target: for fields that MjModel does not have, the tensor (num_envs, ...) to be written, in fixed memory.
     prefix: what names of materials and textures may lack.
+    upon: fields and columns that another one has written whenever this one is applied: of those it starts from what
+      that one made, instead of from the default.
     owner: whose randomiser it is, as error messages should say it.
 
   Raises:
@@ -84,6 +86,7 @@ class RandomizeField:
     ids: Sequence[int] | None = None,
     target: Tensor | None = None,
     prefix: str = "",
+    upon: Container[tuple[str, int]] = (),
     owner: str = "",
   ) -> None:
     self.cfg, self.needs_constants = cfg, cfg.needs_constants
@@ -109,6 +112,7 @@ class RandomizeField:
         write.default = _flat_default(sim, name).index_select(1, write.all)
       else:
         write.default = target.new_zeros(1, len(write.all))
+      write.start_from(upon)
       defaults.append(write.default[:, write.first].double().cpu().numpy())
       self._writes.append(write)
     worlds = max(len(default) for default in defaults)
@@ -194,8 +198,9 @@ class RandomizeField:
 
   def _results(self, draw: Tensor) -> list[Tensor]:
     """What to write to each field, in the order of its columns."""
+    starts = [write.start(self._flat(write.field)) for write in self._writes]
     if self._form == "plain":
-      default = self._writes[0].default
+      default = starts[0]
       draw = draw.reshape(draw.shape[0], -1)
       draw = draw if self._sources is None else draw.index_select(1, self._sources)
       if self.cfg.operation == "add":
@@ -204,18 +209,18 @@ class RandomizeField:
         draw = default * draw
       return [draw if self._strength is None else torch.lerp(default.expand_as(draw), draw, self._strength)]
     if self._form in ("direction", "intrinsics"):
-      default = self._writes[0].default.unflatten(1, (len(self.element_names), -1))
+      default = starts[0].unflatten(1, (len(self.element_names), -1))
       vector = self._combined(draw, default)
       if self._form == "direction":
         return [normalize(vector).flatten(1)]
       return [vector.flatten(1), torch.rad2deg(2.0 * torch.atan(self._half_heights / vector[..., 1]))]
     draw = draw if self._strength is None else draw * self._strength
     if self._form == "rotation":
-      default = self._writes[0].default.unflatten(1, (-1, 4))
+      default = starts[0].unflatten(1, (-1, 4))
       angles = self._on_all_axes(draw, torch.zeros_like(default[..., :3]))
       turn = quat_from_euler_xyz(*angles.unbind(-1))
       return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
-    mass, com, inertia, quat = (write.default.unflatten(1, (len(self.element_names), -1)) for write in self._writes)
+    mass, com, inertia, quat = (start.unflatten(1, (len(self.element_names), -1)) for start in starts)
     parameters = self._on_all_axes(draw, draw.new_zeros(1, len(self.element_names), 10))
     results = perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)
     mass, com, inertia, quat = results
@@ -252,6 +257,19 @@ class _Columns:
     self.default = torch.empty(0)
     """Values of `all` to start from, (1 or num_envs, number of columns)."""
     self._slice = _as_slice(flat)
+    self._is_written: Tensor | None = None
+
+  def start_from(self, upon: Container[tuple[str, int]]) -> None:
+    """Notes which columns another randomiser has written before."""
+    written = [(self.field, column) in upon for column in self.all.tolist()]
+    if any(written):
+      self._is_written = torch.tensor(written, device=self.all.device)
+
+  def start(self, flat: Tensor) -> Tensor:
+    """What to start from, (1 or num_envs, number of columns), of the field's rows `flat`."""
+    if self._is_written is None:
+      return self.default
+    return torch.where(self._is_written, flat.index_select(1, self.all), self.default)
 
   def store(self, flat: Tensor, mask: Tensor, value: Tensor) -> None:
     """Writes (num_envs, number of columns) into the masked rows."""

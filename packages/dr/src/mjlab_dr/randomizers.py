@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -97,6 +98,19 @@ class FieldRandomizer:
   def label(self) -> str:
     """How messages call it."""
     return f"{self.field} {self.pattern!r}"
+
+  @property
+  def composes(self) -> bool:
+    """Whether it may start from what another one made, physical whatever that was."""
+    field = FIELDS[self.field]
+    if field.form != "plain":
+      return field.form == "pseudo_inertia"
+    if field.ordered or field.integer or self.field == "body_inertia" or "timeconst" in field.axes:
+      return False
+    bounds = {bound for axis in self.values for bound in field.bounds(axis)}
+    return bounds <= {-math.inf, math.inf, *((0.0,) if self.operation == "scale" else ())} and (
+      self.operation != "absolute"
+    )
 
   @property
   def needs_constants(self) -> bool:

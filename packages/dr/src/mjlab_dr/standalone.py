@@ -71,11 +71,15 @@ class Randomization:
     return {key: element for term in self._terms for key, element in term.written().items()}
 
   def changes(self) -> list[Change]:
-    """All numbers that were written, in the order of the randomisers."""
+    """All numbers that were written, each once, in the order of the randomisers."""
     out: list[Change] = []
+    seen: set[tuple[str, tuple[int, ...]]] = set()
     for term in self._terms:
       after, before = term.values()[0].tolist(), term.default[0].tolist()
       for component, old, new in zip(term.components, before, after, strict=True):
+        if (component.field, component.columns) in seen:
+          continue
+        seen.add((component.field, component.columns))
         where = {"field": component.field, "element": component.element, "axis": component.axis}
         out.append(Change(**where, before=float(old), after=float(new)))
     return out
@@ -129,7 +133,8 @@ def randomize(
 
   Args:
     model: any compiled model.
-    randomizers: what to randomise.
+    randomizers: what to randomise, one after the other: where two write the same number, the second one starts from
+      what the first one made, or is refused if that might become unphysical.
     num_worlds: None writes `model`; a number returns tensors for so many worlds.
     device: where the tensors live.
     dtype: their type.
@@ -164,12 +169,15 @@ def _bind(
     if not FIELDS[cfg.field].in_model:
       fields.expand_model_fields((cfg.field,))
       target = getattr(fields.model, cfg.field)
-    term = RandomizeField(cfg, fields, generator=generator, target=target)
+    term = RandomizeField(cfg, fields, generator=generator, target=target, upon=writer)
     for key, element in term.written().items():
-      if key in writer:
+      if key in writer and not cfg.composes:
         kind = FIELDS[cfg.field].kind
-        raise ValueError(f"{kind} {element!r} is written by two randomizers, {writer[key].label} and {cfg.label}.")
-      writer[key] = cfg
+        raise ValueError(
+          f"{kind} {element!r} is written by two randomizers, {writer[key].label} and {cfg.label}, and the second one "
+          "does not compose: only what scales, shifts what has no bounds, or is a pseudo-inertia does."
+        )
+      writer.setdefault(key, cfg)
     terms.append(term)
   return terms
 
