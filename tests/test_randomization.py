@@ -126,13 +126,26 @@ def test_a_field_first_randomised_after_steps_counts_from_the_next_step(engine: 
   sim.close()
 
 
+# Each number once: the pseudo-inertia writes all four fields, and a joint's zero moves its spring.
+TOGETHER = [name for name in IN_MODEL if name not in {*FIELDS["pseudo_inertia"].fields, "qpos_spring"}]
+
+
+def check_recompiled(sim: Simulation) -> None:
+  """Every world of a simulation in which all of `TOGETHER` is randomised is the model recompiled with its values."""
+  values = {part: sim.model[part].cpu().numpy() for name in TOGETHER for part in written_by(name)}
+  for world in range(NUM_WORLDS):
+    expected = numbers(recompiled({part: value[world] for part, value in values.items()}))
+    for field in sorted(PER_WORLD & set(expected)):
+      actual = sim.model[field][world if sim.is_expanded(field) else 0].cpu().numpy()
+      value = expected[field].reshape(actual.shape)
+      scale = 1e-5 * np.abs(value).max(initial=1.0)
+      np.testing.assert_allclose(actual, value, rtol=2e-4, atol=scale, err_msg=field)
+
+
 @pytest.mark.warp
 def test_on_mujoco_warp_worlds_with_everything_randomised_are_recompiled_models() -> None:
   sim = make_sim("warp")
-  # Each number once: the pseudo-inertia writes all four fields, and a joint's zero moves its spring.
-  left_out = {*FIELDS["pseudo_inertia"].fields, "qpos_spring"}
-  names = [name for name in IN_MODEL if name not in left_out]
-  terms = [bound(name, sim, seed) for seed, name in enumerate(names)]
+  terms = [bound(name, sim, seed) for seed, name in enumerate(TOGETHER)]
   for _ in range(3):
     # The first is recorded as a graph of the engine, the others replay it.
     apply_all(terms, sim, torch.ones(NUM_WORLDS, dtype=torch.bool))
@@ -141,13 +154,32 @@ def test_on_mujoco_warp_worlds_with_everything_randomised_are_recompiled_models(
   for field, value in before.items():
     rows = ~MASK if sim.is_expanded(field) else slice(None)
     assert torch.equal(sim.model[field][rows], value[rows]), field
-  values = {part: sim.model[part].numpy() for name in names for part in written_by(name)}
-  for world in range(NUM_WORLDS):
-    oracle = recompiled({part: value[world] for part, value in values.items()})
-    expected = numbers(oracle)
-    for field in sorted(PER_WORLD & set(expected)):
-      actual = sim.model[field][world if sim.is_expanded(field) else 0].numpy()
-      value = expected[field].reshape(actual.shape)
-      scale = 1e-5 * np.abs(value).max(initial=1.0)
-      np.testing.assert_allclose(actual, value, rtol=2e-4, atol=scale, err_msg=field)
+  check_recompiled(sim)
+  sim.close()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_on_a_gpu_everything_is_randomised_inside_a_recorded_step_without_a_wait() -> None:
+  cfg = SimulationCfg(nconmax=16, njmax=64)
+  sim = Simulation(NUM_WORLDS, mujoco.MjSpec.from_string(EVERYTHING), cfg, "cuda")
+  rng = torch.Generator("cuda").manual_seed(0)
+  terms = [RandomizeField(trial(name), sim, generator=rng) for name in TOGETHER]
+  mask = MASK.cuda()
+  graph = sim.capture(lambda: apply_all(terms, sim, mask), generators=(rng,))
+  for _ in range(6):
+    graph()
+  assert graph.num_graphs == 1
+  drawn = [term.values() for term in terms]
+  before = {field: sim.model[field].clone() for field in sorted(PER_WORLD)}
+  torch.cuda.set_sync_debug_mode("error")
+  try:
+    graph()
+  finally:
+    torch.cuda.set_sync_debug_mode("default")
+  # A replay draws anew, in the masked worlds alone.
+  assert all((term.values()[mask] != old[mask]).any() for term, old in zip(terms, drawn, strict=True))
+  for field, value in before.items():
+    rows = ~mask if sim.is_expanded(field) else slice(None)
+    assert torch.equal(sim.model[field][rows], value[rows]), field
+  check_recompiled(sim)
   sim.close()

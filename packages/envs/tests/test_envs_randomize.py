@@ -3,12 +3,21 @@
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
-from mjlab_dr import Categorical, geom_friction, pseudo_inertia, randomize_field
+from mjlab_dr import Categorical, body_mass, geom_friction, pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_managers import ConfigError, CurriculumTermCfg, EventTermCfg, ObservationGroupCfg, ObservationTermCfg
+from mjlab_managers import (
+  ConfigError,
+  CurriculumTermCfg,
+  EventTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  SceneEntityCfg,
+)
+from mjlab_scene import InitialStateCfg, VariantEntityCfg
 
 Make = Callable[..., ManagerBasedRlEnv]
 
@@ -117,6 +126,41 @@ def test_a_critic_may_see_what_was_drawn(make: Make) -> None:
   critic = obs["critic"]
   assert isinstance(critic, torch.Tensor)
   torch.testing.assert_close(critic[:, 0], (friction(env) - default).float())
+
+
+def test_objects_that_differ_between_worlds_are_stepped_reset_and_randomised_from_their_own_masses(make: Make) -> None:
+  def cube() -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(THING.format('type="box" size=".05 .05 .05" mass="2"'))
+
+  def ball() -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(THING.format('size=".05" mass="1"'))
+
+  cfg = quiet()
+  variants = {"cube": cube, "ball": ball, "none": None}
+  start = InitialStateCfg(pos=(1.0, 0.0, 0.2))
+  chosen = ("cube", "ball", "none", "ball")
+  cfg.scene.entities["thing"] = VariantEntityCfg(variants=variants, assignment=chosen, init_state=start)
+  heavier = body_mass("object", (1.0, 1.5), operation="scale")
+  params = {"randomizer": heavier, "asset": SceneEntityCfg("thing")}
+  cfg.events = {
+    "default": EventTermCfg(mdp.reset_scene_to_default, mode="reset"),
+    "mass": EventTermCfg(mdp.randomize, mode="reset", params=params),
+  }
+  env = make(cfg)
+  body = env.sim.mj_model.body("thing/object").id
+  for _ in range(3):
+    env.reset()
+    ratio = env.sim.model.body_mass[:, body] / torch.tensor([2.0, 1.0, 2.0, 1.0])
+    assert ((ratio >= 1.0) & (ratio <= 1.5)).all()
+    assert ratio.unique().numel() == 4
+  for step in range(60):
+    env.step(actions(env, step))
+  height = env.scene["thing"].data.root_link_pos_w[:, 2]
+  torch.testing.assert_close(height[[0, 1, 3]], torch.full((3,), 0.05, dtype=height.dtype), rtol=0.0, atol=5e-3)
+  torch.testing.assert_close(height[2], torch.tensor(0.2, dtype=height.dtype))
+
+
+THING = '<mujoco><worldbody><body name="thing"><freejoint/><geom name="hull" {}/></body></worldbody></mujoco>'
 
 
 @pytest.mark.parametrize(
