@@ -70,9 +70,10 @@ def squat_and_wave() -> Score:
     down = {"shoulder_pitch": 0.2, "shoulder_roll": -0.2, "elbow": 0.6}[joint]
     for time, value in ((3.5, down), (4.6, up), (6.3, up), (7.3, down)):
       score.at(f"right_{joint}_joint", time, value)
-  score.at("right_shoulder_yaw_joint", 4.4, 0.0)
+  score.at("right_shoulder_yaw_joint", 3.8, 0.0)
   for beat in range(5):
-    score.at("right_shoulder_yaw_joint", 4.6 + 0.4 * beat, (-0.45, 0.45)[beat % 2] if beat < 4 else 0.0)
+    score.at("right_shoulder_yaw_joint", 4.6 + 0.4 * beat, (-0.75, -0.05)[beat % 2])
+  score.at("right_shoulder_yaw_joint", 7.2, 0.0)
   return score
 
 
