@@ -31,4 +31,4 @@ def plot_quality(report: QualityReport, path: str | os.PathLike[str]) -> None:
     axis.set_title(text, fontsize=8, loc="left", pad=2)
   axes[-1].set_xlabel("time [s]", fontsize=8)
   figure.suptitle(f"{motion.name} ({motion.rate:g} Hz, {motion.duration:.1f} s)", fontsize=10)
-  figure.savefig(path, dpi=110)
+  figure.savefig(path, dpi=80)
