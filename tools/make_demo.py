@@ -1,9 +1,9 @@
 """Makes the policy that `demo` shows: `uv run python tools/make_demo.py CHECKPOINT`.
 
-Takes the actor out of a checkpoint of Mjlab-Velocity-Flat-Unitree-Go1, made on a GPU with `uv run train Mjlab-
-Velocity-Flat-Unitree-Go1 --agent.max-iterations 460`. Measures it in 64 worlds for 20 s, without noise and pushes,
-and keeps it only if it walks, with a manifest of the environment it was measured in. To be run again whenever the
-task's observations, actions or configuration classes change; `demo_policy/model_460.pt` itself may be given.
+Takes the actor out of a checkpoint of Mjlab-Velocity-Flat-Unitree-Go1, made on a GPU with `uv run train
+Mjlab-Velocity-Flat-Unitree-Go1 --agent.max-iterations 460`. Measures it in 64 worlds for 20 s, without noise and
+pushes, and keeps it only if it walks, with a manifest of the environment it was measured in. To be run again whenever
+the task's observations, actions or configuration classes change; `demo_policy/model_460.pt` itself may be given.
 """
 
 import argparse

@@ -224,3 +224,40 @@ def test_a_scene_is_exported_whole_and_replaced_only_by_force(
   assert cli.main(["export-scene", TASK, "--output", str(folder), "--force"]) == 2
   assert (folder / "mine.txt").exists()
   assert "is no exported scene" in capsys.readouterr().err
+
+
+def train(root: Path, *flags: str) -> int:
+  quick = ["--agent.max-iterations", "2", "--agent.num-steps-per-env", "8", "--env.scene.num-envs", "6", "--seed", "3"]
+  return cli.main(["train", TASK, "--log-root", str(root), "--device", "cpu", *quick, *flags])
+
+
+def test_training_films_itself_and_learns_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  flags = ["--video", "--video-interval", "10", "--video-length", "4", "--viewer", "--viewer-port", "8310"]
+  assert train(tmp_path / "watched", *flags) == 0
+  assert "watch at http://localhost:83" in capsys.readouterr().out
+  films = sorted((tmp_path / "watched").rglob("*.mp4"))
+  assert [film.name for film in films] == ["step_0.mp4", "step_10.mp4"]
+  for film in films:
+    with av.open(str(film)) as container:
+      assert 1 <= sum(1 for _ in container.decode(video=0)) <= 4
+  assert train(tmp_path / "alone") == 0
+  watched, alone = (
+    torch.load(next((tmp_path / name).rglob("model_2.pt")), weights_only=True) for name in ("watched", "alone")
+  )
+  for part in ("actor_state_dict", "critic_state_dict"):
+    assert all(torch.equal(value, alone[part][key]) for key, value in watched[part].items())
+
+
+def test_training_goes_on_without_films_where_opengl_is_missing(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+  monkeypatch.setenv("MUJOCO_GL", "off")
+  assert train(tmp_path, "--video", "--video-interval", "4", "--video-length", "2") == 0
+  assert list(tmp_path.rglob("model_2.pt"))
+  assert [record.getMessage() for record in caplog.records if "films" in record.getMessage()] == [
+    "training goes on without films: no pictures: MUJOCO_GL=off switches OpenGL off"
+  ]

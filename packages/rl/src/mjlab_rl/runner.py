@@ -4,7 +4,7 @@ import contextlib
 import io
 import os
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     """Name of the signal that ended the last `learn` early; None where it ran to its end."""
     self.is_world_state_restored = False
     """Whether `load` put every world back where it was."""
+    self.after_step: Callable[[], None] | None = None
+    """Called after every step of a rollout, by those who watch."""
     self._torch_device = torch.device(device)
     self._elapsed = 0.0
     self._total_steps = 0
@@ -225,6 +227,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         obs, rewards, dones, extras = self.env.step(actions)
         self.alg.process_env_step(obs, rewards, dones, extras)
         self.statistics.add(rewards, dones)
+        if self.after_step is not None:
+          self.after_step()
     return obs
 
   @contextlib.contextmanager

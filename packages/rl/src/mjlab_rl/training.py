@@ -45,6 +45,7 @@ def train(
   console: Console | None = None,
   command: list[str] | None = None,
   on_ready: Callable[[RlEnv, Path | None], None] | None = None,
+  watch: Callable[[RlEnv, Path | None], Callable[[], None]] | None = None,
 ) -> TrainingResult:
   """Train a task.
 
@@ -60,6 +61,7 @@ def train(
     console: Where progress is shown; None: standard output.
     command: Command line, for the manifest.
     on_ready: Called with the environment and the run directory before the first iteration.
+    watch: Called with them then, too; what it returns is called after every step.
 
   Raises:
     ManifestError: The configuration cannot be written down.
@@ -110,6 +112,8 @@ def train(
       runner.log_dir = env.output_dir = directory
     if on_ready is not None:
       on_ready(env, directory)
+    if watch is not None:
+      runner.after_step = watch(env, directory)
     runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)
     return TrainingResult(
       directory=directory,

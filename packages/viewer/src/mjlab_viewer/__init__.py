@@ -19,6 +19,7 @@ if TYPE_CHECKING:
   from mjlab_viewer.offscreen import OffscreenRenderer, PictureCfg
   from mjlab_viewer.playback import SPEEDS, Playback, RandomPolicy, ZeroPolicy
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
+  from mjlab_viewer.training_video import TrainingVideo
   from mjlab_viewer.video import BackgroundVideo, VideoFile
   from mjlab_viewer.worlds import PlayedEnv, Policy, Steering, ViewedEnv, ViewedSim
 
@@ -41,6 +42,7 @@ __all__ = [
   "Snapshot",
   "SnapshotTaker",
   "Steering",
+  "TrainingVideo",
   "VideoFile",
   "ViewedEnv",
   "ViewedSim",
@@ -58,6 +60,7 @@ _MODULES = {
   "offscreen": "OffscreenRenderer PictureCfg",
   "playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
   "snapshot": "Snapshot SnapshotTaker",
+  "training_video": "TrainingVideo",
   "video": "BackgroundVideo VideoFile",
   "worlds": "PlayedEnv Policy Steering ViewedEnv ViewedSim",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import socket
 import time
 from collections import deque
@@ -24,6 +25,8 @@ from mjlab_viewer.signal_plot import SignalPlot
 from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 from mjlab_viewer.video import BackgroundVideo
 from mjlab_viewer.worlds import ViewedEnv
+
+_log = logging.getLogger("mjlab")
 
 FRAME = 1 / 30
 """Time between pictures [s]."""
@@ -87,6 +90,7 @@ class BrowserViewer:
     self._video_folder = video_folder
     self._video: BackgroundVideo | None = None
     self._recorded_step = -1
+    self._is_off = False
     self._due = {"frame": 0.0, "plot": 0.0, "status": 0.0}
     check_address(host, port)
     # It greets on standard output, which belongs to whoever opens the viewer.
@@ -110,7 +114,7 @@ class BrowserViewer:
     if self._video is not None:
       self._record()
     now = time.perf_counter()
-    if now < self._due["frame"] or not self.server.get_clients():
+    if now < self._due["frame"] or self._is_off or not self.server.get_clients():
       return
     # A picture that took longer than it should have is followed by a pause, not by a backlog.
     try:
@@ -119,7 +123,10 @@ class BrowserViewer:
     except Exception as error:
       self.error = f"viewer: {type(error).__name__}: {' '.join(str(error).split())}"
       if self.playback is None:
-        raise
+        # Whoever steps must not be stopped by who looks.
+        _log.warning("the viewer is switched off: %s", self.error)
+        self._is_off = True
+        return
       self.playback.pause()
       self.playback.error = self.error
     self._due["frame"] = max(now + FRAME, time.perf_counter() + FRAME / 4)

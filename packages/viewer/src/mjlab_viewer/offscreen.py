@@ -55,6 +55,10 @@ class OffscreenRenderer:
     model.vis.global_.offwidth, model.vis.global_.offheight = self.cfg.width, self.cfg.height
     # Sharper shadows than these cannot be seen in a film, and without a GPU they take most of the time.
     model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
+    if self.cfg.contacts:
+      # MuJoCo's own arrows are as thin as a needle, and as pale as the floor.
+      model.vis.scale.forcewidth *= 3.0
+      model.vis.rgba.contactforce[:] = (0.9, 0.15, 0.1, 1.0)
     self._view = self.cfg.camera.resolve(model)
     self._camera = mujoco.MjvCamera()
     self._options = mujoco.MjvOption()

@@ -95,6 +95,7 @@ class BackgroundVideo:
     self.file = VideoFile(path, fps)
     self.error: Exception | None = None
     self.num_dropped = 0
+    self._is_finished = False
     self._wait = wait
     self._on_error = on_error
     self._queue: queue.Queue[Snapshot | None] = queue.Queue(maxsize=32)
@@ -113,9 +114,15 @@ class BackgroundVideo:
     except queue.Full:
       self.num_dropped += 1
 
+  def finish(self) -> None:
+    """No frame comes any more; the file is finished in the background."""
+    if not self._is_finished:
+      self._is_finished = True
+      self._queue.put(None)
+
   def close(self) -> Path | None:
     """Wait for the frames handed over and finish the file; returns its path, None where there is none."""
-    self._queue.put(None)
+    self.finish()
     self._thread.join()
     return self.file.path if self.error is None and self.file.num_frames else None
 

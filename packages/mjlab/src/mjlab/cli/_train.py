@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,18 @@ class Arguments:
   the name or directory of a run, or a checkpoint file."""
   log_root: str = "logs"
   """Folder of all runs."""
+  viewer: bool = False
+  """Show the worlds in a browser while training."""
+  viewer_host: str = "127.0.0.1"
+  """Address that the viewer listens on; 0.0.0.0 lets other machines in."""
+  viewer_port: int = 8080
+  """Port of the viewer, the next free one if it is taken."""
+  video: bool = False
+  """Film four worlds now and then, into the run directory."""
+  video_interval: int = 2000
+  """Steps from the beginning of one film to that of the next."""
+  video_length: int = 200
+  """Steps of a film."""
   verbose: bool = False
   """Show all values of every iteration."""
   quiet: bool = False
@@ -117,6 +130,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
 
+  watchers = Watchers(wanted)
   is_built = False
 
   def on_ready(env: "RlEnv", directory: Path | None) -> None:
@@ -139,17 +153,56 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       console=console,
       command=["train", name, *given],
       on_ready=on_ready,
+      watch=watchers.open if wanted.viewer or wanted.video else None,
     )
   except (ValueError, OSError) as error:
     if is_built:
       raise
     raise BuildError(str(error)) from error
+  finally:
+    watchers.close()
   if result.stopped_by is not None:
     console.say(f"stopped ({result.stopped_by}) after {result.iterations} iterations; saved {result.checkpoint}")
     console.say(f"continue with: train {name} --resume {result.directory}")
   else:
     console.say(f"done: {result.iterations} iterations, {result.checkpoint}")
   return 0
+
+
+class Watchers:
+  """Those who look on while a policy is trained."""
+
+  def __init__(self, wanted: Arguments) -> None:
+    self._wanted = wanted
+    self._open: list[Any] = []
+
+  def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
+    """Open what is wanted; returns what is to be called after every step."""
+    from mjlab_viewer import BrowserViewer, TrainingVideo
+
+    wanted = self._wanted
+    calls: list[Callable[[], None]] = []
+    if wanted.viewer:
+      viewer = BrowserViewer(env, host=wanted.viewer_host, port=wanted.viewer_port)
+      print(f"watch at {viewer.url}", flush=True)
+      self._open.append(viewer)
+      calls.append(viewer.update)
+    if wanted.video and directory is not None:
+      interval, length = wanted.video_interval, wanted.video_length
+      video = TrainingVideo(env, directory / "videos", interval=interval, length=length)
+      self._open.append(video)
+      calls.append(video.after_step)
+
+    def after_step() -> None:
+      for call in calls:
+        call()
+
+    return after_step
+
+  def close(self) -> None:
+    """Close what was opened."""
+    while self._open:
+      self._open.pop().close()
 
 
 def _checkpoint(wanted: Arguments, task: str) -> Path | None:

@@ -1,0 +1,144 @@
+"""What watching costs: `uv run python tools/benchmark_viewer.py [--device cpu] [--worlds 4096] [--markdown FILE]`.
+
+Times a picture for the browser by worlds shown and worlds there are, and what a step costs while nobody looks, while
+somebody does, and while a film is made. A client is a headless Chromium on the same machine, where there is one: on a
+CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere.
+"""
+
+import argparse
+import platform
+import shutil
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from datetime import date
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+from mjlab.making import cpu_cores, make, resolve_device
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_viewer import BrowserViewer, CameraCfg, PictureCfg, SnapshotTaker, TrainingVideo
+
+TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
+DRAWN = (1, 16, 256)
+FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
+--disable-background-networking --disable-component-update --disable-sync""".split()
+
+
+def timed(action: Callable[[], object], repeats: int) -> list[float]:
+  """Times of an action [ms]; its first three are not counted."""
+  times = []
+  for _ in range(repeats + 3):
+    begun = time.perf_counter()
+    action()
+    times.append(1e3 * (time.perf_counter() - begun))
+  return times[3:]
+
+
+def median_ms(action: Callable[[], object], repeats: int) -> float:
+  return statistics.median(timed(action, repeats))
+
+
+def mean_ms(action: Callable[[], object], repeats: int) -> float:
+  """A picture is taken in some steps only, so their mean counts."""
+  return statistics.fmean(timed(action, repeats))
+
+
+def stepper(env: ManagerBasedRlEnv, after_step: Callable[[], None] | None = None) -> Callable[[], None]:
+  action = torch.zeros(env.num_envs, env.action_manager.total_action_dim, device=env.device)
+
+  def step() -> None:
+    env.step(action)
+    if after_step is not None:
+      after_step()
+    if env.device.type == "cuda":
+      torch.cuda.synchronize(env.device)
+
+  return step
+
+
+def picture(viewer: BrowserViewer, taker: SnapshotTaker, worlds: Sequence[int], names: Sequence[str]) -> None:
+  viewer.scene.show(taker.take(worlds, drawers=names))
+
+
+def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
+  """Time of a picture [ms] by worlds shown: the copy, and what the page is told."""
+  found = {}
+  for drawn in DRAWN:
+    if drawn <= env.num_envs:
+      with BrowserViewer(env, max_worlds=drawn, port=8400) as viewer:
+        taker, worlds, names = SnapshotTaker(env), viewer.drawn_worlds(), tuple(env.drawers())
+        show = partial(picture, viewer, taker, worlds, names)
+        found[drawn] = median_ms(show, repeats)
+  return found
+
+
+def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
+  """Time of a step [ms] by who looks."""
+  found = {"nothing": mean_ms(stepper(env), repeats)}
+  with BrowserViewer(env, port=8400) as viewer, ExitStack() as stack:
+    found["a viewer, no client"] = mean_ms(stepper(env, viewer.update), repeats)
+    executable = shutil.which("chromium")
+    if executable is not None:
+      from playwright.sync_api import sync_playwright
+
+      browser = stack.enter_context(sync_playwright()).chromium.launch(executable_path=executable, args=FLAGS)
+      browser.new_page().goto(viewer.url)
+      end = time.monotonic() + 30
+      while not viewer.server.get_clients() and time.monotonic() < end:
+        time.sleep(0.1)
+      found["a viewer, one client"] = mean_ms(stepper(env, viewer.update), repeats)
+      browser.close()
+  with tempfile.TemporaryDirectory() as folder:
+    length = repeats + 3
+    cfg = PictureCfg(camera=CameraCfg())
+    film = TrainingVideo(env, Path(folder), interval=length, length=length, cfg=cfg)
+    found["a film"] = mean_ms(stepper(env, film.after_step), repeats)
+    film.close()
+    if film.is_off:
+      del found["a film"]
+  return found
+
+
+def main() -> None:
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("--device", default="auto")
+  parser.add_argument("--worlds", type=int, nargs="+", help="256 and 1024 on a CPU, else 4096")
+  parser.add_argument("--repeats", type=int, default=60)
+  parser.add_argument("--markdown", type=Path)
+  args = parser.parse_args()
+  device = resolve_device(args.device)
+  where = f"{cpu_cores()} CPU cores" if device == "cpu" else torch.cuda.get_device_name(device)
+  stack = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "viser", "mjviser", "torch"))
+  counts: list[int] = args.worlds or ([256, 1024] if device == "cpu" else [4096])
+  lines = [f"# What watching costs: Go1 on flat ground, {where}", ""]
+  lines += [f"{date.today()}, {stack}, Python {platform.python_version()}; `tools/benchmark_viewer.py`.", ""]
+  lines += [
+    "A picture for the browser, medians [ms]:",
+    "",
+    "| worlds | 1 shown | 16 shown | 256 shown |",
+    "|---|---|---|---|",
+  ]
+  table: dict[int, dict[str, float]] = {}
+  for worlds in counts:
+    with make(TASK, num_envs=worlds, device=device) as env:
+      env.reset(seed=0)
+      found = pictures(env, args.repeats)
+      lines.append(f"| {worlds} | " + " | ".join(f"{found[k]:.1f}" if k in found else "-" for k in DRAWN) + " |")
+      table[worlds] = steps(env, args.repeats)
+  heads = list(table[counts[0]])
+  lines += ["", "An environment step by who looks, means [ms]:", "", "| worlds | " + " | ".join(heads) + " |"]
+  lines.append("|---" * (len(heads) + 1) + "|")
+  lines += [f"| {worlds} | " + " | ".join(f"{row[head]:.1f}" for head in heads) + " |" for worlds, row in table.items()]
+  text = "\n".join(lines) + "\n"
+  print(text)
+  if args.markdown is not None:
+    args.markdown.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+  main()
