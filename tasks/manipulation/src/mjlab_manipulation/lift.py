@@ -1,0 +1,281 @@
+"""The YAM lifts a cube: by its joints, or by moving its hand."""
+
+from dataclasses import replace
+
+from mjlab_dr import FieldRandomizer, geom_friction
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import (
+  CurriculumTermCfg,
+  EventTermCfg,
+  MetricsTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  RewardTermCfg,
+  SceneEntityCfg,
+  TerminationTermCfg,
+  UniformNoiseCfg,
+)
+from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg
+from mjlab_robots import YAM_ACTION_SCALE, yam
+from mjlab_scene import EntityCfg, SceneCfg
+from mjlab_sensors import ContactMatch, ContactSensorCfg, SensorCfg
+from mjlab_sim import SimulationCfg
+from mjlab_terrain import PlaneCfg
+
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
+
+# Timing
+PHYSICS_DT = 0.005  # s
+DECIMATION = 4
+EPISODE_LENGTH = 20.0  # s; goals are over before
+
+# Joints: what each can do [rad, m]
+JOINT_RANGE = {
+  "joint1": (-2.61799, 3.05433),
+  "joint2": (0.0, 3.66519),
+  "joint3": (0.0, 3.66519),
+  "joint4": (-1.5708, 1.5708),
+  "joint5": (-1.5708, 1.5708),
+  "joint6": (-2.0944, 2.0944),
+  "left_finger": (-0.00205, 0.037524),
+}
+ARM = tuple(joint for joint in JOINT_RANGE if joint.startswith("joint"))
+FINGERS = ("link_left_finger", "link_right_finger")
+# One unit of action never asks for more than half the range.
+ACTION_SCALE = {joint: min(YAM_ACTION_SCALE[joint], 0.5 * (hi - lo)) for joint, (lo, hi) in JOINT_RANGE.items()}
+
+# By the hand: change of pose per unit of action and step, and how far the gripper opens
+HAND_STEP = 0.02  # m
+HAND_TURN = 0.1  # rad
+GRIPPER_OPEN, GRIPPER_CLOSED = 0.0375, 0.0  # m
+
+# Rewards
+REACHING_STD, BRINGING_STD, PRECISE_STD = 0.2, 0.3, 0.05  # m
+MAX_JOINT_SPEED = 0.5  # rad/s
+JOINT_SPEED_STAGES = [(0, -0.01), (500 * 24, -0.1), (1000 * 24, -1.0)]  # environment step, weight
+
+# Success and its stages
+TOLERANCE = 0.05  # m
+HOLD = 1.0  # s
+REACHED = 0.05  # m
+LIFTED, FALLEN = 2.0 * CUBE_EDGE, 0.75 * CUBE_EDGE  # m, height of the cube's centre, which rests at half its edge
+
+# Pressing harder on the ground ends the episode
+MAX_GROUND_FORCE = 10.0  # N
+
+# Noise of what the policy sees
+NOISE_JOINT_POS = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
+NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
+NOISE_POSITION = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
+
+COMMAND = "lift_height"
+_TIPS = "[lr]f_down([6-9]|10|11)_collision"
+
+
+def lift_cube() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts a cube to a goal by setting its joints."""
+  return TaskCfg(env=lift_cube_env(), play=play, agent=agent("yam_lift_cube", 5_000))
+
+
+def lift_cube_ik() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts a cube to a goal by moving its hand; inverse kinematics sets the joints."""
+  return TaskCfg(env=lift_cube_ik_env(), play=play, agent=agent("yam_lift_cube_ik", 5_000))
+
+
+def lift_cube_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training by joints. Whoever gets it may change it: it shares no part with another."""
+  return lift_env({"cube": EntityCfg(spec_fn=cube_spec)})
+
+
+def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training by the hand."""
+  cfg = lift_cube_env()
+  cfg.actions = {
+    "hand": mdp.DifferentialIKActionCfg(
+      actuators=ARM,
+      frame_type="site",
+      frame_name="grasp_site",
+      relative_to="goal",
+      delta_pos_scale=HAND_STEP,
+      delta_ori_scale=HAND_TURN,
+      joint_limit_weight=1.0,
+      clip={joint: JOINT_RANGE[joint] for joint in ARM},
+    ),
+    "gripper": mdp.BinaryJointPositionActionCfg(
+      actuators="left_finger", open={"left_finger": GRIPPER_OPEN}, close={"left_finger": GRIPPER_CLOSED}
+    ),
+  }
+  return cfg
+
+
+def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
+  """The YAM on a plane lifts one of `objects`, entities by name whose body is called "cube", by joints."""
+  return ManagerBasedRlEnvCfg(
+    decimation=DECIMATION,
+    episode_length_s=EPISODE_LENGTH,
+    sim=SimulationCfg(
+      timestep=PHYSICS_DT, cone="elliptic", impratio=10.0, iterations=10, ls_iterations=20, nconmax=55, njmax=600
+    ),
+    scene=SceneCfg(
+      env_spacing=1.0,
+      terrain=PlaneCfg(),
+      entities={"robot": yam(collision="gripper_only"), **objects},
+      sensors=_sensors(tuple(objects)),
+      extent=1.0,
+    ),
+    actions={"joint_pos": mdp.JointPositionActionCfg(actuators=".*", scale=dict(ACTION_SCALE), clip=dict(JOINT_RANGE))},
+    commands={COMMAND: lifting.LiftCommandCfg(objects=tuple(objects))},
+    observations={"actor": state_observations(corrupt=True), "critic": state_observations(corrupt=False)},
+    rewards=_rewards(),
+    terminations={
+      "time_out": TerminationTermCfg(mdp.time_out, time_out=True),
+      "goal_over": TerminationTermCfg(lifting.goal_over, time_out=True, params={"command": COMMAND}),
+      "ee_ground_collision": TerminationTermCfg(
+        mdp.illegal_contact, params={"sensor": "ee_ground_collision", "threshold": MAX_GROUND_FORCE}
+      ),
+    },
+    events={
+      "reset_robot_joints": EventTermCfg(
+        mdp.reset_joints_by_offset,
+        mode="reset",
+        params={"position_range": (0.0, 0.0), "velocity_range": (0.0, 0.0)},
+      ),
+      **_tip_friction(),
+    },
+    curriculum={
+      "joint_vel_hinge_weight": CurriculumTermCfg(
+        lifting.reward_weight, params={"reward": "joint_vel_hinge", "stages": list(JOINT_SPEED_STAGES)}
+      )
+    },
+    metrics=_metrics(),
+  )
+
+
+def hand() -> SceneEntityCfg:
+  """The site between the finger tips."""
+  return SceneEntityCfg("robot", site_names="grasp_site")
+
+
+def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
+  return {
+    "ee_ground_collision": ContactSensorCfg(
+      primary=ContactMatch(mode="subtree", pattern="link_6", entity="robot"),
+      secondary=ContactMatch(mode="body", pattern="terrain"),
+      fields=("found", "force"),
+      reduce="maxforce",
+      history_length="decimation",
+    ),
+    "fingers": ContactSensorCfg(
+      primary=ContactMatch(mode="subtree", pattern=FINGERS, entity="robot", preserve_order=True),
+      secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/cube" for name in objects), preserve_order=True),
+      fields=("found",),
+    ),
+  }
+
+
+def proprioception() -> dict[str, ObservationTermCfg | None]:
+  """What the arm knows of itself: both fingers' positions among 8 joints, and its last action."""
+  return {
+    "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=replace(NOISE_JOINT_POS)),
+    "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=replace(NOISE_JOINT_VEL)),
+    "actions": ObservationTermCfg(mdp.last_action),
+  }
+
+
+def state_observations(*, corrupt: bool) -> ObservationGroupCfg:
+  """The arm and where object and goal are."""
+  terms = proprioception()
+  places: dict[str, ObservationTermCfg | None] = {
+    "ee_to_cube": ObservationTermCfg(
+      lifting.hand_to_object, noise=replace(NOISE_POSITION), params={"command": COMMAND, "hand": hand()}
+    ),
+    "cube_to_goal": ObservationTermCfg(
+      lifting.object_to_goal, noise=replace(NOISE_POSITION), params={"command": COMMAND}
+    ),
+  }
+  order = ("joint_pos", "joint_vel", "ee_to_cube", "cube_to_goal", "actions")
+  return ObservationGroupCfg(corrupt=corrupt, terms={name: (terms | places)[name] for name in order})
+
+
+def _rewards() -> dict[str, RewardTermCfg | None]:
+  return {
+    "lift": RewardTermCfg(
+      lifting.lift,
+      weight=1.0,
+      params={"command": COMMAND, "reaching_std": REACHING_STD, "bringing_std": BRINGING_STD, "hand": hand()},
+    ),
+    "lift_precise": RewardTermCfg(lifting.lift_precise, weight=1.0, params={"command": COMMAND, "std": PRECISE_STD}),
+    "action_rate_l2": RewardTermCfg(mdp.action_rate_l2, weight=-0.01),
+    "joint_pos_limits": RewardTermCfg(mdp.joint_pos_limits, weight=-10.0),
+    "joint_vel_hinge": RewardTermCfg(
+      lifting.joint_vel_hinge,
+      weight=JOINT_SPEED_STAGES[0][1],
+      params={"max_vel": MAX_JOINT_SPEED, "asset": SceneEntityCfg("robot", joint_names=ARM)},
+    ),
+  }
+
+
+def _metrics() -> dict[str, MetricsTermCfg | None]:
+  command = {"command": COMMAND}
+  touch = {**command, "sensor": "fingers"}
+  goal = {**command, "within": TOLERANCE}
+  success = {**goal, "hold": HOLD}
+  return {
+    "reached": MetricsTermCfg(lifting.reached, reduce="max", params={**command, "hand": hand(), "within": REACHED}),
+    "touched": MetricsTermCfg(lifting.touched, reduce="max", params=dict(touch)),
+    "grasped": MetricsTermCfg(lifting.grasped, reduce="max", params=dict(touch)),
+    "lifted": MetricsTermCfg(lifting.lifted, reduce="max", params={**command, "height": LIFTED}),
+    "held": MetricsTermCfg(lifting.held, reduce="max", params=dict(success)),
+    "dropped": MetricsTermCfg(lifting.dropped, reduce="last", params={**command, "low": FALLEN, "high": LIFTED}),
+    "time_to_success": MetricsTermCfg(lifting.time_to_success, reduce="last", params=dict(success)),
+    "at_goal": MetricsTermCfg(lifting.at_goal, params=dict(goal)),
+    "position_error": MetricsTermCfg(lifting.position_error, params=dict(command)),
+    "object_height": MetricsTermCfg(lifting.object_height, params=dict(command)),
+  }
+
+
+def _tip_friction() -> dict[str, EventTermCfg | None]:
+  # Each world draws one value for all its finger tips: they are made of one material.
+  randomizers = {
+    "slide": geom_friction(_TIPS, (0.3, 1.5), axes=(0,), shared=True),
+    "spin": geom_friction(_TIPS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
+    "roll": geom_friction(_TIPS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
+  }
+  return {f"fingertip_friction_{axis}": _startup(randomizer) for axis, randomizer in randomizers.items()}
+
+
+def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
+
+
+def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """For watching: a new goal every 4 s, what the policy sees without noise."""
+  cfg.episode_length_s = 1e9
+  for group in cfg.observations.values():
+    if group is not None:
+      group.corrupt = False
+  cfg.curriculum = {}
+  command = cfg.commands[COMMAND]
+  if isinstance(command, lifting.LiftCommandCfg):
+    command.goal_time_range = (4.0, 4.0)
+  return cfg
+
+
+def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
+  """The learner of policies that are told where the object is."""
+  actor = RslRlModelCfg(
+    hidden_dims=(512, 256, 128),
+    obs_normalization=True,
+    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
+  )
+  critic = RslRlModelCfg(hidden_dims=(512, 256, 128), obs_normalization=True)
+  return RslRlOnPolicyRunnerCfg(
+    experiment_name=experiment_name,
+    actor=actor,
+    critic=critic,
+    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.005),
+    num_steps_per_env=24,
+    max_iterations=max_iterations,
+    save_interval=100,
+  )

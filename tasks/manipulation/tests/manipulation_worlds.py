@@ -1,0 +1,53 @@
+"""Environments of the lift task, and states put together by hand."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_manipulation import lift_cube_env
+from mjlab_manipulation.lift import COMMAND
+from mjlab_manipulation.mdp import LiftCommand
+
+
+def lift(
+  num_envs: int, make: Callable[[], ManagerBasedRlEnvCfg] = lift_cube_env, **command: Any
+) -> tuple[ManagerBasedRlEnv, LiftCommand]:
+  """An environment that was reset, and its command, of whose config some fields may be others."""
+  cfg = make()
+  cfg.scene.num_envs, cfg.seed = num_envs, 11
+  for name, value in command.items():
+    setattr(cfg.commands[COMMAND], name, value)
+  env = ManagerBasedRlEnv(cfg, device="cpu")
+  env.reset()
+  term = env.command_manager.get_term(COMMAND)
+  assert isinstance(term, LiftCommand)
+  return env, term
+
+
+def place(env: ManagerBasedRlEnv, position: np.ndarray, entity: str = "cube", world: slice = slice(None)) -> None:
+  """Put an object, at rest and upright, at a position from each world's origin, (num_envs, 3) [m]."""
+  mask = torch.zeros(env.num_envs, dtype=torch.bool)
+  mask[world] = True
+  state = torch.zeros(env.num_envs, 13, dtype=torch.float64)
+  state[:, :3] = env.scene.env_origins + torch.as_tensor(position)
+  state[:, 3] = 1.0
+  env.scene[entity].write_root_state(state, mask)
+
+
+def in_mujoco(env: ManagerBasedRlEnv, world: int) -> mujoco.MjData:
+  data = mujoco.MjData(env.sim.mj_model)
+  data.qpos[:] = env.sim.data.qpos[world].numpy()
+  data.qvel[:] = env.sim.data.qvel[world].numpy()
+  data.mocap_pos[:] = env.sim.data.mocap_pos[world].numpy()
+  data.mocap_quat[:] = env.sim.data.mocap_quat[world].numpy()
+  mujoco.mj_forward(env.sim.mj_model, data)
+  return data
+
+
+def metric(env: ManagerBasedRlEnv, name: str) -> torch.Tensor:
+  """What a metric is in the step just done, (num_envs,)."""
+  manager = env.metrics_manager
+  return torch.tensor([dict(manager.terms(world))[name][0] for world in range(env.num_envs)])

@@ -1,0 +1,146 @@
+"""Where objects begin, where they are to go, and when a goal is over."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from manipulation_worlds import in_mujoco, lift
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import ConfigError
+from mjlab_manipulation import lift_cube_env
+from mjlab_manipulation.lift import COMMAND, lift_env
+from mjlab_manipulation.mdp import LiftCommandCfg, Region
+from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
+from mjlab_scene import EntityCfg
+
+COLOURS = ("red", "green", "blue")
+
+
+def three() -> ManagerBasedRlEnvCfg:
+  cfg = lift_env({name: EntityCfg(spec_fn=cube_spec) for name in COLOURS})
+  command = cfg.commands[COMMAND]
+  assert isinstance(command, LiftCommandCfg)
+  command.start = Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.02, 0.05))
+  return cfg
+
+
+def places(env: ManagerBasedRlEnv, names: tuple[str, ...]) -> np.ndarray:
+  """Where objects are from the origin of their world, (num_envs, objects, 3)."""
+  return np.stack([(env.scene[n].data.root_link_pos_w - env.scene.env_origins).numpy() for n in names], axis=1)
+
+
+def test_starts_and_goals_fill_their_regions() -> None:
+  env, term = lift(600)
+  start, goal = places(env, ("cube",))[:, 0], term.command.numpy()
+  for values, region in ((start, term.cfg.start), (goal, term.cfg.goal)):
+    for axis, (lo, hi) in zip(values.T, (region.x, region.y, region.z), strict=True):
+      assert lo - 1e-9 <= axis.min() < lo + 0.02 * (hi - lo)
+      assert hi - 0.02 * (hi - lo) < axis.max() <= hi + 1e-9
+      assert abs(axis.mean() - 0.5 * (lo + hi)) < 5 * (hi - lo) / np.sqrt(12 * 600)
+  quat = env.scene["cube"].data.root_link_quat_w.numpy()
+  yaw = 2.0 * np.arctan2(quat[:, 3], quat[:, 0])
+  assert np.abs(quat[:, 1:3]).max() == 0.0
+  assert abs(np.exp(1j * yaw).mean()) < 0.15
+  assert not env.scene["cube"].data.root_link_lin_vel_w.any()
+  # Nothing that is drawn tells anything of the rest.
+  drawn = np.column_stack([start, goal, np.cos(yaw), term.goal_time.numpy()])
+  assert np.abs(np.corrcoef(drawn.T) - np.eye(8)).max() < 0.2
+
+
+def test_cubes_never_overlap_and_take_every_order() -> None:
+  env, term = lift(300, three)
+  orders, gaps = set(), []
+  for _ in range(4):
+    env.reset()
+    where = places(env, COLOURS)
+    for a, b in itertools.combinations(range(3), 2):
+      # Two cubes whose centres are further apart than a diagonal touch for no yaw.
+      assert np.linalg.norm(where[:, a, :2] - where[:, b, :2], axis=-1).min() > CUBE_EDGE * np.sqrt(2)
+    orders |= set(map(tuple, where[..., 1].argsort(axis=1)))
+    gaps.append(np.diff(np.sort(where[..., 1], axis=1), axis=1))
+    assert where[..., 1].min() >= -0.105 - 1e-9
+    assert where[..., 1].max() <= 0.105 + 1e-9
+  assert len(orders) == 6
+  # A row of rods on a line: gaps reach from the least to all the room there is.
+  gaps = np.concatenate(gaps)
+  assert gaps.min() < 0.06 + 0.002
+  assert gaps.max() > 0.06 + 0.07
+  assert np.bincount(term.target.numpy()).min() > 60
+
+
+@pytest.mark.parametrize(("make", "names"), [(lift_cube_env, ("cube",)), (three, COLOURS)], ids=["one", "three"])
+def test_the_wrist_camera_sees_all_of_every_cube_at_the_start(make: Any, names: tuple[str, ...]) -> None:
+  env, _ = lift(128, make)
+  model = env.sim.mj_model
+  corners = 0.5 * CUBE_EDGE * np.array(list(itertools.product((-1, 1), repeat=3)))
+  # The image is square: the lens's horizontal field of view is wider.
+  limit = np.tan(0.5 * np.radians(model.cam_fovy[model.camera("robot/camera_d405").id]))
+  for world in range(env.num_envs):
+    data = in_mujoco(env, world)
+    camera = data.camera("robot/camera_d405")
+    for name in names:
+      cube = data.body(f"{name}/cube")
+      seen = (corners @ cube.xmat.reshape(3, 3).T + cube.xpos - camera.xpos) @ camera.xmat.reshape(3, 3)
+      assert (seen[:, 2] < 0.0).all()
+      assert (np.abs(seen[:, :2]) <= -limit * seen[:, 2:]).all()
+
+
+def test_a_new_goal_is_the_end_of_an_episode_and_no_failure() -> None:
+  env, term = lift(6, goal_time_range=(0.1, 0.2))
+  lengths: list[int] = []
+  age = torch.zeros(6, dtype=torch.int64)
+  for _ in range(40):
+    goal, cube = term.command.clone(), places(env, ("cube",))[:, 0]
+    _, _, terminated, truncated, _ = env.step(torch.zeros(6, 7))
+    age += 1
+    assert not terminated.any()
+    same = (term.command == goal).all(-1)
+    # A goal that changes ends the episode, and none changes but by that; nor does any cube jump.
+    assert torch.equal(~same, truncated)
+    jump = np.linalg.norm(places(env, ("cube",))[:, 0] - cube, axis=-1)
+    assert jump[~truncated.numpy()].max(initial=0.0) < 0.02
+    lengths += age[truncated].tolist()
+    age[truncated] = 0
+  assert set(lengths) == {6, 7, 8, 9, 10}
+
+
+def test_what_a_world_draws_does_not_depend_on_which_others_reset() -> None:
+  (one, first), (other, second) = lift(4), lift(4)
+  one.reset(env_ids=[1])
+  other.reset(env_ids=[0, 1, 3])
+  assert torch.equal(first.command[1], second.command[1])
+  assert np.array_equal(places(one, ("cube",))[1], places(other, ("cube",))[1])
+  assert not torch.equal(first.command[0], second.command[0])
+
+
+def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
+  env, term = lift(3)
+  before = term.command.clone()
+  term.steer(1, (0.4, 0.1, 0.3))
+  env.step(torch.zeros(3, 7))
+  assert term.command[1].tolist() == pytest.approx([0.4, 0.1, 0.3])
+  assert torch.equal(term.command[[0, 2]], before[[0, 2]])
+  assert [low < high for _, low, high in term.axes] == [True] * 3
+  term.steer(1, None)
+  env.reset(env_ids=[1])
+  assert term.command[1].tolist() != pytest.approx([0.4, 0.1, 0.3])
+
+
+@pytest.mark.parametrize(
+  ("options", "message"),
+  [
+    ({"objects": ()}, "objects must name at least one entity"),
+    ({"objects": ("ball",)}, "ball"),
+    ({"objects": ("robot",)}, "'robot' cannot be lifted: its base does not float"),
+    ({"min_distance": 0.5, "objects": ("cube", "cube")}, "0.21 m wide, too little for 2 objects 0.5 m apart"),
+    ({"goal": Region(x=(0.5, 0.3), y=(0.0, 0.0), z=(0.2, 0.4))}, "goal.x"),
+    ({"goal_time_range": (0.0, 1.0)}, "goal_time_range"),
+    ({"resampling_time_range": (1.0, 2.0)}, "objects are placed at resets"),
+  ],
+  ids=lambda value: "" if isinstance(value, str) else next(iter(value)),
+)
+def test_what_is_wrong_with_a_command_is_said_at_build(options: dict[str, Any], message: str) -> None:
+  with pytest.raises(ConfigError, match=message):
+    lift(2, **options)

@@ -1,0 +1,158 @@
+"""The numbers of the tasks, by joints and by the hand."""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from manipulation_worlds import lift
+from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env
+from mjlab_manipulation.lift import ACTION_SCALE, ARM, COMMAND, JOINT_RANGE
+from mjlab_rl import Console, train
+from mjlab_robots import YAM_ACTION_SCALE
+
+TASKS: dict[str, Any] = {"Mjlab-Lift-Cube-Yam": lift_cube, "Mjlab-Lift-Cube-Yam-IK": lift_cube_ik}
+each_task = pytest.mark.parametrize("name", TASKS)
+
+
+@each_task
+def test_the_task_is_found_under_its_name(name: str) -> None:
+  (entry,) = entry_points(group="mjlab.tasks", name=name)
+  assert entry.load()().env == TASKS[name]().env
+
+
+@each_task
+def test_a_task_has_the_numbers_of_its_table(name: str) -> None:
+  task = TASKS[name]()
+  cfg, sim, agent = task.env, task.env.sim, task.agent
+  assert (cfg.decimation, sim.timestep, cfg.episode_length_s) == (4, 0.005, 20.0)
+  assert (sim.iterations, sim.ls_iterations, sim.cone, sim.impratio) == (10, 20, "elliptic", 10.0)
+  assert (sim.nconmax, sim.njmax, cfg.scene.env_spacing) == (55, 600, 1.0)
+  assert {name: term.weight for name, term in cfg.rewards.items()} == {
+    "lift": 1.0,
+    "lift_precise": 1.0,
+    "action_rate_l2": -0.01,
+    "joint_pos_limits": -10.0,
+    "joint_vel_hinge": -0.01,
+  }
+  assert cfg.commands[COMMAND].goal_time_range == (8.0, 12.0)
+  assert {name for name, term in cfg.terminations.items() if term.time_out} == {"time_out", "goal_over"}
+  assert agent.actor.hidden_dims == agent.critic.hidden_dims == (512, 256, 128)
+  assert (agent.algorithm.entropy_coef, agent.max_iterations, agent.save_interval) == (0.005, 5000, 100)
+  noise = {name: term.noise for name, term in cfg.observations["actor"].terms.items() if term.noise is not None}
+  assert {name: (term.n_min, term.n_max) for name, term in noise.items()} == {
+    "joint_pos": (-0.01, 0.01),
+    "joint_vel": (-1.5, 1.5),
+    "ee_to_cube": (-0.01, 0.01),
+    "cube_to_goal": (-0.01, 0.01),
+  }
+  assert (cfg.observations["actor"].corrupt, cfg.observations["critic"].corrupt) == (True, False)
+
+
+@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env], ids=["joints", "hand"])
+def test_observations_and_actions_are_as_wide_as_the_table_says(make: Any) -> None:
+  env, _ = lift(2, make)
+  observations = env.get_observations()
+  assert {group: values.shape for group, values in observations.items() if isinstance(values, torch.Tensor)} == {
+    "actor": (2, 29),
+    "critic": (2, 29),
+  }
+  assert env.action_manager.total_action_dim == 7
+
+
+def test_watching_has_no_noise_and_a_goal_every_four_seconds() -> None:
+  task = lift_cube()
+  assert task.play is not None
+  cfg = task.play(task.env)
+  assert not any(group.corrupt for group in cfg.observations.values() if group is not None)
+  assert cfg.episode_length_s == 1e9
+  assert not cfg.curriculum
+  env, term = lift(2, lambda: cfg)
+  assert term.goal_time.tolist() == [4.0, 4.0]
+  assert env.max_episode_length == pytest.approx(5e10)
+
+
+def test_one_unit_of_action_is_a_quarter_of_the_effort_but_never_more_than_half_the_range() -> None:
+  env, _ = lift(1)
+  model = env.sim.mj_model
+  for joint, (low, high) in JOINT_RANGE.items():
+    assert model.joint(f"robot/{joint}").range.tolist() == [low, high]
+    assert ACTION_SCALE[joint] == min(YAM_ACTION_SCALE[joint], 0.5 * (high - low))
+  # These three asked for more than there is.
+  assert {joint for joint in JOINT_RANGE if ACTION_SCALE[joint] < YAM_ACTION_SCALE[joint]} == {
+    "joint5",
+    "joint6",
+    "left_finger",
+  }
+
+
+def test_no_action_asks_a_joint_for_what_it_cannot_do() -> None:
+  env, _ = lift(4)
+  env.step(100.0 * torch.tensor([[1.0], [-1.0], [0.5], [-0.5]]).expand(4, 7))
+  targets = env.scene["robot"].data.joint_pos_target[:, :7].numpy()
+  bounds = np.array(list(JOINT_RANGE.values()))
+  np.testing.assert_allclose(targets[0], bounds[:, 1])
+  np.testing.assert_allclose(targets[1], bounds[:, 0])
+
+
+def test_one_world_draws_one_friction_for_all_its_finger_tips() -> None:
+  env, _ = lift(8)
+  model = env.sim.mj_model
+  tips = [i for i in range(model.ngeom) if model.geom_condim[i] == 6]
+  friction = env.sim.model.geom_friction[:, tips].numpy()
+  assert len(tips) == 12
+  assert np.ptp(friction, axis=1).max() == 0.0
+  assert (np.ptp(friction, axis=0)[0] > [0.3, 1e-4, 1e-6]).all()
+  for axis, (low, high) in enumerate([(0.3, 1.5), (1e-4, 2e-2), (1e-5, 5e-3)]):
+    assert low <= friction[..., axis].min() <= friction[..., axis].max() <= high
+
+
+@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env], ids=["joints", "hand"])
+def test_an_arm_that_is_told_nothing_waits_out_its_goal(make: Any) -> None:
+  env, _ = lift(4, make, goal_time_range=(3.0, 3.0))
+  for step in range(150):
+    _, _, terminated, truncated, _ = env.step(torch.zeros(4, 7))
+    assert not terminated.any()
+    assert truncated.all() == (step == 149)
+
+
+def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
+  """From 1,000 poses within the limits, to a pose of the arm that is up to 0.2 rad away in every joint."""
+  env, _ = lift(1000, lift_cube_ik_env)
+  robot, term = env.scene["robot"], env.action_manager.get_term("hand")
+  assert isinstance(term, mdp.DifferentialIKAction)
+  rng = np.random.default_rng(3)
+  low, high = robot.data.soft_joint_pos_limits[0, :6].T.numpy()
+  start = rng.uniform(low, high, (1000, 6))
+  near = (start + rng.uniform(-0.2, 0.2, (1000, 6))).clip(low, high)
+
+  def put(position: np.ndarray) -> None:
+    at_rest = torch.zeros(1000, 6, dtype=torch.float64)
+    robot.write_joint_state(torch.from_numpy(position), at_rest, joint_ids=slice(0, 6))
+
+  put(near)
+  pos, quat = (value.clone() for value in term.frame_pose())
+  put(start)
+  term.goal_pos_w.copy_(pos)
+  term.goal_quat_w.copy_(quat)
+  for _ in range(60):
+    put(robot.data.joint_pos[:, :6].numpy() + term.solve().numpy())
+  reached_pos, reached_quat = term.frame_pose()
+  error = torch.linalg.vector_norm(reached_pos - pos, dim=-1)
+  angle = 2.0 * torch.acos((reached_quat * quat).sum(-1).abs().clamp(max=1.0))
+  assert error.max() < 1e-3
+  assert angle.max() < 1e-2
+  assert term.joint_names == list(ARM)
+
+
+def test_training_runs_on_the_native_engine(tmp_path: Path) -> None:
+  task = lift_cube()
+  task.env.scene.num_envs, task.env.seed = 8, 0
+  task.agent.num_steps_per_env, task.agent.max_iterations = 4, 2
+  console = Console("quiet")
+  result = train(task, name="Lift", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=console)
+  assert (result.iterations, result.stopped_by) == (2, None)
+  assert result.checkpoint is not None

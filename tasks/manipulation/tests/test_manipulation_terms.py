@@ -1,0 +1,181 @@
+"""Rewards, observations and stages against NumPy on states that are put together by hand."""
+
+import numpy as np
+import pytest
+import torch
+from manipulation_worlds import in_mujoco, lift, metric, place
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.lift import COMMAND, DECIMATION, HOLD, PHYSICS_DT, hand
+from mjlab_manipulation.mdp import reward_weight
+
+STEP = DECIMATION * PHYSICS_DT
+
+
+def scatter(env: ManagerBasedRlEnv, seed: int) -> None:
+  """Arms in poses of their own, cubes anywhere about the hands."""
+  rng = np.random.default_rng(seed)
+  robot = env.scene["robot"]
+  limits = robot.data.joint_pos_limits[0].numpy()
+  share = rng.uniform(-0.1, 1.1, (env.num_envs, 8))
+  position = torch.from_numpy(limits[:, 0] + share * (limits[:, 1] - limits[:, 0]))
+  robot.write_joint_state(position, torch.from_numpy(2.0 * rng.normal(size=(env.num_envs, 8))))
+  hand = (robot.data.site_pos_w[:, 1] - env.scene.env_origins).numpy()
+  place(env, hand + 0.15 * rng.normal(size=hand.shape))
+
+
+def test_rewards_are_their_formulas_on_any_state() -> None:
+  env, term = lift(12)
+  scatter(env, 0)
+  reward = env.reward_manager
+  reward.compute()
+  values = dict(zip(env.cfg.rewards, reward._raw.T.double().numpy(), strict=True))
+  seen = {name: [] for name in ("lift", "lift_precise", "joint_vel_hinge", "joint_pos_limits")}
+  soft = env.scene["robot"].data.soft_joint_pos_limits[0].numpy()
+  for world in range(12):
+    data = in_mujoco(env, world)
+    cube, hand = data.body("cube/cube").xpos, data.site("robot/grasp_site").xpos
+    goal = term.command[world].numpy() + env.scene.env_origins[world].numpy()
+    d_hand, d_goal = np.linalg.norm(hand - cube), np.linalg.norm(goal - cube)
+    r, b = np.exp(-((d_hand / 0.2) ** 2)), np.exp(-((d_goal / 0.3) ** 2))
+    seen["lift"].append(r * (1 + b))
+    seen["lift_precise"].append(np.exp(-((d_goal / 0.05) ** 2)))
+    seen["joint_vel_hinge"].append((np.maximum(np.abs(data.qvel[:6]) - 0.5, 0.0) ** 2).sum())
+    q = data.qpos[:8]
+    seen["joint_pos_limits"].append((np.maximum(soft[:, 0] - q, 0.0) + np.maximum(q - soft[:, 1], 0.0)).sum())
+  for name, expected in seen.items():
+    np.testing.assert_allclose(values[name], expected, rtol=1e-5, atol=1e-9, err_msg=name)
+  assert np.max(seen["joint_pos_limits"]) > 0.1
+  assert np.ptp(seen["lift"]) > 0.2
+
+
+def test_the_lift_reward_grows_at_every_stage() -> None:
+  env, term = lift(4)
+  site = env.scene["robot"].data.site_pos_w[:, 1] - env.scene.env_origins
+  term.command[:2] = 9.0
+  term.command[2:] = site[2:]
+  place(env, site.numpy() + np.array([[0.3], [0.0], [0.3], [0.0]]) * [1.0, 0.0, 0.0])
+  env.reward_manager.compute()
+  values = env.reward_manager._raw[:, 0].tolist()
+  # Far from everything; holding it far from the goal; at neither but nearer; holding it there: 0, 1, between, 2.
+  assert values[0] == pytest.approx(np.exp(-2.25), rel=1e-5)
+  assert values[1] == pytest.approx(1.0)
+  assert values[2] == pytest.approx(np.exp(-2.25) * (1 + np.exp(-1.0)), rel=1e-5)
+  assert values[3] == pytest.approx(2.0)
+
+
+def test_observations_are_ways_in_the_frame_of_the_root() -> None:
+  env, term = lift(8)
+  scatter(env, 1)
+  turn = torch.tensor([[0.8, 0.0, 0.0, 0.6]], dtype=torch.float64)
+  env.scene["robot"].write_root_pose(torch.cat([env.scene.env_origins, turn.expand(8, 4)], dim=-1))
+  env.observation_manager.compute()
+  critic = env.get_observations()["critic"]
+  assert isinstance(critic, torch.Tensor)
+  for world in range(8):
+    data = in_mujoco(env, world)
+    root = data.body("robot/mocap_base").xmat.reshape(3, 3)
+    cube, hand = data.body("cube/cube").xpos, data.site("robot/grasp_site").xpos
+    goal = term.goal_pos_w[world].numpy()
+    home = env.scene["robot"].data.default_joint_pos[0].numpy()
+    expected = np.concatenate(
+      [data.qpos[:8] - home, data.qvel[:8], root.T @ (cube - hand), root.T @ (goal - cube), np.zeros(7)]
+    )
+    np.testing.assert_allclose(critic[world].numpy(), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_the_goal_is_seen_from_the_hand() -> None:
+  env, term = lift(4)
+  scatter(env, 2)
+  got = lifting.goal_in_hand(env, command=COMMAND, hand=hand().resolve(env.scene, env.device))
+  for world in range(4):
+    frame = in_mujoco(env, world).site("robot/grasp_site")
+    expected = frame.xmat.reshape(3, 3).T @ (term.goal_pos_w[world].numpy() - frame.xpos)
+    np.testing.assert_allclose(got[world].numpy(), expected, atol=1e-9)
+
+
+def test_success_is_to_stay_at_the_goal_for_the_whole_time() -> None:
+  env, term = lift(3)
+  steps = round(HOLD / STEP)
+  off = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.06, 0.0, 0.0]])
+  for step in range(steps):
+    goal = term.command.numpy()
+    here = off.copy()
+    # The second one leaves for a single step, just before it would have been enough.
+    if step == steps - 2:
+      here[1, 0] = 0.3
+    place(env, goal + here)
+    env.metrics_manager.compute()
+    env.episode_length_buf += 1
+    held = metric(env, "held").tolist()
+    assert held == ([1.0, 0.0, 0.0] if step == steps - 1 else [0.0, 0.0, 0.0])
+    at_goal = metric(env, "at_goal").tolist()
+    assert at_goal == [1.0, float(step != steps - 2), 0.0]
+  place(env, term.command.numpy() + 0.5)
+  for _ in range(7):
+    env.metrics_manager.compute()
+  # What was won stays won, and its time stands still.
+  assert metric(env, "held").tolist() == [1.0, 0.0, 0.0]
+  times = metric(env, "time_to_success").tolist()
+  assert times == pytest.approx([HOLD, HOLD + 7 * STEP, HOLD + 7 * STEP])
+  env.reset(env_ids=[0])
+  assert env.drain_log()["Episode_Metrics/held"] == 1.0
+  env.metrics_manager.compute()
+  assert metric(env, "held")[0] == 0.0
+
+
+def test_falls_from_high_up_are_counted() -> None:
+  env, _ = lift(2)
+  for height, falls in ((0.05, 0), (0.02, 0), (0.1, 0), (0.05, 0), (0.02, 1), (0.02, 1), (0.09, 1), (0.02, 2)):
+    place(env, np.array([[0.3, 0.0, height], [0.3, 0.0, 0.1]]))
+    env.metrics_manager.compute()
+    assert metric(env, "dropped").tolist() == [falls, 0]
+    assert metric(env, "lifted").tolist() == [float(height > 0.08), 1.0]
+
+
+def test_fingers_around_the_cube_reach_touch_and_grasp_it() -> None:
+  env, _ = lift(3)
+  robot = env.scene["robot"]
+  site = (robot.data.site_pos_w[:, 1] - env.scene.env_origins).numpy()
+  # Between the tips; beside the left finger's; out of reach. The gripper is open by 37.5 mm, narrower than the cube.
+  axis = robot.data.body_link_pos_w[:, robot.body_names.index("lf_down")]
+  axis = (axis - robot.data.body_link_pos_w[:, robot.body_names.index("rf_down")]).numpy()
+  axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+  where = site + np.array([[0.0], [0.038], [0.3]]) * axis
+  state = torch.zeros(3, 13, dtype=torch.float64)
+  state[:, :3] = env.scene.env_origins + torch.from_numpy(where)
+  state[:, 3:7] = robot.data.site_quat_w[:, 1]
+  env.scene["cube"].write_root_state(state)
+  env.sim.step()
+  env.metrics_manager.compute()
+  assert metric(env, "reached").tolist() == [1.0, 1.0, 0.0]
+  assert metric(env, "touched").tolist() == [1.0, 1.0, 0.0]
+  assert metric(env, "grasped").tolist() == [1.0, 0.0, 0.0]
+
+
+def test_pressing_on_the_ground_is_a_failure_and_touching_it_is_none() -> None:
+  env, _ = lift(2)
+  press = torch.zeros(2, 7)
+  # Down with the second arm only.
+  press[1, 1] = 6.0
+  ended = torch.zeros(2, dtype=torch.bool)
+  for _ in range(100):
+    _, _, terminated, truncated, _ = env.step(press)
+    ended |= terminated
+    assert not truncated.any()
+  assert ended.tolist() == [False, True]
+
+
+def test_the_weight_of_joint_speed_follows_its_stages() -> None:
+  env, _ = lift(2)
+  weights = []
+  for counter in (0, 11_998, 11_999, 23_998, 23_999, 10**6):
+    env.common_step_counter.fill_(counter)
+    env.step(torch.zeros(2, 7))
+    weights.append(env.drain_log()["Curriculum/joint_vel_hinge_weight"])
+  assert weights == pytest.approx([-0.01, -0.01, -0.1, -0.1, -1.0, -1.0])
+  cfg = env.cfg.curriculum["joint_vel_hinge_weight"]
+  assert cfg is not None
+  cfg.params["stages"] = [(0, -1.0), (0, -2.0)]
+  with pytest.raises(ValueError, match=r"stages must begin at step 0 and follow in order, got steps \[0, 0\]"):
+    reward_weight(cfg, env)
