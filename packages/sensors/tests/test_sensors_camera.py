@@ -757,3 +757,38 @@ def test_a_recorded_step_draws_what_an_eager_one_does() -> None:
 
   for a, b in zip(run(True), run(False), strict=True):
     assert torch.equal(a, b)
+
+
+class Sketch:
+  """A viewer that keeps the lines that are drawn."""
+
+  worlds = (2, 0)
+
+  def frames(self, *arguments: Any) -> None:
+    self.position = arguments[0]
+
+  def lines(self, start: torch.Tensor, end: torch.Tensor, *_: Any) -> None:
+    self.start, self.end = start.unflatten(0, (2, 8)), end.unflatten(0, (2, 8))
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_camera_draws_what_its_image_spans(orthographic: bool) -> None:
+  fovy = 0.4 if orthographic else 60.0
+  # It looks straight down, with y up in its image.
+  sim, (sensor,) = build(cfg("down", body="robot/base", orthographic=orthographic, fovy=fovy))
+  place(sim, *[(x, 0.0, 3.0, None) for x in (0.0, 1.0, 2.0)])
+  draw: Any = Sketch()
+  sensor.debug_draw(draw)
+  torch.testing.assert_close(draw.position, sim.data.cam_xpos[[2, 0], sensor._camera])
+  corners = draw.end[:, :4] - draw.position[:, None]
+  length = -corners[0, 0, 2]
+  assert length > 0.1
+  half = 0.2 if orthographic else length * np.tan(np.radians(30.0))
+  across = half * 12 / 8
+  expected = [(-across, half), (across, half), (across, -half), (-across, -half)]
+  torch.testing.assert_close(corners[..., :2], torch.tensor([expected] * 2, dtype=sim.dtype))
+  spread = (draw.start[:, :4] - draw.position[:, None]).norm(dim=-1)
+  assert bool((spread > 0.2).all()) == orthographic
+  # And around.
+  assert torch.equal(draw.start[:, 4:], draw.end[:, :4])
+  assert torch.equal(draw.end[:, 4:], draw.end[:, :4].roll(-1, dims=1))

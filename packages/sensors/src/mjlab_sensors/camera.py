@@ -255,6 +255,32 @@ class CameraSensor(Sensor[CameraData]):
     matrix[:, 0, 2], matrix[:, 1, 2] = self.width / 2.0 - left, self.height / 2.0 - up
     return matrix
 
+  def debug_draw(self, draw: DebugDraw) -> None:
+    """Show where the camera is, and a pyramid from it to the corners of its image; an orthographic one as a box."""
+    sim, worlds, length = self.sim, list(draw.worlds), 10.0 * self._draw_size
+    _ = sim.epoch
+    pos, mat = (value[worlds] for value in self._pose())
+    draw.frames(pos, quat_from_matrix(mat), 3.0 * self._draw_size)
+    corner = torch.tensor(((0, 0), (1, 0), (1, 1), (0, 1)), dtype=sim.dtype, device=sim.device)
+    pixel = corner * corner.new_tensor((self.width, self.height))
+    if sim.mj_model.cam_projection[self._camera] == _ORTHOGRAPHIC:
+      metres = sim.model.cam_fovy[:, self._camera].expand(self.num_envs)[worlds, None, None] / self.height
+      near = (pixel - corner.new_tensor((self.width, self.height)) / 2.0) * metres
+      far = near
+    else:
+      matrix = self.intrinsic_matrix[worlds]
+      focal, center = matrix[:, None, (0, 1), (0, 1)], matrix[:, None, :2, 2]
+      far = (pixel - center) / focal * length
+      near = torch.zeros_like(far)
+
+    def place(image: torch.Tensor, depth: float) -> torch.Tensor:
+      point = torch.stack((image[..., 0], -image[..., 1], torch.full_like(image[..., 0], -depth)), dim=-1)
+      return pos[:, None] + (mat[:, None] * point[:, :, None]).sum(-1)
+
+    start, end = place(near, 0.0), place(far, length)
+    edges = torch.cat((start, end), dim=1), torch.cat((end, end.roll(-1, dims=1)), dim=1)
+    draw.lines(edges[0].flatten(0, 1), edges[1].flatten(0, 1), (1.0, 0.8, 0.1, 1.0), 0.1 * self._draw_size)
+
   def _pose(self) -> tuple[torch.Tensor, torch.Tensor]:
     return self._frame.positions[:, 0], self._frame.rotations[:, 0]
 
