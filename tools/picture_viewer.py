@@ -1,6 +1,7 @@
 """Pictures of the viewer for the documentation: `uv run python tools/picture_viewer.py`.
 
-They show the policy of `demo`. Needs Chromium, and OpenGL without a screen. Each picture is a page of a running viewer, photographed in the browser.
+They show the policy of `demo`. Needs Chromium, and OpenGL without a screen. Each picture is a page of a running viewer,
+photographed in the browser.
 """
 
 import argparse
