@@ -113,3 +113,27 @@ def test_every_task_can_be_rebuilt_from_what_a_run_writes_down(name: str, tmp_pa
   if task.play is not None:
     assert run.play is task.play
     assert task.play(copy.deepcopy(run.env)) == task.play(copy.deepcopy(task.env))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_every_task_is_one_graph_that_never_waits_on_a_gpu(name: str) -> None:
+  with make(name, num_envs=64, device="cuda:0") as env:
+    env.reset(seed=0)
+    actions = torch.randn(40, 64, env.action_manager.total_action_dim, device=env.device)
+    for action in actions[:8]:
+      env.step(action)
+    assert env.is_captured
+    assert env.num_graphs == 1
+    # Worlds that end, all of them, do so inside of the recording too.
+    env.episode_length_buf.fill_(env.max_episode_length - 10)
+    try:
+      torch.cuda.set_sync_debug_mode("error")
+      outputs = [env.step(action) for action in actions[8:]]
+    finally:
+      torch.cuda.set_sync_debug_mode("default")
+    assert env.num_graphs == 1
+    for observations, reward, *_ in outputs:
+      assert all(tensor.isfinite().all() for tensor in (*seen(observations), reward))
+    ended = torch.stack([terminated | truncated for _, _, terminated, truncated, _ in outputs])
+    assert ended.any(0).all()
