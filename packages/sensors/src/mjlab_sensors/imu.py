@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
@@ -77,7 +77,7 @@ class ImuData:
 class ImuSensor(Sensor[ImuData]):
   """Gyro, accelerometer and orientation of a site, each with a bias."""
 
-  _constants: ClassVar[frozenset[str]] = frozenset({"_gyro", "_accelerometer", "_orientation", "_down"})
+  _constants = frozenset({"_gyro", "_accelerometer", "_orientation", "_down"})
   cfg: ImuSensorCfg
 
   gyro_bias: torch.Tensor
