@@ -53,12 +53,12 @@ def test_an_evaluation_that_is_there_is_not_overwritten_unasked(capsys: pytest.C
   assert evaluate("--output", "mine") == 2
   assert "--overwrite" in capsys.readouterr().err
   assert Path("mine/evaluation.json").read_bytes() == before
-  assert evaluate("--output", "mine", "--overwrite", "--run", str(run / "model_3.pt")) == 0
+  assert evaluate("--output", "mine", "--overwrite", "--checkpoint", str(run / "model_3.pt")) == 0
 
 
 def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.CaptureFixture[str]) -> None:
-  assert evaluate("--baseline", "zero", "--require", "length>=25,failure_rate<=0") == 0
-  assert evaluate("--baseline", "zero", "--require", "length>=25,return>=99") == 1
+  assert evaluate("--agent", "zero", "--require", "length>=25,failure_rate<=0") == 0
+  assert evaluate("--agent", "zero", "--require", "length>=25,return>=99") == 1
   shown = capsys.readouterr().out
   assert "all: length 25 >= 25: yes" in shown
   assert ">= 99: NO" in shown
@@ -69,9 +69,9 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
 @pytest.mark.parametrize(
   ("words", "message"),
   [
-    (["--baseline", "zero", "--require", "length>25"], "expected [GROUP:]METRIC>=NUMBER"),
-    (["--baseline", "zero", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
-    (["--run", "gone"], "'gone' is neither a checkpoint nor a run"),
+    (["--agent", "zero", "--require", "length>25"], "expected [GROUP:]METRIC>=NUMBER"),
+    (["--agent", "zero", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
+    (["--checkpoint", "gone"], "'gone' is neither a checkpoint nor a run"),
     ([], "no run of Test-Pendulum with a checkpoint"),
     (["--eval.episode", "3"], "--eval.episodes"),
   ],
@@ -84,11 +84,13 @@ def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.Ca
   assert error.count("\n") == 1
 
 
-def test_two_evaluations_of_one_policy_agree() -> None:
-  trained()
+@pytest.mark.parametrize("agent", ["trained", "random"])
+def test_two_evaluations_of_one_policy_agree(agent: str) -> None:
+  if agent == "trained":
+    trained()
   numbers = []
   for folder in ("one", "two"):
-    assert evaluate("--output", folder) == 0
+    assert evaluate("--output", folder, "--agent", agent) == 0
     numbers.append(json.loads(Path(folder, "evaluation.json").read_text())["groups"])
   assert numbers[0] == numbers[1]
 

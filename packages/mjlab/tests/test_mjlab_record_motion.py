@@ -14,7 +14,7 @@ TASK = "Mjlab-Tracking-Flat-Unitree-G1"
 
 
 def record(*words: str) -> int:
-  return cli.main(["record-motion", TASK, "--device", "cpu", "--baseline", "zero", *words])
+  return cli.main(["record-motion", TASK, "--device", "cpu", "--agent", "zero", *words])
 
 
 def test_a_clip_is_what_the_robot_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,33 +1,35 @@
 """`evaluate TASK [flags]`: how well a policy does a task, with intervals, for people and for CI."""
 
 import dataclasses
-import itertools
 import json
 import sys
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import unknown
-
 from mjlab import making
-from mjlab.cli._config_flags import flags
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Baseline, as_trained, find_run, make_policy
-from mjlab.registry import list_tasks, load_task
+from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
+from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
 
 if TYPE_CHECKING:
   from mjlab_rl import Evaluation, Evaluator, TaskCfg
+
+_PURPOSE = "Plays fixed scenarios with a policy and says how well it does, with 95 % intervals."
+_MORE = """\
+  --eval.PATH       Any setting of the task's evaluation, e.g. --eval.seed 3.
+
+exit codes: 0 done, 1 a threshold was missed or it failed, 2 wrong usage."""
 
 
 @dataclasses.dataclass(kw_only=True)
 class Arguments:
   """All that can be given after the task."""
 
-  run: str = "latest"
-  """Whose policy: latest (of this task), the name or directory of a run, or a checkpoint file."""
-  baseline: Baseline | None = None
-  """Instead of a run: no action at all, or standard normal ones."""
+  checkpoint: str = "latest"
+  """What to judge: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
+  policy (.onnx)."""
+  agent: Agent = "trained"
+  """Who acts: a trained policy, nobody, or chance."""
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 where one is missed."""
   output: str | None = None
@@ -54,37 +56,17 @@ def run(arguments: list[str]) -> int:
     raise UsageError("no task given. usage: evaluate TASK [flags]; list-envs lists the tasks.")
   name, *given = arguments
   if name in ("-h", "--help"):
-    print(_general_help(), end="")
+    print(general_help("evaluate", _PURPOSE, Arguments(), _MORE), end="")
     return 0
   if name.startswith("-"):
     raise UsageError("the task comes first. usage: evaluate TASK [flags]")
-  if name not in list_tasks():
-    raise UsageError(unknown("task", name, list_tasks()))
   making.share_cores()
-  task = load_task(name)
-  wants_help = [index for index, word in enumerate(given) if word in ("-h", "--help")]
-  if wants_help:
-    from mjlab.cli._flag_parser import print_help
-
-    rest = itertools.takewhile(lambda word: word not in ("-h", "--help"), given[wants_help[0] + 1 :])
-    config = Arguments(eval=_evaluator(task), env=task.env)
-    print_help(config, prog=f"evaluate {name}", description="", word="-".join(rest))
+  task = load_named_task(name)
+  word = help_word(given)
+  if word is not None:
+    print_task_help("evaluate", name, Arguments(eval=_evaluator(task), env=task.env), word)
     return 0
   return _evaluate(name, task, given)
-
-
-def _general_help() -> str:
-  options = [f"  --{flag.name:<12}{flag.about}" for flag in flags(Arguments())]
-  return "\n".join(
-    [
-      "usage: evaluate TASK [flags]\n\nPlays fixed scenarios with a policy and says how well it does, with intervals.",
-      "Exit codes: 0 done, 1 a threshold was missed or it failed, 2 wrong usage.\n\nflags:",
-      *(textwrap.fill(option, 100, subsequent_indent=" " * 16) for option in options),
-      "  --eval.PATH   Any setting of the task's evaluation, e.g. --eval.seed 3.",
-      "  --env.PATH    Any value of the environment.",
-      "  --help WORD   After a task: its flags, all or those whose name contains WORD.\n",
-    ]
-  )
 
 
 def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
@@ -94,30 +76,34 @@ def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
 
 
 def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab_rl import Console, Threshold
+  from mjlab_core import seed_everything
+  from mjlab_rl import Threshold
 
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
   thresholds = [Threshold.parse(text) for text in (wanted.require or "").split(",") if text.strip()]
-  console = Console("quiet" if wanted.quiet else "normal")
-  checkpoint = None
-  if wanted.baseline is None:
-    checkpoint = find_run(wanted.run, log_root=wanted.log_root, name=name, task=task)
-    task = as_trained(checkpoint, name, task, console)
+  source, parts = None, task
+  if wanted.agent == "trained":
+    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
+    parts = manifest_of(source, name) or task
     # Once more, upon the configuration of the run.
-    wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
-  folder = _folder(wanted, checkpoint)
+    wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
+  folder = _folder(wanted, source)
   device = making.resolve_device(wanted.device)
   evaluator = wanted.eval
   try:
     cfg = evaluator.configure(wanted.env)
-    env = (task.make_env or making.standard_env)(cfg, device=device)
+    env = (parts.make_env or making.standard_env)(cfg, device=device)
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
   try:
-    policy, what = make_policy(task, env, checkpoint, wanted.baseline, device)
-    console.say(f"{name}: {what}, {env.num_envs} episodes on {device}")
+    policy = make_policy(wanted.agent, source, env, parts)
+    what = f"{wanted.agent} actions" if source is None else str(source)
+    if not wanted.quiet:
+      print(f"{name}: {what}, {env.num_envs} episodes on {device}", flush=True)
+    # Chance is to be the same chance each time.
+    seed_everything(getattr(evaluator, "seed", 0))
     evaluation = evaluator.run(env, policy, None if wanted.quiet else _show)
   finally:
     env.close()
@@ -131,11 +117,11 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   return int(not all(reached for reached, _ in outcomes))
 
 
-def _folder(wanted: Arguments, checkpoint: Path | None) -> Path | None:
+def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   if wanted.output is not None:
     folder = Path(wanted.output)
-  elif checkpoint is not None:
-    folder = checkpoint.parent / "evaluation" / checkpoint.stem
+  elif source is not None:
+    folder = source.parent / "evaluation" / source.stem
   else:
     return None
   if (folder / "evaluation.json").exists() and not wanted.overwrite:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
 from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
 
 if TYPE_CHECKING:
-  from mjlab_rl import RunManifest
   from mjlab_viewer import CheckpointList, Playback, Policy
 
 _WORLDS = {"browser": 8, "native": 1, "none": 1}
@@ -27,7 +27,7 @@ class Arguments:
   checkpoint: str = "latest"
   """What to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
   policy (.onnx)."""
-  agent: Literal["trained", "zero", "random"] = "trained"
+  agent: Agent = "trained"
   """Who acts: a trained policy, nobody, or chance."""
   viewer: Literal["auto", "native", "browser", "none"] = "auto"
   """Where to look: a window, a browser, or the window where there is a screen."""
@@ -93,8 +93,10 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   if wanted.video is not None:
     _check_video(wanted)
   device = making.resolve_device(wanted.device)
-  source = None if wanted.agent != "trained" else _source(wanted, name, task.agent.experiment_name)
-  run = None if source is None else _manifest(source, name)
+  source = None
+  if wanted.agent == "trained":
+    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
+  run = None if source is None else manifest_of(source, name)
   parts = task if run is None else run
   cfg = copy.deepcopy(parts.env)
   if parts.play is not None:
@@ -146,64 +148,27 @@ def _check_video(wanted: Arguments) -> None:
     raise UsageError(f"--video-length must be positive, got {wanted.video_length:g}")
 
 
-def _source(wanted: Arguments, task: str, experiment: str) -> Path:
-  from mjlab_rl import find_checkpoint
-
-  if wanted.checkpoint.endswith(".onnx"):
-    return Path(wanted.checkpoint)
-  try:
-    return find_checkpoint(wanted.checkpoint, log_root=Path(wanted.log_root), experiment=experiment, task=task)
-  except FileNotFoundError as error:
-    if wanted.checkpoint != "latest":
-      raise
-    raise UsageError(f"{error}. Train one with `train {task}`, or watch --agent random.") from error
-
-
-def _manifest(source: Path, task: str) -> "RunManifest | None":
-  """The run that something is of; None where it does not say."""
-  from mjlab_rl import load_run
-
-  try:
-    run = load_run(source)
-  except FileNotFoundError:
-    print(f"{source.parent} has no manifest: the configuration of {task} is used.")
-    return None
-  if run.task != task:
-    print(f"{source} is of {run.task}: the configuration of {task} is used.")
-    return None
-  return run
-
-
 def _without_terminations(cfg: Any) -> Any:
   kept = {name: term if term is not None and term.time_out else None for name, term in cfg.terminations.items()}
   return replaced(cfg, ("terminations",), kept)
 
 
 def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Policy, CheckpointList | None]":
-  from mjlab_viewer import CheckpointList, RandomPolicy, ZeroPolicy
+  from mjlab_rl import CheckpointPolicy, checkpoints
+  from mjlab_viewer import CheckpointList
 
-  if source is None:
-    shape = env.num_envs, env.action_manager.total_action_dim, env.device
-    return ZeroPolicy(*shape) if wanted.agent == "zero" else RandomPolicy(*shape), None
-  from mjlab_rl import CheckpointPolicy, OnnxPolicy, checkpoints
-
-  if source.suffix == ".onnx":
-    policy = OnnxPolicy(source, parts.agent, env.num_envs)
-    # What does not fit is said before anything opens.
-    policy(env.get_observations())
-    policy.reset(None)
+  policy = make_policy(wanted.agent, source, env, parts)
+  if source is None or not isinstance(policy, CheckpointPolicy):
     return policy, None
-  trained = CheckpointPolicy(env, parts.agent, parts.runner)
-  trained.load(source)
 
   def load(name: str) -> "Policy":
-    trained.load(source.parent / name)
-    return trained
+    policy.load(source.parent / name)
+    return policy
 
   def names() -> list[str]:
     return [path.name for path in checkpoints(source.parent)]
 
-  return trained, CheckpointList(names=names, load=load, loaded=source.name)
+  return policy, CheckpointList(names=names, load=load, loaded=source.name)
 
 
 def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:

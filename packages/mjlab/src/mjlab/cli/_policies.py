@@ -1,71 +1,71 @@
-"""Policies that a command line names: those of runs, and none at all."""
+"""Policies that a command line names: those of runs, exported ones, and none at all."""
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from mjlab.cli._config_flags import replaced
+from mjlab.cli._errors import UsageError
 
 if TYPE_CHECKING:
-  from mjlab_rl import Console, Policy, TaskCfg
+  from mjlab_rl import Policy, RunManifest
 
-Baseline = Literal["zero", "random"]
+Agent = Literal["trained", "zero", "random"]
+"""Who acts: a trained policy, nobody, or chance."""
 
 
-def find_run(run: str, *, log_root: str, name: str, task: "TaskCfg[Any]") -> Path:
-  """The checkpoint that `run` means for a task; RunNotFoundError where there is none."""
+def find_policy(policy: str, *, log_root: str, task: str, experiment: str) -> Path:
+  """The checkpoint or exported network that `policy` means for a task.
+
+  Raises:
+    UsageError: There is no run yet.
+    RunNotFoundError: What was named is not there.
+  """
   from mjlab_rl import find_checkpoint
 
-  return find_checkpoint(run, log_root=Path(log_root), experiment=task.agent.experiment_name, task=name)
+  if policy.endswith(".onnx"):
+    return Path(policy)
+  try:
+    return find_checkpoint(policy, log_root=Path(log_root), experiment=experiment, task=task)
+  except FileNotFoundError as error:
+    if policy != "latest":
+      raise
+    raise UsageError(f"{error}. Train one with `train {task}`, or see what --agent random does.") from error
 
 
-def as_trained(checkpoint: Path, name: str, task: "TaskCfg[Any]", console: "Console") -> "TaskCfg[Any]":
-  """The task with environment and learner as the run had them."""
+def manifest_of(source: Path, task: str) -> "RunManifest | None":
+  """The run that something is of; None where it does not say."""
   from mjlab_rl import load_run
 
   try:
-    trained = load_run(checkpoint)
+    run = load_run(source)
   except FileNotFoundError:
-    console.say(f"{checkpoint.parent} has no manifest: the configuration of the task is used.")
-    return task
-  if trained.task != name:
-    console.say(f"the checkpoint is of {trained.task}: the configuration of {name} is used.")
-    return task
-  return dataclasses.replace(
-    task, env=trained.env, agent=trained.agent, runner=trained.runner, make_env=trained.make_env
-  )
+    print(f"{source.parent} has no manifest: the configuration of {task} is used.")
+    return None
+  if run.task != task:
+    print(f"{source} is of {run.task}: the configuration of {task} is used.")
+    return None
+  return run
 
 
-def make_policy(
-  task: "TaskCfg[Any]", env: Any, checkpoint: Path | None, baseline: Baseline | None, device: str
-) -> tuple["Policy", str]:
-  """The deterministic policy of a checkpoint, or a baseline, and what to call it."""
-  import torch
+def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Policy":
+  """Who acts in `env`, a policy from a source with the learner of `parts`, a task or a run.
 
-  if checkpoint is None:
-    shape = (env.num_envs, env.action_manager.total_action_dim)
-    generator = torch.Generator(env.device).manual_seed(0)
-    if baseline == "random":
-      return (lambda _: torch.randn(shape, generator=generator, device=env.device)), "random actions"
-    return (lambda _: torch.zeros(shape, device=env.device)), "no actions"
-  from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper
-  from tensordict import TensorDict
+  Raises:
+    CheckpointError: it cannot be read or does not fit.
+  """
+  if source is None:
+    from mjlab_viewer import RandomPolicy, ZeroPolicy
 
-  # So few worlds may be too few for the batches of training.
-  agent = replaced(task.agent, ("algorithm", "num_mini_batches"), 1)
-  runner_class = task.runner or MjlabOnPolicyRunner
-  runner = runner_class(
-    RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions), agent, None, device, console=Console("quiet")
-  )
-  runner.load(str(checkpoint), load_cfg={"actor": True})
-  actor, limit = runner.get_inference_policy(device), agent.clip_actions
+    return (ZeroPolicy if agent == "zero" else RandomPolicy)(
+      env.num_envs, env.action_manager.total_action_dim, env.device
+    )
+  from mjlab_rl import CheckpointPolicy, OnnxPolicy
 
-  class Actor:
-    def __call__(self, observations: Any) -> torch.Tensor:
-      actions = actor(TensorDict(dict(observations), batch_size=[env.num_envs]))
-      return actions if limit is None else actions.clamp(-limit, limit)
-
-    def reset(self, dones: torch.Tensor) -> None:
-      actor.reset(dones)
-
-  return Actor(), str(checkpoint)
+  if source.suffix == ".onnx":
+    policy = OnnxPolicy(source, parts.agent, env.num_envs)
+    # What does not fit is said before anything opens.
+    policy(env.get_observations())
+    policy.reset(None)
+    return policy
+  trained = CheckpointPolicy(env, parts.agent, parts.runner)
+  trained.load(source)
+  return trained

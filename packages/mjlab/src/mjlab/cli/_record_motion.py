@@ -1,17 +1,18 @@
 """`record-motion TASK --output FILE.npz [flags]`: what a policy does becomes a clip that another can be taught."""
 
 import dataclasses
-import textwrap
 from pathlib import Path
-from typing import Any
-
-from mjlab_core import unknown
+from typing import TYPE_CHECKING, Any
 
 from mjlab import making
-from mjlab.cli._config_flags import flags
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Baseline, as_trained, find_run, make_policy
-from mjlab.registry import list_tasks, load_task
+from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
+from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+
+if TYPE_CHECKING:
+  from mjlab_rl import TaskCfg
+
+_PURPOSE = "Plays a policy, as for watching, and writes what one robot does as a motion file (--output FILE.npz)."
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -24,10 +25,11 @@ class Arguments:
   """Length of the clip."""
   skip: float = 1.0
   """Time before its first frame [s], for the robot to find its feet."""
-  run: str = "latest"
-  """Whose policy: latest (of this task), the name or directory of a run, or a checkpoint file."""
-  baseline: Baseline | None = None
-  """Instead of a run: no action at all, or standard normal ones."""
+  checkpoint: str = "latest"
+  """Whose policy: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
+  policy (.onnx)."""
+  agent: Agent = "trained"
+  """Who acts: a trained policy, nobody, or chance."""
   entity: str = "robot"
   """Whose motion."""
   license: str = ""
@@ -52,42 +54,48 @@ def run(arguments: list[str]) -> int:
     raise UsageError("no task given. usage: record-motion TASK --output FILE.npz [flags]")
   name, *given = arguments
   if name in ("-h", "--help"):
-    print(_help(), end="")
+    print(general_help("record-motion", _PURPOSE, Arguments()), end="")
     return 0
-  if name not in list_tasks():
-    raise UsageError(unknown("task", name, list_tasks()))
+  if name.startswith("-"):
+    raise UsageError("the task comes first. usage: record-motion TASK --output FILE.npz [flags]")
   making.share_cores()
-  from mjlab_rl import Console
+  task = load_named_task(name)
+  word = help_word(given)
+  if word is not None:
+    print_task_help("record-motion", name, Arguments(env=task.env), word)
+    return 0
+  return _record(name, task, given)
+
+
+def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+  import torch
   from mjlab_tracking import MotionError, check_quality, derived_arrays, save_motion
   from mjlab_tracking.recording import MotionRecorder
 
   from mjlab.cli._flag_parser import parse
 
-  task, console = load_task(name), Console("normal")
   wanted = parse(Arguments(env=task.env), given)
   if wanted.output is None or Path(wanted.output).suffix != ".npz":
     raise UsageError(f"--output {wanted.output}: name the clip's file, ending in .npz")
   output = Path(wanted.output)
   if output.exists() and not wanted.overwrite:
     raise UsageError(f"{output} is there already; --overwrite replaces it")
-  checkpoint = None
-  if wanted.baseline is None:
-    checkpoint = find_run(wanted.run, log_root=wanted.log_root, name=name, task=task)
-    task = as_trained(checkpoint, name, task, console)
-  watched = task.env if task.play is None else task.play(task.env)
-  wanted = parse(Arguments(env=watched), given)
+  source, parts = None, task
+  if wanted.agent == "trained":
+    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
+    parts = manifest_of(source, name) or task
+  wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
   device = making.resolve_device(wanted.device)
   try:
-    env = (task.make_env or making.standard_env)(wanted.env, device=device)
+    env = (parts.make_env or making.standard_env)(wanted.env, device=device)
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
   try:
-    import torch
-
-    policy, what = make_policy(task, env, checkpoint, wanted.baseline, device)
+    policy = make_policy(wanted.agent, source, env, parts)
+    what = f"{wanted.agent} actions" if source is None else str(source)
     recorder = MotionRecorder(env, entity=wanted.entity)
-    console.say(f"{name}: {what}")
+    print(f"{name}: {what}", flush=True)
     first = round(wanted.skip / env.step_dt)
     with torch.no_grad():
       observations, _ = env.reset(seed=wanted.seed)
@@ -109,15 +117,3 @@ def run(arguments: list[str]) -> int:
     env.close()
   print(f"wrote {output}: {motion.num_frames} frames at {motion.rate:g} Hz")
   return 0
-
-
-def _help() -> str:
-  options = [f"  --{flag.name:<12}{flag.about}" for flag in flags(Arguments())]
-  return "\n".join(
-    [
-      "usage: record-motion TASK --output FILE.npz [flags]\n",
-      "Plays a policy, as for watching, and writes what one robot does as a motion file.\n\nflags:",
-      *(textwrap.fill(option, 100, subsequent_indent=" " * 16) for option in options),
-      "  --env.PATH    Any value of the environment.\n",
-    ]
-  )
