@@ -23,6 +23,8 @@ def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> No
       name: EventTermCfg(mdp.randomize, mode="reset", params={"randomizer": randomizer})
       for name, randomizer in randomizers.items()
     }
+    limit = {"parameter": "effort_limit", "values": (0.8, 1.2)}
+    cfg.env.events["effort"] = EventTermCfg(mdp.randomize_actuator, mode="reset", params=limit)
     cfg.env.events["nothing"] = EventTermCfg(lambda env, mask: None, mode="step")
     return cfg
 
@@ -49,7 +51,9 @@ def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   assert damping_row[1:5] == ["reset", "dof_damping", "hinge", "scale"]
   least, mean, most = (float(cell) for cell in damping_row[-5:-2])
   assert 0.5 <= least < 0.6 < mean < 1.9 < most <= 2.0
-  assert ["nothing", "step", "-", "NO", "STATE", "CHANGED"] in rows
+  assert ["nothing", "step", "-", "NOTHING", "CHANGED"] in rows
+  (effort,) = [line for line in shown.splitlines() if line.startswith("effort ")]
+  assert "actuator_forcerange (2)" in effort
   assert "as compiled 0.2" in shown
   assert picture.read_bytes().startswith(b"\x89PNG")
   assert [path.name for path in tmp_path.iterdir()] == ["events.png"]

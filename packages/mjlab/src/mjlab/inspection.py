@@ -1,5 +1,6 @@
 """What the events of an environment do, measured: each fired once in many worlds and held against what was asked."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +49,7 @@ class EventReport:
   mode: str
   axes: list[AxisReport] = field(default_factory=list)
   changed: dict[str, int] = field(default_factory=dict)
-  """Of an event that randomises no field: how many numbers of each state field it changed."""
+  """Of an event other than `mdp.randomize`: how many numbers it changed, by what they belong to."""
 
 
 @dataclass(kw_only=True)
@@ -68,6 +69,11 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
 
   The environment is used up by it: its state is whatever the events made of it.
   """
+  env.reset()
+  actions = torch.zeros(env.num_envs, env.action_manager.total_action_dim, device=env.device)
+  for _ in range(3):
+    # So that there is something to reset.
+    env.step(actions.uniform_(-1.0, 1.0))
   reports = []
   manager = env.event_manager
   for name in manager.active_terms:
@@ -81,14 +87,31 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
       manager.fire(name)
       report.axes = _axes(term)
       continue
-    before = {state: value.clone() for state in _STATE if (value := getattr(env.sim.data, state)).numel()}
+    before = _snapshot(env)
     manager.fire(name)
-    for state, old in before.items():
-      now = getattr(env.sim.data, state)
-      differs = (now != old).any(0).sum().item()
+    for what, now in _snapshot(env).items():
+      differs = (now != before[what]).any(0).sum().item() if what in before else now[0].numel()
       if differs:
-        report.changed[state] = int(differs)
+        report.changed[what] = int(differs)
   return reports
+
+
+def _snapshot(env: "ManagerBasedRlEnv") -> dict[str, torch.Tensor]:
+  """All that an event may have changed, by name: state, model fields that differ between worlds, actuators, sensors."""
+  found = {name: value for name in _STATE if (value := getattr(env.sim.data, name)).numel()}
+  found |= {name: env.sim.model[name] for name in env.sim.expanded_fields if name in FIELDS}
+  return {name: value.detach().clone() for name, value in (found | _tensors(env.scene.state_dict())).items()}
+
+
+def _tensors(state: Any, path: str = "") -> dict[str, torch.Tensor]:
+  """The tensors of a nested state, by their place in it."""
+  if isinstance(state, torch.Tensor):
+    return {path: state} if state.dim() and state.numel() else {}
+  items = state.items() if isinstance(state, Mapping) else enumerate(state) if isinstance(state, list | tuple) else ()
+  found: dict[str, torch.Tensor] = {}
+  for key, value in items:
+    found |= _tensors(value, f"{path}.{key}" if path else str(key))
+  return found
 
 
 def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
@@ -144,7 +167,7 @@ def table(reports: list[EventReport], inertia: InertiaReport) -> str:
     lead = (report.name, report.mode)
     if not report.axes:
       what = ", ".join(f"{state} ({count})" for state, count in report.changed.items())
-      rows.append((*lead, what or "-", "", "", "", "", "", "" if what else "NO STATE CHANGED"))
+      rows.append((*lead, what or "-", "", "", "", "", "", "" if what else "NOTHING CHANGED"))
     for axis in report.axes:
       drawn = axis.drawn.double()
       numbers = [f"{x:.4g}" for x in (drawn.min(), drawn.mean(), drawn.max())] if drawn.numel() else ["-"] * 3

@@ -54,8 +54,7 @@ def run(arguments: list[str]) -> int:
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
   try:
-    env.reset()
-    reports, inertia = inspect_events(env), None
+    reports = inspect_events(env)
     inertia = inspect_inertia(env)
     print(f"{task}: {env.num_envs} worlds on {device}, one draw each")
     print(table(reports, inertia))
