@@ -278,3 +278,27 @@ def test_one_more_step_of_a_large_library_costs_as_many_operations(folder: Path)
       env.step(zeros(env))
     counts.append(waits.count)
   assert counts[0] == counts[1]
+
+
+@pytest.mark.warp
+def test_both_engines_play_the_same_task(folder: Path) -> None:
+  envs = []
+  for engine in ("native", "warp"):
+    cfg = still(folder)
+    cfg.sim.engine = engine
+    # The sizes of the velocity task, whose kernels are compiled already.
+    cfg.sim.nconmax, cfg.sim.njmax = 32, 192
+    command(cfg).sampling = "start"
+    envs.append(make(cfg)[0])
+  generator = torch.Generator().manual_seed(0)
+  for _ in range(10):
+    action = 0.3 * torch.randn(4, 29, generator=generator)
+    (seen, reward, *_), (expected, exact, *_) = (env.step(action) for env in envs)
+    for group in ("actor", "critic"):
+      torch.testing.assert_close(seen[group], expected[group], atol=2e-3, rtol=0)
+    torch.testing.assert_close(reward, exact, atol=1e-4, rtol=0)
+  # Wild, with episodes that end in all ways, in single precision too.
+  for _ in range(40):
+    observations, reward, *_ = envs[1].step(3.0 * torch.randn(4, 29, generator=generator))
+    assert reward.isfinite().all()
+    assert torch.as_tensor(observations["critic"]).isfinite().all()
