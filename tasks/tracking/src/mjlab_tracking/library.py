@@ -1,9 +1,9 @@
 """Many clips as one: in one buffer on the device, with weights, splits, and bins of about a second each."""
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,7 +19,7 @@ INDEX = "library.json"
 """Optional file of a folder: {"clip.npz": {"weight": 2.0, "split": "test"}, ...}."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ClipEntry:
   """A clip of a library before it is placed on a robot."""
 
@@ -221,5 +221,6 @@ def load_library(
     MotionError: See `find_clips`, `read_motion` and `MotionLibrary`.
   """
   entries = find_clips(motion, split)
-  motions = [read_motion(entry.path, robot) for entry in entries]
+  # Files of a folder have different names; what is written in them need not be.
+  motions = [dataclasses.replace(read_motion(entry.path, robot), name=entry.path.stem) for entry in entries]
   return MotionLibrary(motions, robot, bodies, rate=rate, weights=[entry.weight for entry in entries], dtype=dtype)
