@@ -163,6 +163,15 @@ def test_a_mujoco_rollout_is_read_with_the_rate_of_its_times(tmp_path: Path) -> 
     read_motion(path, robot())
 
 
+def test_a_file_with_the_root_in_front_of_named_joints_is_read_by_name(tmp_path: Path) -> None:
+  motion = wiggle()
+  joints = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos.flip(1)), 1).numpy()
+  arrays: dict[str, Any] = seven_keys(motion) | {"joint_pos": joints, "joint_names": np.array(motion.joint_names[::-1])}
+  path = tmp_path / "named.npz"
+  np.savez(path, **arrays)
+  torch.testing.assert_close(robot().columns_of(read_motion(path, robot())), motion.joint_pos, atol=1e-9, rtol=0)
+
+
 @pytest.mark.parametrize("bodies", ["depth first", "shuffled"])
 @pytest.mark.parametrize("joints", ["depth first", "breadth first"])
 def test_orders_of_a_seven_key_file_are_proven_by_kinematics(tmp_path: Path, joints: str, bodies: str) -> None:

@@ -83,11 +83,14 @@ def _from_npz(path: Path, robot: Kinematics, said: Statement) -> Motion:
     return motion
   if "qpos" in arrays:
     return _from_qpos(path, arrays["qpos"], robot, said, _rate(path, arrays, said))
-  if "joint_pos" in arrays and arrays["joint_pos"].ndim == 2 and "body_pos_w" not in arrays:
-    return _from_qpos(path, arrays["joint_pos"], robot, _named(arrays, said), _rate(path, arrays, said))
+  named = _named(arrays, said)
+  joints = len(robot.joint_names if named.joint_names is None else named.joint_names)
+  # Some files have the root in front of the joints; it then needs no bodies.
+  if "joint_pos" in arrays and ("body_pos_w" not in arrays or arrays["joint_pos"].shape[-1] == 7 + joints):
+    return _from_qpos(path, arrays["joint_pos"], robot, named, _rate(path, arrays, said))
   if missing := [name for name in ("joint_pos", "body_pos_w", "body_quat_w") if name not in arrays]:
     raise MotionError(f"{path}: lacks {', '.join(missing)}, it has: {', '.join(arrays) or 'nothing'}")
-  return _from_seven_keys(path, arrays, robot, _named(arrays, said), _rate(path, arrays, said))
+  return _from_seven_keys(path, arrays, robot, named, _rate(path, arrays, said))
 
 
 def _named(arrays: dict[str, np.ndarray], said: Statement) -> Statement:
