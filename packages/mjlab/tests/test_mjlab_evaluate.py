@@ -51,9 +51,9 @@ def test_an_evaluation_that_is_there_is_not_overwritten_unasked(capsys: pytest.C
   assert evaluate("--output", "mine") == 0
   before = Path("mine/evaluation.json").read_bytes()
   assert evaluate("--output", "mine") == 2
-  assert "--overwrite" in capsys.readouterr().err
+  assert "--force" in capsys.readouterr().err
   assert Path("mine/evaluation.json").read_bytes() == before
-  assert evaluate("--output", "mine", "--overwrite", "--checkpoint", str(run / "model_3.pt")) == 0
+  assert evaluate("--output", "mine", "--force", "--checkpoint", str(run / "model_3.pt")) == 0
 
 
 def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.CaptureFixture[str]) -> None:

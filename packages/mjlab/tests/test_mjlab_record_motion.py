@@ -70,5 +70,5 @@ def test_a_file_that_is_there_is_not_overwritten_unasked(tmp_path: Path, capsys:
   path = tmp_path / "mine.npz"
   path.write_bytes(b"mine")
   assert record("--output", str(path)) == 2
-  assert "--overwrite" in capsys.readouterr().err
+  assert "--force" in capsys.readouterr().err
   assert path.read_bytes() == b"mine"

@@ -87,7 +87,7 @@ def test_a_joint_map_places_a_clip_of_another_robot() -> None:
   [
     (["gone.csv"], "gone.csv: no such file"),
     (["wiggle.csv"], "state it with --rate"),
-    (["wiggle.csv", "--rate", "50", "--output", "wiggle.csv"], "is there already; --overwrite"),
+    (["wiggle.csv", "--rate", "50", "--output", "wiggle.csv"], "is there already; --force"),
     (["wiggle.csv", "wiggle.csv", "--rate", "50", "--output", "one.npz"], "2 clips need a folder"),
     (["wiggle.csv", "wiggle.csv", "--rate", "50", "--output", "two"], "two clips would both be written"),
     (["wiggle.csv", "--rate", "50", "--crop", "0.5", "9"], "lasts 1.180 s"),

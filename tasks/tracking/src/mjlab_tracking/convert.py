@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
   out.add_argument("--license", default=None, help="its terms, e.g. CC-BY-4.0")
   out.add_argument("--compact", action="store_true", help="without what follows from robot and joints")
   out.add_argument("--accept-errors", action="store_true", help="write in spite of errors in the report")
-  out.add_argument("--overwrite", action="store_true", help="replace files that are there")
+  out.add_argument("--force", action="store_true", help="replace files that are there")
   return parser
 
 
@@ -115,8 +115,8 @@ def _convert(options: argparse.Namespace) -> int:
   if options.concatenate is not None:
     motions = [concatenate(motions, blend=options.concatenate)]
   motions = [_finished(motion, robot, options) for motion in motions]
-  targets = _targets(options.output, motions, ".npz", options.overwrite)
-  pictures = _targets(options.report, motions, ".png", options.overwrite)
+  targets = _targets(options.output, motions, ".npz", options.force)
+  pictures = _targets(options.report, motions, ".png", options.force)
   has_errors = False
   for motion, target, picture in zip(motions, targets, pictures, strict=True):
     report = check_quality(motion, robot)
@@ -169,7 +169,7 @@ def _joint_map(path: Path) -> JointMap:
   return table
 
 
-def _targets(path: Path | None, motions: Sequence[Motion], ending: str, overwrite: bool) -> list[Path | None]:
+def _targets(path: Path | None, motions: Sequence[Motion], ending: str, force: bool) -> list[Path | None]:
   """Where each motion goes; nothing is there yet unless it may be replaced."""
   if path is None:
     return [None] * len(motions)
@@ -181,8 +181,8 @@ def _targets(path: Path | None, motions: Sequence[Motion], ending: str, overwrit
     path.mkdir(parents=True, exist_ok=True)
     targets = [path / f"{motion.name}{ending}" for motion in motions]
   taken = [target for target in targets if target.exists()]
-  if taken and not overwrite:
-    raise MotionError(f"{taken[0]} is there already; --overwrite replaces it")
+  if taken and not force:
+    raise MotionError(f"{taken[0]} is there already; --force replaces it")
   if len(set(targets)) < len(targets):
     raise MotionError(f"two clips would both be written to {targets[0].parent}; rename one of them")
   return [*targets]

@@ -34,7 +34,7 @@ class Arguments:
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 where one is missed."""
   output: str | None = None
   """Folder for evaluation.json, evaluation.txt and pictures; None: below the run, one for each checkpoint."""
-  overwrite: bool = False
+  force: bool = False
   """Replace an evaluation that is there."""
   device: str = "auto"
   """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
@@ -124,8 +124,8 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
     folder = source.parent / "evaluation" / source.stem
   else:
     return None
-  if (folder / "evaluation.json").exists() and not wanted.overwrite:
-    raise UsageError(f"{folder} has an evaluation already: --overwrite replaces it, --output puts this one elsewhere")
+  if (folder / "evaluation.json").exists() and not wanted.force:
+    raise UsageError(f"{folder} has an evaluation already: --force replaces it, --output puts this one elsewhere")
   return folder
 
 

@@ -36,7 +36,7 @@ class Arguments:
   """Terms of the clip, e.g. Apache-2.0."""
   seed: int = 0
   """Of starts and commands."""
-  overwrite: bool = False
+  force: bool = False
   """Replace a file that is there."""
   device: str = "auto"
   """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
@@ -78,8 +78,8 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if wanted.output is None or Path(wanted.output).suffix != ".npz":
     raise UsageError(f"--output {wanted.output}: name the clip's file, ending in .npz")
   output = Path(wanted.output)
-  if output.exists() and not wanted.overwrite:
-    raise UsageError(f"{output} is there already; --overwrite replaces it")
+  if output.exists() and not wanted.force:
+    raise UsageError(f"{output} is there already; --force replaces it")
   source, parts = None, task
   if wanted.agent == "trained":
     source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
