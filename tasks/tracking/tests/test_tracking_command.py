@@ -8,10 +8,11 @@ import pytest
 import torch
 from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul, quat_yaw
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_managers import ConfigError
+from mjlab_managers import ConfigError, TerminationTermCfg
+from mjlab_rl import RslRlVecEnvWrapper
 from mjlab_tracking.g1 import BODIES
 from mjlab_tracking.library import shipped_clips
-from mjlab_tracking.mdp import MotionCommand
+from mjlab_tracking.mdp import MotionCommand, bad_anchor_height
 from mjlab_tracking.motion import load_motion, save_motion
 from mjlab_tracking.timeline import resample
 from tracking_env import clips, command, make, still, without_failures, zeros
@@ -279,3 +280,22 @@ def test_a_mistake_is_named_at_build(change: dict, message: str) -> None:
   with pytest.raises(ConfigError) as caught:
     ManagerBasedRlEnv(cfg, device="cpu")
   assert message in str(caught.value)
+
+
+def test_the_learner_is_told_to_bootstrap_at_the_end_of_a_clip_and_not_where_it_failed(folder: Path) -> None:
+  cfg = without_failures(still(folder / "a_squat.npz"))
+  command(cfg).sampling = "start"
+  cfg.terminations["fallen"] = TerminationTermCfg(bad_anchor_height, params={"command": "motion", "threshold": 0.5})
+  env, term = make(cfg)
+  wrapped = RslRlVecEnvWrapper(env)
+  while int(term.frame[0]) < int(term.num_frames[0]) - 1:
+    _, _, dones, extras = wrapped.step(zeros(env))
+    assert not dones.any()
+  # All come to the end of their clip; one fails in the same step.
+  robot = env.scene["robot"]
+  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
+  pose[2, 2] += 1.0
+  robot.write_root_pose(pose)
+  _, _, dones, extras = wrapped.step(zeros(env))
+  assert dones.tolist() == [1, 1, 1, 1]
+  assert extras["time_outs"].tolist() == [True, True, False, True]
