@@ -1,5 +1,9 @@
 """Whoever watches an environment leaves it as it is; every task can be drawn."""
 
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
 import mjlab
 import mujoco
 import numpy as np
@@ -7,7 +11,8 @@ import pytest
 import torch
 from mjlab.making import make
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_viewer import RenderingError, SnapshotTaker
+from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker, TrainingVideo
+from torch.utils._python_dispatch import TorchDispatchMode
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
 
@@ -20,10 +25,11 @@ def seeded_env() -> ManagerBasedRlEnv:
   return env
 
 
-def rollout(env: ManagerBasedRlEnv, steps: int) -> list[torch.Tensor]:
+def rollout(env: ManagerBasedRlEnv, steps: int, look: Callable[[], None] = lambda: None) -> list[torch.Tensor]:
   generator = torch.Generator().manual_seed(3)
   seen: list[torch.Tensor] = []
   for _ in range(steps):
+    look()
     action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=generator)
     observations, reward, terminated, _, _ = env.step(action)
     seen += [value for value in observations.values() if isinstance(value, torch.Tensor)] + [reward, terminated]
@@ -36,24 +42,69 @@ def packed(model: mujoco.MjModel) -> np.ndarray:
   return buffer
 
 
-def test_a_watched_rollout_is_the_unwatched_one_bit_for_bit() -> None:
+class Watchers:
+  """Everybody who can look: copies, a page with a film running, pictures."""
+
+  def __init__(self, env: ManagerBasedRlEnv, folder: Path) -> None:
+    self.env = env
+    self.taker = SnapshotTaker(env)
+    self.page = BrowserViewer(env, port=8500, video_folder=folder)
+    self.page.scene.scene.show_contact_forces = True
+    self.film = TrainingVideo(env, folder, interval=10, length=3)
+    env.render_mode = "rgb_array"
+    self._looks = 0
+
+  def look(self) -> None:
+    names = tuple(self.env.drawers())
+    self.page.scene.show(self.taker.take((4, 1), drawers=names))
+    self.film.after_step()
+    self._looks += 1
+    if self._looks % 5 == 0:
+      with contextlib.suppress(RenderingError):
+        self.env.render()
+
+  def close(self) -> None:
+    self.page.close()
+    self.film.close()
+
+
+def test_a_watched_rollout_is_the_unwatched_one_bit_for_bit(tmp_path: Path) -> None:
   with seeded_env() as env:
-    alone = rollout(env, 25)
+    alone = rollout(env, 12)
   with seeded_env() as env:
     before = packed(env.sim.mj_model)
-    taker = SnapshotTaker(env)
-    step = env.step
-
-    def watched_step(action: torch.Tensor):
-      taker.take((4, 1), drawers=tuple(env.drawers()))
-      returned = step(action)
-      taker.take((2,), drawers=tuple(env.drawers()), apart=True)
-      return returned
-
-    env.step = watched_step
-    watched = rollout(env, 25)
+    watchers = Watchers(env, tmp_path)
+    watched = rollout(env, 12, watchers.look)
+    watchers.close()
     np.testing.assert_array_equal(packed(env.sim.mj_model), before)
   assert all(torch.equal(a, b) for a, b in zip(alone, watched, strict=True))
+
+
+class CountElements(TorchDispatchMode):
+  """Counts the elements of all new tensors that operations make; views are not new."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.made = 0
+
+  def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+    result = func(*args, **(kwargs or {}))
+    if isinstance(result, torch.Tensor) and not any(r.alias_info for r in func._schema.returns):
+      self.made += result.numel()
+    return result
+
+
+def test_what_a_picture_costs_depends_on_the_worlds_shown_not_on_those_there_are() -> None:
+  made = []
+  for worlds in (8, 64):
+    with make(TASK, num_envs=worlds, device="cpu") as env:
+      env.reset(seed=0)
+      taker = SnapshotTaker(env)
+      taker.take((0, 1, 2), drawers=tuple(env.drawers()))
+      with CountElements() as count:
+        taker.take((0, 1, 2), drawers=tuple(env.drawers()))
+      made.append(count.made)
+  assert made[0] == made[1] > 0
 
 
 def test_a_snapshot_holds_the_chosen_worlds_and_the_numbers_of_the_first() -> None:

@@ -1,7 +1,7 @@
 """Pictures of the viewer for the documentation: `uv run python tools/picture_viewer.py`.
 
-They show the policy of `demo`. Needs Chromium, and OpenGL without a screen. Each picture is a page of a running viewer,
-photographed in the browser.
+They show the policy of `demo`, on pages of a running viewer that are photographed in the browser. Needs Chromium, and
+OpenGL without a screen.
 """
 
 import argparse
@@ -69,7 +69,9 @@ def main() -> None:
     contacts(env, args.out)
     # The first picture is of this moment: robots that walk on leave each other.
     over = threading.Event()
-    with BrowserViewer(env, playback=playback, camera=CameraCfg(distance=4.2, azimuth=60.0, elevation=-20.0)) as viewer:
+    with BrowserViewer(
+      env, playback=playback, camera=CameraCfg(distance=4.6, azimuth=105.0, elevation=-22.0)
+    ) as viewer:
       thread = threading.Thread(target=viewer.run, args=(over.is_set,))
       thread.start()
       try:

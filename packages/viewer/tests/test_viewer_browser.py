@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, ViewerError, ZeroPolicy
+from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ViewerError, ZeroPolicy
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
 from viewer_env import BoxEnv
@@ -68,7 +68,7 @@ def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) 
     run.close()
 
 
-def eventually(holds: Callable[[], object], what: str = "", seconds: float = 15.0) -> None:
+def eventually(holds: Callable[[], object], what: str = "", seconds: float = 40.0) -> None:
   """Waits until something holds; the browser is slow where it has no GPU."""
   end = time.monotonic() + seconds
   while not holds():
@@ -102,6 +102,12 @@ def red(page: Page) -> np.ndarray:
   """Where the red boxes are on the left of the page, bool (height, width)."""
   image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
   return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+
+
+def blue(page: Page) -> np.ndarray:
+  """Where the blue boxes are on the left of the page, but for its axes in the corner, bool (height, width)."""
+  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:460, :340, :3]
+  return (image[..., 2] > 90) & (image[..., 2] > 2 * image[..., 0]) & (image[..., 2] > 2 * image[..., 1])
 
 
 def push(value: float, env: BoxEnv) -> Callable[..., torch.Tensor]:
@@ -220,6 +226,51 @@ def test_an_error_of_the_policy_is_shown_and_reset_goes_on(chromium: Browser, tm
     is_broken.clear()
     page.get_by_role("button", name="Reset").click()
     eventually(lambda: run.playback.error is None and run.playback.step_count > 5)
+    page.close()
+
+
+def dressed_env() -> BoxEnv:
+  """Worlds 1 and 3 have blue boxes, world 2 a small red one with another ornament."""
+  env = BoxEnv(4)
+  model = env.sim.mj_model
+  # Far enough to see all of them.
+  model.stat.extent = 5.0
+  box = model.geom("box").id
+  env.sim.expand("geom_rgba")[[1, 3], box] = torch.tensor([0.1, 0.1, 0.9, 1.0])
+  env.sim.expand("geom_size")[2, box] *= 0.5
+  env.sim.expand("geom_dataid")[2, model.geom("ornament").id] = model.mesh("spike").id
+  return env
+
+
+def test_worlds_of_different_looks_are_shown_each_in_its_own() -> None:
+  env = dressed_env()
+  with BrowserViewer(env, port=8300) as viewer:
+    taker = SnapshotTaker(env)
+    for worlds in ((0, 1, 2, 3), (1, 2, 3, 0), (0, 1, 2, 3)):
+      viewer.scene.show(taker.take(worlds))
+      wardrobe = viewer.scene.wardrobe.scenes
+      assert len(wardrobe) == 2
+      assert all(scene.root.visible for scene in wardrobe)
+      shown = {
+        scene.scene.mj_model.geom_rgba[1].tobytes() + scene.scene.mj_model.geom_size[1].tobytes(): len(
+          scene.scene._mesh_groups[0].handle.batched_positions
+        )
+        for scene in (viewer.scene, *wardrobe)
+      }
+      assert sorted(shown.values()) == [1, 1, 2]
+    viewer.scene.show(taker.take((0,)))
+    assert not any(scene.root.visible for scene in viewer.scene.wardrobe.scenes)
+
+
+def test_colours_of_each_world_are_seen(chromium: Browser, tmp_path: Path) -> None:
+  with running(dressed_env(), tmp_path) as run:
+    page = opened(chromium, run)
+    eventually(lambda: red(page).sum() > 20)
+    eventually(lambda: blue(page).sum() > 20)
+    slide(page, "Shown", 1)
+    eventually(lambda: run.viewer.num_drawn == 1, "the slider did not arrive")
+    eventually(lambda: blue(page).sum() == 0, "the blue box stays")
+    assert red(page).sum() > 20
     page.close()
 
 

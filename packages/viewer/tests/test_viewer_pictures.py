@@ -11,7 +11,6 @@ import pytest
 import torch
 from mjlab_viewer import (
   BackgroundVideo,
-  CameraCfg,
   OffscreenRenderer,
   PictureCfg,
   RenderingError,
@@ -116,11 +115,6 @@ def test_looking_leaves_the_model_as_it_was(opengl: None) -> None:
   after = np.zeros_like(before)
   mujoco.mj_saveModel(env.sim.mj_model, None, after)
   np.testing.assert_array_equal(before, after)
-
-
-def test_a_body_that_does_not_exist_is_refused_by_name() -> None:
-  with pytest.raises(ViewerError, match=r"body 'leg' does not exist; the model has: box"):
-    OffscreenRenderer(BoxEnv(1).sim.mj_model, PictureCfg(camera=CameraCfg(body="leg")))
 
 
 def frames(path: Path) -> list[np.ndarray]:

@@ -9,6 +9,7 @@ import viser.transforms
 from mjviser import ViserMujocoScene
 
 from mjlab_viewer.browser_drawing import BrowserDrawing
+from mjlab_viewer.browser_looks import Wardrobe, look
 from mjlab_viewer.camera import Camera
 from mjlab_viewer.host_world import HostWorld, copy_world
 from mjlab_viewer.snapshot import Snapshot
@@ -32,6 +33,8 @@ class BrowserScene:
     self.scene._tracked_body_id = camera.body
     self.scene.camera_tracking_enabled = camera.body is not None
     self._drawing = BrowserDrawing(server, self._own.model)
+    self.wardrobe = Wardrobe(server, model)
+    self._look = b""
     self.shown: Snapshot | None = None
     """What is shown."""
     server.initial_camera.fov = float(np.deg2rad(model.vis.global_.fovy))
@@ -43,20 +46,29 @@ class BrowserScene:
     data, scene = snapshot.data, self.scene
     # Contacts and forces follow from the very state and model of the selected world.
     copy_world(snapshot, 0, self._own.model, scene.mj_data)
-    count = len(snapshot.worlds)
-    matrices = viser.transforms.SO3(data["xquat"].reshape(-1, 4)).as_matrix().reshape(count, -1, 3, 3)
+    looks = [look(snapshot, row) for row in range(len(snapshot.worlds))]
+    if looks[0] != self._look:
+      self._look = looks[0]
+      scene.rebuild_visual_handles()
+    alike = [row for row, its_look in enumerate(looks) if its_look == looks[0]]
+    poses = _poses(data)
     scene.update_from_arrays(
-      data["xpos"],
-      matrices,
-      data.get("mocap_pos"),
-      data.get("mocap_quat"),
+      **{name: values[alike] for name, values in poses.items()},
       env_idx=0,
-      qpos=data["qpos"] if "qpos" in data else np.zeros((count, 0)),
-      qvel=data["qvel"] if "qvel" in data else np.zeros((count, 0)),
+      # Of the selected world, for overlays.
+      qpos=data["qpos"] if "qpos" in data else np.zeros((1, 0)),
+      qvel=data["qvel"] if "qvel" in data else np.zeros((1, 0)),
       ctrl=data.get("ctrl"),
     )
+    offset = np.asarray(scene.fixed_bodies_frame.position)
+    different: dict[bytes, list[int]] = {}
+    for row, its_look in enumerate(looks):
+      if its_look != looks[0]:
+        different.setdefault(its_look, []).append(row)
+    moved = {name: values + offset if name.endswith("pos") else values for name, values in poses.items()}
+    self.wardrobe.show(snapshot, different, moved, scene)
     for drawing in snapshot.drawings:
-      self._drawing.show(drawing, scene.fixed_bodies_frame.position)
+      self._drawing.show(drawing, offset)
     self.shown = snapshot
 
   def follow(self, on: bool) -> None:
@@ -75,3 +87,12 @@ class BrowserScene:
 
   def _eye(self) -> np.ndarray:
     return self._target() + self._camera.offset
+
+
+def _poses(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+  """Poses of all bodies as mjviser wants them, one row for each world."""
+  count = len(data["xpos"])
+  matrices = viser.transforms.SO3(data["xquat"].reshape(-1, 4)).as_matrix().reshape(count, -1, 3, 3)
+  poses = {"body_xpos": data["xpos"], "body_xmat": matrices}
+  poses |= {name: data[name] for name in ("mocap_pos", "mocap_quat") if name in data}
+  return poses
