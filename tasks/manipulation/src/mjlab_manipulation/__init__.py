@@ -1,5 +1,25 @@
 """An arm lifts cubes to where it is told."""
 
-from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env
+from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
+from mjlab_manipulation.vision import (
+  lift_cube_depth,
+  lift_cube_depth_env,
+  lift_cube_rgb,
+  lift_cube_rgb_env,
+  multi_cube_seg,
+  multi_cube_seg_env,
+)
 
-__all__ = ["lift_cube", "lift_cube_env", "lift_cube_ik", "lift_cube_ik_env"]
+__all__ = [
+  "lift_cube",
+  "lift_cube_depth",
+  "lift_cube_depth_env",
+  "lift_cube_env",
+  "lift_cube_ik",
+  "lift_cube_ik_env",
+  "lift_cube_rgb",
+  "lift_cube_rgb_env",
+  "lift_env",
+  "multi_cube_seg",
+  "multi_cube_seg_env",
+]

@@ -19,6 +19,21 @@ def cube_spec(rgba: tuple[float, float, float, float] = (0.85, 0.35, 0.2, 1.0)) 
   return spec
 
 
-def hue(share: float) -> tuple[float, float, float, float]:
-  """A strong colour from round the colour circle; `share` 0 is red, 1/3 green, 2/3 blue."""
+def red_cube_spec() -> mujoco.MjSpec:
+  """A red cube."""
+  return cube_spec(_hue(0.0))
+
+
+def green_cube_spec() -> mujoco.MjSpec:
+  """A green cube."""
+  return cube_spec(_hue(1 / 3))
+
+
+def blue_cube_spec() -> mujoco.MjSpec:
+  """A blue cube."""
+  return cube_spec(_hue(2 / 3))
+
+
+def _hue(share: float) -> tuple[float, float, float, float]:
+  """A strong colour from round the colour circle."""
   return (*colorsys.hsv_to_rgb(share, 0.8, 0.9), 1.0)

@@ -2,6 +2,7 @@
 
 from mjlab_manipulation.mdp.command import LiftCommand, LiftCommandCfg, Region
 from mjlab_manipulation.mdp.curricula import reward_weight
+from mjlab_manipulation.mdp.images import DATA_OF_CHANNEL, Channel, camera_image
 from mjlab_manipulation.mdp.observations import goal_in_hand, hand_to_object, object_to_goal
 from mjlab_manipulation.mdp.rewards import hand_distance, joint_vel_hinge, lift, lift_command, lift_precise
 from mjlab_manipulation.mdp.stages import (
@@ -19,10 +20,13 @@ from mjlab_manipulation.mdp.stages import (
 )
 
 __all__ = [
+  "DATA_OF_CHANNEL",
+  "Channel",
   "LiftCommand",
   "LiftCommandCfg",
   "Region",
   "at_goal",
+  "camera_image",
   "dropped",
   "goal_in_hand",
   "goal_over",

@@ -1,0 +1,82 @@
+"""An image encoder that says where things are in the image."""
+
+import contextlib
+import io
+from typing import Any, cast
+
+import torch
+from rsl_rl.models import CNNModel
+from rsl_rl.modules import CNN
+from torch import nn
+
+
+class SpatialSoftmax(nn.Module):
+  """Expected place of each channel's activation, (B, C, H, W) to (B, 2 C): x of all channels in [-1, 1], then y.
+
+  Levine et al. 2016, End-to-end training of deep visuomotor policies, arXiv:1504.00702.
+  """
+
+  def __init__(self, height: int, width: int, temperature: float = 1.0) -> None:
+    super().__init__()
+    y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
+    self._x: torch.Tensor
+    self._y: torch.Tensor
+    self.register_buffer("_x", x.flatten(), persistent=False)
+    self.register_buffer("_y", y.flatten(), persistent=False)
+    self._temperature = temperature
+
+  def forward(self, features: torch.Tensor) -> torch.Tensor:
+    weight = torch.softmax(features.flatten(2) / self._temperature, dim=-1)
+    return torch.cat([(weight * self._x).sum(-1), (weight * self._y).sum(-1)], dim=-1)
+
+
+class SpatialSoftmaxCNNModel(CNNModel):
+  """rsl-rl's CNNModel whose encoders end in a spatial softmax instead of all their features.
+
+  `cnn_cfg` is that of CNNModel, or one for each image group, and may have a `temperature`; flattening and global
+  pooling are its own. Choose it by `class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"`.
+  """
+
+  def __init__(
+    self,
+    obs: Any,
+    obs_groups: dict[str, list[str]],
+    obs_set: str,
+    output_dim: int,
+    *,
+    cnn_cfg: dict[str, Any] | None = None,
+    cnns: Any = None,
+    **options: Any,
+  ) -> None:
+    with contextlib.ExitStack() as quiet:
+      if cnns is None:
+        if not cnn_cfg:
+          raise ValueError("cnn_cfg must say what the image encoders are made of")
+        own: dict[str, nn.Module] = {
+          group: _encoder(obs[group], dict(cnn_cfg.get(group, cnn_cfg)))
+          for group in obs_groups[obs_set]
+          if obs[group].dim() == 4
+        }
+        cnns = own
+        # The parent says that encoders it is given are shared; these are not.
+        quiet.enter_context(contextlib.redirect_stdout(io.StringIO()))
+      super().__init__(obs, obs_groups, obs_set, output_dim, cnns=cnns, **options)
+
+
+class _Encoder(nn.Sequential):
+  """Convolutions, then where they respond; with the attributes that CNNModel asks of an encoder."""
+
+  output_channels = None
+
+  def __init__(self, cnn: CNN, softmax: SpatialSoftmax, channels: int) -> None:
+    super().__init__(cnn, softmax)
+    self.output_dim = 2 * channels
+
+
+def _encoder(images: torch.Tensor, cfg: dict[str, Any]) -> _Encoder:
+  temperature = cfg.pop("temperature", 1.0)
+  _, channels, height, width = images.shape
+  cnn = CNN(input_dim=(height, width), input_channels=channels, flatten=False, **cfg)
+  # Of features that are not flattened both are known; rsl-rl's types allow for either.
+  size, features = cast("tuple[int, int]", cnn.output_dim), cast("int", cnn.output_channels)
+  return _Encoder(cnn, SpatialSoftmax(*size, temperature), features)

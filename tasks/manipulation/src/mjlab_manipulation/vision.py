@@ -1,0 +1,123 @@
+"""The YAM lifts cubes that it sees with the camera at its wrist."""
+
+import copy
+from dataclasses import replace
+
+from mjlab_dr import randomize_field
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
+from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
+from mjlab_scene import EntityCfg
+from mjlab_sensors import CameraSensorCfg
+
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.lift import COMMAND, agent, hand, lift_cube_env, lift_env, play, proprioception
+from mjlab_manipulation.objects import blue_cube_spec, green_cube_spec, red_cube_spec
+
+# Images
+CAMERA = "wrist_camera"
+PIXELS = 32  # of each side
+DEPTH_RANGE = (0.01, 0.5)  # m
+# What is seen: ground and cubes, and the robot's collision shapes, which no mesh file changes.
+GEOM_GROUPS = (0, 3)
+
+# Cubes beside one another
+CUBES = {"red_cube": red_cube_spec, "green_cube": green_cube_spec, "blue_cube": blue_cube_spec}
+CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.02, 0.05))
+
+# Learner
+ENCODER = {
+  "output_channels": (16, 32),
+  "kernel_size": (5, 3),
+  "stride": (2, 2),
+  "padding": "zeros",
+  "activation": "elu",
+}
+HIDDEN = (256, 256, 128)
+ITERATIONS = 3_000
+
+
+def lift_cube_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts a cube whose distance it sees."""
+  return TaskCfg(env=lift_cube_depth_env(), play=play, agent=vision_agent("yam_lift_cube_vision"))
+
+
+def lift_cube_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts a cube that it sees in colour, a colour of its own in every episode."""
+  return TaskCfg(env=lift_cube_rgb_env(), play=play, agent=vision_agent("yam_lift_cube_vision"))
+
+
+def multi_cube_seg() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts the one of three cubes that is marked in what it sees."""
+  return TaskCfg(env=multi_cube_seg_env(), play=play, agent=vision_agent("yam_multi_cube_seg"))
+
+
+def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training from depth."""
+  cfg = lift_cube_env()
+  _see(cfg, ("depth",))
+  return cfg
+
+
+def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training from colours."""
+  cfg = lift_cube_env()
+  _see(cfg, ("rgb",))
+  cfg.events["cube_color"] = EventTermCfg(
+    mdp.randomize,
+    mode="reset",
+    params={
+      "randomizer": randomize_field(
+        "geom_rgba", "cube", (0.0, 1.0), axes=("red", "green", "blue"), operation="absolute"
+      ),
+      "asset": SceneEntityCfg("cube"),
+    },
+  )
+  return cfg
+
+
+def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training with three cubes, from depth and a mask of the one to be lifted."""
+  cfg = lift_env({name: EntityCfg(spec_fn=spec_fn) for name, spec_fn in CUBES.items()})
+  cfg.sim.nconmax = 415
+  command = cfg.commands[COMMAND]
+  assert isinstance(command, lifting.LiftCommandCfg)
+  command.start = copy.deepcopy(CUBES_START)
+  _see(cfg, ("depth", "object"))
+  return cfg
+
+
+def _see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> None:
+  """Give the actor a camera and the goal in place of what it was told of the cube; the critic is still told."""
+  cfg.scene.sensors[CAMERA] = CameraSensorCfg(
+    camera="robot/camera_d405",
+    width=PIXELS,
+    height=PIXELS,
+    data_types=tuple(dict.fromkeys(lifting.DATA_OF_CHANNEL[channel] for channel in channels)),
+    geom_groups=GEOM_GROUPS,
+  )
+  terms = proprioception()
+  terms["goal_position"] = ObservationTermCfg(lifting.goal_in_hand, params={"command": COMMAND, "hand": hand()})
+  cfg.observations["actor"] = ObservationGroupCfg(corrupt=True, terms=terms)
+  cfg.observations["camera"] = ObservationGroupCfg(
+    terms={
+      "image": ObservationTermCfg(
+        lifting.camera_image,
+        params={"sensor": CAMERA, "channels": channels, "depth_range": DEPTH_RANGE, "command": COMMAND},
+      )
+    }
+  )
+
+
+def vision_agent(experiment_name: str) -> RslRlOnPolicyRunnerCfg:
+  """The learner of policies that see: the actor through an encoder of its own, the critic knows where things are."""
+  cfg = agent(experiment_name, ITERATIONS)
+  cfg.actor = replace(
+    cfg.actor,
+    class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel",
+    cnn_cfg=copy.deepcopy(ENCODER),
+    hidden_dims=HIDDEN,
+  )
+  cfg.critic = RslRlModelCfg(hidden_dims=HIDDEN, obs_normalization=True)
+  cfg.obs_groups = {"actor": ("actor", "camera"), "critic": ("critic",)}
+  return cfg

@@ -1,0 +1,181 @@
+"""What the policies that see are given, against the geometry of the scene."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from manipulation_worlds import in_mujoco, lift
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import ConfigError
+from mjlab_manipulation import (
+  lift_cube_depth,
+  lift_cube_depth_env,
+  lift_cube_rgb,
+  lift_cube_rgb_env,
+  multi_cube_seg,
+  multi_cube_seg_env,
+)
+from mjlab_manipulation.lift import COMMAND
+from mjlab_manipulation.vision import CUBES
+from mjlab_rl import Console, train
+
+pytestmark = pytest.mark.warp
+
+Env = Callable[[], ManagerBasedRlEnvCfg]
+
+
+def image_params(cfg: ManagerBasedRlEnvCfg) -> dict[str, Any]:
+  group = cfg.observations["camera"]
+  assert group is not None
+  term = group.terms["image"]
+  assert term is not None
+  return term.params
+
+
+def images(env: ManagerBasedRlEnv) -> np.ndarray:
+  env.observation_manager.compute()
+  seen = env.get_observations()["camera"]
+  assert isinstance(seen, torch.Tensor)
+  assert seen.dtype == torch.float32
+  return seen.numpy()
+
+
+def project(env: ManagerBasedRlEnv, world: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+  """Column and row of points in the image, (n, 2) [pixel], and how far ahead of the lens they are, (n,) [m]."""
+  data, model = in_mujoco(env, world), env.sim.mj_model
+  camera = data.camera("robot/camera_d405")
+  local = (points - camera.xpos) @ camera.xmat.reshape(3, 3)
+  focal = 16.0 / np.tan(0.5 * np.radians(model.cam_fovy[camera.id]))
+  return 16.0 + focal * local[:, :2] * [1.0, -1.0] / -local[:, 2:], -local[:, 2]
+
+
+@pytest.mark.parametrize(
+  ("make", "channels"), [(lift_cube_depth_env, 1), (lift_cube_rgb_env, 3), (multi_cube_seg_env, 2)]
+)
+def test_the_actor_sees_the_critic_is_told(make: Env, channels: int) -> None:
+  env, _ = lift(2, make)
+  shapes = {group: tuple(v.shape[1:]) for group, v in env.get_observations().items() if isinstance(v, torch.Tensor)}
+  assert shapes == {"actor": (26,), "critic": (29,), "camera": (channels, 32, 32)}
+  assert env.action_manager.total_action_dim == 7
+  seen = images(env)
+  assert seen.min() >= 0.0
+  assert seen.max() <= 1.0
+
+
+def test_depth_is_the_way_along_the_optical_axis() -> None:
+  env, _ = lift(4, lift_cube_depth_env)
+  seen = images(env)[:, 0]
+  for world in range(4):
+    centre = env.scene["cube"].data.root_link_pos_w[world].numpy()
+    ((column, row),), (ahead,) = project(env, world, centre[None])
+    # The cube's top is half an edge nearer than its centre.
+    assert seen[world, int(row), int(column)] == pytest.approx((ahead - 0.02) / 0.5, abs=0.02)
+    # Ground on the other side of the image.
+    ground = in_mujoco(env, world).camera("robot/camera_d405").xpos * [1, 1, 0]
+    ground[1] += 0.08 if centre[1] < ground[1] else -0.08
+    ((column, row),), (ahead,) = project(env, world, ground[None])
+    assert seen[world, int(row), int(column)] == pytest.approx(ahead / 0.5, abs=0.01)
+
+
+def test_what_is_not_there_is_far_and_marked_as_such() -> None:
+  def skyward() -> ManagerBasedRlEnvCfg:
+    cfg = lift_cube_depth_env()
+    image_params(cfg)["channels"] = ("depth", "valid")
+    return cfg
+
+  env, _ = lift(2, skyward)
+  robot = env.scene["robot"]
+  # The wrist of the second arm looks over the horizon.
+  position = robot.data.joint_pos.clone()
+  position[1, 3] = 1.2
+  robot.write_joint_state(position, torch.zeros_like(position))
+  depth, valid = images(env).transpose(1, 0, 2, 3)
+  raw = env.scene["wrist_camera"].data.depth[:, 0].numpy()
+  missed = raw < 0.0
+  assert not missed[0].any()
+  assert missed[1].sum() > 100
+  assert (depth[missed] == 1.0).all()
+  assert (valid[missed] == 0.0).all()
+  # Ground behind the cut-off is as far, and as little known.
+  assert (depth[raw > 0.5] == 1.0).all()
+  np.testing.assert_array_equal(valid, (raw >= 0.01) & (raw <= 0.5))
+
+
+def test_the_mask_covers_the_cube_that_is_meant_and_no_other() -> None:
+  env, term = lift(16, multi_cube_seg_env)
+  mask = images(env)[:, 1]
+  assert set(np.unique(mask)) == {0.0, 1.0}
+  corners = np.array(np.meshgrid(*[[-0.02, 0.02]] * 3)).reshape(3, -1).T
+  names = list(CUBES)
+  for world in range(16):
+    cube = in_mujoco(env, world).body(f"{names[int(term.target[world])]}/cube")
+    outline, _ = project(env, world, corners @ cube.xmat.reshape(3, 3).T + cube.xpos)
+    rows, columns = np.nonzero(mask[world])
+    low, high = outline.min(0), outline.max(0)
+    assert len(rows) > 8
+    assert columns.min() >= low[0] - 1
+    assert columns.max() <= high[0]
+    assert rows.min() >= low[1] - 1
+    assert rows.max() <= high[1]
+    assert np.abs([columns.mean() + 0.5, rows.mean() + 0.5] - outline.mean(0)).max() < 1.5
+  assert len(set(term.target.tolist())) == 3
+
+
+def test_every_episode_has_a_colour_of_its_own() -> None:
+  env, _ = lift(6, lift_cube_rgb_env)
+  geom = env.sim.mj_model.geom("cube/cube").id
+  before = env.sim.model.geom_rgba[:, geom].numpy().copy()
+  assert len(np.unique(before[:, :3])) == 18
+  assert (before[:, 3] == 1.0).all()
+  env.reset(env_ids=[2, 4])
+  after = env.sim.model.geom_rgba[:, geom].numpy()
+  changed = (before != after).any(1)
+  assert changed.tolist() == [False, False, True, False, True, False]
+
+
+def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
+  for make in (lift_cube_depth, lift_cube_rgb, multi_cube_seg):
+    task = make()
+    assert task.play is not None
+    assert not any(group.corrupt for group in task.play(make().env).observations.values() if group is not None)
+    assert (task.agent.actor.hidden_dims, task.agent.max_iterations) == ((256, 256, 128), 3000)
+    assert task.agent.obs_groups == {"actor": ("actor", "camera"), "critic": ("critic",)}
+    task.env.scene.num_envs, task.env.seed = 4, 0
+    task.agent.num_steps_per_env, task.agent.max_iterations = 4, 1
+    console = Console("quiet")
+    result = train(task, name="Seeing", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=console)
+    assert result.iterations == 1
+
+
+@pytest.mark.parametrize(
+  ("params", "message"),
+  [
+    ({"channels": ("colour",)}, "channel 'colour' does not exist"),
+    ({"channels": ()}, "channels must name at least one of: rgb, depth, valid, object"),
+    ({"channels": ("rgb",)}, "channel 'rgb' needs 'rgb' among the data_types of sensor 'wrist_camera'"),
+    ({"depth_range": (0.5, 0.1)}, "depth_range must begin at 0 or more and end above"),
+    ({"command": "lift"}, "lift_height"),
+  ],
+  ids=["channel", "none", "data", "range", "command"],
+)
+def test_what_is_wrong_with_an_image_is_said_at_build(params: dict[str, Any], message: str) -> None:
+  def broken() -> ManagerBasedRlEnvCfg:
+    cfg = multi_cube_seg_env()
+    image_params(cfg).update(params)
+    return cfg
+
+  with pytest.raises(ConfigError, match=message):
+    lift(2, broken)
+
+
+def test_three_cubes_have_room_and_colours_of_their_own() -> None:
+  cfg = multi_cube_seg_env()
+  assert (cfg.sim.nconmax, cfg.sim.njmax) == (415, 600)
+  env, term = lift(2, multi_cube_seg_env)
+  colours = [env.sim.mj_model.geom(f"{name}/cube").rgba[:3] for name in CUBES]
+  assert [int(np.argmax(colour)) for colour in colours] == [0, 1, 2]
+  assert (term.cfg.start.x, term.cfg.goal.z) == ((0.25, 0.4), (0.2, 0.4))
+  assert isinstance(env.cfg.commands[COMMAND], type(term.cfg))
