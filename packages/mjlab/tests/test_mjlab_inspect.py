@@ -85,9 +85,10 @@ def test_an_event_that_does_nothing_or_not_what_was_asked_is_said_in_capitals_an
 @pytest.mark.parametrize(
   ("flags", "message"),
   [
-    (["--num-env", "4"], "Nearest: --num-envs"),
-    (["--num-envs", "many"], "--num-envs needs a whole number from 2, got 'many'"),
-    (["--seed"], "--seed needs a value"),
+    (["--num-env", "4"], "--num-envs"),
+    (["--num-envs", "many"], "many"),
+    (["--num-envs", "1"], "--num-envs is 1; draws are compared over at least 2 worlds"),
+    (["--seed"], "--seed"),
     (["--device", "tpu"], "device 'tpu' does not exist"),
     (["--png", "picture.jpg"], "does not end in .png"),
     (["--png", "nowhere/picture.png"], "there is no directory"),
@@ -110,7 +111,7 @@ def test_a_picture_overwrites_nothing_and_says_what_it_needs(
   mine = tmp_path / "mine.png"
   mine.write_text("precious")
   assert inspect("--png", str(mine)) == 2
-  assert "exists; nothing is overwritten" in capsys.readouterr().err
+  assert "exists; --force overwrites it" in capsys.readouterr().err
   assert mine.read_text() == "precious"
   find = importlib.util.find_spec
   monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else find(name, *a))

@@ -17,6 +17,7 @@ from mjlab_sensors.frames import FrameSet
 from mjlab_sensors.sensor import Sensor, SensorCfg
 
 if TYPE_CHECKING:
+  from mjlab_core import DebugDraw
   from mjlab_sim import Images, Simulation
 
 _ORTHOGRAPHIC = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC

@@ -1,65 +1,82 @@
 """`inspect-dr TASK [flags]`: what the events of a task do, as a table and a picture."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import unknown
-
+from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.registry import list_tasks
+from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
 
 if TYPE_CHECKING:
   from mjlab.inspection import EventReport, InertiaReport
 
-_HELP = """\
-usage: inspect-dr TASK [flags]
 
-Fires every event of TASK once in many worlds and shows what was drawn beside what was asked for, the state that each
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the task."""
+
+  num_envs: int = 512
+  """Worlds to draw in."""
+  device: str = "cpu"
+  """Where to draw: cpu, cuda:0, or auto for a GPU where there is one."""
+  seed: int = 0
+  """Seed of the draws."""
+  png: str | None = None
+  """Picture of distributions, total mass and inertia ellipsoids: FILE.png; needs matplotlib."""
+  force: bool = False
+  """Overwrite the picture."""
+  traceback: bool = False
+  """Show where an error came from."""
+  env: Any = None
+  """Configuration of the environment."""
+
+
+_PURPOSE = """\
+Fires every event of a task once in many worlds and shows what was drawn beside what was asked for, the state that each
 event changes, and the total mass. Says so in capitals where an event does nothing, or not what was asked.
-
-flags:
-  --num-envs N   worlds to draw in (512)
-  --device NAME  cpu, cuda:0, or auto for a GPU where there is one (cpu)
-  --seed N       seed of the draws (0)
-  --png FILE     also draw distributions, total mass and inertia ellipsoids; needs matplotlib
-"""
-_OPTIONS = ("--num-envs", "--device", "--seed", "--png")
+Exit codes: 0 done, 1 a draw does nothing or is not as asked, 2 wrong usage."""
 
 
 def run(arguments: list[str]) -> int:
-  """Inspect one task; returns 1 if an event does nothing, or not what was asked."""
-  if "-h" in arguments or "--help" in arguments:
-    print(_HELP, end="")
+  """Inspect one task; returns 1 if a draw does nothing, or not what was asked."""
+  if not arguments:
+    raise UsageError("no task given. usage: inspect-dr TASK [flags]; list-envs lists the tasks.")
+  name, *given = arguments
+  if name in ("-h", "--help"):
+    print(general_help("inspect-dr", _PURPOSE, Arguments()), end="")
     return 0
-  if not arguments or arguments[0].startswith("-"):
-    raise UsageError("the task comes first. usage: inspect-dr TASK [flags]; list-envs lists the tasks.")
-  task, options = arguments[0], _options(arguments[1:])
-  if task not in list_tasks():
-    raise UsageError(unknown("task", task, list_tasks()))
-  picture = Path(options["--png"]) if "--png" in options else None
-  if picture is not None:
-    _check_picture(picture)
-
+  if name.startswith("-"):
+    raise UsageError("the task comes first. usage: inspect-dr TASK [flags]")
+  task = load_named_task(name)
+  word = help_word(given)
+  if word is not None:
+    print_task_help("inspect-dr", name, Arguments(env=task.env), word)
+    return 0
   from mjlab import making
+  from mjlab.cli._flag_parser import parse
   from mjlab.inspection import inspect_events, inspect_inertia, table
-  from mjlab.registry import load_task
 
   making.share_cores()
-  device = making.resolve_device(options.get("--device", "cpu"))
-  loaded = load_task(task)
-  loaded.env.scene.num_envs = _number(options, "--num-envs", 512, least=2)
-  loaded.env.seed = _number(options, "--seed", 0, least=0)
+  wanted = parse(Arguments(env=task.env), given)
+  if wanted.num_envs < 2:
+    raise UsageError(f"--num-envs is {wanted.num_envs}; draws are compared over at least 2 worlds")
+  picture = None if wanted.png is None else Path(wanted.png)
+  if picture is not None:
+    _check_picture(picture, wanted.force)
+  device = making.resolve_device(wanted.device)
+  cfg = replaced(replaced(wanted.env, ("scene", "num_envs"), wanted.num_envs), ("seed",), wanted.seed)
   try:
-    env = (loaded.make_env or making.standard_env)(loaded.env, device=device)
+    env = (task.make_env or making.standard_env)(cfg, device=device)
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
   try:
     reports = inspect_events(env)
     inertia = inspect_inertia(env)
-    print(f"{task}: {env.num_envs} worlds on {device}, one draw each")
+    print(f"{name}: {env.num_envs} worlds on {device}, one draw each")
     print(table(reports, inertia))
     if picture is not None:
-      draw(reports, inertia, task, picture)
+      draw(reports, inertia, name, picture)
       print(f"wrote {picture}")
   finally:
     env.close()
@@ -67,35 +84,15 @@ def run(arguments: list[str]) -> int:
   return 1 if wrong else 0
 
 
-def _options(words: list[str]) -> dict[str, str]:
-  found: dict[str, str] = {}
-  words = [part for word in words for part in (word.split("=", 1) if word.startswith("--") else [word])]
-  while words:
-    name = words.pop(0)
-    if name not in _OPTIONS:
-      raise UsageError(unknown("option", name, _OPTIONS, owner="inspect-dr"))
-    if not words or words[0].startswith("--"):
-      raise UsageError(f"{name} needs a value")
-    found[name] = words.pop(0)
-  return found
-
-
-def _number(options: dict[str, str], name: str, otherwise: int, *, least: int) -> int:
-  given = options.get(name, str(otherwise)).replace("_", "")
-  if not given.isdecimal() or int(given) < least:
-    raise UsageError(f"{name} needs a whole number from {least}, got '{options[name]}'")
-  return int(given)
-
-
-def _check_picture(path: Path) -> None:
+def _check_picture(path: Path, force: bool) -> None:
   import importlib.util
 
   if importlib.util.find_spec("matplotlib") is None:
     raise UsageError("--png needs matplotlib: uv pip install matplotlib")
   if path.suffix.lower() != ".png":
     raise UsageError(f"--png: {path} does not end in .png")
-  if path.exists():
-    raise UsageError(f"--png: {path} exists; nothing is overwritten")
+  if path.exists() and not force:
+    raise UsageError(f"--png: {path} exists; --force overwrites it")
   if not path.absolute().parent.is_dir():
     raise UsageError(f"--png: there is no directory {path.absolute().parent}")
 
