@@ -8,7 +8,6 @@ CPU it competes with the simulation for the cores, which is not counted as a cos
 import argparse
 import platform
 import shutil
-import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -25,27 +24,23 @@ from mjlab_viewer import BrowserViewer, CameraCfg, PictureCfg, SnapshotTaker, Tr
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
 DRAWN = (1, 16, 256)
+BLOCK = 20
 FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
 --disable-background-networking --disable-component-update --disable-sync""".split()
 
 
-def timed(action: Callable[[], object], repeats: int) -> list[float]:
-  """Times of an action [ms]; its first three are not counted."""
-  times = []
-  for _ in range(repeats + 3):
+def least_ms(action: Callable[[], object], repeats: int, block: int = 1) -> float:
+  """Least mean time of `repeats` blocks of an action [ms], behind one that does not count.
+
+  What else runs on the machine only ever adds to a time. A picture is taken in some steps only, so steps go in blocks.
+  """
+  means = []
+  for _ in range(repeats + 1):
     begun = time.perf_counter()
-    action()
-    times.append(1e3 * (time.perf_counter() - begun))
-  return times[3:]
-
-
-def median_ms(action: Callable[[], object], repeats: int) -> float:
-  return statistics.median(timed(action, repeats))
-
-
-def mean_ms(action: Callable[[], object], repeats: int) -> float:
-  """A picture is taken in some steps only, so their mean counts."""
-  return statistics.fmean(timed(action, repeats))
+    for _ in range(block):
+      action()
+    means.append(1e3 * (time.perf_counter() - begun) / block)
+  return min(means[1:])
 
 
 def stepper(env: ManagerBasedRlEnv, after_step: Callable[[], None] | None = None) -> Callable[[], None]:
@@ -73,15 +68,15 @@ def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
       with BrowserViewer(env, max_worlds=drawn, port=8400) as viewer:
         taker, worlds, names = SnapshotTaker(env), viewer.drawn_worlds(), tuple(env.drawers())
         show = partial(picture, viewer, taker, worlds, names)
-        found[drawn] = median_ms(show, repeats)
+        found[drawn] = least_ms(show, repeats)
   return found
 
 
 def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
   """Time of a step [ms] by who looks."""
-  found = {"nothing": mean_ms(stepper(env), repeats)}
+  found = {"nothing": least_ms(stepper(env), repeats, BLOCK)}
   with BrowserViewer(env, port=8400) as viewer, ExitStack() as stack:
-    found["a viewer, no client"] = mean_ms(stepper(env, viewer.update), repeats)
+    found["a viewer, no client"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
     executable = shutil.which("chromium")
     if executable is not None:
       from playwright.sync_api import sync_playwright
@@ -91,13 +86,13 @@ def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
       end = time.monotonic() + 30
       while not viewer.server.get_clients() and time.monotonic() < end:
         time.sleep(0.1)
-      found["a viewer, one client"] = mean_ms(stepper(env, viewer.update), repeats)
+      found["a viewer, one client"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
       browser.close()
   with tempfile.TemporaryDirectory() as folder:
-    length = repeats + 3
+    length = (repeats + 1) * BLOCK
     cfg = PictureCfg(camera=CameraCfg())
     film = TrainingVideo(env, Path(folder), interval=length, length=length, cfg=cfg)
-    found["a film"] = mean_ms(stepper(env, film.after_step), repeats)
+    found["a film"] = least_ms(stepper(env, film.after_step), repeats, BLOCK)
     film.close()
     if film.is_off:
       del found["a film"]
@@ -108,7 +103,7 @@ def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("--device", default="auto")
   parser.add_argument("--worlds", type=int, nargs="+", help="256 and 1024 on a CPU, else 4096")
-  parser.add_argument("--repeats", type=int, default=60)
+  parser.add_argument("--repeats", type=int, default=8)
   parser.add_argument("--markdown", type=Path)
   args = parser.parse_args()
   device = resolve_device(args.device)
@@ -116,9 +111,12 @@ def main() -> None:
   stack = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "viser", "mjviser", "torch"))
   counts: list[int] = args.worlds or ([256, 1024] if device == "cpu" else [4096])
   lines = [f"# What watching costs: Go1 on flat ground, {where}", ""]
-  lines += [f"{date.today()}, {stack}, Python {platform.python_version()}; `tools/benchmark_viewer.py`.", ""]
   lines += [
-    "A picture for the browser, medians [ms]:",
+    f"{date.today()}, {stack}, Python {platform.python_version()}; `tools/benchmark_viewer.py`. Least of several runs.",
+    "",
+  ]
+  lines += [
+    "A picture for the browser [ms]:",
     "",
     "| worlds | 1 shown | 16 shown | 256 shown |",
     "|---|---|---|---|",
@@ -131,7 +129,7 @@ def main() -> None:
       lines.append(f"| {worlds} | " + " | ".join(f"{found[k]:.1f}" if k in found else "-" for k in DRAWN) + " |")
       table[worlds] = steps(env, args.repeats)
   heads = list(table[counts[0]])
-  lines += ["", "An environment step by who looks, means [ms]:", "", "| worlds | " + " | ".join(heads) + " |"]
+  lines += ["", "An environment step by who looks [ms]:", "", "| worlds | " + " | ".join(heads) + " |"]
   lines.append("|---" * (len(heads) + 1) + "|")
   lines += [f"| {worlds} | " + " | ".join(f"{row[head]:.1f}" for head in heads) + " |" for worlds, row in table.items()]
   text = "\n".join(lines) + "\n"

@@ -19,6 +19,7 @@ from mjlab_viewer import NativeViewer, Playback, ZeroPolicy
 from viewer_env import BoxEnv
 
 env = BoxEnv(3)
+env.draws_at_first = True
 playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
 before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
 mujoco.mj_saveModel(env.sim.mj_model, None, before)

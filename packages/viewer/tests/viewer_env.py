@@ -94,6 +94,7 @@ class BoxEnv:
     self.rewards = torch.zeros(num_envs, 2)
     self.command = SpeedCommand(self)
     self.num_resets = 0
+    self.draws_at_first = False
     self.reset()
 
   def signals(self) -> dict[str, tuple[list[str], torch.Tensor]]:
@@ -101,6 +102,9 @@ class BoxEnv:
 
   def drawers(self) -> dict[str, Any]:
     return {"command speed": self.command.debug_draw}
+
+  def drawn_at_first(self) -> tuple[str, ...]:
+    return ("command speed",) if self.draws_at_first else ()
 
   def steering(self) -> dict[str, Any]:
     return {"speed": self.command}

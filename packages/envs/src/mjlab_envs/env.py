@@ -346,6 +346,10 @@ class ManagerBasedRlEnv:
     """Who draws over pictures: the `debug_draw` of commands and sensors that have one, by name."""
     return viewing.drawers(self)
 
+  def drawn_at_first(self) -> tuple[str, ...]:
+    """Names of the commands and sensors whose configuration wants them drawn (`debug_vis`)."""
+    return viewing.drawn_at_first(self)
+
   def steering(self) -> dict[str, Any]:
     """Commands that can be given by hand, by name: those that have `axes` and `steer(world, values)`."""
     return viewing.steering(self)

@@ -68,6 +68,9 @@ class NanReplay:
     """Nobody draws."""
     return {}
 
+  def drawn_at_first(self) -> tuple[str, ...]:
+    return ()
+
   def steering(self) -> dict[str, Any]:
     """Nothing can be steered."""
     return {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import mujoco
 import torch
-from mjlab_core import NameMatchError, Stateful, quat_from_matrix, unknown, where_
+from mjlab_core import DebugDraw, NameMatchError, Stateful, quat_from_matrix, unknown, where_
 from mjlab_sim import DataType
 
 from mjlab_sensors._elements import find_element, names_of

@@ -40,12 +40,11 @@ class WorldControls:
           viewer.scene.look(client)
 
       follow.on_update(move)
-    known = env.drawers()
+    known, at_first = env.drawers(), env.drawn_at_first()
     if known:
       with gui.add_folder("Draw"):
-        for name, drawer in known.items():
-          cfg = getattr(getattr(drawer, "__self__", None), "cfg", None)
-          self._boxes[name] = gui.add_checkbox(name, initial_value=bool(getattr(cfg, "debug_vis", False)))
+        for name in known:
+          self._boxes[name] = gui.add_checkbox(name, initial_value=name in at_first)
 
   def drawers(self) -> tuple[str, ...]:
     """Names of those who are to draw."""

@@ -93,7 +93,7 @@ class NativeViewer:
     now = time.perf_counter()
     if now < self._due:
       return
-    names = tuple(self.env.drawers()) if self.draws else ()
+    names = self.env.drawn_at_first() if self.draws else ()
     snapshot = self._taker.take((self.selected,), drawers=names)
     with self.window.lock():
       self._world.load(snapshot)

@@ -58,7 +58,7 @@ class TrainingVideo:
       self._film = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, self._cfg)
     if self._film is None:
       return
-    self._film.add(self._taker.take(self._worlds, drawers=tuple(self._env.drawers()), apart=True))
+    self._film.add(self._taker.take(self._worlds, drawers=self._env.drawn_at_first(), apart=True))
     if phase == self._length - 1:
       self._film.finish()
     if self._film.error is not None:

@@ -68,6 +68,10 @@ class ViewedEnv(Protocol):
     """Who draws: sensors their rays, commands their arrows."""
     ...
 
+  def drawn_at_first(self) -> Sequence[str]:
+    """Names of those who draw unless told otherwise."""
+    ...
+
 
 class Steering(Protocol):
   """A command that can be given by hand."""

@@ -189,7 +189,7 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
         playback.step_once()
       if playback.error is not None or video.error is not None:
         break
-      video.add(taker.take(worlds, drawers=tuple(env.drawers()), apart=True))
+      video.add(taker.take(worlds, drawers=env.drawn_at_first(), apart=True))
       if frame % 100 == 99:
         print(f"{(frame + 1) * env.step_dt:.0f} of {frames * env.step_dt:.0f} s", flush=True)
   finally:
