@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from manipulation_worlds import lift
+from manipulation_worlds import lift, place
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env
 from mjlab_manipulation.lift import ACTION_SCALE, ARM, COMMAND, JOINT_RANGE
@@ -146,6 +146,28 @@ def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
   assert error.max() < 1e-3
   assert angle.max() < 1e-2
   assert term.joint_names == list(ARM)
+
+
+@pytest.mark.warp
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env], ids=["joints", "hand"])
+def test_both_engines_play_alike(make: Any) -> None:
+  seen: list[tuple[np.ndarray, np.ndarray]] = []
+  for engine in ("native", "warp"):
+    cfg = make()
+    cfg.sim.engine = engine
+    env, term = lift(4, lambda cfg=cfg: cfg)
+    # Engines draw in their own precision, so not the same.
+    term.command.copy_(torch.tensor([[0.4, 0.1, 0.3], [0.3, -0.1, 0.2], [0.5, 0.0, 0.4], [0.4, 0.2, 0.2]]))
+    place(env, np.array([[0.3, 0.0, 0.03], [0.25, 0.1, 0.02], [0.4, -0.1, 0.05], [0.35, 0.05, 0.02]]))
+    generator = torch.Generator().manual_seed(0)
+    rewards = [env.step(0.3 * torch.randn(4, 7, generator=generator))[1].numpy() for _ in range(15)]
+    critic = env.get_observations()["critic"]
+    assert isinstance(critic, torch.Tensor)
+    seen.append((critic.numpy(), np.array(rewards)))
+    env.close()
+  for one, other in zip(*seen, strict=True):
+    np.testing.assert_allclose(one, other, atol=2e-3)
 
 
 def test_training_runs_on_the_native_engine(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """An arm lifts cubes to where it is told."""
 
+from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
 from mjlab_manipulation.vision import (
   lift_cube_depth,
@@ -11,6 +12,7 @@ from mjlab_manipulation.vision import (
 )
 
 __all__ = [
+  "LiftEvaluation",
   "lift_cube",
   "lift_cube_depth",
   "lift_cube_depth_env",

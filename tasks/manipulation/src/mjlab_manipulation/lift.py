@@ -23,6 +23,7 @@ from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
 
 # Timing
@@ -75,12 +76,12 @@ _TIPS = "[lr]f_down([6-9]|10|11)_collision"
 
 def lift_cube() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The YAM lifts a cube to a goal by setting its joints."""
-  return TaskCfg(env=lift_cube_env(), play=play, agent=agent("yam_lift_cube", 5_000))
+  return TaskCfg(env=lift_cube_env(), play=play, agent=agent("yam_lift_cube", 5_000), evaluator=LiftEvaluation())
 
 
 def lift_cube_ik() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The YAM lifts a cube to a goal by moving its hand; inverse kinematics sets the joints."""
-  return TaskCfg(env=lift_cube_ik_env(), play=play, agent=agent("yam_lift_cube_ik", 5_000))
+  return TaskCfg(env=lift_cube_ik_env(), play=play, agent=agent("yam_lift_cube_ik", 5_000), evaluator=LiftEvaluation())
 
 
 def lift_cube_env() -> ManagerBasedRlEnvCfg:
@@ -169,7 +170,7 @@ def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
     "fingers": ContactSensorCfg(
       primary=ContactMatch(mode="subtree", pattern=FINGERS, entity="robot", preserve_order=True),
       secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/cube" for name in objects), preserve_order=True),
-      fields=("found",),
+      fields=("found", "force"),
     ),
   }
 
@@ -229,6 +230,7 @@ def _metrics() -> dict[str, MetricsTermCfg | None]:
     "held": MetricsTermCfg(lifting.held, reduce="max", params=dict(success)),
     "dropped": MetricsTermCfg(lifting.dropped, reduce="last", params={**command, "low": FALLEN, "high": LIFTED}),
     "time_to_success": MetricsTermCfg(lifting.time_to_success, reduce="last", params=dict(success)),
+    "finger_force": MetricsTermCfg(lifting.finger_force, reduce="max", params=dict(touch)),
     "at_goal": MetricsTermCfg(lifting.at_goal, params=dict(goal)),
     "position_error": MetricsTermCfg(lifting.position_error, params=dict(command)),
     "object_height": MetricsTermCfg(lifting.object_height, params=dict(command)),

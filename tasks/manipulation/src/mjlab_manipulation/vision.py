@@ -11,6 +11,7 @@ from mjlab_scene import EntityCfg
 from mjlab_sensors import CameraSensorCfg
 
 from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.lift import COMMAND, agent, hand, lift_cube_env, lift_env, play, proprioception
 from mjlab_manipulation.objects import blue_cube_spec, green_cube_spec, red_cube_spec
 
@@ -39,17 +40,21 @@ ITERATIONS = 3_000
 
 def lift_cube_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The YAM lifts a cube whose distance it sees."""
-  return TaskCfg(env=lift_cube_depth_env(), play=play, agent=vision_agent("yam_lift_cube_vision"))
+  return _task(lift_cube_depth_env(), "yam_lift_cube_vision")
 
 
 def lift_cube_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The YAM lifts a cube that it sees in colour, a colour of its own in every episode."""
-  return TaskCfg(env=lift_cube_rgb_env(), play=play, agent=vision_agent("yam_lift_cube_vision"))
+  return _task(lift_cube_rgb_env(), "yam_lift_cube_vision")
 
 
 def multi_cube_seg() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """The YAM lifts the one of three cubes that is marked in what it sees."""
-  return TaskCfg(env=multi_cube_seg_env(), play=play, agent=vision_agent("yam_multi_cube_seg"))
+  return _task(multi_cube_seg_env(), "yam_multi_cube_seg")
+
+
+def _task(env: ManagerBasedRlEnvCfg, experiment_name: str) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  return TaskCfg(env=env, play=play, agent=vision_agent(experiment_name), evaluator=LiftEvaluation())
 
 
 def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:

@@ -56,6 +56,13 @@ def at_goal(env: "ManagerBasedRlEnv", *, command: str, within: float) -> torch.T
   return (lift_command(env, command).distance < within).float()
 
 
+def finger_force(env: "ManagerBasedRlEnv", *, command: str, sensor: str) -> torch.Tensor:
+  """Greatest force of a finger on the object, of each finger's strongest contact, (num_envs,) [N]."""
+  contact = env.scene[sensor]
+  force = torch.linalg.vector_norm(contact.data.force, dim=-1).unflatten(1, contact.contact_shape)[..., 0]
+  return lift_command(env, command).of_target(force.mT).amax(1).float()
+
+
 class held(ManagerTermBase):
   """Success: 1 once the object has been within `within` [m] of its goal for `hold` [s] on end, (num_envs,)."""
 
