@@ -10,6 +10,7 @@ import pytest
 import torch
 from mjlab.making import make
 from mjlab_envs import ManagerBasedRlEnv
+from mjlab_rl import ReturnEvaluation
 from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_manifest
 
 WORLDS = 4
@@ -137,3 +138,22 @@ def test_every_task_is_one_graph_that_never_waits_on_a_gpu(name: str) -> None:
       assert all(tensor.isfinite().all() for tensor in (*seen(observations), reward))
     ended = torch.stack([terminated | truncated for _, _, terminated, truncated, _ in outputs])
     assert ended.any(0).all()
+
+
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_every_task_can_be_evaluated(name: str) -> None:
+  task = mjlab.load_task(name)
+  evaluator = task.evaluator or ReturnEvaluation()
+  cfg = evaluator.configure(task.env)
+  assert cfg.scene.num_envs > 1
+  cfg.scene.num_envs, cfg.episode_length_s = WORLDS, 0.2
+  generator = torch.Generator().manual_seed(0)
+  with (task.make_env or ManagerBasedRlEnv)(cfg, device="cpu") as env:
+
+    def policy(observations: Any) -> torch.Tensor:
+      return torch.randn(WORLDS, env.action_manager.total_action_dim, generator=generator)
+
+    result = evaluator.run(env, policy)
+  assert result.table()
+  json.dumps(result.to_json(), allow_nan=False)
+  assert all(interval.count <= WORLDS for interval in result.groups["all"].values())
