@@ -103,6 +103,9 @@ def test_a_mistake_in_the_index_is_named(folder: Path, index: object, message: s
 def test_a_name_that_means_nothing_is_refused(folder: Path) -> None:
   with pytest.raises(MotionError, match=r"motion 'squat' does not exist\. Nearest: squat_and_wave"):
     find_clips("squat")
+  (folder / "a.csv").write_text("0,0,1")
+  with pytest.raises(MotionError, match=r"a\.csv: a clip to follow is an \.npz; `convert-motion"):
+    find_clips(str(folder / "a.csv"))
   with pytest.raises(MotionError, match="no clip of split 'val'; there is: train"):
     find_clips(str(folder), "val")
   with pytest.raises(MotionError, match="needs at least one clip"):

@@ -58,6 +58,8 @@ def find_clips(motion: str, split: str | None = None) -> list[ClipEntry]:
       )
     return chosen
   if path.is_file():
+    if path.suffix != ".npz":
+      raise MotionError(f"{path}: a clip to follow is an .npz; `convert-motion {path} --output FILE.npz` makes one")
     return [ClipEntry(path=path)]
   raise MotionError(f"{unknown('motion', motion, list(shipped))} It may also be the path of an .npz or of a folder.")
 
