@@ -9,6 +9,7 @@ from mjlab_manipulation.vision import (
   lift_cube_rgb_env,
   multi_cube_seg,
   multi_cube_seg_env,
+  randomize_images,
 )
 
 __all__ = [
@@ -24,4 +25,5 @@ __all__ = [
   "lift_env",
   "multi_cube_seg",
   "multi_cube_seg_env",
+  "randomize_images",
 ]
