@@ -6,8 +6,9 @@ line does not import torch.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_core.buffers import DelayBuffer, HistoryBuffer
@@ -103,31 +104,21 @@ __all__ = [
   "wrap_to_pi",
 ]
 
-_MODULES = {
-  "buffers": "DelayBuffer HistoryBuffer",
-  "drawing": "DebugDraw",
-  "frames": "combine_frames heading subtract_frames transform_points velocity_at",
-  "masking": "fill_ where_",
-  "names": "NameMatchError UnknownNameError match_names match_values match_values_full nearest unknown",
-  "rotations": (
-    "cross euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
-    "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
-    "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
-  ),
-  "sampling": "check_range gaussian log_uniform truncated_normal uniform",
-  "seeding": "draw_seed make_generator seed_everything",
-  "state": "StateError Stateful",
-}
-_HOME = {name: module for module, names in _MODULES.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> object:
-  if name not in _HOME:
-    raise AttributeError(f"module 'mjlab_core' has no attribute {name!r}")
-  value = getattr(import_module(f"mjlab_core.{_HOME[name]}"), name)
-  globals()[name] = value
-  return value
-
-
-def __dir__() -> list[str]:
-  return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_exports(
+  __name__,
+  {
+    ".buffers": "DelayBuffer HistoryBuffer",
+    ".drawing": "DebugDraw",
+    ".frames": "combine_frames heading subtract_frames transform_points velocity_at",
+    ".masking": "fill_ where_",
+    ".names": "NameMatchError UnknownNameError match_names match_values match_values_full nearest unknown",
+    ".rotations": (
+      "cross euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
+      "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
+      "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
+    ),
+    ".sampling": "check_range gaussian log_uniform truncated_normal uniform",
+    ".seeding": "draw_seed make_generator seed_everything",
+    ".state": "StateError Stateful",
+  },
+)

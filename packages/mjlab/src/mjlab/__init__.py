@@ -3,8 +3,9 @@
 `import mjlab` imports neither torch nor Warp: every name below is loaded on first use.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
@@ -35,24 +36,14 @@ __all__ = [
   "train",
 ]
 
-_MODULES = {
-  "mjlab.making": "make",
-  "mjlab.registry": "TaskError list_tasks load_task register_task",
-  "mjlab_envs": "ManagerBasedRlEnv ManagerBasedRlEnvCfg",
-  "mjlab_rl": "RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg load_run train",
-  "mjlab_scene": "EntityCfg SceneCfg",
-  "mjlab_sim": "Simulation SimulationCfg",
-}
-_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> Any:
-  if name not in _HOMES:
-    raise AttributeError(f"module 'mjlab' has no attribute {name!r}")
-  value = getattr(import_module(_HOMES[name]), name)
-  globals()[name] = value
-  return value
-
-
-def __dir__() -> list[str]:
-  return sorted(__all__)
+__getattr__, __dir__ = lazy_exports(
+  __name__,
+  {
+    ".making": "make",
+    ".registry": "TaskError list_tasks load_task register_task",
+    "mjlab_envs": "ManagerBasedRlEnv ManagerBasedRlEnvCfg",
+    "mjlab_rl": "RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg load_run train",
+    "mjlab_scene": "EntityCfg SceneCfg",
+    "mjlab_sim": "Simulation SimulationCfg",
+  },
+)

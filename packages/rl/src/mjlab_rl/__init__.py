@@ -1,8 +1,9 @@
 """Training with rsl-rl: vec-env adapter, runner, checkpoints, run manifests."""
 
 import os
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_rl.checkpoint import CheckpointError
@@ -73,32 +74,24 @@ __all__ = [
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
 # Loaded on first use: a task's configuration needs no rsl-rl, and reading a manifest needs no torch.
-_MODULES = {
-  "checkpoint": "CheckpointError",
-  "config": "ConfigError RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg",
-  "console": "Console",
-  "env_protocol": "RlEnv",
-  "evaluation": (
-    "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
-    "play_first_episodes summarize"
-  ),
-  "iteration_report": "IterationReport",
-  "manifest": "ManifestError RunManifest load_run",
-  "policies": "CheckpointPolicy OnnxPolicy",
-  "run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
-  "runner": "MjlabOnPolicyRunner",
-  "task": "TaskCfg",
-  "training": "TrainingResult train",
-  "vec_env": "RslRlVecEnvWrapper",
-}
-_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> Any:
-  if name not in _HOMES:
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-  return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-  return sorted(__all__)
+__getattr__, __dir__ = lazy_exports(
+  __name__,
+  {
+    ".checkpoint": "CheckpointError",
+    ".config": "ConfigError RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg",
+    ".console": "Console",
+    ".env_protocol": "RlEnv",
+    ".evaluation": (
+      "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
+      "play_first_episodes summarize"
+    ),
+    ".iteration_report": "IterationReport",
+    ".manifest": "ManifestError RunManifest load_run",
+    ".policies": "CheckpointPolicy OnnxPolicy",
+    ".run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
+    ".runner": "MjlabOnPolicyRunner",
+    ".task": "TaskCfg",
+    ".training": "TrainingResult train",
+    ".vec_env": "RslRlVecEnvWrapper",
+  },
+)

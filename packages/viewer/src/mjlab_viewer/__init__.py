@@ -6,8 +6,9 @@ nothing here needs a screen until it is used.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_viewer.browser import BrowserViewer
@@ -50,28 +51,20 @@ __all__ = [
   "ZeroPolicy",
 ]
 
-_MODULES = {
-  "browser": "BrowserViewer",
-  "camera": "Camera CameraCfg",
-  "checkpoint_list": "CheckpointList",
-  "draw_list": "DrawList",
-  "errors": "RenderingError ViewerError",
-  "native": "NativeViewer",
-  "offscreen": "OffscreenRenderer PictureCfg",
-  "playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
-  "snapshot": "Snapshot SnapshotTaker",
-  "training_video": "TrainingVideo",
-  "video": "BackgroundVideo VideoFile",
-  "worlds": "PlayedEnv Policy Steering ViewedEnv ViewedSim",
-}
-_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> object:
-  if name not in _HOMES:
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-  return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-  return sorted(__all__)
+__getattr__, __dir__ = lazy_exports(
+  __name__,
+  {
+    ".browser": "BrowserViewer",
+    ".camera": "Camera CameraCfg",
+    ".checkpoint_list": "CheckpointList",
+    ".draw_list": "DrawList",
+    ".errors": "RenderingError ViewerError",
+    ".native": "NativeViewer",
+    ".offscreen": "OffscreenRenderer PictureCfg",
+    ".playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
+    ".snapshot": "Snapshot SnapshotTaker",
+    ".training_video": "TrainingVideo",
+    ".video": "BackgroundVideo VideoFile",
+    ".worlds": "PlayedEnv Policy Steering ViewedEnv ViewedSim",
+  },
+)

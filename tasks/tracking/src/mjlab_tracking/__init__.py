@@ -1,7 +1,8 @@
 """Motion imitation: from any clip to a scored policy."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
@@ -47,27 +48,19 @@ __all__ = [
 ]
 
 # Loaded on first use: files and their checks need no environment.
-_MODULES = {
-  "editing": "concatenate crop mirror smooth to_ground",
-  "evaluation": "TrackingEvaluation",
-  "formats": "Statement read_motion",
-  "g1": "g1_flat g1_flat_env g1_flat_no_state_estimation",
-  "kinematics": "Kinematics derived_arrays",
-  "library": "MotionLibrary find_clips load_library shipped_clips",
-  "motion": "Motion MotionError load_motion save_motion",
-  "quality": "QualityReport check_quality",
-  "quality_plot": "plot_quality",
-  "sampling": "AdaptiveSamplingCfg MotionSampler",
-  "timeline": "resample",
-}
-_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> Any:
-  if name not in _HOMES:
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-  return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-  return sorted(__all__)
+__getattr__, __dir__ = lazy_exports(
+  __name__,
+  {
+    ".editing": "concatenate crop mirror smooth to_ground",
+    ".evaluation": "TrackingEvaluation",
+    ".formats": "Statement read_motion",
+    ".g1": "g1_flat g1_flat_env g1_flat_no_state_estimation",
+    ".kinematics": "Kinematics derived_arrays",
+    ".library": "MotionLibrary find_clips load_library shipped_clips",
+    ".motion": "Motion MotionError load_motion save_motion",
+    ".quality": "QualityReport check_quality",
+    ".quality_plot": "plot_quality",
+    ".sampling": "AdaptiveSamplingCfg MotionSampler",
+    ".timeline": "resample",
+  },
+)

@@ -1,0 +1,30 @@
+"""Packages whose public names are imported when they are first asked for."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+  """`__getattr__` and `__dir__` (PEP 562) of a package that imports what it offers on demand.
+
+  Args:
+    package: `__name__` of the package, which lists its public names in `__all__`.
+    modules: Names, separated by spaces, by the module that they are from; ".x" is a module of the package itself.
+  """
+  homes = {name: module for module, names in modules.items() for name in names.split()}
+
+  def getattr_(name: str) -> Any:
+    if name not in homes:
+      raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    value = getattr(import_module(homes[name], package), name)
+    setattr(sys.modules[package], name, value)
+    return value
+
+  def dir_() -> list[str]:
+    return sorted({*vars(sys.modules[package]), *sys.modules[package].__all__})
+
+  return getattr_, dir_
