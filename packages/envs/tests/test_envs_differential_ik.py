@@ -370,6 +370,7 @@ def test_a_step_that_solves_never_waits_for_the_device(make: Make) -> None:
     ({"damping": 0.0}, "damping must be at least 1e-6, got 0.0"),
     ({"damping": float("nan")}, "damping must be at least 1e-6, got nan"),
     ({"max_dq": 0.0}, "max_dq must be positive"),
+    ({"relative_to": "goal", "use_relative_mode": False}, "use_relative_mode is off: actions are poses"),
     ({"max_lead": (0.1, 0.0)}, "max_lead must be positive"),
     ({"relative_to": "target"}, "relative_to must be 'pose' or 'goal', got 'target'"),
     ({"posture_weight": -1.0}, "posture_weight must be at least 0"),

@@ -254,6 +254,8 @@ def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
     raise ValueError(f"damping must be at least 1e-6, got {cfg.damping}")
   if cfg.relative_to not in ("pose", "goal"):
     raise ValueError(f"relative_to must be 'pose' or 'goal', got {cfg.relative_to!r}")
+  if cfg.relative_to == "goal" and not cfg.use_relative_mode:
+    raise ValueError("relative_to='goal' says what changes are of, but use_relative_mode is off: actions are poses")
   if not min(cfg.max_lead) > 0.0:
     raise ValueError(f"max_lead must be positive, got {cfg.max_lead}")
   if not cfg.max_dq > 0.0:

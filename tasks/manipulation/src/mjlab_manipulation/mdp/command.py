@@ -113,7 +113,8 @@ class LiftCommand(CommandTerm):
   @property
   def object_pos_w(self) -> torch.Tensor:
     """Centre of the object that is to be lifted, world frame, (num_envs, 3) [m]."""
-    return self.of_target(torch.stack([entity.data.root_link_pos_w for entity in self._objects], dim=1))
+    places = [entity.data.root_link_pos_w for entity in self._objects]
+    return places[0] if len(places) == 1 else self.of_target(torch.stack(places, dim=1))
 
   @property
   def object_height(self) -> torch.Tensor:
