@@ -62,6 +62,9 @@ with NativeViewer(playback) as viewer:
   viewer._drag()
   assert not env.sim.data.xfrc_applied.any()
 
+# Nothing is left that draws: it would hang the process at its end.
+assert not any(thread.is_alive() for thread in viewer._window_threads) and viewer._window_threads
+
 after = np.zeros_like(before)
 mujoco.mj_saveModel(env.sim.mj_model, None, after)
 assert (before == after).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -107,8 +108,11 @@ class NativeViewer:
     self._due = max(now + FRAME, time.perf_counter() + FRAME / 4)
 
   def close(self) -> None:
-    """Close the window. Calling it again does nothing."""
+    """Close the window and wait until it is gone. Calling it again does nothing."""
     self.window.close()
+    # Left to itself, the thread that draws would go on into what GLFW takes down when the process ends, and hang it.
+    for thread in self._window_threads:
+      thread.join(timeout=10.0)
 
   def __enter__(self) -> NativeViewer:
     return self
@@ -127,9 +131,11 @@ class NativeViewer:
     if not has_screen:
       reason = str(told[-1].message) if told else "GLFW does not start"
       raise RenderingError(f"no window can be opened here ({reason}); --viewer browser needs none")
+    before = set(threading.enumerate())
     handle = passive.launch_passive(
       self._world.model, self._world.data, key_callback=self._press, show_left_ui=False, show_right_ui=False
     )
+    self._window_threads = [thread for thread in threading.enumerate() if thread not in before]
     with handle.lock():
       self._camera.aim(handle.cam, self._camera.target(self._world.data.xpos))
     return handle
