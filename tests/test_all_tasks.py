@@ -3,11 +3,14 @@
 import copy
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import mjlab
+import mujoco
 import pytest
 import torch
+from mjlab import cli
 from mjlab.making import make
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import ReturnEvaluation
@@ -157,3 +160,10 @@ def test_every_task_can_be_evaluated(name: str) -> None:
   assert result.table()
   json.dumps(result.to_json(), allow_nan=False)
   assert all(interval.count <= WORLDS for interval in result.groups["all"].values())
+
+
+@pytest.mark.parametrize("name", mjlab.list_tasks())
+def test_every_task_is_exported_as_a_model_that_mujoco_opens(name: str, tmp_path: Path) -> None:
+  assert cli.main(["export-scene", name, "--output", str(tmp_path / "scene"), "--env.scene.num-envs", "2"]) == 0
+  model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
+  mujoco.mj_step(model, mujoco.MjData(model))

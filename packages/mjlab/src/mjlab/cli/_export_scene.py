@@ -57,7 +57,7 @@ def run(arguments: list[str]) -> int:
     raise UsageError(f"{folder} is no exported scene (it has no scene.xml), so it is not replaced, not even by --force")
   from mjlab_scene import Scene
 
-  scene = Scene(cfg.scene)
+  scene = Scene(cfg.scene, cfg.decimation)
   cfg.sim.apply(scene.spec)
   path = write_scene(scene.spec, folder)
   print(f"wrote {path}; open it with: python -m mujoco.viewer --mjcf {path}")
