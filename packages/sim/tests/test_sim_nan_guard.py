@@ -243,3 +243,15 @@ def test_sizes_that_keep_nothing_are_refused() -> None:
   spec = mujoco.MjSpec.from_string("<mujoco/>")
   with pytest.raises(SimulationError, match=r"nan_guard\.buffer_size must be at least 1, got 0; nan_guard\.max_dumps"):
     Simulation(1, spec, cfg)
+
+
+def test_a_world_that_diverged_in_inference_mode_does_not_keep_a_later_one_from_being_kept(make_sim: MakeSim) -> None:
+  sim = make_sim()
+  sim.expand_model_fields(["body_mass"])
+  guard = make_guard(sim, None)
+  sim.data.qvel[0, 0] = torch.nan
+  with torch.inference_mode():
+    run(sim, guard, 1)
+  sim.data.qvel[1, 0] = torch.nan
+  run(sim, guard, 1)
+  assert [line.split(":")[0] for line in guard.report()] == ["world 0 diverged", "world 1 diverged"]

@@ -77,7 +77,7 @@ class NanGuard:
     """
     fresh = diverged & ~self._diverged
     self._diverged.copy_(diverged)
-    # Where asking costs nothing it spares a small step a third of its time; a recording has to do the work.
+    # Looking costs nothing on a CPU; a recording cannot look, and does the work in every step.
     if self._sim.device.type == "cpu" and not fresh.numpy().any():
       return
     found, worlds = torch.topk(fresh * self._priority, len(self._ranks))
@@ -92,7 +92,9 @@ class NanGuard:
     for name in self._sim.expanded_fields:
       field = self._sim._engine.model_field(name).as_subclass(torch.Tensor)
       if name not in self._model:
-        self._model[name] = field.new_zeros(len(self._kept), *field.shape[1:])
+        # A field may be expanded at any time, and the first step after that may run in inference mode.
+        with torch.inference_mode(False):
+          self._model[name] = torch.zeros(len(self._kept), *field.shape[1:], dtype=field.dtype, device=field.device)
       self._model[name].index_copy_(0, slots, field[worlds])
     self._num_kept += fresh.sum()
 
