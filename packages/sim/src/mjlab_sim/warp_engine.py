@@ -19,6 +19,7 @@ from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import CONSTANTS, PER_WORLD
 from mjlab_sim.graph import Recorder
+from mjlab_sim.inverse_weights import InverseWeights
 from mjlab_sim.kernel_loading import load_kernels
 from mjlab_sim.rendering import View
 from mjlab_sim.static_rays import RayTargets
@@ -93,7 +94,7 @@ class WarpEngine:
       self._m.opt.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
       # Printing from the device is slow and floods the terminal; overflow is counted instead.
       self._m.opt.warn_overflow = 0
-      self._reset_mask = wp.zeros(num_envs, dtype=wp.bool)
+      self._mask = wp.zeros(num_envs, dtype=wp.bool)
       columns = np.zeros(model.nsensordata, dtype=bool)
       for adr, dim, stage in zip(model.sensor_adr, model.sensor_dim, model.sensor_needstage, strict=True):
         columns[adr : adr + dim] = stage == mujoco.mjtStage.mjSTAGE_ACC
@@ -103,7 +104,8 @@ class WarpEngine:
       self._ones = wp.ones(model.nbody, dtype=wp.int32)
       self._overflow_seen = wp.zeros(num_envs, dtype=wp.int32)
       self._overflow_wanted = wp.zeros(3, dtype=wp.int32)
-    self._reset_mask_torch = wp.to_torch(self._reset_mask)
+    self._mask_torch = wp.to_torch(self._mask)
+    self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
     # Copies and fills are no kernels, and do happen meanwhile.
     with self._stream(), self._preserved():
@@ -160,17 +162,24 @@ class WarpEngine:
       self._run("forward", self._forward)
 
   def reset(self, mask: torch.Tensor) -> None:
-    self._reset_mask_torch.copy_(mask)
+    self._mask_torch.copy_(mask)
     self._run("reset", self._reset)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
     version = sum(view._version for name, view in self._model_views.items() if name not in self._expanded)
     is_shared = version != self._shared_version
     groups = [name for name, fields in CONSTANTS.items() if is_shared or not fields.isdisjoint(self._expanded)]
+    if "INERT0" in groups and "KIN0" not in groups:
+      # Weights are those of the reference pose, where the other group puts everything.
+      groups.append("KIN0")
     if not groups:
       return
+    if mask is None or is_shared:
+      self._mask_torch.fill_(True)
+    else:
+      self._mask_torch.copy_(mask)
     fields = sorted(name for group in groups for name in CONSTANTS[group])
-    # MuJoCo Warp derives them for all worlds, in single precision: what nobody changed must not change by a rounding.
+    # Most are derived for all worlds, in single precision: what nobody changed must not change by a rounding.
     for name in fields:
       view = self.model_field(name)
       if name not in self._before:
@@ -229,20 +238,23 @@ class WarpEngine:
       )
 
   def _reset(self) -> None:
-    mjw.reset_data(self._m, self._d, self._reset_mask)
+    mjw.reset_data(self._m, self._d, self._mask)
     # MuJoCo C clears these too. They belong to the substep before, and forward does not compute them anew.
     for name in _ACCELERATION_STAGE:
       array = getattr(self._d, name)
       if array.size:
         shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
         flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
-        wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._reset_mask], outputs=[flat], device=device)
+        wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat], device=device)
 
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
       self._place()
     # What it leaves of kinematics at qpos0 is computed anew by the forward pass that follows.
-    mjw.set_const(self._m, self._d, groups=sum(int(mjw.SetConstGroup[name]) for name in groups), restore=False)
+    bits = sum(int(mjw.SetConstGroup[name]) for name in groups if name != "INERT0")
+    mjw.set_const(self._m, self._d, groups=bits, restore=False)
+    if "INERT0" in groups:
+      self._inverse_weights.compute(self._mask)
 
   def _forward_with_places(self) -> None:
     self._place()
