@@ -8,7 +8,7 @@ import pytest
 import torch
 from mjlab_core import make_generator, matrix_from_quat, normalize, quat_error_magnitude
 from mjlab_dr import inertia_perturbation, perturb_inertia, pseudo_inertia, pseudo_inertia_matrix, randomize
-from mjlab_dr.inertia import rounded_moments
+from mjlab_dr.inertia import diagonalize, rounded_moments
 from torch import Tensor
 
 torch.set_num_threads(1)
@@ -173,3 +173,18 @@ def test_the_shorthand_names_its_parts() -> None:
   ]  # fmt: skip
   with pytest.raises(ValueError, match="no axis is given values"):
     pseudo_inertia("torso")
+
+
+@pytest.mark.warp
+def test_the_kernel_for_gpus_turns_as_torch_does() -> None:
+  jacobi_kernels = pytest.importorskip("mjlab_dr.jacobi_kernels", reason="Warp is not installed")
+  generator = make_generator("cpu", 3)
+  root = torch.randn(500, 3, 3, generator=generator, dtype=torch.float64)
+  root[:50, 2] = root[:50, 1]  # planar
+  root[50:100] *= 1e-9
+  matrix = root @ root.mT
+  matrix[100:150] = torch.eye(3, dtype=torch.float64)
+  matrix[150:200] *= torch.eye(3, dtype=torch.float64)
+  matrix[200] = 0.0
+  for actual, expected in zip(jacobi_kernels.diagonalize(matrix, 4), diagonalize(matrix), strict=True):
+    torch.testing.assert_close(actual, expected, rtol=0.0, atol=1e-13)

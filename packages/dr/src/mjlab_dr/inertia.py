@@ -14,6 +14,8 @@ no factorisation, loses nothing for light bodies far from the origin, and holds 
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import torch
 from mjlab_core import matrix_from_quat, quat_mul
 from torch import Tensor
@@ -55,7 +57,7 @@ def perturb_inertia(
   second = (0.5 * inertia.sum(-1, keepdim=True) - inertia).clamp_min(0.0)
   # In the principal frame of before, where the second moments are diagonal.
   local = torch.eye(3, dtype=p.dtype, device=p.device) + axes.mT @ change @ axes
-  moments, turn = _diagonalize((local * second.unsqueeze(-2)) @ local.mT)
+  moments, turn = diagonalize((local * second.unsqueeze(-2)) @ local.mT)
   moments = moments.clamp_min(0.0) * gain.unsqueeze(-1)
   result = moments.sum(-1, keepdim=True) - moments
   # Moments of inertia from second moments and back again lose the last bit.
@@ -120,12 +122,17 @@ def _upper_factor(matrix: Tensor) -> Tensor:
   return torch.where(is_solid[..., None, None], factor, torch.nan).flip(-1, -2)
 
 
-def _diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
+def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
 
   Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Rotations are kept
-  as halves of angles, which are what quaternions are made of. Written for few operations rather than for few numbers.
+  as halves of angles, which are what quaternions are made of. Written for few operations rather than for few numbers;
+  they still cost a GPU four hundred launches, so that it runs them as one where Warp is installed.
   """
+  if matrix.is_cuda and find_spec("warp") is not None:
+    from mjlab_dr.jacobi_kernels import diagonalize
+
+    return diagonalize(matrix, _SWEEPS)
   diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
   # The entry opposite of each diagonal one: 12, 02, 01.
   off = [matrix[..., 1, 2], matrix[..., 0, 2], matrix[..., 0, 1]]
