@@ -198,6 +198,30 @@ class TestTime:
       assert (age >= known.clamp(max=2)).all()
       assert (age <= 4).all()
 
+  def test_a_delay_that_is_held_is_drawn_for_each_world_at_its_resets_and_kept_between(self, make_env):
+    env = make_env(3000)
+    manager = one(env, delay_min_lag=1, delay_max_lag=3, delay_hold_prob=1.0)
+
+    def ages(first: int, *fresh: torch.Tensor) -> torch.Tensor:
+      """How old what is seen is in each world after four more steps [steps], (num_envs,)."""
+      for step in range(first, first + 3):
+        env.values[:] = float(step)
+        seen(manager, *(fresh if step == first else ()))
+      env.values[:] = float(first + 3)
+      return first + 3 - seen(manager)[:, 0]
+
+    before = ages(0)
+    # Uniform: the chi-squared statistic of three counts exceeds 9.21 one time in a hundred.
+    counts = before.long().bincount(minlength=4)
+    assert counts[0] == 0
+    assert float(((counts[1:] - 1000) ** 2 / 1000).sum()) < 9.21
+    assert torch.equal(ages(4), before)
+    fresh = torch.arange(3000) < 1500
+    after = ages(8, fresh)
+    assert torch.equal(after[~fresh], before[~fresh])
+    changed = (after != before)[fresh].float().mean()
+    assert float(changed) == pytest.approx(2 / 3, abs=0.05)
+
   def test_between_steps_nothing_advances(self, env):
     manager = one(env, history_length=3, delay_min_lag=1, delay_max_lag=2)
     manager.compute()

@@ -5,6 +5,7 @@ worlds, in fixed memory, without asking the device anything, so that a whole ste
 """
 
 from mjlab_managers.action_manager import ActionManager, ActionTerm, ActionTermCfg
+from mjlab_managers.camera_noise import CameraNoiseCfg
 from mjlab_managers.command_manager import CommandManager, CommandTerm, CommandTermCfg
 from mjlab_managers.curriculum_manager import CurriculumManager, CurriculumTermCfg
 from mjlab_managers.env import ManagerEnv, SceneLike
@@ -17,6 +18,8 @@ from mjlab_managers.noise import (
   ConstantNoiseCfg,
   GaussianNoiseCfg,
   NoiseCfg,
+  NoiseModel,
+  NoiseModelCfg,
   NoiseModelWithAdditiveBiasCfg,
   UniformNoiseCfg,
 )
@@ -32,6 +35,7 @@ __all__ = [
   "ActionManager",
   "ActionTerm",
   "ActionTermCfg",
+  "CameraNoiseCfg",
   "CommandManager",
   "CommandTerm",
   "CommandTermCfg",
@@ -51,6 +55,8 @@ __all__ = [
   "MetricsManager",
   "MetricsTermCfg",
   "NoiseCfg",
+  "NoiseModel",
+  "NoiseModelCfg",
   "NoiseModelWithAdditiveBiasCfg",
   "NonfiniteObservationError",
   "ObservationGroupCfg",

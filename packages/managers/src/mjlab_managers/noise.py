@@ -11,6 +11,7 @@ import torch
 from mjlab_core.masking import where_
 from mjlab_core.names import unknown
 from mjlab_core.sampling import check_range
+from mjlab_core.state import Stateful
 
 Operation = Literal["add", "scale", "abs"]
 PerDim = float | tuple[float, ...]
@@ -79,6 +80,33 @@ class NoiseModelWithAdditiveBiasCfg:
   noise_cfg: NoiseCfg | None = None
   sample_bias_per_component: bool = True
   """False: all components of the term share one draw."""
+
+
+class NoiseModel(Stateful, ABC):
+  """Noise that knows the shape of its term and remembers something of each episode; see `NoiseModelCfg`."""
+
+  @abstractmethod
+  def reset(self, mask: torch.Tensor) -> None:
+    """Begins new episodes in the worlds of `mask`, bool (N,); draws for all, and leaves the others bit-identical."""
+
+  @abstractmethod
+  def apply_(self, x: torch.Tensor) -> None:
+    """Applies the noise to what a term returned, float32 (N, *shape), in place; remembers nothing of it."""
+
+
+@dataclass(kw_only=True)
+class NoiseModelCfg(ABC):
+  """Base of noise of one's own, such as that of images."""
+
+  @abstractmethod
+  def build(
+    self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
+  ) -> NoiseModel:
+    """The noise of a term of this shape, which draws from `generator` and keeps its memory on `device`.
+
+    Raises:
+      ValueError: the config is wrong, or does not fit the term.
+    """
 
 
 class FusedNoise:

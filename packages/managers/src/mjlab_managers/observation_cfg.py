@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
-from mjlab_managers.noise import NoiseCfg, NoiseModelWithAdditiveBiasCfg
+from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.term import ManagerTermBaseCfg
 
 NanPolicy = Literal["sanitize", "disabled", "error"]
@@ -18,7 +18,7 @@ class ObservationTermCfg(ManagerTermBaseCfg):
   """An observation: `func(env, **params)` returns float (N, ...), then processed in the order of the options below."""
 
   _: KW_ONLY
-  noise: NoiseCfg | NoiseModelWithAdditiveBiasCfg | None = None
+  noise: NoiseCfg | NoiseModelWithAdditiveBiasCfg | NoiseModelCfg | None = None
   """Applied where the group is corrupted."""
   clip: tuple[float, float] | None = None
   """Smallest and largest value."""

@@ -17,7 +17,14 @@ from mjlab_core.state import Stateful
 from mjlab_managers.binding import Term, copy_cfg
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase, is_float
-from mjlab_managers.noise import EpisodeBias, FusedNoise, NoiseCfg, NoiseModelWithAdditiveBiasCfg
+from mjlab_managers.noise import (
+  EpisodeBias,
+  FusedNoise,
+  NoiseCfg,
+  NoiseModel,
+  NoiseModelCfg,
+  NoiseModelWithAdditiveBiasCfg,
+)
 from mjlab_managers.observation_cfg import NAN_POLICIES, ObservationGroupCfg, ObservationTermCfg, TermLayout
 from mjlab_managers.observation_slots import Slot, delay_columns, place_columns, twin_of
 from mjlab_managers.table import table
@@ -39,7 +46,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
 
   cfg_type = ObservationGroupCfg
   _constants = frozenset({"_frame", "_clean", "_lo", "_hi", "_scale", "_checked", "_permutation", "_nonfinite"})
-  _children = ("_delays", "_histories")
+  _children = ("_models", "_delays", "_histories")
 
   def __init__(self, cfgs: Mapping[str, ObservationGroupCfg | None], env: ManagerEnv) -> None:
     super().__init__(cfgs, env)
@@ -58,6 +65,8 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     self._nonfinite = torch.zeros(frame_width, dtype=torch.int64, device=self.device)
     self._biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
     self._episode_bias: EpisodeBias | None = None
+    self._models: dict[str, NoiseModel] = {}
+    self._built_from: dict[str, NoiseModelCfg] = {}
     self._compile_processing()
     self._raise_problems()
     self._build_delays()
@@ -143,6 +152,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     self._strict: list[Slot] = []
     noises: list[tuple[int, int, NoiseCfg]] = []
     biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
+    models: dict[str, tuple[Slot, NoiseModelCfg]] = {}
     for slot in self._slots:
       cfg, columns = slot.cfg, slot.frame
       group = slot.group_cfg
@@ -157,20 +167,27 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       checked[0, columns] = group.nan_policy != "disabled"
       if group.nan_policy == "error":
         self._strict.append(slot)
-      if group.corrupt and cfg.noise is not None:
-        bias = cfg.noise if isinstance(cfg.noise, NoiseModelWithAdditiveBiasCfg) else None
-        noise = cfg.noise.noise_cfg if isinstance(cfg.noise, NoiseModelWithAdditiveBiasCfg) else cfg.noise
-        try:
-          for part in (noise, bias.bias_noise_cfg if bias is not None else None):
-            if part is not None:
-              FusedNoise([(0, slot.width, part)], "cpu")
-        except (AttributeError, TypeError, ValueError) as error:
-          self._problem(f"term '{slot.path}': noise: {error}", error)
-          continue
-        if noise is not None:
-          noises.append((columns.start, columns.stop, noise))
-        if bias is not None:
-          biases.append((columns.start, columns.stop, bias))
+      if not group.corrupt or cfg.noise is None:
+        continue
+      if isinstance(cfg.noise, NoiseModelCfg):
+        models[slot.path] = slot, cfg.noise
+        continue
+      bias = cfg.noise if isinstance(cfg.noise, NoiseModelWithAdditiveBiasCfg) else None
+      noise = cfg.noise.noise_cfg if isinstance(cfg.noise, NoiseModelWithAdditiveBiasCfg) else cfg.noise
+      try:
+        for part in (noise, bias.bias_noise_cfg if bias is not None else None):
+          if part is not None:
+            FusedNoise([(0, slot.width, part)], "cpu")
+      except (AttributeError, TypeError, ValueError) as error:
+        self._problem(f"term '{slot.path}': noise: {error}", error)
+        continue
+      if noise is not None:
+        noises.append((columns.start, columns.stop, noise))
+      if bias is not None:
+        biases.append((columns.start, columns.stop, bias))
+    if self._problems:
+      return
+    self._build_models(models)
     if self._problems:
       return
     self._noise = FusedNoise(noises, self.device) if noises else None
@@ -190,6 +207,21 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     self._checked = None if checked.all() else checked.to(self.device)
     self._processing = [slot.processing() for slot in self._slots]
     self._terms = list(dict.fromkeys(slot.term for slot in self._slots))
+
+  def _build_models(self, wanted: Mapping[str, tuple[Slot, NoiseModelCfg]]) -> None:
+    """Builds the noise that has a model; one whose config is the same goes on with what it remembers."""
+    models: dict[str, NoiseModel] = {}
+    for path, (slot, cfg) in wanted.items():
+      if path in self._models and self._built_from[path] is cfg:
+        models[path] = self._models[path]
+        continue
+      try:
+        models[path] = cfg.build(slot.shape, self.num_envs, self.device, self.env.rng)
+      except (TypeError, ValueError) as error:
+        self._problem(f"term '{path}': noise: {error}", error)
+    if not self._problems:
+      self._models, self._built_from = models, {path: cfg for path, (_, cfg) in wanted.items()}
+      self._modelled = [(models[path], slot.frame, slot.shape) for path, (slot, _) in wanted.items()]
 
   def _build_delays(self) -> None:
     self._delays: dict[str, DelayBuffer] = {}
@@ -343,6 +375,8 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       self._noise.apply_(frame, self.env.rng)
     if self._episode_bias is not None:
       self._episode_bias.add_to(frame)
+    for model, columns, shape in self._modelled:
+      model.apply_(frame[:, columns].unflatten(1, shape))
     if self._lo is not None:
       torch.clamp(frame, self._lo, self._hi, out=frame)
     if self._scale is not None:
@@ -419,12 +453,14 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
         )
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Draws new episode biases in the worlds of `mask`, bool (N,), and resets class terms there.
+    """Draws anew what noise keeps for an episode in the worlds of `mask`, bool (N,), and resets class terms there.
 
     Delays and histories are filled by the `compute` that gets these worlds as `fresh`.
     """
     if self._episode_bias is not None:
       self._episode_bias.redraw(mask)
+    for model, *_ in self._modelled:
+      model.reset(mask)
     super().reset(mask)
 
   def sync(self) -> None:
