@@ -7,7 +7,7 @@ import mujoco
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
-from mjlab_dr import Categorical, body_mass, geom_friction, pseudo_inertia, randomize_field
+from mjlab_dr import Categorical, body_mass, encoder_bias, geom_friction, pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import (
   ConfigError,
@@ -98,6 +98,40 @@ def test_inertia_drawn_at_resets_leaves_the_worlds_that_go_on_bit_identical(make
   for calm, busy in zip(*states, strict=True):
     assert torch.equal(calm[[0, 2]], busy[[0, 2]])
     assert not torch.equal(calm[[1, 3]], busy[[1, 3]])
+
+
+def test_the_ground_and_its_looks_can_be_randomised_though_they_are_no_entity(make: Make) -> None:
+  def textured(spec: mujoco.MjSpec) -> None:
+    for name in ("wood", "steel"):
+      spec.add_texture(
+        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, width=8, height=8
+      )
+
+  cfg = quiet()
+  cfg.scene.spec_fn = textured
+  randomizers = {
+    "slide": geom_friction(".*", (0.3, 1.2)),
+    "texture": randomize_field("mat_texid", "terrain", {"rgb": Categorical(("wood", "steel"))}),
+    "light": randomize_field("light_diffuse", "terrain", (0.2, 0.9), isotropic=True),
+  }
+  params = {name: {"randomizer": value, "asset": None} for name, value in randomizers.items()}
+  cfg.events = {name: EventTermCfg(mdp.randomize, mode="reset", params=params[name]) for name in randomizers}
+  env = make(cfg)
+  env.reset()
+  model, compiled = env.sim.model, env.sim.mj_model
+  ground = compiled.geom("terrain").id
+  before = model.geom_friction[:, ground, 0].clone()
+  assert before.unique().numel() == 4
+  # Nothing of the robot's is what belongs to nobody.
+  assert (model.geom_friction[:, compiled.geom("robot/foot").id, 0] == compiled.geom("robot/foot").friction[0]).all()
+  textures = model.mat_texid[:, compiled.material("terrain").id, 1].tolist()
+  assert set(textures) <= {compiled.texture("wood").id, compiled.texture("steel").id}
+  assert model.light_diffuse[:, compiled.light("terrain").id, 0].unique().numel() == 4
+  env.reset(env_ids=[2])
+  assert (model.geom_friction[:, ground, 0] != before).tolist() == [False, False, True, False]
+  bias = {"randomizer": encoder_bias(".*", (-0.1, 0.1)), "asset": None}
+  with pytest.raises(ConfigError, match="belongs to an entity, which asset=None is not"):
+    make(quiet(events={"bias": EventTermCfg(mdp.randomize, mode="startup", params=bias)}))
 
 
 def test_a_curriculum_widens_a_range_while_training_runs(make: Make) -> None:

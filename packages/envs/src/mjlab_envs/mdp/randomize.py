@@ -22,34 +22,40 @@ _writers: WeakKeyDictionary[object, dict[tuple[str, object], str]] = WeakKeyDict
 class randomize(ManagerTermBase):
   """Draw new values of a field of an entity in masked worlds, always from the compiled default.
 
-  The randomiser's pattern is matched against the names of the entity's own elements. Fields of MjModel become per-world
-  by themselves; "encoder_bias" is the entity's own; options belong to no entity.
+  The randomiser's pattern is matched against the names of the entity's own elements; `asset=None` is what belongs to no
+  entity: the ground with its material and light, and what the scene's `spec_fn` added. Fields of MjModel become
+  per-world by themselves; "encoder_bias" is the entity's own; options belong to no entity.
   """
 
   def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     randomizer: FieldRandomizer = cfg.params["randomizer"]
-    entity = env.scene[cfg.params["asset"].name]
+    asset: SceneEntityCfg | None = cfg.params["asset"]
+    entity = None if asset is None else env.scene[asset.name]
     field = FIELDS[randomizer.field]
-    names, ids = _elements(env, entity, field)
+    if entity is None and not field.in_model:
+      raise ValueError(f"{randomizer.label} belongs to an entity, which asset=None is not")
+    owner = "scene" if entity is None else f"entity '{entity.name}'"
+    prefix = "" if entity is None else entity.prefix
+    names, ids = _of_the_scene(env, field) if entity is None else _elements(env, entity, field)
     self.field = RandomizeField(
       randomizer,
       env.sim,
       generator=env.rng,
       names=names,
       ids=ids,
-      target=None if field.in_model else getattr(entity.data, randomizer.field),
-      prefix=entity.prefix,
-      owner=f"entity '{entity.name}'",
+      target=None if entity is None or field.in_model else getattr(entity.data, randomizer.field),
+      prefix=prefix,
+      owner=owner,
     )
     """The randomiser in the worlds of this environment."""
     written = _writers.setdefault(env.sim, {})
-    whose = "" if field.in_model else entity.prefix
+    whose = "" if field.in_model else prefix
     for (name, column), element in self.field.written().items():
       key = whose + name, column
       if key in written:
         raise ValueError(
-          f"entity '{entity.name}': {name} of {field.kind} '{element}' is written by two randomisers, {written[key]} "
+          f"{owner}: {name} of {field.kind} '{element}' is written by two randomisers, {written[key]} "
           f"and {randomizer.label}; only one of them would count."
         )
       written[key] = randomizer.label
@@ -61,7 +67,7 @@ class randomize(ManagerTermBase):
     mask: torch.Tensor,
     *,
     randomizer: FieldRandomizer,
-    asset: SceneEntityCfg = _ROBOT,
+    asset: SceneEntityCfg | None = _ROBOT,
   ) -> None:
     del env, randomizer, asset  # Resolved at build.
     # The event manager recomputes derived fields once for all randomisers that fired.
@@ -132,3 +138,13 @@ def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple
     (i, name) for i, name in enumerate(element_names(env.sim.mj_model, field.kind)) if name.startswith(entity.prefix)
   ]
   return [name.removeprefix(entity.prefix) for _, name in found], [i for i, _ in found]
+
+
+def _of_the_scene(env: "ManagerBasedRlEnv", field: Field) -> tuple[list[str] | None, list[int] | None]:
+  """Names of the elements that a field is about and that belong to no entity, and their ids."""
+  if field.kind == "option":
+    return None, None
+  prefixes = tuple(entity.prefix for entity in env.scene.entities.values())
+  names = element_names(env.sim.mj_model, field.kind)
+  ids = [i for i, name in enumerate(names) if not name.startswith(prefixes) and (field.kind, i) != ("body", 0)]
+  return [names[i] for i in ids], ids
