@@ -16,6 +16,7 @@ EVERYTHING = """
     <texture name="steel" type="2d" builtin="flat" rgb1=".6 .6 .7" width="8" height="8"/>
     <material name="dull" texture="wood" texrepeat="2 3" emission=".1" specular=".4" shininess=".5" rgba=".8 .7 .6 .9"/>
     <material name="shiny" texture="steel" emission=".2" specular=".6" shininess=".7"/>
+    <material name="painted" texture="wood"/>
   </asset>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1" contype="2" conaffinity="1" condim="6"/>
@@ -42,7 +43,8 @@ EVERYTHING = """
           damping=".6 .05 .02" armature=".02" frictionloss=".1" actuatorfrcrange="-20 25" margin=".01"/>
         <inertial pos="0 .01 -.15" quat=".9 .1 0 .2" mass="1.2" diaginertia=".02 .025 .012"/>
         <geom name="thigh" type="capsule" size=".04 .12" pos="0 .01 -.15"/>
-        <geom name="roller" type="cylinder" size=".03 .05" pos="0 .05 -.1" quat="1 1 0 0" contype="0" conaffinity="0"/>
+        <geom name="roller" type="cylinder" size=".03 .05" pos="0 .05 -.1" quat="1 1 0 0" contype="0" conaffinity="0"
+          material="painted" rgba=".8 .1 .1 1"/>
         <site name="side" pos="0 .12 0"/>
         <site name="knee" pos=".05 0 -.28"/>
         <body name="shin" pos="0 0 -.3" quat=".98 .1 .05 .1">

@@ -60,7 +60,7 @@ IDLE = [
   (FIELD("geom_friction", "roller", (0.3, 1.2), axes=(0,)), "collides with nothing"),
   (FIELD("geom_size", "floor", (0.9, 1.1)), "geom 'floor' would do nothing, for it is no primitive"),
   (FIELD("geom_size", "shin", (0.9, 1.1), axes=("size2",)), "size2 of geom 'shin' would do nothing, for it has only 1"),
-  (FIELD("geom_rgba", "post", (0.0, 1.0)), "has the colour of its material"),
+  (FIELD("mat_rgba", "painted", (0.0, 1.0)), "belongs to geoms that have a colour of their own, geom_rgba, instead"),
   (FIELD("geom_adhesion", "shin", (0.0, 1.0)), "was compiled as zero"),
   (FIELD("body_gravcomp", "shin", (0.0, 1.0)), "was compiled as zero"),
   (FIELD("body_pos", "trunk", (0.0, 0.1)), "body 'trunk' would do nothing, for it floats"),
@@ -136,7 +136,7 @@ RESULTS = [
   (FIELD("light_cutoff", "spot", (0.0, 200.0), operation="add"), r"light 'spot' may get light_cutoff 240, above the"),
   (FIELD("actuator_delay", "hip", (0.0, 0.1)), r"a delay of 0\.1 s, but its buffer was compiled for 0\.016 s"),
   (FIELD("geom_matid", "post", Categorical(("steal", "dull"))), "material 'steal' does not exist"),
-  (FIELD("geom_matid", "post", Categorical((0, 7))), "7 is no material; there are 2"),
+  (FIELD("geom_matid", "post", Categorical((0, 7))), "7 is no material; there are 3"),
 ]  # fmt: skip
 
 

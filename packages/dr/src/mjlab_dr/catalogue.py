@@ -262,7 +262,7 @@ FIELDS: dict[str, Field] = {
     kind="geom", axes=(*_XYZ, *_ANGLES), unit="m/s, m/s, m/s, rad/s, rad/s, rad/s", constants=True, from_zero=False
   ),
   "geom_adhesion": _at_least_zero("geom", "N", constants=True, from_zero=False),
-  "geom_rgba": _share("geom", _RGBA, note="of geoms without a material"),
+  "geom_rgba": _share("geom", _RGBA, note="takes the place of a material's colour"),
   "geom_matid": _choice("geom", names="material"),
   # Sites, cameras, lights
   "site_pos": _position("site", constants=True, derived=_ROUTE),
@@ -294,7 +294,7 @@ FIELDS: dict[str, Field] = {
   "light_diffuse": _at_least_zero("light", "1", axes=_RGBA[:3]),
   "light_specular": _at_least_zero("light", "1", axes=_RGBA[:3]),
   # Materials
-  "mat_rgba": _share("material", _RGBA),
+  "mat_rgba": _share("material", _RGBA, note="of geoms without a colour of their own"),
   "mat_emission": _at_least_zero("material", "1"),
   "mat_specular": _share("material"),
   "mat_shininess": _share("material"),

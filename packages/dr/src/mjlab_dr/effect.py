@@ -16,6 +16,7 @@ _SIZES = {
 }
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_NO_COLOR = (0.5, 0.5, 0.5, 1.0)
 _CONTACT = {
   "geom_friction",
   "geom_solref",
@@ -124,8 +125,6 @@ def _geom(model: mujoco.MjModel, name: str, i: int) -> str:
     return "collides with nothing"
   if name == "geom_size" and int(model.geom_type[i]) not in _SIZES:
     return "is no primitive with a size"
-  if name == "geom_rgba" and model.geom_matid[i] >= 0:
-    return "has the colour of its material"
   return ""
 
 
@@ -141,6 +140,14 @@ def _camera(model: mujoco.MjModel, name: str, i: int) -> str:
 def _light(model: mujoco.MjModel, name: str, i: int) -> str:
   if name in ("light_cutoff", "light_exponent") and model.light_type[i] != int(mujoco.mjtLightType.mjLIGHT_SPOT):
     return "is no spot light"
+  return ""
+
+
+def _material(model: mujoco.MjModel, name: str, i: int) -> str:
+  # A geom has the colour of its material only as long as its own is what MuJoCo gives to those without.
+  of_geoms = model.geom_rgba[model.geom_matid == i]
+  if name == "mat_rgba" and len(of_geoms) and (of_geoms != _NO_COLOR).any(1).all():
+    return "belongs to geoms that have a colour of their own, geom_rgba, instead"
   return ""
 
 
@@ -189,7 +196,7 @@ _REASONS = {
   "site": _always,
   "camera": _camera,
   "light": _light,
-  "material": _always,
+  "material": _material,
   "tendon": _tendon,
   "pair": _always,
   "equality": _always,
