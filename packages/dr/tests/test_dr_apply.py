@@ -350,6 +350,16 @@ def test_what_was_drawn_is_told_from_what_was_written(name: str) -> None:
   torch.testing.assert_close(told[known], seen[0].double()[known], rtol=1e-4, atol=1e-6)
 
 
+def test_what_is_chosen_by_name_is_held_against_ids() -> None:
+  cfg = randomize_field("mat_texid", "dull", {"rgb": Categorical(("steel", "wood"), (3.0, 1.0))})
+  sim = FakeSim(EVERYTHING)
+  term = bound(cfg, sim)
+  term.apply(torch.ones(N, dtype=torch.bool))
+  (drawn,), (asked,) = drawn_values(term).values(), term.distributions.values()
+  assert asked == Categorical((sim.mj_model.texture("steel").id, sim.mj_model.texture("wood").id), (3.0, 1.0))
+  assert agreement(drawn, asked) > 0.01
+
+
 def test_agreement_tells_the_asked_distribution_from_another_and_from_one_draw_for_all() -> None:
   generator = make_generator("cpu", 0)
   drawn = 0.3 + 0.9 * torch.rand(500, generator=generator)

@@ -99,6 +99,8 @@ class RandomizeField:
     binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)
     self.element_names, self.components = binding.elements, binding.components
     distributions = with_ids(cfg, model, owner, prefix)
+    self.distributions = dict(zip(cfg.values, distributions, strict=True))
+    """What each axis is drawn from, with the ids of this model in place of names."""
 
     fields = list(dict.fromkeys(component.field for component in self.components))
     if target is None:

@@ -138,7 +138,7 @@ def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
 def _axes(term: RandomizeField) -> list[AxisReport]:
   cfg, info = term.cfg, FIELDS[term.cfg.field]
   values, reports = term.values(), []
-  for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), cfg.values.items(), strict=True):
+  for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), term.distributions.items(), strict=True):
     columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.field]
     finite = drawn[drawn.isfinite()]
     # One draw for all elements is one draw.
