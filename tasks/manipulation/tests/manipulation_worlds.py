@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import ObservationTermCfg
 from mjlab_manipulation import lift_cube_env
 from mjlab_manipulation.lift import COMMAND
 from mjlab_manipulation.mdp import LiftCommand
@@ -35,6 +36,24 @@ def place(env: ManagerBasedRlEnv, position: np.ndarray, entity: str = "cube", wo
   state[:, :3] = env.scene.env_origins + torch.as_tensor(position)
   state[:, 3] = 1.0
   env.scene[entity].write_root_state(state, mask)
+
+
+def image_cfg(cfg: ManagerBasedRlEnvCfg) -> ObservationTermCfg:
+  """The observation of a task that is images."""
+  group = cfg.observations["camera"]
+  assert group is not None
+  term = group.terms["image"]
+  assert term is not None
+  return term
+
+
+def images(env: ManagerBasedRlEnv) -> np.ndarray:
+  """What the policies see now, (num_envs, channels, height, width)."""
+  env.observation_manager.compute()
+  seen = env.get_observations()["camera"]
+  assert isinstance(seen, torch.Tensor)
+  assert seen.dtype == torch.float32
+  return seen.numpy().copy()
 
 
 def in_mujoco(env: ManagerBasedRlEnv, world: int) -> mujoco.MjData:

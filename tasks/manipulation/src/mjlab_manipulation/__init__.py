@@ -1,6 +1,7 @@
 """An arm lifts cubes to where it is told."""
 
 from mjlab_manipulation.evaluation import LiftEvaluation
+from mjlab_manipulation.image_randomization import plain_images, randomize_images
 from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
 from mjlab_manipulation.vision import (
   lift_cube_depth,
@@ -9,7 +10,6 @@ from mjlab_manipulation.vision import (
   lift_cube_rgb_env,
   multi_cube_seg,
   multi_cube_seg_env,
-  randomize_images,
 )
 
 __all__ = [
@@ -25,5 +25,6 @@ __all__ = [
   "lift_env",
   "multi_cube_seg",
   "multi_cube_seg_env",
+  "plain_images",
   "randomize_images",
 ]

@@ -24,6 +24,7 @@ from mjlab_terrain import PlaneCfg
 
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.evaluation import LiftEvaluation
+from mjlab_manipulation.image_randomization import plain_images
 from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
 
 # Timing
@@ -252,7 +253,8 @@ def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: a new goal every 4 s, what the policy sees without noise."""
+  """For watching: a new goal every 4 s, what the policy sees without noise and, if images, alike in all worlds."""
+  plain_images(cfg)
   cfg.episode_length_s = 1e9
   for group in cfg.observations.values():
     if group is not None:

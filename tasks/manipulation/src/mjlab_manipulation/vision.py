@@ -5,10 +5,11 @@ from dataclasses import replace
 
 from mjlab_dr import randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg, UniformNoiseCfg
+from mjlab_managers import EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
 from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
 from mjlab_scene import EntityCfg
 from mjlab_sensors import CameraSensorCfg
+from mjlab_terrain import PlaneCfg
 
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.evaluation import LiftEvaluation
@@ -67,6 +68,8 @@ def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
 def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
   """The environment of training from colours."""
   cfg = lift_cube_env()
+  # The robot's own lamp is enough: with the ground's light, bright colours would all be white.
+  cfg.scene.terrain = PlaneCfg(light=False)
   _see(cfg, ("rgb",))
   cfg.events["cube_color"] = EventTermCfg(
     mdp.randomize,
@@ -89,31 +92,6 @@ def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
   assert isinstance(command, lifting.LiftCommandCfg)
   command.start = copy.deepcopy(CUBES_START)
   _see(cfg, ("depth", "object"))
-  return cfg
-
-
-def randomize_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """Give each world a camera and a light of its own, and the actor's images noise and a delay; `cfg`, changed.
-
-  The camera is moved by up to 5 mm and turned by up to 2 degrees about each axis, its focal length is within 3 %; the
-  light is between half and one and a half times as bright. Pixels get uniform noise of 0.02, and frames come up to one
-  step late.
-  """
-  looks = {
-    "camera_pos": randomize_field("cam_pos", "camera_d405", (-0.005, 0.005)),
-    "camera_turn": randomize_field("cam_quat", "camera_d405", (-0.035, 0.035)),
-    "camera_focal": randomize_field("cam_intrinsic", "camera_d405", (0.97, 1.03), axes=(0, 1), operation="scale"),
-    "light": randomize_field("light_diffuse", ".*", (0.5, 1.5), operation="scale", isotropic=True),
-  }
-  for name, randomizer in looks.items():
-    cfg.events[name] = EventTermCfg(
-      mdp.randomize, mode="startup", params={"randomizer": randomizer, "asset": SceneEntityCfg("robot")}
-    )
-  group = cfg.observations["camera"]
-  image = None if group is None else group.terms["image"]
-  if group is not None and image is not None:
-    group.corrupt = True
-    image.noise, image.clip, image.delay_max_lag = UniformNoiseCfg(n_min=-0.02, n_max=0.02), (0.0, 1.0), 1
   return cfg
 
 

@@ -1,0 +1,162 @@
+"""Images that differ from world to world, as those of real cameras over real tables do."""
+
+from dataclasses import replace
+
+import mujoco
+from mjlab_dr import Categorical, FieldRandomizer, randomize_field
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import (
+  CameraNoiseCfg,
+  EventMode,
+  EventTermCfg,
+  ObservationGroupCfg,
+  ObservationTermCfg,
+  SceneEntityCfg,
+)
+
+from mjlab_manipulation import mdp as lifting
+
+# The camera of a world, for good: no mount and no lens is like another.
+CAMERA_SHIFT = 0.005  # m, along each axis
+CAMERA_TURN = 0.035  # rad, about each axis
+FOCAL_LENGTH = (0.97, 1.03)  # of what is compiled
+LIGHT_SHIFT = 0.4  # m, along each axis
+
+# The scene of an episode
+BRIGHTNESS = (0.4, 1.4)  # of what is compiled
+GROUND_TINT = (0.2, 1.0)
+GROUND_SQUARES = (0.5, 8.0)  # of what is compiled
+
+# The camera of an episode
+GAIN, GAMMA, BIAS = (0.7, 1.3), (0.8, 1.25), (-0.05, 0.05)
+COLOR_STD = (0.0, 0.03)
+DEPTH_STD = (0.0, 0.01)  # of the range of depth, at its end
+DISPARITY_STEP = (0.0, 0.01)  # of the inverse of the range of depth
+HOLE_SHARE = (0.0, 0.1)
+MAX_LAG = 2  # steps
+
+# Grey, for the colour of what has them is mixed in: pattern, mark, darker grey
+TEXTURES = {
+  "look_plain": ("FLAT", "NONE", 1.0),
+  "look_checkered": ("CHECKER", "NONE", 0.35),
+  "look_shaded": ("GRADIENT", "NONE", 0.3),
+  "look_framed": ("FLAT", "EDGE", 1.0),
+  "look_crossed": ("FLAT", "CROSS", 1.0),
+  "look_speckled": ("FLAT", "RANDOM", 1.0),
+}
+LOOK = "look"
+"""Name of the material of what floats, after the prefix of its entity."""
+IMAGE_EVENTS = "image_"
+"""How names of events begin that only images are changed by."""
+
+_CAMERA, _LIGHT, _GROUND = "camera_d405", "spotlight", "terrain"
+_COLORS = ("red", "green", "blue")
+
+
+def randomize_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """Let images differ from world to world, and from clean ones: `cfg`, changed.
+
+  Each world has a camera of its own, moved by up to 5 mm and turned by up to 2 degrees about each axis, with a focal
+  length within 3 %. Images come up to two steps late, by the same in all of an episode. Where there are colours, each
+  episode has its brightness, its exposure, the texture and tint of its ground, and the texture of its object, beside
+  its colour; pixels are noisy. Depth is noisy, comes in steps, and has holes, which are far, not valid, and not of the
+  object.
+
+  Raises:
+    ValueError: there are no images, or colours in a scene that has a `spec_fn` already.
+  """
+  group, image = _images(cfg)
+  if group is None or image is None:
+    raise ValueError("there are no images to randomise: no term 'image' in a group 'camera' of the observations")
+  channels: tuple[lifting.Channel, ...] = image.params["channels"]
+  focal = randomize_field("cam_intrinsic", _CAMERA, FOCAL_LENGTH, axes=("fx", "fy"), operation="scale", isotropic=True)
+  cfg.events |= {
+    "image_camera_pos": _event(randomize_field("cam_pos", _CAMERA, (-CAMERA_SHIFT, CAMERA_SHIFT)), "startup"),
+    "image_camera_turn": _event(randomize_field("cam_quat", _CAMERA, (-CAMERA_TURN, CAMERA_TURN)), "startup"),
+    "image_camera_focal": _event(focal, "startup"),
+  }
+  if "rgb" in channels:
+    _vary_looks(cfg)
+  group.corrupt, image.noise = True, _camera_noise(channels)
+  image.delay_max_lag, image.delay_hold_prob = MAX_LAG, 1.0
+  return cfg
+
+
+def plain_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """Clean images of one camera, light, ground and texture in every world after all, without delay; `cfg`, changed."""
+  cfg.events = {name: event for name, event in cfg.events.items() if not name.startswith(IMAGE_EVENTS)}
+  _, image = _images(cfg)
+  if image is not None and isinstance(image.noise, CameraNoiseCfg):
+    image.noise, image.delay_max_lag, image.delay_hold_prob = None, 0, 0.0
+  return cfg
+
+
+def add_looks(spec: mujoco.MjSpec) -> None:
+  """Add grey textures, and give each thing that floats a material to hold one of them; its colour stays its own."""
+  for name, (pattern, mark, dark) in TEXTURES.items():
+    spec.add_texture(
+      name=name,
+      type=mujoco.mjtTexture.mjTEXTURE_2D,
+      builtin=getattr(mujoco.mjtBuiltin, f"mjBUILTIN_{pattern}"),
+      mark=getattr(mujoco.mjtMark, f"mjMARK_{mark}"),
+      rgb1=(1.0, 1.0, 1.0),
+      rgb2=(dark, dark, dark),
+      markrgb=(0.1, 0.1, 0.1),
+      random=0.1,
+      width=64,
+      height=64,
+    )
+  for body in spec.bodies:
+    if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+      continue
+    name = f"{body.name.split('/')[0]}/{LOOK}"
+    material = spec.add_material(name=name)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = next(iter(TEXTURES))
+    for geom in body.geoms:
+      geom.material = name
+
+
+def _vary_looks(cfg: ManagerBasedRlEnvCfg) -> None:
+  if cfg.scene.spec_fn is not None:
+    raise ValueError("the scene has a spec_fn already: call add_looks in it, and add events for what it made")
+  cfg.scene.spec_fn = add_looks
+  texture = {"rgb": Categorical(tuple(TEXTURES))}
+  light = randomize_field("light_diffuse", _LIGHT, BRIGHTNESS, operation="scale", isotropic=True)
+  squares = randomize_field(
+    "mat_texrepeat", _GROUND, GROUND_SQUARES, distribution="log_uniform", operation="scale", isotropic=True
+  )
+  cfg.events |= {
+    "image_light_pos": _event(randomize_field("light_pos", _LIGHT, (-LIGHT_SHIFT, LIGHT_SHIFT)), "startup"),
+    "image_light": _event(light, "reset"),
+    "image_ground": _event(randomize_field("mat_texid", _GROUND, texture), "reset", None),
+    "image_ground_color": _event(randomize_field("mat_rgba", _GROUND, GROUND_TINT, axes=_COLORS), "reset", None),
+    "image_ground_squares": _event(squares, "reset", None),
+  }
+  commands = [command for command in cfg.commands.values() if isinstance(command, lifting.LiftCommandCfg)]
+  for name in commands[0].objects if commands else ():
+    cfg.events[f"image_{name}"] = _event(randomize_field("mat_texid", LOOK, texture), "reset", name)
+
+
+def _camera_noise(channels: tuple[lifting.Channel, ...]) -> CameraNoiseCfg:
+  noise, place = CameraNoiseCfg(), 0
+  for channel in channels:
+    if channel == "rgb":
+      noise = replace(
+        noise, color=(place, place + 1, place + 2), gain=GAIN, gamma=GAMMA, bias=BIAS, color_std=COLOR_STD
+      )
+    elif channel == "depth":
+      noise = replace(noise, depth=place, depth_std=DEPTH_STD, disparity_step=DISPARITY_STEP, hole_share=HOLE_SHARE)
+    else:
+      noise = replace(noise, lost=(*noise.lost, place))
+    place += 3 if channel == "rgb" else 1
+  return noise
+
+
+def _event(randomizer: FieldRandomizer, mode: EventMode, entity: str | None = "robot") -> EventTermCfg:
+  asset = None if entity is None else SceneEntityCfg(entity)
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, "asset": asset})
+
+
+def _images(cfg: ManagerBasedRlEnvCfg) -> tuple[ObservationGroupCfg | None, ObservationTermCfg | None]:
+  group = cfg.observations.get("camera")
+  return group, None if group is None else group.terms.get("image")
