@@ -19,6 +19,7 @@ if TYPE_CHECKING:
   from mjlab_viewer.native import NativeViewer
   from mjlab_viewer.offscreen import OffscreenRenderer, PictureCfg
   from mjlab_viewer.playback import SPEEDS, Playback, RandomPolicy, ZeroPolicy
+  from mjlab_viewer.replay import Replay
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
   from mjlab_viewer.training_video import TrainingVideo
   from mjlab_viewer.video import BackgroundVideo, VideoFile
@@ -40,6 +41,7 @@ __all__ = [
   "Policy",
   "RandomPolicy",
   "RenderingError",
+  "Replay",
   "Snapshot",
   "SnapshotTaker",
   "Steering",
@@ -62,6 +64,7 @@ __getattr__, __dir__ = lazy_exports(
     ".native": "NativeViewer",
     ".offscreen": "OffscreenRenderer PictureCfg",
     ".playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
+    ".replay": "Replay",
     ".snapshot": "Snapshot SnapshotTaker",
     ".training_video": "TrainingVideo",
     ".video": "BackgroundVideo VideoFile",

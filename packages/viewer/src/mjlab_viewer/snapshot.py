@@ -13,7 +13,7 @@ from mjlab_viewer.draw_list import DrawList
 from mjlab_viewer.worlds import ViewedEnv
 
 # What MuJoCo needs to compute everything else, and the poses that are drawn.
-_FIELDS = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active
+FIELDS = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active
 xpos xquat""".split()
 
 
@@ -57,7 +57,7 @@ class SnapshotTaker:
     self._env = env
     self._indices: dict[tuple[int, ...], torch.Tensor] = {}
     data = env.sim.data
-    self._fields = {name: value for name in _FIELDS if (value := getattr(data, name)).numel()}
+    self._fields = {name: value for name in FIELDS if (value := getattr(data, name)).numel()}
 
   def take(self, worlds: Sequence[int], *, drawers: Sequence[str] = (), apart: bool = False, step: int = 0) -> Snapshot:
     """Copy some worlds.

@@ -88,20 +88,11 @@ def _report(path: str, dump: "NanDump") -> None:
 
 
 def _film(replay: "NanReplay", wanted: Arguments) -> None:
-  from mjlab_viewer import OffscreenRenderer, SnapshotTaker
-  from mjlab_viewer.video import VideoFile
+  from mjlab_viewer import OffscreenRenderer
 
   assert wanted.video is not None
-  taker, file = SnapshotTaker(replay), VideoFile(wanted.video, fps=wanted.speed / replay.step_dt)
-  try:
-    with OffscreenRenderer(replay.sim.mj_model) as renderer:
-      for _ in range(replay.num_steps):
-        file.add(renderer.render(taker.take(range(replay.num_envs), apart=True)))
-        replay.step(None)
-    file.close()
-  except BaseException:
-    file.discard()
-    raise
+  with OffscreenRenderer(replay.sim.mj_model) as renderer:
+    replay.film(wanted.video, renderer, speed=wanted.speed)
   print(f"film: {wanted.video}")
 
 

@@ -1,0 +1,89 @@
+"""Stored moments as worlds that can be watched, held and filmed."""
+
+from pathlib import Path
+
+import av
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_viewer import OffscreenRenderer, PictureCfg, Playback, Replay, SnapshotTaker, ViewerError, ZeroPolicy
+from viewer_env import BOX
+
+MODEL: mujoco.MjModel = mujoco.MjModel.from_xml_string(BOX)
+
+
+def rising(moments: int = 7, **model_fields: np.ndarray) -> Replay:
+  """Two worlds whose boxes rise by 0.1 m at each moment, the second one a metre to the side."""
+  qpos = np.tile(MODEL.qpos0, (moments, 2, 1))
+  qpos[:, 1, 0] += 1.0
+  qpos[..., 2] += 0.1 * np.arange(moments)[:, None]
+  return Replay(MODEL, {"qpos": qpos}, 0.02, model_fields)
+
+
+def heights(replay: Replay) -> list[float]:
+  return [round(height, 3) for height in SnapshotTaker(replay).take((0, 1)).data["xpos"][:, 1, 2].tolist()]
+
+
+def test_one_moment_follows_another_and_then_the_first() -> None:
+  replay = rising(3)
+  seen, ends = [heights(replay)], []
+  for _ in range(4):
+    _, _, over, _, _ = replay.step(None)
+    seen.append(heights(replay))
+    ends.append(over.tolist())
+  assert seen == [[0.5, 0.5], [0.6, 0.6], [0.7, 0.7], [0.5, 0.5], [0.6, 0.6]]
+  assert ends == [[False, False], [False, False], [True, True], [False, False]]
+
+
+def test_poses_are_those_of_mujoco_with_each_worlds_own_model() -> None:
+  body_pos = np.stack([MODEL.body_pos, MODEL.body_pos])
+  geom_rgba = np.stack([MODEL.geom_rgba, MODEL.geom_rgba[::-1]])
+  replay = rising(2, body_pos=body_pos, geom_rgba=geom_rgba)
+  replay.step(None)
+  snapshot = SnapshotTaker(replay).take((1,))
+  data = mujoco.MjData(MODEL)
+  data.qpos[:] = snapshot.data["qpos"][0]
+  mujoco.mj_kinematics(MODEL, data)
+  np.testing.assert_array_equal(snapshot.data["xpos"][0], data.xpos)
+  np.testing.assert_array_equal(snapshot.model["geom_rgba"][0], MODEL.geom_rgba[::-1])
+  assert replay.signals()["qpos"][1].tolist()[1] == snapshot.data["qpos"][0].tolist()
+
+
+def test_a_time_that_is_held_stays_until_it_is_let_go() -> None:
+  replay = rising(5)
+  playback = Playback(replay, ZeroPolicy(2, 0, torch.device("cpu")))
+  (command,) = replay.steering().values()
+  assert command.axes == [("time [s]", 0.0, pytest.approx(0.08))]
+  command.steer(0, [0.062])
+  assert heights(replay) == [0.8, 0.8]
+  playback.paused = True
+  playback.step_once()
+  playback.reset()
+  assert heights(replay) == [0.8, 0.8]
+  command.steer(0, [99.0])
+  assert heights(replay) == [0.9, 0.9]
+  command.steer(0, None)
+  playback.step_once()
+  assert heights(replay) == [0.5, 0.5]
+
+
+def test_a_film_shows_every_moment_once(opengl: None, tmp_path: Path) -> None:
+  frames = []
+  with OffscreenRenderer(MODEL, PictureCfg(width=96, height=48, shadows=False)) as renderer:
+    rising(7).film(tmp_path / "film.mp4", renderer, speed=0.5, every=2, on_frame=frames.append)
+  assert frames == [1, 2, 3, 4]
+  with av.open(str(tmp_path / "film.mp4")) as container:
+    pictures = [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
+    assert container.streams.video[0].average_rate == 0.5 / (2 * 0.02)
+  assert len(pictures) == 4
+  # The camera follows the box, so it is the floor that sinks away.
+  assert np.abs(pictures[-1] - pictures[0]).mean() > 2.0
+
+
+def test_a_film_that_fails_leaves_nothing(opengl: None, tmp_path: Path) -> None:
+  renderer = OffscreenRenderer(MODEL, PictureCfg(width=96, height=48, shadows=False))
+  renderer.close()
+  with pytest.raises(ViewerError, match="closed"):
+    rising().film(tmp_path / "film.mp4", renderer)
+  assert list(tmp_path.iterdir()) == []
