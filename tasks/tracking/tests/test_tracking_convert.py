@@ -1,6 +1,7 @@
 """`convert-motion` as a user meets it."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,12 @@ def test_a_joint_map_places_a_clip_of_another_robot() -> None:
   [
     (["gone.csv"], "gone.csv: no such file"),
     (["wiggle.csv"], "state it with --rate"),
-    (["wiggle.csv", "--rate", "50", "--output", "wiggle.csv"], "is there already; --force"),
+    (["wiggle.csv", "--rate", "50", "--output", "there.npz"], "there.npz is there already; --force"),
+    (["wiggle.csv", "--rate", "50", "--video", "there.mp4"], "there.mp4 is there already; --force"),
+    (["wiggle.csv", "--rate", "50", "--output", "wiggle.csv"], "expected a file that ends in .npz, or a folder"),
+    (["wiggle.csv", "--rate", "50", "--report", "report.txt"], "expected a file that ends in .png, or a folder"),
+    (["wiggle.csv", "--rate", "50", "--video", "film.gif"], "expected a file that ends in .mp4, or a folder"),
+    (["wiggle.csv", "wiggle.csv", "--rate", "50", "--preview"], "--preview shows one clip, not 2"),
     (["wiggle.csv", "wiggle.csv", "--rate", "50", "--output", "one.npz"], "2 clips need a folder"),
     (["wiggle.csv", "wiggle.csv", "--rate", "50", "--output", "two"], "two clips would both be written"),
     (["wiggle.csv", "--rate", "50", "--crop", "0.5", "9"], "lasts 1.180 s"),
@@ -97,7 +103,8 @@ def test_a_joint_map_places_a_clip_of_another_robot() -> None:
 )
 def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
   csv(wiggle(), "wiggle.csv")
-  Path("wiggle.pkl").write_bytes(b"")
+  for name in ("wiggle.pkl", "there.npz", "there.mp4"):
+    Path(name).write_bytes(b"")
   assert convert(*words) == 2
   error = capsys.readouterr().err
   assert message in error
@@ -107,3 +114,15 @@ def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.Ca
 def test_a_robot_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str]) -> None:
   assert main(["a.csv", "--robot", "g2"]) == 2
   assert "robot 'g2': neither one of g1, go1 nor the path of an .xml" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("words", [["--video", "film.mp4"], ["--preview"]])
+def test_without_the_viewer_nothing_is_written_and_it_is_named(
+  words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.setitem(sys.modules, "mjlab_viewer", None)
+  path = csv(constant(), "still.csv")
+  assert convert(path, "--rate", "50", "--quaternion", "wxyz", "--ground", "--output", "still.npz", *words) == 2
+  assert "uv pip install mjlab-viewer" in capsys.readouterr().err
+  assert not Path("still.npz").exists()

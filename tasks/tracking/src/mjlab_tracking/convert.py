@@ -1,6 +1,7 @@
 """`convert-motion CLIP ... --output FILE`: any clip of the field becomes a checked motion file."""
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Sequence
@@ -12,40 +13,45 @@ from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
 from mjlab_tracking.formats import JointMap, Statement, read_motion
 from mjlab_tracking.kinematics import Kinematics, derived_arrays
 from mjlab_tracking.motion import Motion, MotionError, save_motion
+from mjlab_tracking.preview import Preview
 from mjlab_tracking.quality import check_quality
 from mjlab_tracking.quality_plot import plot_quality
 from mjlab_tracking.timeline import resample
 
 EPILOG = """\
-exit codes: 0 written, or only looked at; 1 the report has errors, nothing written; 2 wrong usage or an unreadable clip.
+exit codes: 0 written, or only looked at; 1 the report has errors, no motion file written; 2 wrong usage, an unreadable
+clip, or no way to show it.
 
 examples:
   convert-motion dance.csv --rate 60 --ground --output dance.npz --report dance.png
   convert-motion walk.npz                                    a report, nothing written
+  convert-motion walk.npz --preview                          the same, and the clip in a browser
   convert-motion clips/*.csv --rate 30 --output library/     a folder of clips
   convert-motion a.csv --rate 30 --robot my_robot.xml --joint-map map.json --output a.npz
 """
 
 
-def load_robot(name: str) -> Kinematics:
+def robot_spec(name: str) -> mujoco.MjSpec:
   """A robot by name (g1, go1) or by the path of its MJCF.
 
   Raises:
-    MotionError: There is no such robot or file, or it has no floating base.
+    MotionError: There is no such robot or file, or it is no MJCF.
   """
   from mjlab_robots import g1_spec, go1_spec
 
   specs = {"g1": g1_spec, "go1": go1_spec}
   if name in specs:
-    return Kinematics(specs[name](meshes="never").compile())
+    return specs[name](meshes="never")
   if not name.endswith(".xml"):
     raise MotionError(f"robot '{name}': neither one of {', '.join(specs)} nor the path of an .xml")
   if not Path(name).is_file():
     raise MotionError(f"robot {name}: no such file")
   try:
-    return Kinematics(mujoco.MjModel.from_xml_path(name))
+    spec = mujoco.MjSpec.from_file(name)
+    spec.compile()
   except ValueError as error:
     raise MotionError(f"robot {name}: {error}") from error
+  return spec
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,12 +93,19 @@ def _parser() -> argparse.ArgumentParser:
   edit.add_argument("--ground", action="store_true", help="move up or down as a whole until the feet are on the ground")
   out = parser.add_argument_group("output")
   out.add_argument("--output", type=Path, metavar="PATH", help="an .npz, or a folder for several clips")
-  out.add_argument("--report", type=Path, metavar="PICTURE", help="draw the report (a folder for several clips)")
+  out.add_argument(
+    "--report", type=Path, metavar="PICTURE", help="draw the report: a .png (a folder for several clips)"
+  )
+  out.add_argument("--video", type=Path, metavar="FILM", help="film the clip: an .mp4 (a folder for several clips)")
   out.add_argument("--source", default=None, help="where the clip comes from")
   out.add_argument("--license", default=None, help="its terms, e.g. CC-BY-4.0")
   out.add_argument("--compact", action="store_true", help="without what follows from robot and joints")
   out.add_argument("--accept-errors", action="store_true", help="write in spite of errors in the report")
   out.add_argument("--force", action="store_true", help="replace files that are there")
+  show = parser.add_argument_group("looking at it")
+  show.add_argument("--preview", action="store_true", help="play the clip in a browser, at last")
+  show.add_argument("--host", default="127.0.0.1", help="address to listen on; 0.0.0.0 lets other machines in")
+  show.add_argument("--port", type=int, default=8080, help="port to listen on, the next free one if it is taken")
   return parser
 
 
@@ -103,7 +116,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def _convert(options: argparse.Namespace) -> int:
-  robot = load_robot(options.robot)
+  spec = robot_spec(options.robot)
+  robot = Kinematics(spec.compile())
   said = Statement(
     rate=options.rate,
     quaternion=options.quaternion,
@@ -115,23 +129,34 @@ def _convert(options: argparse.Namespace) -> int:
   if options.concatenate is not None:
     motions = [concatenate(motions, blend=options.concatenate)]
   motions = [_finished(motion, robot, options) for motion in motions]
+  if options.preview and len(motions) > 1:
+    raise MotionError(f"--preview shows one clip, not {len(motions)}; --concatenate makes one of them")
   targets = _targets(options.output, motions, ".npz", options.force)
   pictures = _targets(options.report, motions, ".png", options.force)
-  has_errors = False
-  for motion, target, picture in zip(motions, targets, pictures, strict=True):
-    report = check_quality(motion, robot)
-    print(report.table())
-    if picture is not None:
-      plot_quality(report, picture)
-      print(f"drew {picture}")
-    if report.severity == "error" and not options.accept_errors:
-      has_errors = True
-      if target is not None:
-        print(f"not written: {target}, for the errors above; --accept-errors writes it all the same", file=sys.stderr)
-    elif target is not None:
-      save_motion(motion, target, None if options.compact else derived_arrays(motion, robot))
-      print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
-    print()
+  films = _targets(options.video, motions, ".mp4", options.force)
+  preview = Preview(spec) if options.preview or options.video is not None else None
+  # Before anything is written: where OpenGL is missing nothing is done by halves.
+  with contextlib.nullcontext() if preview is None or options.video is None else preview.renderer() as renderer:
+    has_errors = False
+    for motion, target, picture, film in zip(motions, targets, pictures, films, strict=True):
+      report = check_quality(motion, robot)
+      print(report.table())
+      if picture is not None:
+        plot_quality(report, picture)
+        print(f"drew {picture}")
+      if report.severity == "error" and not options.accept_errors:
+        has_errors = True
+        if target is not None:
+          print(f"not written: {target}, for the errors above; --accept-errors writes it all the same", file=sys.stderr)
+      elif target is not None:
+        save_motion(motion, target, None if options.compact else derived_arrays(motion, robot))
+        print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
+      if preview is not None and renderer is not None and film is not None:
+        preview.film(motion, film, renderer)
+        print(f"filmed {film}")
+      print()
+  if preview is not None and options.preview:
+    preview.browse(motions[0], host=options.host, port=options.port)
   return int(has_errors)
 
 
@@ -173,6 +198,8 @@ def _targets(path: Path | None, motions: Sequence[Motion], ending: str, force: b
   """Where each motion goes; nothing is there yet unless it may be replaced."""
   if path is None:
     return [None] * len(motions)
+  if path.suffix not in ("", ending):
+    raise MotionError(f"{path}: expected a file that ends in {ending}, or a folder")
   if path.suffix and len(motions) > 1:
     raise MotionError(f"{path}: {len(motions)} clips need a folder, not a file; --concatenate makes one of them")
   if path.suffix:

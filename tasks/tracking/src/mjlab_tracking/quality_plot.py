@@ -1,6 +1,7 @@
 """The quality of a clip as a picture."""
 
 import os
+from pathlib import Path
 
 import torch
 
@@ -8,7 +9,7 @@ from mjlab_tracking.quality import LIMITS, QualityReport
 
 
 def plot_quality(report: QualityReport, path: str | os.PathLike[str]) -> None:
-  """Draw every check over time, with its limits; the format follows the path's ending."""
+  """Draw every check over time, with its limits, as a PNG that appears whole or not at all."""
   from matplotlib.figure import Figure
 
   colors = {"ok": "tab:green", "warning": "tab:orange", "error": "tab:red"}
@@ -31,4 +32,9 @@ def plot_quality(report: QualityReport, path: str | os.PathLike[str]) -> None:
     axis.set_title(text, fontsize=8, loc="left", pad=2)
   axes[-1].set_xlabel("time [s]", fontsize=8)
   figure.suptitle(f"{motion.name} ({motion.rate:g} Hz, {motion.duration:.1f} s)", fontsize=10)
-  figure.savefig(path, dpi=80)
+  temporary = Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp")
+  try:
+    figure.savefig(temporary, dpi=80, format="png")
+    temporary.replace(path)
+  finally:
+    temporary.unlink(missing_ok=True)

@@ -1,0 +1,75 @@
+"""`convert-motion` where the viewer is installed too: films of clips, and clips in a browser."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from mjlab_tracking import Kinematics, derived_arrays, load_motion, shipped_clips
+from mjlab_tracking.convert import main, robot_spec
+from mjlab_tracking.preview import Preview
+from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker
+from mjlab_viewer.opengl import make_context
+
+CLIP = str(shipped_clips()["squat_and_wave"])
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+  monkeypatch.chdir(tmp_path)
+  return tmp_path
+
+
+def test_a_clip_is_shown_with_every_link_where_the_motion_file_has_it() -> None:
+  motion, robot = load_motion(CLIP), robot_spec("g1")
+  replay = Preview(robot).replay(motion)
+  stored = derived_arrays(motion, Kinematics(robot.compile()))["body_pos_w"]
+  assert replay.num_steps == motion.num_frames
+  for _ in range(motion.num_frames // 2):
+    replay.step(None)
+  # Behind the world are the bodies of ground and robot, in the robot's order.
+  shown = SnapshotTaker(replay).take((0,)).data["xpos"][0][-stored.shape[1] :]
+  np.testing.assert_allclose(shown, stored[motion.num_frames // 2], atol=1e-5)
+
+
+def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  words = [CLIP, "--crop", "1", "1.1", "--video", "squat.mp4"]
+  assert main(words) == 0
+  assert "filmed squat.mp4" in capsys.readouterr().out
+  with av.open("squat.mp4") as container:
+    # Six frames at 50 Hz; a film has 30 a second at most.
+    assert sum(1 for _ in container.decode(video=0)) == 3
+    assert container.streams.video[0].average_rate == 25
+  before = (folder / "squat.mp4").read_bytes()
+  assert main(words) == 2
+  assert "squat.mp4 is there already; --force replaces it" in capsys.readouterr().err
+  assert (folder / "squat.mp4").read_bytes() == before
+
+
+def test_where_opengl_is_missing_one_line_says_so_and_nothing_is_written(
+  folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.setenv("MUJOCO_GL", "off")
+  assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--video", "squat.mp4"]) == 2
+  assert capsys.readouterr().err == "error: no pictures: MUJOCO_GL=off switches OpenGL off\n"
+  assert list(folder.iterdir()) == []
+
+
+def test_a_preview_is_served_after_the_clip_is_written(
+  folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  def interrupted(self: BrowserViewer) -> None:
+    assert (folder / "squat.npz").exists()
+    assert self.playback is not None
+    assert list(self.playback.env.steering()) == ["time"]
+    raise KeyboardInterrupt
+
+  monkeypatch.setattr(BrowserViewer, "run", interrupted)
+  assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--preview", "--port", "8370"]) == 0
+  assert "open http://localhost:83" in capsys.readouterr().out
+  assert main([CLIP, "--preview", "--port", "0"]) == 2
+  assert "port 0 does not exist" in capsys.readouterr().err
