@@ -203,3 +203,42 @@ def test_a_command_without_times_is_drawn_at_resets_only(make_env):
   manager.reset(everybody)
   assert not torch.equal(manager.get_command("twist"), first)
   assert "the reset" in manager.describe()
+
+
+class Steerable(Uniform):
+  @property
+  def axes(self) -> list[tuple[str, float, float]]:
+    return [("forward [m/s]", -1.0, 1.0), ("left [m/s]", -0.5, 0.5), ("turn [rad/s]", -2.0, 2.0)]
+
+  def update(self) -> None:
+    if self.by_hand is not None:
+      where_(self._command, *self.by_hand)
+
+
+def test_what_is_given_by_hand_holds_in_its_world_and_is_no_part_of_a_step_before(env):
+  term = Steerable(UniformCfg(resampling_time_range=None), env)
+  term.name = "twist"
+  term.resample(~env.mask())
+  before = term.command.clone()
+  term.update()
+  assert term.by_hand is None
+  term.steer(2, [0.5, 0.25, -1.0])
+  term.update()
+  assert term.command[2].tolist() == [0.5, 0.25, -1.0]
+  others = [0, 1, 3]
+  assert torch.equal(term.command[others], before[others])
+  term.steer(2, None)
+  term.resample(~env.mask())
+  term.update()
+  assert term.command[2].tolist() != [0.5, 0.25, -1.0]
+  term.steer(0, [0.0, 0.0, 0.0])
+  assert env.recaptures == ["command 'twist' is given by hand"]
+  assert set(term.state_dict()) == {"time_left", "command_counter", "_command", "age", "_metric_values"}
+
+
+def test_a_term_is_steered_by_its_axes_and_by_nothing_else(env):
+  term = Steerable(UniformCfg(resampling_time_range=None), env)
+  with pytest.raises(ValueError, match=r"steered by forward \[m/s\], left \[m/s\], turn \[rad/s\]; got 2 numbers"):
+    term.steer(0, [1.0, 2.0])
+  with pytest.raises(ValueError, match="steered by nothing; got 1 numbers"):
+    Uniform(UniformCfg(resampling_time_range=None), env).steer(0, [1.0])

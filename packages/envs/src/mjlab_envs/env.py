@@ -351,7 +351,7 @@ class ManagerBasedRlEnv:
     return viewing.drawn_at_first(self)
 
   def steering(self) -> dict[str, Any]:
-    """Commands that can be given by hand, by name: those that have `axes` and `steer(world, values)`."""
+    """Commands that can be given by hand, by name: those that have `axes`."""
     return viewing.steering(self)
 
   def __enter__(self) -> "ManagerBasedRlEnv":

@@ -57,9 +57,9 @@ def drawn_at_first(env: ManagerBasedRlEnv) -> tuple[str, ...]:
 
 
 def steering(env: ManagerBasedRlEnv) -> dict[str, Any]:
-  """Commands that can be given by hand: those with `axes` and `steer(world, values)`."""
+  """Commands that can be given by hand: those that have `axes`."""
   terms = {name: env.command_manager.get_term(name) for name in env.command_manager.active_terms}
-  return {name: term for name, term in terms.items() if hasattr(term, "steer")}
+  return {name: term for name, term in terms.items() if term.axes}
 
 
 class Camera:

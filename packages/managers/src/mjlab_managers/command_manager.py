@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,6 +63,9 @@ class CommandTerm(Stateful, ABC):
     """Time to the next draw, float64 (N,) [s]; zero where only resets draw."""
     self.command_counter = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
     """Draws since the reset, int64 (N,)."""
+    self.by_hand: tuple[torch.Tensor, torch.Tensor] | None = None
+    """Which worlds are steered, bool (N,), and their numbers, (N, len(axes)); None until somebody does, so that only
+    then `update` has anything to do with it."""
 
   @property
   @abstractmethod
@@ -90,6 +93,33 @@ class CommandTerm(Stateful, ABC):
   def load_progress(self, state: Mapping[str, Any]) -> None:
     """Takes from a `state_dict` what a run with another number of worlds can use."""
     del state
+
+  @property
+  def axes(self) -> Sequence[tuple[str, float, float]]:
+    """What viewers can give by hand: name, least and greatest value of each number; nothing unless a term says so.
+
+    Such a term takes the numbers of `by_hand` over in `update`.
+    """
+    return ()
+
+  def steer(self, world: int, values: Sequence[float] | None) -> None:
+    """Give one world these numbers, one for each of `axes`, until they are taken back with None; on the host.
+
+    Raises:
+      ValueError: More or fewer numbers than axes.
+    """
+    axes = self.axes
+    if values is not None and len(values) != len(axes):
+      names = ", ".join(name for name, _, _ in axes) or "nothing"
+      raise ValueError(f"command '{self.name}' is steered by {names}; got {len(values)} numbers")
+    if self.by_hand is None:
+      numbers = torch.zeros(self.num_envs, len(axes), dtype=self.command.dtype, device=self.device)
+      self.by_hand = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device), numbers
+      self.env.request_recapture(f"command '{self.name}' is given by hand")
+    steered, numbers = self.by_hand
+    steered[world] = values is not None
+    if values is not None:
+      numbers[world] = torch.tensor(values, dtype=numbers.dtype, device=self.device)
 
   def _renew(self, mask: torch.Tensor) -> None:
     if self.cfg.resampling_time_range is not None:

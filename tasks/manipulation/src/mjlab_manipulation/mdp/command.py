@@ -1,7 +1,6 @@
 """The lift command: which object is to go where, and for how long it is asked for."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +61,6 @@ class LiftCommand(CommandTerm):
     ValueError: no object, one that does not exist or does not float, an inverted range, or no room for all objects.
   """
 
-  _constants = frozenset({"_by_hand", "_is_steered"})
   cfg: LiftCommandCfg
 
   def __init__(self, cfg: LiftCommandCfg, env: "ManagerBasedRlEnv") -> None:
@@ -95,10 +93,6 @@ class LiftCommand(CommandTerm):
     """Which of the objects is to be lifted, (num_envs,)."""
     self.goal_time = torch.zeros(n, dtype=torch.float64, device=env.device)
     """How long after its reset a world is given a new goal, (num_envs,) [s]."""
-    self._by_hand = torch.zeros(n, 3, **like)
-    self._is_steered = torch.zeros(n, dtype=torch.bool, device=env.device)
-    # Only once somebody steers is it part of a step.
-    self._may_be_steered = False
 
   @property
   def command(self) -> torch.Tensor:
@@ -159,8 +153,8 @@ class LiftCommand(CommandTerm):
       entity.write_root_state(state[:, i], mask)
 
   def update(self) -> None:
-    if self._may_be_steered:
-      where_(self._goal, self._is_steered, self._by_hand)
+    if self.by_hand is not None:
+      where_(self._goal, *self.by_hand)
 
   # In viewers
 
@@ -169,15 +163,6 @@ class LiftCommand(CommandTerm):
     """Name, least and greatest value of each component of the goal."""
     goal = self.cfg.goal
     return [("goal x [m]", *goal.x), ("goal y [m]", *goal.y), ("goal z [m]", *goal.z)]
-
-  def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Give one world this goal [m], from its origin, until it is taken back with None; on the host."""
-    if not self._may_be_steered:
-      self._may_be_steered = True
-      self.env.request_recapture(f"command '{self.name}' is given by hand")
-    self._is_steered[world] = values is not None
-    if values is not None:
-      self._by_hand[world] = torch.tensor(values, device=self.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """A green ball where the object is to go, and a line to it from the object."""

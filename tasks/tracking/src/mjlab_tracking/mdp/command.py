@@ -1,6 +1,5 @@
 """The motion command: which pose the robot is to be in, frame by frame."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -76,7 +75,7 @@ class MotionCommand(CommandTerm):
 
   cfg: MotionCommandCfg
   _children = ("sampler",)
-  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi", "body_ids", "_held"})
+  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi", "body_ids"})
 
   def __init__(self, cfg: MotionCommandCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -109,9 +108,6 @@ class MotionCommand(CommandTerm):
     """Clip of each world, int64 (num_envs,)."""
     self.frame = torch.zeros(n, dtype=torch.int64, device=device)
     """Frame of its clip that is the target of the present step, int64 (num_envs,)."""
-    self._held = torch.full((n,), -1, dtype=torch.int64, device=device)
-    # Only once somebody holds one is it part of a step.
-    self._may_be_held = False
     self._row = self.library.table[:1].repeat(n, 1)
     self._joints = 2 * len(self.library.joint_names)
     self._command = torch.zeros(n, self._joints * (1 + len(cfg.preview)), device=device)
@@ -258,8 +254,7 @@ class MotionCommand(CommandTerm):
     moved = ~self.env.command_manager.fresh
     self.sampler.count_step(self.clip, self.frame, moved)
     torch.minimum(self.frame + moved, self.num_frames - 1, out=self.frame)
-    if self._may_be_held:
-      self.frame.copy_(torch.where(self._held >= 0, torch.minimum(self._held, self.num_frames - 1), self.frame))
+    self._follow_hand()
     self._fetch()
 
   @property
@@ -267,12 +262,11 @@ class MotionCommand(CommandTerm):
     """What can be given by hand: the time of the target within the longest clip [s]."""
     return [("time [s]", 0.0, (int(self.library.lengths.max()) - 1) / self.library.rate)]
 
-  def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Hold one world's target at a time of its clip, until it goes on with None; on the host."""
-    if not self._may_be_held:
-      self._may_be_held = True
-      self.env.request_recapture(f"command '{self.name}' is given by hand")
-    self._held[world] = -1 if values is None else round(values[0] * self.library.rate)
+  def _follow_hand(self) -> None:
+    """Holds the target where it is given by hand, within the world's clip."""
+    if self.by_hand is not None:
+      held, time = self.by_hand
+      where_(self.frame, held, torch.minimum((time[:, 0] * self.library.rate).round().long(), self.num_frames - 1))
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """The reference as a ghost of the robot, where it is in the world."""

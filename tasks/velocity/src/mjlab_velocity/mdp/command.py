@@ -1,7 +1,6 @@
 """The velocity command: what forward, sideways and turning speed the robot is to walk at."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +65,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
 class UniformVelocityCommand(CommandTerm):
   """See `UniformVelocityCommandCfg`. Works on state alone, so that following it costs no forward pass."""
 
-  _constants = frozenset({"_shares", "_by_hand", "_is_steered"})
+  _constants = frozenset({"_shares"})
   _extra_state = ("ranges",)
   cfg: UniformVelocityCommandCfg
 
@@ -90,10 +89,6 @@ class UniformVelocityCommand(CommandTerm):
     self._stands = torch.zeros(n, dtype=torch.bool, device=device)
     self._holds_heading = torch.zeros(n, dtype=torch.bool, device=device)
     self._steps = torch.zeros(n, device=device)
-    self._by_hand = torch.zeros(n, 3, device=device)
-    self._is_steered = torch.zeros(n, dtype=torch.bool, device=device)
-    # Only once somebody steers is it part of a step.
-    self._may_be_steered = False
     self._shares = torch.tensor([[cfg.standing_fraction, cfg.heading_fraction, cfg.forward_fraction]], device=device)
     self.metrics["error_vel_xy"] = torch.zeros(n, device=device)
     self.metrics["error_vel_yaw"] = torch.zeros(n, device=device)
@@ -127,8 +122,8 @@ class UniformVelocityCommand(CommandTerm):
     command.copy_(self._drawn)
     where_(command[:, 2], self._holds_heading, turn.to(command.dtype))
     fill_(command, self._stands, 0.0)
-    if self._may_be_steered:
-      where_(command, self._is_steered, self._by_hand)
+    if self.by_hand is not None:
+      where_(command, *self.by_hand)
     torch.add(torch.linalg.vector_norm(command[:, :2], dim=-1), command[:, 2].abs(), out=self._speed)
 
   @property
@@ -137,15 +132,6 @@ class UniformVelocityCommand(CommandTerm):
     ranges = self.ranges.tolist()
     names = ("forward [m/s]", "left [m/s]", "turn left [rad/s]")
     return [(name, *limits) for name, limits in zip(names, ranges, strict=False)]
-
-  def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Give one world this command, in place of those drawn, until it is taken back with None; on the host."""
-    if not self._may_be_steered:
-      self._may_be_steered = True
-      self.env.request_recapture(f"command '{self.name}' is given by hand")
-    self._is_steered[world] = values is not None
-    if values is not None:
-      self._by_hand[world] = torch.tensor(values, device=self.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """Above each robot an arrow for the velocity it is to have, green, and one for that it has, blue; 0.4 m per m/s."""
