@@ -1,9 +1,7 @@
 """The page in a real browser: what is seen, what each control does, who comes and goes."""
 
 import io
-import shutil
 import threading
-import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,24 +11,15 @@ import pytest
 import torch
 from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ViewerError, ZeroPolicy
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
-
-# Chromium without a GPU, a sandbox or a network.
-FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
---disable-background-networking --disable-component-update --disable-sync""".split()
-SIZE = ViewportSize(width=760, height=560)
+from viewer_page import choose, eventually, headless_chromium, opened, slide
 
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
-  executable = shutil.which("chromium") or shutil.which("chromium-browser")
-  if executable is None:
-    pytest.skip("needs Chromium (on Debian: apt install chromium)")
-  with sync_playwright() as playwright:
-    browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+  with headless_chromium() as browser:
     yield browser
-    browser.close()
 
 
 class Running:
@@ -68,36 +57,6 @@ def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) 
     run.close()
 
 
-def eventually(holds: Callable[[], object], what: str = "", seconds: float = 40.0) -> None:
-  """Waits until something holds; the browser is slow where it has no GPU."""
-  end = time.monotonic() + seconds
-  while not holds():
-    assert time.monotonic() < end, what or "it did not happen"
-    time.sleep(0.05)
-
-
-def opened(browser: Browser, run: Running) -> Page:
-  page = browser.new_page(viewport=SIZE)
-  page.goto(run.viewer.url)
-  page.get_by_role("button", name="Reset").wait_for(timeout=20000)
-  return page
-
-
-def row(page: Page, label: str) -> Locator:
-  return page.locator(f'xpath=//label[text()="{label}"]/ancestor::div[contains(@class,"mantine-Flex-root")][1]')
-
-
-def slide(page: Page, label: str, value: float) -> None:
-  field = row(page, label).locator("input[inputmode]")
-  field.fill(f"{value:g}")
-  field.press("Enter")
-
-
-def choose(page: Page, label: str, option: str) -> None:
-  row(page, label).locator("input").first.click()
-  page.get_by_role("option", name=option, exact=True).click()
-
-
 def red(page: Page) -> np.ndarray:
   """Where the red boxes are on the left of the page, bool (height, width)."""
   image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
@@ -118,7 +77,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
   env = BoxEnv(6)
   with running(env, tmp_path, first=push(0.0, env), second=push(3.0, env)) as run:
     playback, viewer = run.playback, run.viewer
-    page = opened(chromium, run)
+    page = opened(chromium, run.viewer.url)
     eventually(lambda: red(page).sum() > 300, "the robot is not seen")
 
     page.get_by_role("button", name="Pause").click()
@@ -180,7 +139,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
 def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: Path) -> None:
   env = BoxEnv(1)
   with running(env, tmp_path, slide=push(2.0, env)) as run:
-    page = opened(chromium, run)
+    page = opened(chromium, run.viewer.url)
     eventually(lambda: run.playback.step_count > 60)
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play", exact=True).wait_for()
@@ -197,7 +156,7 @@ def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: 
 
 def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_path: Path) -> None:
   with running(BoxEnv(1), tmp_path) as run:
-    page = opened(chromium, run)
+    page = opened(chromium, run.viewer.url)
     page.get_by_role("button", name="Record").click()
     page.get_by_role("button", name="Stop recording").wait_for()
     first = run.playback.step_count
@@ -219,7 +178,7 @@ def test_an_error_of_the_policy_is_shown_and_reset_goes_on(chromium: Browser, tm
     return zeros(observations)
 
   with running(env, tmp_path, policy=policy) as run:
-    page = opened(chromium, run)
+    page = opened(chromium, run.viewer.url)
     is_broken.set()
     page.get_by_text("RuntimeError: the policy <broke>").first.wait_for()
     assert run.playback.paused
@@ -264,7 +223,7 @@ def test_worlds_of_different_looks_are_shown_each_in_its_own() -> None:
 
 def test_colours_of_each_world_are_seen(chromium: Browser, tmp_path: Path) -> None:
   with running(dressed_env(), tmp_path) as run:
-    page = opened(chromium, run)
+    page = opened(chromium, run.viewer.url)
     eventually(lambda: red(page).sum() > 20)
     eventually(lambda: blue(page).sum() > 20)
     slide(page, "Shown", 1)
@@ -276,7 +235,7 @@ def test_colours_of_each_world_are_seen(chromium: Browser, tmp_path: Path) -> No
 
 def test_two_may_look_at_once_and_one_may_vanish(chromium: Browser, tmp_path: Path) -> None:
   with running(BoxEnv(2), tmp_path) as run:
-    first, second = opened(chromium, run), opened(chromium, run)
+    first, second = opened(chromium, run.viewer.url), opened(chromium, run.viewer.url)
     eventually(lambda: len(run.viewer.server.get_clients()) == 2)
     eventually(lambda: red(first).sum() > 300)
     eventually(lambda: red(second).sum() > 300)

@@ -101,6 +101,9 @@ def test_a_target_that_is_held_stays_until_it_is_let_go(folder: Path) -> None:
   assert axis == ("time [s]", 0.0, pytest.approx(0.8))
   assert "motion" in env.steering()
   term.steer(1, [0.4])
+  # Seen at once, also where nobody steps.
+  assert term.frame.tolist() == [1, 20, 1, 1]
+  assert not torch.equal(term.anchor_pos_w[1], term.anchor_pos_w[3])
   for _ in range(3):
     env.step(zeros(env))
   assert term.frame.tolist() == [4, 20, 4, 4]

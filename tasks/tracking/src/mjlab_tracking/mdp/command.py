@@ -1,5 +1,6 @@
 """The motion command: which pose the robot is to be in, frame by frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -261,6 +262,12 @@ class MotionCommand(CommandTerm):
   def axes(self) -> list[tuple[str, float, float]]:
     """What can be given by hand: the time of the target within the longest clip [s]."""
     return [("time [s]", 0.0, (int(self.library.lengths.max()) - 1) / self.library.rate)]
+
+  def steer(self, world: int, values: Sequence[float] | None) -> None:
+    super().steer(world, values)
+    # At once, so that the reference follows the hand while nothing is stepped.
+    self._follow_hand()
+    self._fetch()
 
   def _follow_hand(self) -> None:
     """Holds the target where it is given by hand, within the world's clip."""

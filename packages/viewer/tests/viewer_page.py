@@ -1,0 +1,56 @@
+"""The page of the browser viewer in a real browser, for tests."""
+
+import shutil
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+
+# Chromium without a GPU, a sandbox or a network.
+FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
+--disable-background-networking --disable-component-update --disable-sync""".split()
+SIZE = ViewportSize(width=760, height=560)
+
+
+@contextmanager
+def headless_chromium() -> Generator[Browser]:
+  """The machine's own Chromium; skips the test where there is none."""
+  executable = shutil.which("chromium") or shutil.which("chromium-browser")
+  if executable is None:
+    pytest.skip("needs Chromium (on Debian: apt install chromium)")
+  with sync_playwright() as playwright:
+    browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+    yield browser
+    browser.close()
+
+
+def eventually(holds: Callable[[], object], what: str = "", seconds: float = 40.0) -> None:
+  """Waits until something holds; the browser is slow where it has no GPU."""
+  end = time.monotonic() + seconds
+  while not holds():
+    assert time.monotonic() < end, what or "it did not happen"
+    time.sleep(0.05)
+
+
+def opened(browser: Browser, url: str) -> Page:
+  page = browser.new_page(viewport=SIZE)
+  page.goto(url)
+  page.get_by_role("button", name="Reset").wait_for(timeout=20000)
+  return page
+
+
+def row(page: Page, label: str) -> Locator:
+  return page.locator(f'xpath=//label[text()="{label}"]/ancestor::div[contains(@class,"mantine-Flex-root")][1]')
+
+
+def slide(page: Page, label: str, value: float) -> None:
+  field = row(page, label).locator("input[inputmode]")
+  field.fill(f"{value:g}")
+  field.press("Enter")
+
+
+def choose(page: Page, label: str, option: str) -> None:
+  row(page, label).locator("input").first.click()
+  page.get_by_role("option", name=option, exact=True).click()

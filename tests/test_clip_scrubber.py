@@ -1,0 +1,173 @@
+"""The time of a clip, moved by hand on the page of the browser viewer."""
+
+import io
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+import mjlab
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_envs import ManagerBasedRlEnv
+from mjlab_tracking import Motion, load_motion, resample, shipped_clips
+from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
+from mjlab_tracking.preview import Preview
+from mjlab_viewer import BrowserViewer, Playback, PlayedEnv, ZeroPolicy
+from PIL import Image
+from playwright.sync_api import Browser, Page
+
+# The page as the viewer's own tests drive it.
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
+
+from viewer_page import eventually, headless_chromium, opened, slide
+
+CLIP = "side_step_dance"
+# A mast whose red flag hangs down at 0 and stands level at pi/2.
+FLAG = """
+<mujoco>
+  <statistic extent="2" center="0 0 1"/>
+  <worldbody>
+    <body name="mast" pos="0 0 1">
+      <freejoint/>
+      <geom type="sphere" size="0.1"/>
+      <body name="flag">
+        <joint name="flag" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0  0 0 -0.8" size="0.08" rgba="0.9 0.1 0.1 1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+  with headless_chromium() as browser:
+    yield browser
+
+
+class Shown:
+  """An environment under a viewer in a thread of its own, and the page of it."""
+
+  def __init__(self, env: PlayedEnv, num_actions: int, browser: Browser) -> None:
+    self.playback = Playback(env, ZeroPolicy(env.num_envs, num_actions, env.sim.device))
+    self.viewer = BrowserViewer(env, playback=self.playback, port=8400)
+    self._is_over = False
+    self._thread = threading.Thread(target=self.viewer.run, args=(lambda: self._is_over,))
+    self._thread.start()
+    self.page: Page = opened(browser, self.viewer.url)
+
+  def __enter__(self) -> "Shown":
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self._is_over = True
+    self._thread.join()
+    self.page.close()
+    self.viewer.close()
+
+  def take_in_hand(self) -> None:
+    """Tick the box; again if the page was still being built, for that takes ticks back."""
+    box = self.page.get_by_label("By hand")
+    eventually(lambda: self.viewer.history, "nothing is shown")
+    for _ in range(2):
+      box.check()
+      self.page.wait_for_timeout(1000)
+    assert box.is_checked()
+
+  def pause(self) -> None:
+    self.page.get_by_role("button", name="Pause").click()
+    self.page.get_by_role("button", name="Play", exact=True).wait_for()
+    eventually(lambda: self.playback.paused)
+
+
+def clip() -> Motion:
+  return resample(load_motion(shipped_clips()[CLIP]), 50.0)
+
+
+def red(page: Page) -> np.ndarray:
+  """Where something red is on the left of the page, but for its axes in the corner, bool (height, width)."""
+  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:460, :340, :3]
+  return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+
+
+def tracking() -> tuple[ManagerBasedRlEnv, MotionCommand]:
+  cfg = mjlab.load_task("Mjlab-Tracking-Flat-Unitree-G1").env
+  cfg.scene.num_envs, cfg.seed, cfg.events = 2, 0, {}
+  cfg.terminations = dict.fromkeys(cfg.terminations)
+  motion = cast(MotionCommandCfg, cfg.commands["motion"])
+  motion.motion, motion.sampling = CLIP, "start"
+  env = ManagerBasedRlEnv(cfg, device="cpu")
+  return env, cast(MotionCommand, env.command_manager.get_term("motion"))
+
+
+def ghost_centres(env: ManagerBasedRlEnv, motion: Motion, frame: int) -> np.ndarray:
+  """Where MuJoCo C has the middles of the robot's visible shapes that are no meshes, (n, 3) [m]."""
+  model = env.sim.mj_model
+  data = mujoco.MjData(model)
+  data.qpos[:] = torch.cat((motion.root_pos[frame], motion.root_quat[frame], motion.joint_pos[frame]))
+  data.qpos[:3] += env.scene.env_origins[0].numpy()
+  mujoco.mj_kinematics(model, data)
+  seen = (model.geom_group == 2) & (model.geom_type != mujoco.mjtGeom.mjGEOM_MESH)
+  return data.geom_xpos[seen]
+
+
+def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(chromium: Browser) -> None:
+  env, term = tracking()
+  motion = clip()
+  with env, Shown(env, 29, chromium) as shown:
+    page = shown.page
+    shown.take_in_hand()
+    # Once while the worlds run, once while they are paused.
+    for time, frame, is_next in ((12.4, 620, True), (3.0, 150, False)):
+      slide(page, "time [s]", time)
+      eventually(lambda frame=frame: term.frame[0] == frame, f"not at frame {frame}")
+      reference = torch.cat((term.joint_pos[0], term.command[0, :29]))
+      torch.testing.assert_close(reference, motion.joint_pos[frame].repeat(2).to(reference.dtype), atol=1e-5, rtol=0)
+      wanted = ghost_centres(env, motion, frame)
+
+      def is_drawn(wanted: np.ndarray = wanted) -> bool:
+        shapes = [shape for shape in shown.viewer.history[-1].drawings[0].shapes if shape.kind != "mesh"]
+        middles = [s.position[0] + (0.5 * s.direction[0] if s.kind == "line" else 0.0) for s in shapes]
+        return len(middles) == len(wanted) and np.allclose(middles, wanted, atol=1e-4)
+
+      eventually(is_drawn, "the ghost is elsewhere")
+      if is_next:
+        shown.pause()
+    # The other world was not asked to.
+    assert term.frame[1] != 150
+    page.get_by_label("By hand").uncheck()
+    page.get_by_role("button", name="Play", exact=True).click()
+    eventually(lambda: term.frame[0] > 150, "the clip does not go on")
+    assert shown.playback.error is None
+
+
+def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chromium: Browser) -> None:
+  robot = mujoco.MjSpec.from_string(FLAG)
+  lift = torch.linspace(0.0, 2.0, 201, dtype=torch.float64)
+  motion = Motion(
+    name="lift",
+    rate=50.0,
+    root_body="mast",
+    joint_names=("flag",),
+    root_pos=torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(201, 1),
+    root_quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(201, 1),
+    joint_pos=lift[:, None],
+  )
+  with Shown(Preview(robot).replay(motion), 0, chromium) as shown:
+    page = shown.page
+    shown.take_in_hand()
+    for time, frame in ((0.4, 20), (3.2, 160)):
+      slide(page, "time [s]", time)
+      eventually(lambda frame=frame: shown.viewer.history[-1].data["qpos"][0, 7] == lift[frame].item())
+      # The camera looks at the mast, in row 280: hanging, the flag is below it, standing level it is not.
+      eventually(lambda is_level=frame > 100: is_seen(red(page), is_level), "it is seen elsewhere")
+
+
+def is_seen(where: np.ndarray, is_level: bool) -> bool:
+  rows, _ = np.nonzero(where)
+  return len(rows) > 1000 and (rows.mean() < 300) == is_level
