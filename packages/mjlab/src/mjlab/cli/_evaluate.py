@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from mjlab import making
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import Evaluation, Evaluator, TaskCfg
@@ -52,21 +52,15 @@ class Arguments:
 
 def run(arguments: list[str]) -> int:
   """Evaluate; returns the exit code."""
-  if not arguments:
-    raise UsageError("no task given. usage: evaluate TASK [flags]; list-envs lists the tasks.")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    print(general_help("evaluate", _PURPOSE, Arguments(), _MORE), end="")
-    return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: evaluate TASK [flags]")
-  making.share_cores()
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("evaluate", name, Arguments(eval=_evaluator(task), env=task.env), word)
-    return 0
-  return _evaluate(name, task, given)
+  return run_with_task(
+    "evaluate",
+    arguments,
+    _evaluate,
+    Arguments,
+    purpose=_PURPOSE,
+    configs=lambda task: {"eval": _evaluator(task), "env": task.env},
+    more=_MORE,
+  )
 
 
 def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
@@ -83,20 +77,17 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
   wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
   thresholds = [Threshold.parse(text) for text in (wanted.require or "").split(",") if text.strip()]
-  source, parts = None, task
-  if wanted.agent == "trained":
-    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
-    parts = manifest_of(source, name) or task
-    # Once more, upon the configuration of the run.
-    wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
+  source, parts = find_policy(wanted, name, task)
+  # Once more, upon the configuration of the run.
+  wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
   folder = _folder(wanted, source)
   device = making.resolve_device(wanted.device)
   evaluator = wanted.eval
   try:
     cfg = evaluator.configure(wanted.env)
-    env = (parts.make_env or making.standard_env)(cfg, device=device)
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
+  env = build_env(parts, cfg, device)
   try:
     policy = make_policy(wanted.agent, source, env, parts)
     what = f"{wanted.agent} actions" if source is None else str(source)

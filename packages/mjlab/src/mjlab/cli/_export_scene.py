@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab.cli._errors import UsageError
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._task_command import run_with_task
 
 if TYPE_CHECKING:
   import mujoco
+  from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -32,20 +33,11 @@ class Arguments:
 
 def run(arguments: list[str]) -> int:
   """Export; returns the exit code."""
-  if not arguments:
-    raise UsageError("no task given. usage: export-scene TASK [flags]; list-envs lists the tasks.")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    purpose = "Writes a task's model with its assets; python -m mujoco.viewer opens it."
-    print(general_help("export-scene", purpose, Arguments()), end="")
-    return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: export-scene TASK [flags]")
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("export-scene", name, Arguments(env=task.env), word)
-    return 0
+  purpose = "Writes a task's model with its assets; python -m mujoco.viewer opens it."
+  return run_with_task("export-scene", arguments, _export, Arguments, purpose=purpose)
+
+
+def _export(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(env=task.env), given)

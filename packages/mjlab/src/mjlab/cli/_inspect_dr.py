@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab.cli._config_flags import replaced
-from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._errors import UsageError
+from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
+  from mjlab_rl import TaskCfg
+
   from mjlab.inspection import EventReport, InertiaReport
 
 
@@ -40,24 +42,14 @@ Exit codes: 0 done, 1 a draw does nothing or is not as asked, 2 wrong usage."""
 
 def run(arguments: list[str]) -> int:
   """Inspect one task; returns 1 if a draw does nothing, or not what was asked."""
-  if not arguments:
-    raise UsageError("no task given. usage: inspect-dr TASK [flags]; list-envs lists the tasks.")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    print(general_help("inspect-dr", _PURPOSE, Arguments()), end="")
-    return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: inspect-dr TASK [flags]")
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("inspect-dr", name, Arguments(env=task.env), word)
-    return 0
+  return run_with_task("inspect-dr", arguments, _inspect, Arguments, purpose=_PURPOSE)
+
+
+def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab import making
   from mjlab.cli._flag_parser import parse
   from mjlab.inspection import inspect_events, inspect_inertia, table
 
-  making.share_cores()
   wanted = parse(Arguments(env=task.env), given)
   if wanted.num_envs < 2:
     raise UsageError(f"--num-envs is {wanted.num_envs}; draws are compared over at least 2 worlds")
@@ -66,10 +58,7 @@ def run(arguments: list[str]) -> int:
     _check_picture(picture, wanted.force)
   device = making.resolve_device(wanted.device)
   cfg = replaced(replaced(wanted.env, ("scene", "num_envs"), wanted.num_envs), ("seed",), wanted.seed)
-  try:
-    env = (task.make_env or making.standard_env)(cfg, device=device)
-  except (ValueError, OSError) as error:
-    raise BuildError(str(error)) from error
+  env = build_env(task, cfg, device)
   try:
     reports = inspect_events(env)
     inertia = inspect_inertia(env)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_viewer import CheckpointList, Playback, Policy
@@ -67,21 +67,8 @@ class Arguments:
 
 def run(arguments: list[str]) -> int:
   """Play; returns the exit code."""
-  if not arguments:
-    raise UsageError("no task given. usage: play TASK [flags]; list-envs lists the tasks.")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    print(general_help("play", "Shows a policy in a browser, in a window or as a film.", Arguments()), end="")
-    return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: play TASK [flags]")
-  making.share_cores()
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("play", name, Arguments(env=task.env), word)
-    return 0
-  return _play(name, task, given)
+  purpose = "Shows a policy in a browser, in a window or as a film."
+  return run_with_task("play", arguments, _play, Arguments, purpose=purpose)
 
 
 def _play(name: str, task: Any, given: list[str]) -> int:
@@ -93,11 +80,7 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   if wanted.video is not None:
     _check_video(wanted)
   device = making.resolve_device(wanted.device)
-  source = None
-  if wanted.agent == "trained":
-    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
-  run = None if source is None else manifest_of(source, name)
-  parts = task if run is None else run
+  source, parts = find_policy(wanted, name, task)
   cfg = copy.deepcopy(parts.env)
   if parts.play is not None:
     cfg = parts.play(cfg)
@@ -106,10 +89,7 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   cfg = replaced(cfg, ("seed",), wanted.seed)
   wanted = parse(Arguments(env=cfg), given)
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
-  try:
-    env = (parts.make_env or making.standard_env)(cfg, device=device)
-  except (ValueError, OSError) as error:
-    raise BuildError(str(error)) from error
+  env = build_env(parts, cfg, device)
   try:
     policy, checkpoints = _policy(wanted, source, env, parts)
     what = f"{wanted.agent} actions" if source is None else str(source)

@@ -6,32 +6,44 @@ from typing import TYPE_CHECKING, Any, Literal
 from mjlab.cli._errors import UsageError
 
 if TYPE_CHECKING:
-  from mjlab_rl import Policy, RunManifest
+  from mjlab_rl import Policy, RunManifest, TaskCfg
 
 Agent = Literal["trained", "zero", "random"]
 """Who acts: a trained policy, nobody, or chance."""
 
 
-def find_policy(policy: str, *, log_root: str, task: str, experiment: str) -> Path:
-  """The checkpoint or exported network that `policy` means for a task.
+def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
+  """The checkpoint or exported network that `wanted` means, and its run; None where none acts, the task where none is.
+
+  Args:
+    wanted: Arguments of a command, with `agent`, `checkpoint` and `log_root`.
+    name: Name of the task.
+    task: The task itself.
 
   Raises:
     UsageError: There is no run yet.
     RunNotFoundError: What was named is not there.
   """
+  if wanted.agent != "trained":
+    return None, task
+  source = _source(wanted.checkpoint, Path(wanted.log_root), name, task.agent.experiment_name)
+  return source, _manifest_of(source, name) or task
+
+
+def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
   from mjlab_rl import find_checkpoint
 
-  if policy.endswith(".onnx"):
-    return Path(policy)
+  if checkpoint.endswith(".onnx"):
+    return Path(checkpoint)
   try:
-    return find_checkpoint(policy, log_root=Path(log_root), experiment=experiment, task=task)
+    return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)
   except FileNotFoundError as error:
-    if policy != "latest":
+    if checkpoint != "latest":
       raise
     raise UsageError(f"{error}. Train one with `train {task}`, or see what --agent random does.") from error
 
 
-def manifest_of(source: Path, task: str) -> "RunManifest | None":
+def _manifest_of(source: Path, task: str) -> "RunManifest | None":
   """The run that something is of; None where it does not say."""
   from mjlab_rl import load_run
 

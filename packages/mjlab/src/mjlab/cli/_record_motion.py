@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab import making
-from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Agent, find_policy, make_policy, manifest_of
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._errors import UsageError
+from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -50,21 +50,8 @@ class Arguments:
 
 def run(arguments: list[str]) -> int:
   """Record; returns the exit code."""
-  if not arguments:
-    raise UsageError("no task given. usage: record-motion TASK --output FILE.npz [flags]")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    print(general_help("record-motion", _PURPOSE, Arguments()), end="")
-    return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: record-motion TASK --output FILE.npz [flags]")
-  making.share_cores()
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("record-motion", name, Arguments(env=task.env), word)
-    return 0
-  return _record(name, task, given)
+  usage = "--output FILE.npz "
+  return run_with_task("record-motion", arguments, _record, Arguments, purpose=_PURPOSE, usage=usage)
 
 
 def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
@@ -80,17 +67,11 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   output = Path(wanted.output)
   if output.exists() and not wanted.force:
     raise UsageError(f"{output} is there already; --force replaces it")
-  source, parts = None, task
-  if wanted.agent == "trained":
-    source = find_policy(wanted.checkpoint, log_root=wanted.log_root, task=name, experiment=task.agent.experiment_name)
-    parts = manifest_of(source, name) or task
+  source, parts = find_policy(wanted, name, task)
   wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
   device = making.resolve_device(wanted.device)
-  try:
-    env = (parts.make_env or making.standard_env)(wanted.env, device=device)
-  except (ValueError, OSError) as error:
-    raise BuildError(str(error)) from error
+  env = build_env(parts, wanted.env, device)
   try:
     policy = make_policy(wanted.agent, source, env, parts)
     what = f"{wanted.agent} actions" if source is None else str(source)

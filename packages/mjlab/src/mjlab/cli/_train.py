@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._task_help import general_help, help_word, load_named_task, print_task_help
+from mjlab.cli._task_command import run_with_task
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
@@ -55,24 +55,18 @@ class Arguments:
 
 def run(arguments: list[str]) -> int:
   """Train; returns the exit code."""
-  if not arguments:
-    raise UsageError("no task given. usage: train TASK [flags]; list-envs lists the tasks.")
-  name, *given = arguments
-  if name in ("-h", "--help"):
-    print(general_help("train", "Trains a policy.", Arguments(), _MORE), end="")
-    return 0
-  if name.startswith("--tyro-"):
+  if arguments and arguments[0].startswith("--tyro-"):
     _print_completion(arguments)
     return 0
-  if name.startswith("-"):
-    raise UsageError("the task comes first. usage: train TASK [flags]")
-  making.share_cores()
-  task = load_named_task(name)
-  word = help_word(given)
-  if word is not None:
-    print_task_help("train", name, Arguments(agent=task.agent, env=task.env), word)
-    return 0
-  return _train(name, task, _with_latest(given))
+  return run_with_task(
+    "train",
+    arguments,
+    _train,
+    Arguments,
+    purpose="Trains a policy.",
+    configs=lambda task: {"agent": task.agent, "env": task.env},
+    more=_MORE,
+  )
 
 
 _MORE = """\
@@ -104,6 +98,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
   from mjlab.cli._flag_parser import parse
 
+  given = _with_latest(given)
   # Once to learn from what to start, once more upon that.
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if wanted.verbose and wanted.quiet:
