@@ -20,7 +20,7 @@ from mjlab_manipulation import (
 )
 from mjlab_manipulation.lift import COMMAND
 from mjlab_manipulation.vision import CUBES
-from mjlab_rl import Console, train
+from mjlab_rl import Console, RslRlOnPolicyRunnerCfg, train
 
 pytestmark = pytest.mark.warp
 
@@ -125,6 +125,7 @@ def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
     task = make()
     assert task.play is not None
     assert not any(group.corrupt for group in task.play(make().env).observations.values() if group is not None)
+    assert isinstance(task.agent, RslRlOnPolicyRunnerCfg)
     assert (task.agent.actor.hidden_dims, task.agent.max_iterations) == ((256, 256, 128), 3000)
     assert task.agent.obs_groups == {"actor": ("actor", "camera"), "critic": ("critic",)}
     task.env.scene.num_envs, task.env.seed = 4, 0

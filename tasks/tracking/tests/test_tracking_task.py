@@ -11,6 +11,7 @@ import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import RewardTermCfg, TerminationTermCfg
+from mjlab_rl import RslRlOnPolicyRunnerCfg
 from mjlab_sensors import ContactMatch, ContactSensorCfg
 from mjlab_tracking import g1_flat, g1_flat_no_state_estimation
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS, g1_flat_env
@@ -92,6 +93,7 @@ def test_numbers_are_those_of_the_reference() -> None:
   assert [name for name, term in cfg.terminations.items() if term and term.time_out] == ["time_out", "motion_end"]
   assert len(BODIES) == 14
   assert command(cfg).sampling == "adaptive"
+  assert isinstance(task.agent, RslRlOnPolicyRunnerCfg)
   assert task.agent.algorithm.entropy_coef == 0.005
   assert task.agent.save_interval == 500
   # What looks at self-collision must not be whichever contact comes first.

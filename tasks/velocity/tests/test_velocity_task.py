@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_rl import RslRlOnPolicyRunnerCfg
 from mjlab_sensors import ContactSensor, ContactSensorCfg, RayCastSensorCfg, RingPatternCfg, TerrainHeightSensorCfg
 from mjlab_terrain import TerrainGridCfg
 from mjlab_velocity.mdp import UniformVelocityCommandCfg, variable_posture
@@ -225,6 +226,7 @@ def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out(name: 
 @every_task
 def test_the_learner_is_that_of_the_table(name: str) -> None:
   agent = TASKS[name].make().agent
+  assert isinstance(agent, RslRlOnPolicyRunnerCfg)
   for model in (agent.actor, agent.critic):
     assert model.hidden_dims == (512, 256, 128)
     assert model.activation == "elu"
@@ -258,7 +260,9 @@ def test_the_learner_is_that_of_the_table(name: str) -> None:
 @every_task
 def test_networks_have_as_many_parameters_as_the_published_ones(name: str) -> None:
   facts = TASKS[name]
-  hidden = facts.make().agent.actor.hidden_dims
+  agent = facts.make().agent
+  assert isinstance(agent, RslRlOnPolicyRunnerCfg)
+  hidden = agent.actor.hidden_dims
   for size, outputs, parameters in (
     # The deviations of the actions are parameters of the actor's.
     (facts.actor, len(facts.robot.joints), facts.parameters[0]),

@@ -7,8 +7,17 @@ from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_rl.checkpoint import CheckpointError
-  from mjlab_rl.config import ConfigError, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
+  from mjlab_rl.config import (
+    ConfigError,
+    RslRlBaseRunnerCfg,
+    RslRlDistillationAlgorithmCfg,
+    RslRlDistillationRunnerCfg,
+    RslRlModelCfg,
+    RslRlOnPolicyRunnerCfg,
+    RslRlPpoAlgorithmCfg,
+  )
   from mjlab_rl.console import Console
+  from mjlab_rl.distillation import MjlabDistillationRunner
   from mjlab_rl.env_protocol import RlEnv
   from mjlab_rl.evaluation import (
     Episodes,
@@ -25,11 +34,12 @@ if TYPE_CHECKING:
     summarize,
   )
   from mjlab_rl.iteration_report import IterationReport
-  from mjlab_rl.manifest import ManifestError, RunManifest, load_run
+  from mjlab_rl.manifest import ManifestError, RunManifest, TeacherRecord, load_run
   from mjlab_rl.policies import CheckpointPolicy, OnnxPolicy
   from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
   from mjlab_rl.runner import MjlabOnPolicyRunner
   from mjlab_rl.task import TaskCfg
+  from mjlab_rl.teacher import Teacher, read_teacher
   from mjlab_rl.training import TrainingResult, train
   from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
@@ -45,12 +55,16 @@ __all__ = [
   "Interval",
   "IterationReport",
   "ManifestError",
+  "MjlabDistillationRunner",
   "MjlabOnPolicyRunner",
   "OnnxPolicy",
   "Policy",
   "Progress",
   "ReturnEvaluation",
   "RlEnv",
+  "RslRlBaseRunnerCfg",
+  "RslRlDistillationAlgorithmCfg",
+  "RslRlDistillationRunnerCfg",
   "RslRlModelCfg",
   "RslRlOnPolicyRunnerCfg",
   "RslRlPpoAlgorithmCfg",
@@ -58,6 +72,8 @@ __all__ = [
   "RunManifest",
   "RunNotFoundError",
   "TaskCfg",
+  "Teacher",
+  "TeacherRecord",
   "Threshold",
   "TrainingResult",
   "bootstrap",
@@ -66,6 +82,7 @@ __all__ = [
   "find_checkpoint",
   "load_run",
   "play_first_episodes",
+  "read_teacher",
   "summarize",
   "train",
 ]
@@ -78,19 +95,24 @@ __getattr__, __dir__ = lazy_exports(
   __name__,
   {
     ".checkpoint": "CheckpointError",
-    ".config": "ConfigError RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg",
+    ".config": (
+      "ConfigError RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
+      "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg"
+    ),
     ".console": "Console",
+    ".distillation": "MjlabDistillationRunner",
     ".env_protocol": "RlEnv",
     ".evaluation": (
       "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize"
     ),
     ".iteration_report": "IterationReport",
-    ".manifest": "ManifestError RunManifest load_run",
+    ".manifest": "ManifestError RunManifest TeacherRecord load_run",
     ".policies": "CheckpointPolicy OnnxPolicy",
     ".run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
     ".runner": "MjlabOnPolicyRunner",
     ".task": "TaskCfg",
+    ".teacher": "Teacher read_teacher",
     ".training": "TrainingResult train",
     ".vec_env": "RslRlVecEnvWrapper",
   },

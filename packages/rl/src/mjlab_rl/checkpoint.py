@@ -27,8 +27,12 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     temporary.unlink(missing_ok=True)
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
+def read_checkpoint(path: Path, policy: str = "actor") -> dict[str, Any]:
   """Read a checkpoint onto the host; only tensors and plain values are accepted.
+
+  Args:
+    path: The file.
+    policy: Name of the network that acts: "actor", or "student" after a distillation.
 
   Raises:
     CheckpointError: There is no such file, it is not a checkpoint, or one of another version.
@@ -43,9 +47,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     ) from error
   except (RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
     raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
-  if not isinstance(state, dict) or "actor_state_dict" not in state:
+  if not isinstance(state, dict) or f"{policy}_state_dict" not in state:
     found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
-    raise CheckpointError(f"checkpoint {path}: no 'actor_state_dict' in it; found {found}")
+    raise CheckpointError(f"checkpoint {path}: no '{policy}_state_dict' in it; found {found}")
   ours = state.get("mjlab", {"format": FORMAT})
   if not isinstance(ours, dict) or ours.get("format") != FORMAT:
     raise CheckpointError(f"checkpoint {path}: written by another version of mjlab-rl; this one reads format {FORMAT}")

@@ -1,9 +1,10 @@
 """Learner configuration: plain dataclass instances that become rsl-rl's dictionaries."""
 
+import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, Self, get_args
 
 from mjlab_core import unknown
 
@@ -18,7 +19,7 @@ class ConfigError(ValueError):
 
 @dataclass(kw_only=True)
 class RslRlModelCfg:
-  """One network: the actor or the critic."""
+  """One network: an actor, a critic, a student or a teacher."""
 
   hidden_dims: tuple[int, ...] = (128, 128, 128)
   """Widths of the hidden layers."""
@@ -112,13 +113,40 @@ class RslRlPpoAlgorithmCfg:
     return algorithm
 
 
-def _gaussian_actor() -> RslRlModelCfg:
-  return RslRlModelCfg(distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"})
+@dataclass(kw_only=True)
+class RslRlDistillationAlgorithmCfg:
+  """The student acts, the teacher says what it would have done, and the student learns to do that (DAgger, Ross et al.
+  2011, arXiv:1011.0686), as rsl-rl implements it."""
+
+  num_learning_epochs: int = 1
+  """Passes over the data of one iteration."""
+  gradient_length: int = 8
+  """Steps whose errors add up to one gradient, and through which a recurrent student learns; divides
+  num_learning_epochs x num_steps_per_env."""
+  learning_rate: float = 1e-3
+  """Step size."""
+  max_grad_norm: float | None = 1.0
+  """Gradient norm limit; None: none."""
+  loss_type: Literal["mse", "huber"] = "mse"
+  """Measure of the difference between the student's mean action and the teacher's."""
+  optimizer: Literal["adam", "adamw", "sgd", "rmsprop"] = "adam"
+  """Optimiser of the student."""
+  use_mixed_precision: bool = False
+  """Compute the loss in bfloat16 where that is safe."""
+  class_name: str = "Distillation"
+  """rsl-rl's "Distillation", or "module:Class"."""
+
+
+def _gaussian(init_std: float) -> dict[str, Any]:
+  return {"class_name": "GaussianDistribution", "init_std": init_std, "std_type": "scalar"}
 
 
 @dataclass(kw_only=True)
-class RslRlOnPolicyRunnerCfg:
-  """One training run: networks, algorithm, length, logging."""
+class RslRlBaseRunnerCfg:
+  """What every training run has: length, seed, logging. One that learns is of a subclass."""
+
+  policy: ClassVar[str]
+  """Name of the network that acts, in `obs_groups`, in checkpoints and among the fields."""
 
   seed: int = 42
   """Seed of the learner, and of the environment where that has none of its own."""
@@ -132,14 +160,8 @@ class RslRlOnPolicyRunnerCfg:
   """Folder of the runs of one experiment, below the log root."""
   run_name: str = ""
   """Appended to the name of the run directory."""
-  obs_groups: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"actor": ("actor",), "critic": ("critic",)})
+  obs_groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
   """Observation groups that each network sees."""
-  actor: RslRlModelCfg = field(default_factory=_gaussian_actor)
-  """The policy."""
-  critic: RslRlModelCfg = field(default_factory=RslRlModelCfg)
-  """The value estimate."""
-  algorithm: RslRlPpoAlgorithmCfg = field(default_factory=RslRlPpoAlgorithmCfg)
-  """The update rule."""
   clip_actions: float | None = None
   """Limit of the absolute value of every action; None: no limit."""
   logger: Literal["tensorboard", "wandb", "none"] = "tensorboard"
@@ -151,7 +173,7 @@ class RslRlOnPolicyRunnerCfg:
   upload_model: bool = True
   """Upload checkpoints to Weights & Biases."""
   torch_compile_mode: str | None = None
-  """Mode of torch.compile for actor and critic; None: not compiled."""
+  """Mode of torch.compile for the networks; None: not compiled."""
   matmul_precision: Literal["highest", "high", "medium"] = "high"
   """float32 matrix products of the update on a GPU; high: TF32. The environment always computes in full precision."""
 
@@ -159,46 +181,146 @@ class RslRlOnPolicyRunnerCfg:
     """rsl-rl's configuration dictionary; a fresh one, rsl-rl writes into it.
 
     Raises:
-      ConfigError: A number is out of its range, a name is no name, the actor has no action distribution, or the logger
+      ConfigError: A number is out of its range, a name is no name, the policy has no action distribution, or the logger
         is not installed.
     """
     for name in ("num_steps_per_env", "max_iterations", "save_interval"):
       _check(f"agent.{name}", getattr(self, name), "at least 1", lambda x: x >= 1)
-    for name in ("num_learning_epochs", "num_mini_batches"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
-    for name in ("learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", lambda x: x > 0)
-    for name in ("gamma", "lam"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
-    for network, model in (("actor", self.actor), ("critic", self.critic)):
-      for width in model.hidden_dims:
-        _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
-      if model.activation not in get_args(Activation):
-        raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
     if self.logger == "wandb" and find_spec("wandb") is None:
       raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb")
     for key, name in (("experiment_name", self.experiment_name), ("run_name", self.run_name)):
       if "/" in name or name == "..":
         raise ConfigError(f"agent.{key} is {name!r}; it is the name of one folder, or part of one, and takes no path")
-    if self.actor.distribution_cfg is None:
-      raise ConfigError(
-        "agent.actor.distribution_cfg is None, but PPO samples its actions. "
-        'Give one, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}.'
-      )
     return {
       "num_steps_per_env": self.num_steps_per_env,
       "save_interval": self.save_interval,
       "obs_groups": {name: list(groups) for name, groups in self.obs_groups.items()},
-      "actor": self.actor.to_rsl_rl(),
-      "critic": self.critic.to_rsl_rl(),
-      "algorithm": self.algorithm.to_rsl_rl(),
       "run_name": self.run_name,
       "torch_compile_mode": self.torch_compile_mode,
       # The environment finds and resets broken worlds itself; rsl-rl's check would stop the GPU three times a step.
       "check_for_nan": False,
     }
 
+  def check_samples(self, num_envs: int) -> None:
+    """Whether so many worlds give an iteration enough to learn from.
+
+    Raises:
+      ConfigError: They do not.
+    """
+
+  def for_inference(self) -> Self:
+    """A copy for acting alone, in however many worlds: its storage is as small as it can be."""
+    return replace(copy.deepcopy(self), num_steps_per_env=1)
+
+
+@dataclass(kw_only=True)
+class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
+  """One training run by reinforcement: networks, algorithm, length, logging."""
+
+  policy: ClassVar[str] = "actor"
+
+  obs_groups: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"actor": ("actor",), "critic": ("critic",)})
+  """Observation groups that each network sees."""
+  actor: RslRlModelCfg = field(default_factory=lambda: RslRlModelCfg(distribution_cfg=_gaussian(1.0)))
+  """The policy."""
+  critic: RslRlModelCfg = field(default_factory=RslRlModelCfg)
+  """The value estimate."""
+  algorithm: RslRlPpoAlgorithmCfg = field(default_factory=RslRlPpoAlgorithmCfg)
+  """The update rule."""
+
+  def to_rsl_rl(self) -> dict[str, Any]:
+    config = super().to_rsl_rl()
+    for name in ("num_learning_epochs", "num_mini_batches"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
+    for name in ("learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", lambda x: x > 0)
+    for name in ("gamma", "lam"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
+    _check_model("actor", self.actor)
+    _check_model("critic", self.critic)
+    _check_samples("actor", self.actor, "PPO samples its actions")
+    return config | {
+      "actor": self.actor.to_rsl_rl(),
+      "critic": self.critic.to_rsl_rl(),
+      "algorithm": self.algorithm.to_rsl_rl(),
+    }
+
+  def check_samples(self, num_envs: int) -> None:
+    samples = num_envs * self.num_steps_per_env
+    if not 1 <= self.algorithm.num_mini_batches <= samples:
+      raise ConfigError(
+        f"agent.algorithm.num_mini_batches is {self.algorithm.num_mini_batches}; an iteration of {num_envs} worlds "
+        f"and {self.num_steps_per_env} steps has 1 to {samples}"
+      )
+
+  def for_inference(self) -> Self:
+    agent = super().for_inference()
+    agent.algorithm.num_mini_batches = 1
+    return agent
+
+
+@dataclass(kw_only=True)
+class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
+  """One training run that imitates: a student does what a teacher would do, from what the student sees."""
+
+  policy: ClassVar[str] = "student"
+
+  obs_groups: dict[str, tuple[str, ...]] = field(
+    default_factory=lambda: {"student": ("actor",), "teacher": ("teacher",)}
+  )
+  """Observation groups that each network sees; the teacher's in the order of those it was trained with."""
+  student: RslRlModelCfg = field(default_factory=lambda: RslRlModelCfg(distribution_cfg=_gaussian(0.1)))
+  """The policy. Its deviation is that of its rollouts and is not learned."""
+  teacher: RslRlModelCfg | None = None
+  """The teacher's network; None: that of the run it is from."""
+  teacher_task: str | None = None
+  """Task whose newest run is the teacher where none is named."""
+  algorithm: RslRlDistillationAlgorithmCfg = field(default_factory=RslRlDistillationAlgorithmCfg)
+  """The update rule."""
+
+  def to_rsl_rl(self) -> dict[str, Any]:
+    config = super().to_rsl_rl()
+    for name in ("num_learning_epochs", "gradient_length"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
+    for name in ("learning_rate", "max_grad_norm"):
+      if (value := getattr(self.algorithm, name)) is not None:
+        _check(f"agent.algorithm.{name}", value, "positive", lambda x: x > 0)
+    steps, length = self.algorithm.num_learning_epochs * self.num_steps_per_env, self.algorithm.gradient_length
+    if steps % length:
+      raise ConfigError(
+        f"agent.algorithm.gradient_length is {length}; it must divide num_learning_epochs x num_steps_per_env, "
+        f"{steps}, or the last {steps % length} steps of every iteration would teach nothing"
+      )
+    _check_model("student", self.student)
+    _check_samples("student", self.student, "it explores about what it has learned")
+    if self.teacher is not None:
+      _check_model("teacher", self.teacher)
+      config["teacher"] = self.teacher.to_rsl_rl()
+    return config | {"student": self.student.to_rsl_rl(), "algorithm": dict(vars(self.algorithm))}
+
+  def for_inference(self) -> Self:
+    agent = super().for_inference()
+    agent.algorithm.num_learning_epochs = agent.algorithm.gradient_length = 1
+    # Whoever acts alone is asked nothing, so that any teacher will do.
+    agent.teacher = agent.teacher or RslRlModelCfg()
+    return agent
+
 
 def _check(name: str, value: float, wanted: str, holds: Callable[[float], bool]) -> None:
   if not holds(value):
     raise ConfigError(f"{name} is {value}; it must be {wanted}")
+
+
+def _check_model(network: str, model: RslRlModelCfg) -> None:
+  for width in model.hidden_dims:
+    _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
+  if model.activation not in get_args(Activation):
+    raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
+
+
+def _check_samples(network: str, model: RslRlModelCfg, why: str) -> None:
+  if model.distribution_cfg is None:
+    raise ConfigError(
+      f"agent.{network}.distribution_cfg is None, but {why}. "
+      'Give one, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}.'
+    )

@@ -91,6 +91,8 @@ def summary(report: IterationReport, width: int | None = None) -> str:
     parts += [f"reward {report.mean_reward:.2f}", f"episode {report.mean_episode_length:.0f} steps"]
   else:
     parts += ["no episode finished yet"]
+  if (loss := report.scalars.get("Loss/behavior")) is not None:
+    parts += [f"difference to the teacher {loss:.3g}"]
   parts += [f"ETA {_duration(report.eta)}"]
   while width is not None and len("  ".join(parts)) > width and len(parts) > 2:
     # Iteration and time to go stay; speed is the last of the others to go.

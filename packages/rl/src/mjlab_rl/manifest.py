@@ -21,7 +21,7 @@ from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, TypeAlias
 
-from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg
 
 MANIFEST_NAME = "manifest.json"
 _FORMAT = 1
@@ -36,6 +36,20 @@ class ManifestError(ValueError):
   """A configuration that cannot be written down, or a manifest that cannot be read; the message names the field."""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TeacherRecord:
+  """Whom a student learned from."""
+
+  checkpoint: str
+  """Checkpoint file, absolute."""
+  sha256: str
+  """Hash of the file."""
+  task: str | None
+  """Task it was trained for; None: it does not say."""
+  iterations: int
+  """Iterations it was trained for."""
+
+
 @dataclasses.dataclass(kw_only=True)
 class RunManifest:
   """What a run was started with."""
@@ -44,10 +58,10 @@ class RunManifest:
   """Task id."""
   env: Any
   """Environment configuration, overrides included."""
-  agent: RslRlOnPolicyRunnerCfg
+  agent: RslRlBaseRunnerCfg
   """Learner configuration, overrides included."""
   runner: type[Any] | None = None
-  """Runner class of the task; None: MjlabOnPolicyRunner."""
+  """Runner class of the task; None: the standard one for such a learner."""
   make_env: Callable[..., Any] | None = None
   """Environment factory of the task; None: the standard environment class."""
   play: Callable[..., Any] | None = None
@@ -62,6 +76,8 @@ class RunManifest:
   """Command line."""
   resumed_from: str | None = None
   """Checkpoint that the run continued."""
+  teacher: TeacherRecord | None = None
+  """Whom the policy learned from, in a distillation."""
   versions: dict[str, str] = dataclasses.field(default_factory=dict)
   """Versions of Python, the operating system and the packages that matter."""
   git: dict[str, Any] | None = None

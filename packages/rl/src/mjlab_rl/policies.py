@@ -1,7 +1,5 @@
 """Trained policies to be watched: what a checkpoint or an exported network does for the observations of any worlds."""
 
-import copy
-import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +9,9 @@ import torch
 from tensordict import TensorDict
 
 from mjlab_rl.checkpoint import CheckpointError
-from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
+from mjlab_rl.distillation import runner_class
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -24,18 +23,14 @@ class CheckpointPolicy:
   Args:
     env: Worlds it is to act in; reset on construction.
     agent: Configuration of the learner that it was trained with.
-    runner: Runner class of the task; None: MjlabOnPolicyRunner.
+    runner: Runner class of the task; None: the standard one for such a learner.
   """
 
-  def __init__(
-    self, env: RlEnv, agent: RslRlOnPolicyRunnerCfg, runner: type[MjlabOnPolicyRunner] | None = None
-  ) -> None:
-    agent = copy.deepcopy(agent)
-    # Nothing is learned here, and a few worlds may hold fewer samples than training has mini-batches.
-    agent.algorithm = dataclasses.replace(agent.algorithm, num_mini_batches=1)
+  def __init__(self, env: RlEnv, agent: RslRlBaseRunnerCfg, runner: type[MjlabOnPolicyRunner] | None = None) -> None:
     wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
     device = str(env.device)
-    self._runner = (runner or MjlabOnPolicyRunner)(wrapped, agent, None, device, console=Console("quiet"))
+    kind = runner or runner_class(agent)
+    self._runner = kind(wrapped, agent.for_inference(), None, device, console=Console("quiet"))
     self._policy = self._runner.get_inference_policy(device)
     self._clip = agent.clip_actions
     self._num_envs = env.num_envs
@@ -46,7 +41,7 @@ class CheckpointPolicy:
     Raises:
       CheckpointError: it cannot be read or does not fit; nothing has been changed then.
     """
-    self._runner.load(str(path), load_cfg={"actor": True})
+    self._runner.load(str(path), load_cfg={self._runner.agent_cfg.policy: True})
     self.reset(None)
 
   def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
@@ -71,7 +66,7 @@ class OnnxPolicy:
     CheckpointError: it cannot be read.
   """
 
-  def __init__(self, path: Path, agent: RslRlOnPolicyRunnerCfg, num_envs: int) -> None:
+  def __init__(self, path: Path, agent: RslRlBaseRunnerCfg, num_envs: int) -> None:
     import onnx
     from onnx.reference import ReferenceEvaluator
 
@@ -83,7 +78,7 @@ class OnnxPolicy:
     except Exception as error:
       raise CheckpointError(f"policy {path}: not an ONNX network ({' '.join(str(error).split())[:200]})") from error
     self._path = path
-    self._groups = agent.obs_groups["actor"]
+    self._groups = agent.obs_groups[agent.policy]
     self._clip = agent.clip_actions
     inputs = {value.name: [d.dim_value for d in value.type.tensor_type.shape.dim] for value in model.graph.input}
     self._input, *remembered = inputs

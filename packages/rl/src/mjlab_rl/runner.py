@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
-from mjlab_rl.config import ConfigError, RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.iteration_report import IterationReport
@@ -44,18 +45,13 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
   def __init__(
     self,
     env: RslRlVecEnvWrapper,
-    cfg: RslRlOnPolicyRunnerCfg,
+    cfg: RslRlBaseRunnerCfg,
     log_dir: str | os.PathLike[str] | None = None,
     device: str | torch.device = "cpu",
     *,
     console: Console | None = None,
   ):
-    samples = env.num_envs * cfg.num_steps_per_env
-    if not 1 <= cfg.algorithm.num_mini_batches <= samples:
-      raise ConfigError(
-        f"agent.algorithm.num_mini_batches is {cfg.algorithm.num_mini_batches}; an iteration of {env.num_envs} worlds "
-        f"and {cfg.num_steps_per_env} steps has 1 to {samples}"
-      )
+    cfg.check_samples(env.num_envs)
     self.agent_cfg = cfg
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)
@@ -73,6 +69,11 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._torch_device = torch.device(device)
     self._elapsed = 0.0
     self._total_steps = 0
+
+  @property
+  def networks(self) -> dict[str, MLPModel]:
+    """The networks by the names that they have in configurations and checkpoints."""
+    return {"actor": self.alg._raw_actor, "critic": self.alg._raw_critic}
 
   @property
   def is_writer(self) -> bool:
@@ -150,7 +151,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       "num_envs": self.env.num_envs,
       "env": self.env.unwrapped.state_dict(),
       "statistics": self.statistics.state_dict(),
-      "hidden_states": [self.alg.actor.get_hidden_state(), self.alg.critic.get_hidden_state()],
+      "hidden_states": [network.get_hidden_state() for network in self.networks.values()],
       "rng": checkpoint.rng_state(self._torch_device),
       "elapsed": self._elapsed,
       "total_steps": self._total_steps,
@@ -171,7 +172,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
     Args:
       path: Checkpoint file.
-      load_cfg: Parts to load: "actor", "critic", "optimizer", "iteration", "rnd"; None: everything, worlds included.
+      load_cfg: Parts to load: names of `networks`, "optimizer", "iteration", "rnd"; None: everything, worlds included.
       strict: Whether names must match exactly.
       map_location: Not needed: tensors go to the device of what they fill.
 
@@ -182,8 +183,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       CheckpointError: It cannot be read, or its networks have other sizes; nothing has been changed then.
     """
     del map_location
-    state = checkpoint.read_checkpoint(Path(path))
-    for part, model in (("actor", self.alg._raw_actor), ("critic", self.alg._raw_critic)):
+    state = checkpoint.read_checkpoint(Path(path), self.agent_cfg.policy)
+    for part, model in self.networks.items():
       if load_cfg is None or load_cfg.get(part):
         checkpoint.check_fit(Path(path), part, state.get(f"{part}_state_dict", {}), model.state_dict())
     if self.alg.load(state, load_cfg, strict):
@@ -214,7 +215,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._elapsed = state["elapsed"]
     self._total_steps = state["total_steps"]
     if is_restored:
-      for model, hidden in zip((self.alg.actor, self.alg.critic), state["hidden_states"], strict=True):
+      for model, hidden in zip(self.networks.values(), state["hidden_states"], strict=True):
         if hidden is not None:
           model.reset(hidden_state=_to_device(hidden, self._torch_device))
       checkpoint.restore_rng_state(state["rng"], self._torch_device)

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, Protocol
 
-from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.iteration_report import IterationReport
 
 
@@ -98,7 +98,7 @@ class TensorboardLog:
 class WandbLog:
   """Scalars, configuration and checkpoints in a Weights & Biases run; wandb is imported here and nowhere else."""
 
-  def __init__(self, directory: Path, cfg: RslRlOnPolicyRunnerCfg, config: dict[str, Any]):
+  def __init__(self, directory: Path, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]):
     import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
 
     self._run = wandb.init(
@@ -120,7 +120,7 @@ class WandbLog:
     self._run.finish()
 
 
-def open_logs(directory: Path, cfg: RslRlOnPolicyRunnerCfg, config: dict[str, Any]) -> list[ScalarLog]:
+def open_logs(directory: Path, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]) -> list[ScalarLog]:
   """The logs a run writes: always progress.csv, and what `cfg.logger` asks for."""
   logs: list[ScalarLog] = [CsvLog(directory / "progress.csv")]
   if cfg.logger == "wandb":

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from mjlab_rl.config import RslRlOnPolicyRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
 
 if TYPE_CHECKING:
   from mjlab_rl.evaluation import Evaluator
@@ -25,10 +25,10 @@ class TaskCfg(Generic[EnvCfgT]):
   """Turns a training configuration (a copy, with the overrides of the run) into the one for watching; None: as it is.
 
   A function and not a second configuration, so that a trained run is watched as it was trained."""
-  agent: RslRlOnPolicyRunnerCfg = field(default_factory=RslRlOnPolicyRunnerCfg)
+  agent: RslRlBaseRunnerCfg = field(default_factory=RslRlOnPolicyRunnerCfg)
   """Learner configuration."""
   runner: type[Any] | None = None
-  """Subclass of MjlabOnPolicyRunner to train with; None: MjlabOnPolicyRunner itself."""
+  """Subclass of MjlabOnPolicyRunner to train with; None: the standard one for such a learner."""
   make_env: Callable[..., Any] | None = None
   """Builds the environment, called as make_env(cfg, device=device); None: the standard environment class."""
   evaluator: "Evaluator | None" = None

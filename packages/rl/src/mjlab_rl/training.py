@@ -10,13 +10,23 @@ from typing import Any
 
 from mjlab_core import seed_everything
 
-from mjlab_rl.config import ConfigError
+from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
 from mjlab_rl.console import Console
+from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
-from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
+from mjlab_rl.manifest import (
+  RunManifest,
+  TeacherRecord,
+  encode_manifest,
+  git_state,
+  load_run,
+  package_versions,
+  write_manifest,
+)
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.task import TaskCfg
+from mjlab_rl.teacher import Teacher, read_teacher
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
@@ -42,6 +52,7 @@ def train(
   device: str = "cpu",
   log_root: str | os.PathLike[str] | None = "logs",
   resume: Path | None = None,
+  teacher: Path | None = None,
   console: Console | None = None,
   command: list[str] | None = None,
   on_ready: Callable[[RlEnv, Path | None], None] | None = None,
@@ -58,6 +69,7 @@ def train(
     device: Device of environment and learner, such as "cuda:0".
     log_root: Folder of all experiments; None: write nothing.
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
+    teacher: Checkpoint of the policy to imitate, where `task.agent` distils one; a run that is resumed has its own.
     console: Where progress is shown; None: standard output.
     command: Command line, for the manifest.
     on_ready: Called with the environment and the run directory before the first iteration.
@@ -66,10 +78,11 @@ def train(
   Raises:
     ManifestError: The configuration cannot be written down.
     ConfigError: The learner configuration cannot work.
-    CheckpointError: The checkpoint does not fit.
+    CheckpointError: The checkpoint does not fit, or the teacher does not.
   """
   console = console if console is not None else Console()
   env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
+  teaching = _teacher(agent, env_cfg, teacher, resume)
   agent.to_rsl_rl()
   if getattr(env_cfg, "seed", None) is None:
     env_cfg.seed = agent.seed
@@ -85,6 +98,7 @@ def train(
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
     command=list(command or []),
     resumed_from=None if resume is None else str(resume.resolve()),
+    teacher=_record(agent, teaching, resume),
     versions=package_versions(),
     git=git_state(Path.cwd()),
   )
@@ -95,10 +109,13 @@ def train(
   env = (task.make_env or make_env)(env_cfg, device=device)
   try:
     wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
-    runner_class: type[MjlabOnPolicyRunner] = task.runner or MjlabOnPolicyRunner
-    runner = runner_class(wrapped, agent, None, device, console=console)
+    kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
+    runner = kind(wrapped, agent, None, device, console=console)
     if resume is not None:
       runner.load(str(resume))
+    if teaching is not None:
+      assert isinstance(runner, MjlabDistillationRunner)
+      runner.load_teacher(teaching)
     remaining = agent.max_iterations - runner.current_learning_iteration
     if remaining <= 0:
       raise ConfigError(
@@ -123,3 +140,34 @@ def train(
     )
   finally:
     env.close()
+
+
+def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> Teacher | None:
+  """The teacher of a distillation that begins; `agent` is told what its network is."""
+  if not isinstance(agent, RslRlDistillationRunnerCfg):
+    if teacher is not None:
+      raise ConfigError(f"a teacher is given, {teacher}, but the learner is no RslRlDistillationRunnerCfg")
+    return None
+  if resume is not None:
+    if teacher is not None:
+      raise ConfigError(f"a teacher is given, {teacher}, but {resume} has its own")
+    if agent.teacher is None:
+      raise ConfigError(f"{resume}: agent.teacher does not say what its teacher's network is")
+    return None
+  if teacher is None:
+    raise ConfigError("a distillation needs a teacher: the checkpoint of a trained policy")
+  found = read_teacher(teacher)
+  found.check(env, agent)
+  agent.teacher = copy.deepcopy(found.network(agent))
+  return found
+
+
+def _record(agent: RslRlBaseRunnerCfg, teacher: Teacher | None, resume: Path | None) -> TeacherRecord | None:
+  if teacher is not None:
+    return teacher.record
+  if resume is None or not isinstance(agent, RslRlDistillationRunnerCfg):
+    return None
+  try:
+    return load_run(resume).teacher
+  except FileNotFoundError:
+    return None

@@ -1,0 +1,171 @@
+"""A trained policy that is to teach another: read from its run, and held against the environment it is to act in."""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mjlab_core import unknown
+
+from mjlab_rl.checkpoint import CheckpointError, read_checkpoint
+from mjlab_rl.config import ConfigError, RslRlDistillationRunnerCfg, RslRlModelCfg
+from mjlab_rl.manifest import Json, RunManifest, TeacherRecord, encode, load_run
+
+# What a teacher may see with other noise, or later, than when it was trained.
+_CORRUPTION = ("noise", "corrupt", "nan_policy")
+
+
+@dataclasses.dataclass(kw_only=True)
+class Teacher:
+  """A trained policy; `read_teacher` makes one."""
+
+  weights: dict[str, Any]
+  """State of its network, normaliser included."""
+  record: TeacherRecord
+  """Where it is from."""
+  run: RunManifest | None
+  """What it was trained with; None where its run does not say."""
+
+  @property
+  def name(self) -> str:
+    """For messages."""
+    return f"teacher {self.record.checkpoint}" + (f" of {self.record.task}" if self.record.task else "")
+
+  def network(self, agent: RslRlDistillationRunnerCfg) -> RslRlModelCfg:
+    """What its network is made of, from its run or from `agent.teacher`.
+
+    Raises:
+      ConfigError: Neither says, or one says other than the other.
+    """
+    if self.run is None:
+      if agent.teacher is None:
+        raise ConfigError(f"{self.name}: its run has no manifest, so agent.teacher must say what its network is")
+      return agent.teacher
+    trained: RslRlModelCfg = getattr(self.run.agent, self.run.agent.policy)
+    if agent.teacher is not None and agent.teacher != trained:
+      differences = _differences(_encoded(trained), _encoded(agent.teacher), "agent.teacher")
+      raise ConfigError(
+        f"{self.name}: {_listed(differences)}. Leave out agent.teacher to take what it was trained with."
+      )
+    return trained
+
+  def check(self, env: Any, agent: RslRlDistillationRunnerCfg) -> None:
+    """Hold what it saw and did in training against what it will: terms, their order and scales, actions, their period.
+
+    Environment configurations are compared where they have `observations` by group, `actions`, `decimation` and
+    `sim.timestep`; noise and delays may differ. Without a manifest only the shapes of weights are left to tell.
+
+    Args:
+      env: Configuration of the environment it is to act in.
+      agent: Learner that it is to teach.
+
+    Raises:
+      CheckpointError: Something differs; the message says what it was in training and what it is now.
+    """
+    if self.run is None:
+      return
+    theirs, ours = self.run.agent.obs_groups[self.run.agent.policy], agent.obs_groups["teacher"]
+    differences = list(_differences(len(theirs), len(ours), "number of observation groups"))
+    for group, own in zip(theirs, ours, strict=False):
+      groups = getattr(env, "observations", None)
+      if groups is not None and groups.get(own) is None:
+        differences.append(unknown("observation group", own, [name for name in groups if groups[name] is not None]))
+      else:
+        trained, now = _observations(self.run.env, group), _observations(env, own)
+        # What is on one side alone is told by the order of terms.
+        both = [key for key in trained if key in now]
+        trained, now = ({key: side[key] for key in both} for side in (trained, now))
+        differences += _differences(trained, now, f"observations.{own}")
+    differences += _differences(_control(self.run.env), _control(env), "")
+    differences += _differences(self.run.agent.clip_actions, agent.clip_actions, "agent.clip_actions")
+    if differences:
+      raise CheckpointError(f"{self.name} does not fit: {_listed(differences)}")
+
+
+def read_teacher(path: Path) -> Teacher:
+  """The policy of a checkpoint, trained by reinforcement or a distilled student; runs no code of the file.
+
+  Raises:
+    CheckpointError: It cannot be read.
+    ManifestError: The manifest of its run cannot be rebuilt.
+  """
+  try:
+    run = load_run(path)
+  except FileNotFoundError:
+    run = None
+  policy = "actor" if run is None else run.agent.policy
+  state = read_checkpoint(path, policy)
+  with path.open("rb") as file:
+    digest = hashlib.file_digest(file, "sha256").hexdigest()
+  return Teacher(
+    weights=state[f"{policy}_state_dict"],
+    record=TeacherRecord(
+      checkpoint=str(path.resolve()),
+      sha256=digest,
+      task=None if run is None else run.task,
+      iterations=int(state["iter"]) + (0 if "mjlab" in state else 1),
+    ),
+    run=run,
+  )
+
+
+def _observations(env: Any, group: str) -> dict[str, Json]:
+  """What makes the numbers of a group: its terms and their order. Nothing where the configuration does not say."""
+  groups = getattr(env, "observations", None)
+  if groups is None:
+    return {}
+  encoded = _encoded(groups[group])
+  terms = {name: term for name, term in encoded.pop("terms").items() if term is not None}
+  return {"order of terms": list(terms), **encoded, **terms}
+
+
+def _control(env: Any) -> Json:
+  """What becomes of actions, and how often."""
+  control = {name: encode(getattr(env, name, None)) for name in ("actions", "decimation")}
+  control["sim.timestep"] = encode(getattr(getattr(env, "sim", None), "timestep", None))
+  return _bare(control)
+
+
+def _encoded(value: object) -> Any:
+  return _bare(encode(value))
+
+
+def _bare(data: Json) -> Json:
+  """Fields of encoded dataclasses without their wrapping, so that a path into them reads as a flag does."""
+  if isinstance(data, list):
+    return [_bare(item) for item in data]
+  if not isinstance(data, dict):
+    return data
+  if "$type" in data:
+    fields = {key: _bare(value) for key, value in data["fields"].items() if not _is_corruption(key)}
+    return {"type": data["$type"], **fields}
+  if set(data) in ({"$tuple"}, {"$ref"}):
+    return _bare(next(iter(data.values())))
+  return {key: _bare(value) for key, value in data.items()}
+
+
+def _is_corruption(field: str) -> bool:
+  return field in _CORRUPTION or field.startswith("delay_")
+
+
+def _differences(trained: Json, now: Json, where: str) -> Iterator[str]:
+  """A line for every place where two encoded values differ."""
+  if isinstance(trained, dict) and isinstance(now, dict):
+    for key in [*trained, *(key for key in now if key not in trained)]:
+      yield from _differences(trained.get(key), now.get(key), f"{where}.{key}" if where else key)
+  elif trained != now:
+    yield f"{where} was {_shown(trained)} in its training and is {_shown(now)} here"
+
+
+def _shown(value: Json) -> str:
+  if value is None:
+    return "not there"
+  if isinstance(value, list):
+    return ", ".join(map(_shown, value))
+  return value.get("type", ", ".join(value)) if isinstance(value, dict) else str(value)
+
+
+def _listed(differences: list[str] | Iterator[str]) -> str:
+  found = list(differences)
+  return "; ".join(found[:4]) + (f"; and {len(found) - 4} more" if len(found) > 4 else "")

@@ -1,0 +1,403 @@
+"""A student that imitates a teacher: what it learns, what it is told of its teacher, what is refused."""
+
+import hashlib
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_rl import (
+  CheckpointError,
+  CheckpointPolicy,
+  ConfigError,
+  Console,
+  MjlabDistillationRunner,
+  OnnxPolicy,
+  RslRlDistillationRunnerCfg,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  RslRlVecEnvWrapper,
+  TaskCfg,
+  TrainingResult,
+  load_run,
+  read_teacher,
+  train,
+)
+from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from test_rl_runner import assert_same, learner
+
+QUIET = Console("quiet")
+
+
+@dataclass(kw_only=True)
+class TermCfg:
+  scale: float = 1.0
+  noise: float | None = None
+  delay_max_lag: int = 0
+
+
+@dataclass(kw_only=True)
+class GroupCfg:
+  terms: dict[str, TermCfg | None] = field(default_factory=lambda: {"position": TermCfg(), "speed": TermCfg()})
+  corrupt: bool = False
+
+
+@dataclass(kw_only=True)
+class PushCfg:
+  scale: float = 0.1
+  limits: tuple[float, float] = (-1.0, 1.0)
+
+
+@dataclass(kw_only=True)
+class ToldPointEnvCfg(PointEnvCfg):
+  """The point, in a configuration that says what is seen and done as environments of mjlab do."""
+
+  observations: dict[str, GroupCfg | None] = field(default_factory=lambda: {"actor": GroupCfg(), "whole": GroupCfg()})
+  actions: dict[str, PushCfg] = field(default_factory=lambda: {"push": PushCfg()})
+  decimation: int = 4
+
+
+class ToldPointEnv(PointEnv):
+  """`actor` and `whole` are position and speed, `position` is the position alone."""
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    return {**super().get_observations(), "whole": self.state.clone(), "position": self.state[:, :1].clone()}
+
+
+def teacher_agent() -> RslRlOnPolicyRunnerCfg:
+  cfg = RslRlOnPolicyRunnerCfg(max_iterations=3, num_steps_per_env=6, logger="none", experiment_name="teacher")
+  cfg.actor = replace(cfg.actor, hidden_dims=(8,), activation="identity", obs_normalization=True)
+  return cfg
+
+
+def student_agent(sees: str = "whole", **changes: Any) -> RslRlDistillationRunnerCfg:
+  cfg = RslRlDistillationRunnerCfg(
+    max_iterations=4, num_steps_per_env=6, logger="none", obs_groups={"student": (sees,), "teacher": ("whole",)}
+  )
+  cfg.student = replace(cfg.student, hidden_dims=(16,), obs_normalization=True)
+  cfg.algorithm.gradient_length, cfg.algorithm.learning_rate = 3, 1e-2
+  for name, value in changes.items():
+    setattr(cfg, name, value)
+  return cfg
+
+
+def recurrent(cfg: RslRlModelCfg, kind: Any) -> RslRlModelCfg:
+  return replace(cfg, class_name="RNNModel", rnn_type=kind, rnn_hidden_dim=8)
+
+
+def run(agent: Any, log_root: Path | None, env: Any = None, **options: Any) -> TrainingResult:
+  task = TaskCfg(env=env or ToldPointEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3), agent=agent)
+  return train(task, name="Point", make_env=ToldPointEnv, log_root=log_root, console=QUIET, **options)
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  """A run whose policy was taught the law of a damped spring, which needs position and speed."""
+  checkpoint = run(teacher_agent(), tmp_path_factory.mktemp("logs")).checkpoint
+  assert checkpoint is not None
+  state = learner(checkpoint)
+  weights = state["actor_state_dict"]
+  for name, value in weights.items():
+    if name.startswith("mlp"):
+      value.zero_()
+  weights["mlp.0.weight"][:2] = torch.eye(2)
+  weights["mlp.2.weight"][0, :2] = torch.tensor([-1.0, -1.0])
+  torch.save(state, checkpoint)
+  return checkpoint
+
+
+def losses(result: TrainingResult) -> list[float]:
+  assert result.directory is not None
+  head, *rows = (result.directory / "progress.csv").read_text().splitlines()
+  return [float(row.split(",")[head.split(",").index("Loss/behavior")]) for row in rows]
+
+
+def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path, teacher: Path) -> None:
+  result = run(student_agent(max_iterations=80), tmp_path, teacher=teacher)
+  fallen = losses(result)
+  assert sum(fallen[-10:]) / 10 < 0.01 * fallen[0]
+  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
+  assert result.checkpoint is not None
+  ours, theirs = (CheckpointPolicy(env, load_run(path).agent) for path in (result.checkpoint, teacher))
+  ours.load(result.checkpoint)
+  theirs.load(teacher)
+  seen = env.get_observations()
+  assert (ours(seen) - theirs(seen)).square().mean() < 0.01 * theirs(seen).square().mean()
+
+
+def test_a_student_that_remembers_learns_what_one_that_does_not_cannot(tmp_path: Path, teacher: Path) -> None:
+  """Of position and speed the students see the position, from which two steps give the speed."""
+
+  def final(student: Callable[[RslRlModelCfg], RslRlModelCfg]) -> float:
+    agent = student_agent(sees="position", max_iterations=80)
+    agent.student = student(agent.student)
+    return sum(losses(run(agent, tmp_path, teacher=teacher))[-10:])
+
+  assert final(lambda cfg: recurrent(cfg, "gru")) < 0.4 * final(lambda cfg: cfg)
+
+
+def test_a_run_says_whom_the_student_learned_from(tmp_path: Path, teacher: Path) -> None:
+  result = run(student_agent(), tmp_path, teacher=teacher)
+  assert result.directory is not None
+  manifest = load_run(result.directory)
+  assert manifest.teacher is not None
+  assert manifest.teacher.checkpoint == str(teacher)
+  assert manifest.teacher.sha256 == hashlib.sha256(teacher.read_bytes()).hexdigest()
+  assert (manifest.teacher.task, manifest.teacher.iterations) == ("Point", 3)
+  # What the network is made of is written down, so that the run can go on without the teacher's.
+  assert isinstance(manifest.agent, RslRlDistillationRunnerCfg)
+  assert manifest.agent.teacher == teacher_agent().actor
+  # It acts by the weights of the checkpoint, and is not trained further.
+  assert result.checkpoint is not None
+  assert_same(learner(result.checkpoint)["teacher_state_dict"], learner(teacher)["actor_state_dict"])
+  resumed = run(replace(manifest.agent, max_iterations=5), tmp_path, resume=result.checkpoint)
+  assert resumed.directory is not None
+  assert load_run(resumed.directory).teacher == manifest.teacher
+
+
+@pytest.mark.parametrize("kind", [None, "gru", "lstm"])
+def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: Any) -> None:
+  def configured(iterations: int) -> RslRlDistillationRunnerCfg:
+    agent = student_agent(sees="position", max_iterations=iterations)
+    if kind is not None:
+      agent.student = recurrent(agent.student, kind)
+    return agent
+
+  own = teacher_agent() if kind is None else replace(teacher_agent(), actor=recurrent(teacher_agent().actor, kind))
+  teacher = run(own, tmp_path / "teacher").checkpoint
+  assert teacher is not None
+  whole = run(configured(4), tmp_path / "whole", teacher=teacher).checkpoint
+  half = run(configured(2), tmp_path / "half", teacher=teacher).checkpoint
+  assert whole is not None
+  assert half is not None
+  agent = replace(load_run(half).agent, max_iterations=4)
+  resumed = run(agent, tmp_path / "resumed", resume=half).checkpoint
+  assert resumed is not None
+  states = [learner(path) for path in (whole, resumed)]
+  for state in states:
+    del state["mjlab"]["elapsed"]
+  assert_same(*states)
+
+
+def runner(agent: RslRlDistillationRunnerCfg, teacher: Path, **env_options: Any) -> MjlabDistillationRunner:
+  seed_everything(agent.seed)
+  found = read_teacher(teacher)
+  agent.teacher = found.network(agent)
+  env = ToldPointEnv(ToldPointEnvCfg(seed=3, **env_options))
+  made = MjlabDistillationRunner(RslRlVecEnvWrapper(env), agent, None, "cpu", console=QUIET)
+  made.load_teacher(found)
+  return made
+
+
+def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
+  """In rsl-rl every update takes it back to before its first step."""
+  own = replace(teacher_agent(), actor=recurrent(teacher_agent().actor, "gru"))
+  checkpoint = run(own, tmp_path).checkpoint
+  assert checkpoint is not None
+  made = runner(student_agent(), checkpoint, episode_steps=10**6, noise=0.0)
+  network: Any = made.networks["teacher"]
+  before: list[Any] = []
+  after: list[torch.Tensor] = []
+  network.register_forward_pre_hook(lambda *_: before.append(network.get_hidden_state()))
+  network.register_forward_hook(lambda *_: after.append(network.get_hidden_state().clone()))
+  made.learn(2)
+  # The last step of the first iteration, and the first of the second.
+  goes_on = (before[6] == after[5]).all(-1)[0]
+  assert after[5].abs().amax() > 0.0
+  assert goes_on.any()
+
+
+@pytest.mark.parametrize("kind", [None, "gru", "lstm"])
+def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any) -> None:
+  from torch.utils._python_dispatch import TorchDispatchMode
+
+  class Counter(TorchDispatchMode):
+    reads = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+      words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.index.Tensor")
+      self.reads += any(word in str(func) for word in words)
+      return func(*args, **(kwargs or {}))
+
+  agent = student_agent(sees="position")
+  if kind is not None:
+    agent.student = recurrent(agent.student, kind)
+  made = runner(agent, teacher)
+  with Counter() as counter:
+    made._collect(made.env.get_observations())
+  assert counter.reads == 0
+
+
+def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Path, teacher: Path) -> None:
+  agent = student_agent()
+  agent.student = recurrent(agent.student, "lstm")
+  result = run(agent, tmp_path, teacher=teacher)
+  assert result.checkpoint is not None
+  agent = load_run(result.checkpoint).agent
+  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=8))
+  policy = CheckpointPolicy(env, agent)
+  policy.load(result.checkpoint)
+  with warnings.catch_warnings():
+    # The exporter's own are not ours.
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(tmp_path))
+  exported = OnnxPolicy(tmp_path / "policy.onnx", agent, 1)
+  with torch.no_grad():
+    for step in range(4):
+      seen = env.get_observations()
+      actions = policy(seen)
+      torch.testing.assert_close(exported(seen), actions)
+      _, _, terminated, truncated, _ = env.step(actions)
+      for acting in (policy, exported):
+        acting.reset(terminated | truncated | torch.tensor([step == 1]))
+
+
+def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:
+  first = run(student_agent(), tmp_path, teacher=teacher).checkpoint
+  assert first is not None
+  second = run(student_agent(), tmp_path, teacher=first)
+  assert second.checkpoint is not None
+  taught, own = learner(second.checkpoint)["teacher_state_dict"], learner(first)["student_state_dict"]
+  assert_same(taught, own)
+
+
+def env_with(change: Callable[[ToldPointEnvCfg], object]) -> ToldPointEnvCfg:
+  cfg = ToldPointEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3)
+  change(cfg)
+  return cfg
+
+
+def whole(cfg: ToldPointEnvCfg, **terms: TermCfg | None) -> None:
+  cfg.observations["whole"] = GroupCfg(terms=dict(terms))
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    (
+      lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()),
+      "observations.whole.order of terms was position, speed in its training and is speed, position here",
+    ),
+    (
+      lambda cfg: whole(cfg, position=TermCfg(), speed=None),
+      "observations.whole.order of terms was position, speed in its training and is position here",
+    ),
+    (
+      lambda cfg: whole(cfg, position=TermCfg(scale=0.5), speed=TermCfg()),
+      "observations.whole.position.scale was 1.0 in its training and is 0.5 here",
+    ),
+    (
+      lambda cfg: cfg.observations.pop("whole"),
+      "observation group 'whole' does not exist. All 1: actor",
+    ),
+    (
+      lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)),
+      "actions.push.scale was 0.1 in its training and is 0.2 here",
+    ),
+    (
+      lambda cfg: cfg.actions.update(push=PushCfg(limits=(-2.0, 1.0))),
+      "actions.push.limits was -1.0, 1.0 in its training and is -2.0, 1.0 here",
+    ),
+    (lambda cfg: setattr(cfg, "decimation", 2), "decimation was 4 in its training and is 2 here"),
+  ],
+)
+def test_a_teacher_that_learned_something_else_is_refused_by_name(
+  tmp_path: Path, teacher: Path, change: Callable[[ToldPointEnvCfg], object], message: str
+) -> None:
+  with pytest.raises(CheckpointError, match=f"of Point does not fit: .*{message}"):
+    run(student_agent(), tmp_path, env_with(change), teacher=teacher)
+  assert list(tmp_path.iterdir()) == []
+
+
+def test_a_teacher_may_see_without_the_noise_and_the_delay_of_its_training(tmp_path: Path) -> None:
+  def noisy(cfg: ToldPointEnvCfg) -> None:
+    terms: dict[str, TermCfg | None] = {"position": TermCfg(noise=0.1), "speed": TermCfg(delay_max_lag=2)}
+    cfg.observations["actor"] = GroupCfg(terms=terms, corrupt=True)
+
+  teacher = run(teacher_agent(), tmp_path, env_with(noisy)).checkpoint
+  assert run(student_agent(), tmp_path, teacher=teacher).iterations == 4
+
+
+def test_other_networks_groups_and_limits_than_the_teachers_are_refused_by_name(tmp_path: Path, teacher: Path) -> None:
+  model = replace(teacher_agent().actor, hidden_dims=(9,))
+  with pytest.raises(ConfigError, match=r"agent\.teacher\.hidden_dims was 8 in its training and is 9 here"):
+    run(student_agent(teacher=model), tmp_path, teacher=teacher)
+  groups = {"student": ("whole",), "teacher": ("whole", "position")}
+  with pytest.raises(CheckpointError, match="number of observation groups was 1 in its training and is 2 here"):
+    run(student_agent(obs_groups=groups), tmp_path, teacher=teacher)
+  with pytest.raises(CheckpointError, match=r"agent\.clip_actions was not there in its training and is 0\.5 here"):
+    run(student_agent(clip_actions=0.5), tmp_path, teacher=teacher)
+
+
+def test_a_checkpoint_alone_needs_a_description_and_is_checked_by_its_shapes(tmp_path: Path, teacher: Path) -> None:
+  alone = tmp_path / "model_9.pt"
+  alone.write_bytes(teacher.read_bytes())
+  with pytest.raises(ConfigError, match=r"has no manifest, so agent\.teacher must say what its network is"):
+    run(student_agent(), None, teacher=alone)
+  wrong = replace(teacher_agent().actor, hidden_dims=(9,))
+  with pytest.raises(CheckpointError, match=r"teacher: mlp\.0\.weight is \(8, 2\) in the file and \(9, 2\) here"):
+    run(student_agent(teacher=wrong), None, teacher=alone)
+  assert run(student_agent(teacher=teacher_agent().actor), None, teacher=alone).iterations == 4
+
+
+def test_a_teacher_with_code_in_it_is_not_run(tmp_path: Path) -> None:
+  path = tmp_path / "model_1.pt"
+  torch.save({"actor_state_dict": os.system}, path)
+  with pytest.raises(CheckpointError, match="not loaded"):
+    read_teacher(path)
+
+
+def test_whoever_needs_no_teacher_or_has_one_gets_none(tmp_path: Path, teacher: Path) -> None:
+  with pytest.raises(ConfigError, match="a distillation needs a teacher"):
+    run(student_agent(), tmp_path)
+  with pytest.raises(ConfigError, match="the learner is no RslRlDistillationRunnerCfg"):
+    run(teacher_agent(), tmp_path, teacher=teacher)
+  with pytest.raises(ConfigError, match="has its own"):
+    run(student_agent(), tmp_path, teacher=teacher, resume=teacher)
+  with pytest.raises(CheckpointError, match="no 'student_state_dict' in it"):
+    run(student_agent(teacher=teacher_agent().actor), tmp_path, resume=teacher)
+  agent = student_agent(teacher=teacher_agent().actor)
+  bare = MjlabDistillationRunner(RslRlVecEnvWrapper(ToldPointEnv(ToldPointEnvCfg())), agent, None, console=QUIET)
+  with pytest.raises(ConfigError, match="there is no teacher to learn from"):
+    bare.learn(1)
+
+
+def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher: Path) -> None:
+  checkpoint = run(student_agent(), tmp_path, teacher=teacher).checkpoint
+  assert checkpoint is not None
+  agent = student_agent()
+  agent.algorithm.learning_rate = 0.5
+  made = runner(agent, teacher)
+  made.load(str(checkpoint))
+  assert [group["lr"] for group in made.alg.optimizer.param_groups] == [0.5]
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 4), "gradient_length is 4; it must divide .*, 6, or the"),
+    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 0), "gradient_length is 0; it must be at least 1"),
+    (lambda cfg: setattr(cfg.algorithm, "max_grad_norm", 0.0), "max_grad_norm is 0.0; it must be positive"),
+    (lambda cfg: setattr(cfg.student, "activation", "ellu"), "agent.student.activation: activation 'ellu'"),
+    (lambda cfg: setattr(cfg.student, "distribution_cfg", None), r"agent\.student\.distribution_cfg is None"),
+    (lambda cfg: setattr(cfg, "teacher", RslRlModelCfg(hidden_dims=(0,))), "agent.teacher.hidden_dims is 0"),
+  ],
+)
+def test_impossible_settings_of_a_distillation_are_named_as_flags_name_them(
+  change: Callable[[Any], None], message: str
+) -> None:
+  cfg = student_agent()
+  change(cfg)
+  with pytest.raises(ConfigError, match=message):
+    cfg.to_rsl_rl()
+
+
+def test_no_distillation_without_gradient_limit(teacher: Path) -> None:
+  agent = student_agent()
+  agent.algorithm.max_grad_norm = None
+  runner(agent, teacher).learn(1)
