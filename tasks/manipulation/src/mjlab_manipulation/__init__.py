@@ -1,5 +1,6 @@
 """An arm lifts cubes to where it is told."""
 
+from mjlab_manipulation.distillation import distillation_agent, lift_cube_depth_distill, lift_cube_rgb_distill
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images, randomize_images
 from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
@@ -14,13 +15,16 @@ from mjlab_manipulation.vision import (
 
 __all__ = [
   "LiftEvaluation",
+  "distillation_agent",
   "lift_cube",
   "lift_cube_depth",
+  "lift_cube_depth_distill",
   "lift_cube_depth_env",
   "lift_cube_env",
   "lift_cube_ik",
   "lift_cube_ik_env",
   "lift_cube_rgb",
+  "lift_cube_rgb_distill",
   "lift_cube_rgb_env",
   "lift_env",
   "multi_cube_seg",

@@ -27,6 +27,9 @@ class Arguments:
   resume: str | None = None
   """Run to continue, with its configuration and the flags given here: latest (of this task, also without a value),
   the name or directory of a run, or a checkpoint file."""
+  teacher: str | None = None
+  """Policy to imitate, in tasks that distil one: latest (of the task that teaches; also None), the name or directory of
+  a run, or a checkpoint file."""
   log_root: str = "logs"
   """Folder of all runs."""
   viewer: bool = False
@@ -103,6 +106,8 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if wanted.verbose and wanted.quiet:
     raise UsageError("--verbose and --quiet exclude each other")
+  if wanted.teacher is not None and wanted.resume is not None:
+    raise UsageError("--teacher and --resume exclude each other: a run that is continued has its teacher")
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
   device = making.resolve_device(wanted.device)
   checkpoint = _checkpoint(wanted, name)
@@ -114,6 +119,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     default = None
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
+  teacher = _teacher(wanted, name)
   if wanted.seed is not None:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
     wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
@@ -124,6 +130,8 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   console.say(f"{name}: {worlds} worlds{hint} on {where}")
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
+  if teacher is not None:
+    console.say(f"learning from {teacher}")
 
   watchers = Watchers(wanted)
   is_built = False
@@ -145,6 +153,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       device=device,
       log_root=wanted.log_root,
       resume=checkpoint,
+      teacher=teacher,
       console=console,
       command=["train", name, *given],
       on_ready=on_ready,
@@ -208,6 +217,32 @@ def _checkpoint(wanted: Arguments, task: str) -> Path | None:
   return find_checkpoint(
     wanted.resume, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name, task=task
   )
+
+
+def _teacher(wanted: Arguments, task: str) -> Path | None:
+  """The checkpoint of the policy to imitate; None where none is, or where the run that is continued has its own."""
+  from mjlab_rl import RslRlDistillationRunnerCfg, find_checkpoint
+
+  agent = wanted.agent
+  if not isinstance(agent, RslRlDistillationRunnerCfg):
+    if wanted.teacher is not None:
+      raise UsageError(f"--teacher: {task} imitates nobody; `list-envs distill` lists the tasks that do")
+    return None
+  if wanted.resume is not None:
+    return None
+  if agent.teacher_task is None:
+    if wanted.teacher in (None, "latest"):
+      raise UsageError(f"{task} imitates a policy: name its run or checkpoint with --teacher")
+    experiment = agent.experiment_name
+  else:
+    experiment = load_named_task(agent.teacher_task).agent.experiment_name
+  try:
+    return find_checkpoint(
+      wanted.teacher or "latest", log_root=Path(wanted.log_root), experiment=experiment, task=agent.teacher_task
+    )
+  except FileNotFoundError as error:
+    train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
+    raise UsageError(f"no teacher: {error}{train_one}") from error
 
 
 def _manifest(checkpoint: Path, task: str, console: "Console") -> "RunManifest | None":

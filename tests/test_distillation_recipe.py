@@ -1,0 +1,78 @@
+"""The commands by which a student that sees learns from a teacher that is told, as the README gives them, in small."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from mjlab import cli
+from mjlab_rl import RslRlDistillationRunnerCfg, load_run
+
+README = Path(__file__).parents[1] / "tasks" / "manipulation" / "README.md"
+STUDENT = "Mjlab-Lift-Cube-Yam-Depth-Distill"
+FEW = ["--env.scene.num-envs", "4", "--agent.num-steps-per-env", "8"]
+SMALL = {
+  "train": ["--quiet", *FEW],
+  "evaluate": ["--eval.episodes", "2", "--eval.seconds", "0.1", "--quiet"],
+  "play": ["--video", "film.mp4", "--video-length", "0.1", "--video-width", "64", "--video-height", "64"],
+}
+
+
+def recipe() -> list[list[str]]:
+  (block,) = re.findall(r"\*\*Distillation\.\*\*.*?```bash\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+  return [shlex.split(line, comments=True) for line in block.splitlines()]
+
+
+def run(words: list[str], *more: str) -> int:
+  return cli.main([*words, "--device", "cpu", *more])
+
+
+@pytest.mark.warp
+def test_the_recipe_of_the_readme_runs_from_teacher_to_resumed_student(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  pixels = ["--env.scene.sensors.wrist-camera.width", "16", "--env.scene.sensors.wrist-camera.height", "16"]
+  for words in recipe():
+    small = [*SMALL[words[0]], *(pixels if words[:2] == ["train", STUDENT] else [])]
+    if "--agent.max-iterations" in words:
+      small += ["--agent.max-iterations", "2"]
+    elif words[0] == "train":
+      small += ["--agent.max-iterations", "1"]
+    assert run(words, *small) == 0, words
+  (taught,), students = (sorted(Path("logs", name).iterdir()) for name in ("yam_lift_cube", "yam_lift_cube_distill"))
+  assert (Path("film.mp4").stat().st_size > 0, len(students)) == (True, 2)
+  for student in students:
+    manifest = load_run(student)
+    assert isinstance(manifest.agent, RslRlDistillationRunnerCfg)
+    assert manifest.teacher is not None
+    assert Path(manifest.teacher.checkpoint).parent.resolve() == taught.resolve()
+    assert manifest.env.scene.sensors["wrist_camera"].width == 16
+  assert (students[1] / "model_2.pt").is_file()
+  header = (students[0] / "progress.csv").read_text().splitlines()[0].split(",")
+  # The difference to the teacher, and what is said of any training of the task.
+  assert {"Loss/behavior", "Episode_Reward/lift", "Episode_Metrics/held"} <= set(header)
+  for directory in (taught, students[0]):
+    (evaluation,) = directory.glob("evaluation/*/evaluation.json")
+    assert "success_rate" in json.loads(evaluation.read_text())["groups"]["all"]
+
+
+@pytest.mark.parametrize(
+  ("words", "message"),
+  [
+    ([STUDENT], "no teacher: no run of Mjlab-Lift-Cube-Yam with a checkpoint in logs/yam_lift_cube. Train one with"),
+    ([STUDENT, "--teacher", "nowhere"], "no teacher: 'nowhere' is neither a checkpoint nor a run"),
+    ([STUDENT, "--teacher", "x", "--resume", "y"], "exclude each other"),
+    (["Mjlab-Lift-Cube-Yam-Depth", "--teacher", "x"], "Mjlab-Lift-Cube-Yam-Depth imitates nobody; `list-envs distill`"),
+  ],
+)
+def test_what_cannot_be_taught_is_said_in_one_line(
+  words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  assert cli.train([*words, "--device", "cpu"]) != 0
+  told = capsys.readouterr().err
+  assert message in told
+  assert told.count("\n") == 1
+  assert list(tmp_path.iterdir()) == []
