@@ -173,6 +173,36 @@ def test_an_error_while_recording_leaves_nothing_half_recorded(recording: Any) -
   assert (graph.num_graphs, calls[-1]) == (1, True)
 
 
+def test_contacts_are_in_a_new_recording_once_somebody_wants_them(recording: Any) -> None:
+  graph = recording(lambda sim: sim.step())
+  sim = graph._sim
+  for _ in range(4):
+    graph()
+  assert graph.num_graphs == 1
+  sim.contacts(0)
+  assert graph.num_graphs == 0
+  graph()
+  graph()
+  sim.contacts(1)
+  assert graph.num_graphs == 1
+
+
+@pytest.mark.parametrize("eager", [False, True])
+def test_contacts_are_not_asked_for_first_inside_a_recorded_step(recording: Any, eager: bool) -> None:
+  calls: list[None] = []
+
+  def look(sim: Simulation) -> None:
+    calls.append(None)
+    if len(calls) > 3:
+      sim.contacts(0)
+
+  graph = recording((lambda sim: sim.graph_break(lambda: look(sim))) if eager else look)
+  for _ in range(3):
+    graph()
+  with pytest.raises(SimulationError, match="kept from the first call on; call it before the first recorded step"):
+    graph()
+
+
 @pytest.mark.parametrize("eager", [False, True])
 def test_memory_is_not_replaced_under_a_recorded_step(recording: Any, eager: bool) -> None:
   calls: list[None] = []

@@ -1,6 +1,7 @@
 """Many MuJoCo worlds as PyTorch tensors: MuJoCo Warp on a GPU, MuJoCo's batch engine on a CPU."""
 
 from mjlab_sim.config import NanGuardCfg, SimulationCfg
+from mjlab_sim.contacts import Contacts
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import PER_WORLD
 from mjlab_sim.nan_dump import Culprit, DivergedWorld, NanDump, Replay
@@ -12,6 +13,7 @@ from mjlab_sim.torch_array import TorchArray
 
 __all__ = [
   "PER_WORLD",
+  "Contacts",
   "Culprit",
   "DataType",
   "DivergedWorld",

@@ -4,6 +4,7 @@ from typing import Protocol
 
 import torch
 
+from mjlab_sim.contacts import EngineContacts
 from mjlab_sim.rays import EngineRayCaster
 from mjlab_sim.rendering import EngineRenderer, View
 from mjlab_sim.static_rays import RayTargets
@@ -54,6 +55,10 @@ class Engine(Protocol):
 
   def renderer(self, view: View) -> EngineRenderer:
     """A renderer with fixed images."""
+    ...
+
+  def contacts(self) -> EngineContacts:
+    """The record of contacts, which every step keeps from the first call on."""
     ...
 
   def count_overflow(self) -> None:

@@ -1,5 +1,7 @@
 """Which fields of MuJoCo's model may differ per world, and which of them are derived from others."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from mjlab_core.names import unknown
@@ -96,3 +98,12 @@ def _has_routes(model: mujoco.MjModel) -> bool:
   return bool(np.isin(model.actuator_trntype, [int(kind) for kind in kinds]).any()) or bool(
     (model.wrap_type != int(mujoco.mjtWrap.mjWRAP_JOINT)).any()
   )
+
+
+def put(data: mujoco.MjData, name: str, value: np.ndarray) -> None:
+  """Write one world's value of a field of `STATE`, in whatever shape an engine has it."""
+  target: Any = getattr(data, name)
+  if np.ndim(target):
+    target[:] = value.reshape(np.shape(target))
+  else:
+    setattr(data, name, float(value))

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from mjlab_sim.errors import SimulationError
+from mjlab_sim.fields import put
 
 FORMAT = "mjlab NaN dump 1"
 
@@ -128,7 +129,7 @@ class DivergedWorld:
       for name, values in self.states.items():
         # Events may write the state between environment steps; within one it is MuJoCo C's own.
         if name not in _INTEGRATED or (begins and np.isfinite(values[step]).all()):
-          _put(data, name, values[step])
+          put(data, name, values[step])
       with _quiet():
         mujoco.mj_step(model, data)
       finite = bool(np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all() and np.isfinite(data.qacc).all())
@@ -241,14 +242,6 @@ def _quiet() -> Generator[None, None, None]:
     yield
   finally:
     mujoco.set_mju_user_warning(before)
-
-
-def _put(data: mujoco.MjData, name: str, value: np.ndarray) -> None:
-  target = getattr(data, name)
-  if np.ndim(target):
-    target[:] = value.reshape(np.shape(target))
-  else:
-    setattr(data, name, float(value))
 
 
 def _element(model: mujoco.MjModel, field: str, index: int, shape: tuple[int, ...]) -> str:

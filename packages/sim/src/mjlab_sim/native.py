@@ -12,6 +12,7 @@ from mujoco import batch
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.native_contacts import NativeContacts
 from mjlab_sim.native_rays import NativeRayCaster, ground_geoms, ground_model
 from mjlab_sim.rendering import EngineRenderer, View
 from mjlab_sim.static_rays import RayTargets
@@ -70,6 +71,7 @@ class NativeEngine:
     self._shared: dict[str, tuple[TorchArray, int]] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
     self._stage: Stage | None = None
+    self._contacts: NativeContacts | None = None
     self._batch.reset(stage=_VEL)
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
     self._seen = [array.copy() for array in self._kinematic]
@@ -113,6 +115,8 @@ class NativeEngine:
 
   def step(self) -> None:
     self._push_shared()
+    if self._contacts is not None:
+      self._contacts.remember()
     self._batch.step(stage=_VEL)
     self._remember()
 
@@ -145,6 +149,8 @@ class NativeEngine:
       self._batch.reset(worlds, stage=_NONE)
       self._warnings[worlds] = 0
       self._stale |= worlds
+      if self._contacts is not None:
+        self._contacts.forget(worlds)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
     self._push_shared()
@@ -184,6 +190,11 @@ class NativeEngine:
       self._stage = native_stage(self)
     return self._stage.renderer(view)
 
+  def contacts(self) -> NativeContacts:
+    if self._contacts is None:
+      self._contacts = NativeContacts(self._batch)
+    return self._contacts
+
   def _count_warnings(self) -> np.ndarray:
     return self._batch.warning[:, list(_BUFFERS.values()), 1]
 
@@ -212,4 +223,5 @@ class NativeEngine:
     self._kinematic.clear()
     self._grounds.clear()
     self._stage = None
+    self._contacts = None
     del self._batch

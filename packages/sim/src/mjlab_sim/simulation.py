@@ -10,6 +10,7 @@ import torch
 from mjlab_core.names import unknown
 
 from mjlab_sim.config import SimulationCfg
+from mjlab_sim.contacts import Contacts, EngineContacts
 from mjlab_sim.engine import Engine
 from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
@@ -81,6 +82,7 @@ class Simulation:
     self._is_replaying = False
     self._graphs: list[StepGraph] = []
     self._closed = False
+    self._contacts: EngineContacts | None = None
     self._fixed_geometry: FixedGeometry | None = None
     self._rays_count_on_fixed = True
 
@@ -255,7 +257,27 @@ class Simulation:
       target.copy_(value)
     self._state_version = -1
 
-  # Rays, images, overflow
+  # Contacts, rays, images, overflow
+
+  def contacts(self, world: int) -> Contacts:
+    """Contacts of one world in the physics step just done, for whoever looks at it.
+
+    Every step keeps them from the first call on, at a cost of the few worlds asked for: all of up to 64, else those
+    asked for last. None are found before the first step after that, nor in a world just reset.
+
+    Raises:
+      SimulationError: no such world, or a first call from inside a recorded step.
+    """
+    self._check_open()
+    if not 0 <= world < self.num_envs:
+      raise SimulationError(f"world must be from 0 to {self.num_envs - 1}, got {world}")
+    if self._contacts is None:
+      if self._recorder is not None or self._is_replaying:
+        raise SimulationError("contacts are kept from the first call on; call it before the first recorded step")
+      self._contacts = self._engine.contacts()
+      for graph in self._graphs:
+        graph.invalidate()
+    return self._contacts.of(world)
 
   def make_ray_caster(
     self,

@@ -24,6 +24,7 @@ from mjlab_sim.kernel_loading import load_kernels
 from mjlab_sim.rendering import View
 from mjlab_sim.static_rays import RayTargets
 from mjlab_sim.torch_array import TorchArray
+from mjlab_sim.warp_contacts import WarpContacts
 from mjlab_sim.warp_rays import FixedTriangles, Surfaces, WarpRayCaster
 from mjlab_sim.warp_rendering import Stage, WarpRenderer
 
@@ -65,6 +66,7 @@ class WarpEngine:
     self._graphs: dict[str, Callable[[], None]] = {}
     self._fixed_triangles: dict[bytes, FixedTriangles] = {}
     self._surfaces: Surfaces | None = None
+    self._contacts: WarpContacts | None = None
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
     self._caster_numbers = itertools.count()
@@ -214,6 +216,8 @@ class WarpEngine:
         device=self._wp_device,
       )
     mjw.step2(self._m, self._d)
+    if self._contacts is not None:
+      self._contacts.record()
     self._forward()
 
   def _forward(self) -> None:
@@ -246,6 +250,8 @@ class WarpEngine:
         shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
         flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
         wp.launch(warp_kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat], device=device)
+    if self._contacts is not None:
+      self._contacts.forget(self._mask)
 
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
@@ -319,10 +325,17 @@ class WarpEngine:
   def renderer(self, view: View) -> WarpRenderer:
     return self._stage.renderer(view)
 
+  def contacts(self) -> WarpContacts:
+    if self._contacts is None:
+      self._contacts = WarpContacts(self._m, self._d, self._num_envs, self._wp_device)
+      self._graphs.clear()
+    return self._contacts
+
   def close(self) -> None:
     self._graphs.clear()
     self._fixed_triangles.clear()
     self._surfaces = None
+    self._contacts = None
     self._data_views.clear()
     self._model_views.clear()
 

@@ -3,7 +3,8 @@
 import warp as wp
 from mujoco_warp._src.ray import ray_geom
 from mujoco_warp._src.render_util import compute_ray
-from mujoco_warp._src.types import GeomType
+from mujoco_warp._src.support import contact_force_fn
+from mujoco_warp._src.types import GeomType, vec5
 
 MESH = wp.constant(int(GeomType.MESH))
 HFIELD = wp.constant(int(GeomType.HFIELD))
@@ -201,3 +202,53 @@ def develop(
     seen = seen_object[world, seg_adr[0] + pixel]
     segmentation[world, 0, pixel] = seen[0]
     segmentation[world, 1, pixel] = seen[1]
+
+
+# A module of its own: whoever looks at nothing does not compile it.
+@wp.kernel(enable_backward=False, module="unique")
+def record_contacts(
+  cone: int,
+  num_contacts: wp.array[int],
+  worldid: wp.array[int],
+  efc_address: wp.array2d[int],
+  geom: wp.array[wp.vec2i],
+  dist: wp.array[float],
+  pos: wp.array[wp.vec3],
+  frame: wp.array[wp.mat33],
+  friction: wp.array[vec5],
+  dim: wp.array[int],
+  adhesion: wp.array[float],
+  efc_force: wp.array2d[float],
+  njmax: int,
+  slot_of: wp.array[int],
+  count: wp.array[int],
+  kept_geom: wp.array2d[wp.vec2i],
+  kept_dist: wp.array2d[float],
+  kept_pos: wp.array2d[wp.vec3],
+  kept_normal: wp.array2d[wp.vec3],
+  kept_force: wp.array2d[wp.vec3],
+):
+  """Appends the contacts of watched worlds that are in the solver to the rows of their slot."""
+  contact = wp.tid()
+  if contact >= num_contacts[0]:
+    return
+  world = worldid[contact]
+  slot = slot_of[world]
+  if slot < 0 or efc_address[contact, 0] < 0:
+    return
+  row = wp.atomic_add(count, slot, 1)
+  force = contact_force_fn(
+    cone, frame, friction, dim, efc_address, adhesion, efc_force, njmax, num_contacts, world, contact, True
+  )
+  kept_geom[slot, row] = geom[contact]
+  kept_dist[slot, row] = dist[contact]
+  kept_pos[slot, row] = pos[contact]
+  kept_normal[slot, row] = wp.vec3(frame[contact][0, 0], frame[contact][0, 1], frame[contact][0, 2])
+  kept_force[slot, row] = wp.spatial_top(force)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def forget_contacts(mask: wp.array[bool], slot_of: wp.array[int], count: wp.array[int]):
+  world = wp.tid()
+  if mask[world] and slot_of[world] >= 0:
+    count[slot_of[world]] = 0

@@ -1,0 +1,217 @@
+"""Contacts are those that the engine had: of the substep just done, with the forces it solved for."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sim import Contacts, Simulation, SimulationCfg, SimulationError
+from mjlab_sim.contacts import MOST_WORLDS, Watched
+from sim_world import NUM_WORLDS, SIZES, WORLD, reference, scatter
+
+MakeSim = Callable[..., Simulation]
+# Masses of what rests on the floor, by geom.
+RESTING = {"ball": 1.0, "rod": 0.5, "block": 2.0}
+
+
+def found(contacts: Contacts) -> dict[str, np.ndarray]:
+  """Its fields by name, without the rows that are none, in an order that follows from what they are."""
+  rows = contacts.found.numpy()
+  fields = {name: field.double().numpy()[rows] for name, field in vars(contacts).items() if name != "found"}
+  order = np.lexsort((*np.round(fields["pos"], 5).T, *fields["geom"].T))
+  return {name: field[order] for name, field in fields.items()}
+
+
+def bits(sim: Simulation) -> list[torch.Tensor]:
+  return list(sim.state_dict()["data"].values())
+
+
+def test_what_rests_is_carried_by_its_contacts(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  model = sim.mj_model
+  for world in range(NUM_WORLDS):
+    assert not sim.contacts(world).found.any()
+  for _ in range(1500):
+    sim.step()
+  for world in range(NUM_WORLDS):
+    contacts = found(sim.contacts(world))
+    for name, mass in RESTING.items():
+      rows = (contacts["geom"] == model.geom(name).id).any(axis=1)
+      # The floor comes first, so that forces are those on what rests.
+      assert (contacts["geom"][rows, 0] == model.geom("floor").id).all()
+      np.testing.assert_allclose(contacts["force"][rows].sum(axis=0), [0, 0, 9.81 * mass], rtol=2e-3, atol=2e-2)
+      np.testing.assert_allclose(contacts["normal"][rows], np.tile([0.0, 0.0, 1.0], (rows.sum(), 1)), atol=1e-6)
+    assert (np.abs(contacts["dist"]) < 2e-3).all()
+
+
+def test_contacts_are_what_the_engines_own_contact_sensor_says(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  block, column = sim.mj_model.geom("block").id, int(sim.mj_model.sensor("contact").adr[0])
+  sim.contacts(0)
+  scatter(sim)
+  seen = 0
+  for _ in range(40):
+    sim.step()
+    for world in range(NUM_WORLDS):
+      sensed = sim.data.sensordata[world, column : column + 40].double().numpy().reshape(4, 10)
+      sensed = sensed[sensed[:, 0] > 0]
+      contacts = found(sim.contacts(world))
+      rows = (contacts["geom"] == block).any(axis=1)
+      assert rows.sum() == len(sensed)
+      seen += len(sensed)
+      # The sensor tells of the block's contacts with the floor, which is geom 2 of the pair: its normal is turned.
+      order = np.lexsort(np.round(sensed[:, 4:7], 5).T)
+      np.testing.assert_array_equal(contacts["pos"][rows], sensed[order, 4:7])
+      np.testing.assert_array_equal(contacts["normal"][rows], -sensed[order, 7:10])
+      along = (contacts["force"] * contacts["normal"]).sum(axis=1)[rows]
+      np.testing.assert_allclose(along, sensed[order, 1], rtol=1e-6, atol=1e-6)
+  assert seen > 100
+
+
+def test_they_are_those_of_mujoco_c_in_the_state_before_the_step(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.expand_model_fields(["geom_friction", "body_mass"])
+  sim.model.geom_friction[2] *= 0.3
+  sim.model.body_mass[3] *= 1.5
+  sim.recompute_constants()
+  sim.contacts(0)
+  scatter(sim)
+  for _ in range(30):
+    sim.step()
+  befores = [reference(sim, world) for world in range(NUM_WORLDS)]
+  sim.step()
+  exact, seen = engine == "native", 0
+  for world, (shared, data) in enumerate(befores):
+    model = mujoco.MjModel.from_binary_path("m.mjb", {"m.mjb": saved(shared)})
+    for name in sim.expanded_fields:
+      field = getattr(model, name)
+      field[:] = sim.model[name][world].numpy().reshape(field.shape)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    mujoco.mj_forward(model, data)
+    contacts = found(sim.contacts(world))
+    order = np.lexsort((*np.round(data.contact.pos, 5).T, *data.contact.geom.T))
+    assert len(order) == len(contacts["pos"])
+    seen += len(order)
+    force = np.zeros((len(order), 6))
+    for row, number in enumerate(order):
+      mujoco.mj_contactForce(model, data, number, force[row])
+    frames = data.contact.frame[order].reshape(-1, 3, 3)
+    expected = {
+      "geom": data.contact.geom[order],
+      "dist": data.contact.dist[order],
+      "pos": data.contact.pos[order],
+      "normal": frames[:, 0],
+      "force": np.einsum("nij,ni->nj", frames, force[:, :3]),
+    }
+    if exact:
+      for name, values in expected.items():
+        np.testing.assert_array_equal(contacts[name], values, err_msg=name)
+      # What they add up to in the joints is the engine's own number, bit for bit.
+      np.testing.assert_array_equal(data.qfrc_constraint, sim.data.qfrc_constraint[world].numpy())
+      continue
+    np.testing.assert_array_equal(contacts["geom"], expected["geom"])
+    for name in ("dist", "pos", "normal"):
+      np.testing.assert_allclose(contacts[name], expected[name], atol=1e-5, err_msg=name)
+    # How the corners of a box share its weight is not determined to single precision; what they bear together is.
+    for geom in np.unique(expected["geom"][:, 1]):
+      rows = expected["geom"][:, 1] == geom
+      force, other = contacts["force"][rows].sum(axis=0), expected["force"][rows].sum(axis=0)
+      assert np.linalg.norm(force - other) < 2e-3 * np.linalg.norm(other)
+  assert seen > NUM_WORLDS
+
+
+def saved(model: mujoco.MjModel) -> bytes:
+  buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+  mujoco.mj_saveModel(model, None, buffer)
+  return buffer.tobytes()
+
+
+def test_looking_at_contacts_changes_no_bit_of_the_worlds(make_sim: MakeSim, engine: str) -> None:
+  states = []
+  for looks in (False, True):
+    sim = make_sim(engine)
+    scatter(sim)
+    for step in range(12):
+      sim.step()
+      if looks:
+        sim.contacts(step % NUM_WORLDS)
+      if step == 6:
+        sim.reset(torch.tensor([False, True, False, False]))
+    states.append(bits(sim))
+  assert all(torch.equal(a, b) for a, b in zip(*states, strict=True))
+
+
+def test_a_world_that_was_reset_has_no_contacts_and_the_others_keep_theirs(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  sim.contacts(0)
+  for _ in range(5):
+    sim.step()
+  before = [found(sim.contacts(world)) for world in range(NUM_WORLDS)]
+  sim.reset(torch.tensor([False, True, False, False]))
+  # Derived quantities are computed anew; contacts belong to the substep just done.
+  _ = sim.data.xpos
+  for world in range(NUM_WORLDS):
+    after = found(sim.contacts(world))
+    if world == 1:
+      assert not len(after["pos"])
+    else:
+      assert len(after["pos"])
+      np.testing.assert_array_equal(after["force"], before[world]["force"])
+  sim.step()
+  assert len(found(sim.contacts(1))["pos"])
+
+
+def test_of_many_worlds_those_asked_for_last_are_kept(make_sim: MakeSim, engine: str) -> None:
+  many = MOST_WORLDS + 6
+  sim = make_sim(engine, num_envs=many)
+  sim.contacts(0)
+  sim.step()
+  last = many - 1
+  assert sim.contacts(0).found.any()
+  assert not sim.contacts(last).found.any()
+  sim.step()
+  np.testing.assert_allclose(found(sim.contacts(last))["force"], found(sim.contacts(0))["force"], atol=1e-4)
+  # World 1 had to leave.
+  assert not sim.contacts(1).found.any()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
+  sim = Simulation(MOST_WORLDS + 6, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
+  graph = sim.capture(sim.step)
+  for _ in range(5):
+    graph()
+  assert not sim.contacts(3).found.any()
+  for _ in range(400):
+    graph()
+  assert graph.num_graphs == 1
+  # A world that comes later needs no new recording.
+  last = MOST_WORLDS + 5
+  assert not sim.contacts(last).found.any()
+  graph()
+  assert graph.num_graphs == 1
+  for world in (3, last):
+    contacts = sim.contacts(world)
+    weight = contacts.force[contacts.found].sum(dim=0)
+    torch.testing.assert_close(
+      weight.cpu(), torch.tensor([0.0, 0.0, 9.81 * sum(RESTING.values())]), rtol=5e-3, atol=0.05
+    )
+  sim.close()
+
+
+def test_the_least_recently_asked_for_leaves_first() -> None:
+  watched = Watched(MOST_WORLDS + 10)
+  assert watched.slot(0) == (0, None)
+  assert watched.slot(MOST_WORLDS) == (1, 1)
+  assert watched.slot(1) == (2, 2)
+  assert watched.slot(0) == (0, None)
+  assert sorted(watched.worlds) == [0, 1, *range(3, MOST_WORLDS + 1)]
+  assert watched.worlds[1] == MOST_WORLDS
+
+
+def test_a_world_that_does_not_exist_is_refused(make_sim: MakeSim) -> None:
+  sim = make_sim()
+  for world in (-1, NUM_WORLDS):
+    with pytest.raises(SimulationError, match=f"world must be from 0 to 3, got {world}"):
+      sim.contacts(world)
