@@ -52,7 +52,7 @@ def run_with_task(
   if name.startswith("-"):
     raise UsageError(f"the task comes first. {usage}")
   making.share_cores()
-  task = _load_named_task(name)
+  task = load_named_task(name)
   word = _help_word(given)
   if word is not None:
     _print_task_help(command, name, arguments(**configs(task)), word)
@@ -72,7 +72,7 @@ def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any
     raise BuildError(str(error)) from error
 
 
-def _load_named_task(name: str) -> "TaskCfg[Any]":
+def load_named_task(name: str) -> "TaskCfg[Any]":
   """The task that a command line names.
 
   Raises:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._task_command import run_with_task
+from mjlab.cli._task_command import load_named_task, run_with_task
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
