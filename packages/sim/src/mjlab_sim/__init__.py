@@ -8,7 +8,8 @@ from mjlab_sim.nan_dump import Culprit, DivergedWorld, NanDump, Replay
 from mjlab_sim.nan_guard import NanGuard
 from mjlab_sim.rays import RayCaster, RayHits
 from mjlab_sim.rendering import DataType, Images, Renderer
-from mjlab_sim.simulation import Simulation, StepGraph
+from mjlab_sim.simulation import Simulation
+from mjlab_sim.step_graph import StepGraph
 from mjlab_sim.torch_array import TorchArray
 
 __all__ = [
