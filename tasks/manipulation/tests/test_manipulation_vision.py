@@ -1,6 +1,7 @@
 """What the policies that see are given, against the geometry of the scene."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,21 @@ def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
     console = Console("quiet")
     result = train(task, name="Seeing", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=console)
     assert result.iterations == 1
+
+
+@pytest.mark.parametrize(("rnn_type", "sees"), [("gru", False), ("lstm", True)], ids=["told critic", "shared encoder"])
+def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) -> None:
+  task = lift_cube_depth()
+  assert isinstance(task.agent, RslRlOnPolicyRunnerCfg)
+  task.agent.actor.rnn_type = rnn_type
+  if sees:
+    task.agent.critic = replace(task.agent.actor, distribution_cfg=None)
+    task.agent.obs_groups["critic"] = ("critic", "camera")
+    task.agent.algorithm.share_cnn_encoders = True
+  task.env.scene.num_envs, task.env.seed = 4, 0
+  task.agent.num_steps_per_env, task.agent.max_iterations = 4, 2
+  result = train(task, name="Seeing", make_env=ManagerBasedRlEnv, log_root=None, console=Console("quiet"))
+  assert result.iterations == 2
 
 
 @pytest.mark.parametrize(

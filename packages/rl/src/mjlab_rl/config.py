@@ -32,18 +32,21 @@ class RslRlModelCfg:
   cnn_cfg: dict[str, Any] | None = None
   """Convolution settings of image groups; None: no image groups."""
   rnn_type: Literal["lstm", "gru"] | None = None
-  """Recurrent layer in front of the network; None: none. Needs class_name "RNNModel"."""
+  """Recurrent layer between what is seen and the hidden layers; None: none."""
   rnn_hidden_dim: int = 256
   """Width of the recurrent layer."""
   rnn_num_layers: int = 1
   """Number of recurrent layers."""
   class_name: str = "MLPModel"
-  """rsl-rl's "MLPModel", "CNNModel" or "RNNModel", or "module:Class"."""
+  """rsl-rl's "MLPModel" or, for images, "CNNModel", with or without `rnn_type`, or "module:Class"."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
     """Arguments of the model class, without the optional parts that are off."""
+    names = {"CNNModel": "mjlab_rl.image_model:ImageModel"}
+    if self.rnn_type is not None:
+      names["MLPModel"] = "RNNModel"
     model: dict[str, Any] = {
-      "class_name": self.class_name,
+      "class_name": names.get(self.class_name, self.class_name),
       "hidden_dims": list(self.hidden_dims),
       "activation": self.activation,
       "obs_normalization": self.obs_normalization,
@@ -246,6 +249,13 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     }
 
   def check_samples(self, num_envs: int) -> None:
+    remembers = self.actor.rnn_type or self.critic.rnn_type
+    # Trajectories are divided by worlds: where there are too few, some batches of rsl-rl would be empty.
+    if remembers and self.algorithm.num_mini_batches > num_envs:
+      raise ConfigError(
+        f"agent.algorithm.num_mini_batches is {self.algorithm.num_mini_batches}; where a network remembers, an "
+        f"iteration of {num_envs} worlds has 1 to {num_envs}"
+      )
     samples = num_envs * self.num_steps_per_env
     if not 1 <= self.algorithm.num_mini_batches <= samples:
       raise ConfigError(
@@ -316,6 +326,8 @@ def _check_model(network: str, model: RslRlModelCfg) -> None:
     _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
   if model.activation not in get_args(Activation):
     raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
+  for name in ("rnn_hidden_dim", "rnn_num_layers"):
+    _check(f"agent.{network}.{name}", getattr(model, name), "at least 1", lambda x: x >= 1)
 
 
 def _check_samples(network: str, model: RslRlModelCfg, why: str) -> None:

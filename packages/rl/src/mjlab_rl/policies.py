@@ -81,22 +81,35 @@ class OnnxPolicy:
     self._groups = agent.obs_groups[agent.policy]
     self._clip = agent.clip_actions
     inputs = {value.name: [d.dim_value for d in value.type.tensor_type.shape.dim] for value in model.graph.input}
-    self._input, *remembered = inputs
+    self._input = next(iter(inputs))
+    self._images = [group for group in self._groups if group in inputs]
+    remembered = [name for name in inputs if name != self._input and name not in self._images]
     self._width = inputs[self._input][-1]
     # A recurrent network takes its memory in, (layers, worlds, width), and gives it back, in the same order.
     self._memory = {name: np.zeros((inputs[name][0], num_envs, inputs[name][2]), np.float32) for name in remembered}
 
   def __call__(self, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
     """Actions (num_envs, num_actions) for observations by group."""
-    seen = torch.cat([observations[group] for group in self._groups], dim=-1)
+    seen = torch.cat([observations[group] for group in self._groups if group not in self._images], dim=-1)
     if self._width not in (0, seen.shape[-1]):
       raise CheckpointError(
         f"policy {self._path} does not fit: it takes {self._width} observations, here are {seen.shape[-1]}"
       )
-    actions, *memory = self._network.run(None, {self._input: seen.float().cpu().numpy(), **self._memory})
-    self._memory = dict(zip(self._memory, map(np.array, memory), strict=True))
-    result = torch.from_numpy(np.array(actions, dtype=np.float32)).to(seen.device)
+    shown = {self._input: seen, **{group: observations[group] for group in self._images}}
+    feed = {name: value.float().cpu().numpy() for name, value in shown.items()}
+    if self._images:
+      # What has convolutions was exported for one world alone.
+      alone = [self._run({name: value[i : i + 1] for name, value in feed.items()}, [i]) for i in range(len(seen))]
+      actions, *memory = (np.concatenate(values, axis=min(n, 1)) for n, values in enumerate(zip(*alone, strict=True)))
+    else:
+      actions, *memory = self._run(feed, slice(None))
+    self._memory = dict(zip(self._memory, memory, strict=True))
+    result = torch.from_numpy(actions.astype(np.float32)).to(seen.device)
     return result if self._clip is None else result.clamp(-self._clip, self._clip)
+
+  def _run(self, feed: dict[str, np.ndarray], worlds: Any) -> list[np.ndarray]:
+    memory = {name: value[:, worlds] for name, value in self._memory.items()}
+    return [np.array(value) for value in self._network.run(None, {**feed, **memory})]
 
   def reset(self, dones: torch.Tensor | None) -> None:
     """Forget what was remembered of these worlds, bool (num_envs,); None: of all."""

@@ -1,13 +1,12 @@
 """An image encoder that says where things are in the image."""
 
-import contextlib
-import io
 from typing import Any, cast
 
 import torch
-from rsl_rl.models import CNNModel
 from rsl_rl.modules import CNN
 from torch import nn
+
+from mjlab_rl.image_model import ImageModel
 
 
 class SpatialSoftmax(nn.Module):
@@ -30,37 +29,20 @@ class SpatialSoftmax(nn.Module):
     return torch.cat([(weight * self._x).sum(-1), (weight * self._y).sum(-1)], dim=-1)
 
 
-class SpatialSoftmaxCNNModel(CNNModel):
-  """rsl-rl's CNNModel whose encoders end in a spatial softmax instead of all their features.
+class SpatialSoftmaxCNNModel(ImageModel):
+  """An `ImageModel` whose encoders end in a spatial softmax instead of all their features.
 
-  `cnn_cfg` is that of CNNModel, or one for each image group, and may have a `temperature`; flattening and global
-  pooling are its own. Choose it by `class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"`.
+  `cnn_cfg` may have a `temperature`; flattening and global pooling are its own. Choose it by
+  `class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"`.
   """
 
-  def __init__(
-    self,
-    obs: Any,
-    obs_groups: dict[str, list[str]],
-    obs_set: str,
-    output_dim: int,
-    *,
-    cnn_cfg: dict[str, Any] | None = None,
-    cnns: Any = None,
-    **options: Any,
-  ) -> None:
-    with contextlib.ExitStack() as quiet:
-      if cnns is None:
-        if not cnn_cfg:
-          raise ValueError("cnn_cfg must say what the image encoders are made of")
-        own: dict[str, nn.Module] = {
-          group: _encoder(obs[group], dict(cnn_cfg.get(group, cnn_cfg)))
-          for group in obs_groups[obs_set]
-          if obs[group].dim() == 4
-        }
-        cnns = own
-        # The parent says that encoders it is given are shared; these are not.
-        quiet.enter_context(contextlib.redirect_stdout(io.StringIO()))
-      super().__init__(obs, obs_groups, obs_set, output_dim, cnns=cnns, **options)
+  @staticmethod
+  def make_encoder(images: torch.Tensor, *, temperature: float = 1.0, **cfg: Any) -> nn.Module:
+    _, channels, height, width = images.shape
+    cnn = CNN(input_dim=(height, width), input_channels=channels, flatten=False, **cfg)
+    # Of features that are not flattened both are known; rsl-rl's types allow for either.
+    size, features = cast("tuple[int, int]", cnn.output_dim), cast("int", cnn.output_channels)
+    return _Encoder(cnn, SpatialSoftmax(*size, temperature), features)
 
 
 class _Encoder(nn.Sequential):
@@ -71,12 +53,3 @@ class _Encoder(nn.Sequential):
   def __init__(self, cnn: CNN, softmax: SpatialSoftmax, channels: int) -> None:
     super().__init__(cnn, softmax)
     self.output_dim = 2 * channels
-
-
-def _encoder(images: torch.Tensor, cfg: dict[str, Any]) -> _Encoder:
-  temperature = cfg.pop("temperature", 1.0)
-  _, channels, height, width = images.shape
-  cnn = CNN(input_dim=(height, width), input_channels=channels, flatten=False, **cfg)
-  # Of features that are not flattened both are known; rsl-rl's types allow for either.
-  size, features = cast("tuple[int, int]", cnn.output_dim), cast("int", cnn.output_channels)
-  return _Encoder(cnn, SpatialSoftmax(*size, temperature), features)

@@ -1,0 +1,285 @@
+"""Networks that see, alone and in training: what they remember, whose encoders they share, what is exported of them."""
+
+import copy
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_rl import (
+  CheckpointPolicy,
+  ConfigError,
+  Console,
+  MjlabDistillationRunner,
+  MjlabOnPolicyRunner,
+  OnnxPolicy,
+  RslRlDistillationRunnerCfg,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  RslRlVecEnvWrapper,
+)
+from mjlab_rl.image_model import ImageModel
+from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
+from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from rsl_rl.utils import split_and_pad_trajectories
+from tensordict import TensorDict
+from test_rl_runner import assert_same, learner
+from torch.utils._python_dispatch import TorchDispatchMode
+
+CNN = {"output_channels": (4, 4), "kernel_size": (3, 3), "stride": (2, 2), "padding": "zeros"}
+SOFTMAX = "mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"
+GROUPS = {"net": ["speed", "camera"]}
+each_kind = pytest.mark.parametrize("kind", [ImageModel, SpatialSoftmaxCNNModel])
+each_memory = pytest.mark.parametrize("rnn_type", ["gru", "lstm"])
+
+
+class SeenPoint(PointEnv):
+  """The point as a bright spot on 8 x 8 pixels; `speed` is what the image does not show."""
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    place = torch.linspace(-1, 1, 8)
+    row = torch.exp(-8.0 * (place - self.state[:, :1]).square())
+    image = row[:, None, None, :] * torch.exp(-8.0 * place.square())[:, None]
+    return {**super().get_observations(), "camera": image, "speed": self.state[:, 1:].clone()}
+
+
+def observations(steps: tuple[int, ...], seed: int = 0) -> TensorDict:
+  generator = torch.Generator().manual_seed(seed)
+  seen = {
+    "speed": torch.rand(*steps, 1, generator=generator),
+    "camera": torch.rand(*steps, 1, 8, 8, generator=generator),
+  }
+  return TensorDict(seen, batch_size=list(steps))
+
+
+def model(kind: type[ImageModel], rnn_type: Any, **options: Any) -> ImageModel:
+  torch.manual_seed(0)
+  options = {"cnn_cfg": copy.deepcopy(CNN), "rnn_hidden_dim": 6, "rnn_num_layers": 2, **options}
+  return kind(observations((3,)), GROUPS, "net", 2, hidden_dims=(8,), rnn_type=rnn_type, **options)
+
+
+def agent(rnn_type: Any = None, class_name: str = SOFTMAX, **changes: Any) -> RslRlOnPolicyRunnerCfg:
+  cfg = RslRlOnPolicyRunnerCfg(max_iterations=4, num_steps_per_env=6, logger="none")
+  sees = {"class_name": class_name, "cnn_cfg": copy.deepcopy(CNN), "rnn_type": rnn_type, "rnn_hidden_dim": 6}
+  cfg.actor = replace(cfg.actor, hidden_dims=(8,), obs_normalization=True, **sees)
+  cfg.critic = RslRlModelCfg(hidden_dims=(8,))
+  cfg.obs_groups = {"actor": ("speed", "camera"), "critic": ("critic",)}
+  cfg.algorithm.num_mini_batches = 2
+  for name, value in changes.items():
+    setattr(cfg, name, value)
+  return cfg
+
+
+def critic_that_sees(cfg: RslRlOnPolicyRunnerCfg, rnn_type: Any, *, shared: bool) -> RslRlOnPolicyRunnerCfg:
+  cfg.critic = replace(cfg.actor, distribution_cfg=None, rnn_type=rnn_type)
+  cfg.obs_groups = {"actor": ("speed", "camera"), "critic": ("critic", "camera")}
+  cfg.algorithm.share_cnn_encoders = shared
+  return cfg
+
+
+def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None, worlds: int = 4) -> MjlabOnPolicyRunner:
+  seed_everything(cfg.seed)
+  env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=worlds), seed=3))
+  return MjlabOnPolicyRunner(RslRlVecEnvWrapper(env), cfg, directory, "cpu", console=Console("quiet"))
+
+
+@each_kind
+@each_memory
+def test_a_world_that_is_done_forgets_and_no_other_does(kind: type[ImageModel], rnn_type: str) -> None:
+  network = model(kind, rnn_type)
+  first, second = observations((3,), 1), observations((3,), 2)
+  with torch.no_grad():
+    network(first)
+    network.reset(torch.tensor([0, 1, 0]))
+    forgot = network(second)
+    network.reset()
+    blank = network(second)
+    network.reset()
+    network(first)
+    remembered = network(second)
+  assert torch.equal(forgot[1], blank[1])
+  assert torch.equal(forgot[[0, 2]], remembered[[0, 2]])
+  assert (blank - remembered).abs().amin() > 0.0
+
+
+@each_kind
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_whole_trajectories_give_what_their_steps_gave(kind: type[ImageModel], rnn_type: Any) -> None:
+  network = model(kind, rnn_type)
+  seen, dones = observations((5, 3)), torch.zeros(5, 3, 1, dtype=torch.uint8)
+  dones[1, 0] = dones[3, 2] = 1
+  steps: list[torch.Tensor] = []
+  blank = torch.zeros(2, 5, 6)
+  with torch.no_grad():
+    for step in range(5):
+      steps.append(network(seen[step]))
+      network.reset(dones[step, :, 0])
+    padded, masks = split_and_pad_trajectories(seen, dones)
+    whole = network(padded, masks=masks, hidden_state=(blank, blank) if rnn_type == "lstm" else blank)
+  # Three worlds, of which two began anew once.
+  assert padded.shape == (5, 5)
+  torch.testing.assert_close(whole, torch.stack(steps))
+
+
+@pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
+@pytest.mark.parametrize("critic", ["told", "own encoders", "shared encoders", "shared encoders, no memory"])
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, rnn_type: Any) -> None:
+  cfg = agent(rnn_type, class_name)
+  if critic != "told":
+    memory = None if "no memory" in critic else rnn_type
+    critic_that_sees(cfg, memory, shared="shared" in critic)
+  trained = runner(cfg)
+  before = {name: copy.deepcopy(network.state_dict()) for name, network in trained.networks.items()}
+  trained.learn(2, init_at_random_ep_len=True)
+  for name, network in trained.networks.items():
+    for key, value in network.state_dict().items():
+      assert value.isfinite().all(), (name, key)
+      if "weight" in key:
+        assert not torch.equal(value, before[name][key]), (name, key)
+  if critic != "told":
+    ours, theirs = (network.cnns for network in trained.networks.values())
+    assert (ours is theirs) == ("shared" in critic)
+  states = [network.get_hidden_state() is not None for network in trained.networks.values()]
+  assert states == [rnn_type is not None, rnn_type is not None and critic in ("own encoders", "shared encoders")]
+
+
+def test_shared_encoders_are_learned_once_and_saved_with_the_actor() -> None:
+  """rsl-rl hands its optimiser every weight of shared encoders twice, which torch warns of."""
+  shared, own = (runner(critic_that_sees(agent(), None, shared=shared)) for shared in (True, False))
+  numbers = [[id(p) for p in made.alg.optimizer.param_groups[0]["params"]] for made in (shared, own)]
+  assert len(numbers[0]) == len(set(numbers[0])) == len(numbers[1]) - 4
+  assert not any(name.startswith("cnns") for name in shared.networks["critic"].state_dict())
+  obs = shared.env.get_observations()
+  shared.networks["critic"](obs).sum().backward()
+  # What the critic asks for reaches them all the same.
+  encoders = [p for name, p in shared.networks["actor"].named_parameters() if name.startswith("cnns")]
+  assert len(encoders) == 4
+  assert all(p.grad is not None and p.grad.abs().amax() > 0.0 for p in encoders)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, shared: bool) -> None:
+  def configured() -> RslRlOnPolicyRunnerCfg:
+    return critic_that_sees(agent("gru"), "gru", shared=shared)
+
+  for name in ("whole", "half"):
+    (tmp_path / name).mkdir()
+  runner(configured(), tmp_path / "whole").learn(4, init_at_random_ep_len=True)
+  runner(configured(), tmp_path / "half").learn(2, init_at_random_ep_len=True)
+  resumed = runner(configured(), tmp_path / "half")
+  resumed.load(str(tmp_path / "half" / "model_2.pt"))
+  resumed.learn(2)
+  states = [learner(tmp_path / name / "model_4.pt") for name in ("whole", "half")]
+  for state in states:
+    del state["mjlab"]["elapsed"]
+  assert_same(*states)
+
+
+class Reads(TorchDispatchMode):
+  """Counts what a GPU would be waited for."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.count = 0
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.index.Tensor")
+    self.count += any(word in str(func) for word in words)
+    return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_steps_that_see_ask_the_device_nothing(rnn_type: Any) -> None:
+  trained = runner(agent(rnn_type))
+  with Reads() as reads:
+    trained._collect(trained.env.get_observations())
+  assert reads.count == 0
+
+
+def test_a_rollout_keeps_every_image_once_and_as_it_came() -> None:
+  trained = runner(critic_that_sees(agent(), None, shared=False))
+  stored: Any = trained.alg.storage.observations
+  assert (stored["camera"].shape, stored["camera"].dtype) == ((6, 4, 1, 8, 8), torch.float32)
+  sizes = {key: value.untyped_storage().nbytes() for key, value in stored.items()}
+  assert sizes == {"actor": 6 * 4 * 2 * 4, "critic": 6 * 4 * 3 * 4, "speed": 6 * 4 * 4, "camera": 6 * 4 * 64 * 4}
+
+
+@each_kind
+@each_memory
+def test_a_scripted_model_remembers_until_it_is_reset(kind: type[ImageModel], rnn_type: str) -> None:
+  network = model(kind, rnn_type).eval()
+  with warnings.catch_warnings():
+    # Of torch.jit, which is on its way out.
+    warnings.simplefilter("ignore")
+    scripted: Any = torch.jit.script(network.as_jit())
+  with torch.no_grad():
+    for step in range(4):
+      if step == 2:
+        network.reset()
+        scripted.reset()
+      seen = observations((1,), step)
+      torch.testing.assert_close(scripted(seen["speed"], [seen["camera"]]), network(seen))
+
+
+@pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
+  tmp_path: Path, class_name: str, rnn_type: Any
+) -> None:
+  cfg = agent(rnn_type, class_name)
+  trained = runner(cfg, tmp_path)
+  trained.learn(1)
+  env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=3), seed=4))
+  policy = CheckpointPolicy(env, cfg)
+  policy.load(tmp_path / "model_1.pt")
+  with warnings.catch_warnings():
+    # The exporter's own are not ours.
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(tmp_path))
+  exported = OnnxPolicy(tmp_path / "policy.onnx", cfg, 3)
+  with torch.no_grad():
+    for step in range(4):
+      seen = env.get_observations()
+      actions = policy(seen)
+      torch.testing.assert_close(exported(seen), actions, atol=1e-5, rtol=1e-4)
+      env.step(actions)
+      for acting in (policy, exported):
+        acting.reset(torch.tensor([False, step == 1, False]))
+
+
+def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> None:
+  cfg = RslRlDistillationRunnerCfg(
+    num_steps_per_env=6, logger="none", obs_groups={"student": ("actor", "camera"), "teacher": ("actor",)}
+  )
+  cfg.student = replace(agent("gru").actor, distribution_cfg=cfg.student.distribution_cfg)
+  cfg.teacher, cfg.algorithm.gradient_length = RslRlModelCfg(hidden_dims=(8,)), 3
+  seed_everything(0)
+  wrapped = RslRlVecEnvWrapper(SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)))
+  made = MjlabDistillationRunner(wrapped, cfg, None, "cpu", console=Console("quiet"))
+  made._distillation.teacher_loaded = True
+  made.learn(3)
+  with Reads() as reads:
+    made._collect(made.env.get_observations())
+  assert reads.count == 0
+  assert all(value.isfinite().all() for value in made.networks["student"].state_dict().values())
+
+
+def test_memory_is_switched_on_by_its_type_alone() -> None:
+  assert RslRlModelCfg(rnn_type="gru").to_rsl_rl()["class_name"] == "RNNModel"
+  assert RslRlModelCfg().to_rsl_rl()["class_name"] == "MLPModel"
+  seeing = RslRlModelCfg(class_name="CNNModel", cnn_cfg=CNN, rnn_type="gru").to_rsl_rl()
+  assert (seeing["class_name"], seeing["rnn_type"]) == ("mjlab_rl.image_model:ImageModel", "gru")
+
+
+def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered() -> None:
+  """rsl-rl divides trajectories by worlds: some batches would be empty."""
+  cfg = agent("gru")
+  cfg.algorithm.num_mini_batches = 5
+  with pytest.raises(ConfigError, match=r"num_mini_batches is 5; where a network remembers.* has 1 to 4"):
+    runner(cfg)
+  cfg.actor.rnn_type = None
+  runner(cfg).learn(1)
