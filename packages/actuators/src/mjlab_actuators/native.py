@@ -24,7 +24,20 @@ class PassThrough(Actuator):
 
 
 @dataclass(kw_only=True)
-class NativePositionActuatorCfg(ActuatorCfg):
+class NativeActuatorCfg(ActuatorCfg):
+  """Base of all laws that MuJoCo computes."""
+
+  @property
+  def law(self) -> type[Actuator]:
+    return PassThrough
+
+  def _check_gear(self, gear: float) -> None:
+    if not math.isfinite(gear) or gear == 0.0:
+      raise ValueError(f"{type(self).__name__}: gear is {gear}; it must be finite and not zero")
+
+
+@dataclass(kw_only=True)
+class NativePositionActuatorCfg(NativeActuatorCfg):
   """MuJoCo's position servo: force = clamp(kp (u - q) - kd q', +-effort_limit), u = position target.
 
   Implicit integrators see the derivative of the force, so stiff gains stay stable. The set-point is never clamped: it
@@ -39,10 +52,6 @@ class NativePositionActuatorCfg(ActuatorCfg):
   """Largest force [N or N m]; None for no limit."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
-
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
 
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
@@ -74,7 +83,7 @@ class NativePositionActuatorCfg(ActuatorCfg):
 
 
 @dataclass(kw_only=True)
-class NativeVelocityActuatorCfg(ActuatorCfg):
+class NativeVelocityActuatorCfg(NativeActuatorCfg):
   """MuJoCo's velocity servo: force = clamp(kd (u - q'), +-effort_limit), u = velocity target."""
 
   damping: PerTarget
@@ -83,10 +92,6 @@ class NativeVelocityActuatorCfg(ActuatorCfg):
   """Largest force [N or N m]; None for no limit."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("velocity_target",)
-
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
 
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
@@ -102,7 +107,7 @@ class NativeVelocityActuatorCfg(ActuatorCfg):
 
 
 @dataclass(kw_only=True)
-class NativeMotorActuatorCfg(ActuatorCfg):
+class NativeMotorActuatorCfg(NativeActuatorCfg):
   """A torque source: effort = gear clamp(u, +-effort_limit), u = effort target."""
 
   effort_limit: PerTarget | None = None
@@ -112,14 +117,9 @@ class NativeMotorActuatorCfg(ActuatorCfg):
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
-
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
-    if not math.isfinite(self.gear) or self.gear == 0.0:
-      raise ValueError(f"{type(self).__name__}: gear is {self.gear}; it must be finite and not zero")
+    self._check_gear(self.gear)
     self._limits("effort_limit", target_names)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:

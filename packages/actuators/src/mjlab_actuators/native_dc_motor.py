@@ -8,10 +8,10 @@ from typing import Literal
 import mujoco
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup
-from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
+from mjlab_actuators.actuator import ActuatorGroup
+from mjlab_actuators.actuator_cfg import PerTarget
 from mjlab_actuators.command import COMMAND_FIELDS, CommandField
-from mjlab_actuators.native import PassThrough
+from mjlab_actuators.native import NativeActuatorCfg
 from mjlab_actuators.transmission import limit_force
 
 _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
@@ -22,7 +22,7 @@ _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
 
 
 @dataclass(kw_only=True)
-class NativeDcMotorActuatorCfg(ActuatorCfg):
+class NativeDcMotorActuatorCfg(NativeActuatorCfg):
   """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the target.
 
   With `inputs="voltage"`, V is the effort target in volts. Otherwise a controller inside MuJoCo asks for the force
@@ -68,10 +68,6 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
   gear: float = 1.0
   """Reduction between motor and target."""
 
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
-
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
     kind = type(self).__name__
@@ -91,8 +87,7 @@ class NativeDcMotorActuatorCfg(ActuatorCfg):
       numbers = getattr(self, name)
       if numbers is not None and not all(math.isfinite(number) for number in numbers):
         raise ValueError(f"{kind}: {name} is {numbers}; it must be finite")
-    if not math.isfinite(self.gear) or self.gear == 0.0:
-      raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
+    self._check_gear(self.gear)
     self._limits("effort_limit", target_names)
     self._validate_inputs(kind)
 

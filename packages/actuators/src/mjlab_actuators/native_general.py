@@ -8,10 +8,9 @@ from typing import Literal, get_args
 import mujoco
 from mjlab_core.names import unknown
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup
-from mjlab_actuators.actuator_cfg import ActuatorCfg
+from mjlab_actuators.actuator import ActuatorGroup
 from mjlab_actuators.command import COMMAND_FIELDS, CommandField
-from mjlab_actuators.native import PassThrough
+from mjlab_actuators.native import NativeActuatorCfg
 
 Dynamics = Literal["none", "integrator", "filter", "filterexact"]
 Gain = Literal["fixed", "affine"]
@@ -19,7 +18,7 @@ Bias = Literal["none", "affine"]
 
 
 @dataclass(kw_only=True)
-class NativeGeneralActuatorCfg(ActuatorCfg):
+class NativeGeneralActuatorCfg(NativeActuatorCfg):
   """MuJoCo's general actuator: force = gain(l, l') w + bias(l, l'), all clamped to `force_range`.
 
   With l = gear q, the length of the transmission, gain is g0 ("fixed") or g0 + g1 l + g2 l' ("affine"), bias is 0
@@ -47,10 +46,6 @@ class NativeGeneralActuatorCfg(ActuatorCfg):
   act_range: tuple[float, float] | None = None
   """Clamp of the activation; None for none."""
 
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
-
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
     kind = type(self).__name__
@@ -75,8 +70,7 @@ class NativeGeneralActuatorCfg(ActuatorCfg):
       )
     if self.dyn_type in ("filter", "filterexact") and not (self.dyn_prm and self.dyn_prm[0] > 0.0):
       raise ValueError(f"{kind}: dyn_prm is {self.dyn_prm}; a {self.dyn_type} has a positive time constant")
-    if not math.isfinite(self.gear) or self.gear == 0.0:
-      raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
+    self._check_gear(self.gear)
     if self.act_range is not None and self.dyn_type == "none":
       raise ValueError(f"{kind}: act_range is given, but dyn_type 'none' has no activation")
     for name in ("ctrl_range", "force_range", "act_range"):

@@ -1,21 +1,19 @@
 """MuJoCo's muscle: activation dynamics, and force by length and velocity."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
 
-from mjlab_actuators.actuator import Actuator
-from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
+from mjlab_actuators.actuator_cfg import PerTarget
 from mjlab_actuators.command import CommandField
-from mjlab_actuators.native import PassThrough
+from mjlab_actuators.native import NativeActuatorCfg
 from mjlab_actuators.transmission import Target, range_of
 
 
 @dataclass(kw_only=True)
-class NativeMuscleActuatorCfg(ActuatorCfg):
+class NativeMuscleActuatorCfg(NativeActuatorCfg):
   """MuJoCo's muscle, u = effort target, clamped to [0, 1].
 
   force = -F0 (FL(l) FV(v) act + FP(l)): the muscle pulls, so its sense is against a positive gear. The activation act
@@ -51,15 +49,10 @@ class NativeMuscleActuatorCfg(ActuatorCfg):
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
-
   def validate(self, target_names: Sequence[str]) -> None:
     super().validate(target_names)
     kind = type(self).__name__
-    if not math.isfinite(self.gear) or self.gear == 0.0:
-      raise ValueError(f"{kind}: gear is {self.gear}; it must be finite and not zero")
+    self._check_gear(self.gear)
     if self.force is not None:
       self._positives("force", target_names)
     if self.smoothing < 0.0 or min(self.time_constants) <= 0.0:
