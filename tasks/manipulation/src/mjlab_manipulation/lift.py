@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from mjlab_dr import FieldRandomizer, geom_friction
+from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
   CurriculumTermCfg,
@@ -245,11 +245,9 @@ def _tip_friction() -> dict[str, EventTermCfg | None]:
     "spin": geom_friction(_TIPS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
     "roll": geom_friction(_TIPS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
   }
-  return {f"fingertip_friction_{axis}": _startup(randomizer) for axis, randomizer in randomizers.items()}
-
-
-def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
+  return {
+    f"fingertip_friction_{axis}": mdp.randomize_at_startup(randomizer) for axis, randomizer in randomizers.items()
+  }
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:

@@ -4,7 +4,7 @@ import copy
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from mjlab_dr import FieldRandomizer, body_com_offset, encoder_bias, geom_friction
+from mjlab_dr import body_com_offset, encoder_bias, geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
   EventTermCfg,
@@ -232,6 +232,7 @@ def _terminations() -> dict[str, TerminationTermCfg | None]:
 
 def _events() -> dict[str, EventTermCfg | None]:
   com = body_com_offset(ANCHOR, {"x": (-0.025, 0.025), "y": (-0.05, 0.05), "z": (-0.05, 0.05)})
+  friction = geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True)
   return {
     "push_robot": EventTermCfg(
       mdp.push_by_setting_velocity,
@@ -239,14 +240,10 @@ def _events() -> dict[str, EventTermCfg | None]:
       interval_range_s=PUSH_INTERVAL,
       params={"velocity_range": dict(VELOCITY)},
     ),
-    "base_com": _startup(com),
-    "encoder_bias": _startup(encoder_bias(".*", (-0.01, 0.01))),
-    "foot_friction": _startup(geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True)),
+    "base_com": mdp.randomize_at_startup(com),
+    "encoder_bias": mdp.randomize_at_startup(encoder_bias(".*", (-0.01, 0.01))),
+    "foot_friction": mdp.randomize_at_startup(friction),
   }
-
-
-def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:

@@ -240,18 +240,14 @@ def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
     "push_robot": EventTermCfg(
       mdp.push_by_setting_velocity, mode="interval", interval_range_s=(1.0, 3.0), params={"velocity_range": PUSH}
     ),
-    **{name: _startup(randomizer) for name, randomizer in friction.items()},
-    "encoder_bias": _startup(encoder_bias(".*", (-0.015, 0.015))),
-    "base_com": _startup(com),
+    **{name: mdp.randomize_at_startup(randomizer) for name, randomizer in friction.items()},
+    "encoder_bias": mdp.randomize_at_startup(encoder_bias(".*", (-0.015, 0.015))),
+    "base_com": mdp.randomize_at_startup(com),
   }
 
 
 AXES = ("slide", "spin", "roll")
 """Names of the axes of friction, in MuJoCo's order."""
-
-
-def _startup(randomizer: FieldRandomizer) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:

@@ -40,7 +40,13 @@ from mjlab_envs.mdp.observations import (
   last_action,
   projected_gravity,
 )
-from mjlab_envs.mdp.randomize import randomize, randomized_values, randomizer_of, widen_randomization
+from mjlab_envs.mdp.randomize import (
+  randomize,
+  randomize_at_startup,
+  randomized_values,
+  randomizer_of,
+  widen_randomization,
+)
 from mjlab_envs.mdp.randomize_actuators import randomize_actuator, randomize_actuator_delay
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
@@ -105,6 +111,7 @@ __all__ = [
   "randomize",
   "randomize_actuator",
   "randomize_actuator_delay",
+  "randomize_at_startup",
   "randomized_values",
   "randomizer_of",
   "reset_joints_by_offset",

@@ -111,6 +111,11 @@ class randomized_values(ManagerTermBase):
     return (self._field.values() - self._field.default).float()
 
 
+def randomize_at_startup(randomizer: FieldRandomizer) -> EventTermCfg:
+  """The event that draws a field of the robot once, when the environment is built."""
+  return EventTermCfg(randomize, mode="startup", params={"randomizer": randomizer})
+
+
 def randomizer_of(env: "ManagerBasedRlEnv", event: str) -> RandomizeField:
   """The randomiser of the `randomize` event of that name, for curricula and observations of one's own.
 
