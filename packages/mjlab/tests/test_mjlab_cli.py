@@ -1,4 +1,6 @@
+import importlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -48,6 +50,40 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
   assert "8 worlds" in shown
   assert "engine native" in shown
   assert f"done: 3 iterations, {directory / 'model_3.pt'}" in shown
+
+
+def repository(folder: Path, **files: str) -> str:
+  """A repository with one commit; returns its name."""
+  folder.mkdir()
+  for name, text in files.items():
+    (folder / f"{name}.py").write_text(text)
+  git = ["git", "-C", str(folder), "-c", "user.name=Nobody", "-c", "user.email=nobody@example.org"]
+  subprocess.run([*git, "init", "--quiet"], check=True)
+  subprocess.run([*git, "add", "--all"], check=True)
+  subprocess.run([*git, "commit", "--quiet", "--allow-empty", "--message", folder.name], check=True)
+  return subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True).stdout.strip()
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_the_commit_of_a_run_is_that_of_its_tasks_code_wherever_one_stands(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  code = "import mjlab_pendulum\n\n\ndef build():\n  return mjlab_pendulum.pendulum()\n"
+  mine = repository(tmp_path / "mine", mjlab_task_of_mine=code)
+  repository(tmp_path / "elsewhere")
+  installed = tmp_path / "elsewhere" / "mjlab_installed_task.py"
+  installed.write_text(code)
+  monkeypatch.chdir(tmp_path / "elsewhere")
+  for folder in ("mine", "elsewhere"):
+    monkeypatch.syspath_prepend(str(tmp_path / folder))
+  for name in ("mjlab_task_of_mine", "mjlab_installed_task"):
+    mjlab.register_task(f"Test-{name}", importlib.import_module(name).build)
+    flags = ["--log-root", str(tmp_path / name), "--device", "cpu", "--agent.max-iterations", "1", "--quiet"]
+    assert cli.main(["train", f"Test-{name}", *flags]) == 0
+  assert [load_run(runs(tmp_path / name)[0]).git for name in ("mjlab_task_of_mine", "mjlab_installed_task")] == [
+    {"commit": mine, "dirty": False},
+    None,
+  ]
 
 
 def test_a_task_alone_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

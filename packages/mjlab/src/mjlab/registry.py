@@ -4,9 +4,11 @@ A package offers a task with an entry point whose name is the task id and whose 
 that returns a fresh `mjlab_rl.TaskCfg`.
 """
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import unknown
@@ -67,18 +69,37 @@ def load_task(name: str) -> "TaskCfg[Any]":
   Raises:
     TaskError: No such task (the message names the nearest), two packages offer it, or it cannot be imported.
   """
+  package, build = _found(name)
+  from mjlab_rl import TaskCfg
+
+  task = build()
+  if not isinstance(task, TaskCfg):
+    raise TaskError(f"task '{name}' of {package}: expected a mjlab_rl.TaskCfg, got {type(task).__name__}")
+  return task
+
+
+def task_file(name: str) -> Path | None:
+  """The file with the function that builds a task; None where there is none, as for one typed into a prompt.
+
+  Raises:
+    TaskError: As for `load_task`.
+  """
+  _, build = _found(name)
+  try:
+    file = Path(inspect.getfile(inspect.unwrap(build)))
+  except TypeError:
+    return None
+  return file if file.is_file() else None
+
+
+def _found(name: str) -> tuple[str, Callable[[], Any]]:
+  """The package that offers a task, and the function that builds it."""
   found = [entry for entry in task_entries() if entry.name == name]
   if not found:
     raise TaskError(unknown("task", name, list_tasks()))
   if len(found) > 1:
     raise TaskError(f"task '{name}' is offered by several packages: {', '.join(entry.package for entry in found)}")
   try:
-    build = found[0].load()
+    return found[0].package, found[0].load()
   except (ImportError, AttributeError) as error:
     raise TaskError(f"task '{name}' of {found[0].package} cannot be imported: {error}") from error
-  from mjlab_rl import TaskCfg
-
-  task = build()
-  if not isinstance(task, TaskCfg):
-    raise TaskError(f"task '{name}' of {found[0].package}: expected a mjlab_rl.TaskCfg, got {type(task).__name__}")
-  return task

@@ -81,7 +81,7 @@ class RunManifest:
   versions: dict[str, str] = dataclasses.field(default_factory=dict)
   """Versions of Python, the operating system and the packages that matter."""
   git: dict[str, Any] | None = None
-  """Commit of the working directory and whether it had changes; None outside a repository."""
+  """Commit of the repository that the task's own code is in, and whether it had changes; None where that is unknown."""
 
 
 def encode(value: object, where: str = "config") -> Json:
@@ -319,11 +319,16 @@ def package_versions() -> dict[str, str]:
   return versions | {name: metadata.version(name) for name in (*sorted(members), *_STACK) if name in installed}
 
 
-def git_state(directory: Path) -> dict[str, Any] | None:
-  """Commit of the repository around `directory` and whether it has changes; None where there is none."""
+def git_state(file: Path) -> dict[str, Any] | None:
+  """Commit of the repository that tracks `file`, and whether it has changes; None where none does.
+
+  An installed file is tracked by none, also where its environment lies in a repository.
+  """
   try:
-    commit = _git(directory, "rev-parse", "HEAD")
-    return {"commit": commit, "dirty": bool(_git(directory, "status", "--porcelain", "--untracked-files=no"))}
+    file = file.resolve()
+    _git(file.parent, "ls-files", "--error-unmatch", file.name)
+    commit = _git(file.parent, "rev-parse", "HEAD")
+    return {"commit": commit, "dirty": bool(_git(file.parent, "status", "--porcelain", "--untracked-files=no"))}
   except (OSError, subprocess.SubprocessError):
     return None
 

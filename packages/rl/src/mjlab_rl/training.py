@@ -55,6 +55,7 @@ def train(
   teacher: Path | None = None,
   console: Console | None = None,
   command: list[str] | None = None,
+  code: Path | None = None,
   on_ready: Callable[[RlEnv, Path | None], None] | None = None,
   watch: Callable[[RlEnv, Path | None], Callable[[], None]] | None = None,
 ) -> TrainingResult:
@@ -72,6 +73,7 @@ def train(
     teacher: Checkpoint of the policy to imitate, where `task.agent` distils one; a run that is resumed has its own.
     console: Where progress is shown; None: standard output.
     command: Command line, for the manifest.
+    code: A file of the task's own code, whose commit goes into the manifest.
     on_ready: Called with the environment and the run directory before the first iteration.
     watch: Called with them then, too; what it returns is called after every step.
 
@@ -100,7 +102,7 @@ def train(
     resumed_from=None if resume is None else str(resume.resolve()),
     teacher=_record(agent, teaching, resume),
     versions=package_versions(),
-    git=git_state(Path.cwd()),
+    git=None if code is None else git_state(code),
   )
   if log_root is not None:
     encode_manifest(manifest)

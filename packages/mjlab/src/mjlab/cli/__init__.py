@@ -1,6 +1,6 @@
 """The command line: `mjlab COMMAND`, and each of its commands as one of its own.
 
-Exit codes: 0 done (also after a stop with Ctrl-C that saved), 1 failed, 2 wrong usage.
+Exit codes: 0 done (also after a stop with Ctrl-C, SIGTERM or SIGHUP that saved), 1 failed, 2 wrong usage.
 """
 
 import importlib

@@ -10,7 +10,7 @@ from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
 from mjlab.cli._task_command import load_named_task, run_with_task
-from mjlab.registry import list_tasks, load_task
+from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
   from mjlab_rl import Console, RlEnv, RunManifest, TaskCfg
@@ -156,6 +156,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       teacher=teacher,
       console=console,
       command=["train", name, *given],
+      code=task_file(name),
       on_ready=on_ready,
       watch=watchers.open if wanted.viewer or wanted.video else None,
     )
