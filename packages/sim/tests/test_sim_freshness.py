@@ -265,3 +265,30 @@ def test_rays_see_geoms_where_the_written_state_puts_them(make_sim: MakeSim, eng
   assert caster.cast(origin, down).distance.item() == pytest.approx(1.8005, abs=1e-5)
   sim.data.qpos[:, 2] += 0.5
   assert caster.cast(origin, down).distance.item() == pytest.approx(1.3005, abs=1e-5)
+
+
+def test_the_native_engine_computes_the_worlds_alone_whose_model_was_written(make_sim: MakeSim) -> None:
+  def kept() -> list[bool]:
+    """Worlds in which an output is still what the test wrote there."""
+    marks = (sim.data.xpos[:, 1] == 7.0).all(1).tolist()
+    sim.data.xpos[:, 1] = 7.0
+    return marks
+
+  sim = make_sim("native")
+  sim.expand_model_fields(["body_mass", "site_pos"])
+  kept()
+  assert kept() == [True, True, True, True]
+  sim.model.body_mass[2, 3] += 1.0
+  assert kept() == [True, True, False, True]
+  mask = torch.tensor([True, False, False, True])
+  sim.model.body_mass[:, 3] += 0.5 * mask
+  sim.recompute_constants(mask)
+  assert kept() == [False, True, True, False]
+  # The same values again are nothing new.
+  sim.model.body_mass[1, 3] = sim.model.body_mass[1, 3].clone()
+  assert kept() == [True, True, True, True]
+  sim.model.site_pos.copy_(sim.model.site_pos + torch.tensor([[[0.1]], [[0.0]], [[0.0]], [[0.0]]]))
+  assert kept() == [False, True, True, True]
+  sim.model.opt.gravity[0, 0] += 1.0
+  assert kept() == [False, False, False, False]
+  assert kept() == [True, True, True, True]

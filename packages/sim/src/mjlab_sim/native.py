@@ -68,6 +68,8 @@ class NativeEngine:
     self._batch = batch.Batch(model, num_envs, cfg.num_threads, persistent=True)
     self._data: dict[str, TorchArray] = {}
     self._per_world: dict[str, TorchArray] = {}
+    # What these held when worlds were last computed, and the version that this was.
+    self._known: dict[str, tuple[np.ndarray, int]] = {}
     self._shared: dict[str, tuple[TorchArray, int]] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
     self._stage: Stage | None = None
@@ -112,6 +114,9 @@ class NativeEngine:
     field.copy_(shared)
     self._shared.pop(name, None)
     self._per_world[name] = field
+    self._known[name] = (rows.copy(), field._version)
+    # A write to the shared field may not have been seen.
+    self._stale[:] = True
 
   def step(self) -> None:
     self._push_shared()
@@ -123,13 +128,23 @@ class NativeEngine:
   def forward(self, model_changed: bool) -> None:
     self._push_shared()
     if model_changed:
-      self._stale[:] = True
+      self._find_changed_models()
     for array, seen in zip(self._kinematic, self._seen, strict=True):
       # NaN compares unequal to itself, so a world that holds one always counts as written.
       self._stale |= (array != seen).reshape(self._num_envs, -1).any(axis=1)
     if self._stale.any():
       self._batch.forward(self._stale, stage=_VEL)
       self._remember()
+
+  def _find_changed_models(self) -> None:
+    """Mark worlds whose own fields were written: most resets are of few worlds, and so are their draws."""
+    for name, (seen, version) in self._known.items():
+      field = self._per_world[name]
+      if field._version != version:
+        rows = field.numpy()
+        self._stale |= (rows != seen).reshape(self._num_envs, -1).any(axis=1)
+        np.copyto(seen, rows)
+        self._known[name] = (seen, field._version)
 
   def _remember(self) -> None:
     for array, seen in zip(self._kinematic, self._seen, strict=True):
@@ -142,6 +157,7 @@ class NativeEngine:
       if field._version != version:
         _shaped(self._batch.expand(name), name)[:] = field.numpy()
         self._shared[name] = (field, field._version)
+        self._stale[:] = True
 
   def reset(self, mask: torch.Tensor) -> None:
     worlds = mask.numpy()
@@ -219,6 +235,7 @@ class NativeEngine:
   def close(self) -> None:
     self._data.clear()
     self._per_world.clear()
+    self._known.clear()
     self._shared.clear()
     self._kinematic.clear()
     self._grounds.clear()
