@@ -1,11 +1,13 @@
 """The term library: what observations, rewards, events and the like any task can use."""
 
 from mjlab_envs.mdp.actions import (
+  AffineAction,
+  AffineActionCfg,
   BinaryJointPositionAction,
   BinaryJointPositionActionCfg,
   DrivenJoints,
-  DrivenJointsCfg,
-  JointActionCfg,
+  DrivenTargets,
+  DrivenTargetsCfg,
   JointEffortAction,
   JointEffortActionCfg,
   JointPositionAction,
@@ -14,8 +16,16 @@ from mjlab_envs.mdp.actions import (
   JointVelocityActionCfg,
   RelativeJointPositionAction,
   RelativeJointPositionActionCfg,
+  SiteEffortAction,
+  SiteEffortActionCfg,
   SmoothedJointPositionAction,
   SmoothedJointPositionActionCfg,
+  TendonEffortAction,
+  TendonEffortActionCfg,
+  TendonLengthAction,
+  TendonLengthActionCfg,
+  TendonVelocityAction,
+  TendonVelocityActionCfg,
 )
 from mjlab_envs.mdp.contacts import contact_count, illegal_contact
 from mjlab_envs.mdp.differential_ik import DifferentialIKAction, DifferentialIKActionCfg
@@ -63,13 +73,15 @@ from mjlab_envs.mdp.rewards import (
 from mjlab_envs.mdp.terminations import bad_orientation, nan_detection, root_height_below_minimum, time_out
 
 __all__ = [
+  "AffineAction",
+  "AffineActionCfg",
   "BinaryJointPositionAction",
   "BinaryJointPositionActionCfg",
   "DifferentialIKAction",
   "DifferentialIKActionCfg",
   "DrivenJoints",
-  "DrivenJointsCfg",
-  "JointActionCfg",
+  "DrivenTargets",
+  "DrivenTargetsCfg",
   "JointEffortAction",
   "JointEffortActionCfg",
   "JointPositionAction",
@@ -78,8 +90,16 @@ __all__ = [
   "JointVelocityActionCfg",
   "RelativeJointPositionAction",
   "RelativeJointPositionActionCfg",
+  "SiteEffortAction",
+  "SiteEffortActionCfg",
   "SmoothedJointPositionAction",
   "SmoothedJointPositionActionCfg",
+  "TendonEffortAction",
+  "TendonEffortActionCfg",
+  "TendonLengthAction",
+  "TendonLengthActionCfg",
+  "TendonVelocityAction",
+  "TendonVelocityActionCfg",
   "action_acc_l2",
   "action_rate_l2",
   "bad_orientation",

@@ -1,10 +1,11 @@
-"""Joint actions: from the policy's output to set-points of joints."""
+"""From the policy's output to set-points of joints, tendons and sites."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
+from mjlab_actuators import Transmission
 from mjlab_core.masking import where_
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.sampling import check_range
@@ -16,30 +17,30 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class DrivenJointsCfg(ActionTermCfg):
-  """Base of what gives set-points to joints."""
+class DrivenTargetsCfg(ActionTermCfg):
+  """Base of what gives set-points to joints, tendons or sites, here called targets."""
 
   entity: str = "robot"
   actuators: str | tuple[str, ...] = ".*"
-  """Patterns of the joints that are driven, among those that have an actuator."""
+  """Patterns of the targets, among those that have an actuator."""
   clip: tuple[float, float] | dict[str, tuple[float, float]] | None = None
-  """Bounds of the set-point, or bounds by pattern; joints left out are not bounded."""
+  """Bounds of the set-point, or bounds by pattern; targets left out are not bounded."""
   preserve_order: bool = False
-  """Order of the joints: of the patterns, or of the model."""
+  """Order of the targets: of the patterns, or of the model."""
 
 
 @dataclass(kw_only=True)
-class JointActionCfg(DrivenJointsCfg):
-  """Base of joint actions, one column for each joint: set-point = clip(scale * action + offset)."""
+class AffineActionCfg(DrivenTargetsCfg):
+  """Base of actions with one column for each target: set-point = clip(scale * action + offset)."""
 
   scale: float | dict[str, float] = 1.0
-  """One factor, or one per joint by pattern."""
+  """One factor, or one per target by pattern."""
   offset: float | dict[str, float] | None = None
-  """One offset, or one per joint by pattern; None takes `use_default_offset`'s."""
+  """One offset, or one per target by pattern; None takes that of `use_default_offset`, where there is one, or 0."""
 
 
 @dataclass(kw_only=True)
-class JointPositionActionCfg(JointActionCfg):
+class JointPositionActionCfg(AffineActionCfg):
   """Joint position set-points [rad, m]; the encoders' bias is subtracted, as on a robot whose encoders have it."""
 
   use_default_offset: bool = True
@@ -50,7 +51,7 @@ class JointPositionActionCfg(JointActionCfg):
 
 
 @dataclass(kw_only=True)
-class JointVelocityActionCfg(JointActionCfg):
+class JointVelocityActionCfg(AffineActionCfg):
   """Joint velocity set-points [rad/s, m/s]."""
 
   use_default_offset: bool = True
@@ -61,7 +62,7 @@ class JointVelocityActionCfg(JointActionCfg):
 
 
 @dataclass(kw_only=True)
-class JointEffortActionCfg(JointActionCfg):
+class JointEffortActionCfg(AffineActionCfg):
   """Joint efforts [N m, N]."""
 
   def build(self, env: Any) -> "JointEffortAction":
@@ -84,7 +85,7 @@ class SmoothedJointPositionActionCfg(JointPositionActionCfg):
 
 
 @dataclass(kw_only=True)
-class RelativeJointPositionActionCfg(JointActionCfg):
+class RelativeJointPositionActionCfg(AffineActionCfg):
   """Joint position set-points [rad, m] as differences: set-point = clip(base + scale * action + offset).
 
   It is fixed once for each environment step, so that it does not run ahead within one.
@@ -98,7 +99,7 @@ class RelativeJointPositionActionCfg(JointActionCfg):
 
 
 @dataclass(kw_only=True)
-class BinaryJointPositionActionCfg(DrivenJointsCfg):
+class BinaryJointPositionActionCfg(DrivenTargetsCfg):
   """Two positions and one column between them: a gripper that opens for an action of 0 or more, and closes below."""
 
   open: dict[str, float]
@@ -110,33 +111,70 @@ class BinaryJointPositionActionCfg(DrivenJointsCfg):
     return BinaryJointPositionAction(self, env)
 
 
-class DrivenJoints(ActionTerm):
-  """Base of what gives set-points to joints: which they are, and between what bounds, (1, joints)."""
+@dataclass(kw_only=True)
+class TendonLengthActionCfg(AffineActionCfg):
+  """Tendon length set-points [m, rad]."""
 
-  _constants = frozenset({"_ids", "_q", "_v", "_lo", "_hi"})
+  def build(self, env: Any) -> "TendonLengthAction":
+    return TendonLengthAction(self, env)
 
-  def __init__(self, cfg: DrivenJointsCfg, env: "ManagerBasedRlEnv") -> None:
+
+@dataclass(kw_only=True)
+class TendonVelocityActionCfg(AffineActionCfg):
+  """Set-points of how fast tendons grow longer [m/s, rad/s]."""
+
+  def build(self, env: Any) -> "TendonVelocityAction":
+    return TendonVelocityAction(self, env)
+
+
+@dataclass(kw_only=True)
+class TendonEffortActionCfg(AffineActionCfg):
+  """Efforts along tendons [N, N m]; positive ones push."""
+
+  def build(self, env: Any) -> "TendonEffortAction":
+    return TendonEffortAction(self, env)
+
+
+@dataclass(kw_only=True)
+class SiteEffortActionCfg(AffineActionCfg):
+  """Efforts at sites [N, N m]: times the gear of the actuator they are the wrench."""
+
+  def build(self, env: Any) -> "SiteEffortAction":
+    return SiteEffortAction(self, env)
+
+
+class DrivenTargets(ActionTerm):
+  """Base of what gives set-points to joints, tendons or sites: which, and between what bounds, (1, targets)."""
+
+  transmission: ClassVar[Transmission] = "joint"
+  _constants = frozenset({"_ids", "_lo", "_hi"})
+
+  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
+    kind = self.transmission
     self._entity = env.scene[cfg.entity]
-    owner = f"entity '{cfg.entity}'"
-    driven = () if self._entity.actuators is None else self._entity.actuators.driven("joint")
-    actuated = [name for name in self._entity.joint_names if name in driven]
-    _, self.joint_names = match_names(
-      cfg.actuators, actuated, what="actuated joint", owner=owner, preserve_order=cfg.preserve_order
+    self._owner = f"entity '{cfg.entity}'"
+    driven = () if self._entity.actuators is None else self._entity.actuators.driven(kind)
+    names: tuple[str, ...] = getattr(self._entity, f"{kind}_names")
+    _, self.target_names = match_names(
+      cfg.actuators,
+      [name for name in names if name in driven],
+      what=f"actuated {kind}",
+      owner=self._owner,
+      preserve_order=cfg.preserve_order,
     )
-    ids, ix = [self._entity.joint_names.index(name) for name in self.joint_names], self._entity.indexing
-    self._ids = as_index(ids, env.device)
-    # The same joints as columns of positions and of velocities; what is actuated has one of each.
-    self._q, self._v = (as_index([of[i][0] for i in ids], env.device) for of in (ix.q_of_joint, ix.v_of_joint))
-    self._owner = owner
+    self._columns = [names.index(name) for name in self.target_names]
+    self._ids = as_index(self._columns, env.device)
     self._constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
     self._lo, self._hi = self._bounds(cfg)
 
-  def _per_joint(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
-    numbers = match_values_full(values, self.joint_names, what="joint", owner=f"{self._owner}: {what}")
-    return torch.tensor([numbers], **self._constant)
+  def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
+    owner = f"{self._owner}: {what}"
+    return torch.tensor(
+      [match_values_full(values, self.target_names, what=self.transmission, owner=owner)], **self._constant
+    )
 
-  def _bounds(self, cfg: DrivenJointsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+  def _bounds(self, cfg: DrivenTargetsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
     if cfg.clip is None:
       return None, None
     endless = (-float("inf"), float("inf"))
@@ -144,17 +182,41 @@ class DrivenJoints(ActionTerm):
     for pattern, bounds in by_pattern.items():
       check_range(f"clip['{pattern}']", *bounds)
     owner = f"{self._owner}: clip"
-    bounds = match_values_full(by_pattern, self.joint_names, what="joint", owner=owner, default=endless)
+    bounds = match_values_full(by_pattern, self.target_names, what=self.transmission, owner=owner, default=endless)
     table = torch.tensor([bounds], **self._constant)
     return table[..., 0], table[..., 1]
 
   @property
   def driven(self) -> frozenset[str]:
-    return frozenset(f"{self.cfg.entity}/{name}" for name in self.joint_names)
+    # A tendon may be called like a joint.
+    kind = "" if self.transmission == "joint" else f"{self.transmission} "
+    return frozenset(f"{self.cfg.entity}/{kind}{name}" for name in self.target_names)
 
   def clipped(self, target: torch.Tensor) -> torch.Tensor:
-    """Set-points within the bounds of `clip`, (num_envs, joints)."""
+    """Set-points within the bounds of `clip`, (num_envs, targets)."""
     return target if self._lo is None else target.clamp(self._lo, self._hi)
+
+  def apply_actions(self) -> None:
+    """Nothing: a set-point holds until the next one."""
+
+
+class DrivenJoints(DrivenTargets):
+  """Base of what gives set-points to joints, by their positions and velocities."""
+
+  _constants = frozenset({"_q", "_v"})
+
+  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    # The same joints as columns of positions and of velocities; what is actuated has one of each.
+    ix = self._entity.indexing
+    self._q, self._v = (
+      as_index([of[joint][0] for joint in self._columns], env.device) for of in (ix.q_of_joint, ix.v_of_joint)
+    )
+
+  @property
+  def joint_names(self) -> list[str]:
+    """Names of the joints, in the order of the set-points."""
+    return self.target_names
 
   def set_positions(self, target: torch.Tensor) -> None:
     """Set-points (num_envs, joints) as the encoders would read them, so without their bias."""
@@ -165,18 +227,15 @@ class DrivenJoints(ActionTerm):
     """Joint positions as the encoders read them, (num_envs, joints) [rad, m]."""
     return self._entity.data.joint_pos_biased[:, self._q]
 
-  def apply_actions(self) -> None:
-    """Nothing: a set-point holds until the next one."""
 
-
-class JointAction(DrivenJoints):
-  """Base of joint actions: the affine map and its constants, (1, joints)."""
+class AffineAction(DrivenTargets):
+  """Base of actions with one column for each target: the affine map and its constants, (1, targets)."""
 
   _constants = frozenset({"_scale", "_offset"})
 
-  def __init__(self, cfg: JointActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: AffineActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    self._scale = self._per_joint(cfg.scale, "scale")
+    self._scale = self._per_target(cfg.scale, "scale")
     default = self._default_offset()
     if default is not None and getattr(cfg, "use_default_offset", False):
       if cfg.offset is not None:
@@ -185,32 +244,32 @@ class JointAction(DrivenJoints):
         )
       self._offset = default
     else:
-      self._offset = self._per_joint(0.0 if cfg.offset is None else cfg.offset, "offset")
+      self._offset = self._per_target(0.0 if cfg.offset is None else cfg.offset, "offset")
 
   def _default_offset(self) -> torch.Tensor | None:
-    """What `use_default_offset` means for this action, (1, joints); None if nothing."""
+    """What `use_default_offset` means for this action, (1, targets); None if nothing."""
     return None
 
   @property
   def action_dim(self) -> int:
-    return len(self.joint_names)
+    return len(self.target_names)
 
   @property
   def scale(self) -> torch.Tensor:
-    """Factor of each joint, (1, joints)."""
+    """Factor of each target, (1, targets)."""
     return self._scale
 
   @property
   def offset(self) -> torch.Tensor:
-    """Offset of each joint, (1, joints)."""
+    """Offset of each target, (1, targets)."""
     return self._offset
 
   def target(self, actions: torch.Tensor) -> torch.Tensor:
-    """Set-points of raw actions, (num_envs, joints)."""
+    """Set-points of raw actions, (num_envs, targets)."""
     return self.clipped(torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale))
 
 
-class JointPositionAction(JointAction):
+class JointPositionAction(AffineAction, DrivenJoints):
   """See `JointPositionActionCfg`."""
 
   def _default_offset(self) -> torch.Tensor:
@@ -238,7 +297,7 @@ class SmoothedJointPositionAction(JointPositionAction):
     where_(self._smoothed, mask, self.measured_positions())
 
 
-class RelativeJointPositionAction(JointAction):
+class RelativeJointPositionAction(AffineAction, DrivenJoints):
   """See `RelativeJointPositionActionCfg`."""
 
   def __init__(self, cfg: RelativeJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
@@ -265,8 +324,8 @@ class BinaryJointPositionAction(DrivenJoints):
 
   def __init__(self, cfg: BinaryJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    self._open = self.clipped(self._per_joint(cfg.open, "open"))
-    self._close = self.clipped(self._per_joint(cfg.close, "close"))
+    self._open = self.clipped(self._per_target(cfg.open, "open"))
+    self._close = self.clipped(self._per_target(cfg.close, "close"))
 
   @property
   def action_dim(self) -> int:
@@ -276,7 +335,7 @@ class BinaryJointPositionAction(DrivenJoints):
     self.set_positions(torch.where(actions < 0.0, self._close, self._open))
 
 
-class JointVelocityAction(JointAction):
+class JointVelocityAction(AffineAction, DrivenJoints):
   """See `JointVelocityActionCfg`."""
 
   def _default_offset(self) -> torch.Tensor:
@@ -286,8 +345,44 @@ class JointVelocityAction(JointAction):
     self._entity.set_joint_velocity_target(self.target(actions), joint_ids=self._ids)
 
 
-class JointEffortAction(JointAction):
+class JointEffortAction(AffineAction, DrivenJoints):
   """See `JointEffortActionCfg`."""
 
   def process_actions(self, actions: torch.Tensor) -> None:
     self._entity.set_joint_effort_target(self.target(actions), joint_ids=self._ids)
+
+
+class TendonLengthAction(AffineAction):
+  """See `TendonLengthActionCfg`."""
+
+  transmission = "tendon"
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    self._entity.set_tendon_len_target(self.target(actions), tendon_ids=self._ids)
+
+
+class TendonVelocityAction(AffineAction):
+  """See `TendonVelocityActionCfg`."""
+
+  transmission = "tendon"
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    self._entity.set_tendon_vel_target(self.target(actions), tendon_ids=self._ids)
+
+
+class TendonEffortAction(AffineAction):
+  """See `TendonEffortActionCfg`."""
+
+  transmission = "tendon"
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    self._entity.set_tendon_effort_target(self.target(actions), tendon_ids=self._ids)
+
+
+class SiteEffortAction(AffineAction):
+  """See `SiteEffortActionCfg`."""
+
+  transmission = "site"
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    self._entity.set_site_effort_target(self.target(actions), site_ids=self._ids)

@@ -9,7 +9,7 @@ from mjlab_core.names import match_names, match_values_full, unknown
 from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
 from mjlab_scene.indexing import as_index, select
 
-from mjlab_envs.mdp.actions import DrivenJoints, DrivenJointsCfg
+from mjlab_envs.mdp.actions import DrivenJoints, DrivenTargetsCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -20,7 +20,7 @@ _WEIGHTS = ("position_weight", "orientation_weight", "joint_limit_weight", "post
 
 
 @dataclass(kw_only=True)
-class DifferentialIKActionCfg(DrivenJointsCfg):
+class DifferentialIKActionCfg(DrivenTargetsCfg):
   """Moves a frame of the robot by setting positions of the joints that carry it.
 
   The goal of the frame is fixed once for each environment step; towards it, before every physics substep, dq of
