@@ -200,12 +200,26 @@ def test_steps_that_see_ask_the_device_nothing(rnn_type: Any) -> None:
   assert reads.count == 0
 
 
-def test_a_rollout_keeps_every_image_once_and_as_it_came() -> None:
+def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> None:
   trained = runner(critic_that_sees(agent(), None, shared=False))
   stored: Any = trained.alg.storage.observations
   assert (stored["camera"].shape, stored["camera"].dtype) == ((6, 4, 1, 8, 8), torch.float32)
   sizes = {key: value.untyped_storage().nbytes() for key, value in stored.items()}
-  assert sizes == {"actor": 6 * 4 * 2 * 4, "critic": 6 * 4 * 3 * 4, "speed": 6 * 4 * 4, "camera": 6 * 4 * 64 * 4}
+  assert sizes == {"critic": 6 * 4 * 3 * 4, "speed": 6 * 4 * 4, "camera": 6 * 4 * 64 * 4}
+
+
+def test_a_group_that_is_not_there_is_named_with_the_nearest() -> None:
+  cfg = agent(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
+  with pytest.raises(ConfigError, match=r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"):
+    runner(cfg)
+
+
+def test_images_cost_what_the_readme_says() -> None:
+  cfg = agent(num_steps_per_env=2)
+  stored: Any = runner(cfg).alg.storage.observations["camera"]
+  per_value = stored.untyped_storage().nbytes() / stored.numel()
+  text = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
+  assert f"4096 worlds x 24 steps x 3 x 32 x 32 take {4096 * 24 * 3 * 32 * 32 * per_value / 1e9:.2f} GB" in text
 
 
 @each_kind

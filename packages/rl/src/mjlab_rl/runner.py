@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from mjlab_core import unknown
 from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
-from mjlab_rl.config import RslRlBaseRunnerCfg
+from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.iteration_report import IterationReport
@@ -52,6 +53,13 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     console: Console | None = None,
   ):
     cfg.check_samples(env.num_envs)
+    known = list(env.unwrapped.get_observations())
+    for network, groups in cfg.obs_groups.items():
+      for group in groups:
+        if group not in known:
+          raise ConfigError(unknown("observation group", group, known, owner=f"agent.obs_groups['{network}']"))
+    # A rollout keeps what it is given, so it is not given what no network looks at.
+    env.groups = frozenset(group for groups in cfg.obs_groups.values() for group in groups)
     self.agent_cfg = cfg
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)

@@ -26,6 +26,8 @@ class RslRlVecEnvWrapper(VecEnv):
     self.device = env.device
     self.cfg = env.cfg
     self.clip_actions = clip_actions
+    self.groups: frozenset[str] | None = None
+    """Observation groups that are handed on, which a rollout keeps all of; None: all."""
     # Cutting a finite-horizon episode is its true end: the value behind it must not be bootstrapped.
     self._is_finite_horizon = bool(getattr(env.cfg, "is_finite_horizon", False))
     env.reset()
@@ -83,4 +85,5 @@ class RslRlVecEnvWrapper(VecEnv):
     self.env.close()
 
   def _batch(self, observations: Mapping[str, Any]) -> TensorDict:
-    return TensorDict(dict(observations), batch_size=[self.num_envs])
+    handed_on = {name: seen for name, seen in observations.items() if self.groups is None or name in self.groups}
+    return TensorDict(handed_on, batch_size=[self.num_envs])
