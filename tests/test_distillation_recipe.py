@@ -4,10 +4,15 @@ import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
+import mjlab
 import pytest
+import torch
 from mjlab import cli
-from mjlab_rl import RslRlDistillationRunnerCfg, load_run
+from mjlab.making import standard_env
+from mjlab_rl import Console, RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlVecEnvWrapper, load_run
+from mjlab_rl.distillation import runner_class
 
 README = Path(__file__).parents[1] / "tasks" / "manipulation" / "README.md"
 STUDENT = "Mjlab-Lift-Cube-Yam-Depth-Distill"
@@ -76,3 +81,25 @@ def test_what_cannot_be_taught_is_said_in_one_line(
   assert message in told
   assert told.count("\n") == 1
   assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("name", ["Mjlab-Lift-Cube-Yam-Depth", STUDENT])
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_rollouts_that_see_never_wait_for_a_gpu(name: str, rnn_type: Any) -> None:
+  task = mjlab.load_task(name)
+  agent, device = task.agent, "cuda:0"
+  getattr(agent, agent.policy).rnn_type = rnn_type
+  if isinstance(agent, RslRlDistillationRunnerCfg):
+    agent.teacher = RslRlModelCfg()
+  task.env.scene.num_envs = 64
+  with standard_env(task.env, device=device) as env:
+    wrapped = RslRlVecEnvWrapper(env)
+    made = runner_class(agent)(wrapped, agent, None, device, console=Console("quiet"))
+    observations = made._collect(made.env.get_observations())
+    made.alg.storage.clear()
+    try:
+      torch.cuda.set_sync_debug_mode("error")
+      made._collect(observations)
+    finally:
+      torch.cuda.set_sync_debug_mode("default")

@@ -87,6 +87,20 @@ def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None, worlds: i
 
 
 @each_kind
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_what_is_seen_counts_beside_what_is_told_and_no_world_sees_for_another(
+  kind: type[ImageModel], rnn_type: Any
+) -> None:
+  network = model(kind, rnn_type)
+  seen = observations((3,)).requires_grad_()
+  network(seen)[1].sum().backward()
+  for group in GROUPS["net"]:
+    gradient: Any = seen[group].grad
+    assert gradient[1].abs().amax() > 0.0
+    assert gradient[[0, 2]].abs().amax() == 0.0
+
+
+@each_kind
 @each_memory
 def test_a_world_that_is_done_forgets_and_no_other_does(kind: type[ImageModel], rnn_type: str) -> None:
   network = model(kind, rnn_type)
