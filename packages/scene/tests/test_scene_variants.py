@@ -140,6 +140,9 @@ def test_names_of_every_variant_are_addressable(make) -> None:
   assert isinstance(entity, VariantEntity)
   assert set(entity.indexing.names["geom"]) == {"ball/shell", "crate/side", "crate/lid", "wedge/hull"}
   assert entity.is_floating
+  of_variant = dict(zip(entity.indexing.names["geom"], entity.geom_is_there.T, strict=True))
+  for name, is_there in of_variant.items():
+    assert torch.equal(is_there, entity.variant == NAMES.index(name.split("/")[0]))
   assert entity.variant.bincount(minlength=4).tolist() == [2, 2, 2, 2]
 
 

@@ -70,6 +70,8 @@ class VariantEntity(Entity):
   """The variants in their order."""
   variant: torch.Tensor
   """Which of them each world has, (num_envs,); there once the scene is initialized."""
+  geom_is_there: torch.Tensor
+  """Which of the entity's geoms each world's variant has, bool (num_envs, num_geoms); there once it is initialized."""
 
   def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
     owner = f"entity '{name}'"
@@ -102,19 +104,16 @@ class VariantEntity(Entity):
     sim.model.body_iquat[:, body] = by_world([inertia.quat for inertia in inertias])
     if None in self._inertias.values():
       sim.model.body_gravcomp[:, body] = by_world([float(self._inertias[name] is None) for name in self.variant_names])
-    for number, name in enumerate(self.variant_names):
-      start = f"{self.prefix}{name}/"
-      geoms = [i for i in range(model.ngeom) if model.geom(i).name.startswith(start)]
-      absent = (self.variant != number)[:, None]
-      for geom in geoms:
-        is_mesh = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
-        sim.model.geom_margin[:, geom].masked_fill_(absent[:, 0], _NO_CONTACT)
-        sim.model.geom_rgba[:, geom, 3].masked_fill_(absent[:, 0], 0.0)
-        if is_mesh:
-          # A mesh has no size to take from it.
-          sim.model.geom_pos[:, geom, 2].masked_fill_(absent[:, 0], _FAR)
-        else:
-          sim.model.geom_size[:, geom] = torch.where(absent, _TINY, sim.model.geom_size[:, geom])
+    owners = [self.variant_names.index(name.split("/")[0]) for name in self.indexing.names["geom"]]
+    self.geom_is_there = self.variant[:, None] == torch.tensor(owners, device=sim.device)
+    for geom, is_there in zip(self.indexing.ids["geom"].tolist(), self.geom_is_there.unbind(1), strict=True):
+      sim.model.geom_margin[:, geom].masked_fill_(~is_there, _NO_CONTACT)
+      sim.model.geom_rgba[:, geom, 3].masked_fill_(~is_there, 0.0)
+      if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        # A mesh has no size to take from it.
+        sim.model.geom_pos[:, geom, 2].masked_fill_(~is_there, _FAR)
+      else:
+        sim.model.geom_size[:, geom] = torch.where(is_there[:, None], sim.model.geom_size[:, geom], _TINY)
     sim.recompute_constants()
     sim.rebase_default_fields(fields)
 
