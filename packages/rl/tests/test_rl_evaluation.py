@@ -94,6 +94,16 @@ def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -
   assert played.mean("state").tolist() == [10.0, 20.0, 15.0, 30.0]
 
 
+def test_how_episodes_begin_is_seen_before_any_of_them_is_over() -> None:
+  env, seen = Script(), []
+
+  def begin() -> None:
+    seen.append((len(env.seeds), env.terminal.tolist()))
+
+  play_first_episodes(env, lambda _: torch.zeros(4, 1), dict, max_steps=3, begin=begin)
+  assert seen == [(1, [0.0] * 4)]
+
+
 def test_an_episode_that_is_not_over_at_the_last_step_has_neither_ended_nor_failed() -> None:
   _, played = play(max_steps=2)
   assert played.has_ended.tolist() == [True, False, True, False]

@@ -51,6 +51,7 @@ def play_first_episodes(
   *,
   max_steps: int,
   seed: int | None = None,
+  begin: Callable[[], None] | None = None,
   progress: Progress | None = None,
 ) -> Episodes:
   """Play until the first episode of every world is over.
@@ -64,10 +65,13 @@ def play_first_episodes(
       the values of the metrics manager. A step that ends an episode so counts with its terminal state.
     max_steps: When to stop at the latest.
     seed: Restarts the environment's generator.
+    begin: Called once, when all episodes have begun and before the first step: to note how they begin.
     progress: Told of every step.
   """
   with torch.no_grad():
     observations, _ = env.reset(seed=seed)
+    if begin is not None:
+      begin()
     n = env.num_envs
     playing = torch.ones(n, dtype=torch.bool, device=env.device)
     length = torch.zeros(n, dtype=torch.int64, device=env.device)
