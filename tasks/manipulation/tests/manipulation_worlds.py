@@ -9,8 +9,21 @@ import torch
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab_managers import ObservationTermCfg
 from mjlab_manipulation import lift_cube_env
-from mjlab_manipulation.lift import COMMAND
-from mjlab_manipulation.mdp import LiftCommand
+from mjlab_manipulation.lift import COMMAND, lift_env
+from mjlab_manipulation.mdp import LiftCommand, LiftCommandCfg, Region
+from mjlab_manipulation.objects import cube_spec
+from mjlab_scene import EntityCfg
+
+COLOURS = ("red", "green", "blue")
+
+
+def three_cubes() -> ManagerBasedRlEnvCfg:
+  """An environment with three cubes, without a camera."""
+  cfg = lift_env({name: EntityCfg(spec_fn=cube_spec) for name in COLOURS})
+  command = cfg.commands[COMMAND]
+  assert isinstance(command, LiftCommandCfg)
+  command.start = Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03))
+  return cfg
 
 
 def lift(

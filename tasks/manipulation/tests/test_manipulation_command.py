@@ -6,24 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from manipulation_worlds import in_mujoco, lift
-from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from manipulation_worlds import COLOURS, in_mujoco, lift, three_cubes
+from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import ConfigError
 from mjlab_manipulation import lift_cube_env
-from mjlab_manipulation.lift import COMMAND, lift_env
-from mjlab_manipulation.mdp import LiftCommandCfg, Region
-from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
-from mjlab_scene import EntityCfg
-
-COLOURS = ("red", "green", "blue")
-
-
-def three() -> ManagerBasedRlEnvCfg:
-  cfg = lift_env({name: EntityCfg(spec_fn=cube_spec) for name in COLOURS})
-  command = cfg.commands[COMMAND]
-  assert isinstance(command, LiftCommandCfg)
-  command.start = Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.02, 0.05))
-  return cfg
+from mjlab_manipulation.mdp import Region
+from mjlab_manipulation.objects import CUBE_EDGE
 
 
 def places(env: ManagerBasedRlEnv, names: tuple[str, ...]) -> np.ndarray:
@@ -33,7 +21,8 @@ def places(env: ManagerBasedRlEnv, names: tuple[str, ...]) -> np.ndarray:
 
 def test_starts_and_goals_fill_their_regions() -> None:
   env, term = lift(600)
-  start, goal = places(env, ("cube",))[:, 0], term.command.numpy()
+  # Of a cube that stands upright, the lowest point is half an edge below its centre.
+  start, goal = places(env, ("cube",))[:, 0] - [0.0, 0.0, 0.5 * CUBE_EDGE], term.command.numpy()
   for values, region in ((start, term.cfg.start), (goal, term.cfg.goal)):
     for axis, (lo, hi) in zip(values.T, (region.x, region.y, region.z), strict=True):
       assert lo - 1e-9 <= axis.min() < lo + 0.02 * (hi - lo)
@@ -50,7 +39,7 @@ def test_starts_and_goals_fill_their_regions() -> None:
 
 
 def test_cubes_never_overlap_and_take_every_order() -> None:
-  env, term = lift(300, three)
+  env, term = lift(300, three_cubes)
   orders, gaps = set(), []
   for _ in range(4):
     env.reset()
@@ -70,7 +59,7 @@ def test_cubes_never_overlap_and_take_every_order() -> None:
   assert np.bincount(term.target.numpy()).min() > 60
 
 
-@pytest.mark.parametrize(("make", "names"), [(lift_cube_env, ("cube",)), (three, COLOURS)], ids=["one", "three"])
+@pytest.mark.parametrize(("make", "names"), [(lift_cube_env, ("cube",)), (three_cubes, COLOURS)], ids=["one", "three"])
 def test_the_wrist_camera_sees_all_of_every_cube_at_the_start(make: Any, names: tuple[str, ...]) -> None:
   env, _ = lift(128, make)
   model = env.sim.mj_model
@@ -135,6 +124,7 @@ def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
     ({"objects": ("ball",)}, "ball"),
     ({"objects": ("robot",)}, "'robot' cannot be lifted: its base does not float"),
     ({"min_distance": 0.5, "objects": ("cube", "cube")}, "0.21 m wide, too little for 2 objects 0.5 m apart"),
+    ({"min_distance": 0.05, "objects": ("cube", "cube")}, "min_distance is 0.05 m, and objects may touch below 0.0565"),
     ({"goal": Region(x=(0.5, 0.3), y=(0.0, 0.0), z=(0.2, 0.4))}, "goal.x"),
     ({"goal_time_range": (0.0, 1.0)}, "goal_time_range"),
     ({"resampling_time_range": (1.0, 2.0)}, "objects are placed at resets"),

@@ -2,11 +2,16 @@
 
 import pytest
 import torch
-from manipulation_worlds import place
-from mjlab_envs import ManagerBasedRlEnv
-from mjlab_manipulation import LiftEvaluation, lift_cube, lift_cube_env
+from manipulation_worlds import lift, place, three_cubes
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_manipulation import LiftEvaluation, lift_cube, lift_cube_env, lift_objects_env
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.evaluation import _by_width
+from mjlab_manipulation.lift import COMMAND, DECIMATION
 from mjlab_manipulation.mdp import lift_command
+from mjlab_manipulation.objects import OBJECTS
 from mjlab_rl import EvaluationError
+from mjlab_scene import VariantEntityCfg
 
 
 def evaluator() -> LiftEvaluation:
@@ -38,6 +43,7 @@ def test_a_hand_of_providence_succeeds_as_often_and_as_fast_as_it_did() -> None:
   assert everybody["lift_rate"].mean == pytest.approx(6 / 8)
   assert everybody["drop_rate"].mean == pytest.approx(1 / 6)
   assert everybody["failure_rate"].mean == 0.0
+  # One cube of one width: nothing to tell apart but where it began.
   assert set(result.groups) == {"all", "near", "far", "left", "right"}
   assert sum(result.groups[name]["success_rate"].count for name in ("near", "far")) == 8
   assert "success_rate" in result.table()
@@ -50,6 +56,85 @@ def test_a_policy_that_does_nothing_never_succeeds() -> None:
   assert (everybody["success_rate"].mean, everybody["peak_force"].mean) == (0.0, 0.0)
   assert everybody["time_to_success"].count == everybody["drop_rate"].count == 0
   assert 0.15 < everybody["final_error"].mean < 0.6
+
+
+def test_results_are_told_apart_by_object_by_width_and_by_where_it_began() -> None:
+  def environment() -> ManagerBasedRlEnvCfg:
+    cfg = evaluator().configure(lift_objects_env())
+    entity = cfg.scene.entities["object"]
+    assert isinstance(entity, VariantEntityCfg)
+    entity.assignment = (
+      "cube_30mm",
+      "brick",
+      "ball_50mm",
+      "ball_50mm",
+      "cylinder",
+      "cube_40mm",
+      "capsule",
+      "cube_50mm",
+    )
+    return cfg
+
+  with ManagerBasedRlEnv(environment(), device="cpu") as env:
+    term, steps = lift_command(env, "lift_height"), 0
+    near: list[bool] = []
+
+    def policy(observations: object) -> torch.Tensor:
+      nonlocal steps
+      del observations
+      if not steps:
+        near.extend(((term.object_pos_w - env.scene.env_origins)[:, 0] <= 0.31).tolist())
+      steps += 1
+      # Worlds 1 (30 mm), 2 and 3 (50 mm), and 4 (40 mm) succeed.
+      place(env, term.command.numpy(), "object", slice(1, 5))
+      return torch.zeros(8, 7)
+
+    result = evaluator().run(env, policy)
+  rate = {name: metrics["success_rate"] for name, metrics in result.groups.items()}
+  assert {name: (found.mean, found.count) for name, found in rate.items() if "mm" in name or name in OBJECTS} == {
+    "cube_30mm": (0.0, 1),
+    "cube_40mm": (0.0, 1),
+    "cube_50mm": (0.0, 1),
+    "brick": (1.0, 1),
+    "ball_40mm": (pytest.approx(float("nan"), nan_ok=True), 0),
+    "ball_50mm": (1.0, 2),
+    "cylinder": (1.0, 1),
+    "capsule": (0.0, 1),
+    "30 mm": (0.5, 2),
+    "35 mm": (0.0, 1),
+    "40 mm": (0.5, 2),
+    "50 mm": (pytest.approx(2 / 3), 3),
+  }
+  assert rate["near"].count == sum(near)
+  assert rate["near"].mean == pytest.approx(sum(near[1:5]) / sum(near))
+  assert rate["all"].mean == 0.5
+  assert result.groups["brick"]["time_to_success"].mean == pytest.approx(1.0, abs=0.03)
+
+
+def test_of_several_objects_the_one_that_is_meant_counts() -> None:
+  with ManagerBasedRlEnv(evaluator().configure(three_cubes()), device="cpu") as env:
+    result = evaluator().run(env, lambda _: torch.zeros(8, 7))
+  counts = {name: metrics["success_rate"].count for name, metrics in result.groups.items()}
+  assert sum(counts.get(name, 0) for name in ("red", "green", "blue")) == 8
+
+
+def test_many_widths_are_thirds() -> None:
+  thirds = _by_width(torch.linspace(0.03, 0.05, 31))
+  assert list(thirds) == ["to 36.7 mm", "36.7 to 43.3 mm", "above 43.3 mm"]
+  assert torch.stack(list(thirds.values())).sum(0).eq(1).all()
+  assert [int(mask.sum()) for mask in thirds.values()] == [11, 10, 10]
+
+
+def test_the_peak_of_force_is_that_of_all_substeps() -> None:
+  env, _ = lift(2)
+  contact = env.scene["fingers"]
+  env.step(torch.zeros(2, 7))
+  assert contact.data.force_history.shape[2] == DECIMATION
+  history = contact.data.force_history
+  history.zero_()
+  # In the second of four substeps, by the second finger, in world 1 alone.
+  history[1, 1, 2] = torch.tensor([3.0, 0.0, 4.0], dtype=history.dtype)
+  assert lifting.finger_force(env, command=COMMAND, sensor="fingers").tolist() == [0.0, 5.0]
 
 
 def test_what_cannot_be_evaluated_is_refused() -> None:

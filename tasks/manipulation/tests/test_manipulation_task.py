@@ -9,7 +9,7 @@ import pytest
 import torch
 from manipulation_worlds import lift, place
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env
+from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_objects_env
 from mjlab_manipulation.lift import ACTION_SCALE, ARM, COMMAND, JOINT_RANGE
 from mjlab_rl import Console, train
 from mjlab_robots import YAM_ACTION_SCALE
@@ -150,7 +150,7 @@ def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
 
 @pytest.mark.warp
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env], ids=["joints", "hand"])
+@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env, lift_objects_env], ids=["joints", "hand", "objects"])
 def test_both_engines_play_alike(make: Any) -> None:
   seen: list[tuple[np.ndarray, np.ndarray]] = []
   for engine in ("native", "warp"):
@@ -159,7 +159,9 @@ def test_both_engines_play_alike(make: Any) -> None:
     env, term = lift(4, lambda cfg=cfg: cfg)
     # Engines draw in their own precision, so not the same.
     term.command.copy_(torch.tensor([[0.4, 0.1, 0.3], [0.3, -0.1, 0.2], [0.5, 0.0, 0.4], [0.4, 0.2, 0.2]]))
-    place(env, np.array([[0.3, 0.0, 0.03], [0.25, 0.1, 0.02], [0.4, -0.1, 0.05], [0.35, 0.05, 0.02]]))
+    place(
+      env, np.array([[0.3, 0.0, 0.03], [0.25, 0.1, 0.02], [0.4, -0.1, 0.05], [0.35, 0.05, 0.02]]), term.cfg.objects[0]
+    )
     generator = torch.Generator().manual_seed(0)
     rewards = [env.step(0.3 * torch.randn(4, 7, generator=generator))[1].numpy() for _ in range(15)]
     critic = env.get_observations()["critic"]

@@ -4,6 +4,14 @@ from mjlab_manipulation.distillation import distillation_agent, lift_cube_depth_
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images, randomize_images
 from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
+from mjlab_manipulation.lift_objects import (
+  lift_objects,
+  lift_objects_depth,
+  lift_objects_depth_env,
+  lift_objects_env,
+  lift_objects_rgb,
+  lift_objects_rgb_env,
+)
 from mjlab_manipulation.vision import (
   lift_cube_depth,
   lift_cube_depth_env,
@@ -27,6 +35,12 @@ __all__ = [
   "lift_cube_rgb_distill",
   "lift_cube_rgb_env",
   "lift_env",
+  "lift_objects",
+  "lift_objects_depth",
+  "lift_objects_depth_env",
+  "lift_objects_env",
+  "lift_objects_rgb",
+  "lift_objects_rgb_env",
   "multi_cube_seg",
   "multi_cube_seg_env",
   "plain_images",

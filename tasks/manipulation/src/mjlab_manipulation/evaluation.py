@@ -6,18 +6,22 @@ from typing import TYPE_CHECKING
 import torch
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_rl import Evaluation, EvaluationError, Policy, Progress, play_first_episodes, summarize
+from mjlab_scene import VariantEntity
 
-from mjlab_manipulation.mdp import LiftCommandCfg, lift_command
+from mjlab_manipulation.mdp import LiftCommand, LiftCommandCfg, lift_command
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
+
+MAX_WIDTHS = 6
+"""Widths of objects that are each a group of their own."""
 
 _MEASURED = ("held", "time_to_success", "lifted", "dropped", "finger_force", "position_error")
 
 
 @dataclass(kw_only=True)
 class LiftEvaluation:
-  """One goal for each world, with training's noise and randomisation, by where the object began:
+  """One goal for each world, with training's noise and randomisation, by object, by its width, and by where it began:
 
   - `success_rate`: share of episodes in which the object was held at its goal;
   - `time_to_success`: of those, how long it took;
@@ -50,17 +54,17 @@ class LiftEvaluation:
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
     term = lift_command(env, self.command)
-    starts: list[torch.Tensor] = []
-
-    def measure() -> dict[str, torch.Tensor]:
-      if not starts:
-        starts.append((term.object_pos_w - env.scene.env_origins).cpu())
-      return {name: env.metrics_manager.get_value(name) for name in _MEASURED}
-
+    groups: dict[str, torch.Tensor] = {}
     played = play_first_episodes(
-      env, policy, measure, max_steps=env.max_episode_length, seed=self.seed, progress=progress
+      env,
+      policy,
+      lambda: {name: env.metrics_manager.get_value(name) for name in _MEASURED},
+      max_steps=env.max_episode_length,
+      seed=self.seed,
+      begin=lambda: groups.update(_groups(env, term)),
+      progress=progress,
     )
-    # All but the error only ever grow, so their greatest value is that at the end.
+    # What counts is the greatest of an episode; of all but force and error that is what it had come to in the end.
     most = {name: played.values[name].nan_to_num(nan=0.0).amax(0) for name in _MEASURED}
     held, lifted = most["held"] > 0, most["lifted"] > 0
     last = (played.length - 1).clamp(min=0)
@@ -73,9 +77,6 @@ class LiftEvaluation:
       "peak_force": most["finger_force"],
       "final_error": played.values["position_error"].gather(0, last[None])[0],
     }
-    (start,), region = starts, term.cfg.start
-    far, left = start[:, 0] > 0.5 * sum(region.x), start[:, 1] > 0.5 * sum(region.y)
-    groups = {"near": ~far, "far": far, "left": left, "right": ~left}
     return summarize(
       metrics,
       groups,
@@ -83,3 +84,34 @@ class LiftEvaluation:
       values={"position_error": played.values["position_error"], "held": played.values["held"]},
       steps_per_second=round(1.0 / env.step_dt),
     )
+
+
+def _groups(env: "ManagerBasedRlEnv", term: LiftCommand) -> dict[str, torch.Tensor]:
+  """Which worlds are alike in what is to be lifted and where it is, bool (num_envs,) by name."""
+  place, region = (term.object_pos_w - env.scene.env_origins).cpu(), term.cfg.start
+  far, left = place[:, 0] > 0.5 * sum(region.x), place[:, 1] > 0.5 * sum(region.y)
+  groups = {"near": ~far, "far": far, "left": left, "right": ~left}
+  for number, name in enumerate(term.cfg.objects):
+    is_meant, entity = (term.target == number).cpu(), env.scene[name]
+    if isinstance(entity, VariantEntity):
+      kinds = enumerate(entity.variant_names)
+      groups |= {kind: is_meant & (entity.variant == i).cpu() for i, kind in kinds}
+    else:
+      groups[name] = is_meant
+  # What the fingers have to span.
+  return groups | _by_width(term.object_size.amin(1).cpu())
+
+
+def _by_width(width: torch.Tensor) -> dict[str, torch.Tensor]:
+  """A group for each width [m] where there are a few, or else for each third of the worlds."""
+  millimetres = (width * 1e3).round()
+  found = millimetres.unique().tolist()
+  if len(found) <= MAX_WIDTHS:
+    return {f"{mm:.0f} mm": millimetres == mm for mm in found}
+  low, high = (width.double().quantile(share / 3) for share in (1, 2))
+  edges = f"{low * 1e3:.1f}", f"{high * 1e3:.1f}"
+  return {
+    f"to {edges[0]} mm": width <= low,
+    f"{edges[0]} to {edges[1]} mm": (width > low) & (width <= high),
+    f"above {edges[1]} mm": width > high,
+  }

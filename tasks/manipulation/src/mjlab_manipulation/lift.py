@@ -25,7 +25,7 @@ from mjlab_terrain import PlaneCfg
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images
-from mjlab_manipulation.objects import CUBE_EDGE, cube_spec
+from mjlab_manipulation.objects import cube_spec
 
 # Timing
 PHYSICS_DT = 0.005  # s
@@ -61,7 +61,7 @@ JOINT_SPEED_STAGES = [(0, -0.01), (500 * 24, -0.1), (1000 * 24, -1.0)]  # enviro
 TOLERANCE = 0.05  # m
 HOLD = 1.0  # s
 REACHED = 0.05  # m
-LIFTED, FALLEN = 2.0 * CUBE_EDGE, 0.75 * CUBE_EDGE  # m, height of the cube's centre, which rests at half its edge
+LIFTED, FALLEN = 0.06, 0.01  # m, height of the object's lowest point
 
 # Pressing harder on the ground ends the episode
 MAX_GROUND_FORCE = 10.0  # N
@@ -112,7 +112,7 @@ def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
 
 
 def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
-  """The YAM on a plane lifts one of `objects`, entities by name whose body is called "cube", by joints."""
+  """The YAM on a plane lifts one of `objects`, entities by name of one body each, by joints."""
   return ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
@@ -170,8 +170,11 @@ def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
     ),
     "fingers": ContactSensorCfg(
       primary=ContactMatch(mode="subtree", pattern=FINGERS, entity="robot", preserve_order=True),
-      secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/cube" for name in objects), preserve_order=True),
+      secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/.*" for name in objects), preserve_order=True),
       fields=("found", "force"),
+      # All that a finger exerts, through however many contacts.
+      reduce="netforce",
+      history_length="decimation",
     ),
   }
 

@@ -1,6 +1,8 @@
 """What is lifted."""
 
 import colorsys
+import math
+from collections.abc import Callable
 
 import mujoco
 
@@ -8,15 +10,16 @@ CUBE_EDGE = 0.04
 """Edge of the cube [m]."""
 CUBE_MASS = 0.05
 """Mass of the cube [kg]."""
+DENSITY = CUBE_MASS / CUBE_EDGE**3
+"""That of the cube, and of all other objects [kg/m^3]."""
+
+Rgba = tuple[float, float, float, float]
 
 
-def cube_spec(rgba: tuple[float, float, float, float] = (0.85, 0.35, 0.2, 1.0)) -> mujoco.MjSpec:
+def cube_spec(rgba: Rgba = (0.85, 0.35, 0.2, 1.0)) -> mujoco.MjSpec:
   """A cube that nothing holds; friction and contact parameters are MuJoCo's defaults."""
-  spec = mujoco.MjSpec()
-  body = spec.worldbody.add_body(name="cube")
-  body.add_freejoint(name="cube")
-  body.add_geom(name="cube", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * CUBE_EDGE] * 3, mass=CUBE_MASS, rgba=rgba)
-  return spec
+  half = 0.5 * CUBE_EDGE
+  return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (half, half, half), rgba)[0]
 
 
 def red_cube_spec() -> mujoco.MjSpec:
@@ -34,6 +37,72 @@ def blue_cube_spec() -> mujoco.MjSpec:
   return cube_spec(_hue(2 / 3))
 
 
-def _hue(share: float) -> tuple[float, float, float, float]:
+def small_cube_spec() -> mujoco.MjSpec:
+  """A cube of 3 cm."""
+  return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (0.015, 0.015, 0.015), _hue(0.55))[0]
+
+
+def large_cube_spec() -> mujoco.MjSpec:
+  """A cube of 5 cm."""
+  return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (0.025, 0.025, 0.025), _hue(0.1))[0]
+
+
+def brick_spec() -> mujoco.MjSpec:
+  """A brick of 6 x 4 x 3 cm that lies flat."""
+  return _object("brick", mujoco.mjtGeom.mjGEOM_BOX, (0.03, 0.02, 0.015), _hue(0.0))[0]
+
+
+def small_ball_spec() -> mujoco.MjSpec:
+  """A ball of 4 cm that does not roll for ever."""
+  return _round(*_object("ball", mujoco.mjtGeom.mjGEOM_SPHERE, (0.02, 0.0, 0.0), _hue(0.3)))
+
+
+def large_ball_spec() -> mujoco.MjSpec:
+  """A ball of 5 cm that does not roll for ever."""
+  return _round(*_object("ball", mujoco.mjtGeom.mjGEOM_SPHERE, (0.025, 0.0, 0.0), _hue(0.4)))
+
+
+def cylinder_spec() -> mujoco.MjSpec:
+  """A cylinder of 4 cm that stands, 6 cm high."""
+  return _object("cylinder", mujoco.mjtGeom.mjGEOM_CYLINDER, (0.02, 0.03, 0.0), _hue(0.75))[0]
+
+
+def capsule_spec() -> mujoco.MjSpec:
+  """A capsule of 3.5 cm that lies, 7 cm long, and does not roll for ever."""
+  spec, geom = _object("capsule", mujoco.mjtGeom.mjGEOM_CAPSULE, (0.0175, 0.0175, 0.0), _hue(0.9))
+  geom.quat = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+  return _round(spec, geom)
+
+
+OBJECTS: dict[str, Callable[[], mujoco.MjSpec]] = {
+  "cube_30mm": small_cube_spec,
+  "cube_40mm": cube_spec,
+  "cube_50mm": large_cube_spec,
+  "brick": brick_spec,
+  "ball_40mm": small_ball_spec,
+  "ball_50mm": large_ball_spec,
+  "cylinder": cylinder_spec,
+  "capsule": capsule_spec,
+}
+"""Objects that the gripper, which opens by 7.5 cm, can hold from any side."""
+
+
+def _object(
+  name: str, kind: mujoco.mjtGeom, size: tuple[float, float, float], rgba: Rgba
+) -> tuple[mujoco.MjSpec, mujoco.MjsGeom]:
+  """One geom that nothing holds, of the cube's density."""
+  spec = mujoco.MjSpec()
+  body = spec.worldbody.add_body(name=name)
+  body.add_freejoint(name=name)
+  return spec, body.add_geom(name=name, type=kind, size=size, density=DENSITY, rgba=rgba)
+
+
+def _round(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> mujoco.MjSpec:
+  """With rolling friction."""
+  geom.condim, geom.friction = 6, (1.0, 0.005, 0.001)
+  return spec
+
+
+def _hue(share: float) -> Rgba:
   """A strong colour from round the colour circle."""
   return (*colorsys.hsv_to_rgb(share, 0.8, 0.9), 1.0)

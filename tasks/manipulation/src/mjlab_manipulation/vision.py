@@ -25,7 +25,7 @@ GEOM_GROUPS = (0, 3)
 
 # Cubes beside one another
 CUBES = {"red_cube": red_cube_spec, "green_cube": green_cube_spec, "blue_cube": blue_cube_spec}
-CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.02, 0.05))
+CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03))
 
 # Learner
 ENCODER = {
@@ -61,16 +61,14 @@ def _task(env: ManagerBasedRlEnvCfg, experiment_name: str) -> TaskCfg[ManagerBas
 def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
   """The environment of training from depth."""
   cfg = lift_cube_env()
-  _see(cfg, ("depth",))
+  see(cfg, ("depth",))
   return cfg
 
 
 def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
   """The environment of training from colours."""
   cfg = lift_cube_env()
-  # The robot's own lamp is enough: with the ground's light, bright colours would all be white.
-  cfg.scene.terrain = PlaneCfg(light=False)
-  _see(cfg, ("rgb",))
+  see(cfg, ("rgb",))
   cfg.events["cube_color"] = EventTermCfg(
     mdp.randomize,
     mode="reset",
@@ -91,11 +89,11 @@ def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
   command = cfg.commands[COMMAND]
   assert isinstance(command, lifting.LiftCommandCfg)
   command.start = copy.deepcopy(CUBES_START)
-  _see(cfg, ("depth", "object"))
+  see(cfg, ("depth", "object"))
   return cfg
 
 
-def _see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> None:
+def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> None:
   """Give the actor a camera and the goal in place of what it was told of the cube; the critic is still told."""
   cfg.scene.sensors[CAMERA] = CameraSensorCfg(
     camera="robot/camera_d405",
@@ -104,6 +102,9 @@ def _see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> No
     data_types=tuple(dict.fromkeys(lifting.DATA_OF_CHANNEL[channel] for channel in channels)),
     geom_groups=GEOM_GROUPS,
   )
+  if "rgb" in channels:
+    # The robot's own lamp is enough: with the ground's light, bright colours would all be white.
+    cfg.scene.terrain = PlaneCfg(light=False)
   terms = proprioception()
   terms["goal_position"] = ObservationTermCfg(lifting.goal_in_hand, params={"command": COMMAND, "hand": hand()})
   cfg.observations["actor"] = ObservationGroupCfg(corrupt=True, terms=terms)

@@ -3,7 +3,13 @@
 from mjlab_manipulation.mdp.command import LiftCommand, LiftCommandCfg, Region
 from mjlab_manipulation.mdp.curricula import reward_weight
 from mjlab_manipulation.mdp.images import DATA_OF_CHANNEL, Channel, camera_image
-from mjlab_manipulation.mdp.observations import goal_in_hand, hand_to_object, object_to_goal
+from mjlab_manipulation.mdp.observations import (
+  goal_in_hand,
+  hand_to_object,
+  object_in_hand,
+  object_size,
+  object_to_goal,
+)
 from mjlab_manipulation.mdp.rewards import hand_distance, joint_vel_hinge, lift, lift_command, lift_precise
 from mjlab_manipulation.mdp.stages import (
   at_goal,
@@ -42,6 +48,8 @@ __all__ = [
   "lift_precise",
   "lifted",
   "object_height",
+  "object_in_hand",
+  "object_size",
   "object_to_goal",
   "position_error",
   "reached",

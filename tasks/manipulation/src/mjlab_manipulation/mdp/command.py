@@ -10,6 +10,8 @@ from mjlab_core.masking import where_
 from mjlab_core.sampling import check_range
 from mjlab_managers import CommandTerm, CommandTermCfg
 
+from mjlab_manipulation.mdp.extent import Extent
+
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
@@ -41,12 +43,13 @@ class LiftCommandCfg(CommandTermCfg):
   """Entities that are there; each world is to lift one of them."""
   goal: Region = field(default_factory=lambda: Region(x=(0.3, 0.5), y=(-0.2, 0.2), z=(0.2, 0.4)))
   """Where the centre of the object is to go."""
-  start: Region = field(default_factory=lambda: Region(x=(0.22, 0.4), y=(-0.105, 0.105), z=(0.02, 0.05)))
-  """Where centres of objects begin: where the wrist camera sees all of a cube of 4 cm from the pose "home"."""
+  start: Region = field(default_factory=lambda: Region(x=(0.22, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03)))
+  """Where objects begin, x and y of their origins and z of their lowest points: where the wrist camera sees all of a
+  cube of 4 cm from the pose "home"."""
   start_yaw: Range = (-math.pi, math.pi)
   """How objects are turned at the beginning [rad]."""
   min_distance: float = 0.06
-  """Least distance between two objects' centres along y [m]."""
+  """Least distance between two objects' origins along y [m]; at least what keeps any two apart, however turned."""
   goal_time_range: Range = (8.0, 12.0)
   """How long a goal is asked for [s]."""
 
@@ -58,7 +61,8 @@ class LiftCommand(CommandTerm):
   """See `LiftCommandCfg`.
 
   Raises:
-    ValueError: no object, one that does not exist or does not float, an inverted range, or no room for all objects.
+    ValueError: no object, one that does not exist, does not float or has no extent, an inverted range, or no room for
+      all objects.
   """
 
   cfg: LiftCommandCfg
@@ -86,6 +90,8 @@ class LiftCommand(CommandTerm):
     self._slack = width - (count - 1) * cfg.min_distance
     if self._slack < 0.0:
       raise ValueError(f"start.y is {width:g} m wide, too little for {count} objects {cfg.min_distance:g} m apart")
+    self._extents = [Extent(env, entity) for entity in self._objects]
+    self._check_distance()
     like: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
     n = self.num_envs
     self._goal = torch.zeros(n, 3, **like)
@@ -107,13 +113,28 @@ class LiftCommand(CommandTerm):
   @property
   def object_pos_w(self) -> torch.Tensor:
     """Centre of the object that is to be lifted, world frame, (num_envs, 3) [m]."""
-    places = [entity.data.root_link_pos_w for entity in self._objects]
-    return places[0] if len(places) == 1 else self.of_target(torch.stack(places, dim=1))
+    return self._of_target([entity.data.root_link_pos_w for entity in self._objects])
+
+  @property
+  def object_quat_w(self) -> torch.Tensor:
+    """Orientation of that object, world frame, (num_envs, 4)."""
+    return self._of_target([entity.data.root_link_quat_w for entity in self._objects])
 
   @property
   def object_height(self) -> torch.Tensor:
     """Height of its centre above the origin of its world, (num_envs,) [m]."""
     return self.object_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
+
+  @property
+  def object_clearance(self) -> torch.Tensor:
+    """Height of its lowest point above the origin of its world, (num_envs,) [m]."""
+    return self._of_target([extent.lowest() for extent in self._extents]) - self.env.scene.env_origins[:, 2]
+
+  @property
+  def object_size(self) -> torch.Tensor:
+    """Edges of the box about it, in the frame of its body, (num_envs, 3) [m]."""
+    boxes = [extent.box() for extent in self._extents]
+    return self._of_target([(high - low).expand(self.num_envs, 3) for low, high in boxes])
 
   @property
   def distance(self) -> torch.Tensor:
@@ -127,6 +148,9 @@ class LiftCommand(CommandTerm):
     index = self.target.view(-1, 1, *[1] * (values.dim() - 2)).expand(-1, 1, *values.shape[2:])
     return values.gather(1, index)[:, 0]
 
+  def _of_target(self, values: list[torch.Tensor]) -> torch.Tensor:
+    return values[0] if len(values) == 1 else self.of_target(torch.stack(values, dim=1))
+
   def resample(self, mask: torch.Tensor) -> None:
     cfg, n, count = self.cfg, self.num_envs, len(self._objects)
     origins = self.env.scene.env_origins.to(self._goal.dtype)
@@ -136,9 +160,10 @@ class LiftCommand(CommandTerm):
     where_(self.target, mask, (rest[:, 3] * count).long().clamp(max=count - 1))
     where_(self.goal_time, mask, _between(rest[:, 4].double(), cfg.goal_time_range))
 
+    below = torch.stack([extent.box()[0][:, 2].expand(n) for extent in self._extents], dim=1)
     x, z, yaw = (
       _between(place[:, 0], cfg.start.x),
-      _between(place[:, 2], cfg.start.z),
+      _between(place[:, 2], cfg.start.z) - below,
       _between(place[:, 3], cfg.start_yaw),
     )
     row = torch.arange(count, device=self.device) * cfg.min_distance
@@ -151,6 +176,17 @@ class LiftCommand(CommandTerm):
     )
     for i, entity in enumerate(self._objects):
       entity.write_root_state(state[:, i], mask)
+
+  def _check_distance(self) -> None:
+    """Checks, at build, that no two objects beside one another can touch."""
+    radii = []
+    for extent in self._extents:
+      low, high = extent.box()
+      reach = torch.maximum(-low, high)[:, :2]
+      radii.append(float(torch.linalg.vector_norm(reach, dim=-1).max()))
+    needed = sum(sorted(radii)[-2:])
+    if len(radii) > 1 and self.cfg.min_distance < needed:
+      raise ValueError(f"min_distance is {self.cfg.min_distance:g} m, and objects may touch below {needed:.4g} m")
 
   def update(self) -> None:
     if self.by_hand is not None:

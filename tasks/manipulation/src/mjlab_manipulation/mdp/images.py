@@ -36,7 +36,7 @@ class camera_image(ManagerTermBase):
     ValueError: a channel that does not exist or that the sensor does not draw, an empty range, or no command.
   """
 
-  _constants = frozenset({"_geoms"})
+  _constants = frozenset({"_is_geom_of"})
 
   def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -56,10 +56,9 @@ class camera_image(ManagerTermBase):
       if cfg.params["command"] is None:
         raise ValueError("channel 'object' needs the lift command: give command")
       objects = lift_command(env, cfg.params["command"]).cfg.objects
-      ids = [env.scene[name].indexing.ids["geom"] for name in objects]
-      if any(len(geoms) != 1 for geoms in ids):
-        raise ValueError("channel 'object' needs objects of one geom each")
-      self._geoms = torch.tensor([[int(geoms[0]) for geoms in ids]], dtype=torch.int32, device=env.device)
+      self._is_geom_of = torch.zeros(1, len(objects), env.sim.mj_model.ngeom, dtype=torch.bool, device=env.device)
+      for i, name in enumerate(objects):
+        self._is_geom_of[0, i, env.scene[name].indexing.ids["geom"].tolist()] = True
 
   def __call__(
     self,
@@ -81,7 +80,8 @@ class camera_image(ManagerTermBase):
         images.append(((data.depth >= near) & (data.depth <= far)).float())
       else:
         assert command is not None
-        target = lift_command(env, command).of_target(self._geoms.expand(env.num_envs, -1))
-        kind, number = data.segmentation[:, 1:], data.segmentation[:, :1]
-        images.append(((number == target.view(-1, 1, 1, 1)) & (kind == int(mujoco.mjtObj.mjOBJ_GEOM))).float())
+        target = lift_command(env, command).of_target(self._is_geom_of.expand(env.num_envs, -1, -1))
+        number, kind = data.segmentation.unbind(1)
+        is_of_target = target.gather(1, number.flatten(1).clamp(0, target.shape[1] - 1).long()).view_as(number)
+        images.append((is_of_target & (kind == int(mujoco.mjtObj.mjOBJ_GEOM))).float()[:, None])
     return images[0] if len(images) == 1 else torch.cat(images, dim=1)

@@ -47,8 +47,8 @@ def grasped(env: "ManagerBasedRlEnv", *, command: str, sensor: str) -> torch.Ten
 
 
 def lifted(env: "ManagerBasedRlEnv", *, command: str, height: float) -> torch.Tensor:
-  """1 where the object's centre is higher than `height` [m], (num_envs,)."""
-  return (lift_command(env, command).object_height > height).float()
+  """1 where all of the object is higher than `height` [m], (num_envs,)."""
+  return (lift_command(env, command).object_clearance > height).float()
 
 
 def at_goal(env: "ManagerBasedRlEnv", *, command: str, within: float) -> torch.Tensor:
@@ -57,9 +57,13 @@ def at_goal(env: "ManagerBasedRlEnv", *, command: str, within: float) -> torch.T
 
 
 def finger_force(env: "ManagerBasedRlEnv", *, command: str, sensor: str) -> torch.Tensor:
-  """Greatest force of a finger on the object, of each finger's strongest contact, (num_envs,) [N]."""
+  """Greatest force of a finger on the object in the last substeps, (num_envs,) [N].
+
+  `sensor` keeps a history, and the objects are its secondaries, in the command's order.
+  """
   contact = env.scene[sensor]
-  force = torch.linalg.vector_norm(contact.data.force, dim=-1).unflatten(1, contact.contact_shape)[..., 0]
+  force = torch.linalg.vector_norm(contact.data.force_history, dim=-1).amax(-1)
+  force = force.unflatten(1, contact.contact_shape)[..., 0]
   return lift_command(env, command).of_target(force.mT).amax(1).float()
 
 
@@ -101,7 +105,10 @@ class time_to_success(held):
 
 
 class dropped(ManagerTermBase):
-  """How often the object fell below `low` [m] after being above `high` [m], (num_envs,). For `reduce="last"`."""
+  """How often the object's lowest point fell below `low` [m] after being above `high` [m], (num_envs,).
+
+  For `reduce="last"`.
+  """
 
   def __init__(self, cfg: MetricsTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -111,7 +118,7 @@ class dropped(ManagerTermBase):
     self._count = torch.zeros(env.num_envs, device=env.device)
 
   def __call__(self, env: "ManagerBasedRlEnv", *, command: str, low: float, high: float) -> torch.Tensor:
-    height = lift_command(env, command).object_height
+    height = lift_command(env, command).object_clearance
     fell = self._up & (height < low)
     self._count.add_(fell)
     self._up.logical_and_(~fell).logical_or_(height > high)

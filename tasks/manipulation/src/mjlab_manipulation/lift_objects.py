@@ -1,0 +1,84 @@
+"""The YAM lifts objects of many sizes, shapes, weights and surfaces, a different one in each world."""
+
+from dataclasses import replace
+
+from mjlab_dr import FieldRandomizer, geom_friction, pseudo_inertia, randomize_field
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import EventMode, EventTermCfg, ObservationTermCfg, SceneEntityCfg
+from mjlab_rl import TaskCfg
+from mjlab_scene import VariantEntityCfg
+
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.evaluation import LiftEvaluation
+from mjlab_manipulation.image_randomization import randomize_images
+from mjlab_manipulation.lift import COMMAND, agent, hand, lift_env, play
+from mjlab_manipulation.objects import OBJECTS
+from mjlab_manipulation.vision import see, vision_agent
+
+OBJECT = "object"
+"""Name of the entity."""
+
+# Where objects begin: where the wrist camera sees all of the largest of them.
+START = lifting.Region(x=(0.24, 0.38), y=(-0.09, 0.09), z=(0.0, 0.03))
+
+# Per world, of what each object has
+MASS = (-0.35, 0.35)  # half the logarithm of the factor: half to twice as heavy
+FRICTION = (0.5, 1.5)
+
+
+def lift_objects() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts whatever object its world has, and is told its size, where it is and how it lies."""
+  return TaskCfg(env=lift_objects_env(), play=play, agent=agent("yam_lift_objects", 5_000), evaluator=LiftEvaluation())
+
+
+def lift_objects_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts whatever object its world has, whose distance it sees through a camera as they are."""
+  return _seeing(lift_objects_depth_env())
+
+
+def lift_objects_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The YAM lifts whatever object its world has, which it sees in colour, over a ground and in a light of its own."""
+  return _seeing(lift_objects_rgb_env())
+
+
+def _seeing(env: ManagerBasedRlEnvCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  return TaskCfg(env=env, play=play, agent=vision_agent("yam_lift_objects_vision"), evaluator=LiftEvaluation())
+
+
+def lift_objects_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training with many objects."""
+  cfg = lift_env({OBJECT: VariantEntityCfg(variants=dict(OBJECTS))})
+  command = cfg.commands[COMMAND]
+  assert isinstance(command, lifting.LiftCommandCfg)
+  command.start = replace(START)
+  for group in cfg.observations.values():
+    assert group is not None
+    group.terms |= {
+      "object_size": ObservationTermCfg(lifting.object_size, scale=10.0, params={"command": COMMAND}),
+      "object_in_hand": ObservationTermCfg(lifting.object_in_hand, params={"command": COMMAND, "hand": hand()}),
+    }
+  cfg.events |= {
+    "object_mass": _event(pseudo_inertia(".*", alpha=MASS), "startup"),
+    "object_friction": _event(geom_friction(".*", FRICTION, shared=True), "startup"),
+  }
+  return cfg
+
+
+def lift_objects_depth_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training with many objects from depth that differs from world to world."""
+  cfg = lift_objects_env()
+  see(cfg, ("depth",))
+  return randomize_images(cfg)
+
+
+def lift_objects_rgb_env() -> ManagerBasedRlEnvCfg:
+  """The environment of training with many objects from colours that differ from world to world."""
+  cfg = lift_objects_env()
+  see(cfg, ("rgb",))
+  color = randomize_field("geom_rgba", ".*", (0.0, 1.0), axes=("red", "green", "blue"), shared=True)
+  cfg.events["object_color"] = _event(color, "reset")
+  return randomize_images(cfg)
+
+
+def _event(randomizer: FieldRandomizer, mode: EventMode) -> EventTermCfg:
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, "asset": SceneEntityCfg(OBJECT)})

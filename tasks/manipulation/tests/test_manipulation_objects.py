@@ -1,0 +1,269 @@
+"""Objects of many sizes, shapes, weights and surfaces, one in each world."""
+
+import itertools
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from manipulation_worlds import images, in_mujoco, lift, metric
+from mjlab_core.rotations import random_quat
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import ConfigError, ObservationTermCfg
+from mjlab_manipulation import lift_objects_depth_env, lift_objects_env, lift_objects_rgb_env
+from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.lift import COMMAND, lift_env
+from mjlab_manipulation.objects import OBJECTS, cube_spec
+from mjlab_scene import EntityCfg, VariantEntity, VariantEntityCfg
+from mjlab_sensors import CameraSensorCfg
+
+NAMES = tuple(OBJECTS)
+EDGES = {
+  "cube_30mm": (0.03, 0.03, 0.03),
+  "cube_40mm": (0.04, 0.04, 0.04),
+  "cube_50mm": (0.05, 0.05, 0.05),
+  "brick": (0.06, 0.04, 0.03),
+  "ball_40mm": (0.04, 0.04, 0.04),
+  "ball_50mm": (0.05, 0.05, 0.05),
+  "cylinder": (0.04, 0.04, 0.06),
+  "capsule": (0.07, 0.035, 0.035),
+}
+
+
+def each_once(make: Callable[[], ManagerBasedRlEnvCfg] = lift_objects_env) -> ManagerBasedRlEnvCfg:
+  """One world for each object, in their order."""
+  cfg = make()
+  entity = cfg.scene.entities["object"]
+  assert isinstance(entity, VariantEntityCfg)
+  entity.assignment = NAMES
+  return cfg
+
+
+def put(env: ManagerBasedRlEnv, position: torch.Tensor, quat: torch.Tensor, entity: str = "object") -> None:
+  """Objects at rest at positions from their worlds' origins."""
+  state = torch.zeros(env.num_envs, 13, dtype=torch.float64)
+  state[:, :3], state[:, 3:7] = env.scene.env_origins + position, quat
+  env.scene[entity].write_root_state(state)
+
+
+def lowest_point(env: ManagerBasedRlEnv, world: int, geom: str) -> float:
+  """By MuJoCo's own collision functions: the distance of a geom from a plane deep below."""
+  spec = mujoco.MjSpec()
+  model = env.sim.mj_model
+  source, data = model.geom(geom), in_mujoco(env, world)
+  spec.worldbody.add_geom(name="deep", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -1])
+  body = spec.worldbody.add_body(pos=data.geom(geom).xpos)
+  quat = np.zeros(4)
+  mujoco.mju_mat2Quat(quat, data.geom(geom).xmat)
+  body.quat = quat
+  size = env.sim.model.geom_size[world, source.id].tolist()
+  body.add_geom(name="it", type=mujoco.mjtGeom(int(source.type[0])), size=size)
+  alone = spec.compile()
+  placed = mujoco.MjData(alone)
+  mujoco.mj_forward(alone, placed)
+  ids = [alone.geom(name).id for name in ("it", "deep")]
+  return mujoco.mj_geomDistance(alone, placed, *ids, 10.0, None) - 1.0
+
+
+def test_every_world_has_one_object_whose_size_weight_and_surface_are_its_own() -> None:
+  env, term = lift(8 * 12, lift_objects_env)
+  entity, model = env.scene["object"], env.sim.model
+  assert isinstance(entity, VariantEntity)
+  assert entity.variant.bincount().tolist() == [12] * 8
+  edges = torch.tensor([EDGES[name] for name in NAMES], dtype=torch.float64)[entity.variant]
+  torch.testing.assert_close(term.object_size, edges, rtol=0.0, atol=1e-9)
+  body = env.sim.mj_model.body("object/object").id
+  factors = []
+  for world, number in enumerate(entity.variant.tolist()):
+    alone = OBJECTS[NAMES[number]]().compile()
+    factor = float(model.body_mass[world, body]) / alone.body_mass[1]
+    # As heavy as it is, so hard it is to turn.
+    moments = np.sort(model.body_inertia[world, body].numpy()) / np.sort(alone.body_inertia[1])
+    np.testing.assert_allclose(moments, factor, rtol=1e-6)
+    factors.append(factor)
+  # A factor of e^(2 u), u uniform.
+  share = np.sort((0.5 * np.log(factors) + 0.35) / 0.7)
+  steps = np.arange(97) / 96
+  assert max((steps[1:] - share).max(), (share - steps[:-1]).max()) * np.sqrt(96) < 1.63
+  friction = model.geom_friction[:, entity.indexing.ids["geom"].tolist(), 0]
+  assert friction.unique().numel() == 96
+  assert (friction == friction[:, :1]).all()
+  assert 0.5 <= float(friction.min()) <= float(friction.max()) <= 1.5
+
+
+def test_each_begins_above_the_ground_by_as_much_whatever_its_size() -> None:
+  env, term = lift(8 * 40, lift_objects_env)
+  variant, drawn = env.scene["object"].variant.numpy(), []
+  for _ in range(4):
+    env.reset()
+    drawn.append(term.object_clearance.numpy())
+  for number in range(8):
+    mine = np.sort(np.array(drawn)[:, variant == number].flatten()) / 0.03
+    steps = np.arange(161) / 160
+    assert max((steps[1:] - mine).max(), (mine - steps[:-1]).max()) * np.sqrt(160) < 1.63
+
+
+@pytest.mark.parametrize("number", range(8), ids=NAMES)
+def test_the_lowest_point_is_where_mujoco_has_it_however_it_is_turned(number: int) -> None:
+  env, term = lift(8, each_once)
+  generator = torch.Generator().manual_seed(number)
+  entity = env.scene["object"]
+  name = entity.indexing.names["geom"][number]
+  for _ in range(4):
+    quat = random_quat((8,), generator=generator, dtype=torch.float64)
+    put(env, torch.tensor([0.3, 0.1, 0.2]).expand(8, 3).double(), quat)
+    assert float(term.object_clearance[number]) == pytest.approx(lowest_point(env, number, f"object/{name}"), abs=1e-6)
+
+
+def test_a_mesh_reaches_as_far_as_the_box_about_it() -> None:
+  def wedge() -> mujoco.MjSpec:
+    spec = cube_spec()
+    vertices = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.04, 0], [0, 0, 0.03]], dtype=float)
+    spec.add_mesh(name="wedge", uservert=vertices.flatten())
+    geom = spec.geoms[0]
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "wedge"
+    return spec
+
+  env, term = lift(3, lambda: lift_env({"cube": EntityCfg(spec_fn=wedge)}))
+  model, geom = env.sim.mj_model, env.sim.mj_model.geom("cube/cube").id
+  quat = random_quat((3,), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+  put(env, torch.tensor([0.3, 0.0, 0.2]).expand(3, 3).double(), quat, "cube")
+  for world in range(3):
+    data = in_mujoco(env, world)
+    points = model.mesh_vert @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    # Never higher than the mesh, and no lower than its size.
+    below = points[:, 2].min() - float(term.object_clearance[world])
+    assert 0.0 <= below < 0.05
+  # Upright it begins on the ground or above.
+  env.reset()
+  for world in range(3):
+    data = in_mujoco(env, world)
+    assert (model.mesh_vert @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])[:, 2].min() >= -1e-9
+
+
+def test_the_wrist_camera_sees_all_of_every_object_at_the_start() -> None:
+  env, _ = lift(8 * 16, lift_objects_env)
+  limit = np.tan(0.5 * np.radians(env.sim.mj_model.cam_fovy[env.sim.mj_model.camera("robot/camera_d405").id]))
+  variant = env.scene["object"].variant.tolist()
+  for world in range(env.num_envs):
+    data = in_mujoco(env, world)
+    camera, body = data.camera("robot/camera_d405"), data.body("object/object")
+    corners = 0.5 * np.array(list(itertools.product((-1, 1), repeat=3))) * EDGES[NAMES[variant[world]]]
+    seen = (corners @ body.xmat.reshape(3, 3).T + body.xpos - camera.xpos) @ camera.xmat.reshape(3, 3)
+    assert (seen[:, 2] < 0.0).all()
+    assert (np.abs(seen[:, :2]) <= -limit * seen[:, 2:]).all(), NAMES[variant[world]]
+
+
+def test_objects_lie_still_where_they_come_to_rest() -> None:
+  env, term = lift(8, each_once)
+  for _ in range(50):
+    env.step(torch.zeros(8, 7))
+  assert float(term.object_clearance.abs().max()) < 1e-3
+  assert float(env.scene["object"].data.root_link_lin_vel_w.abs().max()) < 1e-3
+  # Each as high as half of what it is.
+  heights = torch.tensor([0.5 * EDGES[name][2] for name in NAMES], dtype=torch.float64)
+  torch.testing.assert_close(term.object_height, heights, rtol=0.0, atol=1e-3)
+
+
+def test_stages_know_the_size_of_the_object_of_each_world() -> None:
+  env, _ = lift(8, each_once)
+  upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64).expand(8, 4)
+  half = torch.tensor([0.5 * EDGES[name][2] for name in NAMES], dtype=torch.float64)
+  for clearance, lifted, dropped in ((0.059, 0, 0), (0.061, 1, 0), (0.011, 0, 0), (0.009, 0, 1)):
+    position = torch.tensor([0.3, 0.0, clearance], dtype=torch.float64).repeat(8, 1)
+    position[:, 2] += half
+    put(env, position, upright)
+    env.metrics_manager.compute()
+    assert metric(env, "lifted").tolist() == [float(lifted)] * 8
+    assert metric(env, "dropped").tolist() == [float(dropped)] * 8
+
+
+def test_fingers_close_around_each_of_them_and_hold_it() -> None:
+  def weightless() -> ManagerBasedRlEnvCfg:
+    cfg = each_once()
+    cfg.sim.gravity = (0.0, 0.0, 0.0)
+    return cfg
+
+  env, _ = lift(8, weightless)
+  robot = env.scene["robot"]
+  opening, closing = torch.zeros(8, 7), torch.zeros(8, 7)
+  opening[:, 6], closing[:, 6] = 10.0, -10.0
+  for _ in range(40):
+    env.step(opening)
+  # Between the fingers, which have come to rest.
+  put(env, robot.data.site_pos_w[:, 1] - env.scene.env_origins, robot.data.site_quat_w[:, 1])
+  grasped = torch.zeros(8)
+  for _ in range(40):
+    env.step(closing)
+    grasped += metric(env, "grasped")
+  assert (grasped >= 10.0).all(), grasped
+  assert (metric(env, "finger_force") > 0.5).all()
+  # Held, it stays in the hand.
+  assert (metric(env, "reached") == 1.0).all()
+
+
+def test_who_is_told_of_an_object_is_told_its_size_and_how_it_lies_in_the_hand() -> None:
+  env, _ = lift(8, each_once)
+  quat = random_quat((8,), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+  put(env, torch.tensor([0.3, 0.0, 0.2]).expand(8, 3).double(), quat)
+  env.observation_manager.compute()
+  critic = env.get_observations()["critic"]
+  assert isinstance(critic, torch.Tensor)
+  for world, name in enumerate(NAMES):
+    data = in_mujoco(env, world)
+    frame = data.site("robot/grasp_site").xmat.reshape(3, 3).T @ data.body("object/object").xmat.reshape(3, 3)
+    told = np.concatenate([10.0 * np.array(EDGES[name]), frame[:, 0], frame[:, 1]])
+    np.testing.assert_allclose(critic[world, 29:].numpy(), told, atol=1e-5)
+
+
+@pytest.mark.warp
+@pytest.mark.parametrize(("make", "channels"), [(lift_objects_depth_env, 1), (lift_objects_rgb_env, 3)])
+def test_objects_are_seen_and_the_critic_is_told(make: Callable[[], ManagerBasedRlEnvCfg], channels: int) -> None:
+  env, _ = lift(2, make)
+  shapes = {group: tuple(v.shape[1:]) for group, v in env.get_observations().items() if isinstance(v, torch.Tensor)}
+  assert shapes == {"actor": (26,), "critic": (38,), "camera": (channels, 32, 32)}
+
+
+@pytest.mark.warp
+def test_the_mask_is_of_the_shape_that_the_world_has() -> None:
+  def masked() -> ManagerBasedRlEnvCfg:
+    cfg = each_once(lift_objects_depth_env)
+    group = cfg.observations["camera"]
+    assert group is not None
+    group.corrupt = False
+    params = {"sensor": "wrist_camera", "channels": ("object",), "command": COMMAND}
+    group.terms = {"image": ObservationTermCfg(lifting.camera_image, params=params)}
+    sensor = cfg.scene.sensors["wrist_camera"]
+    assert isinstance(sensor, CameraSensorCfg)
+    sensor.data_types = ("segmentation",)
+    return cfg
+
+  env, _ = lift(8, masked)
+  put(env, torch.tensor([0.31, 0.0, 0.03]).expand(8, 3).double(), torch.tensor([1.0, 0.0, 0.0, 0.0]).double())
+  area = dict(zip(NAMES, images(env).sum((1, 2, 3)), strict=True))
+  assert area["cube_30mm"] < area["cube_40mm"] < area["cube_50mm"]
+  assert area["ball_40mm"] < area["cube_40mm"]
+  assert area["ball_50mm"] < area["cube_50mm"]
+  # Twice as long as wide.
+  assert 1.5 * area["cube_30mm"] < area["capsule"] < 3.0 * area["cube_30mm"]
+
+
+def test_what_cannot_be_lifted_is_refused_by_name() -> None:
+  def of(**variants: Callable[[], mujoco.MjSpec] | None) -> Callable[[], ManagerBasedRlEnvCfg]:
+    return lambda: lift_env({"thing": VariantEntityCfg(variants=variants)})
+
+  with pytest.raises(ConfigError, match="'thing' is nothing in some worlds, and nothing cannot be lifted"):
+    lift(2, of(cube=cube_spec, nothing=None))
+  with pytest.raises(ConfigError, match="'robot' cannot be lifted"):
+    lift(2, objects=("robot",))
+
+  def two_bodies() -> mujoco.MjSpec:
+    spec = cube_spec()
+    handle = spec.body("cube").add_body(name="handle")
+    handle.add_joint(name="hinge")
+    handle.add_geom(size=[0.01, 0, 0], mass=0.01)
+    return spec
+
+  with pytest.raises(ConfigError, match="'cube' must have its geoms on one body"):
+    lift(2, lambda: lift_env({"cube": EntityCfg(spec_fn=two_bodies)}))
