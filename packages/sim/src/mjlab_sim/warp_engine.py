@@ -187,15 +187,15 @@ class WarpEngine:
       if name not in self._before:
         self._before[name] = torch.empty_like(view)
       self._before[name].copy_(view)
+    others = None if mask is None else ~mask
     places = self._has_moved()
     self._run(f"constants {groups} {places}", lambda: self._recompute(groups, places))
     for name in fields:
       view, before = self.model_field(name), self._before[name]
       if name not in self._expanded and not is_shared:
         view.copy_(before)
-      elif name in self._expanded and mask is not None:
-        where_(before, mask, view)
-        view.copy_(before)
+      elif name in self._expanded and others is not None:
+        where_(view, others, before)
     self._shared_version = sum(v._version for name, v in self._model_views.items() if name not in self._expanded)
 
   def _has_moved(self) -> bool:
