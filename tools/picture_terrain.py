@@ -11,7 +11,7 @@ from mjlab_terrain.picture import PAPER, render
 from PIL import Image, ImageDraw, ImageFont
 
 GRID_SIZE = (1600, 600)
-TILE_SIZE = (290, 228)
+TILE_SIZE = (290, 246)
 DIFFICULTIES = (0.0, 0.5, 1.0)
 INK = (45, 52, 60)
 
