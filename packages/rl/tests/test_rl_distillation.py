@@ -359,6 +359,8 @@ def test_whoever_needs_no_teacher_or_has_one_gets_none(tmp_path: Path, teacher: 
     run(teacher_agent(), tmp_path, teacher=teacher)
   with pytest.raises(ConfigError, match="has its own"):
     run(student_agent(), tmp_path, teacher=teacher, resume=teacher)
+  with pytest.raises(ConfigError, match=r"not resumed but given as the teacher \(--teacher\)"):
+    run(student_agent(), tmp_path, resume=teacher)
   with pytest.raises(CheckpointError, match="no 'student_state_dict' in it"):
     run(student_agent(teacher=teacher_agent().actor), tmp_path, resume=teacher)
   agent = student_agent(teacher=teacher_agent().actor)

@@ -154,7 +154,11 @@ def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: 
     if teacher is not None:
       raise ConfigError(f"a teacher is given, {teacher}, but {resume} has its own")
     if agent.teacher is None:
-      raise ConfigError(f"{resume}: agent.teacher does not say what its teacher's network is")
+      raise ConfigError(
+        f"{resume}: its run says nothing of a distillation. A policy to imitate is not resumed but given as the "
+        "teacher (--teacher); to go on with a distillation without its manifest, agent.teacher must say what its "
+        "teacher is"
+      )
     return None
   if teacher is None:
     raise ConfigError("a distillation needs a teacher: the checkpoint of a trained policy")
