@@ -27,12 +27,12 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     temporary.unlink(missing_ok=True)
 
 
-def read_checkpoint(path: Path, policy: str = "actor") -> dict[str, Any]:
+def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
   """Read a checkpoint onto the host; only tensors and plain values are accepted.
 
   Args:
     path: The file.
-    policy: Name of the network that acts: "actor", or "student" after a distillation.
+    *policies: Names of networks of which it must have one; none: "actor".
 
   Raises:
     CheckpointError: There is no such file, it is not a checkpoint, or one of another version.
@@ -47,9 +47,10 @@ def read_checkpoint(path: Path, policy: str = "actor") -> dict[str, Any]:
     ) from error
   except (RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
     raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
-  if not isinstance(state, dict) or f"{policy}_state_dict" not in state:
+  wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
+  if not isinstance(state, dict) or not any(name in state for name in wanted):
     found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
-    raise CheckpointError(f"checkpoint {path}: no '{policy}_state_dict' in it; found {found}")
+    raise CheckpointError(f"checkpoint {path}: no {' or '.join(map(repr, wanted))} in it; found {found}")
   ours = state.get("mjlab", {"format": FORMAT})
   if not isinstance(ours, dict) or ours.get("format") != FORMAT:
     raise CheckpointError(f"checkpoint {path}: written by another version of mjlab-rl; this one reads format {FORMAT}")

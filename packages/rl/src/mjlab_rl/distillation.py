@@ -1,6 +1,5 @@
 """The training loop of a student that imitates a teacher."""
 
-from pathlib import Path
 from typing import Any, cast
 
 from rsl_rl.algorithms import Distillation
@@ -30,7 +29,7 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
       CheckpointError: Its network has other sizes; nothing has been changed then.
     """
     network = self.networks["teacher"]
-    checkpoint.check_fit(Path(teacher.record.checkpoint), "teacher", teacher.weights, network.state_dict())
+    checkpoint.check_fit(teacher.path, "teacher", teacher.weights, network.state_dict())
     network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True
 

@@ -20,17 +20,21 @@ _CORRUPTION = ("noise", "corrupt", "nan_policy")
 class Teacher:
   """A trained policy; `read_teacher` makes one."""
 
+  path: Path
+  """Checkpoint that it is in."""
   weights: dict[str, Any]
   """State of its network, normaliser included."""
-  record: TeacherRecord
-  """Where it is from."""
+  record: TeacherRecord | None
+  """Where it is from; None: not known, of a distillation that is resumed without its manifest."""
   run: RunManifest | None
-  """What it was trained with; None where its run does not say."""
+  """The run whose checkpoint it is in; None where there is no manifest."""
+  role: str
+  """Name of its network in that run: "actor", "student", or "teacher" where a distillation is resumed."""
 
   @property
   def name(self) -> str:
     """For messages."""
-    return f"teacher {self.record.checkpoint}" + (f" of {self.record.task}" if self.record.task else "")
+    return f"teacher {self.path}" + (f" of {self.run.task}" if self.run is not None else "")
 
   def network(self, agent: RslRlDistillationRunnerCfg) -> RslRlModelCfg:
     """What its network is made of, from its run or from `agent.teacher`.
@@ -42,7 +46,7 @@ class Teacher:
       if agent.teacher is None:
         raise ConfigError(f"{self.name}: its run has no manifest, so agent.teacher must say what its network is")
       return agent.teacher
-    trained: RslRlModelCfg = getattr(self.run.agent, self.run.agent.policy)
+    trained: RslRlModelCfg = getattr(self.run.agent, self.role)
     if agent.teacher is not None and agent.teacher != trained:
       differences = _differences(_encoded(trained), _encoded(agent.teacher), "agent.teacher")
       raise ConfigError(
@@ -65,7 +69,7 @@ class Teacher:
     """
     if self.run is None:
       return
-    theirs, ours = self.run.agent.obs_groups[self.run.agent.policy], agent.obs_groups["teacher"]
+    theirs, ours = self.run.agent.obs_groups[self.role], agent.obs_groups["teacher"]
     differences = list(_differences(len(theirs), len(ours), "number of observation groups"))
     for group, own in zip(theirs, ours, strict=False):
       groups = getattr(env, "observations", None)
@@ -83,30 +87,42 @@ class Teacher:
       raise CheckpointError(f"{self.name} does not fit: {_listed(differences)}")
 
 
-def read_teacher(path: Path) -> Teacher:
-  """The policy of a checkpoint, trained by reinforcement or a distilled student; runs no code of the file.
+def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
+  """The policy of a checkpoint, trained by reinforcement or distilled itself; runs no code of the file.
+
+  Args:
+    path: Checkpoint.
+    resumed: Whether it is the checkpoint of a distillation that is to go on, and the teacher of that one is meant.
 
   Raises:
-    CheckpointError: It cannot be read.
+    CheckpointError: It cannot be read, or is of no distillation.
     ManifestError: The manifest of its run cannot be rebuilt.
   """
   try:
     run = load_run(path)
   except FileNotFoundError:
     run = None
-  policy = "actor" if run is None else run.agent.policy
-  state = read_checkpoint(path, policy)
+  if resumed:
+    state = read_checkpoint(path, "actor", "student")
+    if "teacher_state_dict" not in state:
+      raise CheckpointError(
+        f"checkpoint {path} is of no distillation. A policy to imitate is not resumed but given as the teacher "
+        "(--teacher)"
+      )
+    record = None if run is None else run.teacher
+    return Teacher(path=path, weights=state["teacher_state_dict"], record=record, run=run, role="teacher")
+  role = "actor" if run is None else run.agent.policy
+  state = read_checkpoint(path, role)
+  task = None if run is None else run.task
   with path.open("rb") as file:
     digest = hashlib.file_digest(file, "sha256").hexdigest()
+  iterations = int(state["iter"]) + (0 if "mjlab" in state else 1)
   return Teacher(
-    weights=state[f"{policy}_state_dict"],
-    record=TeacherRecord(
-      checkpoint=str(path.resolve()),
-      sha256=digest,
-      task=None if run is None else run.task,
-      iterations=int(state["iter"]) + (0 if "mjlab" in state else 1),
-    ),
+    path=path,
+    weights=state[f"{role}_state_dict"],
+    record=TeacherRecord(checkpoint=str(path.resolve()), sha256=digest, task=task, iterations=iterations),
     run=run,
+    role=role,
   )
 
 
@@ -122,7 +138,9 @@ def _observations(env: Any, group: str) -> dict[str, Json]:
 
 def _control(env: Any) -> Json:
   """What becomes of actions, and how often."""
-  control = {name: encode(getattr(env, name, None)) for name in ("actions", "decimation")}
+  actions = getattr(env, "actions", None) or {}
+  control: dict[str, Json] = {"order of actions": [name for name, action in actions.items() if action is not None]}
+  control |= {name: encode(getattr(env, name, None)) for name in ("actions", "decimation")}
   control["sim.timestep"] = encode(getattr(getattr(env, "sim", None), "timestep", None))
   return _bare(control)
 

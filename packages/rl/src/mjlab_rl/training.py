@@ -16,10 +16,8 @@ from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.manifest import (
   RunManifest,
-  TeacherRecord,
   encode_manifest,
   git_state,
-  load_run,
   package_versions,
   write_manifest,
 )
@@ -100,7 +98,7 @@ def train(
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
     command=list(command or []),
     resumed_from=None if resume is None else str(resume.resolve()),
-    teacher=_record(agent, teaching, resume),
+    teacher=None if teaching is None else teaching.record,
     versions=package_versions(),
     git=None if code is None else git_state(code),
   )
@@ -145,35 +143,17 @@ def train(
 
 
 def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> Teacher | None:
-  """The teacher of a distillation that begins; `agent` is told what its network is."""
+  """The teacher of a distillation; `agent` is told what its network is."""
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if teacher is not None:
       raise ConfigError(f"a teacher is given, {teacher}, but the learner is no RslRlDistillationRunnerCfg")
     return None
-  if resume is not None:
-    if teacher is not None:
-      raise ConfigError(f"a teacher is given, {teacher}, but {resume} has its own")
-    if agent.teacher is None:
-      raise ConfigError(
-        f"{resume}: its run says nothing of a distillation. A policy to imitate is not resumed but given as the "
-        "teacher (--teacher); to go on with a distillation without its manifest, agent.teacher must say what its "
-        "teacher is"
-      )
-    return None
-  if teacher is None:
+  if teacher is not None and resume is not None:
+    raise ConfigError(f"a teacher is given, {teacher}, but {resume} has its own")
+  path = teacher or resume
+  if path is None:
     raise ConfigError("a distillation needs a teacher: the checkpoint of a trained policy")
-  found = read_teacher(teacher)
+  found = read_teacher(path, resumed=resume is not None)
   found.check(env, agent)
   agent.teacher = copy.deepcopy(found.network(agent))
   return found
-
-
-def _record(agent: RslRlBaseRunnerCfg, teacher: Teacher | None, resume: Path | None) -> TeacherRecord | None:
-  if teacher is not None:
-    return teacher.record
-  if resume is None or not isinstance(agent, RslRlDistillationRunnerCfg):
-    return None
-  try:
-    return load_run(resume).teacher
-  except FileNotFoundError:
-    return None
