@@ -23,8 +23,8 @@ FOCAL_LENGTH = (0.97, 1.03)  # of what is compiled
 LIGHT_SHIFT = 0.4  # m, along each axis
 
 # The scene of an episode
-BRIGHTNESS = (0.4, 1.4)  # of what is compiled
-GROUND_TINT = (0.2, 1.0)
+BRIGHTNESS = (0.4, 1.2)  # of what is compiled
+GROUND_TINT = (0.1, 0.7)
 GROUND_SQUARES = (0.5, 8.0)  # of what is compiled
 
 # The camera of an episode
