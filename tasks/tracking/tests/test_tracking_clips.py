@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec
+from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec, go1_spec
 from mjlab_tracking.kinematics import Kinematics
 from mjlab_tracking.motion import Motion, load_motion
 from mjlab_tracking.quality import check_quality
@@ -23,15 +23,37 @@ def robot() -> Kinematics:
   return Kinematics(g1_spec(meshes="never").compile())
 
 
-@pytest.fixture(params=CLIPS, ids=lambda path: path.stem)
+RECORDED = next(path for path in CLIPS if path.stem == "go1_trot")
+
+
+@pytest.fixture(params=[path for path in CLIPS if path != RECORDED], ids=lambda path: path.stem)
 def clip(request: pytest.FixtureRequest) -> Motion:
   return load_motion(request.param)
 
 
-def test_three_clips_ship_and_say_whose_they_are() -> None:
-  assert [path.stem for path in CLIPS] == ["march_in_place", "side_step_dance", "squat_and_wave"]
+def test_four_clips_ship_and_say_whose_they_are() -> None:
+  assert [path.stem for path in CLIPS] == ["go1_trot", "march_in_place", "side_step_dance", "squat_and_wave"]
   assert {load_motion(path).license for path in CLIPS} == {"Apache-2.0"}
-  assert sum(path.stat().st_size for path in CLIPS) < 300_000
+  assert sum(path.stat().st_size for path in CLIPS) < 400_000
+
+
+def test_the_clip_of_a_policy_is_a_faultless_trot_along_an_arc() -> None:
+  trot, robot = load_motion(RECORDED), Kinematics(go1_spec(meshes="never").compile())
+  assert "Mjlab-Velocity-Flat-Unitree-Go1" in trot.source
+  assert trot.history == ("recorded from a simulation",)
+  report = check_quality(trot, robot)
+  assert report.severity == "ok", report.table()
+  # Asked for: 0.8 m/s ahead and 0.5 rad/s to the left for 4 s.
+  way = trot.root_pos[1:] - trot.root_pos[:-1]
+  assert 2.8 < float(way[:, :2].norm(dim=1).sum()) < 3.6
+  turned = 2.0 * torch.atan2(trot.root_quat[:, 3], trot.root_quat[:, 0])
+  assert 1.6 < float(turned[-1] - turned[0]) < 2.4
+  # Diagonal legs swing together.
+  thigh = {name[:2]: trot.joint_pos[:, i] for i, name in enumerate(trot.joint_names) if "thigh" in name}
+  together = np.corrcoef(np.stack([thigh[leg].numpy() for leg in ("FL", "RR", "FR", "RL")]))
+  assert together[0, 1] > 0.5
+  assert together[2, 3] > 0.5
+  assert together[0, 2] < 0.0
 
 
 def test_a_clip_that_ships_is_faultless(clip: Motion, robot: Kinematics) -> None:
