@@ -1,9 +1,11 @@
+import contextlib
 import importlib
 import os
 import shutil
 import signal
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import mjlab
@@ -150,6 +152,18 @@ def test_an_unknown_task_and_command_name_the_nearest(capsys: pytest.CaptureFixt
   assert "Nearest: train" in capsys.readouterr().err
   assert cli.train([]) == 2
   assert cli.train(["--device", "cpu", TASK]) == 2
+
+
+def test_the_umbrella_holds_every_command_that_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
+  scripts = {point.name for point in metadata.entry_points(group="console_scripts") if point.value.startswith("mjlab")}
+  assert cli.main(["--help"]) == 0
+  listed = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")}
+  assert listed == scripts - {"mjlab"}
+  for command in sorted(listed):
+    # Members below use argparse, which exits by itself.
+    with contextlib.suppress(SystemExit):
+      assert cli.main([command, "--help"]) == 0
+    assert f"usage: {command} " in capsys.readouterr().out
 
 
 def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

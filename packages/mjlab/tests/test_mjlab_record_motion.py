@@ -51,8 +51,8 @@ def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
   ("words", "message"),
   [
-    ([], "name the clip's file"),
-    (["--output", "clip.csv"], "name the clip's file"),
+    ([], "--output is missing: name the clip's file"),
+    (["--output", "clip.csv"], "--output clip.csv: the clip's file must end in .npz"),
     (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist; the scene has: robot"),
   ],
 )

@@ -33,15 +33,26 @@ def convert(*words: str) -> int:
 @pytest.mark.usefixtures("folder")
 def test_a_csv_becomes_a_motion_file_with_a_report(capsys: pytest.CaptureFixture[str]) -> None:
   path = csv(constant(), "still.csv")
-  words = [path, "--rate", "50", "--quaternion", "wxyz", "--ground", "--output", "still.npz", "--report", "still.png"]
+  words = [
+    path,
+    "--rate",
+    "50",
+    "--quaternion",
+    "wxyz",
+    "--ground",
+    "--output",
+    "new/still.npz",
+    "--report",
+    "pictures/still.png",
+  ]
   assert convert(*words, "--license", "CC0-1.0", "--source", "a test") == 0
   said = capsys.readouterr().out
   assert "still: 51 frames at 50 Hz, 1.00 s: ok" in said
-  assert "wrote still.npz" in said
-  motion = load_motion("still.npz")
+  assert "wrote new/still.npz" in said
+  motion = load_motion("new/still.npz")
   assert (motion.license, motion.source) == ("CC0-1.0", "a test")
   assert motion.root_pos[0, 2].item() == pytest.approx(to_ground(constant(), robot()).root_pos[0, 2].item(), abs=1e-6)
-  assert Path("still.png").stat().st_size > 1000
+  assert Path("pictures/still.png").stat().st_size > 1000
 
 
 @pytest.mark.usefixtures("folder")
@@ -60,6 +71,8 @@ def test_a_clip_with_errors_is_not_written_unless_told_to(capsys: pytest.Capture
   assert convert(*words) == 1
   assert "--accept-errors" in capsys.readouterr().err
   assert not Path("flying.npz").exists()
+  assert convert(*words[:-1], "library") == 1
+  assert not Path("library").exists()
   assert convert(*words, "--accept-errors") == 0
   assert Path("flying.npz").exists()
 

@@ -84,6 +84,12 @@ def test_a_motion_of_another_robot_is_refused_by_name() -> None:
   renamed = tuple(name.replace("left_knee", "left_nee") for name in motion.joint_names)
   with pytest.raises(MotionError, match=r"it lacks joint left_knee; .*left_nee \(nearest: left_knee"):
     robot().columns_of(motion.changed("renamed", joint_names=renamed))
+  strangers = tuple(f"arm{i}" for i in range(len(motion.joint_names) - 1))
+  with pytest.raises(MotionError, match=r"lacks joint arm0, arm1, arm2, arm3\.$"):
+    robot().columns_of(motion.changed("renamed", joint_names=(motion.joint_names[0], *strangers)))
+  six = torch.zeros(motion.num_frames, 6, dtype=torch.float64)
+  with pytest.raises(MotionError, match="the robot lacks joint a, b, c, d and 2 more"):
+    robot().columns_of(motion.changed("renamed", joint_names=tuple("abcdef"), joint_pos=six))
   with pytest.raises(MotionError, match="root is 'torso', the robot's 'pelvis'"):
     robot().columns_of(motion.changed("renamed", root_body="torso"))
 

@@ -101,6 +101,8 @@ def test_a_mistake_in_the_index_is_named(folder: Path, index: object, message: s
 
 
 def test_a_name_that_means_nothing_is_refused(folder: Path) -> None:
+  with pytest.raises(MotionError, match=r"is none of those that ship; the file is called .*a\.npz"):
+    find_clips(str(folder / "a"))
   with pytest.raises(MotionError, match=r"motion 'squat' does not exist\. Nearest: squat_and_wave"):
     find_clips("squat")
   (folder / "a.csv").write_text("0,0,1")

@@ -205,7 +205,6 @@ def _targets(path: Path | None, motions: Sequence[Motion], ending: str, force: b
   if path.suffix:
     targets = [path]
   else:
-    path.mkdir(parents=True, exist_ok=True)
     targets = [path / f"{motion.name}{ending}" for motion in motions]
   taken = [target for target in targets if target.exists()]
   if taken and not force:

@@ -189,12 +189,10 @@ class Kinematics:
       if motion.root_body != self.root_body:
         said.append(f"its root is '{motion.root_body}', the robot's '{self.root_body}';")
       if missing:
-        said.append(f"it lacks joint {', '.join(missing)};")
+        said.append(f"it lacks joint {_some(missing)};")
       if strange:
         close = nearest(strange[0], self.joint_names)
-        said.append(
-          f"the robot lacks joint {', '.join(strange)}" + (f" (nearest: {', '.join(close)})." if close else ".")
-        )
+        said.append(f"the robot lacks joint {_some(strange)}" + (f" (nearest: {', '.join(close)})." if close else "."))
       raise MotionError(" ".join(said).rstrip(";"))
     order = [motion.joint_names.index(name) for name in self.joint_names]
     return motion.joint_pos[:, order]
@@ -236,3 +234,8 @@ def derived_arrays(motion: Motion, robot: Kinematics) -> dict[str, np.ndarray]:
     "body_names": np.array(robot.body_names),
     **{name: value.numpy().astype(np.float32) for name, value in arrays.items()},
   }
+
+
+def _some(names: list[str]) -> str:
+  """A few of many names: of another robot none fits."""
+  return ", ".join(names) if len(names) <= 5 else f"{', '.join(names[:4])} and {len(names) - 4} more"

@@ -61,6 +61,8 @@ def find_clips(motion: str, split: str | None = None) -> list[ClipEntry]:
     if path.suffix != ".npz":
       raise MotionError(f"{path}: a clip to follow is an .npz; `convert-motion {path} --output FILE.npz` makes one")
     return [ClipEntry(path=path)]
+  if (file := path.with_name(f"{path.name}.npz")).is_file():
+    raise MotionError(f"motion '{motion}' is none of those that ship; the file is called {file}")
   raise MotionError(f"{unknown('motion', motion, list(shipped))} It may also be the path of an .npz or of a folder.")
 
 

@@ -106,7 +106,7 @@ def same_hemisphere(quat: torch.Tensor) -> torch.Tensor:
 
 
 def save_motion(motion: Motion, path: str | os.PathLike[str], derived: dict[str, np.ndarray] | None = None) -> None:
-  """Write a motion file; it appears whole or not at all.
+  """Write a motion file; it appears whole or not at all, in a folder that is made where it is missing.
 
   Args:
     motion: What to write.
@@ -139,6 +139,7 @@ def save_motion(motion: Motion, path: str | os.PathLike[str], derived: dict[str,
     "joint_pos": motion.joint_pos.numpy().astype(np.float32),
     **(derived or {}),
   }
+  path.parent.mkdir(parents=True, exist_ok=True)
   temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.npz")
   try:
     np.savez_compressed(temporary, **arrays)

@@ -32,7 +32,9 @@ def plot_quality(report: QualityReport, path: str | os.PathLike[str]) -> None:
     axis.set_title(text, fontsize=8, loc="left", pad=2)
   axes[-1].set_xlabel("time [s]", fontsize=8)
   figure.suptitle(f"{motion.name} ({motion.rate:g} Hz, {motion.duration:.1f} s)", fontsize=10)
-  temporary = Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp")
+  path = Path(path)
+  path.parent.mkdir(parents=True, exist_ok=True)
+  temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
   try:
     figure.savefig(temporary, dpi=80, format="png")
     temporary.replace(path)

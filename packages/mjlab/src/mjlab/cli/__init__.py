@@ -11,14 +11,16 @@ from collections.abc import Callable, Sequence
 from mjlab.cli._errors import UsageError, is_users_mistake
 
 _COMMANDS: dict[str, tuple[str, str, str]] = {
-  # name: module, arguments, what it does
+  # name: module here, or function of a member that offers the command itself; arguments; what it does
   "train": ("_train", "TASK [flags]", "train a policy"),
   "play": ("_play", "TASK [flags]", "watch a policy"),
   "demo": ("_demo", "[flags]", "watch a robot that walks, and steer it"),
   "evaluate": ("_evaluate", "TASK [flags]", "say how well a policy does a task"),
+  "convert-motion": ("mjlab_tracking.convert:main", "CLIP ... [flags]", "make a checked motion file of a clip"),
   "record-motion": ("_record_motion", "TASK [flags]", "turn what a policy does into a clip"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
   "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
+  "visualize-terrain": ("mjlab_terrain.visualize:main", "[flags]", "look at terrain"),
   "export-scene": ("_export_scene", "TASK [flags]", "write a task's model with its assets"),
   "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
   "fit-actuator": ("_fit_actuator", "RECORDS", "learn a motor from a CSV of commands and responses"),
@@ -63,8 +65,9 @@ def _command(name: str) -> Callable[..., int]:
 
 
 def _run(name: str, arguments: list[str]) -> int:
-  module = importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}")
-  return _guarded(module.run, arguments)
+  module, _, function = _COMMANDS[name][0].rpartition(":")
+  command = getattr(importlib.import_module(module or f"mjlab.cli.{function}"), function if module else "run")
+  return _guarded(command, arguments)
 
 
 train = _command("train")

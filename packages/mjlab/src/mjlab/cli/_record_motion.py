@@ -62,8 +62,10 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(env=task.env), given)
-  if wanted.output is None or Path(wanted.output).suffix != ".npz":
-    raise UsageError(f"--output {wanted.output}: name the clip's file, ending in .npz")
+  if wanted.output is None:
+    raise UsageError("--output is missing: name the clip's file, ending in .npz")
+  if Path(wanted.output).suffix != ".npz":
+    raise UsageError(f"--output {wanted.output}: the clip's file must end in .npz")
   output = Path(wanted.output)
   if output.exists() and not wanted.force:
     raise UsageError(f"{output} is there already; --force replaces it")
