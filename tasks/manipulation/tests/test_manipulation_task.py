@@ -138,8 +138,10 @@ def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
   put(start)
   term.goal_pos_w.copy_(pos)
   term.goal_quat_w.copy_(quat)
+  can = np.array([JOINT_RANGE[joint] for joint in ARM]).T
   for _ in range(60):
-    put(robot.data.joint_pos[:, :6].numpy() + term.solve().numpy())
+    # Set-points never leave what joints can do, whatever the step would be.
+    put((robot.data.joint_pos[:, :6].numpy() + term.solve().numpy()).clip(*can))
   reached_pos, reached_quat = term.frame_pose()
   error = torch.linalg.vector_norm(reached_pos - pos, dim=-1)
   angle = 2.0 * torch.acos((reached_quat * quat).sum(-1).abs().clamp(max=1.0))

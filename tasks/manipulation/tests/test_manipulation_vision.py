@@ -89,23 +89,39 @@ def test_what_is_not_there_is_far_and_marked_as_such() -> None:
   np.testing.assert_array_equal(valid, (raw >= 0.01) & (raw <= 0.5))
 
 
-def test_the_mask_covers_the_cube_that_is_meant_and_no_other() -> None:
+def first_hit(env: ManagerBasedRlEnv, world: int) -> tuple[np.ndarray, np.ndarray]:
+  """Which cube the ray through the middle of each pixel meets first, -1 for none, and how far ahead [m], (32, 32)."""
+  data, model = in_mujoco(env, world), env.sim.mj_model
+  camera = data.camera("robot/camera_d405")
+  focal = 16.0 / np.tan(0.5 * np.radians(model.cam_fovy[camera.id]))
+  column, row = np.meshgrid(np.arange(32) + 0.5, np.arange(32) + 0.5)
+  # One metre along the optical axis each.
+  rays = np.stack([(column - 16.0) / focal, (16.0 - row) / focal, -np.ones((32, 32))], axis=-1)
+  rays = rays @ camera.xmat.reshape(3, 3).T
+  ahead, which = np.full((32, 32), np.inf), np.full((32, 32), -1)
+  for number, name in enumerate(CUBES):
+    cube = data.body(f"{name}/cube")
+    axes = cube.xmat.reshape(3, 3)
+    start, way = (camera.xpos - cube.xpos) @ axes, rays @ axes
+    sides = np.stack([(-0.02 - start) / way, (0.02 - start) / way])
+    enters, leaves = sides.min(0).max(-1), sides.max(0).min(-1)
+    is_nearer = (enters < leaves) & (enters > 0.0) & (enters < ahead)
+    ahead[is_nearer], which[is_nearer] = enters[is_nearer], number
+  return which, ahead
+
+
+def test_the_mask_is_where_rays_meet_the_cube_that_is_meant_first() -> None:
   env, term = lift(16, multi_cube_seg_env)
-  mask = images(env)[:, 1]
+  depth, mask = images(env).transpose(1, 0, 2, 3)
   assert set(np.unique(mask)) == {0.0, 1.0}
-  corners = np.array(np.meshgrid(*[[-0.02, 0.02]] * 3)).reshape(3, -1).T
-  names = list(CUBES)
   for world in range(16):
-    cube = in_mujoco(env, world).body(f"{names[int(term.target[world])]}/cube")
-    outline, _ = project(env, world, corners @ cube.xmat.reshape(3, 3).T + cube.xpos)
-    rows, columns = np.nonzero(mask[world])
-    low, high = outline.min(0), outline.max(0)
-    assert len(rows) > 8
-    assert columns.min() >= low[0] - 1
-    assert columns.max() <= high[0]
-    assert rows.min() >= low[1] - 1
-    assert rows.max() <= high[1]
-    assert np.abs([columns.mean() + 0.5, rows.mean() + 0.5] - outline.mean(0)).max() < 1.5
+    which, ahead = first_hit(env, world)
+    target = int(term.target[world])
+    # Nothing but fingers may be nearer than a cube.
+    is_free = depth[world] * 0.5 > ahead - 1e-3
+    np.testing.assert_array_equal(mask[world] == 1.0, (which == target) & is_free)
+    np.testing.assert_allclose(depth[world][(which >= 0) & is_free] * 0.5, ahead[(which >= 0) & is_free], atol=1e-4)
+    assert mask[world].sum() > 8
   assert len(set(term.target.tolist())) == 3
 
 
