@@ -22,6 +22,7 @@ from mjlab_tracking import (
   resample,
   to_ground,
 )
+from mjlab_tracking.quality import LIMITS
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -32,13 +33,34 @@ SOURCES = {
 HEAD = """\
 # Clips of other people, converted
 
-Made by `tools/report_motions.py` from clips that are not part of this repository. Each was read with nothing stated but
-its rate, resampled to 50 Hz and put on the ground, as `convert-motion --output-rate 50 --ground` does. Orders of
-quaternions were proven. "Off" is how far the furthest body in any frame is from where MuJoCo C has it. What the checks
-are, [the README](../tasks/tracking/README.md) says.
+What the quality report of `convert-motion` looks like on eight clips of the Unitree G1 that are not part of this
+repository. For a clip of your own, with a film of it:
 
-| clip | from | frames | quaternions | off | report | worst |
+```bash
+uv run convert-motion my_clip.csv --rate 60 --output-rate 50 --ground --report my_clip.png --video my_clip.mp4
+```
+
+Each clip below was read with nothing stated but its rate, resampled to 50 Hz and put on the ground, as above. "Order"
+is that of the quaternions in the file, which was proven. "Off" is how far the furthest body in any frame is from where
+MuJoCo C has it. "Worst" names the checks that warn, with their largest value.
+
+| clip | from | frames | order | off | report | worst |
 |---|---|---|---|---|---|---|
+"""
+READING = """
+## How to read a report
+
+Each picture has one row for each check, over the time of the clip: green where all is well, orange where the check
+warns, red where it fails. The dotted line is the limit of the warning, the dashed one, where it is in sight, that of
+the failure; [the README](../tasks/tracking/README.md) has them as a table. A clip with a failure is not written unless
+`--accept-errors` says so; one with warnings is.
+
+- `joint_limit`: the clip asks for a pose that the robot cannot take. No option mends that.
+- `joint_speed`, `root_speed`, `root_turning`: single spikes are faults of a recording, which `--smooth 0.02` flattens
+  or `--crop` cuts off; broad hills are fast motions.
+- `penetration`, `floating`: all the time, the clip is too low or too high, which `--ground` mends; now and then, feet
+  do not meet the ground as they should, which no option does.
+- `foot_skate`: feet slide while they carry the robot. No option mends that.
 """
 
 
@@ -66,14 +88,22 @@ def main() -> None:
       picture = ROOT / "docs" / "pictures" / f"quality_{path.stem}.png"
       plot_quality(report, picture)
       Image.open(picture).convert("RGB").quantize(32).save(picture, optimize=True)
-      faults = [f"{f.check} {f.worst:.3g}" for f in report.findings if f.severity != "ok"]
+      faults = [f"{f.check} {f.worst:.3g} {LIMITS[f.check].unit}" for f in report.findings if f.severity != "ok"]
       order, off = read.history[-1].split()[1], deviation(motion, robot)
       frames = f"{read.num_frames} at {rate:g} Hz, {motion.num_frames} at 50 Hz"
-      cells = (path.stem, source, frames, order, f"{off:.1e} m", report.severity, ", ".join(faults))
+      cells = (
+        f"[{path.stem}](#{path.stem.lower()})",
+        source,
+        frames,
+        order,
+        f"{off:.1e} m",
+        report.severity,
+        ", ".join(faults),
+      )
       lines.append(f"| {' | '.join(cells)} |\n")
-      pictures.append(f"\n![Checks of {path.stem} over time](pictures/{picture.name})\n")
+      pictures.append(f"\n## {path.stem}\n\n![Checks of {path.stem} over time](pictures/{picture.name})\n")
   sources = "\n".join(f"- {source}: {about}" for source, (_, about) in SOURCES.items())
-  text = "".join(lines) + f"\n{sources}\n" + "".join(pictures)
+  text = "".join(lines) + f"\n{sources}\n" + READING + "".join(pictures)
   (ROOT / "docs" / "motions.md").write_text(text, encoding="utf-8")
 
 
