@@ -171,6 +171,17 @@ class ManagerBase(Stateful, Generic[CfgT]):
       return True
     return False
 
+  def _bind_vectors(self: ManagerBase[Any], dtype_name: str, fits: Callable[[torch.dtype], bool]) -> list[Term]:
+    """The terms, each of which returns one number per world; raises all problems up to here."""
+    terms: list[Term] = []
+    for name, cfg in self._cfgs.items():
+      term = self._bind(name, cfg)
+      if term is not None:
+        terms.append(term)
+        self._check_vector(term, dtype_name, fits)
+    self._raise_problems()
+    return terms
+
   def _check_vector(self, term: Term, dtype_name: str, fits: Callable[[torch.dtype], bool]) -> None:
     """Runs a term dry and checks that it returns one number per world."""
     before = len(self._problems)

@@ -45,14 +45,7 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
     for name, cfg in self._cfgs.items():
       if cfg.reduce not in _REDUCTIONS:
         self._problem(unknown("reduce", str(cfg.reduce), _REDUCTIONS, owner=f"term '{name}'"))
-    terms: list[Term] = []
-    for name, cfg in self._cfgs.items():
-      term = self._bind(name, cfg)
-      if term is None:
-        continue
-      terms.append(term)
-      self._check_vector(term, "float", is_float)
-    self._raise_problems()
+    terms = self._bind_vectors("float", is_float)
 
     def rank(term: Term) -> int:
       return _REDUCTIONS.index(self._cfgs[term.name].reduce)

@@ -42,14 +42,7 @@ class RewardManager(ManagerBase[RewardTermCfg]):
 
   def __init__(self, cfgs: Mapping[str, RewardTermCfg | None], env: ManagerEnv, *, scale_by_dt: bool = True) -> None:
     super().__init__(cfgs, env)
-    self._terms: list[Term] = []
-    for name, cfg in self._cfgs.items():
-      term = self._bind(name, cfg)
-      if term is None:
-        continue
-      self._terms.append(term)
-      self._check_vector(term, "float", is_float)
-    self._raise_problems()
+    self._terms = self._bind_vectors("float", is_float)
 
     names = [term.name for term in self._terms]
     count = len(names)

@@ -31,14 +31,7 @@ class TerminationManager(ManagerBase[TerminationTermCfg]):
 
   def __init__(self, cfgs: Mapping[str, TerminationTermCfg | None], env: ManagerEnv) -> None:
     super().__init__(cfgs, env)
-    self._terms: list[Term] = []
-    for name, cfg in self._cfgs.items():
-      term = self._bind(name, cfg)
-      if term is None:
-        continue
-      self._terms.append(term)
-      self._check_vector(term, "bool", lambda dtype: dtype is torch.bool)
-    self._raise_problems()
+    self._terms = self._bind_vectors("bool", lambda dtype: dtype is torch.bool)
 
     def flags() -> torch.Tensor:
       return torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
