@@ -8,6 +8,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import av
 import mjlab
 import mjlab.registry as registry
 import mjlab_pendulum
@@ -276,6 +277,13 @@ def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
   stored = [snapshot.data["qpos"][0] for snapshot in shown[-world.num_steps - 1 : -1]]
   np.testing.assert_array_equal(stored, np.where(np.isfinite(world.states["qpos"]), world.states["qpos"], stored[-1]))
   assert all(np.isfinite(snapshot.data["xpos"]).all() for snapshot in shown)
+
+  film = tmp_path / "film.mp4"
+  if cli.main(["viz-nan", str(dumps[0]), "--video", str(film)]) == 0:
+    with av.open(str(film)) as container:
+      assert sum(1 for _ in container.decode(video=0)) == replay.num_steps
+  else:
+    assert "no pictures" in capsys.readouterr().err
 
 
 def test_viz_nan_refuses_what_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

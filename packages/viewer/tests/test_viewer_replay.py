@@ -68,6 +68,14 @@ def test_a_time_that_is_held_stays_until_it_is_let_go() -> None:
   assert heights(replay) == [0.5, 0.5]
 
 
+def test_what_is_written_to_a_moment_that_is_shown_is_not_stored() -> None:
+  replay = rising(2)
+  replay.sim.data.qpos[:] += 1.0
+  replay.step(None)
+  replay.step(None)
+  assert replay.sim.data.qpos[0].tolist() == MODEL.qpos0.tolist()
+
+
 def test_a_film_shows_every_moment_once(opengl: None, tmp_path: Path) -> None:
   frames = []
   with OffscreenRenderer(MODEL, PictureCfg(width=96, height=48, shadows=False)) as renderer:

@@ -130,7 +130,8 @@ class Replay:
 
   def _show(self, step: int) -> None:
     self._at = step
-    vars(self.sim.data).update({name: moments[step] for name, moments in self._moments.items()})
+    # Copies: whoever pushes what is shown does not change what was stored.
+    vars(self.sim.data).update({name: moments[step].clone() for name, moments in self._moments.items()})
 
 
 def _completed(
