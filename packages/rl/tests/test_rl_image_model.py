@@ -311,3 +311,36 @@ def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered
     runner(cfg)
   cfg.actor.rnn_type = None
   runner(cfg).learn(1)
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"padding": "zeroes"}, r"agent\.actor\.cnn_cfg\.padding: padding 'zeroes' does not exist. Nearest: zeros"),
+    ({"activation": "ellu"}, r"agent\.actor\.cnn_cfg\.activation: activation 'ellu' does not exist"),
+    ({"norm": ("batch", "group")}, r"agent\.actor\.cnn_cfg\.norm: norm 'group' does not exist"),
+    ({"stride": (2, 0)}, r"agent\.actor\.cnn_cfg\.stride is 0; it must be positive"),
+    ({"temperature": 0.0}, r"agent\.actor\.cnn_cfg\.temperature is 0\.0; it must be positive"),
+    ({"kernel_size": (3,)}, r"agent\.actor\.cnn_cfg\.kernel_size has 1 values, output_channels 2"),
+    ({"colour": 1}, "unexpected keyword argument 'colour'"),
+  ],
+)
+def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, Any], message: str) -> None:
+  cfg = agent()
+  assert cfg.actor.cnn_cfg is not None
+  cfg.actor.cnn_cfg |= change
+  with pytest.raises(ConfigError, match=message):
+    runner(cfg)
+  if "colour" not in change:
+    cfg.actor.cnn_cfg = {"camera": cfg.actor.cnn_cfg}
+    with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg\.camera\."):
+      runner(cfg)
+
+
+def test_who_sees_nothing_needs_no_encoder() -> None:
+  with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg is given, but agent\.actor\.class_name 'MLPModel'"):
+    runner(agent(class_name="MLPModel"))
+  cfg = agent()
+  cfg.algorithm.share_cnn_encoders = True
+  with pytest.raises(ConfigError, match=r"share_cnn_encoders is on, but agent\.critic\.class_name 'MLPModel'"):
+    runner(cfg)

@@ -242,6 +242,10 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     _check_model("actor", self.actor)
     _check_model("critic", self.critic)
     _check_samples("actor", self.actor, "PPO samples its actions")
+    if self.algorithm.share_cnn_encoders and self.critic.class_name in _BLIND:
+      raise ConfigError(
+        f"agent.algorithm.share_cnn_encoders is on, but agent.critic.class_name {self.critic.class_name!r} sees nothing"
+      )
     return config | {
       "actor": self.actor.to_rsl_rl(),
       "critic": self.critic.to_rsl_rl(),
@@ -321,6 +325,17 @@ def _check(name: str, value: float, wanted: str, holds: Callable[[float], bool])
     raise ConfigError(f"{name} is {value}; it must be {wanted}")
 
 
+_BLIND = ("MLPModel", "RNNModel")
+# rsl-rl takes any other padding for none, without a word.
+_CNN_CHOICES: dict[str, tuple[str, ...]] = {
+  "activation": get_args(Activation),
+  "global_pool": ("none", "max", "avg"),
+  "norm": ("none", "batch", "layer"),
+  "padding": ("none", "zeros", "reflect", "replicate", "circular"),
+}
+_CNN_SIZES = ("output_channels", "kernel_size", "stride", "dilation", "temperature")
+
+
 def _check_model(network: str, model: RslRlModelCfg) -> None:
   for width in model.hidden_dims:
     _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
@@ -328,6 +343,29 @@ def _check_model(network: str, model: RslRlModelCfg) -> None:
     raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
   for name in ("rnn_hidden_dim", "rnn_num_layers"):
     _check(f"agent.{network}.{name}", getattr(model, name), "at least 1", lambda x: x >= 1)
+  encoders = model.cnn_cfg or {}
+  if encoders and model.class_name in _BLIND:
+    raise ConfigError(
+      f"agent.{network}.cnn_cfg is given, but agent.{network}.class_name {model.class_name!r} sees nothing"
+    )
+  if encoders and all(isinstance(cfg, dict) for cfg in encoders.values()):
+    for group, cfg in encoders.items():
+      _check_encoder(f"agent.{network}.cnn_cfg.{group}", cfg)
+  else:
+    _check_encoder(f"agent.{network}.cnn_cfg", encoders)
+
+
+def _check_encoder(where: str, cfg: dict[str, Any]) -> None:
+  layers = len(cfg.get("output_channels", ()))
+  for name, value in cfg.items():
+    values = value if isinstance(value, (tuple, list)) else (value,)
+    if values is value and len(values) != layers:
+      raise ConfigError(f"{where}.{name} has {len(values)} values, output_channels {layers}")
+    for one in values:
+      if name in _CNN_SIZES:
+        _check(f"{where}.{name}", one, "positive", lambda x: x > 0)
+      elif name in _CNN_CHOICES and one not in _CNN_CHOICES[name]:
+        raise ConfigError(unknown(name, str(one), _CNN_CHOICES[name], f"{where}.{name}"))
 
 
 def _check_samples(network: str, model: RslRlModelCfg, why: str) -> None:

@@ -11,6 +11,8 @@ from rsl_rl.modules import CNN, RNN, HiddenState
 from tensordict import TensorDict
 from torch import nn
 
+from mjlab_rl.config import ConfigError
+
 
 class ImageModel(CNNModel):
   """rsl-rl's CNNModel with, if wanted, a recurrent layer between what is seen and the hidden layers.
@@ -50,9 +52,12 @@ class ImageModel(CNNModel):
     encoders: Any = cnns
     if cnns is None:
       if not cnn_cfg:
-        raise ValueError("cnn_cfg must say what the image encoders are made of")
+        raise ConfigError("cnn_cfg must say what the image encoders are made of")
       images = {group: obs[group] for group in obs_groups[obs_set] if obs[group].dim() == 4}
-      encoders = {group: self.make_encoder(image, **cnn_cfg.get(group, cnn_cfg)) for group, image in images.items()}
+      try:
+        encoders = {group: self.make_encoder(image, **cnn_cfg.get(group, cnn_cfg)) for group, image in images.items()}
+      except TypeError as error:
+        raise ConfigError(f"cnn_cfg: {error}") from error
     # The parent says that encoders it is given are shared.
     with contextlib.redirect_stdout(io.StringIO()):
       super().__init__(obs, obs_groups, obs_set, output_dim, cnns=encoders, **options)
