@@ -11,6 +11,8 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab.making import standard_env
+from mjlab_manipulation import LiftEvaluation
+from mjlab_manipulation.mdp import lift_command
 from mjlab_rl import Console, RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlVecEnvWrapper, load_run
 from mjlab_rl.distillation import runner_class
 
@@ -61,6 +63,23 @@ def test_the_recipe_of_the_readme_runs_from_teacher_to_resumed_student(
   for directory in (taught, students[0]):
     (evaluation,) = directory.glob("evaluation/*/evaluation.json")
     assert "success_rate" in json.loads(evaluation.read_text())["groups"]["all"]
+
+
+@pytest.mark.warp
+def test_teacher_and_student_are_judged_on_the_same_starts_and_goals() -> None:
+  def scenarios(name: str) -> torch.Tensor:
+    task = mjlab.load_task(name)
+    assert isinstance(task.evaluator, LiftEvaluation)
+    task.evaluator.episodes = 4
+    with standard_env(task.evaluator.configure(task.env), device="cpu") as env:
+      env.reset(seed=task.evaluator.seed)
+      term = lift_command(env, task.evaluator.command)
+      friction = env.sim.model.geom_friction[:, 1:, 0]
+      return torch.cat((term.object_pos_w, term.command, friction), dim=1)
+
+  taught, seen = scenarios("Mjlab-Lift-Cube-Yam"), scenarios(STUDENT)
+  assert torch.equal(taught, seen)
+  assert not torch.equal(taught[0], taught[1])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,16 @@ from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
-  from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg, load_run, train
+  from mjlab_rl import (
+    RslRlDistillationAlgorithmCfg,
+    RslRlDistillationRunnerCfg,
+    RslRlModelCfg,
+    RslRlOnPolicyRunnerCfg,
+    RslRlPpoAlgorithmCfg,
+    TaskCfg,
+    load_run,
+    train,
+  )
   from mjlab_scene import EntityCfg, SceneCfg
   from mjlab_sim import Simulation, SimulationCfg
 
@@ -20,6 +29,8 @@ __all__ = [
   "EntityCfg",
   "ManagerBasedRlEnv",
   "ManagerBasedRlEnvCfg",
+  "RslRlDistillationAlgorithmCfg",
+  "RslRlDistillationRunnerCfg",
   "RslRlModelCfg",
   "RslRlOnPolicyRunnerCfg",
   "RslRlPpoAlgorithmCfg",
@@ -42,7 +53,10 @@ __getattr__, __dir__ = lazy_exports(
     ".making": "make",
     ".registry": "TaskError list_tasks load_task register_task",
     "mjlab_envs": "ManagerBasedRlEnv ManagerBasedRlEnvCfg",
-    "mjlab_rl": "RslRlModelCfg RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg load_run train",
+    "mjlab_rl": (
+      "RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg RslRlOnPolicyRunnerCfg "
+      "RslRlPpoAlgorithmCfg TaskCfg load_run train"
+    ),
     "mjlab_scene": "EntityCfg SceneCfg",
     "mjlab_sim": "Simulation SimulationCfg",
   },
