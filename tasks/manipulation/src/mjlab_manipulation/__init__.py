@@ -1,6 +1,12 @@
 """An arm lifts cubes to where it is told."""
 
-from mjlab_manipulation.distillation import distillation_agent, lift_cube_depth_distill, lift_cube_rgb_distill
+from mjlab_manipulation.distillation import (
+  distillation_agent,
+  lift_cube_depth_distill,
+  lift_cube_rgb_distill,
+  lift_objects_depth_distill,
+  lift_objects_rgb_distill,
+)
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images, randomize_images
 from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
@@ -37,9 +43,11 @@ __all__ = [
   "lift_env",
   "lift_objects",
   "lift_objects_depth",
+  "lift_objects_depth_distill",
   "lift_objects_depth_env",
   "lift_objects_env",
   "lift_objects_rgb",
+  "lift_objects_rgb_distill",
   "lift_objects_rgb_env",
   "multi_cube_seg",
   "multi_cube_seg_env",
