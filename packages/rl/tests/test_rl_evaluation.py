@@ -17,6 +17,7 @@ from mjlab_rl import (
   bootstrap,
   play_first_episodes,
   summarize,
+  wilson,
 )
 
 LENGTHS = (1, 3, 2, 5)
@@ -134,6 +135,33 @@ def test_an_interval_is_that_of_the_mean() -> None:
   assert interval.low == pytest.approx(interval.mean - 1.96 * error, abs=0.1 * error)
   assert interval.high == pytest.approx(interval.mean + 1.96 * error, abs=0.1 * error)
   assert bootstrap(values) == interval
+
+
+def test_a_share_of_all_or_none_is_no_certainty() -> None:
+  # Closed forms of the score interval: z^2 / (n + z^2) from either end, with z = 1.95996.
+  none, all_of_them = wilson(torch.zeros(12)), wilson(torch.ones(12))
+  edge = 1.959964**2 / (12 + 1.959964**2)
+  assert (none.mean, none.low, none.high) == (0.0, 0.0, pytest.approx(edge))
+  assert (all_of_them.mean, all_of_them.low, all_of_them.high) == (1.0, pytest.approx(1.0 - edge), 1.0)
+  assert wilson(torch.tensor([math.nan])).count == 0
+  with pytest.raises(ValueError, match="zeros and ones"):
+    wilson(torch.tensor([0.0, 0.5]))
+
+
+def test_an_interval_of_a_share_holds_it_as_often_as_it_says() -> None:
+  generator = torch.Generator().manual_seed(0)
+  for rate in (0.05, 0.5, 0.9):
+    samples = (torch.rand(2000, 60, generator=generator, dtype=torch.float64) < rate).double()
+    found = [wilson(sample) for sample in samples]
+    covered = sum(interval.low <= rate <= interval.high for interval in found) / len(found)
+    assert 0.93 < covered < 0.98
+
+
+def test_rates_are_shares_and_the_rest_are_means() -> None:
+  ones = torch.ones(8)
+  (found,) = summarize({"success_rate": ones, "length": ones}, {}, units={}).groups.values()
+  assert found["success_rate"] == wilson(ones)
+  assert found["length"] == bootstrap(ones)
 
 
 def test_missing_numbers_are_left_out_of_a_mean() -> None:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     bootstrap,
     play_first_episodes,
     summarize,
+    wilson,
   )
   from mjlab_rl.iteration_report import IterationReport
   from mjlab_rl.manifest import ManifestError, RunManifest, TeacherRecord, load_run
@@ -85,6 +86,7 @@ __all__ = [
   "read_teacher",
   "summarize",
   "train",
+  "wilson",
 ]
 
 # rsl-rl imports GitPython, which complains at import where there is no git binary.
@@ -104,7 +106,7 @@ __getattr__, __dir__ = lazy_exports(
     ".env_protocol": "RlEnv",
     ".evaluation": (
       "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
-      "play_first_episodes summarize"
+      "play_first_episodes summarize wilson"
     ),
     ".iteration_report": "IterationReport",
     ".manifest": "ManifestError RunManifest TeacherRecord load_run",

@@ -1,8 +1,9 @@
-"""How well a policy does a task: fixed scenarios, whole first episodes, intervals by the bootstrap."""
+"""How well a policy does a task: fixed scenarios, whole first episodes, intervals."""
 
 import dataclasses
 import math
 import re
+import statistics
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -128,6 +129,27 @@ def bootstrap(values: torch.Tensor, *, seed: int = 0) -> Interval:
   return Interval(mean=float(values.mean()), low=low, high=high, count=count)
 
 
+def wilson(values: torch.Tensor) -> Interval:
+  """Share of ones among (n,) zeros and ones with its 95 % interval by the score test (Wilson, 1927); NaNs are left out.
+
+  Unlike by the bootstrap, twelve successes in twelve episodes are no certainty.
+
+  Raises:
+    ValueError: a number that is neither.
+  """
+  values = values[~torch.isnan(values)].double()
+  count = values.numel()
+  if not ((values == 0.0) | (values == 1.0)).all():
+    raise ValueError("a share is of zeros and ones")
+  if count == 0:
+    return Interval(mean=math.nan, low=math.nan, high=math.nan, count=0)
+  mean = float(values.mean())
+  weight = statistics.NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE) ** 2 / count
+  middle = (mean + 0.5 * weight) / (1.0 + weight)
+  reach = math.sqrt(weight * mean * (1.0 - mean) + 0.25 * weight**2) / (1.0 + weight)
+  return Interval(mean=mean, low=max(middle - reach, 0.0), high=min(middle + reach, 1.0), count=count)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluation:
   """What came out: intervals by group and metric, and curves over time."""
@@ -190,7 +212,8 @@ def summarize(
   """Intervals of all episodes and of each group.
 
   Args:
-    metrics: One number per episode by name, (num_envs,); NaN where there is none.
+    metrics: One number per episode by name, (num_envs,); NaN where there is none. What is called ..._rate is a share
+      of episodes, each of which counts as 0 or 1.
     groups: Members of each group, bool (num_envs,); groups may overlap. A group of everybody says nothing new and is
       left out.
     units: Unit of each metric.
@@ -206,7 +229,11 @@ def summarize(
     curves[metric] = {name: [float(second[:, mask].nanmean()) for second in seconds] for name, mask in members.items()}
   return Evaluation(
     groups={
-      name: {metric: bootstrap(numbers[mask]) for metric, numbers in metrics.items()} for name, mask in members.items()
+      name: {
+        metric: (wilson if metric.endswith("_rate") else bootstrap)(numbers[mask])
+        for metric, numbers in metrics.items()
+      }
+      for name, mask in members.items()
     },
     curves=curves,
     units=dict(units),
