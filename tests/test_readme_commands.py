@@ -18,9 +18,10 @@ SCRIPTS = tomllib.loads((ROOT / "packages/mjlab/pyproject.toml").read_text(encod
 
 
 def commands(document: Path) -> list[list[str]]:
-  """Words of every line of the shell examples, without `uv run`."""
+  """Words of every line of the shell examples, which may go on after a backslash, without `uv run`."""
   blocks = re.findall(r"```(?:bash|sh)\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
-  lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+  whole = [block.replace("\\\n", " ") for block in blocks]
+  lines = [shlex.split(line, comments=True) for block in whole for line in block.splitlines()]
   return [words[2:] if words[:2] == ["uv", "run"] else words for words in lines if words]
 
 
