@@ -11,7 +11,7 @@ from mjlab_tracking.preview import Preview
 from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker
 from mjlab_viewer.opengl import make_context
 
-CLIP = str(shipped_clips()["squat_and_wave"])
+CLIP = "squat_and_wave"
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_clip_is_shown_with_every_link_where_the_motion_file_has_it() -> None:
-  motion, robot = load_motion(CLIP), robot_spec("g1")
+  motion, robot = load_motion(shipped_clips()[CLIP]), robot_spec("g1")
   replay = Preview(robot).replay(motion)
   stored = derived_arrays(motion, Kinematics(robot.compile()))["body_pos_w"]
   assert replay.num_steps == motion.num_frames

@@ -12,6 +12,7 @@ import mujoco
 from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
 from mjlab_tracking.formats import JointMap, Statement, read_motion
 from mjlab_tracking.kinematics import Kinematics, derived_arrays
+from mjlab_tracking.library import shipped_clips
 from mjlab_tracking.motion import Motion, MotionError, save_motion
 from mjlab_tracking.preview import Preview
 from mjlab_tracking.quality import check_quality
@@ -25,7 +26,7 @@ clip, or no way to show it.
 examples:
   convert-motion dance.csv --rate 60 --ground --output dance.npz --report dance.png
   convert-motion walk.npz                                    a report, nothing written
-  convert-motion walk.npz --preview                          the same, and the clip in a browser
+  convert-motion march_in_place --preview                    a clip that ships, in a browser
   convert-motion clips/*.csv --rate 30 --output library/     a folder of clips
   convert-motion a.csv --rate 30 --robot my_robot.xml --joint-map map.json --output a.npz
 """
@@ -74,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     epilog=EPILOG,
     formatter_class=argparse.RawDescriptionHelpFormatter,
   )
-  parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP")
+  parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="a file, or the name of a clip that ships")
   parser.add_argument("--robot", default="g1", help="g1, go1 or the path of an MJCF (default: g1)")
   said = parser.add_argument_group("what the file does not say")
   said.add_argument("--rate", type=float, metavar="HZ", help="frames per second of the clip")
@@ -125,7 +126,9 @@ def _convert(options: argparse.Namespace) -> int:
     body_names=options.body_names,
     joint_map=None if options.joint_map is None else _joint_map(options.joint_map),
   )
-  motions = [_edited(read_motion(path, robot, said), robot, options) for path in options.clips]
+  shipped = shipped_clips()
+  paths = [path if path.is_file() else shipped.get(str(path), path) for path in options.clips]
+  motions = [_edited(read_motion(path, robot, said), robot, options) for path in paths]
   if options.concatenate is not None:
     motions = [concatenate(motions, blend=options.concatenate)]
   motions = [_finished(motion, robot, options) for motion in motions]

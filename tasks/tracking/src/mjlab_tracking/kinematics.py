@@ -191,7 +191,8 @@ class Kinematics:
       if missing:
         said.append(f"it lacks joint {_some(missing)};")
       if strange:
-        close = nearest(strange[0], self.joint_names)
+        # Where none fits it is another robot, not a misspelt name.
+        close = nearest(strange[0], self.joint_names) if len(missing) < len(self.joint_names) else ()
         said.append(f"the robot lacks joint {_some(strange)}" + (f" (nearest: {', '.join(close)})." if close else "."))
       raise MotionError(" ".join(said).rstrip(";"))
     order = [motion.joint_names.index(name) for name in self.joint_names]
