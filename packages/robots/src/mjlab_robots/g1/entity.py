@@ -53,21 +53,16 @@ def g1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> Ent
     joint_pos=G1_DEFAULT_JOINT_POS,
     actuators=G1_ACTUATORS,
     soft_joint_pos_limit_factor=G1_SOFT_JOINT_POS_LIMIT_FACTOR,
-    collisions=_collisions(collision),
+    collision=collision,
+    presets=_presets,
   )
 
 
-def _collisions(preset: CollisionPreset) -> tuple[CollisionCfg, ...]:
+def _presets() -> dict[str, tuple[CollisionCfg, ...]]:
   from mjlab_scene import CollisionCfg
 
-  if preset == "full":
-    return ()
   feet = CollisionCfg(
     geom_names_expr=_FEET, contype=0, conaffinity=1, condim=3, priority=1, friction=(0.6, 0.005, 0.0001)
   )
-  if preset == "feet_only":
-    return (feet,)
-  if preset == "full_without_self":
-    rest = rf"(?!{_FEET}).*_collision"
-    return (feet, CollisionCfg(geom_names_expr=rest, contype=0, conaffinity=1, condim=1))
-  raise ValueError(f"g1: collision is {preset!r}; it must be 'full', 'full_without_self' or 'feet_only'")
+  rest = CollisionCfg(geom_names_expr=rf"(?!{_FEET}).*_collision", contype=0, conaffinity=1, condim=1)
+  return {"full_without_self": (feet, rest), "feet_only": (feet,)}

@@ -47,28 +47,24 @@ def go1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> En
     joint_pos=GO1_DEFAULT_JOINT_POS,
     actuators=GO1_ACTUATORS,
     soft_joint_pos_limit_factor=GO1_SOFT_JOINT_POS_LIMIT_FACTOR,
-    collisions=_collisions(collision),
+    collision=collision,
+    presets=_presets,
   )
 
 
-def _collisions(preset: CollisionPreset) -> tuple[CollisionCfg, ...]:
+def _presets() -> dict[str, tuple[CollisionCfg, ...]]:
   from mjlab_scene import CollisionCfg
 
-  if preset == "full":
-    return ()
-  if preset == "feet_only":
-    return (
-      CollisionCfg(
-        geom_names_expr=(".*_foot_collision",),
-        contype=0,
-        conaffinity=1,
-        condim=3,
-        priority=1,
-        friction=(0.6, 0.005, 0.0001),
-        solref=(0.02, 1.0),
-        # A foot sinks over its own radius before it is as stiff as it gets.
-        solimp=(0.9, 0.95, 0.023, 0.5, 2.0),
-        disable_other_geoms=True,
-      ),
-    )
-  raise ValueError(f"go1: collision is {preset!r}; it must be 'full' or 'feet_only'")
+  feet = CollisionCfg(
+    geom_names_expr=(".*_foot_collision",),
+    contype=0,
+    conaffinity=1,
+    condim=3,
+    priority=1,
+    friction=(0.6, 0.005, 0.0001),
+    solref=(0.02, 1.0),
+    # A foot sinks over its own radius before it is as stiff as it gets.
+    solimp=(0.9, 0.95, 0.023, 0.5, 2.0),
+    disable_other_geoms=True,
+  )
+  return {"feet_only": (feet,)}

@@ -50,18 +50,13 @@ def yam(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> En
     joint_pos=YAM_DEFAULT_JOINT_POS,
     actuators=YAM_ACTUATORS,
     soft_joint_pos_limit_factor=YAM_SOFT_JOINT_POS_LIMIT_FACTOR,
-    collisions=_collisions(collision),
+    collision=collision,
+    presets=_presets,
   )
 
 
-def _collisions(preset: CollisionPreset) -> tuple[CollisionCfg, ...]:
+def _presets() -> dict[str, tuple[CollisionCfg, ...]]:
   from mjlab_scene import CollisionCfg
 
-  if preset == "full":
-    return ()
-  if preset == "gripper_only":
-    return (
-      CollisionCfg(geom_names_expr="(link6_.|[lr]f_rot.|[lr]f_down[1-5])_collision"),
-      CollisionCfg(geom_names_expr=_TIPS, condim=6, priority=1),
-    )
-  raise ValueError(f"yam: collision is {preset!r}; it must be 'full' or 'gripper_only'")
+  hand = CollisionCfg(geom_names_expr="(link6_.|[lr]f_rot.|[lr]f_down[1-5])_collision")
+  return {"gripper_only": (hand, CollisionCfg(geom_names_expr=_TIPS, condim=6, priority=1))}
