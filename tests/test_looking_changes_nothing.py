@@ -47,7 +47,7 @@ class Watchers:
 
   def __init__(self, env: ManagerBasedRlEnv, folder: Path) -> None:
     self.env = env
-    self.taker = SnapshotTaker(env)
+    self.taker = SnapshotTaker(env, contacts=True)
     self.page = BrowserViewer(env, port=8500, video_folder=folder)
     self.page.scene.scene.show_contact_forces = True
     self.film = TrainingVideo(env, folder, interval=10, length=3)
@@ -119,6 +119,26 @@ def test_a_snapshot_holds_the_chosen_worlds_and_the_numbers_of_the_first() -> No
       assert len(names) == values.shape[1] == len(set(names))
       np.testing.assert_array_equal(snapshot.signals[group], values[4].numpy())
     assert {"rewards", "command twist", "observations actor"} <= set(snapshot.signals)
+
+
+def test_the_contacts_of_a_snapshot_are_those_that_rewards_saw() -> None:
+  with make(TASK, num_envs=6, device="cpu") as env:
+    env.reset(seed=0)
+    taker, sensor, model = SnapshotTaker(env, contacts=True), env.scene["feet_ground_contact"], env.sim.mj_model
+    assert sensor.cfg.reduce == "netforce"
+    feet = [model.geom(name).id for name in sensor.primary_names]
+    rollout(env, 12)
+    seen = 0.0
+    for row, world in enumerate(worlds := (4, 1, 0)):
+      contacts = taker.take(worlds, apart=True).contacts[row]
+      for number, foot in enumerate(feet):
+        on_ground = [contacts.force[contacts.geom[:, side] == foot].sum(axis=0) for side in (0, 1)]
+        # The foot's force on the ground: of contacts whose first geom it is, less those whose second.
+        np.testing.assert_allclose(
+          on_ground[0] - on_ground[1], sensor.data.force[world, number].numpy(), rtol=1e-9, atol=1e-9
+        )
+        seen += float(np.linalg.norm(on_ground))
+    assert seen > 50.0
 
 
 def test_the_command_is_drawn_as_it_is_and_where_the_robot_is() -> None:

@@ -66,7 +66,7 @@ def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
   for drawn in DRAWN:
     if drawn <= env.num_envs:
       with BrowserViewer(env, max_worlds=drawn, port=8400) as viewer:
-        taker, worlds, names = SnapshotTaker(env), viewer.drawn_worlds(), tuple(env.drawers())
+        taker, worlds, names = SnapshotTaker(env, contacts=True), viewer.drawn_worlds(), tuple(env.drawers())
         show = partial(picture, viewer, taker, worlds, names)
         found[drawn] = least_ms(show, repeats)
   return found

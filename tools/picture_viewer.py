@@ -45,7 +45,7 @@ def contacts(env: ManagerBasedRlEnv, out: Path) -> None:
   cfg = PictureCfg(width=1280, height=720, camera=camera, contacts=True)
   model = env.sim.mj_model
   with OffscreenRenderer(model, cfg) as renderer:
-    picture = renderer.render(SnapshotTaker(env).take((0,), drawers=tuple(env.drawers())))
+    picture = renderer.render(SnapshotTaker(env, contacts=True).take((0,), drawers=tuple(env.drawers())))
   Image.fromarray(picture).resize((960, 540), Image.Resampling.LANCZOS).save(out / "viewer_contacts.png", optimize=True)
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab_core import DebugDraw
 from mjlab_viewer import CameraCfg, DrawList, OffscreenRenderer, PictureCfg, SnapshotTaker
-from mjlab_viewer.mjv_drawing import add_to_scene
+from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms, thinned
 from viewer_env import BOX, BoxEnv
 
 MODEL = mujoco.MjModel.from_xml_string(BOX)
@@ -21,7 +21,7 @@ def finished(draw: DrawList) -> DrawList:
 
 def geoms(draw: DrawList, maxgeom: int = 100) -> list[mujoco.MjvGeom]:
   scene = mujoco.MjvScene(MODEL, maxgeom=maxgeom)
-  add_to_scene(scene, MODEL, finished(draw))
+  add_to_scene(scene, MODEL, finished(draw).shapes)
   return list(scene.geoms[: scene.ngeom])
 
 
@@ -87,13 +87,22 @@ def test_a_mesh_that_the_model_lacks_and_rows_of_nan_are_left_out() -> None:
   assert len(geoms(draw)) == 1
 
 
-def test_a_full_scene_takes_what_fits_and_says_how_much_did_not() -> None:
+@pytest.mark.parametrize(
+  ("room", "kept"), [(1000, (70, 7, 300)), (377, (70, 7, 300)), (100, (18, 2, 80)), (0, (0, 0, 0))]
+)
+def test_where_there_is_no_room_for_all_shapes_are_left_out_evenly(room: int, kept: tuple[int, ...]) -> None:
   draw = DrawList()
-  draw.spheres(np.zeros((70, 3)), 0.1, RED)
-  draw.spheres(np.zeros((70, 3)), 0.1, RED)
-  scene = mujoco.MjvScene(MODEL, maxgeom=100)
-  assert add_to_scene(scene, MODEL, finished(draw)) == 40
-  assert scene.ngeom == 100
+  along = np.arange(300.0)[:, None] * [[0.01, 0.0, 0.0]]
+  draw.spheres(along[:70], 0.1, RED)
+  draw.arrows(along[:7], along[:7] + 1.0, RED, 0.1)
+  draw.spheres(along, 0.1, RED)
+  shown = thinned(finished(draw).shapes, room)
+  assert [len(shapes) for shapes in shown] == list(kept)
+  if room == 100:
+    assert count_geoms(shown) == 100
+    steps = np.diff(shown[2].position[:, 0])
+    assert steps.min() > 0.029
+    assert steps.max() < 0.041
 
 
 def test_thousands_of_shapes_grow_the_picture_instead_of_failing(opengl: None) -> None:

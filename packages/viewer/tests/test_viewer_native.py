@@ -13,13 +13,20 @@ import pytest
 # Everything in one window: they take long to open, and a process has room for one.
 SCRIPT = """
 import time
+from types import SimpleNamespace
 import mujoco
 import numpy as np
+import torch
 from mjlab_viewer import NativeViewer, Playback, ZeroPolicy
 from viewer_env import BoxEnv
 
 env = BoxEnv(3)
 env.draws_at_first = True
+told = SimpleNamespace(
+  found=torch.tensor([True, True, True, False]), geom=torch.tensor([[0, 1]] * 4), pos=torch.rand(4, 3),
+  normal=torch.eye(3)[[0, 1, 2, 0]], force=torch.ones(4, 3),
+)
+env.sim.told = dict.fromkeys(range(3), told)
 playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
 before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
 mujoco.mj_saveModel(env.sim.mj_model, None, before)
@@ -48,6 +55,26 @@ with NativeViewer(playback) as viewer:
   viewer._press(ord("R"))
   eventually(lambda: viewer.window.user_scn.ngeom == 0)
   viewer._press(ord("R"))
+
+  # Contacts that the simulation tells of, and none that the window's own data would have.
+  shown = lambda: viewer.window.user_scn.ngeom
+  eventually(lambda: shown() == 1 and env.sim.datas[2].ncon == 4)
+  for flag, count in ((mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, 4), (mujoco.mjtVisFlag.mjVIS_CONTACTFORCE, 7)):
+    with viewer.window.lock():
+      viewer.window.opt.flags[flag] = 1
+    eventually(lambda: shown() == count)
+  assert viewer._world.data.ncon == 0
+  viewer.window.opt.flags[:] = 0
+
+  # More shapes than the window has room for: evenly fewer, and said so.
+  room = viewer.window.user_scn.maxgeom - viewer._own_geoms
+  places, draw = torch.rand(120_000, 3), env.command.debug_draw
+  env.command.debug_draw = lambda draw: draw.spheres(places, 0.01, (1, 0, 0, 1))
+  eventually(lambda: shown() == room)
+  assert viewer.num_undrawn == 120_000 - room
+  assert "without" in viewer._status()[1]
+  env.command.debug_draw = draw
+  eventually(lambda: shown() == 1 and viewer.num_undrawn == 0)
 
   # A pull on the box of the world that is shown, and on no other; gone when it is let go.
   perturb = viewer.window.perturb

@@ -86,7 +86,7 @@ class BrowserViewer:
     """What was shown in the last seconds."""
     self._camera_cfg = CameraCfg() if camera is None else camera
     resolved = self._camera_cfg.resolve(env.sim.mj_model)
-    self._taker = SnapshotTaker(env)
+    self._taker = SnapshotTaker(env, contacts=True)
     self._video_folder = video_folder
     self._video: BackgroundVideo | None = None
     self._recorded_step = -1
@@ -150,9 +150,9 @@ class BrowserViewer:
     if self._video is not None:
       return self._video.file.path
     path = self._video_folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S}.mp4"
-    self._video = BackgroundVideo(
-      path, 1.0 / self.env.step_dt, self.env.sim.mj_model, PictureCfg(camera=self._camera_cfg)
-    )
+    contacts = self.scene.scene.show_contact_points or self.scene.scene.show_contact_forces
+    cfg = PictureCfg(camera=self._camera_cfg, contacts=contacts)
+    self._video = BackgroundVideo(path, 1.0 / self.env.step_dt, self.env.sim.mj_model, cfg)
     return path
 
   def stop_recording(self) -> Path:

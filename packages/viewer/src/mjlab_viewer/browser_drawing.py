@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import functools
 from collections import defaultdict
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 import trimesh
 import viser
 
-from mjlab_viewer.draw_list import DrawList, Shapes
+from mjlab_viewer.draw_list import Shapes, turns_from_z
 from mjlab_viewer.mjv_drawing import mesh_id
 
 # Shares of an arrow, as MuJoCo draws it, and how much wider its head is.
 _SHAFT = 0.8
 _HEAD_WIDTH = 2.0
-_Z = np.array([0.0, 0.0, 1.0], dtype=float)
 
 
 class BrowserDrawing:
@@ -33,11 +33,11 @@ class BrowserDrawing:
     self._root = server.scene.add_frame("/drawn", show_axes=False)
     self._handles: dict[str, viser.BatchedMeshHandle] = {}
 
-  def show(self, drawing: DrawList, offset: np.ndarray) -> None:
+  def show(self, drawn: Sequence[Shapes], offset: np.ndarray) -> None:
     """Replace what is shown; `offset` moves all of it, (3,) [m]."""
     self._root.position = offset
     batches: dict[str, list[Shapes]] = defaultdict(list)
-    for shapes in drawing.shapes:
+    for shapes in drawn:
       if shapes.kind == "mesh":
         if mesh_id(self._model, shapes.mesh) >= 0:
           batches[f"mesh/{shapes.mesh}"].append(shapes)
@@ -112,15 +112,3 @@ def _primitive(name: str) -> trimesh.Trimesh:
   rod = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=12)
   rod.apply_translation([0.0, 0.0, 0.5])
   return rod
-
-
-def turns_from_z(direction: np.ndarray) -> np.ndarray:
-  """Unit quaternions (n, 4) that turn z to these directions, (n, 3); one of no length turns nothing."""
-  length = np.linalg.norm(direction, axis=1, keepdims=True)
-  unit = np.divide(direction, length, out=np.tile(_Z, (len(direction), 1)), where=length > 0)
-  # Half the angle between z and the direction: (1 + cos, z x direction), normalised.
-  w = 1.0 + unit[:, 2]
-  quaternion = np.stack([w, -unit[:, 1], unit[:, 0], np.zeros_like(w)], axis=1)
-  opposite = w < 1e-6
-  quaternion[opposite] = [0.0, 1.0, 0.0, 0.0]
-  return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

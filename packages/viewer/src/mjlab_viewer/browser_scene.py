@@ -11,8 +11,18 @@ from mjviser import ViserMujocoScene
 from mjlab_viewer.browser_drawing import BrowserDrawing
 from mjlab_viewer.browser_looks import Wardrobe, look
 from mjlab_viewer.camera import Camera
+from mjlab_viewer.contacts import contact_shapes
+from mjlab_viewer.draw_list import Shapes
 from mjlab_viewer.host_world import HostWorld, copy_world
 from mjlab_viewer.snapshot import Snapshot
+
+
+class _Scene(ViserMujocoScene):
+  """mjviser's scene without the contacts that it computes itself; those of the simulation are drawn instead."""
+
+  def _update_decor_from_mjvscene(self, mj_data: mujoco.MjData, scene_offset: np.ndarray) -> None:
+    mj_data.ncon = 0
+    super()._update_decor_from_mjvscene(mj_data, scene_offset)
 
 
 class BrowserScene:
@@ -28,7 +38,7 @@ class BrowserScene:
   def __init__(self, server: viser.ViserServer, model: mujoco.MjModel, camera: Camera, num_worlds: int) -> None:
     self._own = HostWorld(model)
     self._camera = camera
-    self.scene = ViserMujocoScene(server, self._own.model, num_worlds)
+    self.scene = _Scene(server, self._own.model, num_worlds)
     # mjviser follows the first body that moves; it has no public way to be told another one.
     self.scene._tracked_body_id = camera.body
     self.scene.camera_tracking_enabled = camera.body is not None
@@ -44,7 +54,7 @@ class BrowserScene:
   def show(self, snapshot: Snapshot) -> None:
     """Show these worlds; overlays (contacts, forces, frames) are those of the first one."""
     data, scene = snapshot.data, self.scene
-    # Contacts and forces follow from the very state and model of the selected world.
+    # Overlays follow from the very state and model of the selected world.
     copy_world(snapshot, 0, self._own.model, scene.mj_data)
     looks = [look(snapshot, row) for row in range(len(snapshot.worlds))]
     if looks[0] != self._look:
@@ -67,8 +77,8 @@ class BrowserScene:
         different.setdefault(its_look, []).append(row)
     moved = {name: values + offset if name.endswith("pos") else values for name, values in poses.items()}
     self.wardrobe.show(snapshot, different, moved, scene)
-    for drawing in snapshot.drawings:
-      self._drawing.show(drawing, offset)
+    drawn = [shapes for drawing in snapshot.drawings for shapes in drawing.shapes]
+    self._drawing.show(drawn + self._contacts(snapshot), offset)
     self.shown = snapshot
 
   def follow(self, on: bool) -> None:
@@ -79,6 +89,15 @@ class BrowserScene:
     """Put a client's eye back to where it began."""
     client.camera.position = self._eye()
     client.camera.look_at = self._target()
+
+  def _contacts(self, snapshot: Snapshot) -> list[Shapes]:
+    """Of the selected world, in mjviser's colours and sizes."""
+    points, forces = self.scene.show_contact_points, self.scene.show_contact_forces
+    if not points and not forces:
+      return []
+    if not snapshot.contacts:
+      self._own.load(snapshot)
+    return contact_shapes(self._own.contacts(snapshot), self._own.model, points=points, forces=forces)
 
   def _target(self) -> np.ndarray:
     if self.scene.camera_tracking_enabled:

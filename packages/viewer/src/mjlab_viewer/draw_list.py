@@ -35,6 +35,11 @@ class Shapes:
   def __len__(self) -> int:
     return len(self.position)
 
+  def rows(self, rows: np.ndarray) -> Shapes:
+    """Some of them, by number."""
+    parts = (array[rows] for array in (self.position, self.direction, self.size, self.color))
+    return Shapes(self.kind, *parts, mesh=self.mesh)
+
 
 class DrawList:
   """Keeps what is drawn; implements `mjlab_core.DebugDraw`.
@@ -101,6 +106,7 @@ class DrawList:
     self._batches.append((kind, mesh, list(arrays)))
 
 
+_Z = np.array([0.0, 0.0, 1.0], dtype=float)
 _UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])
 _AXIS_COLORS = ((0.9, 0.2, 0.2, 1.0), (0.2, 0.8, 0.2, 1.0), (0.2, 0.3, 0.9, 1.0))
 
@@ -125,5 +131,17 @@ def _shapes(
   width = 3 if kind == "ellipsoid" else 1
   size = np.broadcast_to(np.atleast_2d(np.asarray(size, dtype=float)), (n, width))
   color = np.clip(np.broadcast_to(np.atleast_2d(np.asarray(color, dtype=float)), (n, 4)), 0.0, 1.0)
-  finite = np.isfinite(np.concatenate([position, direction, size, color], axis=1)).all(axis=1)
-  return Shapes(kind, position[finite], direction[finite], size[finite], color[finite], mesh)
+  finite = np.flatnonzero(np.isfinite(np.concatenate([position, direction, size, color], axis=1)).all(axis=1))
+  return Shapes(kind, position, direction, size, color, mesh).rows(finite)
+
+
+def turns_from_z(direction: np.ndarray) -> np.ndarray:
+  """Unit quaternions (n, 4) that turn z to these directions, (n, 3); one of no length turns nothing."""
+  length = np.linalg.norm(direction, axis=1, keepdims=True)
+  unit = np.divide(direction, length, out=np.tile(_Z, (len(direction), 1)), where=length > 0)
+  # Half the angle between z and the direction: (1 + cos, z x direction), normalised.
+  w = 1.0 + unit[:, 2]
+  quaternion = np.stack([w, -unit[:, 1], unit[:, 0], np.zeros_like(w)], axis=1)
+  opposite = w < 1e-6
+  quaternion[opposite] = [0.0, 1.0, 0.0, 0.0]
+  return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

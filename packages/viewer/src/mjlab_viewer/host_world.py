@@ -7,6 +7,7 @@ import copy
 import mujoco
 import numpy as np
 
+from mjlab_viewer.contacts import HostContacts, computed_contacts
 from mjlab_viewer.snapshot import Snapshot
 
 _STATE = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active""".split()
@@ -22,12 +23,13 @@ class HostWorld:
     self.data = mujoco.MjData(self.model)
 
   def load(self, snapshot: Snapshot, row: int = 0) -> None:
-    """Take over one world of a snapshot, with its own values of the model, and compute what follows from its state.
-
-    Contacts and forces are those that MuJoCo computes for exactly this state, model, control and warm start.
-    """
+    """Take over one world of a snapshot, with its own values of the model, and compute what follows from its state."""
     copy_world(snapshot, row, self.model, self.data)
     mujoco.mj_forward(self.model, self.data)
+
+  def contacts(self, snapshot: Snapshot, row: int = 0) -> HostContacts:
+    """Contacts of the world that was loaded: the simulation's own, or else what MuJoCo C makes of its state."""
+    return snapshot.contacts[row] if row < len(snapshot.contacts) else computed_contacts(self.model, self.data)
 
 
 def copy_world(snapshot: Snapshot, row: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -13,11 +13,12 @@ import mujoco
 import torch
 
 from mjlab_viewer.camera import CameraCfg
+from mjlab_viewer.contacts import contact_shapes
 from mjlab_viewer.errors import RenderingError
 from mjlab_viewer.host_world import HostWorld
-from mjlab_viewer.mjv_drawing import add_to_scene
+from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms, thinned
 from mjlab_viewer.playback import Playback
-from mjlab_viewer.snapshot import SnapshotTaker
+from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 
 FRAME = 1 / 60
 """Time between pictures [s]."""
@@ -34,6 +35,7 @@ KEYS = {
 }
 """Keys beside those of MuJoCo's window, and what they do."""
 
+_CONTACT_FLAGS = (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE)
 _ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
 
 
@@ -60,10 +62,13 @@ class NativeViewer:
     self.draws = True
     """Whether what commands and sensors draw is shown."""
     self.num_undrawn = 0
-    """Shapes that the window had no room for in the last picture."""
+    """Shapes that the window had no room for in the last picture: it takes 100 000, and beyond them evenly fewer."""
     self._world = HostWorld(self.env.sim.mj_model)
     self._camera = (CameraCfg() if camera is None else camera).resolve(self._world.model)
-    self._taker = SnapshotTaker(self.env)
+    self._taker = SnapshotTaker(self.env, contacts=True)
+    model = self._world.model
+    # What MuJoCo may draw beside them into the same scene: everything, with all its frames and labels.
+    self._own_geoms = 1000 + 4 * (model.nbody + model.njnt + model.ngeom + model.nsite + model.nu + model.nwrap)
     self._due = 0.0
     self._target: Any = None
     self._dragged: tuple[int, int] | None = None
@@ -99,9 +104,7 @@ class NativeViewer:
     with self.window.lock():
       self._world.load(snapshot)
       self._follow()
-      scene = self.window.user_scn
-      scene.ngeom = 0
-      self.num_undrawn = sum(add_to_scene(scene, self._world.model, drawing) for drawing in snapshot.drawings)
+      self._draw(snapshot)
     self._drag()
     self.window.set_texts([(None, None, *self._status())])
     self.window.sync()
@@ -162,6 +165,20 @@ class NativeViewer:
       self.window.cam.lookat[:] += target - self._target
     self._target = target
 
+  def _draw(self, snapshot: Snapshot) -> None:
+    """Give the window what commands and sensors drew, and the contacts it is to show."""
+    model, data, flags = self._world.model, self._world.data, self.window.opt.flags
+    points, forces = (bool(flags[flag]) for flag in _CONTACT_FLAGS)
+    drawn = [shapes for drawing in snapshot.drawings for shapes in drawing.shapes]
+    drawn += contact_shapes(self._world.contacts(snapshot), model, points=points, forces=forces)
+    # The window would draw those that the host computed.
+    data.ncon = 0
+    scene = self.window.user_scn
+    shown = thinned(drawn, scene.maxgeom - self._own_geoms)
+    scene.ngeom = 0
+    add_to_scene(scene, model, shown)
+    self.num_undrawn = count_geoms(drawn) - count_geoms(shown)
+
   def _drag(self) -> None:
     """Pull in the simulation as the mouse pulls in the window."""
     perturb = self.window.perturb
@@ -185,6 +202,8 @@ class NativeViewer:
       "speed": f"{playback.speed:g}{' (too slow a machine)' if playback.is_capped else ''}",
       "state": state,
     }
+    if self.num_undrawn:
+      rows["drawn"] = f"without {self.num_undrawn} shapes: the window is full"
     if playback.error is not None:
       rows["error"] = playback.error
     return "\n".join(rows), "\n".join(rows.values())

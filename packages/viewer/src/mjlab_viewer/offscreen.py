@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from mjlab_viewer.camera import CameraCfg
+from mjlab_viewer.contacts import contact_shapes
 from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms
@@ -26,7 +27,7 @@ class PictureCfg:
   """[px]"""
   camera: CameraCfg = field(default_factory=CameraCfg)
   contacts: bool = False
-  """Draw contact points and forces."""
+  """Draw contact points and forces: those of the snapshot where it has them."""
   shadows: bool = True
   geom_groups: tuple[bool, ...] = (True, True, True, False, False, False)
   """Which of MuJoCo's geom groups are drawn."""
@@ -63,8 +64,6 @@ class OffscreenRenderer:
     self._camera = mujoco.MjvCamera()
     self._options = mujoco.MjvOption()
     self._options.geomgroup[:] = self.cfg.geom_groups
-    for flag in (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE):
-      self._options.flags[flag] = self.cfg.contacts
     self._scene = self._new_scene(model.ngeom + 512)
     self._gl = make_context(self.cfg.width, self.cfg.height)
     self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
@@ -106,8 +105,10 @@ class OffscreenRenderer:
   def _update_scene(self, snapshot: Snapshot, row: int) -> None:
     world = self._world
     self._view.aim(self._camera, self._view.target(world.data.xpos))
-    drawing = snapshot.drawings[row if len(snapshot.drawings) > 1 else 0]
-    extra = count_geoms(drawing)
+    drawn = list(snapshot.drawings[row if len(snapshot.drawings) > 1 else 0].shapes)
+    if self.cfg.contacts:
+      drawn += contact_shapes(world.contacts(snapshot, row), world.model, points=True, forces=True)
+    extra = count_geoms(drawn)
     while True:
       mujoco.mjv_updateScene(
         world.model, world.data, self._options, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
@@ -116,7 +117,7 @@ class OffscreenRenderer:
       if wanted <= self._scene.maxgeom and not self._scene.status:
         break
       self._scene = self._new_scene(2 * max(wanted, self._scene.maxgeom))
-    add_to_scene(self._scene, world.model, drawing)
+    add_to_scene(self._scene, world.model, drawn)
 
 
 def tiles(count: int, width: int, height: int) -> list[tuple[int, int, int, int]]:

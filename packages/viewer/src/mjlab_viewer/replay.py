@@ -50,6 +50,8 @@ class Replay:
       expanded_fields=tuple(own),
       model={name: torch.from_numpy(value) for name, value in own.items()},
       data=SimpleNamespace(),
+      # MuJoCo C computes them from the moment that is shown.
+      contacts=lambda world: None,
     )
     self.reset()
 

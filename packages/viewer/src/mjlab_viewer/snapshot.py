@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from mjlab_viewer.contacts import HostContacts
 from mjlab_viewer.draw_list import DrawList
 from mjlab_viewer.worlds import ViewedEnv
 
@@ -31,6 +32,8 @@ class Snapshot:
   """Numbers of the selected world by group, (k,)."""
   drawings: list[DrawList]
   """What was drawn: one for all worlds, or one for each."""
+  contacts: Sequence[HostContacts] = ()
+  """Of the selected world, or of each, as the simulation computed them; none where it does not tell."""
   step: int = 0
   """Steps done when it was taken."""
 
@@ -51,13 +54,18 @@ class SnapshotTaker:
   """Takes snapshots of an environment. Its cost grows with the worlds asked for, not with those there are.
 
   All values of a snapshot come to the host in one transfer. Nothing of the environment is written to.
+
+  Args:
+    env: The environment.
+    contacts: Take contacts, too; the simulation keeps them from now on.
   """
 
-  def __init__(self, env: ViewedEnv) -> None:
+  def __init__(self, env: ViewedEnv, *, contacts: bool = False) -> None:
     self._env = env
     self._indices: dict[tuple[int, ...], torch.Tensor] = {}
     data = env.sim.data
     self._fields = {name: value for name in FIELDS if (value := getattr(data, name)).numel()}
+    self._has_contacts = contacts and env.sim.contacts(0) is not None
 
   def take(self, worlds: Sequence[int], *, drawers: Sequence[str] = (), apart: bool = False, step: int = 0) -> Snapshot:
     """Copy some worlds.
@@ -65,7 +73,7 @@ class SnapshotTaker:
     Args:
       worlds: Which, the selected one first.
       drawers: Names of those who draw.
-      apart: Draw over each world by itself, for pictures that show one world each.
+      apart: Draw over each world by itself, and take its contacts, for pictures that show one world each.
       step: Steps done, to be kept with it.
     """
     env, worlds = self._env, tuple(worlds)
@@ -91,17 +99,37 @@ class SnapshotTaker:
           known[name](drawing)
     layouts = (data, model, signals)
     rows = [row for layout in layouts for row in layout.rows]
-    arrays = to_host(rows + [tensor for drawing in drawings for tensor in drawing.pending])
+    touching = [env.sim.contacts(world) for world in (worlds if apart else worlds[:1])] if self._has_contacts else []
+    kept = [(c.found, c.geom, c.pos, c.normal, c.force) for c in touching if c is not None]
+    arrays = to_host(
+      rows + [tensor for drawing in drawings for tensor in drawing.pending] + [tensor for c in kept for tensor in c]
+    )
     arrived = iter(arrays[len(rows) :])
     for drawing in drawings:
       drawing.finish(arrived)
+    contacts = [_contacts(*itertools.islice(arrived, 5)) for _ in kept]
     named: list[dict[str, np.ndarray]] = []
     start = 0
     for layout in layouts:
       stop = start + len(layout.names)
       named.append(dict(zip(layout.names, arrays[start:stop], strict=True)))
       start = stop
-    return Snapshot(worlds=worlds, data=named[0], model=named[1], signals=named[2], drawings=drawings, step=step)
+    return Snapshot(
+      worlds=worlds,
+      data=named[0],
+      model=named[1],
+      signals=named[2],
+      drawings=drawings,
+      contacts=contacts,
+      step=step,
+    )
+
+
+def _contacts(
+  found: np.ndarray, geom: np.ndarray, pos: np.ndarray, normal: np.ndarray, force: np.ndarray
+) -> HostContacts:
+  rows = found.astype(bool) & np.isfinite(pos).all(axis=1) & np.isfinite(force).all(axis=1)
+  return HostContacts(geom=geom[rows].astype(np.int32), pos=pos[rows], normal=normal[rows], force=force[rows])
 
 
 def to_host(tensors: Sequence[torch.Tensor]) -> list[np.ndarray]:

@@ -40,7 +40,7 @@ class TrainingVideo:
       raise ViewerError(f"films of {length} steps cannot begin every {interval} steps")
     self._env, self._folder = env, folder
     self._interval, self._length, self._cfg = interval, length, cfg
-    self._taker = SnapshotTaker(env)
+    self._taker = SnapshotTaker(env, contacts=cfg is not None and cfg.contacts)
     self._worlds = range(min(env.num_envs, MOST_TILES))
     self._step = 0
     self._film: BackgroundVideo | None = None

@@ -16,6 +16,35 @@ Drawers: TypeAlias = "Mapping[str, Callable[[DebugDraw], None]]"
 """Who draws over the picture, by name."""
 
 
+class SimulatedContacts(Protocol):
+  """Contacts of one world as the simulation computed them."""
+
+  @property
+  def found(self) -> torch.Tensor:
+    """Which rows are contacts, bool (n,)."""
+    ...
+
+  @property
+  def geom(self) -> torch.Tensor:
+    """The two geoms, -1 for a flex, (n, 2)."""
+    ...
+
+  @property
+  def pos(self) -> torch.Tensor:
+    """World frame, (n, 3) [m]."""
+    ...
+
+  @property
+  def normal(self) -> torch.Tensor:
+    """Unit normal from the first geom to the second, world frame, (n, 3)."""
+    ...
+
+  @property
+  def force(self) -> torch.Tensor:
+    """What the first geom exerts on the second, world frame, (n, 3) [N]."""
+    ...
+
+
 class ViewedSim(Protocol):
   """Many worlds of one model."""
 
@@ -43,6 +72,10 @@ class ViewedSim(Protocol):
   @property
   def model(self) -> Any:
     """Fields of MjModel as tensors by `model[name]`, (num_envs, ...) where expanded."""
+    ...
+
+  def contacts(self, world: int, /) -> SimulatedContacts | None:
+    """Contacts of one world in its last physics step; None where MuJoCo is to compute them from the state shown."""
     ...
 
 

@@ -1,0 +1,156 @@
+"""Contacts are drawn as the simulation tells of them, where and as long as MuJoCo would draw them."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_viewer import BrowserViewer, OffscreenRenderer, PictureCfg, SnapshotTaker
+from mjlab_viewer.contacts import computed_contacts, contact_shapes
+from viewer_env import BoxEnv
+
+# A stack, and a tilted wall whose geom comes after that of the ball which leans on it.
+STACK = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="2 2 1"/>
+    <body pos="0 0 .0995"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+    <body pos="0 0 .299"><freejoint/><geom type="box" size=".1 .1 .1" mass="2"/></body>
+    <body pos="1 0 .0995"><freejoint/><geom name="ball" size=".1" mass=".5"/></body>
+    <body name="wall" pos="1.15 0 .1" euler="0 -30 0"><geom name="wall" type="box" size=".05 .3 .1"/></body>
+  </worldbody>
+</mujoco>
+"""
+WORLDS = 3
+
+
+def settled(xml: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
+  model = mujoco.MjModel.from_xml_string(xml)
+  data = mujoco.MjData(model)
+  for _ in range(100):
+    mujoco.mj_step(model, data)
+  mujoco.mj_forward(model, data)
+  return model, data
+
+
+def test_discs_and_arrows_are_those_that_mujoco_draws() -> None:
+  model, data = settled(STACK)
+  option, scene = mujoco.MjvOption(), mujoco.MjvScene(model, maxgeom=200)
+  for flag in (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE):
+    option.flags[flag] = 1
+  decor = mujoco.mjtCatBit.mjCAT_DECOR.value
+  mujoco.mjv_updateScene(model, data, option, None, mujoco.MjvCamera(), decor, scene)
+  geoms = list(scene.geoms[: scene.ngeom])
+  theirs = [geom for geom in geoms if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER]
+  points, forces = contact_shapes(computed_contacts(model, data), model, points=True, forces=True)
+  assert len(points) == len(theirs) == data.ncon > 9
+  turned = np.zeros(9)
+  for row, geom in enumerate(theirs):
+    np.testing.assert_allclose(points.position[row], geom.pos, atol=1e-6)
+    np.testing.assert_allclose(points.size[row], geom.size, rtol=1e-6)
+    np.testing.assert_allclose(points.color[row], geom.rgba)
+    mujoco.mju_quat2Mat(turned, points.direction[row])
+    np.testing.assert_allclose(turned.reshape(3, 3)[:, 2], geom.mat[:, 2], atol=1e-6)
+  arrows = [geom for geom in geoms if geom not in theirs]
+  assert len(forces) == len(arrows) == data.ncon
+  for row, geom in enumerate(arrows):
+    np.testing.assert_allclose(forces.position[row], geom.pos, atol=1e-6)
+    length = np.linalg.norm(forces.direction[row])
+    assert length == pytest.approx(geom.size[2], rel=1e-5)
+    assert forces.size[row, 0] == pytest.approx(geom.size[0])
+    # MuJoCo draws a head at either end where both are bodies: along the line it is the same.
+    assert abs(forces.direction[row] @ geom.mat[:, 2]) == pytest.approx(length, rel=1e-5)
+
+
+def test_an_arrow_is_the_force_on_what_can_move() -> None:
+  model, data = settled(STACK)
+  contacts = computed_contacts(model, data)
+  (forces,) = contact_shapes(contacts, model, points=False, forces=True)
+  wall = contacts.geom[:, 1] == model.geom("wall").id
+  assert wall.sum() == 1
+  (push,) = forces.direction[wall]
+  # Away from the wall.
+  assert push[0] < 0
+  # Floor and boxes carry what is above them.
+  assert (forces.direction[~wall, 2] > 0).all()
+
+
+def told(count: int, world: int, found: int | None = None) -> SimpleNamespace:
+  """Contacts that nobody would compute from the state, in a row; only the first `found` of them are there."""
+  rows = torch.arange(count)
+  return SimpleNamespace(
+    found=rows < (count if found is None else found),
+    geom=torch.tensor([[0, 1]]).repeat(count, 1),
+    pos=torch.stack([rows + 10.0 * world, rows * 0.0, rows * 0.0 + 2.0], dim=1),
+    normal=torch.tensor([[0.0, 0.0, 1.0]]).repeat(count, 1),
+    force=torch.tensor([[0.0, 0.0, 7.0]]).repeat(count, 1),
+  )
+
+
+@pytest.fixture
+def env() -> BoxEnv:
+  env = BoxEnv(WORLDS)
+  env.sim.told = {world: told(2 + world, world) for world in range(WORLDS)}
+  return env
+
+
+def test_a_snapshot_has_the_contacts_of_the_selected_world_or_of_each(env: BoxEnv) -> None:
+  taker = SnapshotTaker(env, contacts=True)
+  assert [len(contacts.pos) for contacts in taker.take((2, 0)).contacts] == [4]
+  assert [len(contacts.pos) for contacts in taker.take((2, 0), apart=True).contacts] == [4, 2]
+  np.testing.assert_allclose(taker.take((1,)).contacts[0].pos[:, 0], [10.0, 11.0, 12.0])
+  assert SnapshotTaker(env).take((2, 0)).contacts == []
+
+
+def test_rows_that_are_no_contacts_and_those_of_a_diverged_world_are_left_out(env: BoxEnv) -> None:
+  env.sim.told[0] = told(6, 0, found=3)
+  env.sim.told[0].force[1] = torch.nan
+  (contacts,) = SnapshotTaker(env, contacts=True).take((0,)).contacts
+  np.testing.assert_allclose(contacts.pos[:, 0], [0.0, 2.0])
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_pictures_show_what_the_simulation_tells_and_else_what_mujoco_computes(
+  opengl: None, env: BoxEnv, tells: bool
+) -> None:
+  for _ in range(60):
+    env.step(torch.zeros(WORLDS, 1))
+  if not tells:
+    env.sim.told.clear()
+  cfg = PictureCfg(width=96, height=72, shadows=False, contacts=True)
+  with OffscreenRenderer(env.sim.mj_model, cfg) as renderer:
+    for world in range(WORLDS):
+      renderer.render(SnapshotTaker(env, contacts=True).take((world,)))
+      geoms = renderer._scene.geoms[: renderer._scene.ngeom]
+      arrows = [geom.pos for geom in geoms if geom.type == mujoco.mjtGeom.mjGEOM_ARROW]
+      expected = env.sim.told[world].pos.numpy() if tells else env.sim.datas[world].contact.pos
+      np.testing.assert_allclose(arrows, expected, atol=1e-5)
+
+
+def test_the_page_shows_what_the_simulation_tells_of_the_selected_world(env: BoxEnv) -> None:
+  with BrowserViewer(env, port=8300) as viewer:
+    page, taker = viewer.scene, SnapshotTaker(env, contacts=True)
+    for points, forces in ((False, False), (True, False), (True, True)):
+      page.scene.show_contact_points, page.scene.show_contact_forces = points, forces
+      for world in (2, 0):
+        page.show(taker.take((world, 1)))
+        expected = env.sim.told[world].pos.numpy()
+        for name, shown in (("ellipsoid", points), ("shaft", forces), ("head", forces)):
+          handle = page._drawing._handles.get(name)
+          assert (handle is not None and handle.visible) == shown
+          if handle is not None and shown and name != "head":
+            np.testing.assert_allclose(handle.batched_positions, expected, atol=1e-5)
+        # mjviser draws none of its own.
+        assert not any(handle.visible for handle in page.scene._decor_handles.values())
+
+
+def test_without_contacts_of_its_own_the_page_shows_those_of_the_state(env: BoxEnv) -> None:
+  env.sim.told.clear()
+  for _ in range(60):
+    env.step(torch.zeros(WORLDS, 1))
+  with BrowserViewer(env, port=8300) as viewer:
+    viewer.scene.scene.show_contact_forces = True
+    viewer.scene.show(SnapshotTaker(env, contacts=True).take((1,)))
+    shafts = viewer.scene._drawing._handles["shaft"]
+    np.testing.assert_allclose(shafts.batched_positions, env.sim.datas[1].contact.pos, atol=1e-5)
