@@ -26,6 +26,13 @@ def test_terminations_and_time_outs_are_kept_apart_and_both_reported(env):
   assert manager.terminated.tolist() == [False, False, False, True]
   assert manager.get_term("fell").tolist() == [False, False, False, True]
   assert manager.terms(3) == [("late", [1.0]), ("fell", [1.0]), ("never", [0.0])]
+  names, values = manager.step_terms
+  assert sorted(names) == ["fell", "late", "never"]
+  for column, name in enumerate(names):
+    assert torch.equal(values[:, column], manager.get_term(name))
+  memory = values.data_ptr()
+  manager.compute()
+  assert manager.step_terms[1].data_ptr() == memory
 
 
 def test_reasons_are_counted_over_the_interval_and_nan_while_no_episode_ended(env, logged):

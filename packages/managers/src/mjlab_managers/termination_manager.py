@@ -60,6 +60,11 @@ class TerminationManager(ManagerBase[TerminationTermCfg]):
     """Where the term was true in the last `compute`, bool (N,)."""
     return self._masks[:, self._lookup(self._column, name)]
 
+  @property
+  def step_terms(self) -> tuple[list[str], torch.Tensor]:
+    """Names of the terms, and where each was true in the last `compute`, bool (N, terms), always the same memory."""
+    return [term.name for term in self._columns], self._masks
+
   def compute(self) -> torch.Tensor:
     """Evaluates the step; returns `dones`, bool (N,), always the same memory."""
     if not self._terms:
