@@ -118,7 +118,7 @@ def test_a_snapshot_holds_the_chosen_worlds_and_the_numbers_of_the_first() -> No
     for group, (names, values) in env.signals().items():
       assert len(names) == values.shape[1] == len(set(names))
       np.testing.assert_array_equal(snapshot.signals[group], values[4].numpy())
-    assert {"rewards", "command twist", "observations actor"} <= set(snapshot.signals)
+    assert {"rewards", "terminations", "command twist", "observations actor"} <= set(snapshot.signals)
 
 
 def test_the_contacts_of_a_snapshot_are_those_that_rewards_saw() -> None:

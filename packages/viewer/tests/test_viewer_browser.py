@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ViewerError, ZeroPolicy
+from mjlab_viewer.browser_controls import _ratio
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
@@ -249,6 +250,28 @@ def test_two_may_look_at_once_and_one_may_vanish(chromium: Browser, tmp_path: Pa
     before = run.playback.step_count
     eventually(lambda: run.playback.step_count > before + 5)
     assert run.playback.error is None
+
+
+def test_the_page_says_why_the_last_episode_of_the_selected_world_ended() -> None:
+  env = BoxEnv(3, length=3)
+  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+  env.age[0], env.age[2] = 2, 1
+  playback.pause()
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    assert viewer._controls is not None
+    said = viewer._controls
+    viewer.selected = 2
+    for step, expected in enumerate(("", "world 2 last ended by too_old", "world 2 last ended by too_old")):
+      playback.step_once()
+      said.show_status()
+      assert ("last ended" in said._status.content) == bool(expected), step
+      assert expected in said._status.content
+    assert playback.error is None
+
+
+@pytest.mark.parametrize(("speed", "name"), [(1 / 32, "1/32"), (0.1, "1/10"), (0.3, "0.3"), (1.0, "1"), (2.5, "2.5")])
+def test_speeds_are_named_as_fractions_where_they_are(speed: float, name: str) -> None:
+  assert _ratio(speed) == name
 
 
 def test_nobody_looking_costs_no_snapshot() -> None:

@@ -97,13 +97,14 @@ class BoxEnv:
     self.length = length
     self.age = torch.zeros(num_envs, dtype=torch.int64)
     self.rewards = torch.zeros(num_envs, 2)
+    self.ended = torch.zeros(num_envs, 2, dtype=torch.bool)
     self.command = SpeedCommand(self)
     self.num_resets = 0
     self.draws_at_first = False
     self.reset()
 
   def signals(self) -> dict[str, tuple[list[str], torch.Tensor]]:
-    return {"rewards": (["height", "age"], self.rewards)}
+    return {"rewards": (["height", "age"], self.rewards), "terminations": (["fell_over", "too_old"], self.ended)}
 
   def drawers(self) -> dict[str, Any]:
     return {"command speed": self.command.debug_draw}
@@ -131,6 +132,7 @@ class BoxEnv:
       self.sim.data.qvel[world] = torch.from_numpy(data.qvel)
     self.age += 1
     done = self.age >= self.length
+    self.ended[:, 1] = done
     for world in range(self.num_envs):
       self.rewards[world] = torch.tensor([self.sim.datas[world].qpos[2], float(self.age[world])])
       if done[world]:

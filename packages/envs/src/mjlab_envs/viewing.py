@@ -17,13 +17,15 @@ MOST_TILES = 4
 
 
 def signals(env: ManagerBasedRlEnv) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
-  """Names and live values, (num_envs, k), of what can be plotted: weighted rewards, commands, observations."""
+  """Names and values, (num_envs, k), of what can be plotted: weighted rewards, commands, observations, terminations."""
   found: dict[str, tuple[Sequence[str], torch.Tensor]] = {}
   if env.reward_manager.active_terms:
     found["rewards"] = (env.reward_manager.active_terms, env.reward_manager.step_reward)
   for name in env.command_manager.active_terms:
     command = env.command_manager.get_command(name)
     found[f"command {name}"] = (_numbered(name, command[0].numel()), command.reshape(env.num_envs, -1))
+  if env.termination_manager.active_terms:
+    found["terminations"] = env.termination_manager.step_terms
   manager = env.observation_manager
   for group, value in manager.buffers.items():
     if isinstance(value, dict):

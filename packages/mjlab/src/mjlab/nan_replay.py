@@ -4,11 +4,14 @@ import numpy as np
 from mjlab_sim import NanDump
 from mjlab_viewer import Replay
 
+# What MuJoCo takes for a bad state (mjMAXVAL).
+_BOUND = 1e10
+
 
 class NanReplay(Replay):
   """Shows one stored physics step after another, and the result of the last; worlds with fewer wait at their first one.
 
-  A state that is not finite cannot be shown: the last one that is stays.
+  A state that is not finite, or beyond 1e10, cannot be shown: the last one that can stays.
 
   Args:
     dump: The worlds.
@@ -16,8 +19,11 @@ class NanReplay(Replay):
   """
 
   def __init__(self, dump: NanDump, *, in_mujoco_c: bool = False) -> None:
+    self._worlds = dump.worlds
     steps = max(world.num_steps for world in dump.worlds) + 1
-    worlds = [_finite_states(dump, row, steps, in_mujoco_c) for row in range(len(dump.worlds))]
+    stored = [_states(dump, row, steps, in_mujoco_c) for row in range(len(dump.worlds))]
+    self._broken = [_broken(world) for world in stored]
+    worlds = [_shown(world) for world in stored]
     super().__init__(
       dump.model,
       {name: np.stack([world[name] for world in worlds], 1) for name in worlds[0]},
@@ -25,16 +31,33 @@ class NanReplay(Replay):
       {name: np.stack([world.model_fields[name] for world in dump.worlds]) for name in dump.worlds[0].model_fields},
     )
 
+  def note(self, world: int) -> str:
+    stored = self._worlds[world]
+    step = max(0, self.at - (self.num_steps - 1 - stored.num_steps))
+    when, broken = f"world {stored.index} of the run, {stored.when(step)}", self._broken[world][self.at]
+    return f"{when}: {', '.join(broken)} not finite or beyond 1e10" if broken else when
 
-def _finite_states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
+
+def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
   """The fields of MjData that a dump has of one world, (steps, ...)."""
   world = dump.worlds[row]
   fields = {name: np.concatenate((values, world.result[name][None])) for name, values in world.states.items()}
   if in_mujoco_c:
     fields["qpos"] = np.concatenate((fields["qpos"][:1], world.replay().qpos))
   missing = steps - len(fields["time"])
-  fields = {name: np.concatenate((np.repeat(values[:1], missing, 0), values)) for name, values in fields.items()}
-  for values in fields.values():
-    for step in range(steps):
-      values[step] = np.where(np.isfinite(values[step]), values[step], values[step - 1] if step else 0.0)
-  return fields
+  return {name: np.concatenate((np.repeat(values[:1], missing, 0), values)) for name, values in fields.items()}
+
+
+def _broken(fields: dict[str, np.ndarray]) -> list[list[str]]:
+  """Of each step the fields that cannot be shown."""
+  bad = {name: [not (np.abs(value) <= _BOUND).all() for value in values] for name, values in fields.items()}
+  return [[name for name in bad if bad[name][step]] for step in range(len(fields["time"]))]
+
+
+def _shown(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+  """What can be shown: of numbers that cannot, the last that could."""
+  shown = {name: values.copy() for name, values in fields.items()}
+  for values in shown.values():
+    for step, value in enumerate(values):
+      values[step] = np.where(np.abs(value) <= _BOUND, value, values[step - 1] if step else 0.0)
+  return shown

@@ -106,18 +106,23 @@ class DivergedWorld:
 
   def describe_first(self) -> str:
     """The first number that was not finite or beyond 1e10, in a sentence."""
-    first, decimation = self.first, self._dump.decimation
-    head = f"{first.field} of {first.element} was {first.value:.3g}"
-    substep = first.step % decimation
+    first = self.first
+    said = f"{first.field} of {first.element} was {first.value:.3g} {self.when(first.step)}"
     if first.step == self.num_steps:
-      return f"{head} after physics step {decimation} of {decimation} of environment step {self.env_step}"
-    env_step = self.env_step - (self.num_steps - 1 - first.step) // decimation
-    when = f"before physics step {substep + 1} of {decimation} of environment step {env_step}"
+      return said
     if first.field not in _INTEGRATED:
-      return f"{head} {when}: it was written so"
-    if substep == 0:
-      return f"{head} {when}: an event, a reset or a command wrote it so, or the step before left it so"
-    return f"{head} {when}"
+      return f"{said}: it was written so"
+    if first.step % self._dump.decimation == 0:
+      return f"{said}: an event, a reset or a command wrote it so, or the step before left it so"
+    return said
+
+  def when(self, step: int) -> str:
+    """When a stored step was, in words; the number of stored steps is the result of the last."""
+    decimation = self._dump.decimation
+    if step == self.num_steps:
+      return f"after physics step {decimation} of {decimation} of environment step {self.env_step}"
+    env_step = self.env_step - (self.num_steps - 1 - step) // decimation
+    return f"before physics step {step % decimation + 1} of {decimation} of environment step {env_step}"
 
   def replay(self) -> Replay:
     """Runs the stored steps anew in MuJoCo C, from the first stored state of each environment step that is finite."""

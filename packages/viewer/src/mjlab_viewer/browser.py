@@ -14,7 +14,7 @@ from pathlib import Path
 
 import viser
 
-from mjlab_viewer.browser_controls import PlaybackControls, WorldControls
+from mjlab_viewer.browser_controls import REMEMBERED, PlaybackControls, WorldControls
 from mjlab_viewer.browser_scene import BrowserScene
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.checkpoint_list import CheckpointList
@@ -30,9 +30,6 @@ _log = logging.getLogger("mjlab")
 
 FRAME = 1 / 30
 """Time between pictures [s]."""
-
-REMEMBERED = 10.0
-"""How far one can go back while paused [s]."""
 
 _PLOT_EVERY = 0.1
 _STATUS_EVERY = 0.25

@@ -12,9 +12,13 @@ from mjlab_viewer.checkpoint_list import CheckpointList
 from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.playback import SPEEDS, Playback
 from mjlab_viewer.pushing import floating_dofs, push
+from mjlab_viewer.replay import Replay
 
 if TYPE_CHECKING:
   from mjlab_viewer.browser import BrowserViewer
+
+REMEMBERED = 10.0
+"""How far one can go back while paused [s]."""
 
 
 class WorldControls:
@@ -56,6 +60,8 @@ class PlaybackControls:
 
   def __init__(self, viewer: BrowserViewer, playback: Playback, checkpoints: CheckpointList | None) -> None:
     self._viewer, self._playback = viewer, playback
+    self._endings = Endings(viewer)
+    playback.on_step.append(self._endings.look)
     self._gui = gui = viewer.server.gui
     self._status = gui.add_html("")
     self._shown_status = ""
@@ -64,11 +70,17 @@ class PlaybackControls:
     self._ask(self._pause, self._toggle)
     self._ask(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
     self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), playback.reset)
-    names = [f"{speed:g}" if speed >= 1 else f"1/{round(1 / speed)}" for speed in SPEEDS]
-    speed = gui.add_dropdown("Speed", names, initial_value="1")
-    speed.on_update(lambda _: playback.request(lambda: setattr(playback, "speed", SPEEDS[names.index(speed.value)])))
+    speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
+    speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
+    speed.on_update(lambda _: playback.request(lambda: setattr(playback, "speed", speeds[speed.value])))
     self._timeline = gui.add_slider(
-      "Seconds back", min=0.0, max=10.0, step=0.05, initial_value=0.0, disabled=True, hint="While paused"
+      "Seconds back",
+      min=0.0,
+      max=REMEMBERED,
+      step=min(0.05, playback.env.step_dt),
+      initial_value=0.0,
+      disabled=True,
+      hint="While paused",
     )
     self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
     self._record.on_click(lambda event: playback.request(lambda: self._toggle_recording(event.client)))
@@ -97,7 +109,11 @@ class PlaybackControls:
     if playback.is_capped:
       state += f" (this machine is too slow for {playback.speed:g})"
     time = playback.step_count * playback.env.step_dt
-    line = f"<b>{state}</b><br>step {playback.step_count}, {time:.2f} s, world {self._viewer.selected}"
+    world = self._viewer.selected
+    line = f"<b>{state}</b><br>step {playback.step_count}, {time:.2f} s, world {world}"
+    note = playback.env.note(world) if isinstance(playback.env, Replay) else self._endings.last
+    if note:
+      line += f"<br>{html.escape(note)}"
     if playback.error is not None:
       line += f'<br><span style="color:#c92a2a">{html.escape(playback.error)}</span>'
     if line != self._shown_status:
@@ -124,7 +140,8 @@ class PlaybackControls:
 
   def _add_pushes(self) -> None:
     env = self._playback.env
-    if floating_dofs(env.sim.mj_model) is None:
+    # What was stored stays as it is.
+    if isinstance(env, Replay) or floating_dofs(env.sim.mj_model) is None:
       return
     with self._gui.add_folder("Push", expand_by_default=False):
       speed = self._gui.add_slider("Speed [m/s]", min=0.1, max=3.0, step=0.1, initial_value=1.0)
@@ -200,6 +217,30 @@ class PlaybackControls:
   def _tell(self, title: str, body: str, color: str) -> None:
     for client in self._viewer.server.get_clients().values():
       client.add_notification(title, body, color=color, auto_close_seconds=10.0)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+
+
+class Endings:
+  """Why the last episode of the selected world ended, as far as the environment tells by its signals."""
+
+  def __init__(self, viewer: BrowserViewer) -> None:
+    self._viewer = viewer
+    self.last = ""
+
+  def look(self) -> None:
+    """Take note of what ended in the step just done."""
+    names, values = self._viewer.env.signals().get("terminations", ((), None))
+    if values is None:
+      return
+    flags = values[self._viewer.selected].tolist()
+    reasons = [name for name, flag in zip(names, flags, strict=True) if flag]
+    if reasons:
+      self.last = f"world {self._viewer.selected} last ended by {', '.join(reasons)}"
+
+
+def _ratio(speed: float) -> str:
+  """A speed as a fraction where it is one."""
+  inverse = 1 / speed
+  return f"{speed:g}" if speed >= 1 or inverse != round(inverse) else f"1/{round(inverse)}"
 
 
 def _zero(lower: float, upper: float) -> float:

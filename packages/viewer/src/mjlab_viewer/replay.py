@@ -67,6 +67,16 @@ class Replay:
     is_over = torch.full((self.num_envs,), self._at == 0 and self._held is None)
     return {}, zeros, is_over, torch.zeros_like(is_over), {}
 
+  @property
+  def at(self) -> int:
+    """Number of the moment that is shown."""
+    return self._at
+
+  def note(self, world: int) -> str:
+    """What there is to say of a world at the moment that is shown, one line."""
+    del world
+    return f"moment {self.at + 1} of {self.num_steps}"
+
   def get_observations(self) -> dict[str, Any]:
     """There are none."""
     return {}

@@ -94,7 +94,10 @@ class ViewedEnv(Protocol):
   def sim(self) -> ViewedSim: ...
 
   def signals(self) -> Signals:
-    """What can be plotted, for example under "rewards" the value of each term."""
+    """What can be plotted, for example under "rewards" the value of each term.
+
+    Of "terminations", the reasons for which episodes ended in the last step, the page names the last that were true.
+    """
     ...
 
   def drawers(self) -> Drawers:

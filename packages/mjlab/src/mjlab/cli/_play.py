@@ -76,6 +76,8 @@ def _play(name: str, task: Any, given: list[str]) -> int:
 
   # Once to learn what to watch, once more upon its configuration.
   wanted = parse(Arguments(env=task.env), given)
+  if not wanted.speed > 0:
+    raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
   viewer = _viewer(wanted)
   if wanted.video is not None:
     _check_video(wanted)
@@ -89,11 +91,11 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   cfg = replaced(cfg, ("seed",), wanted.seed)
   wanted = parse(Arguments(env=cfg), given)
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
+  what = f"{wanted.agent} actions" if source is None else str(source)
+  print(f"{name}: {what}, {cfg.scene.num_envs} worlds on {device}", flush=True)
   env = build_env(parts, cfg, device)
   try:
     policy, checkpoints = _policy(wanted, source, env, parts)
-    what = f"{wanted.agent} actions" if source is None else str(source)
-    print(f"{name}: {what}, {env.num_envs} worlds on {device}", flush=True)
     if wanted.video is not None:
       return _film(wanted, env, policy)
     from mjlab_viewer import Playback

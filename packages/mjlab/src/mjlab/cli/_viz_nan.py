@@ -55,6 +55,8 @@ def run(arguments: list[str]) -> int:
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(), arguments[1:])
+  if not wanted.speed > 0:
+    raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
   if wanted.video is not None and Path(wanted.video).exists() and not wanted.force:
     raise UsageError(f"{wanted.video} exists; --force overwrites it")
   from mjlab_sim import NanDump
@@ -62,6 +64,7 @@ def run(arguments: list[str]) -> int:
   dump = NanDump.load(arguments[0])
   _report(arguments[0], dump)
   if wanted.video is None and wanted.viewer == "none":
+    print(f"\nsee it: viz-nan {arguments[0]} --viewer browser")
     return 0
   from mjlab.nan_replay import NanReplay
 
@@ -101,11 +104,10 @@ def _browse(replay: "NanReplay", wanted: Arguments, path: str) -> None:
 
   playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
   playback.speed = wanted.speed
-  viewer = BrowserViewer(replay, playback=playback, host=wanted.host, port=wanted.port, label=Path(path).name)
-  print(f"\nviewer: {viewer.url} (Ctrl-C ends it)", flush=True)
-  try:
-    viewer.run()
-  except KeyboardInterrupt:
-    print()
-  finally:
-    viewer.close()
+  label = Path(path).name
+  with BrowserViewer(replay, playback=playback, host=wanted.host, port=wanted.port, label=label) as viewer:
+    print(f"\nopen {viewer.url} (Ctrl-C ends)", flush=True)
+    try:
+      viewer.run()
+    except KeyboardInterrupt:
+      print()

@@ -1,0 +1,164 @@
+"""The pages of commands, as somebody sees them who runs one and opens what it says."""
+
+import io
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+
+# Chromium without a GPU, a sandbox or a network.
+FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
+--disable-background-networking --disable-component-update --disable-sync""".split()
+SIZE = ViewportSize(width=760, height=560)
+DECIMATION = 2
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+  executable = shutil.which("chromium") or shutil.which("chromium-browser")
+  if executable is None:
+    pytest.skip("needs Chromium (on Debian: apt install chromium)")
+  with sync_playwright() as playwright:
+    browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+    yield browser
+    browser.close()
+
+
+@contextmanager
+def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> Generator[Page]:
+  """The page that a command serves; it is interrupted at the end, and must have had no complaint until then."""
+  code = f"import sys; from mjlab.cli import {command} as run; sys.exit(run(sys.argv[1:]))"
+  with subprocess.Popen(
+    [sys.executable, "-W", "error", "-uc", code, *arguments],
+    cwd=folder,
+    stdout=subprocess.PIPE,
+    stderr=subprocess.STDOUT,
+    text=True,
+    env=os.environ | {"OMP_NUM_THREADS": "1"},
+  ) as process:
+    assert process.stdout is not None
+    said = ""
+    for line in process.stdout:
+      said += line
+      address = re.search(r"open (http://\S+)", line)
+      if address:
+        break
+    else:
+      pytest.fail(said)
+    page = chromium.new_page(viewport=SIZE)
+    try:
+      page.goto(address[1])
+      page.get_by_role("button", name="Reset").wait_for(timeout=30000)
+      yield page
+    finally:
+      page.close()
+      process.send_signal(signal.SIGINT)
+      rest = process.stdout.read()
+    assert process.wait(20) == 0, rest
+    assert rest.strip() == ""
+
+
+def eventually(holds: Callable[[], object], what: str, seconds: float = 60.0) -> None:
+  """Waits until something holds; the browser is slow where it has no GPU."""
+  end = time.monotonic() + seconds
+  while not holds():
+    assert time.monotonic() < end, what
+    time.sleep(0.05)
+
+
+def seen(page: Page) -> np.ndarray:
+  """What is seen left of the controls and below the notice, (height, width, 3)."""
+  return np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[140:460, :340, :3]
+
+
+def red(page: Page) -> int:
+  image = seen(page)
+  return int(((image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1:].max(axis=2))).sum())
+
+
+def row(page: Page, label: str) -> Locator:
+  return page.locator(
+    f'xpath=//label[starts-with(., "{label}")]/ancestor::div[contains(@class,"mantine-Flex-root")][1]'
+  )
+
+
+def dump(folder: Path) -> Path:
+  """Four steps of two red boxes, of which the second got a velocity that no one has."""
+  spec = mujoco.MjSpec.from_string("""
+    <mujoco>
+      <statistic extent="2"/>
+      <worldbody>
+        <light pos="0 0 4" dir="0 0 -1"/>
+        <geom name="floor" type="plane" size="5 5 .1" rgba=".5 .5 .5 1"/>
+        <body name="box" pos="0 0 .5"><freejoint name="float"/>
+          <geom type="box" size=".2 .2 .2" rgba=".9 .1 .1 1"/></body>
+      </worldbody>
+    </mujoco>""")
+  sim = Simulation(2, spec, SimulationCfg(timestep=0.01, num_threads=1), "cpu")
+  guard = NanGuard(sim, DECIMATION, NanGuardCfg(output_dir=str(folder)))
+  for step in range(2):
+    for substep in range(DECIMATION):
+      if (step, substep) == (1, 1):
+        sim.data.qvel[1, 0] = torch.inf
+      guard.record(substep)
+      sim.step()
+    guard.keep(~torch.isfinite(sim.data.qpos).all(dim=1))
+  guard.report()
+  sim.close()
+  (path,) = folder.iterdir()
+  return path
+
+
+def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Browser, tmp_path: Path) -> None:
+  path = dump(tmp_path / "nan_dumps")
+  with page_of(chromium, tmp_path, "viz_nan", str(path), "--viewer", "browser", "--port", "8710") as page:
+    eventually(lambda: red(page) > 300, "the robot is not seen")
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    page.get_by_role("button", name="Reset").click()
+    for when in (
+      "world 1 of the run, before physics step 1 of 2 of environment step 1",
+      "world 1 of the run, before physics step 2 of 2 of environment step 1",
+      "world 1 of the run, before physics step 1 of 2 of environment step 2",
+      "world 1 of the run, before physics step 2 of 2 of environment step 2: qvel not finite or beyond 1e10",
+      "world 1 of the run, after physics step 2 of 2 of environment step 2: qpos, qvel",
+      "world 1 of the run, before physics step 1 of 2 of environment step 1",
+    ):
+      page.get_by_text(when).wait_for()
+      page.get_by_role("button", name="Step").click()
+    assert red(page) > 300
+    assert row(page, "Speed").locator("input").first.input_value() == "1/10"
+    # What was recorded cannot be pushed.
+    assert page.get_by_text("Push").count() == 0
+    page.get_by_role("tab", name="Plots").click()
+    page.get_by_text("qpos[2]").wait_for()
+
+
+def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_path: Path) -> None:
+  with page_of(chromium, tmp_path, "demo", "--port", "8720", "--num-envs", "1", "--device", "cpu") as page:
+    # The floor is light.
+    eventually(lambda: (seen(page).max(axis=2) < 130).sum() > 1000, "the robot is not seen")
+    page.get_by_label("By hand").check()
+    forward = row(page, "forward").locator("input[inputmode]")
+    forward.fill("0.8")
+    forward.press("Enter")
+    before = seen(page)
+    # The eye follows it over the lines of the floor.
+    eventually(lambda: (np.abs(seen(page) - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
+    page.get_by_role("tab", name="Plots").click()
+    page.get_by_text("track_linear_velocity").first.wait_for()
+  assert list(tmp_path.iterdir()) == []
