@@ -12,12 +12,14 @@ import pytest
 
 # Everything in one window: they take long to open, and a process has room for one.
 SCRIPT = """
+import os
 import time
 from types import SimpleNamespace
 import mujoco
 import numpy as np
 import torch
 from mjlab_viewer import NativeViewer, Playback, ZeroPolicy
+from PIL import ImageGrab
 from viewer_env import BoxEnv
 
 env = BoxEnv(3)
@@ -30,6 +32,9 @@ env.sim.told = dict.fromkeys(range(3), told)
 playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
 before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
 mujoco.mj_saveModel(env.sim.mj_model, None, before)
+
+def screen():
+  return np.asarray(ImageGrab.grab(xdisplay=os.environ["DISPLAY"])).astype(int)
 
 def eventually(holds):
   end = time.monotonic() + 20
@@ -66,12 +71,27 @@ with NativeViewer(playback) as viewer:
   assert viewer._world.data.ncon == 0
   viewer.window.opt.flags[:] = 0
 
+  # What is seen: the box, and plots in the right third of the window.
+  assert (screen()[..., 0] > 2 * screen()[..., 1:].max(axis=2) + 40).sum() > 200
+  height, width = viewer.window.viewport.height, viewer.window.viewport.width
+  third = lambda: screen()[10:height - 10, 2 * width // 3 + 5:width - 5]
+  bare = third()
+  changed = lambda: (np.abs(third() - bare).max(axis=2) > 20).mean()
+  viewer._press(ord("P"))
+  eventually(lambda: changed() > 0.02)
+  assert viewer._plots.page.title == "rewards"
+  viewer._press(ord("P"))
+  viewer._press(ord("P"))
+  eventually(lambda: viewer._plots.page is None and changed() < 0.005)
+
   # More shapes than the window has room for: evenly fewer, and said so.
-  room = viewer.window.user_scn.maxgeom - viewer._own_geoms
-  places, draw = torch.rand(120_000, 3), env.command.debug_draw
+  assert viewer._own_geoms < 2000 and viewer.window.user_scn.maxgeom == 100_000
+  # So many shapes would take a CPU half a minute to draw.
+  viewer._own_geoms = viewer.window.user_scn.maxgeom - 50
+  places, draw = torch.rand(120, 3), env.command.debug_draw
   env.command.debug_draw = lambda draw: draw.spheres(places, 0.01, (1, 0, 0, 1))
-  eventually(lambda: shown() == room)
-  assert viewer.num_undrawn == 120_000 - room
+  eventually(lambda: shown() == 50)
+  assert viewer.num_undrawn == 70
   assert "without" in viewer._status()[1]
   env.command.debug_draw = draw
   eventually(lambda: shown() == 1 and viewer.num_undrawn == 0)

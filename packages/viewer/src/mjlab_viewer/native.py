@@ -17,6 +17,7 @@ from mjlab_viewer.contacts import contact_shapes
 from mjlab_viewer.errors import RenderingError
 from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms, thinned
+from mjlab_viewer.native_plots import NativePlots
 from mjlab_viewer.playback import Playback
 from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 
@@ -32,9 +33,11 @@ KEYS = {
   ",": "previous world",
   ".": "next world",
   "R": "drawings on and off",
+  "P": "plots of rewards, then of all else page by page, then none",
 }
 """Keys beside those of MuJoCo's window, and what they do."""
 
+_PLOT_EVERY = 0.1
 _CONTACT_FLAGS = (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE)
 _ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
 
@@ -69,7 +72,9 @@ class NativeViewer:
     model = self._world.model
     # What MuJoCo may draw beside them into the same scene: everything, with all its frames and labels.
     self._own_geoms = 1000 + 4 * (model.nbody + model.njnt + model.ngeom + model.nsite + model.nu + model.nwrap)
-    self._due = 0.0
+    self._plots = NativePlots({group: tuple(names) for group, (names, _) in self.env.signals().items()})
+    self._is_plotting = False
+    self._due = {"frame": 0.0, "plot": 0.0}
     self._target: Any = None
     self._dragged: tuple[int, int] | None = None
     """World and body that is being pulled."""
@@ -82,6 +87,7 @@ class NativeViewer:
       ord(","): lambda: self._select(self.selected - 1),
       ord("."): lambda: self._select(self.selected + 1),
       ord("R"): lambda: setattr(self, "draws", not self.draws),
+      ord("P"): self._plots.turn,
     }
     self.window = self._open()
     """MuJoCo's handle of the window."""
@@ -97,18 +103,19 @@ class NativeViewer:
   def update(self) -> None:
     """Show what is due."""
     now = time.perf_counter()
-    if now < self._due:
+    if now < self._due["frame"]:
       return
     names = self.env.drawn_at_first() if self.draws else ()
-    snapshot = self._taker.take((self.selected,), drawers=names)
+    snapshot = self._taker.take((self.selected,), drawers=names, step=self.playback.total_steps)
     with self.window.lock():
       self._world.load(snapshot)
       self._follow()
       self._draw(snapshot)
     self._drag()
+    self._plot(snapshot)
     self.window.set_texts([(None, None, *self._status())])
     self.window.sync()
-    self._due = max(now + FRAME, time.perf_counter() + FRAME / 4)
+    self._due["frame"] = max(now + FRAME, time.perf_counter() + FRAME / 4)
 
   def close(self) -> None:
     """Close the window and wait until it is gone. Calling it again does nothing."""
@@ -146,6 +153,17 @@ class NativeViewer:
   def _press(self, key: int) -> None:
     if key in self._actions:
       self.playback.request(self._actions[key])
+
+  def _plot(self, snapshot: Snapshot) -> None:
+    self._plots.add(snapshot)
+    now, viewport = time.perf_counter(), self.window.viewport
+    if now < self._due["plot"] or viewport is None:
+      return
+    self._due["plot"] = now + _PLOT_EVERY
+    figures = self._plots.figures(viewport, self.env.step_dt)
+    if figures or self._is_plotting:
+      self.window.set_figures(figures)
+    self._is_plotting = bool(figures)
 
   def _toggle(self) -> None:
     if self.playback.paused:
