@@ -19,6 +19,8 @@ from mjlab_manipulation import (
   randomize_images,
 )
 from mjlab_manipulation.image_randomization import IMAGE_EVENTS
+from mjlab_manipulation.lift import DECIMATION
+from mjlab_sensors import CameraSensorCfg
 
 pytestmark = pytest.mark.warp
 
@@ -134,6 +136,22 @@ def test_images_come_as_late_as_their_world_drew_and_stay_so() -> None:
     assert len(fits) == 1
     lags += fits
   assert set(lags) == {0, 1, 2}
+
+
+def test_a_slower_camera_may_be_late_by_whole_periods_of_its_own() -> None:
+  def slow(lag: int) -> ManagerBasedRlEnvCfg:
+    cfg = lift_cube_depth_env()
+    camera, image = cfg.scene.sensors["wrist_camera"], image_cfg(cfg)
+    assert isinstance(camera, CameraSensorCfg)
+    camera.update_period = 3 * DECIMATION
+    image.delay_min_lag = image.delay_max_lag = lag
+    return cfg
+
+  (prompt, _), (delayed, _) = lift(2, lambda: slow(0)), lift(2, lambda: slow(3))
+  at_once, later = steps(prompt, 12), steps(delayed, 12)
+  is_new = (at_once[1:] != at_once[:-1]).reshape(11, -1).any(1)
+  assert is_new.tolist() == [step % 3 == 2 for step in range(1, 12)]
+  np.testing.assert_array_equal(later[3:], at_once[:-3])
 
 
 def test_holes_are_far_not_valid_and_not_of_the_object() -> None:

@@ -16,6 +16,8 @@ from mjlab_manipulation import (
   lift_cube_depth_env,
   lift_cube_rgb,
   lift_cube_rgb_env,
+  lift_objects_depth,
+  lift_objects_rgb,
   multi_cube_seg,
   multi_cube_seg_env,
 )
@@ -138,7 +140,7 @@ def test_every_episode_has_a_colour_of_its_own() -> None:
 
 
 def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
-  for make in (lift_cube_depth, lift_cube_rgb, multi_cube_seg):
+  for make in (lift_cube_depth, lift_cube_rgb, lift_objects_depth, lift_objects_rgb, multi_cube_seg):
     task = make()
     assert task.play is not None
     assert not any(group.corrupt for group in task.play(make().env).observations.values() if group is not None)
