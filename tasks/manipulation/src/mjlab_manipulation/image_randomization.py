@@ -134,7 +134,7 @@ def _vary_looks(cfg: ManagerBasedRlEnvCfg) -> None:
   }
   commands = [command for command in cfg.commands.values() if isinstance(command, lifting.LiftCommandCfg)]
   for name in commands[0].objects if commands else ():
-    cfg.events[f"image_{name}"] = _event(randomize_field("mat_texid", LOOK, texture), "reset", name)
+    cfg.events[f"image_{name}_texture"] = _event(randomize_field("mat_texid", LOOK, texture), "reset", name)
 
 
 def _camera_noise(channels: tuple[lifting.Channel, ...]) -> CameraNoiseCfg:
