@@ -126,8 +126,9 @@ def _convert(options: argparse.Namespace) -> int:
     body_names=options.body_names,
     joint_map=None if options.joint_map is None else _joint_map(options.joint_map),
   )
+  clips: list[Path] = options.clips
   shipped = shipped_clips()
-  paths = [path if path.is_file() else shipped.get(str(path), path) for path in options.clips]
+  paths = [path if path.is_file() else shipped.get(str(path), path) for path in clips]
   motions = [_edited(read_motion(path, robot, said), robot, options) for path in paths]
   if options.concatenate is not None:
     motions = [concatenate(motions, blend=options.concatenate)]
