@@ -167,6 +167,8 @@ def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
     find_checkpoint("2025", log_root=tmp_path, experiment="exp")
   with pytest.raises(RunNotFoundError, match="no run with a checkpoint"):
     find_checkpoint("latest", log_root=tmp_path, experiment="other")
+  with pytest.raises(RunNotFoundError, match=r"exp has no checkpoint; the newest run in it .*2026-01-01_00-00-00$"):
+    find_checkpoint(str(tmp_path / "exp"), log_root=tmp_path, experiment="exp")
 
 
 def test_the_latest_run_of_a_task_is_no_other_tasks(tmp_path: Path) -> None:
@@ -178,7 +180,7 @@ def test_the_latest_run_of_a_task_is_no_other_tasks(tmp_path: Path) -> None:
   for task, day in (("Flat", "2026-01-01"), ("Rough", "2026-01-02"), (None, "2026-01-02")):
     found = find_checkpoint("latest", log_root=tmp_path, experiment="exp", task=task)
     assert found.parent.name.startswith(day)
-  with pytest.raises(RunNotFoundError, match=r"no run of Steep .*; 2026-01-02_00-00-00 is of another"):
+  with pytest.raises(RunNotFoundError, match=r"no run of Steep .*; 2026-01-02_00-00-00 is of another task, and taken"):
     find_checkpoint("latest", log_root=tmp_path, experiment="exp", task="Steep")
 
 

@@ -62,7 +62,7 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
           return found[-1]
         others.append(directory.name)
     of_task = "" if task is None else f" of {task}"
-    instead = f"; {others[0]} is of another task, its name after --resume starts from it" if others else ""
+    instead = f"; {others[0]} is of another task, and taken where it is named" if others else ""
     raise RunNotFoundError(f"no run{of_task} with a checkpoint in {folder}{instead}")
   for candidate in (Path(run), folder / run):
     if candidate.is_file():
@@ -70,7 +70,9 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
     if candidate.is_dir():
       if found := checkpoints(candidate):
         return found[-1]
-      raise RunNotFoundError(f"run {candidate} has no checkpoint")
+      inside = sorted((path for path in candidate.iterdir() if path.is_dir() and checkpoints(path)), key=_age)
+      newest = f"; the newest run in it that has one is {inside[-1]}" if inside else ""
+      raise RunNotFoundError(f"run {candidate} has no checkpoint{newest}")
   names = ", ".join(path.name for path in runs[:5]) or "none"
   raise RunNotFoundError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
 
