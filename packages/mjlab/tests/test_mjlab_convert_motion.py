@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import av
+import mujoco
 import numpy as np
 import pytest
 from mjlab_tracking import Kinematics, derived_arrays, load_motion, shipped_clips
@@ -30,6 +31,22 @@ def test_a_clip_is_shown_with_every_link_where_the_motion_file_has_it() -> None:
   # Behind the world are the bodies of ground and robot, in the robot's order.
   shown = SnapshotTaker(replay).take((0,)).data["xpos"][0][-stored.shape[1] :]
   np.testing.assert_allclose(shown, stored[motion.num_frames // 2], atol=1e-5)
+
+
+@pytest.mark.parametrize("ground", ['<geom type="plane" size="5 5 .1"/>', ""], ids=["own ground", "no ground"])
+def test_a_robot_of_ones_own_stands_on_one_ground_and_wears_its_meshes(folder: Path, ground: str) -> None:
+  (folder / "robot" / "meshes").mkdir(parents=True)
+  corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+  (folder / "robot" / "meshes" / "hull.obj").write_text(corners)
+  (folder / "robot" / "robot.xml").write_text(f"""
+    <mujoco>
+      <compiler meshdir="meshes"/>
+      <asset><mesh name="hull" file="hull.obj"/></asset>
+      <worldbody>{ground}<body name="boat"><freejoint/><geom type="mesh" mesh="hull"/></body></worldbody>
+    </mujoco>""")
+  model = Preview(robot_spec("robot/robot.xml")).model
+  kinds = [mujoco.mjtGeom(kind) for kind in model.geom_type]
+  assert sorted(kind.name for kind in kinds) == ["mjGEOM_MESH", "mjGEOM_PLANE"]
 
 
 def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
