@@ -293,6 +293,6 @@ def test_viz_nan_refuses_what_is_no_dump(tmp_path: Path, capsys: pytest.CaptureF
   path = tmp_path / "model_3.pt"
   path.write_text("not a dump")
   assert cli.viz_nan([str(path)]) == 1
-  assert "is no NaN dump" in capsys.readouterr().err
+  assert capsys.readouterr().err == f"error: {path} is no NaN dump: no .npz file at all\n"
   assert cli.viz_nan([]) == 2
   assert cli.viz_nan(["--fast", "x"]) == 2

@@ -228,7 +228,10 @@ def test_files_that_are_no_dumps_are_refused_by_name(tmp_path: Path) -> None:
   with pytest.raises(SimulationError, match=r"x\.npz: no such file"):
     NanDump.load(path)
   path.write_bytes(b"nonsense")
-  with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump"):
+  with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump: no \.npz file at all$"):
+    NanDump.load(path)
+  np.savez(path, about=np.array('{"format": "mjlab NaN dump 9"}'))
+  with pytest.raises(SimulationError, match=r"^\S+x\.npz has format 'mjlab NaN dump 9', this version reads"):
     NanDump.load(path)
   np.savez(path, a=np.zeros(3))
   with pytest.raises(SimulationError, match=r"x\.npz is no NaN dump"):

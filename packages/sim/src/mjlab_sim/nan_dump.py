@@ -172,16 +172,20 @@ class NanDump:
     Raises:
       SimulationError: there is no such file, it is no dump, or MuJoCo is of another version than the one it is from.
     """
+    # NumPy would take anything else for a pickle, and tell how to load it unsafely.
+    if os.path.isfile(path) and not zipfile.is_zipfile(path):
+      raise SimulationError(f"{path} is no NaN dump: no .npz file at all")
     try:
       with np.load(path, allow_pickle=False) as file:
         contents = {name: file[name] for name in file.files}
       about = json.loads(str(contents["about"]))
-      if about["format"] != FORMAT:
-        raise SimulationError(f"{path} has format '{about['format']}', this version reads '{FORMAT}'")
+      form = about["format"]
     except FileNotFoundError:
       raise SimulationError(f"{path}: no such file") from None
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, json.JSONDecodeError) as error:
       raise SimulationError(f"{path} is no NaN dump: {error}") from error
+    if form != FORMAT:
+      raise SimulationError(f"{path} has format '{form}', this version reads '{FORMAT}'")
     if about["mujoco"] != mujoco.__version__:
       raise SimulationError(f"{path} is from MuJoCo {about['mujoco']}, this is {mujoco.__version__}")
     return cls(contents)
