@@ -3,12 +3,10 @@
 import io
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,24 +16,20 @@ import pytest
 import torch
 from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Locator, Page
 
-# Chromium without a GPU, a sandbox or a network.
-FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
---disable-background-networking --disable-component-update --disable-sync""".split()
-SIZE = ViewportSize(width=760, height=560)
+# Pages as the viewer's own tests drive them.
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
+
+from viewer_page import eventually, headless_chromium, opened
+
 DECIMATION = 2
 
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
-  executable = shutil.which("chromium") or shutil.which("chromium-browser")
-  if executable is None:
-    pytest.skip("needs Chromium (on Debian: apt install chromium)")
-  with sync_playwright() as playwright:
-    browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+  with headless_chromium() as browser:
     yield browser
-    browser.close()
 
 
 @contextmanager
@@ -59,10 +53,8 @@ def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> G
         break
     else:
       pytest.fail(said)
-    page = chromium.new_page(viewport=SIZE)
+    page = opened(chromium, address[1])
     try:
-      page.goto(address[1])
-      page.get_by_role("button", name="Reset").wait_for(timeout=30000)
       yield page
     finally:
       page.close()
@@ -70,14 +62,6 @@ def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> G
       rest = process.stdout.read()
     assert process.wait(20) == 0, rest
     assert rest.strip() == ""
-
-
-def eventually(holds: Callable[[], object], what: str, seconds: float = 60.0) -> None:
-  """Waits until something holds; the browser is slow where it has no GPU."""
-  end = time.monotonic() + seconds
-  while not holds():
-    assert time.monotonic() < end, what
-    time.sleep(0.05)
 
 
 def seen(page: Page) -> np.ndarray:

@@ -14,7 +14,7 @@ from mjlab_viewer.browser_controls import _ratio
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
-from viewer_page import choose, eventually, headless_chromium, opened, slide
+from viewer_page import choose, eventually, headless_chromium, opened, row, slide
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ class Running:
     self.policies = policies
     checkpoints = CheckpointList(names=lambda: list(policies), load=policies.__getitem__, loaded=names[0])
     self.viewer = BrowserViewer(
-      env, playback=self.playback, checkpoints=checkpoints, port=8300, max_worlds=8, video_folder=folder
+      env, playback=self.playback, checkpoints=checkpoints, port=8300, max_worlds=5, video_folder=folder
     )
     self._over = False
     self._thread = threading.Thread(target=self.viewer.run, args=(lambda: self._over,))
@@ -75,7 +75,7 @@ def push(value: float, env: BoxEnv) -> Callable[..., torch.Tensor]:
 
 
 def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path: Path) -> None:
-  env = BoxEnv(6)
+  env = BoxEnv(7)
   with running(env, tmp_path, first=push(0.0, env), second=push(3.0, env)) as run:
     playback, viewer = run.playback, run.viewer
     page = opened(chromium, run.viewer.url)
@@ -93,7 +93,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     choose(page, "Speed", "2")
     eventually(lambda: playback.speed == 2.0)
     slide(page, "World", 3)
-    eventually(lambda: viewer.drawn_worlds() == (3, 4, 5, 0, 1, 2))
+    eventually(lambda: viewer.drawn_worlds() == (3, 4, 5, 6, 0))
     slide(page, "Shown", 2)
     eventually(lambda: viewer.drawn_worlds() == (3, 4))
     eventually(lambda: len(viewer.history[-1].worlds) == 2)
@@ -109,7 +109,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     page.get_by_text("Push").click()
     page.get_by_role("button", name="left").click()
     eventually(lambda: env.sim.data.qvel[3, 1] > 0.99)
-    assert env.sim.data.qvel[[0, 1, 2, 4, 5], 1].abs().max() < 1e-6
+    assert env.sim.data.qvel[[0, 1, 2, 4, 5, 6], 1].abs().max() < 1e-6
 
     assert not viewer.history[-1].drawings[0].shapes
     page.get_by_label("command speed").check()
@@ -126,13 +126,34 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
 
     page.get_by_role("tab", name="Overlays").click()
     page.get_by_label("Enabled").first.check()
-    eventually(lambda: viewer.scene.scene.show_contact_points)
+    page.get_by_label("Enabled").nth(1).check()
+    eventually(lambda: viewer.scene.scene.show_contact_points and viewer.scene.scene.show_contact_forces)
     page.get_by_role("tab", name="Plots").click()
     page.locator(".uplot").first.wait_for()
     page.get_by_text("height").first.wait_for()
+    choose(page, "Group", "observations actor")
+    page.get_by_text("above").first.wait_for()
+    row(page, "Filter").nth(1).locator("input").fill("cross")
+    eventually(lambda: page.get_by_text("above").count() == 0, "the filter leaves all curves")
+    page.get_by_text("across").first.wait_for()
     page.get_by_role("tab", name="Controls").click()
     page.get_by_role("button", name="Play", exact=True).click()
     eventually(lambda: playback.step_count > 20)
+    drawn = viewer.scene._drawing._handles
+    for shape in ("ellipsoid", "head"):
+      eventually(lambda shape=shape: shape in drawn and len(drawn[shape].batched_positions) >= 4, f"no {shape}")
+
+    # Keys do as the buttons do.
+    page.mouse.click(60, 400)
+    page.keyboard.press("Space")
+    eventually(lambda: playback.paused, "space does not pause")
+    before = playback.total_steps
+    page.keyboard.press("ArrowRight")
+    eventually(lambda: playback.total_steps == before + 1, "the arrow does not step")
+    page.keyboard.press("Enter")
+    eventually(lambda: playback.step_count == 0, "enter does not reset")
+    page.keyboard.press("Space")
+    eventually(lambda: not playback.paused, "space does not go on")
     assert playback.error is None
     page.close()
 
@@ -165,6 +186,45 @@ def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_p
     page.get_by_role("button", name="Stop recording").click()
     eventually(lambda: list(tmp_path.glob("*.mp4")))
     page.get_by_text("saved as").wait_for()
+    page.close()
+
+
+def test_an_error_in_the_thread_that_films_pauses_and_is_shown(
+  chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setenv("MUJOCO_GL", "disabled")
+  with running(BoxEnv(1), tmp_path) as run:
+    page = opened(chromium, run.viewer.url)
+    page.get_by_role("button", name="Record").click()
+    page.get_by_text("film: RenderingError: no pictures: ").first.wait_for()
+    assert run.playback.paused
+    page.get_by_role("button", name="Record").wait_for()
+    page.get_by_role("button", name="Play", exact=True).click()
+    eventually(lambda: not run.playback.paused and run.playback.error is None)
+    page.close()
+  assert not list(tmp_path.iterdir())
+
+
+def test_an_error_while_showing_pauses_and_is_shown(chromium: Browser, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  is_broken = threading.Event()
+
+  def draw(draw: object) -> None:
+    if is_broken.is_set():
+      raise ZeroDivisionError("a drawing")
+
+  env.command.debug_draw = draw
+  env.draws_at_first = True
+  with running(env, tmp_path) as run:
+    page = opened(chromium, run.viewer.url)
+    eventually(lambda: run.playback.step_count > 5)
+    is_broken.set()
+    eventually(lambda: run.playback.error == "viewer: ZeroDivisionError: a drawing")
+    assert run.playback.paused
+    page.get_by_text("viewer: ZeroDivisionError: a drawing").first.wait_for()
+    is_broken.clear()
+    page.get_by_role("button", name="Reset").click()
+    eventually(lambda: run.playback.error is None and run.playback.step_count > 5)
     page.close()
 
 

@@ -80,8 +80,8 @@ with NativeViewer(playback) as viewer:
   viewer._press(ord("P"))
   eventually(lambda: changed() > 0.02)
   assert viewer._plots.page.title == "rewards"
-  viewer._press(ord("P"))
-  viewer._press(ord("P"))
+  for _ in range(3):
+    viewer._press(ord("P"))
   eventually(lambda: viewer._plots.page is None and changed() < 0.005)
 
   # More shapes than the window has room for: evenly fewer, and said so.
@@ -95,6 +95,14 @@ with NativeViewer(playback) as viewer:
   assert "without" in viewer._status()[1]
   env.command.debug_draw = draw
   eventually(lambda: shown() == 1 and viewer.num_undrawn == 0)
+
+  # A drawing that fails pauses, and is said in the window; reset goes on.
+  env.command.debug_draw = lambda draw: 1 / 0
+  eventually(lambda: playback.error == "viewer: ZeroDivisionError: division by zero")
+  assert playback.paused and "division by zero" in viewer._status()[1]
+  env.command.debug_draw = draw
+  viewer._press(257)
+  eventually(lambda: playback.error is None and playback.step_count > 5)
 
   # A pull on the box of the world that is shown, and on no other; gone when it is let go.
   perturb = viewer.window.perturb
@@ -163,4 +171,5 @@ def test_without_a_screen_the_message_is_one_line_and_names_the_way_out() -> Non
   environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
   done = run(script, environment)
   assert done.stdout.count("\n") == 1, done.stdout + done.stderr
+  assert done.stdout.startswith("no window can be opened here (X11: The DISPLAY environment variable is missing); ")
   assert "--viewer browser needs none" in done.stdout

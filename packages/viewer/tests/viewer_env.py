@@ -104,7 +104,11 @@ class BoxEnv:
     self.reset()
 
   def signals(self) -> dict[str, tuple[list[str], torch.Tensor]]:
-    return {"rewards": (["height", "age"], self.rewards), "terminations": (["fell_over", "too_old"], self.ended)}
+    return {
+      "rewards": (["height", "age"], self.rewards),
+      "terminations": (["fell_over", "too_old"], self.ended),
+      "observations actor": (["along", "across", "above"], self.sim.data.qpos[:, :3]),
+    }
 
   def drawers(self) -> dict[str, Any]:
     return {"command speed": self.command.debug_draw}

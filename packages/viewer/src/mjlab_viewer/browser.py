@@ -20,7 +20,7 @@ from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.checkpoint_list import CheckpointList
 from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.offscreen import PictureCfg
-from mjlab_viewer.playback import Playback
+from mjlab_viewer.playback import Playback, one_line
 from mjlab_viewer.signal_plot import SignalPlot
 from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 from mjlab_viewer.video import BackgroundVideo
@@ -109,7 +109,10 @@ class BrowserViewer:
   def update(self) -> None:
     """Show what is due, if anybody looks."""
     if self._video is not None:
-      self._record()
+      try:
+        self._record()
+      except Exception as error:
+        self._fail("film", error)
     now = time.perf_counter()
     if now < self._due["frame"] or self._is_off or not self.server.get_clients():
       return
@@ -118,14 +121,11 @@ class BrowserViewer:
       self._show(now)
       self.error = None
     except Exception as error:
-      self.error = f"viewer: {type(error).__name__}: {' '.join(str(error).split())}"
-      if self.playback is None:
-        # Whoever steps must not be stopped by who looks.
-        _log.warning("the viewer is switched off: %s", self.error)
-        self._is_off = True
-        return
-      self.playback.pause()
-      self.playback.error = self.error
+      self._fail("viewer", error)
+    # An error is said even where nothing can be shown.
+    if now >= self._due["status"] and self._controls is not None:
+      self._due["status"] = now + _STATUS_EVERY
+      self._controls.show_status()
     self._due["frame"] = max(now + FRAME, time.perf_counter() + FRAME / 4)
 
   def run(self, until: Callable[[], bool] = lambda: False) -> None:
@@ -141,6 +141,11 @@ class BrowserViewer:
       self.update()
       if not steps:
         time.sleep(0.002)
+
+  @property
+  def is_recording(self) -> bool:
+    """Whether a film is being made."""
+    return self._video is not None
 
   def start_recording(self) -> Path:
     """Film the selected world from now on; returns where the film will be."""
@@ -227,9 +232,6 @@ class BrowserViewer:
       curves = [kept for kept in shown if kept.worlds[0] == snapshot.worlds[0]]
       for plot in self._plots:
         plot.show(curves, self.env.step_dt)
-    if now >= self._due["status"] and self._controls is not None:
-      self._due["status"] = now + _STATUS_EVERY
-      self._controls.show_status()
 
   def _take(self) -> Snapshot:
     step = self.playback.total_steps if self.playback is not None else len(self.history)
@@ -241,8 +243,23 @@ class BrowserViewer:
     self.history.append(snapshot)
     return snapshot
 
+  def _fail(self, what: str, error: Exception) -> None:
+    """Pause and say what went wrong; whoever steps by themselves must not be stopped by who looks."""
+    self.error = one_line(what, error)
+    if self.playback is not None:
+      self.playback.fail(what, error)
+      return
+    _log.warning("the viewer is switched off: %s", self.error)
+    self._is_off = True
+
   def _record(self) -> None:
     assert self._video is not None
+    error = self._video.error
+    if error is not None:
+      self._fail("film", error)
+      self._video.close()
+      self._video = None
+      return
     step = -1 if self.playback is None else self.playback.total_steps
     if step != self._recorded_step or self.playback is None:
       self._recorded_step = step
@@ -262,4 +279,6 @@ def check_address(host: str, port: int) -> None:
     with socket.create_server((host, 0)):
       pass
   except OSError as error:
-    raise ViewerError(f"cannot listen on {host}: {error.strerror or error}") from error
+    # Python repeats the address behind the system's own words.
+    reason = (error.strerror or str(error)).partition(" (while ")[0]
+    raise ViewerError(f"cannot listen on {host}: {reason}") from error

@@ -104,6 +104,7 @@ class PlaybackControls:
     """Say how it goes."""
     playback = self._playback
     self._pause.label = "Play" if playback.paused else "Pause"
+    self._record.label = "Stop recording" if self._viewer.is_recording else "Record"
     self._timeline.disabled = not playback.paused
     state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
     if playback.is_capped:
@@ -200,7 +201,7 @@ class PlaybackControls:
       newest.on_click(lambda _: self._playback.request(refresh))
 
   def _toggle_recording(self, client: viser.ClientHandle | None) -> None:
-    if self._record.label == "Record":
+    if not self._viewer.is_recording:
       self._viewer.start_recording()
       self._record.label = "Stop recording"
       return

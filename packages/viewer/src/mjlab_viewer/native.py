@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import threading
 import time
 import warnings
@@ -105,14 +106,10 @@ class NativeViewer:
     now = time.perf_counter()
     if now < self._due["frame"]:
       return
-    names = self.env.drawn_at_first() if self.draws else ()
-    snapshot = self._taker.take((self.selected,), drawers=names, step=self.playback.total_steps)
-    with self.window.lock():
-      self._world.load(snapshot)
-      self._follow()
-      self._draw(snapshot)
-    self._drag()
-    self._plot(snapshot)
+    try:
+      self._show()
+    except Exception as error:
+      self.playback.fail("viewer", error)
     self.window.set_texts([(None, None, *self._status())])
     self.window.sync()
     self._due["frame"] = max(now + FRAME, time.perf_counter() + FRAME / 4)
@@ -139,7 +136,8 @@ class NativeViewer:
       warnings.simplefilter("always")
       has_screen = glfw.init()
     if not has_screen:
-      reason = str(told[-1].message) if told else "GLFW does not start"
+      # As in "(65550) b'X11: The DISPLAY environment variable is missing'".
+      reason = re.sub(r"^\(\d+\) b'(.*)'$", r"\1", str(told[-1].message)) if told else "GLFW does not start"
       raise RenderingError(f"no window can be opened here ({reason}); --viewer browser needs none")
     before = set(threading.enumerate())
     handle = passive.launch_passive(
@@ -173,6 +171,16 @@ class NativeViewer:
 
   def _select(self, world: int) -> None:
     self.selected = world % self.env.num_envs
+
+  def _show(self) -> None:
+    names = self.env.drawn_at_first() if self.draws else ()
+    snapshot = self._taker.take((self.selected,), drawers=names, step=self.playback.total_steps)
+    with self.window.lock():
+      self._world.load(snapshot)
+      self._follow()
+      self._draw(snapshot)
+    self._drag()
+    self._plot(snapshot)
 
   def _follow(self) -> None:
     # Moved along with the robot, so that whoever turned it keeps their view.

@@ -110,6 +110,14 @@ class Playback:
     """Stop stepping."""
     self.paused = True
 
+  def fail(self, what: str, error: Exception) -> None:
+    """Pause for an error, and keep it as one line."""
+    said = one_line(what, error)
+    if said != self.error:
+      _log.warning("paused: %s", said)
+      _log.info("%s", "".join(traceback.format_exception(error)))
+    self.error, self.paused = said, True
+
   def reset(self) -> None:
     """Begin anew in all worlds; an error is forgotten, and who paused for it goes on."""
     if self.error is not None:
@@ -160,11 +168,7 @@ class Playback:
     try:
       action()
     except Exception as error:
-      text = " ".join(str(error).split()) or "no message"
-      self.error = f"{what}: {type(error).__name__}: {text}"
-      self.paused = True
-      _log.warning("paused: %s", self.error)
-      _log.info("%s", "".join(traceback.format_exception(error)))
+      self.fail(what, error)
       return False
     return True
 
@@ -172,6 +176,11 @@ class Playback:
     self._history.append((now, self.total_steps))
     while len(self._history) > 2 and now - self._history[1][0] >= _MEASURED:
       self._history.popleft()
+
+
+def one_line(what: str, error: Exception) -> str:
+  """Where something went wrong, and what."""
+  return f"{what}: {type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
 class ZeroPolicy:

@@ -92,7 +92,8 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   wanted = parse(Arguments(env=cfg), given)
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
   what = f"{wanted.agent} actions" if source is None else str(source)
-  print(f"{name}: {what}, {cfg.scene.num_envs} worlds on {device}", flush=True)
+  count = cfg.scene.num_envs
+  print(f"{name}: {what}, {count} world{'s' * (count != 1)} on {device}", flush=True)
   env = build_env(parts, cfg, device)
   try:
     policy, checkpoints = _policy(wanted, source, env, parts)
