@@ -11,6 +11,7 @@ import pytest
 import torch
 from mjlab.making import make
 from mjlab_envs import ManagerBasedRlEnv
+from mjlab_sensors import RayCastSensor
 from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker, TrainingVideo
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -161,6 +162,10 @@ def test_the_command_is_drawn_as_it_is_and_where_the_robot_is() -> None:
 def test_every_task_can_be_drawn(task: str) -> None:
   with make(task, num_envs=5, device="cpu", play=True) as env:
     env.reset(seed=0)
+    for name, sensor in env.scene.sensors.items():
+      if isinstance(sensor, RayCastSensor):
+        snapshot = SnapshotTaker(env).take((1,), drawers=(f"sensor {name}",))
+        assert snapshot.drawings[0].shapes, f"nothing is drawn of the rays of {name}"
     assert env.render() is None
     env.render_mode = "rgb_array"
     try:

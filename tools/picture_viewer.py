@@ -39,13 +39,13 @@ def photograph(page: Page, url: str, playback: Playback, out: Path) -> None:
   page.screenshot(path=out / "viewer_rewards.png")
 
 
-def contacts(env: ManagerBasedRlEnv, out: Path) -> None:
+def contacts(env: ManagerBasedRlEnv, taker: SnapshotTaker, out: Path) -> None:
   """Contact points and forces of one robot in its stride."""
   camera = CameraCfg(distance=1.3, azimuth=130.0, elevation=-14.0)
   cfg = PictureCfg(width=1280, height=720, camera=camera, contacts=True)
   model = env.sim.mj_model
   with OffscreenRenderer(model, cfg) as renderer:
-    picture = renderer.render(SnapshotTaker(env, contacts=True).take((0,), drawers=tuple(env.drawers())))
+    picture = renderer.render(taker.take((0,), drawers=env.drawn_at_first()))
   Image.fromarray(picture).resize((960, 540), Image.Resampling.LANCZOS).save(out / "viewer_contacts.png", optimize=True)
 
 
@@ -64,9 +64,11 @@ def main() -> None:
     for world in range(8):
       env.steering()["twist"].steer(world, (0.7, 0.0, 0.1 * (world % 3 - 1)))
     playback.pause()
+    # The simulation keeps contacts from its next step on.
+    taker = SnapshotTaker(env, contacts=True)
     for _ in range(45):
       playback.step_once()
-    contacts(env, args.out)
+    contacts(env, taker, args.out)
     # The first picture is of this moment: robots that walk on leave each other.
     over = threading.Event()
     with BrowserViewer(

@@ -57,7 +57,7 @@ class SnapshotTaker:
 
   Args:
     env: The environment.
-    contacts: Take contacts, too; the simulation keeps them from now on.
+    contacts: Take contacts, too; the simulation keeps them from its next step on.
   """
 
   def __init__(self, env: ViewedEnv, *, contacts: bool = False) -> None:
