@@ -279,6 +279,27 @@ def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
         acting.reset(torch.tensor([False, step == 1, False]))
 
 
+class RenamedPoint(PointEnv):
+  """The point with its observations under the name that exported networks give to their first input."""
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    seen = super().get_observations()
+    return {"obs": seen["actor"], "critic": seen["critic"]}
+
+
+def test_a_group_of_vectors_may_be_called_as_an_exported_network_calls_its_input(tmp_path: Path) -> None:
+  cfg = RslRlOnPolicyRunnerCfg(logger="none", obs_groups={"actor": ("obs",), "critic": ("critic",)})
+  env = RenamedPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=4))
+  policy = CheckpointPolicy(env, cfg)
+  with warnings.catch_warnings():
+    # The exporter's own are not ours.
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(tmp_path))
+  seen = env.get_observations()
+  with torch.no_grad():
+    torch.testing.assert_close(OnnxPolicy(tmp_path / "policy.onnx", cfg, 1)(seen), policy(seen))
+
+
 def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> None:
   cfg = RslRlDistillationRunnerCfg(
     num_steps_per_env=6, logger="none", obs_groups={"student": ("actor", "camera"), "teacher": ("actor",)}

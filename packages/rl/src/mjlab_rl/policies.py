@@ -82,7 +82,7 @@ class OnnxPolicy:
     self._clip = agent.clip_actions
     inputs = {value.name: [d.dim_value for d in value.type.tensor_type.shape.dim] for value in model.graph.input}
     self._input = next(iter(inputs))
-    self._images = [group for group in self._groups if group in inputs]
+    self._images = [group for group in self._groups if group in inputs and group != self._input]
     remembered = [name for name in inputs if name != self._input and name not in self._images]
     self._width = inputs[self._input][-1]
     # A recurrent network takes its memory in, (layers, worlds, width), and gives it back, in the same order.
