@@ -343,6 +343,8 @@ def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered
     ({"stride": (2, 0)}, r"agent\.actor\.cnn_cfg\.stride is 0; it must be positive"),
     ({"temperature": 0.0}, r"agent\.actor\.cnn_cfg\.temperature is 0\.0; it must be positive"),
     ({"kernel_size": (3,)}, r"agent\.actor\.cnn_cfg\.kernel_size has 1 values, output_channels 2"),
+    ({"kernel_size": None}, r"agent\.actor\.cnn_cfg\.kernel_size is None; it must be a positive number"),
+    ({"output_channels": 4}, r"agent\.actor\.cnn_cfg\.output_channels is 4; it must be a number for each layer"),
     ({"colour": 1}, "unexpected keyword argument 'colour'"),
   ],
 )

@@ -241,7 +241,7 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
       _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
     _check_model("actor", self.actor)
     _check_model("critic", self.critic)
-    _check_samples("actor", self.actor, "PPO samples its actions")
+    _check_distribution("actor", self.actor, "PPO samples its actions")
     if self.algorithm.share_cnn_encoders and self.critic.class_name in _BLIND:
       raise ConfigError(
         f"agent.algorithm.share_cnn_encoders is on, but agent.critic.class_name {self.critic.class_name!r} sees nothing"
@@ -306,7 +306,7 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
         f"{steps}, or the last {steps % length} steps of every iteration would teach nothing"
       )
     _check_model("student", self.student)
-    _check_samples("student", self.student, "it explores about what it has learned")
+    _check_distribution("student", self.student, "it explores about what it has learned")
     if self.teacher is not None:
       _check_model("teacher", self.teacher)
       config["teacher"] = self.teacher.to_rsl_rl()
@@ -356,19 +356,24 @@ def _check_model(network: str, model: RslRlModelCfg) -> None:
 
 
 def _check_encoder(where: str, cfg: dict[str, Any]) -> None:
-  layers = len(cfg.get("output_channels", ()))
+  channels = cfg.get("output_channels", ())
+  if not isinstance(channels, (tuple, list)):
+    raise ConfigError(f"{where}.output_channels is {channels}; it must be a number for each layer")
+  layers = len(channels)
   for name, value in cfg.items():
     values = value if isinstance(value, (tuple, list)) else (value,)
     if values is value and len(values) != layers:
       raise ConfigError(f"{where}.{name} has {len(values)} values, output_channels {layers}")
     for one in values:
       if name in _CNN_SIZES:
+        if not isinstance(one, (int, float)):
+          raise ConfigError(f"{where}.{name} is {one}; it must be a positive number")
         _check(f"{where}.{name}", one, "positive", lambda x: x > 0)
       elif name in _CNN_CHOICES and one not in _CNN_CHOICES[name]:
         raise ConfigError(unknown(name, str(one), _CNN_CHOICES[name], f"{where}.{name}"))
 
 
-def _check_samples(network: str, model: RslRlModelCfg, why: str) -> None:
+def _check_distribution(network: str, model: RslRlModelCfg, why: str) -> None:
   if model.distribution_cfg is None:
     raise ConfigError(
       f"agent.{network}.distribution_cfg is None, but {why}. "
