@@ -125,6 +125,11 @@ def test_many_widths_are_thirds() -> None:
   assert [int(mask.sum()) for mask in thirds.values()] == [11, 10, 10]
 
 
+def test_no_group_of_widths_is_empty_where_most_worlds_have_the_same() -> None:
+  groups = _by_width(torch.cat((torch.full((21,), 0.04), torch.linspace(0.05, 0.055, 6))))
+  assert {name: int(mask.sum()) for name, mask in groups.items()} == {"to 40.0 mm": 21, "above 40.0 mm": 6}
+
+
 def test_the_peak_of_force_is_that_of_all_substeps() -> None:
   env, _ = lift(2)
   contact = env.scene["fingers"]

@@ -110,8 +110,10 @@ def _by_width(width: torch.Tensor) -> dict[str, torch.Tensor]:
     return {f"{mm:.0f} mm": millimetres == mm for mm in found}
   low, high = (width.double().quantile(share / 3) for share in (1, 2))
   edges = f"{low * 1e3:.1f}", f"{high * 1e3:.1f}"
-  return {
+  thirds = {
     f"to {edges[0]} mm": width <= low,
     f"{edges[0]} to {edges[1]} mm": (width > low) & (width <= high),
     f"above {edges[1]} mm": width > high,
   }
+  # Where many are alike.
+  return {name: members for name, members in thirds.items() if members.any()}
