@@ -88,7 +88,7 @@ def test_a_mesh_that_the_model_lacks_and_rows_of_nan_are_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-  ("room", "kept"), [(1000, (70, 7, 300)), (377, (70, 7, 300)), (100, (18, 2, 80)), (0, (0, 0, 0))]
+  ("room", "kept"), [(1000, (70, 7, 300)), (377, (70, 7, 300)), (100, (18, 2, 80)), (0, (0, 0, 0)), (-5, (0, 0, 0))]
 )
 def test_where_there_is_no_room_for_all_shapes_are_left_out_evenly(room: int, kept: tuple[int, ...]) -> None:
   draw = DrawList()

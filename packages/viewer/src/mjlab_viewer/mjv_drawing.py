@@ -24,6 +24,8 @@ def thinned(drawn: Sequence[Shapes], room: int) -> list[Shapes]:
   count = count_geoms(drawn)
   if count <= room:
     return list(drawn)
+  # What MuJoCo draws by itself may want all there is.
+  room = max(room, 0)
   thin, before = [], 0
   for shapes in drawn:
     numbers = before + np.arange(len(shapes) + 1)
