@@ -17,6 +17,7 @@ from mjlab_rl import (
   ConfigError,
   Console,
   MjlabDistillationRunner,
+  MjlabOnPolicyRunner,
   OnnxPolicy,
   RslRlDistillationRunnerCfg,
   RslRlModelCfg,
@@ -383,6 +384,13 @@ def test_whoever_needs_no_teacher_or_has_one_gets_none(tmp_path: Path, teacher: 
   bare = MjlabDistillationRunner(RslRlVecEnvWrapper(ToldPointEnv(ToldPointEnvCfg())), agent, None, console=QUIET)
   with pytest.raises(ConfigError, match="there is no teacher to learn from"):
     bare.learn(1)
+
+
+def test_a_runner_of_another_learner_is_refused_by_name(teacher: Path) -> None:
+  env = ToldPointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)
+  task = TaskCfg(env=env, agent=student_agent(), runner=MjlabOnPolicyRunner)
+  with pytest.raises(ConfigError, match="runner is MjlabOnPolicyRunner, which is no MjlabDistillationRunner"):
+    train(task, name="Point", make_env=ToldPointEnv, log_root=None, console=QUIET, teacher=teacher)
 
 
 def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher: Path) -> None:

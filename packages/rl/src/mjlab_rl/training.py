@@ -14,13 +14,7 @@ from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRu
 from mjlab_rl.console import Console
 from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
-from mjlab_rl.manifest import (
-  RunManifest,
-  encode_manifest,
-  git_state,
-  package_versions,
-  write_manifest,
-)
+from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.task import TaskCfg
@@ -114,7 +108,8 @@ def train(
     if resume is not None:
       runner.load(str(resume))
     if teaching is not None:
-      assert isinstance(runner, MjlabDistillationRunner)
+      if not isinstance(runner, MjlabDistillationRunner):
+        raise ConfigError(f"the task's runner is {kind.__name__}, which is no MjlabDistillationRunner")
       runner.load_teacher(teaching)
     remaining = agent.max_iterations - runner.current_learning_iteration
     if remaining <= 0:
