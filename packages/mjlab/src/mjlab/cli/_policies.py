@@ -1,5 +1,6 @@
 """Policies that a command line names: those of runs, exported ones, and none at all."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,7 +28,7 @@ def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | N
   if wanted.agent != "trained":
     return None, task
   source = _source(wanted.checkpoint, Path(wanted.log_root), name, task.agent.experiment_name)
-  return source, _manifest_of(source, name) or task
+  return source, manifest_of(source, name) or task
 
 
 def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
@@ -43,17 +44,17 @@ def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path
     raise UsageError(f"{error}. Train one with `train {task}`, or see what --agent random does.") from error
 
 
-def _manifest_of(source: Path, task: str) -> "RunManifest | None":
-  """The run that something is of; None where it does not say."""
+def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -> "RunManifest | None":
+  """The run of `task` that a policy is of; None, and why, where there is no manifest or it is another task's."""
   from mjlab_rl import load_run
 
   try:
     run = load_run(source)
   except FileNotFoundError:
-    print(f"{source.parent} has no manifest: the configuration of {task} is used.")
+    say(f"{source.parent} has no manifest: the configuration of {task} is used.")
     return None
   if run.task != task:
-    print(f"{source} is of {run.task}: the configuration of {task} is used.")
+    say(f"{source} is of {run.task}: the configuration of {task} is used.")
     return None
   return run
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._policies import manifest_of
 from mjlab.cli._task_command import load_named_task, run_with_task
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
-  from mjlab_rl import Console, RlEnv, RunManifest, TaskCfg
+  from mjlab_rl import RlEnv, TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -111,7 +112,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
   device = making.resolve_device(wanted.device)
   checkpoint = _checkpoint(wanted, name)
-  run = None if checkpoint is None else _manifest(checkpoint, name, console)
+  run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
   if run is None:
     default = making.default_worlds(device, task.env.scene.num_envs)
     task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
@@ -244,21 +245,6 @@ def _teacher(wanted: Arguments, task: str) -> Path | None:
   except FileNotFoundError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
-
-
-def _manifest(checkpoint: Path, task: str, console: "Console") -> "RunManifest | None":
-  """Configuration of the run of a checkpoint; None where it is another task's, or has none."""
-  from mjlab_rl import load_run
-
-  try:
-    run = load_run(checkpoint)
-  except FileNotFoundError:
-    console.say(f"{checkpoint.parent} has no manifest: the configuration of the task is used.")
-    return None
-  if run.task != task:
-    console.say(f"the checkpoint is of {run.task}: the configuration of {task} is used.")
-    return None
-  return run
 
 
 def _gpu_name(device: str) -> str:
