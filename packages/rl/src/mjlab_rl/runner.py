@@ -31,7 +31,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     host once per iteration.
   - A checkpoint holds the learner, the worlds, every random generator and the statistics: what continues from it is
     what would have happened without the interruption. `model_<n>.pt` is the state after n iterations.
-  - Ctrl-C and SIGTERM end the run after the iteration, with a checkpoint.
+  - Ctrl-C, SIGTERM and SIGHUP end the run after the iteration, with a checkpoint.
 
   Args:
     env: The wrapped environment.
