@@ -351,3 +351,15 @@ def test_the_page_is_served_to_this_machine_alone_unless_told_otherwise() -> Non
 def test_an_address_that_is_not_here_is_refused_by_name() -> None:
   with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1: "):
     BrowserViewer(BoxEnv(1), host="192.0.2.1", port=8300)
+
+
+def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+  env = BoxEnv(1)
+  with BrowserViewer(env, port=8300) as viewer:
+    monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: None})
+    for step in range(1, 701):
+      env.step(torch.zeros(1, 1))
+      viewer._due["frame"] = 0.0 if step % 2 else float("inf")
+      viewer.update()
+    assert viewer.error is None
+    assert [kept.step for kept in viewer.history] == list(range(101, 701, 2))

@@ -87,6 +87,7 @@ class BrowserViewer:
     self._video_folder = video_folder
     self._video: BackgroundVideo | None = None
     self._recorded_step = -1
+    self._num_updates = 0
     self._is_off = False
     self._due = {"frame": 0.0, "plot": 0.0, "status": 0.0}
     check_address(host, port)
@@ -107,7 +108,8 @@ class BrowserViewer:
     return f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{self.server.get_port()}"
 
   def update(self) -> None:
-    """Show what is due, if anybody looks."""
+    """Show what is due, if anybody looks. Without a playback it is called once after every step."""
+    self._num_updates += 1
     if self._video is not None:
       try:
         self._record()
@@ -234,7 +236,7 @@ class BrowserViewer:
         plot.show(curves, self.env.step_dt)
 
   def _take(self) -> Snapshot:
-    step = self.playback.total_steps if self.playback is not None else len(self.history)
+    step = self.playback.total_steps if self.playback is not None else self._num_updates
     worlds = self.drawn_worlds()
     snapshot = self._taker.take(worlds, drawers=self._worlds.drawers(), step=step)
     # While paused the same moment is shown again and again, and remembered once.
