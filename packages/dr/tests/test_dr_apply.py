@@ -302,6 +302,16 @@ def test_isotropic_means_one_draw_for_all_axes_of_an_element() -> None:
   assert sim.model.geom_size[:, sim.mj_model.geom("trunk").id].unique().numel() == 3 * N
 
 
+def test_one_element_takes_the_first_of_the_axes_where_the_others_would_do_nothing(sim: FakeSim) -> None:
+  field = RandomizeField(randomize_field("geom_friction", "a/f1", (0.5, 0.6)), sim, generator=make_generator("cpu", 0))
+  assert [component.axis for component in field.components] == ["sliding", "torsional"]
+  before = sim.model.geom_friction.clone()
+  field.apply(torch.ones(N, dtype=torch.bool))
+  drawn = sim.model.geom_friction[:, sim.mj_model.geom("a/f1").id]
+  assert ((drawn[:, :2] > 0.5) & (drawn[:, :2] < 0.6)).all()
+  assert int((sim.model.geom_friction != before).sum()) == 2 * N
+
+
 def test_gaussian_draws_differ_between_worlds_for_rotations_and_inertia_too() -> None:
   sim = FakeSim(EVERYTHING)
   turn = randomize_field("cam_quat", "eye", (0.0, 0.1), distribution="gaussian")

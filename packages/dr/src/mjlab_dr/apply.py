@@ -134,7 +134,7 @@ class RandomizeField:
     self._shape = (sim.num_envs, 1 if cfg.shared else len(self.element_names))
     self._full = (sim.num_envs, len(self.element_names), len(self._axes))
     sources = [component.source for component in self.components for _ in component.columns]
-    is_all = sources == list(range(len(sources)))
+    is_all = sources == list(range(len(self.element_names) * len(self._axes)))
     self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=sim.device)
     self._strength: Tensor | None = None
     if self._form == "intrinsics":
