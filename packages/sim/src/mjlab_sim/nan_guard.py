@@ -75,11 +75,12 @@ class NanGuard:
     Args:
       diverged: Worlds whose state is not finite, bool (num_envs,).
     """
+    # Looking costs nothing on a CPU; a recording cannot look, and does the work in every step.
+    if self._sim.device.type == "cpu" and not diverged.numpy().any():
+      self._diverged.zero_()
+      return
     fresh = diverged & ~self._diverged
     self._diverged.copy_(diverged)
-    # Looking costs nothing on a CPU; a recording cannot look, and does the work in every step.
-    if self._sim.device.type == "cpu" and not fresh.numpy().any():
-      return
     found, worlds = torch.topk(fresh * self._priority, len(self._ranks))
     slots = torch.where(found > 0, self._num_kept + self._ranks, len(self._kept) - 1).clamp_(max=len(self._kept) - 1)
     newest_last = (self._num_steps + self._order) % self._cfg.buffer_size
