@@ -41,6 +41,15 @@ def test_looking_for_kernels_launches_none_and_visits_every_branch() -> None:
   assert counter.numpy()[0] == 2
 
 
+def test_looking_for_kernels_asks_the_device_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+  asked: list[wp.Kernel] = []
+  # A GPU's answer is that of a loaded kernel, and while kernels are looked for none is.
+  monkeypatch.setattr(wp, "get_suggested_block_size", lambda kernel, device=None: asked.append(kernel))
+  sizes: list[tuple[int, int]] = []
+  load_kernels([lambda: sizes.append(wp.get_suggested_block_size(_count, "cpu"))], wp.get_device("cpu"))
+  assert (sizes, asked) == ([(1, 1)], [])
+
+
 @pytest.mark.warp
 def test_a_step_loads_no_kernel_that_was_not_loaded_when_the_simulation_was_made(
   make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch

@@ -40,6 +40,12 @@ def _launching_nothing(variants: _Variants) -> Generator[None]:
     # A launch whose module does not load returns at once.
     variants.setdefault(module, {})[block_dim] = None
 
+  def suggest(kernel: Any, device: Any = None) -> tuple[int, int]:
+    # A GPU has to have loaded a kernel to tell; whatever is said, nothing is launched.
+    if wp.get_device(device).is_cuda:
+      note(kernel.module, device)
+    return 1, 1
+
   def once(condition: Any, while_body: Callable[..., None], stream: Any = None, **arguments: Any) -> None:
     while_body(**arguments)
 
@@ -50,6 +56,7 @@ def _launching_nothing(variants: _Variants) -> Generator[None]:
 
   with (
     patch.object(wp.Module, "load", note),
+    patch.object(wp, "get_suggested_block_size", suggest),
     patch.object(wp, "capture_while", once),
     patch.object(wp, "capture_if", both),
   ):
