@@ -53,6 +53,8 @@ class RslRlModelCfg:
     }
     if self.distribution_cfg is not None:
       model["distribution_cfg"] = dict(self.distribution_cfg)
+      if self.distribution_cfg.get("class_name") == "GaussianDistribution":
+        model["distribution_cfg"]["class_name"] = "mjlab_rl.gaussian:Gaussian"
     if self.cnn_cfg is not None:
       model["cnn_cfg"] = dict(self.cnn_cfg)
     if self.rnn_type is not None:
