@@ -207,6 +207,34 @@ def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPat
   assert ((walked[0] > 2.4) & (walked[0] < 4.0)).all()
 
 
+def test_the_demo_lifts_too_to_where_it_is_told(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  away: list[torch.Tensor] = []
+
+  def look(wanted: object, name: str, playback: Playback, checkpoints: object) -> int:
+    env = playback.env
+    assert isinstance(env, ManagerBasedRlEnv)
+    playback.pause()
+    goal = torch.tensor([0.4, 0.1, 0.3])
+    for world in range(8):
+      env.steering()["lift_height"].steer(world, tuple(goal.tolist()))
+    # Within the first goal's time.
+    for _ in range(150):
+      playback.step_once()
+    assert playback.error is None
+    place = env.scene["cube"].data.root_link_pos_w - env.scene.env_origins
+    away.append((place - goal).norm(dim=1))
+    return 0
+
+  monkeypatch.setattr(play_command, "_browser", look)
+  assert cli.main(["demo", "--task=lift", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
+  # Of eight that begin anywhere at most one may have slipped away.
+  assert int((away[0] < 0.05).sum()) >= 7
+  assert cli.main(["demo", "--task", "lit"]) == 2
+  assert "demo 'lit' does not exist" in capsys.readouterr().err
+
+
 def test_a_scene_is_exported_whole_and_replaced_only_by_force(
   tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
