@@ -33,18 +33,19 @@ def time_methods(
 def _time_on_cpu(
   env: ManagerBasedRlEnv,
   owner: object,
-  originals: dict[str, Callable[..., None]],
+  originals: dict[str, Callable[..., object]],
   methods: dict[str, str],
   step: Callable[[], None],
   steps: int,
 ) -> dict[str, float]:
   spent: dict[str, float] = collections.defaultdict(float)
 
-  def wrapped(method: str) -> Callable[..., None]:
-    def call(*arguments: object) -> None:
+  def wrapped(method: str) -> Callable[..., object]:
+    def call(*arguments: object) -> object:
       begin = time.perf_counter()
-      originals[method](*arguments)
+      result = originals[method](*arguments)
       spent[methods[method]] += 1e3 * (time.perf_counter() - begin)
+      return result
 
     return call
 
@@ -61,7 +62,7 @@ def _time_on_cpu(
 def _time_on_gpu(
   env: ManagerBasedRlEnv,
   owner: object,
-  originals: dict[str, Callable[..., None]],
+  originals: dict[str, Callable[..., object]],
   methods: dict[str, str],
   step: Callable[[], None],
   steps: int,
@@ -73,16 +74,16 @@ def _time_on_gpu(
     event.record()
     marks.append((name, event))
 
-  def wrapped(method: str) -> Callable[..., None]:
-    def call(*arguments: object) -> None:
+  def wrapped(method: str) -> Callable[..., object]:
+    def call(*arguments: object) -> object:
       recorder = env.sim._recorder
       if recorder is None:
-        originals[method](*arguments)
-        return
+        return originals[method](*arguments)
       # Straight to the recorder: a mark neither reads nor writes state.
       recorder.interrupt(lambda: mark(""))
-      originals[method](*arguments)
+      result = originals[method](*arguments)
       recorder.interrupt(lambda: mark(methods[method]))
+      return result
 
     return call
 
