@@ -1,7 +1,8 @@
 """Kernels of `InverseWeights`.
 
-In all of them `rownnz`, `rowadr` and `colind` are the structure of the inertia matrix M = L' D L, `inverse` holds
-inv(L) in the same entries, and `scale` the diagonal of inv(D).
+Row i of the inertia matrix M holds dof i's ancestors from the root down, and i itself last: entry k of the row is at
+`rowadr[i] + k` and in the column `colind` there, and the row of that column begins with the same k + 1 columns. `root`
+has these entries too. It is the triangular R of inv(M) = R R'.
 """
 
 import mujoco
@@ -11,100 +12,84 @@ FREE = wp.constant(int(mujoco.mjtJoint.mjJNT_FREE))
 BALL = wp.constant(int(mujoco.mjtJoint.mjJNT_BALL))
 
 
+@wp.func_native("WP_TILE_SYNC();")
+def sync() -> None:
+  """Wait for the other threads of the block; what each wrote before, all see afterwards."""
+
+
 @wp.kernel(enable_backward=False)
 def rest(qpos0: wp.array2d[float], qpos: wp.array2d[float]):
   world, column = wp.tid()
   qpos[world, column] = qpos0[world % qpos0.shape[0], column]
 
 
-@wp.kernel(enable_backward=False)
+# A module of its own: a module is compiled once for every size of block that its kernels are launched with.
+@wp.kernel(enable_backward=False, module="unique")
 def invert_inertia(
   mask: wp.array[bool],
   rownnz: wp.array[int],
   rowadr: wp.array[int],
-  colind: wp.array[int],
+  above: wp.array[int],
+  pairs: wp.array[wp.vec2i],
+  longest: int,
   inertia: wp.array2d[float],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
+  root: wp.array2d[float],
 ):
-  """inv(L) without its unit diagonal, and inv(D), of M = L' D L (Featherstone 2008, Rigid Body Dynamics, section 6.5).
+  """R of inv(M) = R R', by one block of threads for each world; `inertia` is left as D L, where M = L' D L.
 
-  Row i of all three matrices holds dof i's ancestors from the root down, and i itself last.
+  `above` is where the row of each entry's column begins, `pairs` are all (a, b) with b <= a, ordered by a, and
+  `longest` is the number of entries of the longest row.
+  The factorisation is that of Featherstone (2008), Rigid Body Dynamics Algorithms, section 6.5.
   """
-  world = wp.tid()
+  world, thread = wp.tid()
   if not mask[world]:
     return
   nv = rownnz.shape[0]
-  for k in range(inverse.shape[1]):
-    inverse[world, k] = inertia[world, k]
+  # A step reads the row of its dof, writes to rows of ancestors only, and to each entry from one thread.
   for back in range(nv):
     i = nv - 1 - back
     adr = rowadr[i]
     last = rownnz[i] - 1
-    pivot = 1.0 / inverse[world, adr + last]
-    scale[world, i] = pivot
-    for up in range(last):
-      above = last - 1 - up
-      to = rowadr[colind[adr + above]]
-      ratio = inverse[world, adr + above] * pivot
-      for k in range(above + 1):
-        # Not "-=", which Warp makes an atomic of.
-        inverse[world, to + k] = inverse[world, to + k] - ratio * inverse[world, adr + k]
-      inverse[world, adr + above] = ratio
-  for i in range(nv):
-    adr = rowadr[i]
-    for a in range(rownnz[i] - 1):
-      value = inverse[world, adr + a]
-      for k in range(a + 1, rownnz[i] - 1):
-        value += inverse[world, adr + k] * inverse[world, rowadr[colind[adr + k]] + a]
-      inverse[world, adr + a] = -value
+    scale = 1.0 / inertia[world, adr + last]
+    for p in range(thread, last * (last + 1) // 2, wp.block_dim()):
+      a = pairs[p][0]
+      b = pairs[p][1]
+      to = above[adr + a] + b
+      # Not "-=", which Warp makes an atomic of.
+      inertia[world, to] = inertia[world, to] - inertia[world, adr + a] * scale * inertia[world, adr + b]
+    sync()
+  # inv(L) inv(sqrt(D)), row by row down the tree. Entry a of a row follows from the entries a of rows above: what a
+  # thread reads of `root` is what it wrote itself.
+  for a in range(thread, longest, wp.block_dim()):
+    for i in range(nv):
+      adr = rowadr[i]
+      last = rownnz[i] - 1
+      if a == last:
+        root[world, adr + a] = 1.0 / wp.sqrt(inertia[world, adr + a])
+      elif a < last:
+        total = wp.float32(0.0)
+        for k in range(a, last):
+          total += inertia[world, adr + k] * root[world, above[adr + k] + a]
+        root[world, adr + a] = -total / inertia[world, adr + last]
 
 
 @wp.func
-def entry(
-  world: int,
-  i: int,
-  a: int,
-  rownnz: wp.array[int],
-  rowadr: wp.array[int],
-  colind: wp.array[int],
-  inverse: wp.array2d[float],
+def respond(
+  world: int, i: int, j: int, rowadr: wp.array[int], num_shared: wp.array2d[int], root: wp.array2d[float]
 ) -> float:
-  """inv(L)[i, a]: 1 on the diagonal, 0 unless a is an ancestor of i; as deep in i's row as in its own."""
-  if a == i:
-    return 1.0
-  depth = rownnz[a] - 1
-  if depth < rownnz[i] and colind[rowadr[i] + depth] == a:
-    return inverse[world, rowadr[i] + depth]
-  return 0.0
-
-
-@wp.func
-def weigh_dof(
-  world: int,
-  i: int,
-  rownnz: wp.array[int],
-  rowadr: wp.array[int],
-  colind: wp.array[int],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
-) -> float:
-  """inv(M)[i, i]."""
-  total = scale[world, i]
-  for k in range(rownnz[i] - 1):
-    value = inverse[world, rowadr[i] + k]
-    total += value * value * scale[world, colind[rowadr[i] + k]]
+  """inv(M)[i, j]: rows of R have in common what they begin with, their `num_shared` ancestors."""
+  total = wp.float32(0.0)
+  for k in range(num_shared[i, j]):
+    total += root[world, rowadr[i] + k] * root[world, rowadr[j] + k]
   return total
 
 
 @wp.kernel(enable_backward=False)
 def weigh_dofs(
   mask: wp.array[bool],
-  rownnz: wp.array[int],
   rowadr: wp.array[int],
-  colind: wp.array[int],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
+  num_shared: wp.array2d[int],
+  root: wp.array2d[float],
   dof_jntid: wp.array[int],
   jnt_type: wp.array[int],
   jnt_dofadr: wp.array[int],
@@ -128,19 +113,18 @@ def weigh_dofs(
     count = 3
     first = jnt_dofadr[joint] + 3 * ((dof - jnt_dofadr[joint]) // 3)
   total = wp.float32(0.0)
-  for i in range(count):
-    total += weigh_dof(world, first + i, rownnz, rowadr, colind, inverse, scale)
+  for i in range(first, first + count):
+    total += respond(world, i, i, rowadr, num_shared, root)
   dof_invweight0[world, dof] = total / wp.float32(count)
 
 
 @wp.kernel(enable_backward=False)
 def weigh_bodies(
   mask: wp.array[bool],
-  rownnz: wp.array[int],
   rowadr: wp.array[int],
+  root: wp.array2d[float],
+  rownnz: wp.array[int],
   colind: wp.array[int],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
   is_slider: wp.array[bool],
   body_mass: wp.array2d[float],
   body_parentid: wp.array[int],
@@ -166,31 +150,28 @@ def weigh_bodies(
     mover = body_parentid[mover]
   if mover > 0:
     offset = xipos[world, body] - subtree_com[world, body_rootid[body]]
-    leaf = body_dofadr[mover] + body_dofnum[mover] - 1
-    a = wp.int32(leaf)
-    while a >= 0:
-      turn = wp.vec3()
-      move = wp.vec3()
-      i = wp.int32(leaf)
-      while i >= a:
-        factor = entry(world, i, a, rownnz, rowadr, colind, inverse)
-        axis = wp.spatial_top(cdof[world, i])
-        turn += factor * axis
-        move += factor * (wp.spatial_bottom(cdof[world, i]) + wp.cross(axis, offset))
-        i = dof_parentid[i]
-      weight += scale[world, a] / 3.0 * wp.vec2(wp.dot(move, move), wp.dot(turn, turn))
-      a = dof_parentid[a]
+    dof = body_dofadr[mover] + body_dofnum[mover] - 1
+    # Once, but for bodies so simple that their part of M is diagonal: their rows do not hold their other dofs.
+    while dof >= 0:
+      adr = rowadr[dof]
+      for a in range(rownnz[dof]):
+        motion = wp.spatial_vector()
+        for k in range(a, rownnz[dof]):
+          i = colind[adr + k]
+          motion += root[world, rowadr[i] + a] * cdof[world, i]
+        turn = wp.spatial_top(motion)
+        move = wp.spatial_bottom(motion) + wp.cross(turn, offset)
+        weight += wp.vec2(wp.dot(move, move), wp.dot(turn, turn)) / 3.0
+      dof = dof_parentid[colind[adr]]
   body_invweight0[world, body] = weight
 
 
 @wp.kernel(enable_backward=False)
 def weigh_tendons(
   mask: wp.array[bool],
-  rownnz: wp.array[int],
   rowadr: wp.array[int],
-  colind: wp.array[int],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
+  num_shared: wp.array2d[int],
+  root: wp.array2d[float],
   jac_rownnz: wp.array[int],
   jac_rowadr: wp.array[int],
   jac_colind: wp.array[int],
@@ -200,24 +181,22 @@ def weigh_tendons(
   world, tendon = wp.tid()
   if not mask[world]:
     return
+  first = jac_rowadr[tendon]
+  end = first + jac_rownnz[tendon]
   total = wp.float32(0.0)
-  adr = jac_rowadr[tendon]
-  for a in range(rownnz.shape[0]):
-    value = wp.float32(0.0)
-    for k in range(jac_rownnz[tendon]):
-      value += ten_jac[world, adr + k] * entry(world, jac_colind[adr + k], a, rownnz, rowadr, colind, inverse)
-    total += value * value * scale[world, a]
+  for j in range(first, end):
+    for k in range(first, end):
+      response = respond(world, jac_colind[j], jac_colind[k], rowadr, num_shared, root)
+      total += ten_jac[world, j] * response * ten_jac[world, k]
   tendon_invweight0[world, tendon] = total
 
 
 @wp.kernel(enable_backward=False)
 def accelerate(
   mask: wp.array[bool],
-  rownnz: wp.array[int],
   rowadr: wp.array[int],
-  colind: wp.array[int],
-  inverse: wp.array2d[float],
-  scale: wp.array2d[float],
+  num_shared: wp.array2d[int],
+  root: wp.array2d[float],
   moment_rownnz: wp.array2d[int],
   moment_rowadr: wp.array2d[int],
   moment_colind: wp.array2d[int],
@@ -228,16 +207,12 @@ def accelerate(
   world, actuator = wp.tid()
   if not mask[world]:
     return
-  adr = moment_rowadr[world, actuator]
+  first = moment_rowadr[world, actuator]
+  end = first + moment_rownnz[world, actuator]
   total = wp.float32(0.0)
-  for i in range(rownnz.shape[0]):
+  for i in range(rowadr.shape[0]):
     acceleration = wp.float32(0.0)
-    for k in range(rownnz[i]):
-      a = colind[rowadr[i] + k]
-      force = wp.float32(0.0)
-      for j in range(moment_rownnz[world, actuator]):
-        dof = moment_colind[world, adr + j]
-        force += moment[world, adr + j] * entry(world, dof, a, rownnz, rowadr, colind, inverse)
-      acceleration += entry(world, i, a, rownnz, rowadr, colind, inverse) * scale[world, a] * force
+    for j in range(first, end):
+      acceleration += moment[world, j] * respond(world, i, moment_colind[world, j], rowadr, num_shared, root)
     total += acceleration * acceleration
   actuator_acc0[world, actuator] = wp.sqrt(total)
