@@ -37,12 +37,14 @@ def only_dump(guard: NanGuard, folder: Path) -> NanDump:
   return NanDump.load(path)
 
 
+@pytest.mark.parametrize("on_host", [True, False], ids=["as on a CPU", "as on a GPU"])
 def test_a_dump_holds_the_states_that_led_there_and_names_what_was_first(
-  make_sim: MakeSim, engine: str, tmp_path: Path
+  make_sim: MakeSim, engine: str, tmp_path: Path, *, on_host: bool
 ) -> None:
   sim = make_sim(engine)
   scatter(sim)
   guard = make_guard(sim, tmp_path, buffer_size=3)
+  guard._on_host = on_host
   seen: list[np.ndarray] = []
 
   def before(step: int, substep: int) -> None:
@@ -215,6 +217,7 @@ class _Waits(TorchDispatchMode):
 def test_remembering_and_keeping_never_wait_for_the_device(make_sim: MakeSim) -> None:
   sim = make_sim()
   guard = make_guard(sim, None)
+  guard._on_host = False
   run(sim, guard, 1)
   sim.data.qvel[0, 0] = torch.nan
   with _Waits() as waits:

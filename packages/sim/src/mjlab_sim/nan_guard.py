@@ -43,7 +43,11 @@ class NanGuard:
     # A world that is not kept is written to the last slot, which nobody reads.
     self._step = torch.zeros(decimation, n, width, dtype=dtype, device=device)
     self._ring = torch.zeros(cfg.buffer_size, decimation, n, width, dtype=dtype, device=device)
-    self._rows = list(self._step)
+    # Where the host may look which slot is due, a state goes straight to it, by numpy, which begins sooner than torch.
+    self._on_host = device.type == "cpu"
+    if self._on_host:
+      self._host_fields = [field.numpy() for field in self._fields]
+      self._host_slots = [list(slot.numpy()) for slot in self._ring]
     self._kept = torch.zeros(slots + 1, steps, width, dtype=dtype, device=device)
     self._last = torch.zeros(slots + 1, width + sim.mj_model.nv, dtype=dtype, device=device)
     self._tags = torch.zeros(slots + 1, 2, dtype=torch.int64, device=device)
@@ -64,9 +68,15 @@ class NanGuard:
 
   def record(self, substep: int) -> None:
     """Stores what physics step `substep` of an environment step starts from; the last one completes the step."""
-    self._pack(self._rows[substep])
-    if substep == len(self._rows) - 1:
-      self._ring.index_copy_(0, self._num_steps % self._cfg.buffer_size, self._step[None])
+    is_last = substep == len(self._step) - 1
+    if self._on_host:
+      slot = self._host_slots[int(self._num_steps) % len(self._host_slots)]
+      np.concatenate(self._host_fields, axis=1, out=slot[substep])
+    else:
+      self._pack(self._step[substep])
+      if is_last:
+        self._ring.index_copy_(0, self._num_steps % len(self._ring), self._step[None])
+    if is_last:
       self._num_steps += 1
 
   def keep(self, diverged: torch.Tensor) -> None:
@@ -76,7 +86,7 @@ class NanGuard:
       diverged: Worlds whose state is not finite, bool (num_envs,).
     """
     # Looking costs nothing on a CPU; a recording cannot look, and does the work in every step.
-    if self._sim.device.type == "cpu" and not diverged.numpy().any():
+    if self._on_host and not diverged.numpy().any():
       self._diverged.zero_()
       return
     fresh = diverged & ~self._diverged
