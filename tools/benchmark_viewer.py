@@ -2,12 +2,15 @@
 
 Times a picture for the browser by worlds shown and worlds there are, and what a step costs while nobody looks, while
 somebody does, and while a film is made. A client is a headless Chromium on the same machine, where there is one: on a
-CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere.
+CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere. Another client
+reads all that a page is sent, in a process of its own, and draws nothing, as if the page were on another machine.
 """
 
 import argparse
 import platform
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +28,17 @@ from mjlab_viewer import BrowserViewer, CameraCfg, PictureCfg, SnapshotTaker, Tr
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
 DRAWN = (1, 16, 256)
 BLOCK = 20
+READER = """
+import sys
+import msgspec, viser
+from viser._messages import ViewerCameraMessage
+from websockets.sync.client import connect
+pose = ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), (3.0, 3.0, 2.0), 1.0, 0.1, 100.0, 720, 1280, (0.0,) * 3, (0.0, 0.0, 1.0))
+with connect(sys.argv[1], subprotocols=["viser-v" + viser.__version__], max_size=None) as page:
+  page.send(msgspec.msgpack.encode(pose.as_serializable_dict()))
+  for _ in page:
+    pass
+"""
 FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
 --disable-background-networking --disable-component-update --disable-sync""".split()
 
@@ -77,16 +91,20 @@ def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
   found = {"nothing": least_ms(stepper(env), repeats, BLOCK)}
   with BrowserViewer(env, port=8400) as viewer, ExitStack() as stack:
     found["a viewer, no client"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
+    reader = subprocess.Popen([sys.executable, "-c", READER, viewer.url.replace("http", "ws", 1)])
+    wait_for_client(viewer, 1)
+    found["a viewer, one client elsewhere"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
+    reader.kill()
+    reader.wait()
+    wait_for_client(viewer, 0)
     executable = shutil.which("chromium")
     if executable is not None:
       from playwright.sync_api import sync_playwright
 
       browser = stack.enter_context(sync_playwright()).chromium.launch(executable_path=executable, args=FLAGS)
       browser.new_page().goto(viewer.url)
-      end = time.monotonic() + 30
-      while not viewer.server.get_clients() and time.monotonic() < end:
-        time.sleep(0.1)
-      found["a viewer, one client"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
+      wait_for_client(viewer, 1)
+      found["a viewer, one client here"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
       browser.close()
   with tempfile.TemporaryDirectory() as folder:
     length = (repeats + 1) * BLOCK
@@ -97,6 +115,14 @@ def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
     if film.is_off:
       del found["a film"]
   return found
+
+
+def wait_for_client(viewer: BrowserViewer, number: int) -> None:
+  end = time.monotonic() + 30
+  while len(viewer.server.get_clients()) != number:
+    if time.monotonic() > end:
+      raise TimeoutError(f"{len(viewer.server.get_clients())} clients after 30 s, {number} expected")
+    time.sleep(0.1)
 
 
 def main() -> None:
