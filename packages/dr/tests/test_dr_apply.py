@@ -8,7 +8,14 @@ from types import SimpleNamespace
 import mujoco
 import pytest
 import torch
-from mjlab_core import make_generator, matrix_from_quat, quat_error_magnitude
+from mjlab_core import (
+  euler_xyz_from_quat,
+  make_generator,
+  matrix_from_quat,
+  quat_conjugate,
+  quat_error_magnitude,
+  quat_mul,
+)
 from mjlab_dr import (
   FIELDS,
   Categorical,
@@ -260,6 +267,25 @@ def test_a_rotation_turns_about_the_axes_of_the_parent() -> None:
   cos, sin = torch.tensor(0.3).cos(), torch.tensor(0.3).sin()
   about_z = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
   torch.testing.assert_close(after, (about_z @ before).expand(N, 3, 3))
+
+
+def test_some_axes_in_any_order_leave_the_others_as_they_are() -> None:
+  everyone = torch.ones(N, dtype=torch.bool)
+  sim = FakeSim(EVERYTHING)
+  bound(randomize_field("cam_quat", "eye", {"yaw": (0.3, 0.3), "roll": (0.1, 0.1)}), sim).apply(everyone)
+  eye = sim.mj_model.camera("eye").id
+  turn = quat_mul(sim.model.cam_quat[:, eye], quat_conjugate(sim.default_field("cam_quat")[:, eye]).expand(N, -1))
+  for found, angle in zip(euler_xyz_from_quat(turn), (0.1, 0.0, 0.3), strict=True):
+    torch.testing.assert_close(found, torch.full_like(found, angle))
+  default, lens = sim.default_field("cam_intrinsic"), sim.mj_model.camera("lens").id
+  focal = float(default[0, lens, 1])
+  absolute = randomize_field("cam_intrinsic", "lens", {"fy": (0.004, 0.004)}, operation="absolute")
+  scale = randomize_field("cam_intrinsic", "lens", {"fy": (1.5, 1.5)}, operation="scale")
+  for cfg, expected in ((absolute, 0.004), (scale, 1.5 * focal)):
+    bound(cfg, sim).apply(everyone)
+    torch.testing.assert_close(sim.model.cam_intrinsic[:, lens, 1], torch.full((N,), expected))
+    others = [0, 2, 3]
+    assert torch.equal(sim.model.cam_intrinsic[:, lens, others], default[:, lens, others].expand(N, -1))
 
 
 def test_degrees_of_freedom_of_a_joint_share_a_draw_and_other_joints_keep_their_addresses() -> None:

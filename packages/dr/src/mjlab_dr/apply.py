@@ -130,11 +130,14 @@ class RandomizeField:
     self._sample = joint_sampler(
       distributions[:1] if cfg.isotropic else distributions, device=sim.device, dtype=self._dtype
     )
-    self._axes = list(cfg.values)
+    axes, every = list(cfg.values), range(len(field.axes))
+    places = [axes.index(axis) if axis in axes else len(axes) + axis for axis in every]
+    self._places = None if places == list(every) else torch.tensor(places, device=sim.device)
+    """Where each axis is among those drawn, followed by all; None if all are drawn, in order."""
     self._shape = (sim.num_envs, 1 if cfg.shared else len(self.element_names))
-    self._full = (sim.num_envs, len(self.element_names), len(self._axes))
+    self._full = (sim.num_envs, len(self.element_names), len(axes))
     sources = [component.source for component in self.components for _ in component.columns]
-    is_all = sources == list(range(len(self.element_names) * len(self._axes)))
+    is_all = sources == list(range(len(self.element_names) * len(axes)))
     self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=sim.device)
     self._strength: Tensor | None = None
     if self._form == "intrinsics":
@@ -219,13 +222,12 @@ class RandomizeField:
     draw = draw if self._strength is None else draw * self._strength
     if self._form == "rotation":
       default = starts[0].unflatten(1, (-1, 4))
-      angles = self._on_all_axes(draw, torch.zeros_like(default[..., :3]))
+      angles = self._on_all_axes(draw, 0.0)
       turn = quat_from_euler_xyz(*angles.unbind(-1))
       return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
     mass, com, inertia, quat = (start.unflatten(1, (len(self.element_names), -1)) for start in starts)
-    parameters = self._on_all_axes(draw, draw.new_zeros(1, len(self.element_names), 10))
-    results = perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)
-    mass, com, inertia, quat = results
+    parameters = self._on_all_axes(draw, 0.0)
+    mass, com, inertia, quat = perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)
     return [mass, com.flatten(1), rounded_moments(inertia, self._dtype).flatten(1), quat.flatten(1)]
 
   def _combined(self, draw: Tensor, default: Tensor) -> Tensor:
@@ -233,16 +235,18 @@ class RandomizeField:
     if self.cfg.operation == "absolute":
       value = self._on_all_axes(draw, default)
     elif self.cfg.operation == "add":
-      value = default + self._on_all_axes(draw, torch.zeros_like(default))
+      value = default + self._on_all_axes(draw, 0.0)
     else:
-      value = default * self._on_all_axes(draw, torch.ones_like(default))
+      value = default * self._on_all_axes(draw, 1.0)
     return value if self._strength is None else torch.lerp(default.expand_as(value), value, self._strength)
 
-  def _on_all_axes(self, draw: Tensor, otherwise: Tensor) -> Tensor:
-    """Draws on the axes that are drawn, and on the others what is given, (1, elements, all axes)."""
-    otherwise = otherwise.expand(draw.shape[0], -1, -1)
-    drawn = {axis: draw[..., j] for j, axis in enumerate(self._axes)}
-    return torch.stack([drawn.get(axis, otherwise[..., axis]) for axis in range(otherwise.shape[-1])], -1)
+  def _on_all_axes(self, draw: Tensor, otherwise: Tensor | float) -> Tensor:
+    """Draws on the axes that are drawn, and on the others what is given, (num_envs, elements, all axes)."""
+    if self._places is None:
+      return draw
+    if not isinstance(otherwise, Tensor):
+      otherwise = draw.new_full((1, 1, len(self._places)), otherwise)
+    return torch.cat((draw, otherwise.expand(*draw.shape[:2], -1)), -1).index_select(-1, self._places)
 
 
 class _Columns:

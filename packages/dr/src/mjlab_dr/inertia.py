@@ -17,7 +17,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 import torch
-from mjlab_core import matrix_from_quat, quat_mul
+from mjlab_core import matrix_from_quat, normalize, quat_mul
 from torch import Tensor
 
 # Convergence is quadratic; random matrices are at rounding after four.
@@ -125,9 +125,9 @@ def _upper_factor(matrix: Tensor) -> Tensor:
 def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
 
-  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Rotations are kept
-  as halves of angles, which are what quaternions are made of. Written for few operations rather than for few numbers;
-  they still cost a GPU four hundred launches, so that it runs them as one where Warp is installed.
+  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Written for few
+  operations rather than for few numbers; they still cost a GPU hundreds of launches, so that it runs them as one where
+  Warp is installed.
   """
   if matrix.is_cuda and find_spec("warp") is not None:
     from mjlab_dr.jacobi_kernels import diagonalize
@@ -136,25 +136,29 @@ def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
   # The entry opposite of each diagonal one: 12, 02, 01.
   off = [matrix[..., 1, 2], matrix[..., 0, 2], matrix[..., 0, 1]]
-  turn = [torch.ones_like(off[0]), *(torch.zeros_like(x) for x in off)]
+  zero = torch.zeros_like(off[0])
+  turn = [zero + 1.0, zero, zero, zero]
   for _ in range(_SWEEPS):
     for axis in (2, 1, 0):
       p, q = (axis + 1) % 3, (axis + 2) % 3
       # tan(angle) of the rotation about `axis` that zeroes the entry pq, at most 45 degrees.
       gap, entry = diagonal[p] - diagonal[q], off[axis]
+      twice = entry + entry
       # A gap of zero is a tie, for which the sign must not be zero as well.
-      reach = torch.copysign(torch.hypot(gap, 2.0 * entry), gap) + gap
-      tangent = torch.nan_to_num_(2.0 * entry / reach, nan=0.0, posinf=0.0, neginf=0.0)
-      shift = tangent * entry
-      cosine = torch.rsqrt(tangent * tangent + 1.0)
+      reach = torch.hypot(gap, twice).copysign(gap) + gap
+      tangent = (twice / reach).nan_to_num_(nan=0.0, posinf=0.0, neginf=0.0)
+      cosine = (tangent.square() + 1.0).rsqrt()
       sine = tangent * cosine
-      diagonal[p], diagonal[q] = diagonal[p] + shift, diagonal[q] - shift
+      diagonal[p] = torch.addcmul(diagonal[p], tangent, entry)
+      diagonal[q] = torch.addcmul(diagonal[q], tangent, entry, value=-1.0)
       # Of the two other entries, that of row p becomes a mixture of both, and so does that of row q.
-      off[q], off[p] = cosine * off[q] + sine * off[p], cosine * off[p] - sine * off[q]
-      off[axis] = torch.zeros_like(entry)
-      half = torch.sqrt(0.5 + 0.5 * cosine)
-      slope = 0.5 * sine / half
+      first, second = off[q], off[p]
+      off[q] = (cosine * first).addcmul_(sine, second)
+      off[p] = (cosine * second).addcmul_(sine, first, value=-1.0)
+      off[axis] = zero
+      # tan(angle / 2); the quaternion gets its length back at the end.
+      slope = sine / (cosine + 1.0)
       w, i, j, k = turn[0], turn[1 + axis], turn[1 + p], turn[1 + q]
-      turn[0], turn[1 + axis] = w * half - i * slope, i * half + w * slope
-      turn[1 + p], turn[1 + q] = j * half + k * slope, k * half - j * slope
-  return torch.stack(diagonal, -1), torch.stack(turn, -1)
+      turn[0], turn[1 + axis] = torch.addcmul(w, i, slope, value=-1.0), torch.addcmul(i, w, slope)
+      turn[1 + p], turn[1 + q] = torch.addcmul(j, k, slope), torch.addcmul(k, j, slope, value=-1.0)
+  return torch.stack(diagonal, -1), normalize(torch.stack(turn, -1))
