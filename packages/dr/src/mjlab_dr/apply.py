@@ -14,7 +14,7 @@ from torch import Tensor
 from mjlab_dr.binding import bind, check_results, with_ids
 from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import joint_sampler
-from mjlab_dr.inertia import perturb_inertia, rounded_moments
+from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
 
 
@@ -227,8 +227,7 @@ class RandomizeField:
       return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
     mass, com, inertia, quat = (start.unflatten(1, (len(self.element_names), -1)) for start in starts)
     parameters = self._on_all_axes(draw, 0.0)
-    mass, com, inertia, quat = perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)
-    return [mass, com.flatten(1), rounded_moments(inertia, self._dtype).flatten(1), quat.flatten(1)]
+    return [x.flatten(1) for x in perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)]
 
   def _combined(self, draw: Tensor, default: Tensor) -> Tensor:
     """Draws on the axes that are drawn and the default on the others, (num_envs, elements, all axes)."""

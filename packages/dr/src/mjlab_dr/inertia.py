@@ -30,20 +30,31 @@ def perturb_inertia(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
   """Inertial parameters after J' = U J U^T, exactly those given where all parameters are zero.
 
-  Computed in float64, without a host sync. Principal axes turn as little as they can: nothing is reordered for small
-  perturbations, and equal moments are no special case. A body without mass stays without.
+  Computed in float64, without a host sync, and on a GPU in one launch where Warp is installed. Principal axes turn as
+  little as they can: nothing is reordered for small perturbations, and equal moments are no special case. A body
+  without mass stays without. Batch dimensions broadcast. Gradients are finite where no two moments are equal.
 
   Args:
     mass: (...) [kg].
     com: centre of mass in the body frame, (..., 3) [m].
     inertia: principal moments, (..., 3) [kg m^2].
     quat: principal axes in the body frame, (..., 4).
-    parameters: alpha, d1, d2, d3, s12, s13, s23 [1], t1, t2, t3 [m], (..., 10); batch dimensions broadcast.
+    parameters: alpha, d1, d2, d3, s12, s13, s23 [1], t1, t2, t3 [m], (..., 10).
 
   Returns:
-    The same four in float64. Moments are at least zero, and none is above the sum of the other two.
+    The same four, in float32 if all is given in it and else in float64. Moments are at least zero, and none is above
+    the sum of the other two.
   """
-  mass, com, inertia, quat, p = (x.double() for x in (mass, com, inertia, quat, parameters))
+  given = (mass, com, inertia, quat, parameters)
+  dtype = torch.float32 if all(x.dtype == torch.float32 for x in given) else torch.float64
+  batch = torch.broadcast_shapes(mass.shape, *(x.shape[:-1] for x in given[1:]))
+  # A kernel has no gradients.
+  if _has_kernel(mass.device) and not (torch.is_grad_enabled() and any(x.requires_grad for x in given)):
+    from mjlab_dr.inertia_kernels import launch
+
+    return launch(batch, *(x.to(dtype) for x in given), sweeps=_SWEEPS)
+  mass, com, inertia, quat, p = (x.double() for x in given)
+  p = p.expand(*batch, 10)
   gain = (2.0 * p[..., 0]).exp()
   stretch = torch.expm1(p[..., 1:4])
   s12, s13, s23 = p[..., 4:7].unbind(-1)
@@ -63,7 +74,10 @@ def perturb_inertia(
   # Moments of inertia from second moments and back again lose the last bit.
   is_scaled = (p[..., 1:7] == 0.0).all(-1, keepdim=True)
   result = torch.where(is_scaled, inertia * gain.unsqueeze(-1), result)
-  return mass * gain, moved, result, quat_mul(quat.expand(turn.shape), turn)
+  if dtype == torch.float32:
+    is_same = is_scaled & (gain == 1.0).unsqueeze(-1)
+    result = torch.where(is_same, result.float(), rounded_moments(result))
+  return (mass * gain).to(dtype), moved.to(dtype), result, quat_mul(quat.expand(turn.shape), turn).to(dtype)
 
 
 def inertia_perturbation(
@@ -98,14 +112,18 @@ def pseudo_inertia_matrix(mass: Tensor, com: Tensor, inertia: Tensor, quat: Tens
   return torch.cat((top, torch.cat((m * c.mT, m), -1)), -2)
 
 
-def rounded_moments(inertia: Tensor, dtype: torch.dtype) -> Tensor:
-  """Moments in the type of a field, (..., 3), in which no moment is above the sum of the other two either."""
-  rounded = inertia.to(dtype)
-  if dtype == torch.float64:
-    return rounded
-  # Rounding may lift one above by half a unit in its last place.
-  others = (rounded.sum(-1, keepdim=True) - rounded) * (1.0 - 2.0 * torch.finfo(dtype).eps)
-  return torch.where(rounded > others, others, rounded)
+def _has_kernel(device: torch.device) -> bool:
+  # Not on a CPU, where it gains little, and the first call would wait for Warp to start and to compile.
+  return device.type == "cuda" and find_spec("warp") is not None
+
+
+def rounded_moments(inertia: Tensor) -> Tensor:
+  """Moments in float32, (..., 3), in which no moment is above the sum of the other two either."""
+  rounded = inertia.float()
+  # Rounding may lift one above by half a unit in its last place. Sums of two are exact in float64.
+  others = rounded.sum(-1, dtype=torch.float64, keepdim=True) - rounded
+  limit = others.float()
+  return rounded.minimum(torch.where(limit > others, limit.nextafter(torch.zeros_like(limit)), limit))
 
 
 def _second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
@@ -126,13 +144,8 @@ def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
 
   Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Written for few
-  operations rather than for few numbers; they still cost a GPU hundreds of launches, so that it runs them as one where
-  Warp is installed.
+  operations rather than for few numbers.
   """
-  if matrix.is_cuda and find_spec("warp") is not None:
-    from mjlab_dr.jacobi_kernels import diagonalize
-
-    return diagonalize(matrix, _SWEEPS)
   diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
   # The entry opposite of each diagonal one: 12, 02, 01.
   off = [matrix[..., 1, 2], matrix[..., 0, 2], matrix[..., 0, 1]]
