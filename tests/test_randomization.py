@@ -171,13 +171,18 @@ def test_on_a_gpu_everything_is_randomised_inside_a_recorded_step_without_a_wait
   assert graph.num_graphs == 1
   drawn = [term.values() for term in terms]
   before = {field: sim.model[field].clone() for field in sorted(PER_WORLD)}
-  torch.cuda.set_sync_debug_mode("error")
-  try:
-    graph()
-  finally:
-    torch.cuda.set_sync_debug_mode("default")
+  constant = set(TOGETHER)
+  # Choices among few may fall on the same twice.
+  for _ in range(12):
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+      graph()
+    finally:
+      torch.cuda.set_sync_debug_mode("default")
+    now = [term.values() for term in terms]
+    constant -= {n for n, a, b in zip(TOGETHER, drawn, now, strict=True) if not torch.equal(a[mask], b[mask])}
   # A replay draws anew, in the masked worlds alone.
-  assert all((term.values()[mask] != old[mask]).any() for term, old in zip(terms, drawn, strict=True))
+  assert not constant
   for field, value in before.items():
     rows = ~mask if sim.is_expanded(field) else slice(None)
     assert torch.equal(sim.model[field][rows], value[rows]), field
