@@ -3,7 +3,8 @@
   python tools/plot_learning.py gpu=logs/go1_velocity/RUN cpu=logs/go1_velocity/OTHER --title "Go1 flat" \\
     --reference 100:56 200:62 460:87 --output docs/benchmarks/go1_flat
 
-A run is a directory with `progress.csv`, as `train` writes it, under the name it is to have in the picture. With
+A run is a directory with `progress.csv`, as `train` writes it, under the name it is to have in the picture; a run that
+was resumed is its directories, separated by commas. `--show` names further columns of `progress.csv` to draw. With
 `--against steps` curves are drawn over environment steps, which compares runs with different numbers of worlds.
 """
 
@@ -42,17 +43,21 @@ def main() -> None:
   parser.add_argument("--title", default="Learning curve")
   parser.add_argument("--against", choices=("iteration", "steps", "seconds"), default="iteration")
   parser.add_argument("--reference", nargs="*", default=[], metavar="ITERATION:REWARD")
+  parser.add_argument("--show", nargs="*", default=[], metavar="COLUMN", help="more columns of progress.csv to draw")
   parser.add_argument("--output", type=Path, required=True, help="path without suffix; .png and .csv are written")
   args = parser.parse_args()
-  runs = {name: read(Path(directory)) for name, directory in (run.split("=", 1) for run in args.runs)}
-  panels = [(key, label) for key, label in PANELS if any(key in row for rows in runs.values() for row in rows)]
+  columns = COLUMNS | {column.rsplit("/", 1)[-1]: column for column in args.show}
+  runs = {name: read(parts.split(","), columns) for name, parts in (run.split("=", 1) for run in args.runs)}
+  panels = [*PANELS, *((key, key.replace("_", " ")) for key in columns if key not in COLUMNS)]
+  panels = [(key, label) for key, label in panels if any(key in row for rows in runs.values() for row in rows)]
   figure, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.4), layout="constrained", squeeze=False)
   for axis, (key, label) in zip(axes[0], panels, strict=True):
-    for name, rows in runs.items():
+    for number, (name, rows) in enumerate(runs.items()):
       drawn = [(row[args.against], row[key]) for row in rows if key in row]
-      x, y = (np.array(column) for column in zip(*drawn, strict=True))
-      (line,) = axis.plot(x, smooth(y), label=name, linewidth=1.4)
-      axis.plot(x, y, color=line.get_color(), alpha=0.25, linewidth=0.7, zorder=1)
+      if drawn:
+        x, y = np.array(drawn).T
+        axis.plot(x, smooth(y), label=name, color=f"C{number}", linewidth=1.4)
+        axis.plot(x, y, color=f"C{number}", alpha=0.25, linewidth=0.7, zorder=1)
     if key == "reward" and args.reference:
       points = [tuple(float(x) for x in point.split(":")) for point in args.reference]
       axis.scatter(*zip(*points, strict=True), marker="x", color="black", zorder=3, label="reference, mjlab 1.6.0")
@@ -64,7 +69,7 @@ def main() -> None:
   figure.suptitle(args.title, fontsize=11)
   args.output.parent.mkdir(parents=True, exist_ok=True)
   figure.savefig(args.output.with_suffix(".png"), dpi=130)
-  write(args.output.with_suffix(".csv"), runs)
+  write(args.output.with_suffix(".csv"), runs, columns)
   print(f"wrote {args.output}.png and .csv")
 
 
@@ -74,23 +79,23 @@ def smooth(values: np.ndarray) -> np.ndarray:
   return np.convolve(values, window, "same") / np.convolve(np.ones_like(values), window, "same")
 
 
-def read(directory: Path) -> list[dict[str, float]]:
-  """The rows of a run under the short names of COLUMNS; what a row does not have is left out."""
-  with (directory / "progress.csv").open(newline="") as file:
-    return [
-      {short: float(row[column]) for short, column in COLUMNS.items() if row.get(column)}
-      for row in csv.DictReader(file)
-    ]
+def read(directories: list[str], columns: dict[str, str]) -> list[dict[str, float]]:
+  """The rows of a run under their short names; what a row does not have is left out."""
+  rows = []
+  for directory in directories:
+    with (Path(directory) / "progress.csv").open(newline="") as file:
+      rows += csv.DictReader(file)
+  return [{short: float(row[column]) for short, column in columns.items() if row.get(column)} for row in rows]
 
 
-def write(path: Path, runs: dict[str, list[dict[str, float]]]) -> None:
+def write(path: Path, runs: dict[str, list[dict[str, float]]], columns: dict[str, str]) -> None:
   """One row per run and iteration."""
   with path.open("w", newline="") as file:
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["run", *COLUMNS])
+    writer.writerow(["run", *columns])
     for name, rows in runs.items():
       for row in rows:
-        writer.writerow([name, *(f"{row[column]:.5g}" if column in row else "" for column in COLUMNS)])
+        writer.writerow([name, *(f"{row[column]:.5g}" if column in row else "" for column in columns)])
 
 
 if __name__ == "__main__":
