@@ -8,6 +8,7 @@ begin on every row. Counts are read after every environment step, on MuJoCo Warp
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import torch
 import warp as wp
@@ -32,7 +33,8 @@ def main() -> None:
   env = ManagerBasedRlEnv(cfg, args.device)
   policy = CheckpointPolicy(env, manifest.agent)
   policy.load(checkpoint)
-  d = env.sim._engine._d
+  engine: Any = env.sim._engine
+  d = engine._d
   counts: dict[str, list[torch.Tensor]] = {"contacts": [], "constraint rows": []}
   worlds, length, ended = wp.to_torch(d.contact.worldid), wp.to_torch(d.nacon), 0
   index = torch.arange(len(worlds), device=env.device)

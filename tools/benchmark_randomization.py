@@ -3,13 +3,15 @@
   python tools/benchmark_randomization.py Mjlab-Velocity-Flat-Unitree-G1 --num-envs 4096 --output docs/benchmarks
 
 An event is timed by itself: drawing and writing for all worlds, the same with what must be derived anew, and that with
-one world in a hundred in the mask; on a GPU all are recorded and replayed, as inside a step. Step rates are of the task without any randomisation, and with all of
-it drawn anew at every reset, taken by turns in one process; random actions throughout, so that worlds keep ending.
+one world in a hundred in the mask; on a GPU all are recorded and replayed, as inside a step. Step rates are of the
+task without any randomisation, and with all of it drawn anew at every reset, taken by turns in one process; random
+actions throughout, so that worlds keep ending.
 """
 
 import argparse
 import statistics
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +39,13 @@ EVENTS: dict[str, FieldRandomizer] = {
   "feedback gains": randomize_field("actuator_biasprm", ".*", {"1": (0.9, 1.1), "2": (0.9, 1.1)}, operation="scale"),
   "gravity": randomize_field("opt.gravity", ".*", (-0.2, 0.2), operation="add"),
 }
-FULL = (
-  "friction of all geoms",
-  "pseudo-inertia of all bodies",
-  "armature",
-  "friction loss",
-  "gains",
-  "feedback gains",
-)
-"""What is drawn at every reset in the comparison of step rates, beside encoder bias and pushes."""
+FULL = ("friction of all geoms", "pseudo-inertia of all bodies", "armature", "gains", "feedback gains")
+"""What is drawn at every reset in the comparison of step rates, beside encoder bias, delays and pushes.
+
+Friction loss, which the G1 has none of, would add a constraint for every joint: another model, not another draw.
+"""
+LAG = 3
+"""Most physics steps that targets are late by."""
 
 
 def main() -> None:
@@ -88,6 +88,10 @@ def make(task: str, num_envs: int, device: str, *, kind: str) -> Any:
       bias.mode = "reset"
       full["encoder_bias"] = bias
     cfg.events = {**own, **full}
+    robot = cfg.scene.entities["robot"]
+    delay: dict[str, Any] = {"delay_min_lag": 0, "delay_max_lag": LAG, "delay_hold_prob": 1.0}
+    late = tuple(replace(servo, **delay) for servo in robot.articulation.actuators)
+    cfg.scene.entities["robot"] = replace(robot, articulation=replace(robot.articulation, actuators=late))
   return ManagerBasedRlEnv(cfg, device)
 
 
@@ -135,7 +139,8 @@ def step_rates(task: str, num_envs: int, device: str, steps: int, repeats: int) 
     time_of = statistics.median(samples[kind])
     lines.append(f"| {kind} | {1e3 * time_of:.3f} | {num_envs / time_of:.0f} | {plain / time_of:.3f} |")
     envs[kind].close()
-  lines += ["", f"full: {', '.join(FULL)}, encoder bias, at every reset; pushes in both."]
+  drawn = f"{', '.join(FULL)}, encoder bias, lags of 0 to {LAG} physics steps"
+  lines += ["", f"full: {drawn}, at every reset; pushes in both."]
   return lines
 
 

@@ -2,8 +2,9 @@
 
 Times a picture for the browser by worlds shown and worlds there are, and what a step costs while nobody looks, while
 somebody does, and while a film is made. A client is a headless Chromium on the same machine, where there is one: on a
-CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere. Another client
-reads all that a page is sent, in a process of its own, and draws nothing, as if the page were on another machine.
+CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere. Another
+client reads all that a page is sent, in a process of its own, and draws nothing, as if the page were on another
+machine.
 """
 
 import argparse
@@ -33,7 +34,8 @@ import sys
 import msgspec, viser
 from viser._messages import ViewerCameraMessage
 from websockets.sync.client import connect
-pose = ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), (3.0, 3.0, 2.0), 1.0, 0.1, 100.0, 720, 1280, (0.0,) * 3, (0.0, 0.0, 1.0))
+origin, up = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+pose = ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), (3.0, 3.0, 2.0), 1.0, 0.1, 100.0, 720, 1280, origin, up)
 with connect(sys.argv[1], subprotocols=["viser-v" + viser.__version__], max_size=None) as page:
   page.send(msgspec.msgpack.encode(pose.as_serializable_dict()))
   for _ in page:

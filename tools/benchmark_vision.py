@@ -1,6 +1,6 @@
 """What seeing costs: environment steps and images per second, and the share of a step that rendering takes.
 
-  python tools/benchmark_vision.py Mjlab-Lift-Cube-Yam-Depth Mjlab-Lift-Cube-Yam-Rgb --num-envs 512 4096 --output docs/benchmarks
+  python tools/benchmark_vision.py Mjlab-Lift-Cube-Yam-Depth --num-envs 512 4096 --device cuda --output docs/benchmarks
 
 Random actions, the training environment, its camera "wrist_camera" drawn in every step; `rendering` is the renderer's
 own calls within the step. With `--learn N` each size also trains for N iterations, and the last one is timed.
@@ -87,6 +87,7 @@ def learn(task: str, num_envs: int, device: str, iterations: int) -> dict[str, A
       device=device,
       console=Console("quiet"),
     )
+    assert run.directory is not None
     with (run.directory / "progress.csv").open(newline="") as file:
       last = list(csv.DictReader(file))[-1]
   return {

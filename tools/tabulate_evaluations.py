@@ -1,6 +1,6 @@
 """Evaluations beside one another: a Markdown table of what `evaluate` wrote, one row each.
 
-  python tools/tabulate_evaluations.py "400 iterations=runs/a/evaluation" "800 iterations=runs/b/evaluation" --groups all
+python tools/tabulate_evaluations.py "400 iterations=a/evaluation" "800 iterations=b/evaluation" --groups all
 """
 
 import argparse
