@@ -40,6 +40,29 @@ def test_a_saved_simulation_goes_on_bit_for_bit(make_sim: MakeSim, engine: str) 
   assert not torch.equal(sim.data.qpos, other.data.qpos)
 
 
+BUNCH = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <body name="bunch" pos="0 0 .3"><freejoint/>{}</body>
+    <body name="block" pos=".02 .01 .4"><freejoint/><geom type="box" size=".1 .1 .02"/></body>
+  </worldbody>
+</mujoco>""".format("".join(f'<geom size=".02" pos="{0.1 * i} 0 0"/>' for i in range(-2, 3)))
+
+
+def test_what_an_engine_derives_from_saved_fields_and_keeps_to_itself_is_that_of_the_saved_model(make_sim) -> None:
+  """MuJoCo looks for contacts of bodies with many geoms in a tree of boxes, which follow from the sizes of geoms."""
+  sim, other = (make_sim(spec=BUNCH) for _ in range(2))
+  sim.expand_model_fields(["geom_size"])
+  sim.model.geom_size[:, 1:6, 0] *= torch.tensor([1.0, 1.5, 2.0, 3.0], dtype=sim.dtype)[:, None]
+  sim.recompute_constants()
+  other.load_state_dict(sim.state_dict())
+  for _ in range(250):
+    sim.step()
+    other.step()
+  assert torch.equal(sim.data.qpos, other.data.qpos)
+
+
 def test_what_is_saved_does_not_change_any_more(make_sim: MakeSim, engine: str) -> None:
   sim = randomised(make_sim, engine)
   saved = sim.state_dict()

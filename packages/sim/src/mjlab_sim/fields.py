@@ -71,6 +71,9 @@ ROUTED: dict[str, tuple[str, ...]] = dict.fromkeys(
 )
 """What else follows where tendons run through sites or around geoms, or actuators act at sites."""
 
+SOURCES = frozenset((*DERIVED, *ROUTED))
+"""Fields that others may follow."""
+
 CONSTANTS: dict[str, frozenset[str]] = {
   "FIXED": frozenset(("body_subtreemass", "geom_aabb", "geom_rbound")),
   "KIN0": frozenset(_REFERENCE),

@@ -13,7 +13,7 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.contacts import Contacts, EngineContacts
 from mjlab_sim.engine import Engine
 from mjlab_sim.errors import SimulationError
-from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE, closure
+from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, SOURCES, STATE, closure
 from mjlab_sim.rays import FreshRayCaster, RayCaster
 from mjlab_sim.rendering import DataType, FreshRenderer, Look, Renderer, View
 from mjlab_sim.static_rays import FixedGeometry, find_targets
@@ -251,11 +251,18 @@ class Simulation:
       if absent := [name for name in fields if name not in state[kind]]:
         raise SimulationError(f"saved {kind} fields lack: {', '.join(absent)}")
     self.expand_model_fields(state["model"])
-    writes = [(data[name], value) for name, value in state["data"].items()]
-    writes += [(self._engine.model_field(name), value) for name, value in state["model"].items()]
-    for target, value in writes:
-      target.copy_(value)
+    for name, value in state["data"].items():
+      data[name].copy_(value)
+    self._write_model(state["model"])
+    if not SOURCES.isdisjoint(self._expanded):
+      # Engines derive more than they show. What was saved counts to the last bit.
+      self.recompute_constants()
+      self._write_model(state["model"])
     self._state_version = -1
+
+  def _write_model(self, fields: dict[str, torch.Tensor]) -> None:
+    for name, value in fields.items():
+      self._engine.model_field(name).copy_(value)
 
   # Contacts, rays, images, overflow
 
