@@ -75,7 +75,7 @@ class FakeSim:
 
   def default_field(self, name: str, /) -> torch.Tensor:
     if name in self.own:
-      return self.own[name].clone()
+      return self.own[name]
     owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
     return torch.tensor(getattr(owner, name.removeprefix("opt."))).unsqueeze(0)
 
@@ -141,6 +141,18 @@ def test_repeats_start_from_the_default(sim: FakeSim) -> None:
   for _ in range(100):
     term.apply(torch.ones(N, dtype=torch.bool))
     assert ((term.values() >= 0.5) & (term.values() <= 2.0)).all()
+
+
+@pytest.mark.parametrize("pattern", ["a/f1", "a/f."], ids=["evenly_spaced", "scattered"])
+def test_repeats_start_from_what_a_world_has_of_its_own_now(sim: FakeSim, pattern: str) -> None:
+  """As where the state of a run is loaded whose worlds have other objects."""
+  sim.own = {"geom_friction": sim.default_field("geom_friction").repeat(N, 1, 1)}
+  term = bound(geom_friction(pattern, (2.0, 2.5), operation="scale"), sim)
+  sim.own["geom_friction"] *= torch.arange(1.0, N + 1)[:, None, None]
+  term.apply(torch.ones(N, dtype=torch.bool))
+  factor = term.values() / torch.arange(1.0, N + 1)[:, None]
+  assert ((factor >= 2.0) & (factor <= 2.5)).all()
+  torch.testing.assert_close(term.default[:, 0], torch.arange(1.0, N + 1, dtype=torch.float64))
 
 
 def test_derived_fields_are_recomputed_once_for_all_and_only_where_needed(sim: FakeSim) -> None:

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_core.state import StateError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntity, VariantEntityCfg
 from mjlab_scene.variants import assign
 from mjlab_sim import Simulation, SimulationCfg
@@ -118,6 +119,48 @@ def test_randomisation_starts_from_the_object_of_each_world(make) -> None:
   torch.testing.assert_close(masses[:3], torch.tensor([0.4, 1.5, 0.7], dtype=sim.dtype))
   sim.model.body_mass.mul_(2.0)
   torch.testing.assert_close(sim.default_field("body_mass")[:, body], masses)
+
+
+def save(scene: Scene, sim: Simulation) -> dict[str, Any]:
+  return {"scene": scene.state_dict(), "sim": sim.state_dict()}
+
+
+def load(scene: Scene, sim: Simulation, state: dict[str, Any]) -> None:
+  scene.check_state_dict(state["scene"])
+  sim.load_state_dict(state["sim"])
+  scene.load_state_dict(state["scene"])
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_worlds_that_are_loaded_have_the_objects_that_were_saved(make, engine) -> None:
+  saved, sim = make(all_of_them(), engine)
+  scene, other = make(all_of_them(("wedge", "nothing", "ball", "crate")), engine)
+  there = scene["thing"].geom_is_there
+  load(scene, other, save(saved, sim))
+  assert scene["thing"].variant.tolist() == [0, 1, 2, 3]
+  # In place, for those who hold it.
+  assert torch.equal(there, saved["thing"].geom_is_there)
+  for name in sim.expanded_fields:
+    assert torch.equal(other.model[name], sim.model[name]), name
+    assert torch.equal(other.default_field(name), sim.default_field(name)), name
+  for _ in range(150):
+    sim.step()
+    other.step()
+  assert torch.equal(other.data.qpos, sim.data.qpos)
+
+
+@pytest.mark.parametrize(
+  "names", [("crate", "ball", "wedge", "nothing"), ("ball", "crate", "wedge", "hole"), ("ball", "crate", "nothing")]
+)
+def test_objects_of_other_names_or_in_another_order_are_refused_by_name(make, names: tuple[str, ...]) -> None:
+  saved, sim = make(all_of_them())
+  variants = {name: OBJECTS.get(name) for name in names}
+  scene, other = make(VariantEntityCfg(variants=variants, init_state=START))
+  before = scene["thing"].variant.clone()
+  message = f"thing: saved with the variants ball, crate, wedge, nothing; here there are {', '.join(names)}"
+  with pytest.raises(StateError, match=message):
+    load(scene, other, save(saved, sim))
+  assert torch.equal(scene["thing"].variant, before)
 
 
 def test_shares_are_dealt_in_whole_worlds_and_shuffled() -> None:

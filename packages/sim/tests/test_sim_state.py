@@ -89,3 +89,4 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(make_sim: Make
   refused({**saved, "model": {"body_mass": before}}, "saved model field 'body_mass' has shape")
   short = {name: value for name, value in saved["data"].items() if name != "qvel"}
   refused({**saved, "data": short}, "saved data fields lack: qvel")
+  refused({**saved, "default": {"body_mass": before}}, "saved default field 'body_mass' does not exist")

@@ -2,6 +2,8 @@
 
 import itertools
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,10 +13,11 @@ from manipulation_worlds import images, in_mujoco, lift, metric
 from mjlab_core.rotations import random_quat
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab_managers import ConfigError, ObservationTermCfg
-from mjlab_manipulation import lift_objects_depth_env, lift_objects_env, lift_objects_rgb_env
+from mjlab_manipulation import lift_objects, lift_objects_depth_env, lift_objects_env, lift_objects_rgb_env
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.lift import COMMAND, lift_env
 from mjlab_manipulation.objects import OBJECTS, cube_spec
+from mjlab_rl import Console, train
 from mjlab_scene import EntityCfg, VariantEntity, VariantEntityCfg
 from mjlab_sensors import CameraSensorCfg
 
@@ -102,6 +105,39 @@ def test_each_begins_above_the_ground_by_as_much_whatever_its_size() -> None:
     mine = np.sort(np.array(drawn)[:, variant == number].flatten()) / 0.03
     steps = np.arange(161) / 160
     assert max((steps[1:] - mine).max(), (mine - steps[:-1]).max()) * np.sqrt(160) < 1.63
+
+
+def test_a_run_goes_on_with_the_objects_it_had_however_they_would_be_dealt_now(tmp_path: Path) -> None:
+  def run(shuffle: int, iterations: int, resume: Path | None = None) -> Path:
+    task = lift_objects()
+    entity = task.env.scene.entities["object"]
+    assert isinstance(entity, VariantEntityCfg)
+    task.env.scene.num_envs, task.env.seed, entity.seed = 8, 0, shuffle
+    # Of reach in few steps.
+    task.env.episode_length_s = 0.1
+    # A mass that resets draw starts from that of the object which its world has.
+    mass = task.env.events["object_mass"]
+    assert mass is not None
+    mass.mode = "reset"
+    task.agent.num_steps_per_env, task.agent.max_iterations, task.agent.seed = 8, iterations, 0
+    options: dict[str, Any] = {"log_root": tmp_path / str(shuffle), "console": Console("quiet"), "resume": resume}
+    checkpoint = train(task, name="Lift", make_env=ManagerBasedRlEnv, **options).checkpoint
+    assert checkpoint is not None
+    return checkpoint
+
+  def worlds(path: Path) -> dict[str, Any]:
+    return torch.load(path, weights_only=True)["mjlab"]["env"]
+
+  half, whole = run(0, 1), run(0, 2)
+  resumed, unlike = run(1, 2, half), run(1, 1)
+  variants = [worlds(path)["scene"]["entities"]["object"]["variant"] for path in (half, whole, resumed, unlike)]
+  assert not torch.equal(variants[0], variants[3])
+  assert torch.equal(variants[0], variants[2])
+  for part in ("data", "model", "default"):
+    ours, theirs = worlds(resumed)["sim"][part], worlds(whole)["sim"][part]
+    assert ours.keys() == theirs.keys()
+    for name, value in ours.items():
+      assert torch.equal(value, theirs[name]), name
 
 
 @pytest.mark.parametrize("number", range(8), ids=NAMES)

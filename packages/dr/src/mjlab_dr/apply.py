@@ -46,7 +46,7 @@ class ModelFields(Protocol):
     ...
 
   def default_field(self, name: str, /) -> Tensor:
-    """The value to start from: the compiled one, (1, ...), or one for each world, (num_envs, ...)."""
+    """The value to start from: the compiled one, (1, ...), or one for each world, (num_envs, ...), in fixed memory."""
     ...
 
   def recompute_constants(self, mask: Tensor | None = None, /) -> None:
@@ -109,11 +109,8 @@ class RandomizeField:
     self._writes: list[_Columns] = []
     for name in fields:
       components = [component for component in self.components if component.field == name]
-      write = _Columns(name, [component.columns for component in components], sim.device)
-      if target is None:
-        write.default = _flat_default(sim, name).index_select(1, write.all)
-      else:
-        write.default = target.new_zeros(1, len(write.all))
+      default = _flat_default(sim, name) if target is None else torch.zeros_like(target[:1]).flatten(1)
+      write = _Columns(name, [component.columns for component in components], default, sim.num_envs)
       write.start_from(upon)
       defaults.append(write.default[:, write.first].double().cpu().numpy())
       self._writes.append(write)
@@ -122,8 +119,8 @@ class RandomizeField:
     check_results(cfg, binding, table, model, owner)
     self._follower: _Columns | None = None
     if field.moves_with:
-      self._follower = _Columns(field.moves_with, [component.columns for component in self.components], sim.device)
-      self._follower.default = _flat_default(sim, field.moves_with).index_select(1, self._follower.all)
+      columns, default = [component.columns for component in self.components], _flat_default(sim, field.moves_with)
+      self._follower = _Columns(field.moves_with, columns, default, sim.num_envs)
 
     dtype = self._writes[0].default.dtype
     self._dtype = dtype if dtype.is_floating_point else torch.float64
@@ -251,18 +248,27 @@ class RandomizeField:
 class _Columns:
   """Columns of one field, in flat rows of worlds."""
 
-  def __init__(self, field: str, columns: Sequence[tuple[int, ...]], device: torch.device) -> None:
+  def __init__(self, field: str, columns: Sequence[tuple[int, ...]], default: Tensor, num_envs: int) -> None:
     self.field = field
+    device = default.device
     flat = [column for group in columns for column in group]
     self.all = torch.tensor(flat, device=device)
     """Every column, with repetitions where several belong to one component."""
     starts = np.cumsum([0, *(len(group) for group in columns)])[:-1]
     self.first = torch.tensor(starts, device=device)
     """Where among `all` each component has its first column."""
-    self.default = torch.empty(0)
-    """Values of `all` to start from, (1 or num_envs, number of columns)."""
     self._slice = _as_slice(flat)
     self._is_written: Tensor | None = None
+    # What each world has of its own changes where a state of other worlds is loaded, and is looked up every time.
+    self._rows = default
+    self._constant = None if len(default) == num_envs else default.index_select(1, self.all)
+
+  @property
+  def default(self) -> Tensor:
+    """Values of `all` to start from, (1 or num_envs, number of columns)."""
+    if self._constant is not None:
+      return self._constant
+    return self._rows.index_select(1, self.all) if self._slice is None else self._rows[:, self._slice]
 
   def start_from(self, upon: Container[tuple[str, int]]) -> None:
     """Notes which columns another randomiser has written before."""
@@ -287,7 +293,8 @@ class _Columns:
 
 def _flat_default(sim: ModelFields, name: str) -> Tensor:
   default = sim.default_field(name)
-  return default.reshape(len(default), -1)
+  # A view, through which later values of each world are seen.
+  return default.view(len(default), -1)
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 import torch
 from mjlab_core.names import unknown
+from mjlab_core.state import StateError
 
 from mjlab_scene.element_names import name_everything
 from mjlab_scene.entity import Entity
@@ -46,7 +47,7 @@ class VariantEntityCfg(EntityCfg):
   """Shares of the variants in all worlds, those that are not named counting as 1; or the variant of each world by name.
   Shares are dealt out as evenly as whole worlds allow, and shuffled. None: equal shares."""
   seed: int = 0
-  """Of the shuffle."""
+  """Of the shuffle. A saved state that is loaded brings its own assignment."""
   spec_fn: SpecFn = field(default=_no_spec, init=False, repr=False, compare=False)
   """Made from the variants."""
 
@@ -117,8 +118,20 @@ class VariantEntity(Entity):
     sim.recompute_constants()
     sim.rebase_default_fields(fields)
 
+  def state_dict(self) -> dict[str, Any]:
+    # Who has which variant is told by its number.
+    return {**super().state_dict(), _NAMES: list(self.variant_names)}
+
+  def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[torch.Tensor, torch.Tensor]]) -> None:
+    saved, here = state.get(_NAMES, ()), self.variant_names
+    if tuple(saved) != here:
+      named = ", ".join(saved) or "(not told)"
+      raise StateError(f"{path}: saved with the variants {named}; here there are {', '.join(here)}.")
+    super()._collect({name: value for name, value in state.items() if name != _NAMES}, path, writes)
+
 
 _OBJECT = "object"
+_NAMES = "variants"
 
 
 def assign(

@@ -168,10 +168,13 @@ class Simulation:
     return name in self._expanded
 
   def default_field(self, name: str) -> torch.Tensor:
-    """The value that randomisation starts from, as a fresh tensor: the compiled one, (1, ...), or that of each world,
-    (num_envs, ...), where `rebase_default_fields` said so."""
+    """The value that randomisation starts from: the compiled one, (1, ...), as a fresh tensor.
+
+    Where `rebase_default_fields` said so, it is that of each world, (num_envs, ...), in fixed memory, which is not to
+    be written: a loaded state brings the defaults of its worlds into it.
+    """
     if name in self._defaults:
-      return self._defaults[name].clone()
+      return self._defaults[name]
     view = self.model[name]
     owner = self.mj_model.opt if name.startswith("opt.") else self.mj_model
     value = torch.as_tensor(getattr(owner, name.removeprefix("opt.")), dtype=view.dtype, device=self.device)
@@ -186,7 +189,11 @@ class Simulation:
     for name in names:
       if not self.is_expanded(name):
         raise SimulationError(f"model field '{name}' is shared by all worlds; expand it first")
-      self._defaults[name] = self.model[name].detach().clone()
+      now = self.model[name].detach()
+      if name in self._defaults:
+        self._defaults[name].copy_(now)
+      else:
+        self._defaults[name] = now.clone()
 
   def recompute_constants(self, mask: torch.Tensor | None = None) -> None:
     """Recompute what MuJoCo's compiler derives (inverse weights, subtree masses, ...) after a model field changed.
@@ -220,12 +227,13 @@ class Simulation:
   # State
 
   def state_dict(self) -> dict[str, dict[str, torch.Tensor]]:
-    """All that the next step depends on, as fresh tensors: state of every world, and per-world model fields."""
+    """All that the next step depends on, as fresh tensors: the state, model fields and defaults of every world."""
     self._check_open()
     data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
     return {
       "data": {name: field for name, field in data.items() if field.numel()},
       "model": {name: self._engine.model_field(name).detach().clone() for name in self._expanded},
+      "default": {name: field.clone() for name, field in self._defaults.items()},
     }
 
   def load_state_dict(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
@@ -241,7 +249,9 @@ class Simulation:
     data = {name: field for name in STATE if (field := self._engine.data_field(name)).numel()}
     model = {name: self.model[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: self._engine.model_field(name) for name in self._expanded}
-    for kind, fields in (("data", data), ("model", model)):
+    # States saved before there were defaults of worlds have none.
+    state = {"default": {}, **state}
+    for kind, fields in (("data", data), ("model", model), ("default", self._defaults)):
       for name, value in state[kind].items():
         if name not in fields:
           raise SimulationError(unknown(f"saved {kind} field", name, list(fields)))
@@ -253,6 +263,8 @@ class Simulation:
     self.expand_model_fields(state["model"])
     for name, value in state["data"].items():
       data[name].copy_(value)
+    for name, value in state["default"].items():
+      self._defaults[name].copy_(value)
     self._write_model(state["model"])
     if not SOURCES.isdisjoint(self._expanded):
       # Engines derive more than they show. What was saved counts to the last bit.
