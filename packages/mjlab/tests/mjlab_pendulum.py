@@ -12,7 +12,7 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
+from mjlab_rl import RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
@@ -75,3 +75,14 @@ def pendulum() -> TaskCfg[ManagerBasedRlEnvCfg]:
   agent.actor.hidden_dims = (8,)
   agent.critic = RslRlModelCfg(hidden_dims=(8,))
   return TaskCfg(env=env, play=for_watching, agent=agent)
+
+
+def taught() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """The same by imitation of who learned it by itself."""
+  task = pendulum()
+  task.env.observations["teacher"] = task.env.observations.pop("critic")
+  agent = RslRlDistillationRunnerCfg(
+    experiment_name="taught", max_iterations=2, num_steps_per_env=8, save_interval=100, logger="none"
+  )
+  agent.student.hidden_dims = (8,)
+  return TaskCfg(env=task.env, play=for_watching, agent=agent)

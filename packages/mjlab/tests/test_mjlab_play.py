@@ -91,6 +91,26 @@ def test_checkpoints_of_the_run_can_be_swapped_while_it_runs(logs: Path, watched
   assert not torch.equal(first, second)
 
 
+@pytest.mark.parametrize("command", ["play", "evaluate"])
+def test_a_student_acts_without_what_only_its_teacher_saw(
+  command: str, logs: Path, watched: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+  mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
+  (teacher,) = logs.rglob("model_2.pt")
+  flags = ["--log-root", str(logs), "--device", "cpu"]
+  assert cli.main(["train", "Test-Taught", "--teacher", str(teacher), "--quiet", *flags]) == 0
+  built: list[ManagerBasedRlEnv] = []
+
+  def build(cfg: Any, *, device: str) -> ManagerBasedRlEnv:
+    built.append(ManagerBasedRlEnv(cfg, device=device))
+    return built[-1]
+
+  monkeypatch.setattr("mjlab.making.standard_env", build)
+  more = ["--viewer", "browser"] if command == "play" else ["--eval.episodes", "4", "--quiet"]
+  assert cli.main([command, "Test-Taught", *flags, *more]) == 0
+  assert [list(env.get_observations()) for env in built] == [["actor"]]
+
+
 def test_zero_and_random_actions_need_no_run(tmp_path: Path, watched: list[Any]) -> None:
   for agent in ("zero", "random"):
     assert play(tmp_path, "--agent", agent, "--num-envs", "2") == 0

@@ -266,6 +266,37 @@ def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Pa
         acting.reset(terminated | truncated | torch.tensor([step == 1]))
 
 
+class StudentsPointEnv(PointEnv):
+  """Only `actor`, position and speed."""
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    return {"actor": self.state.clone()}
+
+
+def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, teacher: Path) -> None:
+  agent = student_agent(sees="actor")
+  checkpoint = run(agent, tmp_path, teacher=teacher).checkpoint
+  assert checkpoint is not None
+  alone, together = (
+    kind(PointEnvCfg(scene=PointSceneCfg(num_envs=5), seed=8)) for kind in (StudentsPointEnv, ToldPointEnv)
+  )
+  # Or as what learns there by itself.
+  reinforced = teacher_agent()
+  reinforced.actor = agent.student
+  acting = [
+    CheckpointPolicy(env, cfg)
+    for env, cfg in ((alone, load_run(checkpoint).agent), (together, agent), (alone, reinforced))
+  ]
+  for policy in acting:
+    policy.load(checkpoint)
+  seen = together.get_observations()
+  with torch.no_grad():
+    actions = [policy({"actor": seen["actor"]}) for policy in acting]
+  assert actions[0].abs().amax() > 0.0
+  assert torch.equal(actions[0], actions[1])
+  assert torch.equal(actions[0], actions[2])
+
+
 def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:
   first = run(student_agent(), tmp_path, teacher=teacher).checkpoint
   assert first is not None

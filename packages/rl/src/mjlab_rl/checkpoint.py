@@ -57,6 +57,21 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
   return state
 
 
+def read_policy(path: Path, policy: str) -> dict[str, Any]:
+  """The weights of the policy in a checkpoint, of a run by reinforcement, "actor", or of a distillation, "student".
+
+  Args:
+    path: The file.
+    policy: Which of the two it is where there are both.
+
+  Raises:
+    CheckpointError: As `read_checkpoint`.
+  """
+  names = dict.fromkeys((policy, "actor", "student"))
+  state = read_checkpoint(path, *names)
+  return next(state[key] for name in names if (key := f"{name}_state_dict") in state)
+
+
 def check_fit(path: Path, part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
   """Compare a saved network with the one it is to fill.
 

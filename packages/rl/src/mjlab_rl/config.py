@@ -214,8 +214,13 @@ class RslRlBaseRunnerCfg:
     """
 
   def for_inference(self) -> Self:
-    """A copy for acting alone, in however many worlds: its storage is as small as it can be."""
-    return replace(copy.deepcopy(self), num_steps_per_env=1)
+    """A copy for acting alone, in however many worlds: its storage is as small as it can be.
+
+    Other networks than the policy are asked nothing. They see what the policy sees, so that nothing else is needed.
+    """
+    agent = replace(copy.deepcopy(self), num_steps_per_env=1)
+    agent.obs_groups = {name: agent.obs_groups.get(agent.policy, groups) for name, groups in agent.obs_groups.items()}
+    return agent
 
 
 @dataclass(kw_only=True)
@@ -272,6 +277,8 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
   def for_inference(self) -> Self:
     agent = super().for_inference()
     agent.algorithm.num_mini_batches = 1
+    agent.algorithm.rnd_cfg = None
+    agent.critic = replace(copy.deepcopy(agent.actor), distribution_cfg=None)
     return agent
 
 
@@ -317,8 +324,7 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
   def for_inference(self) -> Self:
     agent = super().for_inference()
     agent.algorithm.num_learning_epochs = agent.algorithm.gradient_length = 1
-    # Whoever acts alone is asked nothing, so that any teacher will do.
-    agent.teacher = agent.teacher or RslRlModelCfg()
+    agent.teacher = replace(copy.deepcopy(agent.student), distribution_cfg=None)
     return agent
 
 

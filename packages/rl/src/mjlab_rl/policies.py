@@ -18,7 +18,7 @@ from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
 class CheckpointPolicy:
-  """The mean action of the policy in a checkpoint.
+  """The mean action of the policy in a checkpoint, which was trained by reinforcement or distilled.
 
   Args:
     env: Worlds it is to act in; reset on construction.
@@ -41,7 +41,7 @@ class CheckpointPolicy:
     Raises:
       CheckpointError: it cannot be read or does not fit; nothing has been changed then.
     """
-    self._runner.load(str(path), load_cfg={self._runner.agent_cfg.policy: True})
+    self._runner.load_policy(path)
     self.reset(None)
 
   def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:

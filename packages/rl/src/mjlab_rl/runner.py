@@ -204,6 +204,17 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       self.console.say(f"{path}: an rsl-rl checkpoint, it holds no world state; only the learner was restored.")
     return state.get("infos") or {}
 
+  def load_policy(self, path: Path) -> None:
+    """Take the weights of the policy in a checkpoint, of a run by reinforcement or of a distillation, and nothing else.
+
+    Raises:
+      CheckpointError: It cannot be read, or the network has other sizes; nothing has been changed then.
+    """
+    name = self.agent_cfg.policy
+    weights, network = checkpoint.read_policy(path, name), self.networks[name]
+    checkpoint.check_fit(path, name, weights, network.state_dict())
+    network.load_state_dict(weights)
+
   def _load_worlds(self, state: dict[str, Any]) -> None:
     is_restored = False
     if state["num_envs"] != self.env.num_envs:

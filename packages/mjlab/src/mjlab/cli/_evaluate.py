@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjlab import making
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
 from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     cfg = evaluator.configure(wanted.env)
   except (ValueError, OSError) as error:
     raise BuildError(str(error)) from error
-  env = build_env(parts, cfg, device)
+  env = build_env(parts, without_teacher(cfg, parts.agent), device)
   try:
     policy = make_policy(wanted.agent, source, env, parts)
     what = f"{wanted.agent} actions" if source is None else str(source)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from mjlab import making
 from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import BuildError, UsageError
-from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
 from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   what = f"{wanted.agent} actions" if source is None else str(source)
   count = cfg.scene.num_envs
   print(f"{name}: {what}, {count} world{'s' * (count != 1)} on {device}", flush=True)
-  env = build_env(parts, cfg, device)
+  env = build_env(parts, without_teacher(cfg, parts.agent), device)
   try:
     policy, checkpoints = _policy(wanted, source, env, parts)
     if wanted.video is not None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from mjlab.cli._config_flags import replaced
 from mjlab.cli._errors import UsageError
 
 if TYPE_CHECKING:
@@ -57,6 +58,17 @@ def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -
     say(f"{source} is of {run.task}: the configuration of {task} is used.")
     return None
   return run
+
+
+def without_teacher(env: Any, agent: Any) -> Any:
+  """A configuration without the observation groups that only a teacher sees, who is asked nothing where others act."""
+  from mjlab_rl import RslRlDistillationRunnerCfg
+
+  groups = getattr(env, "observations", None)
+  if not isinstance(agent, RslRlDistillationRunnerCfg) or groups is None:
+    return env
+  unseen = set(agent.obs_groups["teacher"]) - set(agent.obs_groups["student"])
+  return replaced(env, ("observations",), {name: group for name, group in groups.items() if name not in unseen})
 
 
 def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Policy":
