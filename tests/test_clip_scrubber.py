@@ -2,8 +2,8 @@
 
 import io
 import sys
-import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
@@ -23,7 +23,7 @@ from playwright.sync_api import Browser, Page
 # The page as the viewer's own tests drive it.
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
-from viewer_page import eventually, headless_chromium, opened, slide
+from viewer_page import eventually, headless_chromium, opened, slide, stepping
 
 CLIP = "side_step_dance"
 # A mast whose red flag hangs down at 0 and stands level at pi/2.
@@ -56,19 +56,19 @@ class Shown:
   def __init__(self, env: PlayedEnv, num_actions: int, browser: Browser) -> None:
     self.playback = Playback(env, ZeroPolicy(env.num_envs, num_actions, env.sim.device))
     self.viewer = BrowserViewer(env, playback=self.playback, port=8400)
-    self._is_over = False
-    self._thread = threading.Thread(target=self.viewer.run, args=(lambda: self._is_over,))
-    self._thread.start()
-    self.page: Page = opened(browser, self.viewer.url)
+    self._browser = browser
+    self._ending = ExitStack()
 
   def __enter__(self) -> "Shown":
+    with ExitStack() as stack:
+      stack.enter_context(stepping(self.viewer))
+      self.page: Page = opened(self._browser, self.viewer.url)
+      stack.callback(self.page.close)
+      self._ending = stack.pop_all()
     return self
 
   def __exit__(self, *_: object) -> None:
-    self._is_over = True
-    self._thread.join()
-    self.page.close()
-    self.viewer.close()
+    self._ending.close()
 
   def take_in_hand(self) -> None:
     """Tick the box; again if the page was still being built, for that takes ticks back."""

@@ -1,10 +1,6 @@
 """The pages of commands, as somebody sees them who runs one and opens what it says."""
 
 import io
-import os
-import re
-import signal
-import subprocess
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -18,9 +14,11 @@ from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page
 
-# Pages as the viewer's own tests drive them.
+# Pages as the viewer's own tests drive them, of commands as those of mjlab run them.
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
+from mjlab_command import running
 from viewer_page import eventually, headless_chromium, opened
 
 DECIMATION = 2
@@ -36,32 +34,11 @@ def chromium() -> Iterator[Browser]:
 def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> Generator[Page]:
   """The page that a command serves; it is interrupted at the end, and must have had no complaint until then."""
   code = f"import sys; from mjlab.cli import {command} as run; sys.exit(run(sys.argv[1:]))"
-  with subprocess.Popen(
-    [sys.executable, "-W", "error", "-uc", code, *arguments],
-    cwd=folder,
-    stdout=subprocess.PIPE,
-    stderr=subprocess.STDOUT,
-    text=True,
-    env=os.environ | {"OMP_NUM_THREADS": "1"},
-  ) as process:
-    assert process.stdout is not None
-    said = ""
-    for line in process.stdout:
-      said += line
-      address = re.search(r"open (http://\S+)", line)
-      if address:
-        break
-    else:
-      pytest.fail(said)
-    page = opened(chromium, address[1])
-    try:
-      yield page
-    finally:
-      page.close()
-      process.send_signal(signal.SIGINT)
-      rest = process.stdout.read()
-    assert process.wait(20) == 0, rest
-    assert rest.strip() == ""
+  with running(code, *arguments, folder=folder, OMP_NUM_THREADS="1", PYTHONWARNINGS="error") as process:
+    page = opened(chromium, process.wait_for(r"open (http://\S+) ")[1])
+    yield page
+    page.close()
+    assert process.interrupt().strip() == ""
 
 
 def seen(page: Page) -> np.ndarray:

@@ -2,7 +2,6 @@ import contextlib
 import importlib
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from importlib import metadata
@@ -17,6 +16,7 @@ import pytest
 from mjlab import cli
 from mjlab.making import share_cores
 from mjlab.nan_replay import NanReplay
+from mjlab_command import running
 from mjlab_rl import checkpoints, load_run
 from mjlab_sim import NanDump
 from mjlab_viewer import SnapshotTaker
@@ -229,30 +229,28 @@ def test_who_chose_how_threads_wait_is_left_alone(monkeypatch: pytest.MonkeyPatc
   assert "GOMP_SPINCOUNT" not in os.environ
 
 
+OWN = (
+  "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
+  "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
+)
+
+
 def test_ctrl_c_saves_and_exits_cleanly(tmp_path: Path) -> None:
-  code = (
-    "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
-    "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
-  )
   flags = ["--log-root", str(tmp_path), "--device", "cpu", "--agent.max-iterations", "100_000", "--verbose"]
-  with subprocess.Popen(
-    [sys.executable, "-uc", code, "train", TASK, *flags],
-    stdout=subprocess.PIPE,
-    stderr=subprocess.STDOUT,
-    text=True,
-    env=os.environ | {"PYTHONPATH": str(Path(__file__).parent)},
-  ) as process:
-    assert process.stdout is not None
-    for line in process.stdout:
-      if "steps/s" in line:
-        process.send_signal(signal.SIGINT)
-        break
-    rest = process.stdout.read()
-  assert process.returncode == 0, rest
+  with running(OWN, "train", TASK, *flags, PYTHONPATH=str(Path(__file__).parent)) as training:
+    training.wait_for("steps/s")
+    rest = training.interrupt()
   assert "stopped (SIGINT) after" in rest
   (directory,) = runs(tmp_path)
   assert f"continue with: train {TASK} --resume {directory}" in rest
   assert len(checkpoints(directory)) == 1
+
+
+def test_ctrl_c_ends_a_viewer_that_a_script_started_in_the_background() -> None:
+  flags = ["--viewer", "browser", "--port", "8640", "--agent", "zero", "--device", "cpu"]
+  with running(OWN, "play", TASK, *flags, is_background=True, PYTHONPATH=str(Path(__file__).parent)) as viewer:
+    viewer.wait_for(r"open http://\S+ \(Ctrl-C ends\)")
+    assert viewer.interrupt(20).strip() == ""
 
 
 def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(

@@ -1,8 +1,5 @@
 """`fit-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
 
-import os
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +7,7 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab_actuators import LearnedMlpActuatorCfg
+from mjlab_command import running
 
 QUICK = ["--epochs", "3", "--hidden", "8"]
 
@@ -103,21 +101,10 @@ def test_without_matplotlib_there_is_a_network_but_no_plot(
 
 
 def test_ctrl_c_writes_what_was_learned(records: Path) -> None:
-  call = "import sys; from mjlab.cli import fit_actuator; sys.exit(fit_actuator())"
-  process = subprocess.Popen(
-    [sys.executable, "-u", "-c", call, str(records), "--epochs", "1000000", "--hidden", "8"],
-    stdout=subprocess.PIPE,
-    stderr=subprocess.PIPE,
-    text=True,
-    env=os.environ | {"OMP_NUM_THREADS": "1"},
-  )
-  assert process.stdout is not None
-  for line in process.stdout:
-    if line.startswith("epoch"):
-      break
-  process.send_signal(signal.SIGINT)
-  out, error = process.communicate(timeout=60)
-  assert (process.returncode, error) == (0, "")
-  assert "stopped (Ctrl-C) after" in out
+  code = "import sys; from mjlab.cli import fit_actuator; sys.exit(fit_actuator())"
+  with running(code, str(records), "--epochs", "1000000", "--hidden", "8", OMP_NUM_THREADS="1") as learning:
+    learning.wait_for("(?m)^epoch")
+    said = learning.interrupt()
+  assert "stopped (Ctrl-C) after" in said
   assert torch.load(records.with_suffix(".pt"), weights_only=True)
   assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}

@@ -14,7 +14,7 @@ from mjlab_viewer.browser_controls import _ratio
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
-from viewer_page import choose, eventually, headless_chromium, opened, row, slide
+from viewer_page import choose, eventually, headless_chromium, opened, row, slide, stepping
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def chromium() -> Iterator[Browser]:
 
 
 class Running:
-  """A viewer whose loop runs in a thread of its own, as it does in a process of its own."""
+  """A viewer of boxes, and its policies."""
 
   def __init__(self, env: BoxEnv, folder: Path, policies: dict[str, Callable[..., torch.Tensor]]) -> None:
     self.env = env
@@ -35,27 +35,17 @@ class Running:
     self.viewer = BrowserViewer(
       env, playback=self.playback, checkpoints=checkpoints, port=8300, max_worlds=5, video_folder=folder
     )
-    self._over = False
-    self._thread = threading.Thread(target=self.viewer.run, args=(lambda: self._over,))
-    self._thread.start()
 
   def shown(self) -> Snapshot:
     assert self.viewer.scene.shown is not None
     return self.viewer.scene.shown
 
-  def close(self) -> None:
-    self._over = True
-    self._thread.join()
-    self.viewer.close()
-
 
 @contextmanager
 def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) -> Generator[Running]:
   run = Running(env, folder, policies or {"zero": ZeroPolicy(env.num_envs, 1, env.sim.device)})
-  try:
+  with stepping(run.viewer):
     yield run
-  finally:
-    run.close()
 
 
 def red(page: Page) -> np.ndarray:

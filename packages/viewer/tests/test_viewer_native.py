@@ -141,7 +141,10 @@ def screen() -> Iterator[str]:
     time.sleep(0.05)
   yield display
   server.terminate()
-  server.wait()
+  try:
+    server.wait(10)
+  except subprocess.TimeoutExpired:
+    server.kill()
 
 
 def run(script: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:

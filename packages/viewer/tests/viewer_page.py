@@ -1,17 +1,21 @@
 """The page of the browser viewer in a real browser, for tests."""
 
 import shutil
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 import pytest
+from mjlab_viewer import BrowserViewer
 from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
 
 # Chromium without a GPU, a sandbox or a network.
 FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
 --disable-background-networking --disable-component-update --disable-sync""".split()
 SIZE = ViewportSize(width=760, height=560)
+PATIENCE = 60.0
+"""How long anything on a page may take on a machine that is busy with other things, too [s]."""
 
 
 @contextmanager
@@ -26,7 +30,7 @@ def headless_chromium() -> Generator[Browser]:
     browser.close()
 
 
-def eventually(holds: Callable[[], object], what: str = "", seconds: float = 40.0) -> None:
+def eventually(holds: Callable[[], object], what: str = "", seconds: float = PATIENCE) -> None:
   """Waits until something holds; the browser is slow where it has no GPU."""
   end = time.monotonic() + seconds
   while not holds():
@@ -34,10 +38,27 @@ def eventually(holds: Callable[[], object], what: str = "", seconds: float = 40.
     time.sleep(0.05)
 
 
+@contextmanager
+def stepping(viewer: BrowserViewer) -> Generator[None]:
+  """Runs a viewer's loop in a thread of its own, as it does in a process of its own; closes the viewer at the end."""
+  is_over = threading.Event()
+  # Whatever it does, it does not keep the tests from ending.
+  thread = threading.Thread(target=viewer.run, args=(is_over.is_set,), daemon=True)
+  thread.start()
+  try:
+    yield
+  finally:
+    is_over.set()
+    thread.join(PATIENCE)
+    viewer.close()
+    assert not thread.is_alive(), "the viewer's loop does not end"
+
+
 def opened(browser: Browser, url: str) -> Page:
   page = browser.new_page(viewport=SIZE)
+  page.set_default_timeout(1000 * PATIENCE)
   page.goto(url)
-  page.get_by_role("button", name="Reset").wait_for(timeout=20000)
+  page.get_by_role("button", name="Reset").wait_for()
   return page
 
 

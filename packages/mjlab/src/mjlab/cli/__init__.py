@@ -3,10 +3,13 @@
 Exit codes: 0 done (also after a stop with Ctrl-C, SIGTERM or SIGHUP that saved), 1 failed, 2 wrong usage.
 """
 
+import contextlib
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Generator, Sequence
 
 from mjlab.cli._errors import UsageError, is_users_mistake
 
@@ -85,7 +88,8 @@ fit_actuator = _command("fit-actuator")
 def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
   """Run a command; what the user got wrong becomes one line, what we got wrong a traceback."""
   try:
-    return command(arguments)
+    with _interruptible():
+      return command(arguments)
   except UsageError as error:
     print(f"error: {error}", file=sys.stderr)
     return 2
@@ -103,3 +107,20 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
       traceback.print_exc()
     print(f"error: {error}", file=sys.stderr)
     return 1
+
+
+@contextlib.contextmanager
+def _interruptible() -> Generator[None]:
+  """Ctrl-C ends what runs in here, also what a script has in the background, whose shell starts it with Ctrl-C ignored.
+
+  A viewer goes on until it is interrupted; one that cannot be keeps its port when the script is long gone.
+  """
+  before = signal.getsignal(signal.SIGINT)
+  if before != signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+    yield
+    return
+  signal.signal(signal.SIGINT, signal.default_int_handler)
+  try:
+    yield
+  finally:
+    signal.signal(signal.SIGINT, before)
