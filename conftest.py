@@ -1,7 +1,18 @@
 """Settings that must hold before any package is imported by a test."""
 
+import faulthandler
 import os
+import sys
 from pathlib import Path
+
+import pytest
 
 # Kernels are compiled once and kept between runs. Warp reads this when it is first imported.
 os.environ.setdefault("WARP_CACHE_PATH", str(Path(__file__).parent / ".cache" / "warp"))
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+  """What tests left behind, such as a thread, has as long to end as a test has."""
+  limit = float(config.getini("faulthandler_timeout"))
+  if limit:
+    faulthandler.dump_traceback_later(limit, file=sys.__stderr__, exit=True)

@@ -1,0 +1,40 @@
+"""Tests end: what stands still ends the run, and says where it stood."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize(
+  ("code", "where"),
+  [
+    ("import time\ndef test_waiting():\n  time.sleep(1000)\n", "in test_waiting"),
+    (
+      "import threading, time\ndef wait():\n  time.sleep(1000)\n"
+      "def test_leaving_a_thread():\n  threading.Thread(target=wait).start()\n",
+      "in wait",
+    ),
+  ],
+  ids=["a test", "a thread left behind"],
+)
+def test_what_stands_still_ends_the_run_and_is_named(code: str, where: str, tmp_path: Path) -> None:
+  file = tmp_path / "test_still.py"
+  file.write_text(code)
+  settings = ["-c", ROOT / "pyproject.toml", "-p", "conftest", "-p", "no:cacheprovider", "-o", "faulthandler_timeout=1"]
+  run = subprocess.run(
+    [sys.executable, "-m", "pytest", *settings, file],
+    cwd=tmp_path,
+    env=os.environ | {"PYTHONPATH": str(ROOT)},
+    capture_output=True,
+    text=True,
+    timeout=120,
+    check=False,
+  )
+  assert run.returncode == 1, run.stdout
+  assert "Timeout (0:00:01)!" in run.stderr
+  assert where in run.stderr
