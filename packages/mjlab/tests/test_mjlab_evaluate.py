@@ -1,13 +1,21 @@
 """`evaluate` as a user and as CI meet it."""
 
 import json
+import math
+import warnings
 from pathlib import Path
+from typing import Any
 
 import mjlab
 import mjlab.registry as registry
 import mjlab_pendulum
+import mjlab_rl
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from mjlab import cli
+from mjlab.cli import _evaluation_plot
+from mjlab.making import standard_env
 
 TASK = "Test-Pendulum"
 
@@ -93,6 +101,67 @@ def test_two_evaluations_of_one_policy_agree(agent: str) -> None:
     assert evaluate("--output", folder, "--agent", agent) == 0
     numbers.append(json.loads(Path(folder, "evaluation.json").read_text())["groups"])
   assert numbers[0] == numbers[1]
+
+
+def test_an_exported_policy_is_judged_as_its_checkpoint_is(capsys: pytest.CaptureFixture[str]) -> None:
+  run = trained()
+  exported = run / "policy.onnx"
+  manifest = mjlab_rl.load_run(run)
+  with standard_env(manifest.env, device="cpu") as env, warnings.catch_warnings():
+    # The exporter's own.
+    warnings.simplefilter("ignore")
+    policy = mjlab_rl.CheckpointPolicy(env, manifest.agent, manifest.runner)
+    policy.load(run / "model_3.pt")
+    policy._runner.export_policy_to_onnx(str(run), exported.name)
+  found = {}
+  for source in ("model_3.pt", "policy.onnx"):
+    assert evaluate("--checkpoint", str(run / source)) == 0
+    found[source] = json.loads((run / "evaluation" / Path(source).stem / "evaluation.json").read_text())
+  # As it was trained, with a reward of two a second.
+  assert found["policy.onnx"]["groups"]["all"]["return"]["mean"] > 0.8
+  for metric, interval in found["model_3.pt"]["groups"]["all"].items():
+    assert found["policy.onnx"]["groups"]["all"][metric] == pytest.approx(interval, rel=1e-4), metric
+  assert "policy.onnx, 6 episodes on cpu" in capsys.readouterr().out
+
+
+def test_pictures_show_each_group_and_what_nobody_reached_is_left_out(tmp_path: Path) -> None:
+  seen: list[Figure] = []
+
+  class Seen(Figure):
+    def savefig(self, *arguments: Any, **options: Any) -> None:
+      super().savefig(*arguments, **options)
+      seen.append(self)
+
+  groups = {
+    name: {
+      "success_rate": mjlab_rl.Interval(mean=mean, low=mean - 0.1, high=mean + 0.2, count=4),
+      "time": mjlab_rl.Interval(mean=math.nan, low=math.nan, high=math.nan, count=0),
+    }
+    for name, mean in (("all", 0.5), ("a", 0.25), ("b", 0.75))
+  }
+  lines = {"all": [1.0, 2.0], "a": [1.0, 3.0], "b": [1.0, math.nan]}
+  found = mjlab_rl.Evaluation(groups=groups, curves={"error": lines, "playing": lines}, units={"time": "s", "error": "m"})
+  with pytest.MonkeyPatch.context() as patched:
+    patched.setattr(_evaluation_plot, "Figure", Seen)
+    _evaluation_plot.plot_groups(found, tmp_path / "groups.png")
+    _evaluation_plot.plot_curves(found, tmp_path / "curves.png")
+  for name in ("groups", "curves"):
+    assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+  points, curves = seen
+  rate, time = points.axes
+  assert [label.get_text() for label in rate.get_yticklabels()] == ["all", "a", "b"]
+  assert (rate.get_title(), time.get_title()) == ("success_rate", "time [s]")
+  assert rate.lines[0].get_xdata().tolist() == [0.5, 0.25, 0.75]
+  (bars,) = rate.collections
+  assert [segment[:, 0].tolist() for segment in bars.get_segments()] == [
+    pytest.approx([mean - 0.1, mean + 0.2]) for mean in (0.5, 0.25, 0.75)
+  ]
+  # In the middle of each second; "all" is no line beside its parts.
+  error, playing = curves.axes
+  assert [line.get_label() for line in error.lines] == ["a", "b"]
+  np.testing.assert_array_equal([line.get_ydata() for line in error.lines], [lines["a"], lines["b"]])
+  assert error.lines[0].get_xdata().tolist() == [0.5, 1.5]
+  assert (error.get_ylabel(), playing.get_ylabel()) == ("error\n[m]", "playing")
 
 
 def test_help_names_what_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:

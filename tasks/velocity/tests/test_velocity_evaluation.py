@@ -1,10 +1,14 @@
 """The evaluation of velocity tracking: fixed commands, pushes of known size, errors as they are."""
 
+import itertools
 from collections.abc import Iterator
 
+import mujoco
+import numpy as np
 import pytest
 import torch
-from mjlab_envs import ManagerBasedRlEnv
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import TerminationTermCfg
 from mjlab_rl import EvaluationError
 from mjlab_velocity import VelocityEvaluation, go1_flat_env
 from mjlab_velocity.evaluation import linear_error_squared, mechanical_power, push_by_level, turning_error_squared
@@ -73,6 +77,73 @@ def test_the_summary_is_by_command_and_by_push() -> None:
   assert result.groups["stand"]["cost_of_transport"].count == 0
   assert result.groups["vx +1 wz +0.5"]["cost_of_transport"].count == 6
   assert 0.3 < result.groups["all"]["survived"].mean < 0.4 + 1e-6
+
+
+def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
+  """Step by step from the state that each step ended in, with falls, one of them on the first step."""
+
+  # No push within an episode: one comes after a step is judged, and would be seen here.
+  judge = VelocityEvaluation(grid=GRID, pushes=PUSHES, repeats=2, seconds=0.4, push_interval=1.0)
+
+  def configured() -> ManagerBasedRlEnvCfg:
+    cfg = judge.configure(go1_flat_env())
+    cfg.terminations = {"time_out": cfg.terminations["time_out"], "fallen": TerminationTermCfg(falls_when_told)}
+    return cfg
+
+  def act(step: int) -> torch.Tensor:
+    return torch.randn(12, 12, generator=torch.Generator().manual_seed(step))
+
+  moves: dict[str, list[list[float]]] = {name: [[] for _ in range(12)] for name in ("linear", "yaw", "power", "speed")}
+  playing, failed = [True] * 12, [False] * 12
+  cfg = configured()
+  cfg.auto_reset = False
+  with ManagerBasedRlEnv(cfg, device="cpu") as env:
+    env.reset(seed=0)
+    model = env.sim.mj_model
+    mass = model.body_mass[model.body_rootid == model.body("robot/trunk").id].sum()
+    for step in range(1, 21):
+      _, _, terminated, truncated, _ = env.step(act(step))
+      for world in [world for world in range(12) if playing[world]]:
+        qpos, qvel = env.sim.data.qpos[world].numpy(), env.sim.data.qvel[world].numpy()
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, qpos[3:7])
+        own = turn.reshape(3, 3).T @ qvel[:3]
+        vx, vy, wz = GRID[world % 2]
+        moves["linear"][world].append((own[0] - vx) ** 2 + (own[1] - vy) ** 2)
+        moves["yaw"][world].append((qvel[5] - wz) ** 2)
+        moves["power"][world].append(np.abs(env.sim.data.qfrc_actuator[world, 6:].numpy() * qvel[6:]).sum())
+        moves["speed"][world].append(np.hypot(*qvel[:2]))
+        if terminated[world] or truncated[world]:
+          playing[world], failed[world] = False, bool(terminated[world])
+      if done := (terminated | truncated).nonzero().flatten().tolist():
+        env.reset(env_ids=done)
+  assert not any(playing)
+  lengths = [len(values) for values in moves["speed"]]
+  assert lengths == [20, 1, *[20] * 5, 9, *[20] * 4]
+  with ManagerBasedRlEnv(configured(), device="cpu") as env:
+    steps = itertools.count(1)
+    result = judge.run(env, lambda _: act(next(steps)))
+  worlds = {"all": range(12), "vx +1 wz +0.5": range(1, 12, 2), "push 1.5 m/s": (4, 5, 10, 11)}
+  for group, members in worlds.items():
+    metrics = {name: interval.mean for name, interval in result.groups[group].items()}
+    mean = {name: [float(np.mean(values[world])) for world in members] for name, values in moves.items()}
+    walking = [i for i, world in enumerate(members) if world % 2]
+    assert metrics == {
+      "fall_rate": pytest.approx(np.mean([failed[world] for world in members])),
+      "lin_vel_rmse": pytest.approx(np.mean(np.sqrt(mean["linear"])), rel=1e-4),
+      "yaw_rate_rmse": pytest.approx(np.mean(np.sqrt(mean["yaw"])), rel=1e-4),
+      "cost_of_transport": pytest.approx(
+        np.mean([mean["power"][i] / (mass * 9.81 * mean["speed"][i]) for i in walking]), rel=1e-4
+      ),
+      "survived": pytest.approx(0.02 * np.mean([lengths[world] for world in members])),
+    }, group
+
+
+def falls_when_told(env: ManagerBasedRlEnv) -> torch.Tensor:
+  """World 1 on its first step, world 7 on its ninth."""
+  told = torch.zeros(env.num_envs, dtype=torch.int64)
+  told[1], told[7] = 1, 9
+  return env.episode_length_buf == told
 
 
 def test_a_task_without_a_velocity_command_is_refused() -> None:
