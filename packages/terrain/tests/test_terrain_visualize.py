@@ -143,3 +143,28 @@ def test_the_page_builds_what_its_controls_say() -> None:
     assert "2 tiles of 2 boxes and 0 height fields, 12 triangles" in page._status.content
   finally:
     server.stop()
+
+
+def test_difficulty_seed_and_settings_change_the_ground_that_the_page_shows() -> None:
+  pytest.importorskip("trimesh")
+  viser = pytest.importorskip("viser")
+  from mjlab_terrain.page import Page
+
+  server = viser.ViserServer(port=0, verbose=False)
+  shown: list[np.ndarray] = []
+  server.scene.add_mesh_trimesh = lambda name, mesh: shown.append(np.array(mesh.vertices))
+  try:
+    page = Page(TerrainGridCfg(types={"rough": all_types()["random_rough"]}, rows=1, border_width=0.0), server)
+    page._easiest.value = page._hardest.value = 0.5
+    easy = shown[-1]
+    page._easiest.value = page._hardest.value = 1.0
+    hard = shown[-1]
+    assert np.ptp(hard[:, 2]) > 1.5 * np.ptp(easy[:, 2])
+    page._seed.value = page._seed.value + 1
+    assert not np.array_equal(shown[-1], hard)
+    page._choice.value = "stairs_up"
+    steps = shown[-1]
+    page._settings["step_height"].value = (0.05, 0.1)
+    assert shown[-1][:, 2].max() == pytest.approx(0.5 * steps[:, 2].max())
+  finally:
+    server.stop()

@@ -42,7 +42,7 @@ class Page:
     )
     self._spawns = gui.add_checkbox("Spawn points", True)
     self._status = gui.add_markdown("")
-    self._controls: list[Any] = []
+    self._settings: dict[str, Any] = {}
     self._folder: Any = None
     self._choice.on_update(lambda _: self._choose())
     for control in (
@@ -61,6 +61,7 @@ class Page:
     if self._folder is not None:
       self._folder.remove()
       self._folder = None
+      self._settings.clear()
     if len(self._types) == 1:
       self._folder = self._server.gui.add_folder("Settings")
       with self._folder:
@@ -87,6 +88,7 @@ class Page:
       self.draw()
 
     control.on_update(change)
+    self._settings[setting.name] = control
 
   def draw(self) -> None:
     """Builds the terrain and shows it, or says why it cannot be built."""
