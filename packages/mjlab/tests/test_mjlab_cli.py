@@ -108,6 +108,24 @@ def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytes
   assert "not restored" not in capsys.readouterr().out
 
 
+def test_a_run_begins_as_the_policy_of_another_task(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
+  assert train(tmp_path, "--quiet") == 0
+  (teacher,) = runs(tmp_path)
+  flags = ["--log-root", str(tmp_path), "--device", "cpu", "--quiet"]
+  assert cli.main(["train", "Test-Taught", "--teacher", str(teacher), *flags]) == 0
+  (student,) = (tmp_path / "taught").rglob("model_2.pt")
+  for named in ("Test-Taught", str(student.parent), str(student)):
+    capsys.readouterr()
+    assert train(tmp_path, "--init-from", named) == 0
+    assert f"beginning as {student}" in capsys.readouterr().out
+    begun = load_run(runs(tmp_path)[-1])
+    assert begun.init_from is not None
+    assert (begun.init_from.task, begun.init_from.iterations) == ("Test-Taught", 2)
+  assert train(tmp_path, "--init-from", "Test-Taught", "--agent.actor.activation", "relu") == 1
+  assert "agent.actor.activation was elu in its training and is relu here" in capsys.readouterr().err
+
+
 def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr("mjlab.making.default_worlds", lambda device, configured: 2)
   for flags, worlds in (([], 2), (["--env.scene.num-envs", "8"], 8), (["--env.scene.num-envs=3"], 3)):
@@ -129,6 +147,8 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     (["--verbose", "--quiet"], 2, "exclude each other"),
     (["--seed", "x"], 2, "--seed: expected {None}|INT, got x"),
     (["--resume", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
+    (["--init-from", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
+    (["--init-from", "x", "--resume", "y"], 2, "exclude each other: a run that is continued has its policy"),
     (["--device", "cuda:77"], 1, "device 'cuda:77' does not exist; there is cpu"),
     (["--env.actions.torque.actuators", "hings"], 1, "Nearest: hinge"),
     (["--env.decimation", "0"], 1, "decimation must be at least 1"),

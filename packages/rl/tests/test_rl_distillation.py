@@ -1,5 +1,6 @@
 """A student that imitates a teacher: what it learns, what it is told of its teacher, what is refused."""
 
+import copy
 import hashlib
 import os
 import warnings
@@ -281,8 +282,7 @@ def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, t
     kind(PointEnvCfg(scene=PointSceneCfg(num_envs=5), seed=8)) for kind in (StudentsPointEnv, ToldPointEnv)
   )
   # Or as what learns there by itself.
-  reinforced = teacher_agent()
-  reinforced.actor = agent.student
+  reinforced = by_itself(agent)
   acting = [
     CheckpointPolicy(env, cfg)
     for env, cfg in ((alone, load_run(checkpoint).agent), (together, agent), (alone, reinforced))
@@ -295,6 +295,72 @@ def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, t
   assert actions[0].abs().amax() > 0.0
   assert torch.equal(actions[0], actions[1])
   assert torch.equal(actions[0], actions[2])
+
+
+def by_itself(agent: RslRlDistillationRunnerCfg, **changes: Any) -> RslRlOnPolicyRunnerCfg:
+  """Reinforcement of what a student is."""
+  cfg = teacher_agent()
+  cfg.actor, cfg.obs_groups["actor"] = replace(agent.student), agent.obs_groups["student"]
+  for name, value in changes.items():
+    setattr(cfg, name, value)
+  return cfg
+
+
+def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
+  tmp_path: Path, teacher: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  agent = student_agent()
+  student = run(agent, tmp_path, teacher=teacher).checkpoint
+  assert student is not None
+  begun: list[Any] = []
+  learn = MjlabOnPolicyRunner.learn
+
+  def look(made: MjlabOnPolicyRunner, *args: Any, **options: Any) -> None:
+    begun.append((copy.deepcopy(made.networks["actor"].state_dict()), made.current_learning_iteration))
+    learn(made, *args, **options)
+
+  monkeypatch.setattr(MjlabOnPolicyRunner, "learn", look)
+  result = run(by_itself(agent), tmp_path, init_from=student)
+  ((weights, iteration),) = begun
+  assert_same(dict(weights), learner(student)["student_state_dict"])
+  assert (iteration, result.iterations) == (0, 3)
+  assert result.checkpoint is not None
+  learned = learner(result.checkpoint)["actor_state_dict"]
+  assert not torch.equal(learned["mlp.0.weight"], weights["mlp.0.weight"])
+  told = load_run(result.checkpoint).init_from
+  assert told is not None
+  assert (told.checkpoint, told.task, told.iterations) == (str(student), "Point", 4)
+  # A file alone says which network it has.
+  alone = tmp_path / "model_4.pt"
+  alone.write_bytes(student.read_bytes())
+  assert run(by_itself(agent), tmp_path, init_from=alone).iterations == 3
+
+
+def test_what_cannot_begin_as_a_policy_is_refused_by_name(tmp_path: Path, teacher: Path) -> None:
+  agent = student_agent()
+  student = run(agent, tmp_path / "logs", teacher=teacher).checkpoint
+  assert student is not None
+  for changes, message in (
+    (
+      {"actor": replace(agent.student, activation="relu")},
+      r"agent\.actor\.activation was elu in its training and is relu",
+    ),
+    ({"actor": replace(agent.student, hidden_dims=(9,))}, r"agent\.actor\.hidden_dims was 16 in its training and is 9"),
+    ({"clip_actions": 0.5}, r"agent\.clip_actions was not there in its training and is 0\.5 here"),
+  ):
+    with pytest.raises(CheckpointError, match=message):
+      run(by_itself(agent, **changes), tmp_path / "none", init_from=student)
+  other = env_with(lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()))
+  with pytest.raises(
+    CheckpointError, match="order of terms was position, speed in its training and is speed, position"
+  ):
+    run(by_itself(agent), tmp_path / "none", other, init_from=student)
+  log = {"class_name": "GaussianDistribution", "init_std": 0.1, "std_type": "log"}
+  with pytest.raises(CheckpointError, match=r"log_std_param is missing in the file"):
+    run(by_itself(agent, actor=replace(agent.student, distribution_cfg=log)), tmp_path / "none", init_from=student)
+  with pytest.raises(ConfigError, match=r"a policy to begin as is given, .* has its own"):
+    run(by_itself(agent), tmp_path / "none", init_from=student, resume=student)
+  assert not (tmp_path / "none").exists()
 
 
 def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:

@@ -38,7 +38,7 @@ class ManifestError(ValueError):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TeacherRecord:
-  """Whom a student learned from."""
+  """A trained policy that another learned from, or began as."""
 
   checkpoint: str
   """Checkpoint file, absolute."""
@@ -78,6 +78,8 @@ class RunManifest:
   """Checkpoint that the run continued."""
   teacher: TeacherRecord | None = None
   """Whom the policy learned from, in a distillation."""
+  init_from: TeacherRecord | None = None
+  """Whose policy this one was in the beginning; None: its weights were drawn."""
   versions: dict[str, str] = dataclasses.field(default_factory=dict)
   """Versions of Python, the operating system and the packages that matter."""
   git: dict[str, Any] | None = None

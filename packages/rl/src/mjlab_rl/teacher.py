@@ -1,15 +1,15 @@
-"""A trained policy that is to teach another: read from its run, and held against the environment it is to act in."""
+"""A trained policy that another learns from or begins as: read from its run, and held against where it is to act."""
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from mjlab_core import unknown
 
 from mjlab_rl.checkpoint import CheckpointError, read_checkpoint
-from mjlab_rl.config import ConfigError, RslRlDistillationRunnerCfg, RslRlModelCfg
+from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
 from mjlab_rl.manifest import Json, RunManifest, TeacherRecord, encode, load_run
 
 # What a teacher may see with other noise, or later, than when it was trained.
@@ -34,7 +34,7 @@ class Teacher:
   @property
   def name(self) -> str:
     """For messages."""
-    return f"teacher {self.path}" + (f" of {self.run.task}" if self.run is not None else "")
+    return f"policy {self.path}" + (f" of {self.run.task}" if self.run is not None else "")
 
   def network(self, agent: RslRlDistillationRunnerCfg) -> RslRlModelCfg:
     """What its network is made of, from its run or from `agent.teacher`.
@@ -54,7 +54,23 @@ class Teacher:
       )
     return trained
 
-  def check(self, env: Any, agent: RslRlDistillationRunnerCfg) -> None:
+  def check_beginning(self, env: Any, agent: RslRlBaseRunnerCfg) -> None:
+    """Hold its network, and what it saw and did in training, against those of the policy of `agent` that begins as it.
+
+    As `check`, but for the deviation of its actions.
+
+    Raises:
+      CheckpointError: Something differs; the message says what it was in training and what it is now.
+    """
+    self.check(env, agent, agent.policy)
+    if self.run is not None:
+      trained, now = (
+        _encoded(dataclasses.replace(model, distribution_cfg=None))
+        for model in (getattr(self.run.agent, self.role), getattr(agent, agent.policy))
+      )
+      self._refuse(_differences(trained, now, f"agent.{agent.policy}"))
+
+  def check(self, env: Any, agent: RslRlBaseRunnerCfg, network: str = "teacher") -> None:
     """Hold what it saw and did in training against what it will: terms, their order and scales, actions, their period.
 
     Environment configurations are compared where they have `observations` by group, `actions`, `decimation` and
@@ -62,14 +78,15 @@ class Teacher:
 
     Args:
       env: Configuration of the environment it is to act in.
-      agent: Learner that it is to teach.
+      agent: Learner that it is to be part of.
+      network: Which of its networks it is to be.
 
     Raises:
       CheckpointError: Something differs; the message says what it was in training and what it is now.
     """
     if self.run is None:
       return
-    theirs, ours = self.run.agent.obs_groups[self.role], agent.obs_groups["teacher"]
+    theirs, ours = self.run.agent.obs_groups[self.role], agent.obs_groups[network]
     differences = list(_differences(len(theirs), len(ours), "number of observation groups"))
     for group, own in zip(theirs, ours, strict=False):
       groups = getattr(env, "observations", None)
@@ -83,8 +100,11 @@ class Teacher:
         differences += _differences(trained, now, f"observations.{own}")
     differences += _differences(_control(self.run.env), _control(env), "")
     differences += _differences(self.run.agent.clip_actions, agent.clip_actions, "agent.clip_actions")
-    if differences:
-      raise CheckpointError(f"{self.name} does not fit: {_listed(differences)}")
+    self._refuse(differences)
+
+  def _refuse(self, differences: Iterable[str]) -> None:
+    if listed := _listed(differences):
+      raise CheckpointError(f"{self.name} does not fit: {listed}")
 
 
 def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
@@ -111,8 +131,9 @@ def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
       )
     record = None if run is None else run.teacher
     return Teacher(path=path, weights=state["teacher_state_dict"], record=record, run=run, role="teacher")
-  role = "actor" if run is None else run.agent.policy
-  state = read_checkpoint(path, role)
+  roles = ("actor", "student") if run is None else (run.agent.policy,)
+  state = read_checkpoint(path, *roles)
+  role = next(name for name in roles if f"{name}_state_dict" in state)
   task = None if run is None else run.task
   with path.open("rb") as file:
     digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -184,6 +205,6 @@ def _shown(value: Json) -> str:
   return value.get("type", ", ".join(value)) if isinstance(value, dict) else str(value)
 
 
-def _listed(differences: list[str] | Iterator[str]) -> str:
+def _listed(differences: Iterable[str]) -> str:
   found = list(differences)
   return "; ".join(found[:4]) + (f"; and {len(found) - 4} more" if len(found) > 4 else "")

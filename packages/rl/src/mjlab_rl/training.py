@@ -45,6 +45,7 @@ def train(
   log_root: str | os.PathLike[str] | None = "logs",
   resume: Path | None = None,
   teacher: Path | None = None,
+  init_from: Path | None = None,
   console: Console | None = None,
   command: list[str] | None = None,
   code: Path | None = None,
@@ -63,6 +64,8 @@ def train(
     log_root: Folder of all experiments; None: write nothing.
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
     teacher: Checkpoint of the policy to imitate, where `task.agent` distils one; a run that is resumed has its own.
+    init_from: Checkpoint whose policy, by reinforcement or distilled, this one is in the beginning, with its normaliser
+      and the deviation of its actions; all else begins anew.
     console: Where progress is shown; None: standard output.
     command: Command line, for the manifest.
     code: A file of the task's own code, whose commit goes into the manifest.
@@ -72,11 +75,12 @@ def train(
   Raises:
     ManifestError: The configuration cannot be written down.
     ConfigError: The learner configuration cannot work.
-    CheckpointError: The checkpoint does not fit, or the teacher does not.
+    CheckpointError: A checkpoint does not fit.
   """
   console = console if console is not None else Console()
   env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
   teaching = _teacher(agent, env_cfg, teacher, resume)
+  beginning = _beginning(agent, env_cfg, init_from, resume)
   agent.to_rsl_rl()
   if getattr(env_cfg, "seed", None) is None:
     env_cfg.seed = agent.seed
@@ -93,6 +97,7 @@ def train(
     command=list(command or []),
     resumed_from=None if resume is None else str(resume.resolve()),
     teacher=None if teaching is None else teaching.record,
+    init_from=None if beginning is None else beginning.record,
     versions=package_versions(),
     git=None if code is None else git_state(code),
   )
@@ -107,6 +112,8 @@ def train(
     runner = kind(wrapped, agent, None, device, console=console)
     if resume is not None:
       runner.load(str(resume))
+    if beginning is not None:
+      runner.load_policy(beginning.path)
     if teaching is not None:
       if not isinstance(runner, MjlabDistillationRunner):
         raise ConfigError(f"the task's runner is {kind.__name__}, which is no MjlabDistillationRunner")
@@ -151,4 +158,15 @@ def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: 
   found = read_teacher(path, resumed=resume is not None)
   found.check(env, agent)
   agent.teacher = copy.deepcopy(found.network(agent))
+  return found
+
+
+def _beginning(agent: RslRlBaseRunnerCfg, env: Any, init_from: Path | None, resume: Path | None) -> Teacher | None:
+  """The trained policy that this one is in the beginning."""
+  if init_from is None:
+    return None
+  if resume is not None:
+    raise ConfigError(f"a policy to begin as is given, {init_from}, but {resume} has its own")
+  found = read_teacher(init_from)
+  found.check_beginning(env, agent)
   return found

@@ -31,6 +31,9 @@ class Arguments:
   teacher: str | None = None
   """Policy to imitate, in tasks that distil one: latest (of the task that teaches; also None), the name or directory of
   a run, or a checkpoint file."""
+  init_from: str | None = None
+  """Policy to begin as, of a student too: latest or the name of a run of this task's experiment, a task (its latest),
+  the directory of a run, or a checkpoint file. All but the policy begins anew."""
   log_root: str = "logs"
   """Folder of all runs."""
   viewer: bool = False
@@ -109,6 +112,8 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     raise UsageError("--verbose and --quiet exclude each other")
   if wanted.teacher is not None and wanted.resume is not None:
     raise UsageError("--teacher and --resume exclude each other: a run that is continued has its teacher")
+  if wanted.init_from is not None and wanted.resume is not None:
+    raise UsageError("--init-from and --resume exclude each other: a run that is continued has its policy")
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
   device = making.resolve_device(wanted.device)
   checkpoint = _checkpoint(wanted, name)
@@ -121,6 +126,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   teacher = _teacher(wanted, name)
+  beginning = _beginning(wanted)
   if wanted.seed is not None:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
     wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
@@ -133,6 +139,8 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     console.say(f"continuing from {checkpoint}")
   if teacher is not None:
     console.say(f"learning from {teacher}")
+  if beginning is not None:
+    console.say(f"beginning as {beginning}")
 
   watchers = Watchers(wanted)
   is_built = False
@@ -155,6 +163,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       log_root=wanted.log_root,
       resume=checkpoint,
       teacher=teacher,
+      init_from=beginning,
       console=console,
       command=["train", name, *given],
       code=task_file(name),
@@ -245,6 +254,18 @@ def _teacher(wanted: Arguments, task: str) -> Path | None:
   except FileNotFoundError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
+
+
+def _beginning(wanted: Arguments) -> Path | None:
+  """The checkpoint of the policy to begin as; None where none is."""
+  if wanted.init_from is None:
+    return None
+  from mjlab_rl import find_checkpoint
+
+  if wanted.init_from in list_tasks():
+    experiment = load_task(wanted.init_from).agent.experiment_name
+    return find_checkpoint("latest", log_root=Path(wanted.log_root), experiment=experiment, task=wanted.init_from)
+  return find_checkpoint(wanted.init_from, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name)
 
 
 def _gpu_name(device: str) -> str:
