@@ -117,6 +117,18 @@ def test_links_in_documents_lead_somewhere() -> None:
   assert broken == []
 
 
+def test_prose_of_readmes_fits_130_columns() -> None:
+  wide = []
+  for path in tracked_files():
+    if path.name in ("README.md", "CONTRIBUTING.md"):
+      is_code = False
+      for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        is_code ^= line.lstrip().startswith("```")
+        if len(line) > 130 and not is_code and not line.startswith(("|", "![")):
+          wide.append(f"{path.relative_to(ROOT)}:{number}")
+  assert wide == []
+
+
 def test_nothing_of_the_workshop_is_left_in_the_repository() -> None:
   # Absolute paths of somebody's machine, folders beside the clone, merge leftovers, and what writes code by itself.
   assistants = "|".join(("clau" + "de", "anthro" + "pic", "copi" + "lot", "open" + "ai", "chat" + "gpt"))
