@@ -155,7 +155,8 @@ class VelocityEvaluation:
     groups |= {f"push {size:g} m/s": level == i for i, size in enumerate(self.pushes)}
     wanted = torch.tensor(self.grid, dtype=torch.float64)[command, :2].norm(dim=-1)
     entity = env.scene[self.entity]
-    mass = float(env.sim.mj_model.body_subtreemass[entity.indexing.root_body])
+    # Where masses are drawn, each world has its own.
+    mass = env.sim.model.body_subtreemass[:, entity.indexing.root_body].double().cpu()
     cost = played.mean("power") / (mass * GRAVITY * played.mean("speed"))
     metrics = {
       "fall_rate": played.has_failed.double(),
