@@ -28,7 +28,9 @@ def assert_same(a: Any, b: Any, where: str = "") -> None:
     assert a == b, where
 
 
-@pytest.mark.parametrize("name", ["Mjlab-Cartpole-Balance", "Mjlab-Velocity-Rough-Unitree-Go1", "Mjlab-Tracking-Flat-Unitree-G1"])
+@pytest.mark.parametrize(
+  "name", ["Mjlab-Cartpole-Balance", "Mjlab-Velocity-Rough-Unitree-Go1", "Mjlab-Tracking-Flat-Unitree-G1"]
+)
 def test_five_iterations_and_five_more_equal_ten(tmp_path: Path, name: str) -> None:
   task = mjlab.load_task(name)
   task.env.scene.num_envs = WORLDS

@@ -140,7 +140,9 @@ def test_pictures_show_each_group_and_what_nobody_reached_is_left_out(tmp_path: 
     for name, mean in (("all", 0.5), ("a", 0.25), ("b", 0.75))
   }
   lines = {"all": [1.0, 2.0], "a": [1.0, 3.0], "b": [1.0, math.nan]}
-  found = mjlab_rl.Evaluation(groups=groups, curves={"error": lines, "playing": lines}, units={"time": "s", "error": "m"})
+  found = mjlab_rl.Evaluation(
+    groups=groups, curves={"error": lines, "playing": lines}, units={"time": "s", "error": "m"}
+  )
   with pytest.MonkeyPatch.context() as patched:
     patched.setattr(_evaluation_plot, "Figure", Seen)
     _evaluation_plot.plot_groups(found, tmp_path / "groups.png")

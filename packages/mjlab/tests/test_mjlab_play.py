@@ -16,8 +16,11 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_viewer import Playback, RenderingError
+from mjlab_robots import g1_spec
+from mjlab_tracking import Kinematics, load_motion, shipped_clips
+from mjlab_viewer import BackgroundVideo, Playback, RenderingError
 from mjlab_viewer.opengl import make_context
+from mjlab_viewer.snapshot import Snapshot
 
 TASK = "Test-Pendulum"
 
@@ -142,6 +145,37 @@ def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys:
   assert "exists; --force overwrites it" in capsys.readouterr().err
   assert film.read_bytes() == before
   assert cli.main([*arguments, "--force"]) == 0
+
+
+def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  drawn: list[list[np.ndarray]] = []
+  add = BackgroundVideo.add
+
+  def look(self: BackgroundVideo, snapshot: Snapshot) -> None:
+    shapes = snapshot.drawings[0].shapes
+    drawn.append([s.position[0] + (0.5 * s.direction[0] if s.kind == "line" else 0.0) for s in shapes])
+    add(self, snapshot)
+
+  monkeypatch.setattr(BackgroundVideo, "add", look)
+  task = "Mjlab-Tracking-Flat-Unitree-G1"
+  flags = ["--agent", "zero", "--num-envs", "1", "--no-terminations", "--video", str(tmp_path / "film.mp4")]
+  flags += ["--video-length", "0.1", "--video-width", "64", "--video-height", "48"]
+  assert cli.main(["play", task, "--device", "cpu", *flags]) == 0
+  clip, robot = load_motion(shipped_clips()["squat_and_wave"]), Kinematics(g1_spec(meshes="never").compile())
+  assert len(drawn) == 5
+  for frame, middles in enumerate(drawn, start=1):
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = torch.cat((clip.root_pos[frame], clip.root_quat[frame], clip.joint_pos[frame]))
+    mujoco.mj_kinematics(robot.model, data)
+    expected = data.geom_xpos[robot.model.geom_group == 2]
+    assert len(expected) > 20
+    np.testing.assert_allclose(middles, expected, atol=1e-4)
 
 
 def test_a_film_where_opengl_is_missing_is_one_line(

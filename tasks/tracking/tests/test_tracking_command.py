@@ -10,7 +10,8 @@ from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul, quat
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import ConfigError, TerminationTermCfg
 from mjlab_rl import RslRlVecEnvWrapper
-from mjlab_tracking.g1 import BODIES
+from mjlab_tracking import TrackingEvaluation
+from mjlab_tracking.g1 import BODIES, END_EFFECTORS
 from mjlab_tracking.library import shipped_clips
 from mjlab_tracking.mdp import MotionCommand, bad_anchor_height
 from mjlab_tracking.motion import load_motion, save_motion
@@ -43,6 +44,16 @@ def test_an_episode_starts_in_the_pose_of_a_frame_and_is_to_reach_the_next(folde
     torch.testing.assert_close(found, expected, atol=1e-6, rtol=0)
   torch.testing.assert_close(term.joint_pos, frames(term, term.clip, start + 1, "joint_pos"))
   assert torch.equal(term.command, torch.cat((term.joint_pos, term.joint_vel), 1).float())
+
+
+def test_of_a_folder_only_the_split_that_is_asked_for_is_followed_and_judged(tmp_path: Path) -> None:
+  (clips(tmp_path) / "library.json").write_text('{"b_march.npz": {"split": "test"}}')
+  cfg = still(tmp_path)
+  command(cfg).split = "test"
+  _, term = make(cfg)
+  assert term.library.clip_names == ("b_march",)
+  judge = TrackingEvaluation(end_effectors=END_EFFECTORS, repeats=3)
+  assert judge.configure(cfg).scene.num_envs == 3
 
 
 def test_a_start_is_off_by_no_more_than_it_may_and_within_soft_limits(folder: Path) -> None:
