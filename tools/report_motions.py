@@ -1,7 +1,7 @@
 """Converts clips that other people made and says how good they are: `uv run python tools/report_motions.py FOLDER`.
 
-FOLDER holds `g1-moves/*.csv` at 60 Hz and `kimodo/*.csv` at 30 Hz; nothing of it is copied. Writes
-`docs/motions.md` and a picture of each quality report.
+FOLDER holds `g1-moves/*.csv` at 60 Hz, `kimodo/*.csv` at 30 Hz and `shuffle_dance.npz`, which says its times; nothing of
+it is copied. Writes `docs/motions.md` and a picture of each quality report.
 """
 
 import argparse
@@ -27,22 +27,23 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 SOURCES = {
-  "g1-moves": (60.0, "experientialtech/g1-moves, CC-BY-4.0: recorded from performers, retargeted"),
-  "kimodo": (30.0, "NVlabs/ProtoMotions, Apache-2.0: made by a text-to-motion model"),
+  "g1-moves": ("g1-moves/*.csv", 60.0, "experientialtech/g1-moves, CC-BY-4.0: recorded from performers, retargeted"),
+  "kimodo": ("kimodo/*.csv", 30.0, "NVlabs/ProtoMotions, Apache-2.0: made by a text-to-motion model"),
+  "mujoco_warp": ("shuffle_dance.npz", None, "google-deepmind/mujoco_warp, Apache-2.0: a rollout of a simulation"),
 }
 HEAD = """\
 # Clips of other people, converted
 
-What the quality report of `convert-motion` looks like on eight clips of the Unitree G1 that are not part of this
+What the quality report of `convert-motion` looks like on nine clips of the Unitree G1 that are not part of this
 repository. For a clip of your own, with a film of it:
 
 ```bash
 uv run convert-motion my_clip.csv --rate 60 --output-rate 50 --ground --report my_clip.png --video my_clip.mp4
 ```
 
-Each clip below was read with nothing stated but its rate, resampled to 50 Hz and put on the ground, as above. "Order"
-is that of the quaternions in the file, which was proven. "Off" is how far the furthest body in any frame is from where
-MuJoCo C has it. "Worst" names the checks that warn, with their largest value.
+Each clip below was read with nothing stated but its rate (of the rollout not even that: it says its times), resampled to
+50 Hz and put on the ground, as above. "Order" is that of the quaternions in a CSV, which was proven. "Off" is how far the
+furthest body in any frame is from where MuJoCo C has it. "Worst" names the checks that warn, with their largest value.
 
 | clip | from | frames | order | off | report | worst |
 |---|---|---|---|---|---|---|
@@ -80,8 +81,8 @@ def main() -> None:
   folder = parser.parse_args().folder
   robot = Kinematics(g1_spec(meshes="never").compile())
   lines, pictures = [HEAD], []
-  for source, (rate, _) in SOURCES.items():
-    for path in sorted((folder / source).glob("*.csv")):
+  for source, (pattern, rate, _) in SOURCES.items():
+    for path in sorted(folder.glob(pattern)):
       read = read_motion(path, robot, Statement(rate=rate))
       motion = to_ground(resample(read, 50.0), robot)
       report = check_quality(motion, robot)
@@ -89,8 +90,9 @@ def main() -> None:
       plot_quality(report, picture)
       Image.open(picture).convert("RGB").quantize(32).save(picture, optimize=True)
       faults = [f"{f.check} {f.worst:.3g} {LIMITS[f.check].unit}" for f in report.findings if f.severity != "ok"]
-      order, off = read.history[-1].split()[1], deviation(motion, robot)
-      frames = f"{read.num_frames} at {rate:g} Hz, {motion.num_frames} at 50 Hz"
+      order = read.history[-1].split()[1] if path.suffix == ".csv" else "as in MuJoCo"
+      off = deviation(motion, robot)
+      frames = f"{read.num_frames} at {read.rate:g} Hz, {motion.num_frames} at 50 Hz"
       cells = (
         f"[{path.stem}](#{path.stem.lower()})",
         source,
@@ -102,7 +104,7 @@ def main() -> None:
       )
       lines.append(f"| {' | '.join(cells)} |\n")
       pictures.append(f"\n## {path.stem}\n\n![Checks of {path.stem} over time](pictures/{picture.name})\n")
-  sources = "\n".join(f"- {source}: {about}" for source, (_, about) in SOURCES.items())
+  sources = "\n".join(f"- {source}: {about}" for source, (*_, about) in SOURCES.items())
   text = "".join(lines) + f"\n{sources}\n" + READING + "".join(pictures)
   (ROOT / "docs" / "motions.md").write_text(text, encoding="utf-8")
 

@@ -1,9 +1,12 @@
 """The evaluation of lifting, of policies of which it is known how well they do."""
 
+import itertools
+
 import pytest
 import torch
 from manipulation_worlds import lift, place, three_cubes
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_managers import TerminationTermCfg
 from mjlab_manipulation import LiftEvaluation, lift_cube, lift_cube_env, lift_objects_env
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.evaluation import _by_width
@@ -47,6 +50,66 @@ def test_a_hand_of_providence_succeeds_as_often_and_as_fast_as_it_did() -> None:
   assert set(result.groups) == {"all", "near", "far", "left", "right"}
   assert sum(result.groups[name]["success_rate"].count for name in ("near", "far")) == 8
   assert "success_rate" in result.table()
+
+
+def test_forces_errors_and_failures_are_those_of_the_same_episodes_worked_out_by_hand() -> None:
+  def configured() -> ManagerBasedRlEnvCfg:
+    cfg = evaluator().configure(lift_cube_env())
+    cfg.terminations["pressed"] = TerminationTermCfg(fails_when_told)
+    return cfg
+
+  def act(env: ManagerBasedRlEnv, step: int) -> torch.Tensor:
+    """Fingers close about cubes that are put between them, but for that of the last world, and hands shake."""
+    if step == 30:
+      site = (env.scene["robot"].data.site_pos_w[:, 1] - env.scene.env_origins).numpy()
+      place(env, site, world=slice(0, 7))
+    action = 0.3 * torch.randn(8, 7, generator=torch.Generator().manual_seed(step))
+    action[:, 6] = 1.0 if step < 30 else -10.0
+    return action
+
+  peak, final, length, failed = torch.zeros(8), torch.zeros(8), torch.zeros(8), torch.zeros(8, dtype=torch.bool)
+  cfg = configured()
+  cfg.auto_reset = False
+  with ManagerBasedRlEnv(cfg, device="cpu") as env:
+    env.reset(seed=0)
+    playing = torch.ones(8, dtype=torch.bool)
+    for step in range(1, 101):
+      goal = lift_command(env, COMMAND).command + env.scene.env_origins
+      _, _, terminated, truncated, _ = env.step(act(env, step))
+      # (worlds, fingers by cubes, substeps, 3)
+      force = env.scene["fingers"].data.force_history.norm(dim=-1).flatten(1).amax(1).float()
+      peak = torch.where(playing, torch.maximum(peak, force), peak)
+      error = (env.scene["cube"].data.root_link_pos_w - goal).norm(dim=-1).float()
+      final = torch.where(playing, error, final)
+      length += playing
+      failed |= playing & terminated
+      playing &= ~(terminated | truncated)
+      if done := (terminated | truncated).nonzero().flatten().tolist():
+        env.reset(env_ids=done)
+  assert length.tolist() == [100, 1, 33, *[100] * 5]
+  # Not every hand gets hold of its cube.
+  assert int((peak > 1.0).sum()) >= 4
+  assert peak[[1, 7]].tolist() == [0.0, 0.0]
+  with ManagerBasedRlEnv(configured(), device="cpu") as env:
+    steps = itertools.count(1)
+    result = evaluator().run(env, lambda _: act(env, next(steps)))
+  everybody = result.groups["all"]
+  assert everybody["failure_rate"].mean == pytest.approx(2 / 8)
+  assert everybody["peak_force"].mean == pytest.approx(float(peak.mean()), rel=1e-5)
+  assert everybody["final_error"].mean == pytest.approx(float(final.mean()), rel=1e-5)
+  assert failed.tolist() == [False, True, True, *[False] * 5]
+  # Sides tell worlds apart by where their cubes were at first.
+  left, right = result.groups["left"], result.groups["right"]
+  total = left["peak_force"].mean * left["peak_force"].count + right["peak_force"].mean * right["peak_force"].count
+  assert total == pytest.approx(float(peak.sum()), rel=1e-5)
+  assert left["peak_force"].count + right["peak_force"].count == 8
+
+
+def fails_when_told(env: ManagerBasedRlEnv) -> torch.Tensor:
+  """World 1 on its first step, world 2 on its 33rd, when its cube has just been put between the fingers."""
+  told = torch.zeros(env.num_envs, dtype=torch.int64)
+  told[1], told[2] = 1, 33
+  return env.episode_length_buf == told
 
 
 def test_a_policy_that_does_nothing_never_succeeds() -> None:

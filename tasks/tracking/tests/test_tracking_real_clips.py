@@ -1,6 +1,6 @@
 """Clips as people have them. They are not part of the repository: MJLAB_MOTIONS names a folder that has some.
 
-It holds `g1-moves/*.csv` (60 Hz) with `B_HandsUp.mjlab.npz`, and `kimodo/*.csv` (30 Hz).
+It holds `g1-moves/*.csv` (60 Hz) with `B_HandsUp.mjlab.npz`, `kimodo/*.csv` (30 Hz), and rollouts of MuJoCo (`*.npz`).
 """
 
 import os
@@ -13,7 +13,7 @@ import torch
 from mjlab_robots import g1_spec
 from mjlab_tracking.formats import Statement, read_motion
 from mjlab_tracking.kinematics import Kinematics, derived_arrays
-from mjlab_tracking.motion import load_arrays
+from mjlab_tracking.motion import Motion, load_arrays
 from mjlab_tracking.timeline import resample
 
 pytestmark = pytest.mark.skipif(
@@ -22,6 +22,7 @@ pytestmark = pytest.mark.skipif(
 FOLDER = Path(os.environ.get("MJLAB_MOTIONS", "."))
 CLIPS = [(path, 60.0, "xyzw") for path in sorted(FOLDER.glob("g1-moves/*.csv"))]
 CLIPS += [(path, 30.0, "wxyz") for path in sorted(FOLDER.glob("kimodo/*.csv"))]
+ROLLOUTS = sorted(FOLDER.glob("*.npz"))
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +32,7 @@ def robot() -> Kinematics:
 
 def test_the_folder_has_clips() -> None:
   assert len(CLIPS) >= 8
+  assert ROLLOUTS
 
 
 @pytest.mark.parametrize(("path", "rate", "order"), CLIPS, ids=lambda value: getattr(value, "stem", None))
@@ -39,10 +41,25 @@ def test_a_clip_is_read_in_the_right_order_and_its_bodies_are_where_mujoco_has_t
 ) -> None:
   motion = read_motion(path, robot, Statement(rate=rate))
   assert f"quaternions {order} (proven" in motion.history[-1]
-  motion = resample(motion, 50.0)
+  assert motion.rate == rate
+  assert motion.joint_names == robot.joint_names
+  assert_bodies_are_where_mujoco_has_them(resample(motion, 50.0), robot)
+
+
+@pytest.mark.parametrize("path", ROLLOUTS, ids=lambda path: path.stem)
+def test_a_rollout_of_mujoco_is_read_with_nothing_stated(path: Path, robot: Kinematics) -> None:
+  motion, arrays = read_motion(path, robot), load_arrays(path)
+  assert motion.rate == pytest.approx((arrays["times"].size - 1) / np.ptp(arrays["times"]))
+  assert motion.joint_names == robot.joint_names
+  read = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1)
+  np.testing.assert_allclose(read, arrays["qpos"], atol=1e-6)
+  assert_bodies_are_where_mujoco_has_them(motion, robot)
+
+
+def assert_bodies_are_where_mujoco_has_them(motion: Motion, robot: Kinematics) -> None:
   derived = derived_arrays(motion, robot)
   data = mujoco.MjData(robot.model)
-  for frame in range(0, motion.num_frames, 10):
+  for frame in range(motion.num_frames):
     data.qpos[:] = torch.cat((motion.root_pos[frame], motion.root_quat[frame], motion.joint_pos[frame]))
     mujoco.mj_kinematics(robot.model, data)
     np.testing.assert_allclose(derived["body_pos_w"][frame], data.xpos[1:], atol=1e-5)
