@@ -6,6 +6,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import mjlab
@@ -13,7 +14,9 @@ import mjlab.registry as registry
 import mjlab_pendulum
 import numpy as np
 import pytest
+import torch
 from mjlab import cli
+from mjlab.cli._train import _environment_line
 from mjlab.making import share_cores
 from mjlab.nan_replay import NanReplay
 from mjlab_command import running
@@ -50,8 +53,12 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
   assert run.command[:2] == ["train", TASK]
   assert run.play is mjlab_pendulum.for_watching
   shown = capsys.readouterr().out
-  assert "8 worlds" in shown
-  assert "engine native" in shown
+  first = shown.splitlines()[:3]
+  assert first[0].startswith(f"{TASK}: 8 worlds (--env.scene.num-envs sets it) on cpu (")
+  assert first[1] == "engine native, every step run eagerly"
+  versions = first[2].split(", ")
+  for package in ("mjlab", "mujoco", "mujoco-warp", "torch", "rsl-rl-lib"):
+    assert f"{package} {metadata.version(package)}" in versions
   assert f"done: 3 iterations, {directory / 'model_3.pt'}" in shown
 
 
@@ -87,6 +94,21 @@ def test_the_commit_of_a_run_is_that_of_its_tasks_code_wherever_one_stands(
     {"commit": mine, "dirty": False},
     None,
   ]
+
+
+@pytest.mark.parametrize(
+  ("device", "engine", "capture", "said"),
+  [
+    ("cuda", "warp", True, "engine warp, every step replayed as one recorded graph"),
+    ("cuda", "warp", False, "engine warp, every step run eagerly"),
+    ("cpu", "warp", True, "engine warp, physics replayed as recorded graphs and the rest of every step run eagerly"),
+    ("cpu", "warp", False, "engine warp, every step run eagerly"),
+    ("cpu", "native", True, "engine native, every step run eagerly"),
+  ],
+)
+def test_what_is_recorded_is_said(device: str, engine: str, capture: bool, said: str) -> None:
+  sim = SimpleNamespace(device=torch.device(device), engine=engine, cfg=SimpleNamespace(capture=capture))
+  assert _environment_line(SimpleNamespace(sim=sim)) == said
 
 
 def test_a_task_alone_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

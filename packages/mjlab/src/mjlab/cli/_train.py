@@ -278,8 +278,12 @@ def _environment_line(env: Any) -> str:
   sim = getattr(env, "sim", None)
   if sim is None:
     return f"environment {type(env).__name__}"
-  is_recorded = sim.device.type == "cuda" and sim.cfg.capture
-  return f"engine {sim.engine}, every step {'replayed as one recorded graph' if is_recorded else 'run eagerly'}"
+  how = "every step run eagerly"
+  if sim.cfg.capture and sim.engine == "warp":
+    how = "physics replayed as recorded graphs and the rest of every step run eagerly"
+    if sim.device.type == "cuda":
+      how = "every step replayed as one recorded graph"
+  return f"engine {sim.engine}, {how}"
 
 
 def _versions_line() -> str:
