@@ -74,6 +74,21 @@ def test_the_newest_run_is_played_as_it_was_trained(
   assert env.num_envs == 8
 
 
+def test_a_window_is_opened_where_there_is_a_screen_and_a_page_elsewhere(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  opened: list[str] = []
+  for name in ("browser", "native"):
+    monkeypatch.setattr(play_command, f"_{name}", lambda *_, name=name: opened.append(name) or 0)
+  for screens in ({}, {"DISPLAY": ":7"}, {"WAYLAND_DISPLAY": "wayland-0"}):
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+      monkeypatch.delenv(variable, raising=False)
+    for variable, screen in screens.items():
+      monkeypatch.setenv(variable, screen)
+    assert cli.main(["play", TASK, "--agent", "zero", "--device", "cpu", "--log-root", str(tmp_path)]) == 0
+  assert opened == ["browser", "native", "native"]
+
+
 def test_a_checkpoint_of_a_run_and_flags_of_the_environment_are_taken(logs: Path, watched: list[Any]) -> None:
   (checkpoint,) = logs.rglob("model_1.pt")
   assert play(logs, "--checkpoint", str(checkpoint), "--num-envs", "3", "--env.rewards.alive.weight", "2") == 0
