@@ -119,6 +119,7 @@ def frame_turn(rotation: np.ndarray, alignment: str) -> np.ndarray:
   "pattern",
   [
     GridPatternCfg(size=(0.8, 0.4), resolution=0.2),
+    RingPatternCfg(radius=0.3, num_samples=7),
     PinholeCameraPatternCfg(),
     LidarPatternCfg(rows=6, columns=12, vertical_fov=(-70.0, 20.0)),
   ],
