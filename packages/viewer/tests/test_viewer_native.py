@@ -29,12 +29,22 @@ told = SimpleNamespace(
   normal=torch.eye(3)[[0, 1, 2, 0]], force=torch.ones(4, 3),
 )
 env.sim.told = dict.fromkeys(range(3), told)
+# World 1 has a small blue box with another ornament.
+model, box = env.sim.mj_model, env.sim.mj_model.geom("box").id
+env.sim.expand("geom_rgba")[1, box] = torch.tensor([0.1, 0.1, 0.9, 1.0])
+env.sim.expand("geom_size")[1, box] *= 0.5
+env.sim.expand("geom_dataid")[1, model.geom("ornament").id] = model.mesh("spike").id
 playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
 before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
 mujoco.mj_saveModel(env.sim.mj_model, None, before)
 
 def screen():
   return np.asarray(ImageGrab.grab(xdisplay=os.environ["DISPLAY"])).astype(int)
+
+def seen(channel):
+  others = [other for other in range(3) if other != channel]
+  image = screen()
+  return (image[..., channel] > 2 * image[..., others].max(axis=2) + 40).sum()
 
 def eventually(holds):
   end = time.monotonic() + 20
@@ -51,7 +61,10 @@ with NativeViewer(playback) as viewer:
   viewer._press(262)
   eventually(lambda: playback.step_count == count + 1)
   viewer._press(ord("."))
+  red, green = seen(0), seen(1)
+  assert seen(2) < 20
   eventually(lambda: viewer.selected == 1)
+  eventually(lambda: seen(0) < 20 and 20 < seen(2) < 0.5 * red and seen(1) != green)
   viewer._press(ord(","))
   viewer._press(ord(","))
   eventually(lambda: viewer.selected == 2)
@@ -64,15 +77,18 @@ with NativeViewer(playback) as viewer:
   # Contacts that the simulation tells of, and none that the window's own data would have.
   shown = lambda: viewer.window.user_scn.ngeom
   eventually(lambda: shown() == 1 and env.sim.datas[2].ncon == 4)
-  for flag, count in ((mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, 4), (mujoco.mjtVisFlag.mjVIS_CONTACTFORCE, 7)):
+  flags = [int(mujoco.mjtVisFlag.mjVIS_CONTACTPOINT), int(mujoco.mjtVisFlag.mjVIS_CONTACTFORCE)]
+  for flag, count in zip(flags, (4, 7)):
     with viewer.window.lock():
       viewer.window.opt.flags[flag] = 1
     eventually(lambda: shown() == count)
   assert viewer._world.data.ncon == 0
-  viewer.window.opt.flags[:] = 0
+  # These alone: without lights all of the picture would change, some time later.
+  viewer.window.opt.flags[flags] = 0
+  eventually(lambda: shown() == 1)
 
   # What is seen: the box, and plots in the right third of the window.
-  assert (screen()[..., 0] > 2 * screen()[..., 1:].max(axis=2) + 40).sum() > 200
+  assert seen(0) > 200 and seen(2) < 20
   height, width = viewer.window.viewport.height, viewer.window.viewport.width
   third = lambda: screen()[10:height - 10, 2 * width // 3 + 5:width - 5]
   bare = third()
