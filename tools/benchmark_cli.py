@@ -26,6 +26,10 @@ COMMANDS = {
   "list-envs": "from mjlab.cli import list_envs; list_envs([])",
   "train --help": "from mjlab.cli import train; train(['--help'])",
   f"train {TASK} --help": f"from mjlab.cli import train; train(['{TASK}', '--help'])",
+  "demo": (
+    "import mjlab_viewer; mjlab_viewer.BrowserViewer.run = lambda _: None;"
+    "from mjlab.cli import demo; demo(['--device', 'cpu'])"
+  ),
 }
 WATCHED = ("numpy", "mujoco", "torch", "warp", "mujoco_warp", "rsl_rl")
 REPORT = "\nimport json, sys; sys.stdout.flush(); json.dump(sorted(sys.modules), sys.stderr)"
@@ -83,7 +87,8 @@ def main() -> None:
   text = f"""# What a prompt costs
 
 CPU seconds of the whole process, least and median of {arguments.repeats} runs, and the modules that are loaded when
-it is done. Absolute times hold on this machine only; compare rows. Made by `uv run python tools/benchmark_cli.py`.
+it is done; of `demo` until its page can be opened. Absolute times hold on this machine only; compare rows. Made by
+`uv run python tools/benchmark_cli.py`.
 
 {date.today()}, Python {platform.python_version()}, {versions};
 {os.cpu_count()} cores of {processor()}, shared with other work.
