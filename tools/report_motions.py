@@ -1,7 +1,7 @@
 """Converts clips that other people made and says how good they are: `uv run python tools/report_motions.py FOLDER`.
 
-FOLDER holds `g1-moves/*.csv` at 60 Hz, `kimodo/*.csv` at 30 Hz and `shuffle_dance.npz`, which says its times; nothing of
-it is copied. Writes `docs/motions.md` and a picture of each quality report.
+FOLDER holds `g1-moves/*.csv` at 60 Hz, `kimodo/*.csv` at 30 Hz and `shuffle_dance.npz`, which says its times; nothing
+of it is copied. Writes `docs/motions.md` and a picture of each quality report.
 """
 
 import argparse
@@ -41,9 +41,10 @@ repository. For a clip of your own, with a film of it:
 uv run convert-motion my_clip.csv --rate 60 --output-rate 50 --ground --report my_clip.png --video my_clip.mp4
 ```
 
-Each clip below was read with nothing stated but its rate (of the rollout not even that: it says its times), resampled to
-50 Hz and put on the ground, as above. "Order" is that of the quaternions in a CSV, which was proven. "Off" is how far the
-furthest body in any frame is from where MuJoCo C has it. "Worst" names the checks that warn, with their largest value.
+Each clip below was read with nothing stated but its rate (of the rollout not even that: it says its times), resampled
+to 50 Hz and put on the ground, as above. "Order" is that of the quaternions in the file, which was proven, or MuJoCo's
+in the rollout. "Off" is how far the furthest body in any frame is from where MuJoCo C has it. "Worst" names the checks
+that warn, with their largest value.
 
 | clip | from | frames | order | off | report | worst |
 |---|---|---|---|---|---|---|
@@ -90,8 +91,7 @@ def main() -> None:
       plot_quality(report, picture)
       Image.open(picture).convert("RGB").quantize(32).save(picture, optimize=True)
       faults = [f"{f.check} {f.worst:.3g} {LIMITS[f.check].unit}" for f in report.findings if f.severity != "ok"]
-      order = read.history[-1].split()[1] if path.suffix == ".csv" else "as in MuJoCo"
-      off = deviation(motion, robot)
+      order, off = read.history[-1].split()[1], deviation(motion, robot)
       frames = f"{read.num_frames} at {read.rate:g} Hz, {motion.num_frames} at 50 Hz"
       cells = (
         f"[{path.stem}](#{path.stem.lower()})",

@@ -172,6 +172,61 @@ def test_a_file_with_the_root_in_front_of_named_joints_is_read_by_name(tmp_path:
   torch.testing.assert_close(robot().columns_of(read_motion(path, robot())), motion.joint_pos, atol=1e-9, rtol=0)
 
 
+def rooted(quat: torch.Tensor, path: Path, key: str = "joint_pos") -> Path:
+  """An `.npz` with root and joints in one array."""
+  motion = wiggle()
+  arrays: dict[str, Any] = {
+    key: torch.cat((motion.root_pos, quat, motion.joint_pos), 1).numpy(),
+    "fps": np.array([50.0]),
+  }
+  np.savez(path, **arrays)
+  return path
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_the_order_of_quaternions_in_front_of_joints_is_proven_too(tmp_path: Path, order: str) -> None:
+  quat = wiggle().root_quat
+  motion = read_motion(rooted(quat if order == "wxyz" else quat.roll(-1, 1), tmp_path / "rooted.npz"), robot())
+  assert_same(motion, wiggle())
+  assert f"quaternions {order} (proven" in motion.history[-1]
+
+
+def test_an_order_in_front_of_joints_that_cannot_be_proven_must_be_stated(tmp_path: Path) -> None:
+  ahead = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64).repeat(60, 1)
+  path = rooted(ahead, tmp_path / "rooted.npz")
+  with pytest.raises(MotionError, match=r"cannot be proven .*--quaternion"):
+    read_motion(path, robot())
+  assert read_motion(path, robot(), Statement(quaternion="xyzw")).root_quat[0].tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_a_rollout_whose_quaternions_are_not_mujocos_is_refused(tmp_path: Path) -> None:
+  path = rooted(wiggle().root_quat.roll(-1, 1), tmp_path / "rollout.npz", "qpos")
+  with pytest.raises(MotionError, match=r"a qpos has w first, but only as xyzw it is upright.*--quaternion"):
+    read_motion(path, robot())
+  assert_same(read_motion(path, robot(), Statement(quaternion="xyzw")), wiggle())
+
+
+def test_an_order_that_is_stated_is_never_passed_over(tmp_path: Path) -> None:
+  save_motion(wiggle(), tmp_path / "ours.npz")
+  with pytest.raises(MotionError, match="it says that w comes first, you say xyzw"):
+    read_motion(tmp_path / "ours.npz", robot(), Statement(quaternion="xyzw"))
+  arrays = seven_keys(wiggle())
+  np.savez(tmp_path / "seven.npz", **arrays | {"body_quat_w": np.roll(arrays["body_quat_w"], -1, -1)})
+  with pytest.raises(MotionError, match="cannot be placed"):
+    read_motion(tmp_path / "seven.npz", robot())
+  assert_same(read_motion(tmp_path / "seven.npz", robot(), Statement(quaternion="xyzw")), wiggle())
+
+
+def test_a_file_of_arrays_that_says_no_rate_needs_one(tmp_path: Path) -> None:
+  path = tmp_path / "seven.npz"
+  arrays = seven_keys(wiggle())
+  del arrays["fps"]
+  np.savez(path, **arrays)
+  with pytest.raises(MotionError, match="does not say its rate; state it with --rate"):
+    read_motion(path, robot())
+  assert read_motion(path, robot(), Statement(rate=50.0)).rate == 50.0
+
+
 @pytest.mark.parametrize("bodies", ["depth first", "shuffled"])
 @pytest.mark.parametrize("joints", ["depth first", "breadth first"])
 def test_orders_of_a_seven_key_file_are_proven_by_kinematics(tmp_path: Path, joints: str, bodies: str) -> None:

@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
   parser.add_argument("--robot", default="g1", help="g1, go1 or the path of an MJCF (default: g1)")
   said = parser.add_argument_group("what the file does not say")
   said.add_argument("--rate", type=float, metavar="HZ", help="frames per second of the clip")
-  said.add_argument("--quaternion", choices=("wxyz", "xyzw"), help="order in a CSV; left out, it is proven or refused")
+  said.add_argument("--quaternion", choices=("wxyz", "xyzw"), help="order in the file; without it, proven or refused")
   said.add_argument("--joint-names", type=_names, metavar="NAMES", help="of the joint columns: a,b,c or a text file")
   said.add_argument("--body-names", type=_names, metavar="NAMES", help="of the bodies of a seven-key .npz, likewise")
   said.add_argument(

@@ -36,7 +36,7 @@ class Statement:
   rate: float | None = None
   """Frames per second [Hz]."""
   quaternion: QuaternionOrder | None = None
-  """Order of the root's quaternion in a CSV."""
+  """Order of quaternions in the file."""
   joint_names: Sequence[str] | None = None
   """Names of the joint columns, in order."""
   body_names: Sequence[str] | None = None
@@ -77,17 +77,19 @@ def _from_npz(path: Path, robot: Kinematics, said: Statement) -> Motion:
     motion = motion_from_arrays(arrays, path)
     if said.rate is not None and said.rate != motion.rate:
       raise MotionError(f"{path}: it says {motion.rate:g} Hz, you say {said.rate:g}")
+    if said.quaternion == "xyzw":
+      raise MotionError(f"{path}: it says that w comes first, you say xyzw")
     motion = _mapped(motion, robot, said)
     if "body_pos_w" in arrays and said.joint_map is None:
       _check_bodies(path, arrays, motion, robot)
     return motion
   if "qpos" in arrays:
-    return _from_qpos(path, arrays["qpos"], robot, said, _rate(path, arrays, said))
+    return _from_table(path, arrays["qpos"], robot, said, _rate(path, arrays, said), is_mujoco=True)
   named = _named(arrays, said)
   joints = len(robot.joint_names if named.joint_names is None else named.joint_names)
   # Some files have the root in front of the joints; it then needs no bodies.
   if "joint_pos" in arrays and ("body_pos_w" not in arrays or arrays["joint_pos"].shape[-1] == 7 + joints):
-    return _from_qpos(path, arrays["joint_pos"], robot, named, _rate(path, arrays, said))
+    return _from_table(path, arrays["joint_pos"], robot, named, _rate(path, arrays, said))
   if missing := [name for name in ("joint_pos", "body_pos_w", "body_quat_w") if name not in arrays]:
     raise MotionError(f"{path}: lacks {', '.join(missing)}, it has: {', '.join(arrays) or 'nothing'}")
   return _from_seven_keys(path, arrays, robot, named, _rate(path, arrays, said))
@@ -139,17 +141,7 @@ def _from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
     names = header[7:]
   if said.rate is None:
     raise MotionError(f"{path}: a CSV does not say its rate; state it with --rate")
-  quaternions = torch.from_numpy(table[:, 3:7])
-  if table.shape[1] < 8:
-    raise MotionError(f"{path}: {table.shape[1]} columns; expected root position, quaternion and joints")
-  order = said.quaternion or _proven_order(path, quaternions)
-  if order == "xyzw":
-    quaternions = quaternions.roll(1, 1)
-  stated = dataclasses.replace(said, joint_names=names)
-  qpos = np.concatenate((table[:, :3], quaternions.numpy(), table[:, 7:]), 1)
-  motion = _from_qpos(path, qpos, robot, stated, said.rate)
-  how = "stated" if said.quaternion else "proven: only so it is upright"
-  return motion.changed(f"quaternions {order} ({how})")
+  return _from_table(path, table, robot, dataclasses.replace(said, joint_names=names), said.rate)
 
 
 def _is_number(cell: str) -> bool:
@@ -160,18 +152,38 @@ def _is_number(cell: str) -> bool:
   return True
 
 
-def _proven_order(path: Path, quaternions: torch.Tensor) -> QuaternionOrder:
+# Root and joints in one table
+
+
+def _from_table(
+  path: Path, table: np.ndarray, robot: Kinematics, said: Statement, rate: float, is_mujoco: bool = False
+) -> Motion:
+  """Columns root position, quaternion in the order stated or proven, joints."""
+  if table.ndim != 2 or table.shape[1] < 8:
+    raise MotionError(f"{path}: {table.shape[-1]} columns; expected root position, quaternion and joints")
+  table = table.astype(np.float64)
+  if said.quaternion is not None:
+    order, how = said.quaternion, "stated"
+  elif is_mujoco:
+    heights = _heights(table[:, 3:7])
+    if heights["xyzw"] >= UPRIGHT and heights["wxyz"] <= TILTED:
+      raise MotionError(
+        f"{path}: a qpos has w first, but only as xyzw it is upright; state it with --quaternion wxyz or xyzw"
+      )
+    order, how = "wxyz", "those of MuJoCo"
+  else:
+    order, how = _proven_order(path, table[:, 3:7]), "proven: only so it is upright"
+  if order == "xyzw":
+    table[:, 3:7] = np.roll(table[:, 3:7], 1, 1)
+  return _from_qpos(path, table, robot, said, rate).changed(f"quaternions {order} ({how})")
+
+
+def _proven_order(path: Path, quaternions: np.ndarray) -> QuaternionOrder:
   """The order in which the root is upright, if in the other one it clearly is not.
 
   The two readings of a row are as far apart from one another in every frame, so speeds of rotation prove nothing.
   """
-  up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-  heights: dict[QuaternionOrder, float] = {}
-  shifts: dict[QuaternionOrder, int] = {"wxyz": 0, "xyzw": 1}
-  for order, shift in shifts.items():
-    quat = quaternions.roll(shift, 1)
-    quat = quat / torch.linalg.vector_norm(quat, dim=-1, keepdim=True)
-    heights[order] = float(quat_apply(quat, up)[:, 2].mean())
+  heights = _heights(quaternions)
   wrong, right = sorted(heights, key=lambda order: heights[order])
   if heights[right] < UPRIGHT or heights[wrong] > TILTED:
     readings = ", ".join(f"{order} {height:+.2f}" for order, height in heights.items())
@@ -180,6 +192,18 @@ def _proven_order(path: Path, quaternions: torch.Tensor) -> QuaternionOrder:
       "with --quaternion wxyz or xyzw"
     )
   return right
+
+
+def _heights(quaternions: np.ndarray) -> dict[QuaternionOrder, float]:
+  """Mean height of the root's z axis in either reading of (frames, 4) numbers."""
+  up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+  heights: dict[QuaternionOrder, float] = {}
+  shifts: dict[QuaternionOrder, int] = {"wxyz": 0, "xyzw": 1}
+  for order, shift in shifts.items():
+    quat = torch.from_numpy(quaternions).roll(shift, 1)
+    quat = quat / torch.linalg.vector_norm(quat, dim=-1, keepdim=True)
+    heights[order] = float(quat_apply(quat, up)[:, 2].mean())
+  return heights
 
 
 def _from_qpos(path: Path, qpos: np.ndarray, robot: Kinematics, said: Statement, rate: float) -> Motion:
@@ -238,6 +262,8 @@ def _from_seven_keys(
   """Joints and bodies in the order stated, or in the one that forward kinematics proves."""
   body_pos = torch.from_numpy(arrays["body_pos_w"].astype(np.float64))
   body_quat = torch.from_numpy(arrays["body_quat_w"].astype(np.float64))
+  if said.quaternion == "xyzw":
+    body_quat = body_quat.roll(1, -1)
   joint_pos = torch.from_numpy(arrays["joint_pos"].astype(np.float64))
   frames = joint_pos.shape[0]
   if body_pos.shape != (frames, body_pos.shape[1], 3) or body_quat.shape != (frames, body_pos.shape[1], 4):
