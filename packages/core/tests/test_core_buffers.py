@@ -148,6 +148,21 @@ def test_lags_change_only_every_update_period_and_hold_keeps_them() -> None:
   assert torch.equal(held.lag, lag)
 
 
+@pytest.mark.parametrize(("per_env_phase", "phases"), [(True, {0, 1, 2, 3}), (False, {3})])
+def test_worlds_draw_anew_at_a_phase_of_their_own_unless_told_otherwise(per_env_phase: bool, phases: set[int]) -> None:
+  worlds = 64
+  generator = make_generator("cpu", 0)
+  buffer = DelayBuffer(
+    0, 10_000, worlds, (1,), "cpu", generator=generator, update_period=4, per_env_phase=per_env_phase
+  )
+  first = torch.full((worlds,), -1)
+  for step in range(4):
+    before = buffer.lag.clone()
+    buffer.push(torch.zeros(worlds, 1))
+    first[(buffer.lag != before) & (first < 0)] = step
+  assert set(first.tolist()) == phases
+
+
 def test_after_fill_the_filled_value_is_served_for_the_whole_lag() -> None:
   buffer = delay(3, 3)
   everyone = torch.ones(N, dtype=torch.bool)
