@@ -15,6 +15,7 @@ from mjlab_viewer import (
   PictureCfg,
   RenderingError,
   SnapshotTaker,
+  TrainingVideo,
   VideoFile,
   ViewerError,
 )
@@ -168,6 +169,27 @@ def test_without_opengl_a_film_fails_in_one_line_and_nothing_else_does(
   (error,) = errors
   assert isinstance(error, RenderingError)
   assert "\n" not in str(error)
+  assert list(tmp_path.iterdir()) == []
+
+
+def test_a_drawing_that_fails_ends_the_films_of_a_training_and_not_the_training(
+  tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+  env = BoxEnv(1)
+  env.draws_at_first = True
+  films = TrainingVideo(env, tmp_path, interval=10, length=5, cfg=SMALL)
+
+  def draw(draw: object) -> None:
+    raise ZeroDivisionError("a drawing")
+
+  env.command.debug_draw = draw
+  for _ in range(25):
+    env.step(torch.zeros(1, 1))
+    films.after_step()
+  films.close()
+  assert films.is_off
+  said = "training goes on without films: drawing: ZeroDivisionError: a drawing"
+  assert [record.getMessage() for record in caplog.records] == [said]
   assert list(tmp_path.iterdir()) == []
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.offscreen import PictureCfg
+from mjlab_viewer.playback import one_line
 from mjlab_viewer.snapshot import SnapshotTaker
 from mjlab_viewer.video import BackgroundVideo
 from mjlab_viewer.worlds import ViewedEnv
@@ -20,7 +21,7 @@ class TrainingVideo:
   """Films the first worlds as tiles: `length` steps from every `interval`-th on.
 
   `after_step` copies a few worlds to the host; rendering and encoding happen in the background, and frames are left out
-  rather than waited for. Where no pictures can be made, one line says so and nothing more is tried.
+  rather than waited for. Where no pictures can be made, or a drawing fails, one line says so and nothing more is tried.
 
   Args:
     env: The environment.
@@ -58,20 +59,26 @@ class TrainingVideo:
       self._film = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, self._cfg)
     if self._film is None:
       return
-    self._film.add(self._taker.take(self._worlds, drawers=self._env.drawn_at_first(), apart=True))
+    try:
+      snapshot = self._taker.take(self._worlds, drawers=self._env.drawn_at_first(), apart=True)
+    except Exception as error:
+      # What tasks draw is theirs; a film is never worth a training.
+      self._give_up(one_line("drawing", error))
+      return
+    self._film.add(snapshot)
     if phase == self._length - 1:
       self._film.finish()
     if self._film.error is not None:
-      self._give_up(self._film.error)
+      self._give_up(str(self._film.error))
 
   def close(self) -> None:
     """Finish the film that is being made."""
     if self._film is not None:
       self._film.close()
       if self._film.error is not None and not self.is_off:
-        self._give_up(self._film.error)
+        self._give_up(str(self._film.error))
       self._film = None
 
-  def _give_up(self, error: Exception) -> None:
+  def _give_up(self, why: str) -> None:
     self.is_off = True
-    _log.warning("training goes on without films: %s", " ".join(str(error).split()))
+    _log.warning("training goes on without films: %s", " ".join(why.split()))
