@@ -15,4 +15,4 @@ def pytest_unconfigure(config: pytest.Config) -> None:
   """What tests left behind, such as a thread, has as long to end as a test has."""
   limit = float(config.getini("faulthandler_timeout"))
   if limit:
-    faulthandler.dump_traceback_later(limit, file=sys.__stderr__, exit=True)
+    faulthandler.dump_traceback_later(limit, file=sys.__stderr__ or sys.stderr, exit=True)
