@@ -6,15 +6,19 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
+import viser
 from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ViewerError, ZeroPolicy
 from mjlab_viewer.browser_controls import _ratio
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
 from viewer_page import choose, eventually, headless_chromium, opened, row, slide, stepping
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 
 @pytest.fixture(scope="module")
@@ -353,3 +357,24 @@ def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypat
       viewer.update()
     assert viewer.error is None
     assert [kept.step for kept in viewer.history] == list(range(101, 701, 2))
+
+
+def test_what_is_set_before_the_page_has_told_where_its_camera_is_counts() -> None:
+  env = BoxEnv(3)
+  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    inputs = {handle.label: uuid for uuid, handle in viewer.server.gui._gui_input_handle_from_uuid.items()}
+
+    def is_so(holds: Callable[[], bool]) -> bool:
+      viewer.update()
+      playback.tick()
+      return holds()
+
+    address = viewer.url.replace("http", "ws", 1)
+    with connect(address, subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None) as page:
+      for label, value in (("World", 2), ("By hand", True), ("forward", 0.5), ("Speed", "2")):
+        message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
+        page.send(msgspec.msgpack.encode(message))
+      eventually(lambda: is_so(lambda: env.command.by_hand == {2: (0.5, 0.0)}), "the command is not given by hand")
+      assert (viewer.selected, playback.speed) == (2, 2.0)
+      assert not viewer.server.get_clients()

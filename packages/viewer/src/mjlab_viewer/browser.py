@@ -116,10 +116,16 @@ class BrowserViewer:
       except Exception as error:
         self._fail("film", error)
     now = time.perf_counter()
-    if now < self._due["frame"] or self._is_off or not self.server.get_clients():
+    if now < self._due["frame"] or self._is_off:
       return
-    # A picture that took longer than it should have is followed by a pause, not by a backlog.
+    self._due["frame"] = now + FRAME
     try:
+      # Of a page that has gone again, too; which world it is comes before what is wanted of it.
+      self._worlds.values.read()
+      if self._controls is not None:
+        self._controls.values.read()
+      if not self.server.get_clients():
+        return
       self._show(now)
       self.error = None
     except Exception as error:
@@ -128,6 +134,7 @@ class BrowserViewer:
     if now >= self._due["status"] and self._controls is not None:
       self._due["status"] = now + _STATUS_EVERY
       self._controls.show_status()
+    # A picture that took longer than it should have is followed by a pause, not by a backlog.
     self._due["frame"] = max(now + FRAME, time.perf_counter() + FRAME / 4)
 
   def run(self, until: Callable[[], bool] = lambda: False) -> None:

@@ -1,10 +1,10 @@
-"""Buttons and sliders of the page. They leave wishes; the thread that owns the environment fulfils them."""
+"""Buttons and sliders of the page. Buttons leave wishes; who owns the environment reads values, and fulfils them."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import viser
 
@@ -21,29 +21,55 @@ REMEMBERED = 10.0
 """How far one can go back while paused [s]."""
 
 
+class Values:
+  """What inputs of the page are set to.
+
+  They are read rather than listened to: the page shows them before it tells where its camera is, and of what is set
+  until then viser keeps the value but tells nobody.
+  """
+
+  def __init__(self) -> None:
+    self._inputs: list[tuple[Sequence[viser.GuiInputHandle[Any]], Callable[[], None]]] = []
+    self._seen: list[tuple[Any, ...]] = []
+
+  def on_change(self, action: Callable[[], None], *inputs: viser.GuiInputHandle[Any]) -> None:
+    """Have something done after any of these inputs was set."""
+    self._inputs.append((inputs, action))
+    self._seen.append(tuple(part.value for part in inputs))
+
+  def read(self) -> None:
+    """Do what is to be done for inputs that were set since the last time."""
+    for row, (inputs, action) in enumerate(self._inputs):
+      values = tuple(part.value for part in inputs)
+      if values != self._seen[row]:
+        self._seen[row] = values
+        action()
+
+
 class WorldControls:
   """Which worlds are shown, whether the eye follows, and what is drawn over them."""
 
   def __init__(self, viewer: BrowserViewer, max_worlds: int) -> None:
     gui, env = viewer.server.gui, viewer.env
+    self.values = Values()
     self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
     with gui.add_folder("Worlds"):
       if env.num_envs > 1:
         world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=viewer.selected)
-        world.on_update(lambda _: setattr(viewer, "selected", int(world.value)))
+        self.values.on_change(lambda: setattr(viewer, "selected", int(world.value)), world)
         most = min(max_worlds, env.num_envs)
         drawn = gui.add_slider(
           "Shown", min=1, max=most, step=1, initial_value=viewer.num_drawn, hint="This world and those after it"
         )
-        drawn.on_update(lambda _: setattr(viewer, "num_drawn", int(drawn.value)))
+        self.values.on_change(lambda: setattr(viewer, "num_drawn", int(drawn.value)), drawn)
       follow = gui.add_checkbox("Follow", initial_value=viewer.scene.scene.camera_tracking_enabled)
 
-      def move(_: object) -> None:
+      def move() -> None:
         viewer.scene.follow(follow.value)
         for client in viewer.server.get_clients().values():
           viewer.scene.look(client)
 
-      follow.on_update(move)
+      self.values.on_change(move, follow)
     known, at_first = env.drawers(), env.drawn_at_first()
     if known:
       with gui.add_folder("Draw"):
@@ -63,6 +89,7 @@ class PlaybackControls:
     self._endings = Endings(viewer)
     playback.on_step.append(self._endings.look)
     self._gui = gui = viewer.server.gui
+    self.values = Values()
     self._status = gui.add_html("")
     self._shown_status = ""
     self._told_error: str | None = None
@@ -72,7 +99,7 @@ class PlaybackControls:
     self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), playback.reset)
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
-    speed.on_update(lambda _: playback.request(lambda: setattr(playback, "speed", speeds[speed.value])))
+    self.values.on_change(lambda: setattr(playback, "speed", speeds[speed.value]), speed)
     self._timeline = gui.add_slider(
       "Seconds back",
       min=0.0,
@@ -168,29 +195,26 @@ class PlaybackControls:
         ]
         stop = self._gui.add_button("Stop", hint="All to zero")
 
-        def steer(_: object, command=command, by_hand=by_hand, sliders=sliders) -> None:
+        def steer(command=command, by_hand=by_hand, sliders=sliders) -> None:
           world = self._viewer.selected
           values: Sequence[float] | None = [float(slider.value) for slider in sliders] if by_hand.value else None
           self._playback.request(lambda: command.steer(world, values))
 
-        def zero(_: object, sliders=sliders, steer=steer) -> None:
+        def zero(_: object, sliders=sliders) -> None:
           for slider in sliders:
             slider.value = _zero(slider.min, slider.max)
-          steer(None)
 
-        for part in (by_hand, *sliders):
-          part.on_update(steer)
+        self.values.on_change(steer, by_hand, *sliders)
         stop.on_click(zero)
 
   def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
     with self._gui.add_folder("Policy"):
       names = list(checkpoints.names()) or [checkpoints.loaded]
       choice = self._gui.add_dropdown("Checkpoint", names, initial_value=checkpoints.loaded or names[-1])
-      choice.on_update(lambda _: load(choice.value))
       newest = self._gui.add_button("Newest", hint="Look for new checkpoints and take the last one")
 
-      def load(name: str) -> None:
-        self._playback.request(lambda: self._playback.set_policy(checkpoints.load(name)))
+      def load() -> None:
+        self._playback.request(lambda: self._playback.set_policy(checkpoints.load(choice.value)))
 
       def refresh() -> None:
         found = list(checkpoints.names())
@@ -198,6 +222,7 @@ class PlaybackControls:
           choice.options = found
           choice.value = found[-1]
 
+      self.values.on_change(load, choice)
       newest.on_click(lambda _: self._playback.request(refresh))
 
   def _toggle_recording(self, client: viser.ClientHandle | None) -> None:

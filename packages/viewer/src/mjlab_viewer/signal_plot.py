@@ -25,35 +25,27 @@ class SignalPlot:
   def __init__(self, server: viser.ViserServer, groups: Mapping[str, Sequence[str]]) -> None:
     self._server = server
     self._groups = groups
-    self._group = next(iter(groups))
-    self._word = ""
+    self._group, self._word = next(iter(groups)), ""
     # Into this folder curves are put again after another choice.
-    if len(groups) > 1:
-      choice = server.gui.add_dropdown("Group", list(groups), initial_value=self._group)
-      choice.on_update(lambda _: self._choose(choice.value, self._word))
-    word = server.gui.add_text("Filter", "", hint="Show only what has this in its name")
-    word.on_update(lambda _: self._choose(self._group, word.value))
+    self._choice = server.gui.add_dropdown("Group", list(groups)) if len(groups) > 1 else None
+    self._filter = server.gui.add_text("Filter", "", hint="Show only what has this in its name")
     self._folder = server.gui.add_folder("Curves")
     self._shown: list[int] = []
     self._plot: viser.GuiUplotHandle | None = None
     self._more: viser.GuiMarkdownHandle | None = None
-    self._wanted: tuple[str, str] | None = (self._group, "")
+    self._make()
 
   def show(self, history: Sequence[Snapshot], step_dt: float) -> None:
     """Draw the signals of a run of snapshots of the same selected world."""
-    if self._wanted is not None:
-      (self._group, self._word), self._wanted = self._wanted, None
+    wanted = (self._group if self._choice is None else self._choice.value, self._filter.value)
+    if wanted != (self._group, self._word):
+      self._group, self._word = wanted
       self._make()
     if self._plot is None or not history:
       return
     time = np.array([snapshot.step for snapshot in history]) * step_dt
     values = np.stack([snapshot.signals[self._group] for snapshot in history])
     self._plot.data = (time, *(values[:, index].astype(np.float64) for index in self._shown))
-
-  def _choose(self, group: str, word: str) -> None:
-    # The page is changed by the thread that draws, at its next turn.
-    self._group, self._word = group, word
-    self._wanted = (group, word)
 
   def _make(self) -> None:
     for part in (self._plot, self._more):
