@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from collections import deque
 from pathlib import Path
 
 import mujoco
@@ -47,7 +48,8 @@ class NanGuard:
     self._on_host = device.type == "cpu"
     if self._on_host:
       self._host_fields = [field.numpy() for field in self._fields]
-      self._host_slots = [list(slot.numpy()) for slot in self._ring]
+      # The slot that is due is the first.
+      self._host_slots = deque(list(slot.numpy()) for slot in self._ring)
     self._kept = torch.zeros(slots + 1, steps, width, dtype=dtype, device=device)
     self._last = torch.zeros(slots + 1, width + sim.mj_model.nv, dtype=dtype, device=device)
     self._tags = torch.zeros(slots + 1, 2, dtype=torch.int64, device=device)
@@ -70,8 +72,9 @@ class NanGuard:
     """Stores what physics step `substep` of an environment step starts from; the last one completes the step."""
     is_last = substep == len(self._step) - 1
     if self._on_host:
-      slot = self._host_slots[int(self._num_steps) % len(self._host_slots)]
-      np.concatenate(self._host_fields, axis=1, out=slot[substep])
+      np.concatenate(self._host_fields, axis=1, out=self._host_slots[0][substep])
+      if is_last:
+        self._host_slots.rotate(-1)
     else:
       self._pack(self._step[substep])
       if is_last:
