@@ -9,6 +9,8 @@ from unittest.mock import patch
 
 import warp as wp
 
+from mjlab_sim.tile_solvers import made_elsewhere
+
 _Variants = dict[Any, dict[int | None, None]]
 
 
@@ -22,10 +24,19 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
   with _launching_nothing(variants):
     for stage in stages:
       stage()
-  with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None) as pool:
-    made = [pool.submit(_load, module, list(block_dims), device) for module, block_dims in variants.items()]
+  cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+  with made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
+    # What ends last is to begin first.
+    modules = sorted(variants, key=_work, reverse=True)
+    made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
     for future in made:
       future.result()
+
+
+def _work(module: Any) -> tuple[bool, int]:
+  """Grows with the time that a module takes: modules with tiles wait for solvers, in others code counts."""
+  sources = [kernel.adj.source for kernel in module.kernels.values()]
+  return any("tile_" in source for source in sources), sum(map(len, sources))
 
 
 def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
