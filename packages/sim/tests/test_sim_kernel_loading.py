@@ -55,10 +55,14 @@ def test_a_step_loads_no_kernel_that_was_not_loaded_when_the_simulation_was_made
   make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   sim = make_sim("warp", capture=False)
+  sim.expand_model_fields(["body_mass", "body_pos"])
   scatter(sim)
   before = {module: set(module.execs) for module in _modules()}
   sim.step()
   sim.reset(torch.tensor([True, False, False, True]))
+  sim.model.body_mass *= 2.0
+  sim.model.body_pos += 0.1
+  sim.recompute_constants()
   sim.forward()
   sim.count_overflow()
   assert {module: set(module.execs) for module in _modules()} == before

@@ -109,9 +109,12 @@ class WarpEngine:
     self._mask_torch = wp.to_torch(self._mask)
     self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
+    stages = [self._forward, self._step, self._reset, self._count_overflow]
+    # Most environments change a constant at their first reset, and what is loaded beside the rest costs no time.
+    stages.append(lambda: self._recompute(list(CONSTANTS), places=True))
     # Copies and fills are no kernels, and do happen meanwhile.
     with self._stream(), self._preserved():
-      load_kernels([self._forward, self._step, self._reset, self._count_overflow], self._wp_device)
+      load_kernels(stages, self._wp_device)
     self._run("forward", self._forward)
 
   # Fields
