@@ -1,12 +1,14 @@
 """Kernels are found without running anything, and made before they are launched."""
 
+import os
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import pytest
 import torch
 import warp as wp
-from mjlab_sim import Simulation
+from mjlab_sim import Simulation, kernel_loading
 from mjlab_sim.kernel_loading import load_kernels
 from sim_world import scatter
 
@@ -39,6 +41,40 @@ def test_looking_for_kernels_launches_none_and_visits_every_branch() -> None:
   # The condition does not hold: the loop is left out, and of two branches one is taken.
   assert visited[4:] == ["plain", "if"]
   assert counter.numpy()[0] == 2
+
+
+@wp.kernel(module="unique")
+def _increment(out: wp.array(dtype=wp.int32)):  # pyright: ignore  # ty: ignore
+  wp.atomic_add(out, 0, 1)
+
+
+@wp.kernel(module="unique")
+def _count_twice(out: wp.array(dtype=wp.int32)):  # pyright: ignore  # ty: ignore
+  wp.atomic_add(out, 0, 1)
+  wp.atomic_add(out, 0, 1)
+
+
+@wp.kernel(module="unique")
+def _sum(out: wp.array(dtype=wp.int32)):  # pyright: ignore  # ty: ignore
+  wp.tile_store(out, wp.tile_sum(wp.tile_load(out, 1)))  # pyright: ignore  # ty: ignore
+
+
+def test_kernels_that_wait_for_solvers_are_compiled_first_and_then_those_with_most_code(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  counter = wp.zeros(1, dtype=wp.int32, device="cpu")
+  order: list[wp.Module] = []
+  monkeypatch.setattr(kernel_loading, "_load", lambda module, block_dims, device: order.append(module))
+  monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0}, raising=False)
+  kernels: tuple[Any, ...] = (_increment, _count_twice, _sum)
+  short, long, tiled = (kernel.module for kernel in kernels)
+
+  def stage() -> None:
+    for kernel in kernels:
+      wp.launch(kernel, dim=1, outputs=[counter], device="cpu")
+
+  load_kernels([stage], wp.get_device("cpu"))
+  assert order == [tiled, long, short]
 
 
 def test_looking_for_kernels_asks_the_device_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
