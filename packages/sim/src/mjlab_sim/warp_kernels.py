@@ -10,13 +10,13 @@ MESH = wp.constant(int(GeomType.MESH))
 HFIELD = wp.constant(int(GeomType.HFIELD))
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def save_sensors(sensordata: wp.array2d[float], saved: wp.array2d[float]):
   world, column = wp.tid()
   saved[world, column] = sensordata[world, column]
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def restore_acceleration_sensors(
   saved: wp.array2d[float], is_acceleration: wp.array[bool], sensordata: wp.array2d[float]
 ):
@@ -25,21 +25,21 @@ def restore_acceleration_sensors(
     sensordata[world, column] = saved[world, column]
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def clear_acceleration_sensors(is_acceleration: wp.array[bool], sensordata: wp.array2d[float]):
   world, column = wp.tid()
   if is_acceleration[column]:
     sensordata[world, column] = 0.0
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
   world, column = wp.tid()
   if mask[world]:
     rows[world, column] = 0.0
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def count_overflow(
   overflow: wp.array[int],
   nefc: wp.array[int],
