@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import warp as wp
 from mjlab_sim.tile_solvers import made_elsewhere
-from warp._src import context
+from warp._src import build, context
 
 SIZE = wp.constant(4)
 
@@ -61,3 +61,13 @@ def test_a_solver_that_no_other_process_makes_is_made_in_this_one(
 def test_without_it_the_solver_is_made_in_this_process(module: wp.Module, tmp_path: Path) -> None:
   with pytest.raises(RuntimeError, match="made in this process"):
     _compile(module, tmp_path / "kernel")
+
+
+@pytest.mark.warp
+@pytest.mark.parametrize(("owner", "name"), [(wp.Module, "_run_codegen"), (build, "build_lto_solver")])
+def test_a_warp_that_has_no_such_functions_is_left_alone(
+  monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
+) -> None:
+  monkeypatch.delattr(owner, name)
+  with made_elsewhere(1):
+    assert not hasattr(owner, name)

@@ -27,7 +27,11 @@ from warp._src import build
 @contextmanager
 def made_elsewhere(processes: int) -> Generator[None]:
   """Modules that compile for a GPU meanwhile, in whatever thread, have their solvers made by `processes` at once."""
-  write, make = wp.Module._run_codegen, build.build_lto_solver
+  write, make = getattr(wp.Module, "_run_codegen", None), getattr(build, "build_lto_solver", None)
+  if write is None or make is None:
+    # Another Warp, which takes its own time.
+    yield
+    return
   parameters = inspect.signature(make)
   # What the source that this thread writes is linked with; None while it is written for good.
   wanted = threading.local()
