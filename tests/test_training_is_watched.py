@@ -38,8 +38,10 @@ def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tm
       return np.asarray(Image.open(io.BytesIO(page.screenshot())))[140:460, :340, :3].astype(int)
 
     page.get_by_role("tab", name="Controls").wait_for()
-    before = picture()
-    eventually(lambda: (np.abs(picture() - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
+    # More often than a page that loads changes.
+    for _ in range(6):
+      before = picture()
+      eventually(lambda before=before: (np.abs(picture() - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
     page.get_by_role("tab", name="Plots").click()
     page.get_by_text("track_linear_velocity").first.wait_for()
     seen = iterations()
