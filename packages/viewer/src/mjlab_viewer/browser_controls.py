@@ -271,4 +271,4 @@ def _ratio(speed: float) -> str:
 
 def _zero(lower: float, upper: float) -> float:
   """Zero, or the middle of a range that does not hold it."""
-  return 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
+  return 0.0 if lower <= 0.0 <= upper else round(0.5 * (lower + upper), 9)
