@@ -262,8 +262,13 @@ def test_a_signal_ends_the_iteration_and_saves(tmp_path: Path, number: signal.Si
     return step(actions)
 
   interrupted.env.step = stepping
+  # What is ignored stays so: tests may have been started with `nohup`.
+  hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
   handlers = [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)]
-  interrupted.learn(50)
+  try:
+    interrupted.learn(50)
+  finally:
+    signal.signal(signal.SIGHUP, hangup)
   assert interrupted.stopped_by == number.name
   assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt"]
   assert [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)] == handlers
