@@ -191,7 +191,7 @@ def test_single_precision_follows_the_engine() -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_recorded_substeps_equal_eager_ones() -> None:
+def test_recorded_substeps_equal_eager_ones_on_a_gpu() -> None:
   spec = mujoco.MjSpec.from_string(CHAIN)
   cfgs = [pd("a", delay_min_lag=2, delay_max_lag=2), servo("b"), pd("c", delay_min_lag=2, delay_max_lag=2)]
   recorded, eager = ActuatorSet(cfgs), ActuatorSet(cfgs)

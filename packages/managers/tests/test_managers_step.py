@@ -260,7 +260,7 @@ def test_a_restored_run_goes_on_as_the_first_would_have(make_env):
 
 @pytest.mark.filterwarnings("ignore:Synchronization debug mode")
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_recorded_step_is_bit_equal_to_an_eager_one_and_neither_waits(make_env):
+def test_a_recorded_step_is_bit_equal_to_an_eager_one_and_neither_waits_on_a_gpu(make_env):
   def rollout(recorded: bool) -> tuple[list[dict[str, torch.Tensor]], list[torch.Tensor]]:
     env = make_env(64, seed=2, device="cuda")
     step = Step(env)

@@ -165,7 +165,7 @@ def test_both_engines_read_the_same_through_steps_resets_and_writes(worlds: tupl
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_recorded_step_with_all_sensors_reads_as_an_eager_one_and_never_waits() -> None:
+def test_a_recorded_step_with_all_sensors_reads_as_an_eager_one_and_never_waits_on_a_gpu() -> None:
   worlds = [World("warp", "cuda", capture) for capture in (True, False)]
   mask = torch.tensor([True, False], device="cuda")
 
