@@ -360,6 +360,22 @@ def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypat
     assert [kept.step for kept in viewer.history] == list(range(101, 701, 2))
 
 
+def test_the_hand_goes_with_the_selection_and_the_world_left_behind_gets_its_own_commands_again() -> None:
+  env = BoxEnv(3)
+  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    steered = []
+    for label, value in (("forward", 0.5), ("By hand", True), ("World", 2), ("forward", -1.0), ("By hand", False)):
+      inputs[label].value = value
+      viewer._due["frame"] = 0.0
+      viewer.update()
+      playback.tick()
+      steered.append(dict(env.command.by_hand))
+    assert steered == [{}, {0: (0.5, 0.0)}, {2: (0.5, 0.0)}, {2: (-1.0, 0.0)}, {}]
+    assert playback.error is None
+
+
 def test_what_is_set_before_the_page_has_told_where_its_camera_is_counts() -> None:
   env = BoxEnv(3)
   playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import viser
 
@@ -13,6 +13,7 @@ from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.playback import SPEEDS, Playback
 from mjlab_viewer.pushing import floating_dofs, push
 from mjlab_viewer.replay import Replay
+from mjlab_viewer.worlds import Steering
 
 if TYPE_CHECKING:
   from mjlab_viewer.browser import BrowserViewer
@@ -22,27 +23,27 @@ REMEMBERED = 10.0
 
 
 class Values:
-  """What inputs of the page are set to.
+  """What the page is set to.
 
-  They are read rather than listened to: the page shows them before it tells where its camera is, and of what is set
+  It is read rather than listened to: the page shows its inputs before it tells where its camera is, and of what is set
   until then viser keeps the value but tells nobody.
   """
 
   def __init__(self) -> None:
-    self._inputs: list[tuple[Sequence[viser.GuiInputHandle[Any]], Callable[[], None]]] = []
-    self._seen: list[tuple[Any, ...]] = []
+    self._watched: list[tuple[Callable[[], object], Callable[[], None]]] = []
+    self._seen: list[object] = []
 
-  def on_change(self, action: Callable[[], None], *inputs: viser.GuiInputHandle[Any]) -> None:
-    """Have something done after any of these inputs was set."""
-    self._inputs.append((inputs, action))
-    self._seen.append(tuple(part.value for part in inputs))
+  def on_change(self, value: Callable[[], object], action: Callable[[], None]) -> None:
+    """Have something done after this value became another one."""
+    self._watched.append((value, action))
+    self._seen.append(value())
 
   def read(self) -> None:
-    """Do what is to be done for inputs that were set since the last time."""
-    for row, (inputs, action) in enumerate(self._inputs):
-      values = tuple(part.value for part in inputs)
-      if values != self._seen[row]:
-        self._seen[row] = values
+    """Do what is to be done for values that changed since the last time."""
+    for row, (value, action) in enumerate(self._watched):
+      now = value()
+      if now != self._seen[row]:
+        self._seen[row] = now
         action()
 
 
@@ -56,12 +57,12 @@ class WorldControls:
     with gui.add_folder("Worlds"):
       if env.num_envs > 1:
         world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=viewer.selected)
-        self.values.on_change(lambda: setattr(viewer, "selected", int(world.value)), world)
+        self.values.on_change(lambda: world.value, lambda: setattr(viewer, "selected", int(world.value)))
         most = min(max_worlds, env.num_envs)
         drawn = gui.add_slider(
           "Shown", min=1, max=most, step=1, initial_value=viewer.num_drawn, hint="This world and those after it"
         )
-        self.values.on_change(lambda: setattr(viewer, "num_drawn", int(drawn.value)), drawn)
+        self.values.on_change(lambda: drawn.value, lambda: setattr(viewer, "num_drawn", int(drawn.value)))
       follow = gui.add_checkbox("Follow", initial_value=viewer.scene.scene.camera_tracking_enabled)
 
       def move() -> None:
@@ -69,7 +70,7 @@ class WorldControls:
         for client in viewer.server.get_clients().values():
           viewer.scene.look(client)
 
-      self.values.on_change(move, follow)
+      self.values.on_change(lambda: follow.value, move)
     known, at_first = env.drawers(), env.drawn_at_first()
     if known:
       with gui.add_folder("Draw"):
@@ -99,7 +100,7 @@ class PlaybackControls:
     self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), playback.reset)
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
-    self.values.on_change(lambda: setattr(playback, "speed", speeds[speed.value]), speed)
+    self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
     self._timeline = gui.add_slider(
       "Seconds back",
       min=0.0,
@@ -118,7 +119,8 @@ class PlaybackControls:
     ):
       command.on_trigger(lambda _, action=action: playback.request(action))
     self._add_pushes()
-    self._add_commands()
+    for name, command in playback.env.steering().items():
+      self._add_command(name, command)
     if checkpoints is not None:
       self._add_checkpoints(checkpoints)
 
@@ -183,29 +185,25 @@ class PlaybackControls:
 
       buttons.on_click(act)
 
-  def _add_commands(self) -> None:
-    for name, command in self._playback.env.steering().items():
-      with self._gui.add_folder(f"Command {name}"):
-        by_hand = self._gui.add_checkbox("By hand", initial_value=False, hint="Of the selected world")
-        sliders = [
-          self._gui.add_slider(
-            label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=_zero(lower, upper)
-          )
-          for label, lower, upper in command.axes
-        ]
-        stop = self._gui.add_button("Stop", hint="All to zero")
+  def _add_command(self, name: str, command: Steering) -> None:
+    with self._gui.add_folder(f"Command {name}"):
+      by_hand = self._gui.add_checkbox("By hand", initial_value=False, hint="Of the selected world")
+      sliders = [
+        self._gui.add_slider(label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=_zero(lower, upper))
+        for label, lower, upper in command.axes
+      ]
+      stop = self._gui.add_button("Stop", hint="All to zero")
 
-        def steer(command=command, by_hand=by_hand, sliders=sliders) -> None:
-          world = self._viewer.selected
-          values: Sequence[float] | None = [float(slider.value) for slider in sliders] if by_hand.value else None
-          self._playback.request(lambda: command.steer(world, values))
+    def given() -> tuple[int, list[float]] | None:
+      return (self._viewer.selected, [float(slider.value) for slider in sliders]) if by_hand.value else None
 
-        def zero(_: object, sliders=sliders) -> None:
-          for slider in sliders:
-            slider.value = _zero(slider.min, slider.max)
+    def zero(_: object) -> None:
+      for slider in sliders:
+        slider.value = _zero(slider.min, slider.max)
 
-        self.values.on_change(steer, by_hand, *sliders)
-        stop.on_click(zero)
+    hand = Hand(command)
+    self.values.on_change(given, lambda: self._playback.request(lambda: hand.give(given())))
+    stop.on_click(zero)
 
   def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
     with self._gui.add_folder("Policy"):
@@ -222,7 +220,7 @@ class PlaybackControls:
           choice.options = found
           choice.value = found[-1]
 
-      self.values.on_change(load, choice)
+      self.values.on_change(lambda: choice.value, load)
       newest.on_click(lambda _: self._playback.request(refresh))
 
   def _toggle_recording(self, client: viser.ClientHandle | None) -> None:
@@ -243,6 +241,23 @@ class PlaybackControls:
   def _tell(self, title: str, body: str, color: str) -> None:
     for client in self._viewer.server.get_clients().values():
       client.add_notification(title, body, color=color, auto_close_seconds=10.0)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+
+
+class Hand:
+  """A hand that steers one world at a time; one that it leaves gets its own commands again."""
+
+  def __init__(self, command: Steering) -> None:
+    self._command = command
+    self._world: int | None = None
+
+  def give(self, given: tuple[int, Sequence[float]] | None) -> None:
+    """Give these numbers to this world, or let go."""
+    world, values = (None, None) if given is None else given
+    if self._world is not None and self._world != world:
+      self._command.steer(self._world, None)
+    self._world = world
+    if world is not None:
+      self._command.steer(world, values)
 
 
 class Endings:
