@@ -376,7 +376,7 @@ def test_the_hand_goes_with_the_selection_and_the_world_left_behind_gets_its_own
     assert playback.error is None
 
 
-def test_what_is_set_before_the_page_has_told_where_its_camera_is_counts() -> None:
+def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_counts() -> None:
   env = BoxEnv(3)
   playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
   with BrowserViewer(env, playback=playback, port=8300) as viewer:
@@ -395,4 +395,17 @@ def test_what_is_set_before_the_page_has_told_where_its_camera_is_counts() -> No
       eventually(lambda: is_so(lambda: env.command.by_hand == {2: (0.5, 0.0)}), "the command is not given by hand")
       eventually(lambda: is_so(lambda: playback.speed == 2.0), "the speed stays")
       assert viewer.selected == 2
+      presses: tuple[tuple[str, object, Callable[[], bool]], ...] = (
+        ("Pause", True, lambda: playback.paused),
+        ("Reset", True, lambda: env.num_resets == 3),
+        ("Direction", "up", lambda: env.sim.data.qvel[:, 2].tolist() == [0.0, 0.0, 1.0]),
+        ("Step", True, lambda: playback.step_count == 1),
+        ("Step", True, lambda: playback.step_count == 2),
+        ("Stop", True, lambda: env.command.by_hand == {2: (0.0, 0.0)}),
+        ("Pause", True, lambda: not playback.paused),
+      )
+      for label, value, holds in presses:
+        message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
+        page.send(msgspec.msgpack.encode(message))
+        eventually(lambda holds=holds: is_so(holds), f"{label} does nothing")
       assert not viewer.server.get_clients()

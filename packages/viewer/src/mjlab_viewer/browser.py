@@ -124,6 +124,7 @@ class BrowserViewer:
       self._worlds.values.read()
       if self._controls is not None:
         self._controls.values.read()
+        self._controls.buttons.read()
       if not self.server.get_clients():
         return
       self._show(now)

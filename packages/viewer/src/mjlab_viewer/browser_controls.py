@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import viser
 
@@ -17,6 +17,8 @@ from mjlab_viewer.worlds import Steering
 
 if TYPE_CHECKING:
   from mjlab_viewer.browser import BrowserViewer
+
+Button: TypeAlias = "viser.GuiButtonHandle | viser.GuiButtonGroupHandle"
 
 REMEMBERED = 10.0
 """How far one can go back while paused [s]."""
@@ -45,6 +47,39 @@ class Values:
       if now != self._seen[row]:
         self._seen[row] = now
         action()
+
+
+class Buttons:
+  """What is done for buttons of the page, once for every press.
+
+  Of a page that has not told yet where its camera is, viser notes when a button was pressed, but tells nobody. So that
+  is looked at, too, in viser's own thread, where no press comes in between.
+  """
+
+  def __init__(self, server: viser.ViserServer) -> None:
+    self._server = server
+    self._presses: list[Callable[[], None]] = []
+
+  def on_press(self, button: Button, action: Callable[[viser.ClientHandle | None], None]) -> None:
+    """Have something done at once, in viser's thread, for whoever presses, as far as that is known."""
+    seen = button.update_timestamp
+
+    def press(client: viser.ClientHandle | None = None) -> None:
+      nonlocal seen
+      if button.update_timestamp != seen:
+        seen = button.update_timestamp
+        action(client)
+
+    async def told(event: viser.GuiEvent) -> None:
+      press(event.client)
+
+    button.on_click(told)
+    self._presses.append(press)
+
+  def read(self) -> None:
+    """Do what is to be done for presses that nobody was told of."""
+    for press in self._presses:
+      self._server.get_event_loop().call_soon_threadsafe(press)
 
 
 class WorldControls:
@@ -90,7 +125,7 @@ class PlaybackControls:
     self._endings = Endings(viewer)
     playback.on_step.append(self._endings.look)
     self._gui = gui = viewer.server.gui
-    self.values = Values()
+    self.values, self.buttons = Values(), Buttons(viewer.server)
     self._status = gui.add_html("")
     self._shown_status = ""
     self._told_error: str | None = None
@@ -111,7 +146,7 @@ class PlaybackControls:
       hint="While paused",
     )
     self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
-    self._record.on_click(lambda event: playback.request(lambda: self._toggle_recording(event.client)))
+    self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
     for command, action in (
       (gui.add_command("Pause", hotkey="space"), self._toggle),
       (gui.add_command("Step", hotkey="arrowright"), self._step),
@@ -155,7 +190,7 @@ class PlaybackControls:
         self._tell("Paused", playback.error, "red")
 
   def _ask(self, button: viser.GuiButtonHandle, action: Callable[[], None]) -> None:
-    button.on_click(lambda _: self._playback.request(action))
+    self.buttons.on_press(button, lambda _: self._playback.request(action))
 
   def _toggle(self) -> None:
     if self._playback.paused:
@@ -183,7 +218,7 @@ class PlaybackControls:
         world = self._viewer.selected
         self._playback.request(lambda: push(env.sim, world, (x, y, z)))
 
-      buttons.on_click(act)
+      self.buttons.on_press(buttons, act)
 
   def _add_command(self, name: str, command: Steering) -> None:
     with self._gui.add_folder(f"Command {name}"):
@@ -197,13 +232,13 @@ class PlaybackControls:
     def given() -> tuple[int, list[float]] | None:
       return (self._viewer.selected, [float(slider.value) for slider in sliders]) if by_hand.value else None
 
-    def zero(_: object) -> None:
+    def zero() -> None:
       for slider in sliders:
         slider.value = _zero(slider.min, slider.max)
 
     hand = Hand(command)
     self.values.on_change(given, lambda: self._playback.request(lambda: hand.give(given())))
-    stop.on_click(zero)
+    self._ask(stop, zero)
 
   def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
     with self._gui.add_folder("Policy"):
@@ -221,7 +256,7 @@ class PlaybackControls:
           choice.value = found[-1]
 
       self.values.on_change(lambda: choice.value, load)
-      newest.on_click(lambda _: self._playback.request(refresh))
+      self._ask(newest, refresh)
 
   def _toggle_recording(self, client: viser.ClientHandle | None) -> None:
     if not self._viewer.is_recording:
