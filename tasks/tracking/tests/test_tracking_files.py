@@ -1,5 +1,6 @@
 """Motion files, and the formats of the field: what is written comes back, what is unsaid is proven or refused."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,8 @@ def test_a_file_with_python_objects_is_refused_unread(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path, contents: bytes) -> None:
   path = tmp_path / "broken.npz"
   path.write_bytes(contents)
-  with pytest.raises(MotionError, match=r"broken\.npz"):
+  # NumPy takes what is no zip for a pickle, and tells how to run it.
+  with pytest.raises(MotionError, match=r"broken\.npz: not a readable \.npz \(it is none, or its end is missing\)"):
     load_motion(path)
 
 
@@ -134,6 +136,38 @@ def test_a_header_names_the_joints_and_their_order_does_not_matter(tmp_path: Pat
   path = written(turned, tmp_path / "named.csv", header=True)
   back = read_motion(path, robot(), Statement(rate=50.0))
   torch.testing.assert_close(robot().columns_of(back), motion.joint_pos, atol=1e-12, rtol=0)
+
+
+def test_a_header_may_be_quoted_commented_out_or_come_after_other_lines(tmp_path: Path) -> None:
+  motion = wiggle()
+  path = written(motion.changed("", joint_pos=motion.joint_pos.flip(1), joint_names=motion.joint_names[::-1]),
+    tmp_path / "wiggle.csv", header=True)  # fmt: skip
+  header, _, rows = path.read_text().partition("\n")
+  quoted = ",".join(f'"{name}"' for name in header.split(","))
+  for head in (quoted, f"# {header}", f"\n# made by hand\n\n{header}"):
+    path.write_text(f"{head}\n{rows}")
+    back = read_motion(path, robot(), Statement(rate=50.0))
+    torch.testing.assert_close(robot().columns_of(back), motion.joint_pos, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize(
+  ("contents", "message"),
+  [
+    (b"", "there are no numbers in it"),
+    (b"\n\n", "there are no numbers in it"),
+    (b"x,y,z\n", "there are no numbers in it"),
+    (b"x\xe9,y\n1,2\n", "not a text"),
+    (bytes(range(256)), "not a text"),
+    (b"dance\n1,2,3\n", "its header names 1 columns, and there are 3"),
+    (b"1;2;3\n1;2;3\n", "there are no numbers|not a table of numbers"),
+    (b"1,2,3\n1,2\n", "not a table of numbers"),
+  ],
+)
+def test_a_csv_that_is_no_table_is_refused_by_name(tmp_path: Path, contents: bytes, message: str) -> None:
+  path = tmp_path / "odd.csv"
+  path.write_bytes(contents)
+  with pytest.raises(MotionError, match=rf"odd\.csv: .*({message})"):
+    read_motion(path, robot(), Statement(rate=50.0))
 
 
 def test_a_joint_map_renames_leaves_out_and_holds_joints(tmp_path: Path) -> None:
@@ -265,6 +299,90 @@ def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
   names[1], names[3] = names[3], names[1]
   with pytest.raises(MotionError, match="cannot be placed"):
     read_motion(path, robot(), Statement(body_names=names))
+
+
+def test_bodies_that_say_nothing_about_some_joints_do_not_prove_their_order(tmp_path: Path) -> None:
+  arrays: dict[str, Any] = seven_keys(wiggle())
+  few = [robot().body_names.index(name) for name in ("pelvis", "left_thigh", "right_thigh", "arm")]
+  arrays |= {key: value[:, few] for key, value in arrays.items() if key.startswith("body")}
+  arrays["body_names"] = np.array(["pelvis", "left_thigh", "right_thigh", "arm"])
+  path = tmp_path / "seven.npz"
+  np.savez(path, **arrays)
+  with pytest.raises(MotionError, match=r"on the way to 'left_shin', which is not among them; .*--joint-names"):
+    read_motion(path, robot())
+  assert_same(read_motion(path, robot(), Statement(joint_names=robot().joint_names)), wiggle())
+  arrays["body_names"] = np.array(["pelvis", "arm", "arm", "arm"])
+  np.savez(path, **arrays)
+  with pytest.raises(MotionError, match="a body is named twice"):
+    read_motion(path, robot())
+
+
+@pytest.mark.parametrize("kind", ["ours", "seven keys", "rollout"])
+def test_arrays_that_are_not_what_their_key_says_are_refused_by_name(tmp_path: Path, kind: str) -> None:
+  motion = wiggle()
+  path = tmp_path / "odd.npz"
+  arrays: dict[str, Any]
+  if kind == "ours":
+    save_motion(motion, path, derived_arrays(motion, robot()))
+    arrays = load_arrays(path)
+    keys = "fps", "joint_names", "root_pos_w", "root_quat_w", "joint_pos", "body_names", "body_pos_w", "body_quat_w"
+  elif kind == "seven keys":
+    arrays = seven_keys(motion) | {"joint_names": np.array(motion.joint_names)}
+    keys = "fps", "joint_names", "joint_pos", "body_pos_w", "body_quat_w"
+  else:
+    qpos = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy()
+    arrays = {"qpos": qpos, "times": np.arange(60) / 50.0}
+    keys = "qpos", "times"
+  for key in keys:
+    # No axes, words or numbers where there should be the other, nothing, one frame less, and no longer real.
+    value = arrays[key]
+    odd = [np.array(1.0) if key != "fps" else np.array("1"), np.full(value.shape, "a"), np.zeros(0)]
+    if len(value) == 60:
+      odd.append(value[:-1])
+    if value.dtype.kind == "f":
+      odd.append(value.astype(np.complex128))
+    for other in odd:
+      if key == "joint_names" and other.dtype.kind == "U":
+        continue
+      changed: dict[str, Any] = {**arrays, key: other}
+      np.savez(path, **changed)
+      with pytest.raises(MotionError, match=r"odd|wiggle"):
+        read_motion(path, robot())
+
+
+@pytest.mark.parametrize(
+  ("times", "message"),
+  [
+    (np.zeros(60), "not evenly spaced"),
+    (np.full(60, np.nan), "not evenly spaced"),
+    (-np.arange(60.0), "not evenly spaced"),
+    (np.arange(20) / 50.0, "20 times for 60 frames"),
+  ],
+)
+def test_times_that_cannot_be_those_of_the_frames_are_refused(tmp_path: Path, times: np.ndarray, message: str) -> None:
+  motion = wiggle()
+  path = tmp_path / "rollout.npz"
+  np.savez(path, qpos=torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy(), times=times)
+  with pytest.raises(MotionError, match=message):
+    read_motion(path, robot())
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [({"version": None}, "written in version None"), ({"version": 2}, "version 2"), ({"history": None}, "")],
+)
+def test_metadata_that_lacks_something_is_no_crash(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+  path = tmp_path / "ours.npz"
+  save_motion(wiggle(), path)
+  arrays: dict[str, Any] = load_arrays(path)
+  metadata = {key: value for key, value in (json.loads(str(arrays["metadata"])) | change).items() if value is not None}
+  arrays["metadata"] = np.array(json.dumps(metadata))
+  np.savez(path, **arrays)
+  if not message:
+    assert read_motion(path, robot()).history == ()
+    return
+  with pytest.raises(MotionError, match=message):
+    read_motion(path, robot())
 
 
 def test_bodies_of_another_model_in_a_motion_file_are_noticed(tmp_path: Path) -> None:

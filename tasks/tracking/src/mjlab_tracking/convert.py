@@ -112,7 +112,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _names(text: str) -> tuple[str, ...]:
   path = Path(text)
-  words = path.read_text(encoding="utf-8").replace(",", " ").split() if path.is_file() else text.split(",")
+  try:
+    words = path.read_text(encoding="utf-8").replace(",", " ").split() if path.is_file() else text.split(",")
+  except UnicodeDecodeError as error:
+    raise argparse.ArgumentTypeError(f"{path} is no text") from error
   return tuple(word.strip() for word in words if word.strip())
 
 

@@ -107,6 +107,8 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
   """
   if not motions:
     raise MotionError("concatenate: no motion given")
+  if not 0.0 < blend < math.inf:
+    raise MotionError(f"concatenate: the blend must take time, got {blend:g} s")
   whole = motions[0]
   for motion in motions[1:]:
     if motion.rate != whole.rate or motion.joint_names != whole.joint_names or motion.root_body != whole.root_body:
@@ -149,7 +151,7 @@ def smooth(motion: Motion, width: float) -> Motion:
   Raises:
     MotionError: The width is not positive.
   """
-  if width <= 0.0:
+  if not 0.0 < width < math.inf:
     raise MotionError(f"smooth: width must be positive, got {width:g} s")
   reach = min(math.ceil(4.0 * width * motion.rate), motion.num_frames - 1)
   at = torch.arange(-reach, reach + 1, dtype=torch.float64)

@@ -16,7 +16,16 @@ from mjlab_core.names import unknown
 from mjlab_core.rotations import quat_apply, quat_error_magnitude
 
 from mjlab_tracking.kinematics import Kinematics
-from mjlab_tracking.motion import Motion, MotionError, is_ours, load_arrays, motion_from_arrays
+from mjlab_tracking.motion import (
+  Motion,
+  MotionError,
+  is_ours,
+  load_arrays,
+  motion_from_arrays,
+  names_in,
+  numbers_in,
+  rate_of,
+)
 
 QuaternionOrder = Literal["wxyz", "xyzw"]
 JointMap = Mapping[str, str | float]
@@ -84,36 +93,42 @@ def _from_npz(path: Path, robot: Kinematics, said: Statement) -> Motion:
       _check_bodies(path, arrays, motion, robot)
     return motion
   if "qpos" in arrays:
-    return _from_table(path, arrays["qpos"], robot, said, _rate(path, arrays, said), is_mujoco=True)
-  named = _named(arrays, said)
+    qpos = numbers_in(arrays, "qpos", path, ndim=2)
+    return _from_table(path, qpos, robot, said, _rate(path, arrays, said, len(qpos)), is_mujoco=True)
+  named = _named(path, arrays, said)
   joints = len(robot.joint_names if named.joint_names is None else named.joint_names)
-  # Some files have the root in front of the joints; it then needs no bodies.
-  if "joint_pos" in arrays and ("body_pos_w" not in arrays or arrays["joint_pos"].shape[-1] == 7 + joints):
-    return _from_table(path, arrays["joint_pos"], robot, named, _rate(path, arrays, said))
+  if "joint_pos" in arrays:
+    joint_pos = numbers_in(arrays, "joint_pos", path, ndim=2)
+    # Some files have the root in front of the joints; it then needs no bodies.
+    if "body_pos_w" not in arrays or joint_pos.shape[1] == 7 + joints:
+      return _from_table(path, joint_pos, robot, named, _rate(path, arrays, said, len(joint_pos)))
   if missing := [name for name in ("joint_pos", "body_pos_w", "body_quat_w") if name not in arrays]:
     raise MotionError(f"{path}: lacks {', '.join(missing)}, it has: {', '.join(arrays) or 'nothing'}")
-  return _from_seven_keys(path, arrays, robot, named, _rate(path, arrays, said))
+  return _from_seven_keys(path, arrays, robot, named, _rate(path, arrays, said, len(arrays["joint_pos"])))
 
 
-def _named(arrays: dict[str, np.ndarray], said: Statement) -> Statement:
+def _named(path: Path, arrays: dict[str, np.ndarray], said: Statement) -> Statement:
   """The statement, completed by names that are in the file."""
   found = {
-    kind: tuple(str(name) for name in arrays[kind])
+    kind: names_in(arrays, kind, path)
     for kind in ("joint_names", "body_names")
     if kind in arrays and getattr(said, kind) is None
   }
   return dataclasses.replace(said, **found)
 
 
-def _rate(path: Path, arrays: dict[str, np.ndarray], said: Statement) -> float:
+def _rate(path: Path, arrays: dict[str, np.ndarray], said: Statement, frames: int) -> float:
   found = None
   if "fps" in arrays:
-    found = float(arrays["fps"].reshape(-1)[0])
-  elif "times" in arrays and arrays["times"].size > 1:
-    steps = np.diff(arrays["times"].reshape(-1))
-    if np.ptp(steps) > 1e-3 * steps.mean():
+    found = rate_of(arrays, path)
+  elif "times" in arrays:
+    times = numbers_in({"times": arrays["times"].reshape(-1)}, "times", path, ndim=1)
+    if len(times) != frames:
+      raise MotionError(f"{path}: {len(times)} times for {frames} frames")
+    steps = np.diff(times)
+    if frames > 1 and not (steps.min() > 0.0 and np.ptp(steps) <= 1e-3 * steps.mean()):
       raise MotionError(f"{path}: its times are not evenly spaced: steps of {steps.min():.4g} to {steps.max():.4g} s")
-    found = float(1.0 / steps.mean())
+    found = float(1.0 / steps.mean()) if frames > 1 else None
   stated = said.rate
   if found is None:
     if stated is None:
@@ -128,14 +143,23 @@ def _rate(path: Path, arrays: dict[str, np.ndarray], said: Statement) -> float:
 
 
 def _from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
-  with path.open(encoding="utf-8-sig") as file:
-    first = file.readline().strip()
-  header = [cell.strip() for cell in first.split(",")]
-  has_header = not all(_is_number(cell) for cell in header)
   try:
-    table = np.loadtxt(path, delimiter=",", skiprows=int(has_header), ndmin=2, encoding="utf-8-sig")
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+  except UnicodeDecodeError as error:
+    raise MotionError(f"{path}: not a text ({error})") from error
+  # A header may be commented out; other comments say nothing about columns.
+  while lines and lines[0].lstrip().startswith("#") and "," not in lines[0]:
+    del lines[0]
+  header = [cell.strip().strip('"') for cell in lines[0].lstrip("# ").split(",")] if lines else []
+  has_header = not all(_is_number(cell) for cell in header)
+  if len(lines) <= has_header:
+    raise MotionError(f"{path}: there are no numbers in it")
+  try:
+    table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
   except ValueError as error:
     raise MotionError(f"{path}: not a table of numbers ({error})") from error
+  if has_header and len(header) != table.shape[1]:
+    raise MotionError(f"{path}: its header names {len(header)} columns, and there are {table.shape[1]}")
   names = said.joint_names
   if names is None and has_header:
     names = header[7:]
@@ -159,9 +183,9 @@ def _from_table(
   path: Path, table: np.ndarray, robot: Kinematics, said: Statement, rate: float, is_mujoco: bool = False
 ) -> Motion:
   """Columns root position, quaternion in the order stated or proven, joints."""
-  if table.ndim != 2 or table.shape[1] < 8:
-    raise MotionError(f"{path}: {table.shape[-1]} columns; expected root position, quaternion and joints")
-  table = table.astype(np.float64)
+  if table.shape[1] < 8:
+    raise MotionError(f"{path}: {table.shape[1]} columns; expected root position, quaternion and joints")
+  table = table.copy()
   if said.quaternion is not None:
     order, how = said.quaternion, "stated"
   elif is_mujoco:
@@ -209,13 +233,13 @@ def _heights(quaternions: np.ndarray) -> dict[QuaternionOrder, float]:
 def _from_qpos(path: Path, qpos: np.ndarray, robot: Kinematics, said: Statement, rate: float) -> Motion:
   """Columns root position, quaternion (w, x, y, z), joints."""
   names = tuple(said.joint_names) if said.joint_names is not None else robot.joint_names
-  if qpos.ndim != 2 or qpos.shape[1] != 7 + len(names):
+  if qpos.shape[1] != 7 + len(names):
     whose = "names were given" if said.joint_names is not None else "joints has the robot"
     raise MotionError(
-      f"{path}: {qpos.shape[-1]} columns, expected 7 of the root and {len(names)} of joints (so many {whose}); state "
+      f"{path}: {qpos.shape[1]} columns, expected 7 of the root and {len(names)} of joints (so many {whose}); state "
       "their names with --joint-names, and how they become the robot's with --joint-map"
     )
-  table = torch.from_numpy(qpos.astype(np.float64))
+  table = torch.from_numpy(qpos)
   motion = Motion(
     name=path.stem,
     rate=rate,
@@ -260,19 +284,19 @@ def _from_seven_keys(
   path: Path, arrays: dict[str, np.ndarray], robot: Kinematics, said: Statement, rate: float
 ) -> Motion:
   """Joints and bodies in the order stated, or in the one that forward kinematics proves."""
-  body_pos = torch.from_numpy(arrays["body_pos_w"].astype(np.float64))
-  body_quat = torch.from_numpy(arrays["body_quat_w"].astype(np.float64))
+  joint_pos = torch.from_numpy(numbers_in(arrays, "joint_pos", path, ndim=2))
+  frames = joint_pos.shape[0]
+  body_pos, body_quat = _body_poses(path, arrays, frames)
   if said.quaternion == "xyzw":
     body_quat = body_quat.roll(1, -1)
-  joint_pos = torch.from_numpy(arrays["joint_pos"].astype(np.float64))
-  frames = joint_pos.shape[0]
-  if body_pos.shape != (frames, body_pos.shape[1], 3) or body_quat.shape != (frames, body_pos.shape[1], 4):
-    raise MotionError(f"{path}: shapes {tuple(body_pos.shape)} and {tuple(body_quat.shape)} of bodies do not fit")
   if said.body_names is not None:
-    if len(said.body_names) != body_pos.shape[1]:
-      raise MotionError(f"{path}: {len(said.body_names)} names for {body_pos.shape[1]} bodies")
-    if robot.root_body not in said.body_names:
-      raise MotionError(unknown("body", robot.root_body, said.body_names, owner=f"{path}: the names stated"))
+    _check_body_names(path, said.body_names, body_pos.shape[1], robot)
+    unseen = [body for body in robot.ends if body not in said.body_names]
+    if unseen and not said.joint_names:
+      raise MotionError(
+        f"{path}: its bodies do not prove the order of the joints on the way to '{unseen[0]}', which is not among "
+        "them; state the order with --joint-names"
+      )
     roots = [list(said.body_names).index(robot.root_body)]
   else:
     roots = list(range(body_pos.shape[1]))
@@ -304,7 +328,8 @@ def _from_seven_keys(
         best, reason = error, f"joints {how}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
   raise MotionError(
     f"{path}: it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
-    f"Nearest: {reason}. State the orders with --joint-names and --body-names, or it is another robot's."
+    f"Nearest: {reason}. State the orders with --joint-names and --body-names, or xyzw with --quaternion; or it is "
+    "another robot's."
   )
 
 
@@ -348,10 +373,29 @@ def _misplacement(
   return worst, name
 
 
+def _body_poses(path: Path, arrays: dict[str, np.ndarray], frames: int) -> tuple[torch.Tensor, torch.Tensor]:
+  """Positions (frames, bodies, 3) and orientations (frames, bodies, 4) that a file has of bodies."""
+  if "body_quat_w" not in arrays:
+    raise MotionError(f"{path}: lacks body_quat_w, it has: {', '.join(arrays)}")
+  body_pos, body_quat = (numbers_in(arrays, name, path, ndim=3) for name in ("body_pos_w", "body_quat_w"))
+  if body_pos.shape[::2] != (frames, 3) or body_quat.shape != (*body_pos.shape[:2], 4):
+    raise MotionError(f"{path}: shapes {body_pos.shape} and {body_quat.shape} of bodies do not fit {frames} frames")
+  return torch.from_numpy(body_pos), torch.from_numpy(body_quat)
+
+
+def _check_body_names(path: Path, names: Sequence[str], bodies: int, robot: Kinematics) -> None:
+  if len(names) != bodies:
+    raise MotionError(f"{path}: {len(names)} names for {bodies} bodies")
+  if len(set(names)) < bodies:
+    raise MotionError(f"{path}: a body is named twice")
+  if robot.root_body not in names:
+    raise MotionError(unknown("body", robot.root_body, names, owner=f"{path}: the names of its bodies"))
+
+
 def _check_bodies(path: Path, arrays: dict[str, np.ndarray], motion: Motion, robot: Kinematics) -> None:
-  names = [str(name) for name in arrays.get("body_names", ())]
-  body_pos = torch.from_numpy(arrays["body_pos_w"].astype(np.float64))
-  body_quat = torch.from_numpy(arrays["body_quat_w"].astype(np.float64))
+  names = names_in(arrays, "body_names", path) if "body_names" in arrays else ()
+  body_pos, body_quat = _body_poses(path, arrays, motion.num_frames)
+  _check_body_names(path, names, body_pos.shape[1], robot)
   error, body = _misplacement(motion, robot, body_pos, body_quat, names)
   if error > PLACED:
     raise MotionError(

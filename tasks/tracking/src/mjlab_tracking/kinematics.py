@@ -61,6 +61,12 @@ class Kinematics:
   def root_body(self) -> str:
     return self.body_names[0]
 
+  @property
+  def ends(self) -> tuple[str, ...]:
+    """Bodies that carry no other: where these are says where all are."""
+    carrying = {int(self.model.body_parentid[body]) for body in self._bodies}
+    return tuple(name for name, body in zip(self.body_names, self._bodies, strict=True) if body not in carrying)
+
   def poses(
     self, root_pos: torch.Tensor, root_quat: torch.Tensor, joint_pos: torch.Tensor
   ) -> tuple[torch.Tensor, torch.Tensor]:

@@ -7,11 +7,13 @@ follow from these and a robot, so they are derived (see `timeline` and `kinemati
 import dataclasses
 import json
 import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 FORMAT = "mjlab-motion"
 VERSION = 1
@@ -168,22 +170,23 @@ def motion_from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Motion:
       f"{path}: not a motion file of this project, it has: {', '.join(arrays)}; convert-motion reads it"
     )
   metadata = _metadata(arrays)
-  if metadata["version"] != VERSION:
-    raise MotionError(f"{path}: written in version {metadata['version']} of the format, this reads version {VERSION}")
+  if (version := metadata.get("version")) != VERSION:
+    raise MotionError(f"{path}: written in version {version} of the format, this reads version {VERSION}")
   needed = ("fps", "root_body", "joint_names", "root_pos_w", "root_quat_w", "joint_pos")
   if missing := [name for name in needed if name not in arrays]:
     raise MotionError(f"{path}: lacks {', '.join(missing)}, it has: {', '.join(arrays)}")
+  history = metadata.get("history")
   return Motion(
     name=str(metadata.get("name") or path.stem),
-    rate=float(arrays["fps"].reshape(-1)[0]),
+    rate=rate_of(arrays, path),
     root_body=str(arrays["root_body"]),
-    joint_names=tuple(str(name) for name in arrays["joint_names"]),
-    root_pos=torch.from_numpy(arrays["root_pos_w"].astype(np.float64)),
-    root_quat=torch.from_numpy(arrays["root_quat_w"].astype(np.float64)),
-    joint_pos=torch.from_numpy(arrays["joint_pos"].astype(np.float64)),
+    joint_names=names_in(arrays, "joint_names", path),
+    root_pos=torch.from_numpy(numbers_in(arrays, "root_pos_w", path, ndim=2)),
+    root_quat=torch.from_numpy(numbers_in(arrays, "root_quat_w", path, ndim=2)),
+    joint_pos=torch.from_numpy(numbers_in(arrays, "joint_pos", path, ndim=2)),
     source=str(metadata.get("source", "")),
     license=str(metadata.get("license", "")),
-    history=tuple(str(line) for line in metadata.get("history", ())),
+    history=tuple(str(line) for line in history) if isinstance(history, list) else (),
   )
 
 
@@ -200,14 +203,53 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
   """
   if not path.is_file():
     raise MotionError(f"{path}: no such file")
+  if not zipfile.is_zipfile(path):
+    raise MotionError(f"{path}: not a readable .npz (it is none, or its end is missing)")
   try:
     with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-      return {name: file[name] for name in file.files}
+      # A zip may hold other things, which come as bytes.
+      return {name: value for name in file.files if isinstance(value := file[name], np.ndarray)}
   except (ValueError, OSError, EOFError, KeyError, AttributeError) as error:
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     raise MotionError(f"{path}: not a readable .npz ({reason})") from error
   except Exception as error:  # zipfile and zlib have errors of their own
     raise MotionError(f"{path}: damaged ({error})") from error
+
+
+def numbers_in(arrays: dict[str, np.ndarray], name: str, path: Path, *, ndim: int) -> NDArray[np.float64]:
+  """An array of a file, as numbers with `ndim` axes.
+
+  Raises:
+    MotionError: It holds something else, or has other axes.
+  """
+  value = arrays[name]
+  if value.dtype.kind not in "fiu" or value.ndim != ndim:
+    raise MotionError(f"{path}: {name} has shape {value.shape} and type {value.dtype}, expected {ndim}-d numbers")
+  return value.astype(np.float64)
+
+
+def names_in(arrays: dict[str, np.ndarray], name: str, path: Path) -> tuple[str, ...]:
+  """A list of words of a file.
+
+  Raises:
+    MotionError: It is no list of words.
+  """
+  value = arrays[name]
+  if value.dtype.kind not in "US" or value.ndim != 1:
+    raise MotionError(f"{path}: {name} has shape {value.shape} and type {value.dtype}, expected a list of names")
+  return tuple(value.astype(str).tolist())
+
+
+def rate_of(arrays: dict[str, np.ndarray], path: Path) -> float:
+  """The number under `fps` [Hz].
+
+  Raises:
+    MotionError: It is not one number.
+  """
+  value = arrays["fps"]
+  if value.size != 1:
+    raise MotionError(f"{path}: fps has shape {value.shape}, expected one number")
+  return float(numbers_in({"fps": value.reshape(1)}, "fps", path, ndim=1)[0])
 
 
 def _metadata(arrays: dict[str, np.ndarray]) -> dict[str, Any]:

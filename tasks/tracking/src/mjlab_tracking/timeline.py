@@ -5,7 +5,7 @@ import math
 import torch
 from mjlab_core.rotations import quat_box_minus, quat_slerp
 
-from mjlab_tracking.motion import Motion
+from mjlab_tracking.motion import Motion, MotionError
 
 
 def derivative(values: torch.Tensor, rate: float) -> torch.Tensor:
@@ -30,7 +30,12 @@ def resample(motion: Motion, rate: float) -> Motion:
 
   Positions are interpolated linearly and rotations along the shortest way at constant speed; a moment that falls on a
   frame is that frame.
+
+  Raises:
+    MotionError: The rate is not positive, or fewer than three frames would remain.
   """
+  if not 0.0 < rate < math.inf:
+    raise MotionError(f"resample: the rate must be positive, got {rate:g} Hz")
   if math.isclose(rate, motion.rate, rel_tol=1e-9):
     return motion
   # The last moment counts also where rounding puts it just behind the last frame.
