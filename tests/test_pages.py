@@ -5,12 +5,17 @@ import sys
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import MethodType
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab import cli
+from mjlab.cli import _play
 from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
+from mjlab_viewer import BrowserViewer
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page
 
@@ -19,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
 from mjlab_command import running
-from viewer_page import eventually, headless_chromium, opened
+from viewer_page import eventually, headless_chromium, opened, slide, stepping
 
 DECIMATION = 2
 
@@ -123,3 +128,33 @@ def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_pat
     page.get_by_role("tab", name="Plots").click()
     page.get_by_text("track_linear_velocity").first.wait_for()
   assert list(tmp_path.iterdir()) == []
+
+
+def test_the_demo_lifts_to_where_the_sliders_of_its_page_say(
+  chromium: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  goal = torch.tensor([0.4, 0.1, 0.3], dtype=torch.float64)
+  other: list[torch.Tensor] = []
+
+  def look(run: MethodType) -> int:
+    viewer = run.__self__
+    assert isinstance(viewer, BrowserViewer)
+    assert viewer.playback is not None
+    command: Any = viewer.playback.env.steering()["lift_height"]
+    with stepping(viewer):
+      page = opened(chromium, viewer.url)
+      slide(page, "World", 1)
+      page.get_by_label("By hand").check()
+      for axis, place in zip("xyz", goal.tolist(), strict=True):
+        slide(page, f"goal {axis} [m]", place)
+      eventually(lambda: torch.equal(command.command[1], goal), "the goal is not given by hand")
+      # What slipped away is tried again with the next goal.
+      eventually(lambda: command.distance[1] < 0.05, "the cube is not lifted there")
+      other.append(command.command[0].clone())
+      page.close()
+    assert viewer.playback.error is None
+    return 0
+
+  monkeypatch.setattr(_play, "_until_interrupted", look)
+  assert cli.main("demo --task lift --port 8725 --num-envs 2 --device cpu --seed 1".split()) == 0
+  assert not torch.equal(other[0], goal)
