@@ -376,6 +376,35 @@ def test_the_hand_goes_with_the_selection_and_the_world_left_behind_gets_its_own
     assert playback.error is None
 
 
+def test_an_axis_that_is_fixed_keeps_its_value_beside_those_that_are_moved() -> None:
+  env = BoxEnv(1)
+  env.command.axes = (("forward", -1.0, 1.0), ("left", 0.25, 0.25))
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    inputs["By hand"].value, inputs["forward"].value = True, 0.5
+    for expected in (0.5, 0.0):
+      viewer._due["frame"] = 0.0
+      viewer.update()
+      playback.tick()
+      assert env.command.by_hand == {0: (expected, 0.25)}
+      inputs["forward"].value = 0.0
+    assert inputs["left"].disabled
+
+
+@pytest.mark.parametrize("others", [[], ["model_0.pt", "model_50.pt"]])
+def test_a_checkpoint_that_its_run_does_not_list_is_there_to_be_chosen(others: list[str]) -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  listed = CheckpointList(names=lambda: others, load=lambda name: playback.policy, loaded="best.pt")
+  with BrowserViewer(env, playback=playback, checkpoints=listed, port=8300) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    choice = inputs["Checkpoint"]
+    assert isinstance(choice, viser.GuiDropdownHandle)
+    assert choice.value == "best.pt"
+    assert set(choice.options) == {"best.pt", *others}
+
+
 def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_counts() -> None:
   env = BoxEnv(3)
   playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))

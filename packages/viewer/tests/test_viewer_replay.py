@@ -7,7 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_viewer import OffscreenRenderer, PictureCfg, Playback, Replay, SnapshotTaker, ViewerError, ZeroPolicy
+from mjlab_viewer import (
+  BrowserViewer,
+  OffscreenRenderer,
+  PictureCfg,
+  Playback,
+  Replay,
+  SnapshotTaker,
+  ViewerError,
+  ZeroPolicy,
+)
 from viewer_env import BOX
 
 MODEL: mujoco.MjModel = mujoco.MjModel.from_xml_string(BOX)
@@ -95,3 +104,11 @@ def test_a_film_that_fails_leaves_nothing(opengl: None, tmp_path: Path) -> None:
   with pytest.raises(ViewerError, match="closed"):
     rising().film(tmp_path / "film.mp4", renderer)
   assert list(tmp_path.iterdir()) == []
+
+
+def test_a_single_moment_can_be_seen_in_a_browser() -> None:
+  replay = rising(1)
+  playback = Playback(replay, ZeroPolicy(2, 0, torch.device("cpu")))
+  with BrowserViewer(replay, playback=playback, port=8300) as viewer:
+    viewer.scene.show(SnapshotTaker(replay).take((0, 1)))
+    assert playback.error is None

@@ -223,37 +223,41 @@ class PlaybackControls:
   def _add_command(self, name: str, command: Steering) -> None:
     with self._gui.add_folder(f"Command {name}"):
       by_hand = self._gui.add_checkbox("By hand", initial_value=False, hint="Of the selected world")
-      sliders = [
-        self._gui.add_slider(label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=_zero(lower, upper))
-        for label, lower, upper in command.axes
-      ]
+      zeros = [_zero(lower, upper) for _, lower, upper in command.axes]
+      axes = [self._add_axis(*axis, zero) for axis, zero in zip(command.axes, zeros, strict=True)]
       stop = self._gui.add_button("Stop", hint="All to zero")
 
     def given() -> tuple[int, list[float]] | None:
-      return (self._viewer.selected, [float(slider.value) for slider in sliders]) if by_hand.value else None
+      return (self._viewer.selected, [float(axis.value) for axis in axes]) if by_hand.value else None
 
     def zero() -> None:
-      for slider in sliders:
-        slider.value = _zero(slider.min, slider.max)
+      for axis, value in zip(axes, zeros, strict=True):
+        axis.value = value
 
     hand = Hand(command)
     self.values.on_change(given, lambda: self._playback.request(lambda: hand.give(given())))
     self._ask(stop, zero)
 
+  def _add_axis(self, label: str, lower: float, upper: float, value: float) -> viser.GuiInputHandle[float]:
+    if lower == upper:
+      return self._gui.add_number(label, value, disabled=True, hint="Fixed")
+    return self._gui.add_slider(label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=value)
+
   def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
+    def known() -> list[str]:
+      names = list(checkpoints.names())
+      return names if checkpoints.loaded in names else [checkpoints.loaded, *names]
+
     with self._gui.add_folder("Policy"):
-      names = list(checkpoints.names()) or [checkpoints.loaded]
-      choice = self._gui.add_dropdown("Checkpoint", names, initial_value=checkpoints.loaded or names[-1])
+      choice = self._gui.add_dropdown("Checkpoint", known(), initial_value=checkpoints.loaded)
       newest = self._gui.add_button("Newest", hint="Look for new checkpoints and take the last one")
 
       def load() -> None:
         self._playback.request(lambda: self._playback.set_policy(checkpoints.load(choice.value)))
 
       def refresh() -> None:
-        found = list(checkpoints.names())
-        if found:
-          choice.options = found
-          choice.value = found[-1]
+        choice.options = known()
+        choice.value = choice.options[-1]
 
       self.values.on_change(lambda: choice.value, load)
       self._ask(newest, refresh)

@@ -19,5 +19,5 @@ class CheckpointList:
   """Names, oldest first."""
   load: Callable[[str], Policy]
   """The policy of a name; raises what is wrong with it."""
-  loaded: str = ""
-  """Name of the one that runs at first."""
+  loaded: str
+  """Name of the one that runs at first, whether it is one of `names` or not."""
