@@ -245,6 +245,35 @@ def test_an_error_of_the_policy_is_shown_and_reset_goes_on(chromium: Browser, tm
     page.close()
 
 
+def test_a_world_that_diverged_stays_where_it_was_and_hides_no_other() -> None:
+  env = BoxEnv(3)
+  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    assert viewer._controls is not None
+    page, status = viewer.scene, viewer._controls
+    page.scene.show_contact_forces = page.scene.show_inertia = True
+    boxes = page.scene._mesh_groups[0].handle
+    # Also of a world that never was anything else: that has the pose of the model.
+    env.sim.datas[2].xpos[:] = np.nan
+    for step in range(3):
+      for data in env.sim.datas[:2]:
+        data.xpos[1, 1] += 1.0
+      if step == 1:
+        for name in ("xpos", "xquat", "qpos"):
+          getattr(env.sim.datas[0], name)[:] = np.nan
+      if step == 2:
+        env.reset()
+      page.show(SnapshotTaker(env, contacts=True).take((0, 1, 2)))
+      status.show_status()
+      middle = page.scene.fixed_bodies_frame.position
+      drawn = [handle.batched_positions for handle in (boxes, *page.scene._decor_handles.values())]
+      assert all(np.isfinite(position).all() for position in (middle, *drawn))
+      across = (boxes.batched_positions - middle)[:, 1]
+      np.testing.assert_allclose(across, [(1, 1, 0), (1, 2, 0), (0, 0, 0)][step], atol=1e-6)
+      assert ("world 0 is not finite" in status._status.content) == (step == 1)
+      assert page.is_finite == (step != 1)
+
+
 def dressed_env() -> BoxEnv:
   """Worlds 1 and 3 have blue boxes, world 2 a small red one with another ornament."""
   env = BoxEnv(4)

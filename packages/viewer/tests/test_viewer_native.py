@@ -120,6 +120,17 @@ with NativeViewer(playback) as viewer:
   viewer._press(257)
   eventually(lambda: playback.error is None and playback.step_count > 5)
 
+  # A world that diverged stays as it was; the eye follows it again once it is back.
+  box = env.sim.datas[2].qpos
+  box[:] = env.sim.datas[2].xpos[:] = np.nan
+  playback.pause()
+  eventually(lambda: "not finite" in viewer._status()[1])
+  assert np.isfinite(viewer._world.data.xpos).all()
+  viewer._press(257)
+  viewer._press(ord(" "))
+  eventually(lambda: "not finite" not in viewer._status()[1] and playback.step_count > 5)
+  np.testing.assert_allclose(viewer.window.cam.lookat, env.sim.datas[2].xpos[1], atol=0.2)
+
   # A pull on the box of the world that is shown, and on no other; gone when it is let go.
   perturb = viewer.window.perturb
   perturb.select = 1

@@ -179,6 +179,8 @@ class PlaybackControls:
     note = playback.env.note(world) if isinstance(playback.env, Replay) else self._endings.last
     if note:
       line += f"<br>{html.escape(note)}"
+    if not self._viewer.scene.is_finite:
+      line += f"<br>world {world} is not finite: shown as it was before"
     if playback.error is not None:
       line += f'<br><span style="color:#c92a2a">{html.escape(playback.error)}</span>'
     if line != self._shown_status:

@@ -45,6 +45,11 @@ class BrowserScene:
     self._drawing = BrowserDrawing(server, self._own.model)
     self.wardrobe = Wardrobe(server, model)
     self._look = b""
+    mujoco.mj_kinematics(self._own.model, self._own.data)
+    self._rest = self._own.data.xpos.copy(), self._own.data.xquat.copy()
+    self._finite: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    self.is_finite = True
+    """Whether the selected world is shown as it is, not as it was before it diverged."""
     self.shown: Snapshot | None = None
     """What is shown."""
     server.initial_camera.fov = float(np.deg2rad(model.vis.global_.fovy))
@@ -61,13 +66,14 @@ class BrowserScene:
       self._look = looks[0]
       scene.rebuild_visual_handles()
     alike = [row for row, its_look in enumerate(looks) if its_look == looks[0]]
-    poses = _poses(data)
+    self.is_finite = snapshot.is_finite()
+    poses = _poses(data, *self._places(snapshot))
     scene.update_from_arrays(
       **{name: values[alike] for name, values in poses.items()},
       env_idx=0,
       # Of the selected world, for overlays.
-      qpos=data["qpos"] if "qpos" in data else np.zeros((1, 0)),
-      qvel=data["qvel"] if "qvel" in data else np.zeros((1, 0)),
+      qpos=data.get("qpos", np.zeros((1, 0))) if self.is_finite else None,
+      qvel=data.get("qvel", np.zeros((1, 0))),
       ctrl=data.get("ctrl"),
     )
     offset = np.asarray(scene.fixed_bodies_frame.position)
@@ -93,25 +99,35 @@ class BrowserScene:
   def _contacts(self, snapshot: Snapshot) -> list[Shapes]:
     """Of the selected world, in mjviser's colours and sizes."""
     points, forces = self.scene.show_contact_points, self.scene.show_contact_forces
-    if not points and not forces:
+    if not self.is_finite or not (points or forces):
       return []
     if not snapshot.contacts:
       self._own.load(snapshot)
     return contact_shapes(self._own.contacts(snapshot), self._own.model, points=points, forces=forces)
 
+  def _places(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and orientations of all bodies; of a world that diverged, the last that were any."""
+    xpos, xquat = snapshot.data["xpos"].copy(), snapshot.data["xquat"].copy()
+    for row, world in enumerate(snapshot.worlds):
+      if snapshot.is_finite(row):
+        self._finite[world] = xpos[row], xquat[row]
+      else:
+        xpos[row], xquat[row] = self._finite.get(world, self._rest)
+    return xpos, xquat
+
   def _target(self) -> np.ndarray:
     if self.scene.camera_tracking_enabled:
       return np.zeros(3)
-    return self._camera.target(self._own.data.xpos if self.shown is None else self.shown.data["xpos"][0])
+    places = self._rest if self.shown is None else self._finite.get(self.shown.worlds[0], self._rest)
+    return self._camera.target(places[0])
 
   def _eye(self) -> np.ndarray:
     return self._target() + self._camera.offset
 
 
-def _poses(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _poses(data: dict[str, np.ndarray], xpos: np.ndarray, xquat: np.ndarray) -> dict[str, np.ndarray]:
   """Poses of all bodies as mjviser wants them, one row for each world."""
-  count = len(data["xpos"])
-  matrices = viser.transforms.SO3(data["xquat"].reshape(-1, 4)).as_matrix().reshape(count, -1, 3, 3)
-  poses = {"body_xpos": data["xpos"], "body_xmat": matrices}
+  matrices = viser.transforms.SO3(xquat.reshape(-1, 4)).as_matrix().reshape(*xquat.shape[:2], 3, 3)
+  poses = {"body_xpos": xpos, "body_xmat": matrices}
   poses |= {name: data[name] for name in ("mocap_pos", "mocap_quat") if name in data}
   return poses

@@ -75,6 +75,7 @@ class NativeViewer:
     self._own_geoms = 1000 + 4 * (model.nbody + model.njnt + model.ngeom + model.nsite + model.nu + model.nwrap)
     self._plots = NativePlots({group: tuple(names) for group, (names, _) in self.env.signals().items()})
     self._is_plotting = False
+    self._is_finite = True
     self._due = {"frame": 0.0, "plot": 0.0}
     self._target: Any = None
     self._dragged: tuple[int, int] | None = None
@@ -175,10 +176,12 @@ class NativeViewer:
   def _show(self) -> None:
     names = self.env.drawn_at_first() if self.draws else ()
     snapshot = self._taker.take((self.selected,), drawers=names, step=self.playback.total_steps)
-    with self.window.lock():
-      self._world.load(snapshot)
-      self._follow()
-      self._draw(snapshot)
+    self._is_finite = snapshot.is_finite()
+    if self._is_finite:
+      with self.window.lock():
+        self._world.load(snapshot)
+        self._follow()
+        self._draw(snapshot)
     self._drag()
     self._plot(snapshot)
 
@@ -228,6 +231,8 @@ class NativeViewer:
       "speed": f"{playback.speed:g}{' (too slow a machine)' if playback.is_capped else ''}",
       "state": state,
     }
+    if not self._is_finite:
+      rows["diverged"] = "not finite: shown as it was before"
     if self.num_undrawn:
       rows["drawn"] = f"without {self.num_undrawn} shapes: the window is full"
     if playback.error is not None:

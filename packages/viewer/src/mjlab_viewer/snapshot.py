@@ -37,6 +37,10 @@ class Snapshot:
   step: int = 0
   """Steps done when it was taken."""
 
+  def is_finite(self, row: int = 0) -> bool:
+    """Whether the bodies of a world are anywhere: those of one that diverged cannot be shown."""
+    return all(bool(np.isfinite(self.data[name][row]).all()) for name in ("xpos", "xquat"))
+
 
 @dataclass
 class _Layout:
