@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import av
 import msgspec
 import numpy as np
 import pytest
@@ -170,6 +171,25 @@ def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: 
     page.get_by_role("button", name="Play", exact=True).click()
     eventually(lambda: run.shown().step > now.step)
     page.close()
+
+
+def test_a_film_has_a_frame_for_every_step_and_a_name_of_its_own(opengl: None, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path) as viewer:
+    # More steps than pictures, and more than can be rendered meanwhile.
+    playback.speed = 8.0
+    films = []
+    for _ in range(2):
+      films.append(viewer.start_recording())
+      begin = playback.total_steps
+      while playback.total_steps < begin + 50:
+        playback.tick()
+        viewer.update()
+      assert viewer.stop_recording() == films[-1]
+      with av.open(str(films[-1])) as film:
+        assert sum(1 for _ in film.decode(video=0)) == playback.total_steps - begin
+    assert len(set(films)) == 2
 
 
 def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_path: Path) -> None:

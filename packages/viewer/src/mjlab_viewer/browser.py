@@ -86,7 +86,6 @@ class BrowserViewer:
     self._taker = SnapshotTaker(env, contacts=True)
     self._video_folder = video_folder
     self._video: BackgroundVideo | None = None
-    self._recorded_step = -1
     self._num_updates = 0
     self._is_off = False
     self._due = {"frame": 0.0, "plot": 0.0, "status": 0.0}
@@ -97,6 +96,8 @@ class BrowserViewer:
     try:
       self.scene = BrowserScene(self.server, env.sim.mj_model, resolved, self.num_drawn)
       self._make_page(max_worlds, checkpoints)
+      if playback is not None:
+        playback.on_step.append(self._record)
     except BaseException:
       self._stop_serving()
       raise
@@ -110,11 +111,8 @@ class BrowserViewer:
   def update(self) -> None:
     """Show what is due, if anybody looks. Without a playback it is called once after every step."""
     self._num_updates += 1
-    if self._video is not None:
-      try:
-        self._record()
-      except Exception as error:
-        self._fail("film", error)
+    if self.playback is None:
+      self._record()
     now = time.perf_counter()
     if now < self._due["frame"] or self._is_off:
       return
@@ -161,10 +159,11 @@ class BrowserViewer:
     """Film the selected world from now on; returns where the film will be."""
     if self._video is not None:
       return self._video.file.path
-    path = self._video_folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S}.mp4"
+    path = self._video_folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}.mp4"
     contacts = self.scene.scene.show_contact_points or self.scene.scene.show_contact_forces
     cfg = PictureCfg(camera=self._camera_cfg, contacts=contacts)
-    self._video = BackgroundVideo(path, 1.0 / self.env.step_dt, self.env.sim.mj_model, cfg)
+    # Waited for: a film without some of its frames is too fast.
+    self._video = BackgroundVideo(path, 1.0 / self.env.step_dt, self.env.sim.mj_model, cfg, wait=True)
     return path
 
   def stop_recording(self) -> Path:
@@ -263,17 +262,17 @@ class BrowserViewer:
     self._is_off = True
 
   def _record(self) -> None:
-    assert self._video is not None
-    error = self._video.error
-    if error is not None:
-      self._fail("film", error)
-      self._video.close()
-      self._video = None
+    video = self._video
+    if video is None:
       return
-    step = -1 if self.playback is None else self.playback.total_steps
-    if step != self._recorded_step or self.playback is None:
-      self._recorded_step = step
-      self._video.add(self._taker.take((self.selected,), drawers=self._worlds.drawers()))
+    try:
+      if video.error is not None:
+        self._video = None
+        video.close()
+        raise video.error
+      video.add(self._taker.take((self.selected,), drawers=self._worlds.drawers()))
+    except Exception as error:
+      self._fail("film", error)
 
 
 def check_address(host: str, port: int) -> None:
