@@ -323,6 +323,12 @@ def test_worlds_of_different_looks_are_shown_each_in_its_own() -> None:
         for scene in (viewer.scene, *wardrobe)
       }
       assert sorted(shown.values()) == [1, 1, 2]
+    for groups in ("geom_groups_visible", "site_groups_visible"):
+      getattr(viewer.scene.scene, groups)[4] = True
+    viewer.scene.show(taker.take((0, 1, 2, 3)))
+    for scene in viewer.scene.wardrobe.scenes:
+      assert scene.scene.geom_groups_visible[4]
+      assert scene.scene.site_groups_visible[4]
     viewer.scene.show(taker.take((0,)))
     assert not any(scene.root.visible for scene in viewer.scene.wardrobe.scenes)
 
@@ -452,6 +458,54 @@ def test_a_checkpoint_that_its_run_does_not_list_is_there_to_be_chosen(others: l
     assert isinstance(choice, viser.GuiDropdownHandle)
     assert choice.value == "best.pt"
     assert set(choice.options) == {"best.pt", *others}
+
+
+def test_reset_goes_back_to_now() -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    playback.pause()
+    inputs["Seconds back"].value = 2.0
+    inputs["Reset"].value = True
+    eventually(lambda: playback.tick() or env.num_resets == 3, "Reset does nothing")
+    assert viewer._controls is not None
+    assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
+
+
+def test_only_the_thread_that_shows_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+  env = BoxEnv(1)
+  with BrowserViewer(env, port=8300) as viewer:
+    scene, drew = viewer.scene.scene, []
+    update = scene._update_visualization_locked
+    monkeypatch.setattr(
+      scene, "_update_visualization_locked", lambda *given: (drew.append(threading.get_ident()), update(*given))
+    )
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    for mode in ("Body", "None"):
+      viewer.scene.show(SnapshotTaker(env).take((0,)))
+      # As viser does for a page.
+      page = threading.Thread(target=setattr, args=(inputs["Frames"], "value", mode))
+      page.start()
+      page.join()
+      assert scene.frame_mode == mode
+    assert drew == [threading.get_ident()] * 2
+
+
+def test_curves_go_on_after_a_number_that_is_none() -> None:
+  env = BoxEnv(1)
+  with BrowserViewer(env, port=8300) as viewer:
+    taker, history = SnapshotTaker(env), []
+    for step, height in enumerate((torch.nan, 1.0, torch.nan, torch.inf, 4.0, torch.nan)):
+      env.rewards[0] = torch.tensor([height, torch.nan])
+      history.append(taker.take((0,), step=step))
+    (plot, *_) = viewer._plots
+    plot.show(history, 1.0)
+    assert plot._plot is not None
+    time, heights, never = plot._plot.data
+    np.testing.assert_allclose(time, range(6))
+    np.testing.assert_allclose(heights, [1.0, 1.0, 2.0, 3.0, 4.0, 4.0])
+    np.testing.assert_allclose(never, 0.0)
 
 
 def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_counts() -> None:

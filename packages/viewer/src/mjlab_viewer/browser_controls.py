@@ -132,7 +132,7 @@ class PlaybackControls:
     self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
     self._ask(self._pause, self._toggle)
     self._ask(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
-    self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), playback.reset)
+    self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), self._reset)
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
     self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
@@ -150,7 +150,7 @@ class PlaybackControls:
     for command, action in (
       (gui.add_command("Pause", hotkey="space"), self._toggle),
       (gui.add_command("Step", hotkey="arrowright"), self._step),
-      (gui.add_command("Reset", hotkey="enter"), playback.reset),
+      (gui.add_command("Reset", hotkey="enter"), self._reset),
     ):
       command.on_trigger(lambda _, action=action: playback.request(action))
     self._add_pushes()
@@ -204,6 +204,10 @@ class PlaybackControls:
   def _step(self) -> None:
     self._timeline.value = 0.0
     self._playback.step_once()
+
+  def _reset(self) -> None:
+    self._timeline.value = 0.0
+    self._playback.reset()
 
   def _add_pushes(self) -> None:
     env = self._playback.env

@@ -76,8 +76,9 @@ class Dressed:
       self.look = key
       copy_world(snapshot, rows[0], self._own.model, scene.mj_data)
       scene.rebuild_visual_handles()
-    if scene.geom_groups_visible != template.geom_groups_visible:
-      scene.geom_groups_visible = list(template.geom_groups_visible)
+    geoms, sites = template.geom_groups_visible, template.site_groups_visible
+    if (scene.geom_groups_visible, scene.site_groups_visible) != (geoms, sites):
+      scene.geom_groups_visible, scene.site_groups_visible = list(geoms), list(sites)
       # mjviser does this behind its own check boxes only.
       scene._sync_visibilities()
     self.root.visible = True

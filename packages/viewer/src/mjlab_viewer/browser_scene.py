@@ -39,6 +39,8 @@ class BrowserScene:
     self._own = HostWorld(model)
     self._camera = camera
     self.scene = _Scene(server, self._own.model, num_worlds)
+    # Else every change of an overlay would be drawn at once by the thread that got it, from data that is being written.
+    self.scene.set_refresh_handler(lambda: None)
     # mjviser follows the first body that moves; it has no public way to be told another one.
     self.scene._tracked_body_id = camera.body
     self.scene.camera_tracking_enabled = camera.body is not None

@@ -45,7 +45,7 @@ class SignalPlot:
       return
     time = np.array([snapshot.step for snapshot in history]) * step_dt
     values = np.stack([snapshot.signals[self._group] for snapshot in history])
-    self._plot.data = (time, *(values[:, index].astype(np.float64) for index in self._shown))
+    self._plot.data = (time, *(_bridged(time, values[:, index].astype(np.float64)) for index in self._shown))
 
   def _make(self) -> None:
     for part in (self._plot, self._more):
@@ -66,3 +66,9 @@ class SignalPlot:
       self._plot = self._server.gui.add_uplot(empty, tuple(series), scales={"x": uplot.Scale(time=False)}, aspect=1.3)
       if len(found) > len(self._shown):
         self._more = self._server.gui.add_markdown(f"{len(found) - len(self._shown)} more; filter to see them.")
+
+
+def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+  """Values with a line over those that are not finite, which spoil a whole plot; zero where none is."""
+  finite = np.isfinite(values)
+  return np.interp(time, time[finite], values[finite]) if finite.any() else np.zeros_like(values)
