@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import time
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -313,6 +314,7 @@ BAD: list[tuple[TileCfg, str]] = [
   (changed(NarrowBeamsCfg(), num_beams=1.5), "num_beams must be a whole number"),
   (NarrowBeamsCfg(beam_width=(0.2, 0.8)), r"must fall with difficulty; \(0.8, 0.2\) would work"),
   (NarrowBeamsCfg(beam_width=(2.0, 0.8)), "at most 1 m would work"),
+  (NarrowBeamsCfg(num_beams=200), "num_beams 200 leaves no gaps between beams; at most 116 would work"),
   (NestedRingsCfg(ring_width=(3.0, 3.0)), "make the tile at least"),
   (RandomBoxesCfg(width=(1.0, 9.0)), "at most 5.3 m would work"),
   (RandomBoxesCfg(height=(0.3, 0.1)), "must go from low to high"),
@@ -321,6 +323,7 @@ BAD: list[tuple[TileCfg, str]] = [
   (RandomRoughCfg(amplitude=(0.0, float("nan"))), "amplitude must be finite"),
   (SteppingStonesCfg(stone_size=(0.05, 0.05)), "stone_size"),
   (HeightMapCfg(source="nowhere.png"), "height map 'nowhere.png' cannot be read"),
+  (HeightMapCfg(source=np.zeros((3, 3), dtype=np.complex128)), "heights must be real numbers, got complex128"),
   (HeightMapCfg(source=np.zeros((3, 1))), r"at least \(2, 2\), and finite; got \(3, 1\)"),
 ]
 
@@ -341,6 +344,8 @@ def test_a_bad_type_is_refused_by_name_and_leaves_the_model_alone(tile: TileCfg,
     ({"types": {"a": FlatCfg(share=0.0)}}, "the shares of a sum to 0; give one of them a share of 1"),
     ({"types": {"a": FlatCfg(), "b": FlatCfg()}, "columns": 1}, "at least 2 would work"),
     ({"rows": 0}, "rows must be at least 1, got 0"),
+    ({"rows": 2.0}, "rows must be a whole number, got 2.0"),
+    ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
     ({"tile_size": (8.0, 0.0)}, "tile_size must be two lengths of at least 0.5 m"),
     ({"layout": "curiculum"}, "layout 'curiculum' does not exist; there are 'curriculum' and 'random'"),
     ({"difficulty": (0.5, 1.5)}, r"\(0.0, 1.0\) would work"),
@@ -393,6 +398,29 @@ def test_a_type_that_builds_nonsense_is_named() -> None:
     dataclasses.replace(GOOD, types={"it": Broken()}).add_to(mujoco.MjSpec())
   with pytest.raises(ValueError, match="Broken 'it': build added no geometry"):
     dataclasses.replace(GOOD, types={"it": Broken(thickness=0.0)}).add_to(mujoco.MjSpec())
+
+
+@dataclasses.dataclass(kw_only=True)
+class Holey(TileCfg):
+  build_it: Callable[[Tile], None]
+
+  def build(self, tile: Tile) -> None:
+    self.build_it(tile)
+
+
+@pytest.mark.parametrize(
+  ("build", "message"),
+  [
+    (lambda tile: tile.heights(np.full((5, 5), np.nan)), "heights must be .* finite"),
+    (lambda tile: tile.heights(np.arange(5.0)[None]), r"at least \(2, 2\).* got \(1, 5\)"),
+    (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), "is not finite"),
+  ],
+)
+def test_geometry_that_is_none_is_refused_where_it_is_made(build: Callable[[Tile], None], message: str) -> None:
+  spec = mujoco.MjSpec()
+  with pytest.raises(ValueError, match=rf"Holey 'it': at difficulty 0, tile \(0, 0\): .*{message}"):
+    dataclasses.replace(GOOD, types={"it": Holey(build_it=build)}).add_to(spec)
+  assert len(spec.bodies) == 1
 
 
 def test_messages_are_sentences() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from mjlab_terrain import TerrainGridCfg, TileCfg, all_types
+from mjlab_terrain import PerlinNoiseCfg, RandomGridCfg, TerrainGridCfg, TileCfg, all_types
 from mjlab_terrain.assembly import PlacedTile
 from mjlab_terrain.surface import surface
 from mjlab_terrain.terrain import Terrain
@@ -222,10 +222,11 @@ def test_rims_of_neighbours_meet(name: str) -> None:
   np.testing.assert_allclose(edge, 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [*SHAPES, (8.0, 31.0)])
 @pytest.mark.parametrize("name", NAMES)
-def test_nothing_around_the_spawn_rises_above_it(name: str) -> None:
+def test_nothing_around_the_spawn_rises_above_it(name: str, size: tuple[float, float]) -> None:
   for difficulty in DIFFICULTIES:
-    tile = build(all_types()[name], (8.0, 8.0), difficulty)
+    tile = build(all_types()[name], size, difficulty)
     around = np.linspace(-0.25, 0.25, 11)
     z = surface(tile.boxes, tile.fields, tile.spawn[0] + around, tile.spawn[1] + around)
     # Noise has no level places; its highest point near by is close to level.
@@ -244,6 +245,25 @@ VARIANTS = {
   "steps_of_noise": dataclasses.replace(all_types()["random_rough"], step=0.02, spacing=0.3),
   **{f"{name}_to_the_rim": dataclasses.replace(cfg, border=0.0) for name, cfg in all_types().items() if name != "flat"},
 }
+
+
+@pytest.mark.parametrize("name", list(VARIANTS))
+def test_every_row_of_a_long_curriculum_builds(name: str) -> None:
+  for difficulty in (1e-6, *np.linspace(0.0, 0.2, 41)):
+    for size in SHAPES:
+      assert build(VARIANTS[name], size, difficulty).boxes or build(VARIANTS[name], size, difficulty).fields
+
+
+def test_a_grid_with_holes_has_its_cross_however_wide_its_cells_become() -> None:
+  # Four cells of 1.75 m along x: none has its centre within half a cell of what was asked for.
+  tile = build(RandomGridCfg(holes=True, platform=0.1, cell=1.6), (7.5, 7.5), 0.0)
+  z = surface(tile.boxes, tile.fields, np.array([0.0, 3.0]), np.array([0.0, 3.0]))
+  np.testing.assert_allclose(z, [[0.0, 0.0], [0.0, -2.0]], atol=1e-9)
+
+
+def test_noise_finer_than_a_cell_is_left_out_and_costs_nothing() -> None:
+  coarse, fine = (build(PerlinNoiseCfg(octaves=n, lacunarity=4.0), (8.0, 8.0), 1.0) for n in (3, 12))
+  np.testing.assert_array_equal(coarse.fields[0].heights, fine.fields[0].heights)
 
 
 @pytest.mark.parametrize("name", list(VARIANTS))

@@ -26,8 +26,13 @@ def lattice(extent: float, pitch: float) -> NDArray[np.float64]:
 
 
 def in_platform(x: NDArray[np.float64], y: NDArray[np.float64], platform: float) -> NDArray[np.bool_]:
-  """Which cells between these edges have their centre on a central square of edge `platform`, (cells_x, cells_y)."""
-  inside = [np.abs(0.5 * (e[:-1] + e[1:])) <= 0.5 * platform + 1e-9 for e in (x, y)]
+  """Which cells between these edges have their centre on a central square of edge `platform`, (cells_x, cells_y).
+
+  There is always one, or if their number is even two, along each axis, unless there is no platform.
+  """
+  inside = [
+    (np.abs(0.5 * (e[:-1] + e[1:])) <= 0.5 * max(platform, e[1] - e[0]) + 1e-9) & (platform > 0.0) for e in (x, y)
+  ]
   return inside[0][:, None] & inside[1][None, :]
 
 
@@ -75,7 +80,7 @@ class RandomGridCfg(TileCfg):
     if self.holes:
       tile.slab(bottom)
     tile.frame(tile.size, inner, (bottom, 0.0))
-    # Of a tile with holes only rows and columns of the platform remain; there is always one of each.
+    # Of a tile with holes only rows and columns of the platform remain, at least those of one cell each.
     reach = max(self.platform, self.cell)
     middle = in_platform(x, y, reach)
     cross = np.any(middle, axis=1, keepdims=True) | np.any(middle, axis=0, keepdims=True)
@@ -175,7 +180,7 @@ class TiltedGridCfg(TileCfg):
     grow = 1.0 / math.cos(tilt) ** 2 + math.sin(tilt) ** 2
     thickness = 0.3
     overhang = self.cell * (grow - 1.0) + thickness * math.sqrt(2.0) * math.sin(tilt)
-    margin = max(self.border, overhang) if tilt > 0.0 else self.border
+    margin = max(self.border, overhang, MIN_THICKNESS) if tilt > 0.0 else self.border
     inner = tile.inner(margin)
     x, y = (lattice(extent, self.cell) for extent in inner)
     shape = len(x) - 1, len(y) - 1

@@ -90,6 +90,11 @@ class NarrowBeamsCfg(TileCfg):
       self.refuse(
         name, f"beam_width {self.beam_width[0]:g} m is wider than the platform; at most {self.platform:g} m would work"
       )
+    # Where even the narrowest beams touch one another all the way, difficulty would mean nothing.
+    room, half = 0.5 * min(size) - self.border - MIN_THICKNESS, 0.5 * self.beam_width[1]
+    most = int(math.pi / math.asin(half / room)) if half < room else 2
+    if self.num_beams > max(most, 2):
+      self.refuse(name, f"num_beams {self.num_beams} leaves no gaps between beams; at most {most} would work")
 
   def build(self, tile: Tile) -> None:
     half = 0.5 * tile.scaled(self.beam_width)

@@ -142,6 +142,9 @@ class TerrainGridCfg:
       raise ValueError("TerrainGridCfg: name must not be empty.")
     if len(self.tile_size) != 2 or any(not 0.5 <= s < math.inf for s in self.tile_size):
       raise ValueError(f"{who}: tile_size must be two lengths of at least 0.5 m, got {self.tile_size}.")
+    for label, count in (("rows", self.rows), ("columns", self.columns), ("seed", self.seed)):
+      if count is not None and not isinstance(count, int | np.integer):
+        raise ValueError(f"{who}: {label} must be a whole number, got {count!r}.")
     for label, count in (("rows", self.rows), ("columns", self.columns)):
       if count is not None and count < 1:
         raise ValueError(f"{who}: {label} must be at least 1, got {count}.")

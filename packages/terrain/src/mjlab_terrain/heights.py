@@ -45,7 +45,6 @@ class PyramidSlopeCfg(TileCfg):
         [np.clip(1.0 - 2.0 * np.abs(p) / s, 0.0, 1.0) for p, s in zip((x, y), inner, strict=True)], 0
       )
 
-    # One vertex beyond the platform's edge, so that the grid does not cut it.
     edge = np.array(0.5 * self.platform)
     top = height(edge, edge) if self.curved else np.array(reach - edge)
     slope = tile.scaled(self.slope)
@@ -182,7 +181,7 @@ class PerlinNoiseCfg(TileCfg):
   wavelength: float = number(1.6, least=0.1)
   """Size of the largest features [m]."""
   octaves: int = number(4, least=1, most=12)
-  """Number of noises that are added."""
+  """Number of noises that are added; of those whose features are smaller than a cell none is."""
   persistence: float = number(0.3, most=1.0)
   """Amplitude of each noise relative to that before it."""
   lacunarity: float = number(2.0, least=1.0)
@@ -199,6 +198,8 @@ class PerlinNoiseCfg(TileCfg):
     noise = np.zeros((len(x), y.shape[1]))
     for octave in range(self.octaves):
       frequency = self.lacunarity**octave / self.wavelength
+      if octave and frequency * self.resolution > 1.0 + 1e-9:
+        break
       noise += self.persistence**octave * perlin(x.ravel() * frequency, y.ravel() * frequency, tile.rng)
     noise = (noise - noise.min()) / max(np.ptp(noise), 1e-12)
     tile.heights(tile.scaled(self.height) * noise * tile.fade(x, y, self.border, self.blend))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
@@ -44,7 +45,10 @@ class HeightMapCfg(TileCfg):
   def _heights(self) -> Floats:
     if isinstance(self.source, str | Path):
       return _read_picture(Path(self.source))
-    return np.asarray(self.source, dtype=np.float64)
+    heights = np.asarray(self.source)
+    if heights.dtype.kind not in "biuf":
+      raise ValueError(f"heights must be real numbers, got {heights.dtype}")
+    return heights.astype(np.float64)
 
   def build(self, tile: Tile) -> None:
     z = self._heights() * tile.scaled(self.height)
@@ -87,7 +91,7 @@ class MeshCfg(TileCfg):
   """Factor on all lengths of the mesh."""
   height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
   """Factor on its heights besides."""
-  floor: float = 0.0
+  floor: float = number(0.0, least=-math.inf)
   """Height of the ground where the mesh has nothing [m]."""
   resolution: float = number(0.05, least=0.005)
   """Distance between the vertices of the height field [m]."""
@@ -120,7 +124,7 @@ class MeshCfg(TileCfg):
       vertices, faces = _read_mesh(path, path.stat().st_mtime_ns)
     else:
       vertices, faces = (np.asarray(part) for part in self.source)
-    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, faces.astype(np.int64)
+    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, _whole(np.asarray(faces))
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
       raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
     if not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
@@ -137,6 +141,13 @@ class MeshCfg(TileCfg):
     z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
     tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
     tile.spawn_on_top()
+
+
+def _whole(indices: NDArray[Any]) -> NDArray[np.int64]:
+  whole = indices.astype(np.int64)
+  if not np.array_equal(whole, indices):
+    raise ValueError("triangles must be whole numbers")
+  return whole
 
 
 @lru_cache(maxsize=8)

@@ -89,7 +89,7 @@ class OpenStairsCfg(TileCfg):
     floor = -n * rise if self.inverted else 0.0
     tile.slab(floor)
     if self.inverted:
-      tile.frame(tile.size, tuple(outer), (floor, 0.0))
+      tile.frame(tile.size, tuple(outer), (floor - GROUND_DEPTH, 0.0))
     for k in range(n):
       extent = outer - 2.0 * k * width
       top = -k * rise if self.inverted else (k + 1) * rise

@@ -90,9 +90,11 @@ class Tile:
     """Adds a box by its centre, half extents [m] and axes, the columns of `rotation`.
 
     Raises:
-      ValueError: it is thinner than 5 cm.
+      ValueError: it is thinner than 5 cm, or not finite.
     """
     half = np.array(half, dtype=np.float64)
+    if not np.isfinite([*half, *np.array(center, dtype=np.float64)]).all():
+      raise ValueError(f"a box of half extents {half.tolist()} at {np.array(center).tolist()} m is not finite.")
     if half.min() < 0.5 * MIN_THICKNESS - 1e-9:
       raise ValueError(f"a box of {' x '.join(f'{2 * h:.3g}' for h in half)} m is thinner than {MIN_THICKNESS} m.")
     self.boxes.append(Box(center=np.array(center, dtype=np.float64), half=half, rotation=rotation))
@@ -139,7 +141,13 @@ class Tile:
     return t * t * (3.0 - 2.0 * t)
 
   def heights(self, heights: NDArray[np.float64]) -> None:
-    """Adds a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first."""
+    """Adds a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first.
+
+    Raises:
+      ValueError: they are no grid of at least (2, 2), or not finite.
+    """
+    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
+      raise ValueError(f"heights must be (nx, ny), at least (2, 2), and finite; got {heights.shape}.")
     if np.ptp(heights) < FLAT:
       self.slab(float(heights.max()))
       return
