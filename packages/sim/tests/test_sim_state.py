@@ -40,6 +40,32 @@ def test_a_saved_simulation_goes_on_bit_for_bit(make_sim: MakeSim, engine: str) 
   assert not torch.equal(sim.data.qpos, other.data.qpos)
 
 
+def heavier(sim: Simulation) -> None:
+  sim.model.opt.gravity[:, 2] = -3.0
+  sim.model.body_mass[:, 3] += 0.5
+  sim.recompute_constants()
+
+
+def test_what_all_worlds_share_is_saved_where_it_is_not_as_compiled(make_sim: MakeSim, engine: str) -> None:
+  sim, other, plain = (make_sim(engine) for _ in range(3))
+  heavier(sim)
+  untouched = plain.state_dict()
+  assert untouched["shared"] == {}
+  for each in (sim, plain):
+    scatter(each)
+    run(each, 3)
+  moving = {**plain.state_dict(), "shared": {}}
+  for saved, of in ((sim.state_dict(), sim), (moving, plain)):
+    # The second time, what the first one brought must go again.
+    other.load_state_dict(saved)
+    for name in ("opt.gravity", "body_mass", "body_subtreemass", "dof_invweight0"):
+      assert torch.equal(other.model[name], of.model[name]), name
+    run(of, 5)
+    run(other, 5)
+    assert torch.equal(other.data.qpos, of.data.qpos)
+  assert other.expanded_fields == ()
+
+
 BUNCH = """
 <mujoco>
   <worldbody>

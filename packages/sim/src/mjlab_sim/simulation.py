@@ -227,12 +227,17 @@ class Simulation:
   # State
 
   def state_dict(self) -> dict[str, dict[str, torch.Tensor]]:
-    """All that the next step depends on, as fresh tensors: the state, model fields and defaults of every world."""
+    """All that the next step depends on, as fresh tensors: the state, model fields and defaults of every world.
+
+    Model fields that all worlds share are among it where they are not as compiled.
+    """
     self._check_open()
     data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
+    shared = closure(self._written_shared(), self.mj_model)
     return {
       "data": {name: field for name, field in data.items() if field.numel()},
-      "model": {name: self._engine.model_field(name).detach().clone() for name in self._expanded},
+      "model": self._model_fields(self._expanded),
+      "shared": self._model_fields(name for name in shared if name not in self._expanded),
       "default": {name: field.clone() for name, field in self._defaults.items()},
     }
 
@@ -249,13 +254,16 @@ class Simulation:
     data = {name: field for name in STATE if (field := self._engine.data_field(name)).numel()}
     model = {name: self.model[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: self._engine.model_field(name) for name in self._expanded}
-    # States saved before there were defaults of worlds have none.
-    state = {"default": {}, **state}
-    for kind, fields in (("data", data), ("model", model), ("default", self._defaults)):
+    # States saved before there were defaults of worlds, or shared fields, have none.
+    state = {"default": {}, "shared": {}, **state}
+    as_compiled = {name: self.default_field(name) for name in self._written_shared() if name not in state["model"]}
+    state["shared"] = as_compiled | state["shared"]
+    shared = {name: self.model[name] for name in state["shared"] if name in PER_WORLD and name not in self._expanded}
+    for kind, fields in (("data", data), ("model", model), ("shared", shared), ("default", self._defaults)):
       for name, value in state[kind].items():
         if name not in fields:
           raise SimulationError(unknown(f"saved {kind} field", name, list(fields)))
-        shape = (self.num_envs, *fields[name].shape[1:])
+        shape = (1 if kind == "shared" else self.num_envs, *fields[name].shape[1:])
         if shape != value.shape:
           raise SimulationError(f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}")
       if absent := [name for name in fields if name not in state[kind]]:
@@ -265,12 +273,25 @@ class Simulation:
       data[name].copy_(value)
     for name, value in state["default"].items():
       self._defaults[name].copy_(value)
-    self._write_model(state["model"])
-    if not SOURCES.isdisjoint(self._expanded):
+    fields = state["shared"] | state["model"]
+    self._write_model(fields)
+    if not SOURCES.isdisjoint(fields):
       # Engines derive more than they show. What was saved counts to the last bit.
       self.recompute_constants()
-      self._write_model(state["model"])
+      self._write_model(fields)
     self._state_version = -1
+
+  def _written_shared(self) -> list[str]:
+    """Fields that all worlds share and that are not as compiled; reads the device."""
+    return [
+      name
+      for name, field in self._asked_for.items()
+      if name not in self._expanded and not torch.equal(_plain(field), self.default_field(name))
+    ]
+
+  def _model_fields(self, names: Iterable[str]) -> dict[str, torch.Tensor]:
+    fields = {name: self._engine.model_field(name).detach().clone() for name in names}
+    return {name: field for name, field in fields.items() if field.numel()}
 
   def _write_model(self, fields: dict[str, torch.Tensor]) -> None:
     for name, value in fields.items():
