@@ -27,7 +27,7 @@ from mjlab_rl import (
   TaskCfg,
   TrainingResult,
   load_run,
-  read_teacher,
+  read_trained_policy,
   train,
 )
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
@@ -188,7 +188,7 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: 
 
 def runner(agent: RslRlDistillationRunnerCfg, teacher: Path, **env_options: Any) -> MjlabDistillationRunner:
   seed_everything(agent.seed)
-  found = read_teacher(teacher)
+  found = read_trained_policy(teacher)
   agent.teacher = found.network(agent)
   env = ToldPointEnv(ToldPointEnvCfg(seed=3, **env_options))
   made = MjlabDistillationRunner(RslRlVecEnvWrapper(env), agent, None, "cpu", console=QUIET)
@@ -473,7 +473,7 @@ def test_a_teacher_with_code_in_it_is_not_run(tmp_path: Path) -> None:
   path = tmp_path / "model_1.pt"
   torch.save({"actor_state_dict": os.system}, path)
   with pytest.raises(CheckpointError, match="not loaded"):
-    read_teacher(path)
+    read_trained_policy(path)
 
 
 def test_whoever_needs_no_teacher_or_has_one_gets_none(tmp_path: Path, teacher: Path) -> None:

@@ -24,7 +24,7 @@ from mjlab_rl import (
   RslRlOnPolicyRunnerCfg,
   RunManifest,
   TaskCfg,
-  Teacher,
+  TrainedPolicy,
 )
 
 # Student, who sees the same and learns by itself, teacher.
@@ -37,9 +37,9 @@ TASKS: dict[str, tuple[Any, Any, Any]] = {
 each_student = pytest.mark.parametrize("name", TASKS)
 
 
-def teacher(task: TaskCfg[Any]) -> Teacher:
+def teacher(task: TaskCfg[Any]) -> TrainedPolicy:
   run = RunManifest(task="Taught", env=task.env, agent=task.agent)
-  return Teacher(path=Path("model_1.pt"), weights={}, record=None, run=run, role="actor")
+  return TrainedPolicy(path=Path("model_1.pt"), weights={}, record=None, run=run, role="actor")
 
 
 @each_student

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     wilson,
   )
   from mjlab_rl.iteration_report import IterationReport
-  from mjlab_rl.manifest import ManifestError, RunManifest, TeacherRecord, load_run
+  from mjlab_rl.manifest import ManifestError, PolicyRecord, RunManifest, load_run
   from mjlab_rl.policies import CheckpointPolicy, OnnxPolicy
   from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
   from mjlab_rl.runner import MjlabOnPolicyRunner
   from mjlab_rl.task import TaskCfg
-  from mjlab_rl.teacher import Teacher, read_teacher
+  from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
   from mjlab_rl.training import TrainingResult, train
   from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
@@ -60,6 +60,7 @@ __all__ = [
   "MjlabOnPolicyRunner",
   "OnnxPolicy",
   "Policy",
+  "PolicyRecord",
   "Progress",
   "ReturnEvaluation",
   "RlEnv",
@@ -73,9 +74,8 @@ __all__ = [
   "RunManifest",
   "RunNotFoundError",
   "TaskCfg",
-  "Teacher",
-  "TeacherRecord",
   "Threshold",
+  "TrainedPolicy",
   "TrainingResult",
   "bootstrap",
   "checkpoints",
@@ -83,7 +83,7 @@ __all__ = [
   "find_checkpoint",
   "load_run",
   "play_first_episodes",
-  "read_teacher",
+  "read_trained_policy",
   "summarize",
   "train",
   "wilson",
@@ -109,12 +109,12 @@ __getattr__, __dir__ = lazy_exports(
       "play_first_episodes summarize wilson"
     ),
     ".iteration_report": "IterationReport",
-    ".manifest": "ManifestError RunManifest TeacherRecord load_run",
+    ".manifest": "ManifestError PolicyRecord RunManifest load_run",
     ".policies": "CheckpointPolicy OnnxPolicy",
     ".run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
     ".runner": "MjlabOnPolicyRunner",
     ".task": "TaskCfg",
-    ".teacher": "Teacher read_teacher",
+    ".trained_policy": "TrainedPolicy read_trained_policy",
     ".training": "TrainingResult train",
     ".vec_env": "RslRlVecEnvWrapper",
   },

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from mjlab_rl import checkpoint
 from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
 from mjlab_rl.runner import MjlabOnPolicyRunner
-from mjlab_rl.teacher import Teacher
+from mjlab_rl.trained_policy import TrainedPolicy
 
 
 class MjlabDistillationRunner(MjlabOnPolicyRunner):
@@ -22,7 +22,7 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
   def networks(self) -> dict[str, MLPModel]:
     return {"student": self._distillation._raw_student, "teacher": self._distillation._raw_teacher}
 
-  def load_teacher(self, teacher: Teacher) -> None:
+  def load_teacher(self, teacher: TrainedPolicy) -> None:
     """Take the weights of a teacher.
 
     Raises:

@@ -37,7 +37,7 @@ class ManifestError(ValueError):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TeacherRecord:
+class PolicyRecord:
   """A trained policy that another learned from, or began as."""
 
   checkpoint: str
@@ -76,9 +76,9 @@ class RunManifest:
   """Command line."""
   resumed_from: str | None = None
   """Checkpoint that the run continued."""
-  teacher: TeacherRecord | None = None
+  teacher: PolicyRecord | None = None
   """Whom the policy learned from, in a distillation."""
-  init_from: TeacherRecord | None = None
+  init_from: PolicyRecord | None = None
   """Whose policy this one was in the beginning; None: its weights were drawn."""
   versions: dict[str, str] = dataclasses.field(default_factory=dict)
   """Versions of Python, the operating system and the packages that matter."""

@@ -18,7 +18,7 @@ from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_v
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.task import TaskCfg
-from mjlab_rl.teacher import Teacher, read_teacher
+from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
@@ -144,7 +144,7 @@ def train(
     env.close()
 
 
-def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> Teacher | None:
+def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> TrainedPolicy | None:
   """The teacher of a distillation; `agent` is told what its network is."""
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if teacher is not None:
@@ -155,18 +155,20 @@ def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: 
   path = teacher or resume
   if path is None:
     raise ConfigError("a distillation needs a teacher: the checkpoint of a trained policy")
-  found = read_teacher(path, resumed=resume is not None)
+  found = read_trained_policy(path, resumed=resume is not None)
   found.check(env, agent)
   agent.teacher = copy.deepcopy(found.network(agent))
   return found
 
 
-def _beginning(agent: RslRlBaseRunnerCfg, env: Any, init_from: Path | None, resume: Path | None) -> Teacher | None:
+def _beginning(
+  agent: RslRlBaseRunnerCfg, env: Any, init_from: Path | None, resume: Path | None
+) -> TrainedPolicy | None:
   """The trained policy that this one is in the beginning."""
   if init_from is None:
     return None
   if resume is not None:
     raise ConfigError(f"a policy to begin as is given, {init_from}, but {resume} has its own")
-  found = read_teacher(init_from)
+  found = read_trained_policy(init_from)
   found.check_beginning(env, agent)
   return found

@@ -10,21 +10,21 @@ from mjlab_core import unknown
 
 from mjlab_rl.checkpoint import CheckpointError, read_checkpoint
 from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
-from mjlab_rl.manifest import Json, RunManifest, TeacherRecord, encode, load_run
+from mjlab_rl.manifest import Json, PolicyRecord, RunManifest, encode, load_run
 
-# What a teacher may see with other noise, or later, than when it was trained.
+# What it may see with other noise, or later, than when it was trained.
 _CORRUPTION = ("noise", "corrupt", "nan_policy")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Teacher:
-  """A trained policy; `read_teacher` makes one."""
+class TrainedPolicy:
+  """A trained policy; `read_trained_policy` makes one."""
 
   path: Path
   """Checkpoint that it is in."""
   weights: dict[str, Any]
   """State of its network, normaliser included."""
-  record: TeacherRecord | None
+  record: PolicyRecord | None
   """Where it is from; None: not known, of a distillation that is resumed without its manifest."""
   run: RunManifest | None
   """The run whose checkpoint it is in; None where there is no manifest."""
@@ -107,7 +107,7 @@ class Teacher:
       raise CheckpointError(f"{self.name} does not fit: {listed}")
 
 
-def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
+def read_trained_policy(path: Path, *, resumed: bool = False) -> TrainedPolicy:
   """The policy of a checkpoint, trained by reinforcement or distilled itself; runs no code of the file.
 
   Args:
@@ -130,7 +130,7 @@ def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
         "(--teacher)"
       )
     record = None if run is None else run.teacher
-    return Teacher(path=path, weights=state["teacher_state_dict"], record=record, run=run, role="teacher")
+    return TrainedPolicy(path=path, weights=state["teacher_state_dict"], record=record, run=run, role="teacher")
   roles = ("actor", "student") if run is None else (run.agent.policy,)
   state = read_checkpoint(path, *roles)
   role = next(name for name in roles if f"{name}_state_dict" in state)
@@ -138,10 +138,10 @@ def read_teacher(path: Path, *, resumed: bool = False) -> Teacher:
   with path.open("rb") as file:
     digest = hashlib.file_digest(file, "sha256").hexdigest()
   iterations = int(state["iter"]) + (0 if "mjlab" in state else 1)
-  return Teacher(
+  return TrainedPolicy(
     path=path,
     weights=state[f"{role}_state_dict"],
-    record=TeacherRecord(checkpoint=str(path.resolve()), sha256=digest, task=task, iterations=iterations),
+    record=PolicyRecord(checkpoint=str(path.resolve()), sha256=digest, task=task, iterations=iterations),
     run=run,
     role=role,
   )
