@@ -30,12 +30,13 @@ class BrowserDrawing:
   def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
     self._server = server
     self._model = model
-    self._root = server.scene.add_frame("/drawn", show_axes=False)
     self._handles: dict[str, viser.BatchedMeshHandle] = {}
 
   def show(self, drawn: Sequence[Shapes], offset: np.ndarray) -> None:
-    """Replace what is shown; `offset` moves all of it, (3,) [m]."""
-    self._root.position = offset
+    """Replace what is shown; `offset` moves all of it, (3,) [m].
+
+    It does so here: a node that moves shows its new place long before a busy browser shows what hangs on it.
+    """
     batches: dict[str, list[Shapes]] = defaultdict(list)
     for shapes in drawn:
       if shapes.kind == "mesh":
@@ -47,16 +48,17 @@ class BrowserDrawing:
       else:
         batches[shapes.kind].append(shapes)
     for name, parts in batches.items():
-      self._show_batch(name, parts)
+      self._show_batch(name, parts, offset)
     for name, handle in self._handles.items():
       if name not in batches:
         handle.visible = False
 
-  def _show_batch(self, name: str, parts: list[Shapes]) -> None:
+  def _show_batch(self, name: str, parts: list[Shapes], offset: np.ndarray) -> None:
     position, direction, size, color = (
       np.concatenate([getattr(shapes, field) for shapes in parts])
       for field in ("position", "direction", "size", "color")
     )
+    position = position + offset
     if name in ("shaft", "head", "line"):
       length = np.linalg.norm(direction, axis=1, keepdims=True)
       share = {"shaft": _SHAFT, "head": 1.0 - _SHAFT, "line": 1.0}[name]
