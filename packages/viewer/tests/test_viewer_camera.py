@@ -65,6 +65,22 @@ def test_a_model_without_moving_bodies_is_looked_at_in_its_middle() -> None:
   np.testing.assert_allclose(CameraCfg().resolve(model).target(np.zeros((1, 3))), model.stat.center)
 
 
+def test_of_a_robot_that_stands_on_a_base_one_looks_above_its_foot_in_every_world() -> None:
+  model: mujoco.MjModel = mujoco.MjModel.from_xml_string("""
+    <mujoco><statistic extent="2"/><worldbody>
+      <body name="base" mocap="true"><body name="arm"><joint/><geom size=".1"/></body></body>
+    </worldbody></mujoco>""")
+  at = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 0.2, 0.3]])
+  np.testing.assert_allclose(CameraCfg().resolve(model).target(at), [3.0, 0.0, 0.5])
+  np.testing.assert_allclose(CameraCfg(body="base").resolve(model).target(at), [3.0, 0.0, 0.0])
+  env = BoxEnv(1)
+  env.sim.mj_model = model
+  env.sim.datas = [mujoco.MjData(model)]
+  env.sim.data._datas = env.sim.datas
+  with BrowserViewer(env, port=8300) as viewer:
+    np.testing.assert_allclose(viewer.server.initial_camera.look_at, [0, 0, 0.5])
+
+
 def test_a_body_that_does_not_exist_is_refused_with_those_that_do() -> None:
   with pytest.raises(ViewerError, match=r"body 'leg' does not exist; the model has: box"):
     CameraCfg(body="leg").resolve(MODEL)

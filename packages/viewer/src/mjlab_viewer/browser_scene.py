@@ -119,7 +119,8 @@ class BrowserScene:
 
   def _target(self) -> np.ndarray:
     if self.scene.camera_tracking_enabled:
-      return np.zeros(3)
+      # mjviser keeps the body that is followed at the origin.
+      return self._camera.target(np.zeros_like(self._rest[0]))
     places = self._rest if self.shown is None else self._finite.get(self.shown.worlds[0], self._rest)
     return self._camera.target(places[0])
 

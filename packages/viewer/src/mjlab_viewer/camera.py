@@ -21,7 +21,10 @@ class CameraCfg:
   elevation: float = -20.0
   """Direction of sight above the horizon [deg]; below zero one looks down."""
   body: str | None = None
-  """Name of the body that is followed; None: the first body that moves, or else the middle of the model."""
+  """Name of the body that is followed; None: the first body that moves, or else the middle of the model.
+
+  Of one that only others move, such as the base of an arm, what is looked at is a quarter of the model's size above it.
+  """
   lookat: tuple[float, float, float] | None = None
   """A fixed point of the world to look at instead [m]."""
 
@@ -43,11 +46,13 @@ class CameraCfg:
     if lookat is None and body == 0:
       x, y, z = map(float, model.stat.center)
       lookat = (x, y, z)
+    is_base = self.body is None and bool(model.body_mocapid[body] >= 0)
     return Camera(
       distance=distance,
       azimuth=self.azimuth,
       elevation=self.elevation,
       body=body if lookat is None else None,
+      above=0.25 * float(model.stat.extent) if is_base else 0.0,
       lookat=lookat,
     )
 
@@ -60,6 +65,7 @@ class Camera:
   azimuth: float
   elevation: float
   body: int | None
+  above: float
   lookat: tuple[float, float, float] | None
 
   def target(self, xpos: np.ndarray) -> np.ndarray:
@@ -67,7 +73,7 @@ class Camera:
     if self.lookat is not None:
       return np.array(self.lookat, dtype=float)
     assert self.body is not None
-    return np.asarray(xpos[self.body], dtype=float).copy()
+    return xpos[self.body] + np.array([0.0, 0.0, self.above])
 
   @property
   def offset(self) -> np.ndarray:
