@@ -34,16 +34,18 @@ def settled(xml: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
   return model, data
 
 
-def test_discs_and_arrows_are_those_that_mujoco_draws() -> None:
+@pytest.mark.parametrize("split", [False, True])
+def test_discs_and_arrows_are_those_that_mujoco_draws(split: bool) -> None:
   model, data = settled(STACK)
   option, scene = mujoco.MjvOption(), mujoco.MjvScene(model, maxgeom=200)
   for flag in (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE):
     option.flags[flag] = 1
+  option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTSPLIT] = split
   decor = mujoco.mjtCatBit.mjCAT_DECOR.value
   mujoco.mjv_updateScene(model, data, option, None, mujoco.MjvCamera(), decor, scene)
   geoms = list(scene.geoms[: scene.ngeom])
   theirs = [geom for geom in geoms if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER]
-  points, forces = contact_shapes(computed_contacts(model, data), model, points=True, forces=True)
+  points, *forces = contact_shapes(computed_contacts(model, data), model, points=True, forces=True, split=split)
   assert len(points) == len(theirs) == data.ncon > 9
   turned = np.zeros(9)
   for row, geom in enumerate(theirs):
@@ -53,14 +55,18 @@ def test_discs_and_arrows_are_those_that_mujoco_draws() -> None:
     mujoco.mju_quat2Mat(turned, points.direction[row])
     np.testing.assert_allclose(turned.reshape(3, 3)[:, 2], geom.mat[:, 2], atol=1e-6)
   arrows = [geom for geom in geoms if geom not in theirs]
-  assert len(forces) == len(arrows) == data.ncon
-  for row, geom in enumerate(arrows):
-    np.testing.assert_allclose(forces.position[row], geom.pos, atol=1e-6)
-    length = np.linalg.norm(forces.direction[row])
-    assert length == pytest.approx(geom.size[2], rel=1e-5)
-    assert forces.size[row, 0] == pytest.approx(geom.size[0])
+  assert [len(part) for part in forces] == [data.ncon] * (1 + split)
+  assert len(arrows) == data.ncon * (1 + split)
+  for number, geom in enumerate(arrows):
+    row, part = divmod(number, 1 + split)
+    shown = forces[part]
+    np.testing.assert_allclose(shown.position[row], geom.pos, atol=1e-6)
+    np.testing.assert_allclose(shown.color[row], geom.rgba)
+    length = np.linalg.norm(shown.direction[row])
+    assert length == pytest.approx(geom.size[2], rel=1e-5, abs=1e-9)
+    assert shown.size[row, 0] == pytest.approx(geom.size[0])
     # MuJoCo draws a head at either end where both are bodies: along the line it is the same.
-    assert abs(forces.direction[row] @ geom.mat[:, 2]) == pytest.approx(length, rel=1e-5)
+    assert abs(shown.direction[row] @ geom.mat[:, 2]) == pytest.approx(length, rel=1e-5, abs=1e-9)
 
 
 def test_an_arrow_is_the_force_on_what_can_move() -> None:
@@ -144,6 +150,12 @@ def test_the_page_shows_what_the_simulation_tells_of_the_selected_world(env: Box
             np.testing.assert_allclose(handle.batched_positions, expected + middle, atol=1e-5)
         # mjviser draws none of its own.
         assert not any(handle.visible for handle in page.scene._decor_handles.values())
+    width = np.asarray(page._drawing._handles["shaft"].batched_scales)[0, 0]
+    assert width == pytest.approx(3 * env.sim.mj_model.vis.scale.forcewidth * env.sim.mj_model.stat.meansize)
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    inputs["Split normal/friction"].value = True
+    page.show(taker.take((0, 1)))
+    assert len(page._drawing._handles["shaft"].batched_positions) == 4
 
 
 def test_without_contacts_of_its_own_the_page_shows_those_of_the_state(env: BoxEnv) -> None:

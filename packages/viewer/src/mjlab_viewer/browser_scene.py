@@ -11,7 +11,7 @@ from mjviser import ViserMujocoScene
 from mjlab_viewer.browser_drawing import BrowserDrawing
 from mjlab_viewer.browser_looks import Wardrobe, look
 from mjlab_viewer.camera import Camera
-from mjlab_viewer.contacts import contact_shapes
+from mjlab_viewer.contacts import contact_shapes, embolden
 from mjlab_viewer.draw_list import Shapes
 from mjlab_viewer.host_world import HostWorld, copy_world
 from mjlab_viewer.snapshot import Snapshot
@@ -39,6 +39,7 @@ class BrowserScene:
     self._own = HostWorld(model)
     self._camera = camera
     self.scene = _Scene(server, self._own.model, num_worlds)
+    embolden(self._own.model, of=model)
     # Else every change of an overlay would be drawn at once by the thread that got it, from data that is being written.
     self.scene.set_refresh_handler(lambda: None)
     # mjviser follows the first body that moves; it has no public way to be told another one.
@@ -105,7 +106,8 @@ class BrowserScene:
       return []
     if not snapshot.contacts:
       self._own.load(snapshot)
-    return contact_shapes(self._own.contacts(snapshot), self._own.model, points=points, forces=forces)
+    split = bool(self.scene._mjv_option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTSPLIT])
+    return contact_shapes(self._own.contacts(snapshot), self._own.model, points=points, forces=forces, split=split)
 
   def _places(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
     """Positions and orientations of all bodies; of a world that diverged, the last that were any."""

@@ -36,10 +36,19 @@ def computed_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> HostContact
   return HostContacts(geom=contact.geom[pushing], pos=contact.pos[pushing], normal=frames[:, 0], force=force)
 
 
-def contact_shapes(contacts: HostContacts, model: mujoco.MjModel, *, points: bool, forces: bool) -> list[Shapes]:
+def embolden(model: mujoco.MjModel, of: mujoco.MjModel) -> None:
+  """Make arrows red and thrice as thick as those `of` a model: MuJoCo's own are thin as a needle, pale as the floor."""
+  model.vis.scale.forcewidth = 3.0 * of.vis.scale.forcewidth
+  model.vis.rgba.contactforce[:] = (0.9, 0.15, 0.1, 1.0)
+
+
+def contact_shapes(
+  contacts: HostContacts, model: mujoco.MjModel, *, points: bool, forces: bool, split: bool = False
+) -> list[Shapes]:
   """Discs and arrows in MuJoCo's sizes and colours, which are settings of the model (`vis`, `stat`).
 
-  An arrow is the force on what can move; where both can, on the second geom.
+  An arrow is the force on what can move; where both can, on the second geom. Split there are two, of its part along
+  the normal and of friction.
   """
   count, size, scale, colors = len(contacts.pos), model.stat.meansize, model.vis.scale, model.vis.rgba
   shapes = []
@@ -58,9 +67,12 @@ def contact_shapes(contacts: HostContacts, model: mujoco.MjModel, *, points: boo
     on_first = _is_fixed(model, contacts.geom[:, 1]) & ~_is_fixed(model, contacts.geom[:, 0])
     length = model.vis.map.force / model.stat.meanmass * np.where(on_first, -1.0, 1.0)
     radius = np.full((count, 1), size * scale.forcewidth)
-    shapes.append(
-      Shapes("arrow", contacts.pos, length[:, None] * contacts.force, radius, np.tile(colors.contactforce, (count, 1)))
-    )
+    parts = [(contacts.force, colors.contactforce)]
+    if split:
+      along = (contacts.force * contacts.normal).sum(axis=1, keepdims=True) * contacts.normal
+      parts = [(along, colors.contactforce), (contacts.force - along, colors.contactfriction)]
+    for force, color in parts:
+      shapes.append(Shapes("arrow", contacts.pos, length[:, None] * force, radius, np.tile(color, (count, 1))))
   return [part for part in shapes if len(part)]
 
 

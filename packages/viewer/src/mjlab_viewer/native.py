@@ -39,7 +39,11 @@ KEYS = {
 """Keys beside those of MuJoCo's window, and what they do."""
 
 _PLOT_EVERY = 0.1
-_CONTACT_FLAGS = (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE)
+_CONTACT_FLAGS = {
+  "points": mujoco.mjtVisFlag.mjVIS_CONTACTPOINT,
+  "forces": mujoco.mjtVisFlag.mjVIS_CONTACTFORCE,
+  "split": mujoco.mjtVisFlag.mjVIS_CONTACTSPLIT,
+}
 _ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
 
 
@@ -197,9 +201,9 @@ class NativeViewer:
   def _draw(self, snapshot: Snapshot) -> None:
     """Give the window what commands and sensors drew, and the contacts it is to show."""
     model, data, flags = self._world.model, self._world.data, self.window.opt.flags
-    points, forces = (bool(flags[flag]) for flag in _CONTACT_FLAGS)
+    wanted = {name: bool(flags[flag]) for name, flag in _CONTACT_FLAGS.items()}
     drawn = [shapes for drawing in snapshot.drawings for shapes in drawing.shapes]
-    drawn += contact_shapes(self._world.contacts(snapshot), model, points=points, forces=forces)
+    drawn += contact_shapes(self._world.contacts(snapshot), model, **wanted)
     # The window would draw those that the host computed.
     data.ncon = 0
     scene = self.window.user_scn

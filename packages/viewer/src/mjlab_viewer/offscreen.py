@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjlab_viewer.camera import CameraCfg
-from mjlab_viewer.contacts import contact_shapes
+from mjlab_viewer.contacts import contact_shapes, embolden
 from mjlab_viewer.errors import ViewerError
 from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms
@@ -57,9 +57,7 @@ class OffscreenRenderer:
     # Sharper shadows than these cannot be seen in a film, and without a GPU they take most of the time.
     model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
     if self.cfg.contacts:
-      # MuJoCo's own arrows are as thin as a needle, and as pale as the floor.
-      model.vis.scale.forcewidth *= 3.0
-      model.vis.rgba.contactforce[:] = (0.9, 0.15, 0.1, 1.0)
+      embolden(model, of=model)
     self._view = self.cfg.camera.resolve(model)
     self._camera = mujoco.MjvCamera()
     self._options = mujoco.MjvOption()
