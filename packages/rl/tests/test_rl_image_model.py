@@ -10,6 +10,7 @@ import pytest
 import torch
 from mjlab_core import seed_everything
 from mjlab_rl import (
+  CheckpointError,
   CheckpointPolicy,
   ConfigError,
   Console,
@@ -20,6 +21,8 @@ from mjlab_rl import (
   RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
+  TaskCfg,
+  train,
 )
 from mjlab_rl.image_model import ImageModel
 from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
@@ -39,11 +42,17 @@ each_memory = pytest.mark.parametrize("rnn_type", ["gru", "lstm"])
 class SeenPoint(PointEnv):
   """The point as a bright spot on 8 x 8 pixels; `speed` is what the image does not show."""
 
+  pixels = 8
+
   def get_observations(self) -> dict[str, torch.Tensor]:
-    place = torch.linspace(-1, 1, 8)
+    place = torch.linspace(-1, 1, self.pixels)
     row = torch.exp(-8.0 * (place - self.state[:, :1]).square())
     image = row[:, None, None, :] * torch.exp(-8.0 * place.square())[:, None]
     return {**super().get_observations(), "camera": image, "speed": self.state[:, 1:].clone()}
+
+
+class SharplySeenPoint(SeenPoint):
+  pixels = 12
 
 
 def observations(steps: tuple[int, ...], seed: int = 0) -> TensorDict:
@@ -277,6 +286,8 @@ def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
       env.step(actions)
       for acting in (policy, exported):
         acting.reset(torch.tensor([False, step == 1, False]))
+  with pytest.raises(CheckpointError, match="'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"):
+    exported(SharplySeenPoint(env.cfg).get_observations())
 
 
 class RenamedPoint(PointEnv):
@@ -367,3 +378,30 @@ def test_who_sees_nothing_needs_no_encoder() -> None:
   cfg.algorithm.share_cnn_encoders = True
   with pytest.raises(ConfigError, match=r"share_cnn_encoders is on, but agent\.critic\.class_name 'MLPModel'"):
     runner(cfg)
+
+
+@each_kind
+def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[ImageModel], tmp_path: Path) -> None:
+  cfg = agent(class_name=f"{kind.__module__}:{kind.__name__}", max_iterations=1)
+  # Then the weights fit images of any size.
+  cfg.actor.cnn_cfg = CNN | ({"global_pool": "max"} if kind is ImageModel else {})
+  task = TaskCfg(env=PointEnvCfg(), agent=cfg)
+  options: Any = {"name": "Point", "console": Console("quiet")}
+  trained = train(task, make_env=SeenPoint, log_root=tmp_path / "logs", **options).checkpoint
+  assert trained is not None
+  other = tmp_path / "other"
+  message = "observation group 'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"
+  student = RslRlDistillationRunnerCfg(max_iterations=1, num_steps_per_env=8, logger="none")
+  student.obs_groups = {"student": ("actor",), "teacher": ("speed", "camera")}
+  for learner_cfg, beginning in (
+    (cfg, {"init_from": trained}),
+    (cfg, {"resume": trained}),
+    (student, {"teacher": trained}),
+  ):
+    learner_cfg = replace(learner_cfg, max_iterations=2)
+    with pytest.raises(CheckpointError, match=message):
+      train(replace(task, agent=learner_cfg), make_env=SharplySeenPoint, log_root=other, **beginning, **options)
+    assert train(replace(task, agent=learner_cfg), make_env=SeenPoint, log_root=None, **beginning, **options)
+  assert not other.exists()
+  with pytest.raises(CheckpointError, match=message):
+    CheckpointPolicy(SharplySeenPoint(PointEnvCfg()), cfg).load(trained)

@@ -39,7 +39,7 @@ each_student = pytest.mark.parametrize("name", TASKS)
 
 def teacher(task: TaskCfg[Any]) -> TrainedPolicy:
   run = RunManifest(task="Taught", env=task.env, agent=task.agent)
-  return TrainedPolicy(path=Path("model_1.pt"), weights={}, record=None, run=run, role="actor")
+  return TrainedPolicy(path=Path("model_1.pt"), weights={}, shapes_seen=None, record=None, run=run, role="actor")
 
 
 @each_student

@@ -3,14 +3,17 @@
 import os
 import pickle
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 
 FORMAT = 1
+
+Shapes: TypeAlias = Sequence[Sequence[int]]
+"""Of each observation group that a network sees, the shape for one world."""
 
 
 class CheckpointError(ValueError):
@@ -57,19 +60,49 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
   return state
 
 
-def read_policy(path: Path, policy: str) -> dict[str, Any]:
+def read_policy(path: Path, policy: str) -> tuple[dict[str, Any], Shapes | None]:
   """The weights of the policy in a checkpoint, of a run by reinforcement, "actor", or of a distillation, "student".
 
   Args:
     path: The file.
     policy: Which of the two it is where there are both.
 
+  Returns:
+    The weights, and what `shapes_seen` says.
+
   Raises:
     CheckpointError: As `read_checkpoint`.
   """
   names = dict.fromkeys((policy, "actor", "student"))
   state = read_checkpoint(path, *names)
-  return next(state[key] for name in names if (key := f"{name}_state_dict") in state)
+  name = next(name for name in names if f"{name}_state_dict" in state)
+  return state[f"{name}_state_dict"], shapes_seen(state, name)
+
+
+def shapes_seen(state: Mapping[str, Any], network: str) -> Shapes | None:
+  """Shapes of one world's observation groups as a network of a checkpoint saw them; None where it does not say."""
+  return state.get("mjlab", {}).get("shapes_seen", {}).get(network)
+
+
+def check_shapes_seen(path: Path, groups: Sequence[str], trained: Shapes | None, present: Shapes) -> None:
+  """Compare what a network saw in its training with what it is to see; an image of another size may fit all weights.
+
+  Args:
+    path: File that it is from.
+    groups: Names of the observation groups that it is to see.
+    trained: Their shapes in its training; None: not known.
+    present: Their shapes now.
+
+  Raises:
+    CheckpointError: They differ; the message says in what.
+  """
+  differences = [
+    f"observation group '{group}' was {_by(was)} in its training and is {_by(now)} here"
+    for group, was, now in zip(groups, trained or (), present, strict=False)
+    if list(was) != list(now)
+  ]
+  if differences:
+    raise CheckpointError(f"policy {path} does not fit: {'; '.join(differences)}")
 
 
 def check_fit(path: Path, part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
@@ -115,6 +148,10 @@ def restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
   random.setstate((version, tuple(internal), gauss))
   if device.type == "cuda" and "cuda" in state:
     torch.cuda.set_rng_state(state["cuda"], device)
+
+
+def _by(shape: Sequence[int]) -> str:
+  return " x ".join(map(str, shape))
 
 
 def _shape(value: Any) -> tuple[int, ...]:

@@ -26,9 +26,11 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
     """Take the weights of a teacher.
 
     Raises:
-      CheckpointError: Its network has other sizes; nothing has been changed then.
+      CheckpointError: It saw observations of other shapes, or its network has other sizes; nothing has been
+        changed then.
     """
     network = self.networks["teacher"]
+    self.check_shapes_seen(teacher.path, "teacher", teacher.shapes_seen)
     checkpoint.check_fit(teacher.path, "teacher", teacher.weights, network.state_dict())
     network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from mjlab_rl.checkpoint import CheckpointError
+from mjlab_rl.checkpoint import CheckpointError, check_shapes_seen
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.distillation import runner_class
@@ -84,6 +84,7 @@ class OnnxPolicy:
     self._input = next(iter(inputs))
     self._images = [group for group in self._groups if group in inputs and group != self._input]
     remembered = [name for name in inputs if name != self._input and name not in self._images]
+    self._shapes = {name: shape[1:] for name, shape in inputs.items()}
     self._width = inputs[self._input][-1]
     # A recurrent network takes its memory in, (layers, worlds, width), and gives it back, in the same order.
     self._memory = {name: np.zeros((inputs[name][0], num_envs, inputs[name][2]), np.float32) for name in remembered}
@@ -96,6 +97,8 @@ class OnnxPolicy:
         f"policy {self._path} does not fit: it takes {self._width} observations, here are {seen.shape[-1]}"
       )
     shown = {self._input: seen, **{group: observations[group] for group in self._images}}
+    now = [shown[group].shape[1:] for group in self._images]
+    check_shapes_seen(self._path, self._images, [self._shapes[group] for group in self._images], now)
     feed = {name: value.float().cpu().numpy() for name, value in shown.items()}
     if self._images:
       # What has convolutions was exported for one world alone.

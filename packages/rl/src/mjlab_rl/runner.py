@@ -53,11 +53,14 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     console: Console | None = None,
   ):
     cfg.check_samples(env.num_envs)
-    known = list(env.unwrapped.get_observations())
+    seen = env.unwrapped.get_observations()
     for network, groups in cfg.obs_groups.items():
       for group in groups:
-        if group not in known:
-          raise ConfigError(unknown("observation group", group, known, owner=f"agent.obs_groups['{network}']"))
+        if group not in seen:
+          raise ConfigError(unknown("observation group", group, list(seen), owner=f"agent.obs_groups['{network}']"))
+    self._shapes_seen = {
+      network: [list(seen[group].shape[1:]) for group in groups] for network, groups in cfg.obs_groups.items()
+    }
     # A rollout keeps what it is given, so it is not given what no network looks at.
     env.groups = frozenset(group for groups in cfg.obs_groups.values() for group in groups)
     self.agent_cfg = cfg
@@ -157,6 +160,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     state["mjlab"] = {
       "format": checkpoint.FORMAT,
       "num_envs": self.env.num_envs,
+      "shapes_seen": self._shapes_seen,
       "env": self.env.unwrapped.state_dict(),
       "statistics": self.statistics.state_dict(),
       "hidden_states": [network.get_hidden_state() for network in self.networks.values()],
@@ -188,12 +192,14 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       The values saved with it.
 
     Raises:
-      CheckpointError: It cannot be read, or its networks have other sizes; nothing has been changed then.
+      CheckpointError: It cannot be read, or its networks have other sizes or saw observations of other shapes; nothing
+        has been changed then.
     """
     del map_location
     state = checkpoint.read_checkpoint(Path(path), self.agent_cfg.policy)
     for part, model in self.networks.items():
       if load_cfg is None or load_cfg.get(part):
+        self.check_shapes_seen(Path(path), part, checkpoint.shapes_seen(state, part))
         checkpoint.check_fit(Path(path), part, state.get(f"{part}_state_dict", {}), model.state_dict())
     if self.alg.load(state, load_cfg, strict):
       # A file of rsl-rl's names the last iteration done.
@@ -208,12 +214,23 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     """Take the weights of the policy in a checkpoint, of a run by reinforcement or of a distillation, and nothing else.
 
     Raises:
-      CheckpointError: It cannot be read, or the network has other sizes; nothing has been changed then.
+      CheckpointError: It cannot be read, it saw observations of other shapes, or the network has other sizes; nothing
+        has been changed then.
     """
     name = self.agent_cfg.policy
-    weights, network = checkpoint.read_policy(path, name), self.networks[name]
+    (weights, shapes), network = checkpoint.read_policy(path, name), self.networks[name]
+    self.check_shapes_seen(path, name, shapes)
     checkpoint.check_fit(path, name, weights, network.state_dict())
     network.load_state_dict(weights)
+
+  def check_shapes_seen(self, path: Path, network: str, trained: checkpoint.Shapes | None) -> None:
+    """Compare what a network of a checkpoint saw, where that is known, with what one of these networks sees.
+
+    Raises:
+      CheckpointError: Observations had other shapes.
+    """
+    groups = self.agent_cfg.obs_groups[network]
+    checkpoint.check_shapes_seen(path, groups, trained, self._shapes_seen[network])
 
   def _load_worlds(self, state: dict[str, Any]) -> None:
     is_restored = False

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjlab_core import unknown
 
-from mjlab_rl.checkpoint import CheckpointError, read_checkpoint
+from mjlab_rl.checkpoint import CheckpointError, Shapes, read_checkpoint, shapes_seen
 from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
 from mjlab_rl.manifest import Json, PolicyRecord, RunManifest, encode, load_run
 
@@ -24,6 +24,8 @@ class TrainedPolicy:
   """Checkpoint that it is in."""
   weights: dict[str, Any]
   """State of its network, normaliser included."""
+  shapes_seen: Shapes | None
+  """Shapes of the observations that it saw; None: not known."""
   record: PolicyRecord | None
   """Where it is from; None: not known, of a distillation that is resumed without its manifest."""
   run: RunManifest | None
@@ -130,7 +132,14 @@ def read_trained_policy(path: Path, *, resumed: bool = False) -> TrainedPolicy:
         "(--teacher)"
       )
     record = None if run is None else run.teacher
-    return TrainedPolicy(path=path, weights=state["teacher_state_dict"], record=record, run=run, role="teacher")
+    return TrainedPolicy(
+      path=path,
+      weights=state["teacher_state_dict"],
+      shapes_seen=shapes_seen(state, "teacher"),
+      record=record,
+      run=run,
+      role="teacher",
+    )
   roles = ("actor", "student") if run is None else (run.agent.policy,)
   state = read_checkpoint(path, *roles)
   role = next(name for name in roles if f"{name}_state_dict" in state)
@@ -141,6 +150,7 @@ def read_trained_policy(path: Path, *, resumed: bool = False) -> TrainedPolicy:
   return TrainedPolicy(
     path=path,
     weights=state[f"{role}_state_dict"],
+    shapes_seen=shapes_seen(state, role),
     record=PolicyRecord(checkpoint=str(path.resolve()), sha256=digest, task=task, iterations=iterations),
     run=run,
     role=role,
