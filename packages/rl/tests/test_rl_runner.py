@@ -18,6 +18,7 @@ from mjlab_rl import (
   CheckpointError,
   ConfigError,
   Console,
+  DivergedError,
   MjlabOnPolicyRunner,
   RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
@@ -214,6 +215,68 @@ def test_a_damaged_checkpoint_is_a_clear_error(tmp_path: Path, content: bytes) -
     runner(None, agent()).load(str(path))
 
 
+def test_a_checkpoint_cut_short_is_a_clear_error_wherever_it_was_cut(tmp_path: Path) -> None:
+  trained = runner(tmp_path, agent())
+  whole = tmp_path / "model_0.pt"
+  trained.save(str(whole))
+  for tenths in range(1, 10):
+    path = tmp_path / f"model_{tenths}.pt"
+    path.write_bytes(whole.read_bytes()[: whole.stat().st_size * tenths // 10])
+    with pytest.raises(CheckpointError, match=rf"model_{tenths}\.pt: damaged or not a checkpoint"):
+      trained.load(str(path))
+
+
+@pytest.mark.parametrize("optimizer", ["adamw", "sgd", "rmsprop"])
+def test_a_training_goes_on_with_the_optimizer_that_it_had(tmp_path: Path, optimizer: Any) -> None:
+  runner(tmp_path, agent()).learn(1)
+  cfg = agent()
+  cfg.algorithm.optimizer = optimizer
+  with pytest.raises(CheckpointError, match=r"agent\.algorithm\.optimizer was another one in its training"):
+    runner(None, cfg).load(str(tmp_path / "model_1.pt"))
+
+
+@pytest.mark.parametrize(("schedule", "rate"), [("fixed", 0.5), ("adaptive", 0.25)])
+def test_a_step_size_that_is_changed_on_resuming_counts_where_nothing_else_changes_it(
+  tmp_path: Path, schedule: Any, rate: float
+) -> None:
+  trained = runner(tmp_path, agent())
+  trained.alg.optimizer.param_groups[0]["lr"] = 0.25
+  trained.save(str(tmp_path / "model_1.pt"))
+  cfg = agent()
+  cfg.algorithm.schedule, cfg.algorithm.learning_rate = schedule, 0.5
+  fresh = runner(None, cfg)
+  fresh.load(str(tmp_path / "model_1.pt"))
+  assert (fresh.alg.learning_rate, fresh.alg.optimizer.param_groups[0]["lr"]) == (rate, rate)
+
+
+def test_from_a_policy_alone_no_training_goes_on(tmp_path: Path) -> None:
+  trained = runner(tmp_path, agent())
+  path = tmp_path / "model_1.pt"
+  trained.save(str(path))
+  torch.save({key: value for key, value in learner(path).items() if key in ("actor_state_dict", "iter", "mjlab")}, path)
+  with pytest.raises(CheckpointError, match=r"no critic and no optimizer in it, .* \(--init-from\)"):
+    trained.load(str(path))
+
+
+def test_a_policy_that_is_not_finite_is_not_trained_on_and_not_saved(tmp_path: Path) -> None:
+  diverging = runner(tmp_path, agent(save_interval=1))
+  diverging.learn(1)
+  diverging.alg.value_loss_coef = float("nan")
+  with pytest.raises(DivergedError, match=r"iteration 2: .*not finite.* the last checkpoint is .*model_1\.pt"):
+    diverging.learn(5)
+  assert all(value.isfinite().all() for value in learner(checkpoints(tmp_path)[-1])["actor_state_dict"].values())
+
+
+def test_who_can_do_nothing_learns_nothing() -> None:
+  class StillPoint(PointEnv):
+    def __init__(self) -> None:
+      super().__init__(PointEnvCfg())
+      self.action_manager.total_action_dim = 0
+
+  with pytest.raises(ConfigError, match="the environment takes no actions"):
+    MjlabOnPolicyRunner(RslRlVecEnvWrapper(StillPoint()), agent(), console=Console("quiet"))
+
+
 def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
   trained = runner(tmp_path, agent())
   path = trained.checkpoint_path()
@@ -392,6 +455,14 @@ def test_wandb_that_is_not_installed_is_a_clear_error_before_anything_is_built(m
     ),
     (lambda cfg: setattr(cfg.algorithm, "gamma", 1.5), "agent.algorithm.gamma is 1.5; it must be between 0 and 1"),
     (lambda cfg: setattr(cfg.critic, "hidden_dims", (64, 0)), "agent.critic.hidden_dims is 0; it must be at least 1"),
+    (lambda cfg: setattr(cfg.critic, "hidden_dims", ()), "agent.critic.hidden_dims is empty"),
+    (lambda cfg: setattr(cfg.algorithm, "learning_rate", float("inf")), "learning_rate is inf; it must be positive"),
+    (lambda cfg: setattr(cfg.algorithm, "entropy_coef", float("nan")), "entropy_coef is nan; it must be finite"),
+    (lambda cfg: setattr(cfg, "clip_actions", -1.0), r"agent.clip_actions is -1.0; it must be positive"),
+    (
+      lambda cfg: cfg.actor.distribution_cfg.update(init_std=0.0),
+      "actor.distribution_cfg.init_std is 0.0; it must be pos",
+    ),
     (lambda cfg: setattr(cfg.actor, "activation", "ellu"), "agent.actor.activation: activation 'ellu' does not exist"),
   ],
 )
@@ -424,10 +495,15 @@ def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("field", ["experiment_name", "run_name"])
-@pytest.mark.parametrize("name", ["a/b", "../b", ".."])
+@pytest.mark.parametrize("name", ["a/b", "../b", "..", "."])
 def test_a_name_of_a_run_that_is_a_path_is_a_clear_error(field: str, name: str) -> None:
   with pytest.raises(ConfigError, match=rf"agent\.{field} is '{name}'"):
     replace(agent(), **{field: name}).to_rsl_rl()
+
+
+def test_a_run_has_an_experiment() -> None:
+  with pytest.raises(ConfigError, match=r"agent\.experiment_name is ''"):
+    replace(agent(), experiment_name="").to_rsl_rl()
 
 
 @pytest.mark.parametrize("count", [0, 10**8])

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
   from mjlab_rl.manifest import ManifestError, PolicyRecord, RunManifest, load_run
   from mjlab_rl.policies import CheckpointPolicy, OnnxPolicy
   from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
-  from mjlab_rl.runner import MjlabOnPolicyRunner
+  from mjlab_rl.runner import DivergedError, MjlabOnPolicyRunner
   from mjlab_rl.task import TaskCfg
   from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
   from mjlab_rl.training import TrainingResult, train
@@ -49,6 +49,7 @@ __all__ = [
   "CheckpointPolicy",
   "ConfigError",
   "Console",
+  "DivergedError",
   "Episodes",
   "Evaluation",
   "EvaluationError",
@@ -112,7 +113,7 @@ __getattr__, __dir__ = lazy_exports(
     ".manifest": "ManifestError PolicyRecord RunManifest load_run",
     ".policies": "CheckpointPolicy OnnxPolicy",
     ".run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
-    ".runner": "MjlabOnPolicyRunner",
+    ".runner": "DivergedError MjlabOnPolicyRunner",
     ".task": "TaskCfg",
     ".trained_policy": "TrainedPolicy read_trained_policy",
     ".training": "TrainingResult train",

@@ -48,7 +48,7 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     raise CheckpointError(
       f"checkpoint {path}: holds objects other than tensors and plain values, not loaded"
     ) from error
-  except (RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
+  except (OSError, RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
     raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
   wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
   if not isinstance(state, dict) or not any(name in state for name in wanted):
@@ -124,6 +124,20 @@ def check_fit(path: Path, part: str, saved: Mapping[str, Any], present: Mapping[
       f"checkpoint {path} does not fit: {part}: {shown}. Observations, actions, agent.{part}.hidden_dims and "
       f"agent.{part}.obs_normalization must be those it was trained with."
     )
+
+
+def check_optimizer(path: Path, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
+  """Compare the state of a saved optimiser with that of the one it is to fill.
+
+  Raises:
+    CheckpointError: They are of different kinds: each would take the other's settings for its own.
+  """
+  kinds = [
+    (set(group), group.get("decoupled_weight_decay"))
+    for group in (saved["param_groups"][0], present["param_groups"][0])
+  ]
+  if kinds[0] != kinds[1]:
+    raise CheckpointError(f"checkpoint {path} does not fit: agent.algorithm.optimizer was another one in its training")
 
 
 def rng_state(device: torch.device) -> dict[str, Any]:

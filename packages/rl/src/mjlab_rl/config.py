@@ -1,6 +1,7 @@
 """Learner configuration: plain dataclass instances that become rsl-rl's dictionaries."""
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -177,7 +178,7 @@ class RslRlBaseRunnerCfg:
   """Weights & Biases tags."""
   upload_model: bool = True
   """Upload checkpoints to Weights & Biases."""
-  torch_compile_mode: str | None = None
+  torch_compile_mode: Literal["default", "reduce-overhead", "max-autotune", "max-autotune-no-cudagraphs"] | None = None
   """Mode of torch.compile for the networks; None: not compiled."""
   matmul_precision: Literal["highest", "high", "medium"] = "high"
   """float32 matrix products of the update on a GPU; high: TF32. The environment always computes in full precision."""
@@ -191,10 +192,12 @@ class RslRlBaseRunnerCfg:
     """
     for name in ("num_steps_per_env", "max_iterations", "save_interval"):
       _check(f"agent.{name}", getattr(self, name), "at least 1", lambda x: x >= 1)
+    if self.clip_actions is not None:
+      _check("agent.clip_actions", self.clip_actions, "positive", _is_positive)
     if self.logger == "wandb" and find_spec("wandb") is None:
       raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb")
     for key, name in (("experiment_name", self.experiment_name), ("run_name", self.run_name)):
-      if "/" in name or name == "..":
+      if "/" in name or name in (".", "..") or (key == "experiment_name" and not name):
         raise ConfigError(f"agent.{key} is {name!r}; it is the name of one folder, or part of one, and takes no path")
     return {
       "num_steps_per_env": self.num_steps_per_env,
@@ -243,7 +246,9 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     for name in ("num_learning_epochs", "num_mini_batches"):
       _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
     for name in ("learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", lambda x: x > 0)
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", _is_positive)
+    for name in ("entropy_coef", "value_loss_coef"):
+      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "finite", math.isfinite)
     for name in ("gamma", "lam"):
       _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
     _check_model("actor", self.actor)
@@ -307,7 +312,7 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
       _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
     for name in ("learning_rate", "max_grad_norm"):
       if (value := getattr(self.algorithm, name)) is not None:
-        _check(f"agent.algorithm.{name}", value, "positive", lambda x: x > 0)
+        _check(f"agent.algorithm.{name}", value, "positive", _is_positive)
     steps, length = self.algorithm.num_learning_epochs * self.num_steps_per_env, self.algorithm.gradient_length
     if steps % length:
       raise ConfigError(
@@ -333,6 +338,10 @@ def _check(name: str, value: float, wanted: str, holds: Callable[[float], bool])
     raise ConfigError(f"{name} is {value}; it must be {wanted}")
 
 
+def _is_positive(value: float) -> bool:
+  return 0 < value < math.inf
+
+
 _BLIND = ("MLPModel", "RNNModel")
 # rsl-rl takes any other padding for none, without a word.
 _CNN_CHOICES: dict[str, tuple[str, ...]] = {
@@ -345,6 +354,8 @@ _CNN_SIZES = ("output_channels", "kernel_size", "stride", "dilation", "temperatu
 
 
 def _check_model(network: str, model: RslRlModelCfg) -> None:
+  if not model.hidden_dims:
+    raise ConfigError(f"agent.{network}.hidden_dims is empty; a network has at least one hidden layer")
   for width in model.hidden_dims:
     _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
   if model.activation not in get_args(Activation):
@@ -376,7 +387,7 @@ def _check_encoder(where: str, cfg: dict[str, Any]) -> None:
       if name in _CNN_SIZES:
         if not isinstance(one, (int, float)):
           raise ConfigError(f"{where}.{name} is {one}; it must be a positive number")
-        _check(f"{where}.{name}", one, "positive", lambda x: x > 0)
+        _check(f"{where}.{name}", one, "positive", _is_positive)
       elif name in _CNN_CHOICES and one not in _CNN_CHOICES[name]:
         raise ConfigError(unknown(name, str(one), _CNN_CHOICES[name], f"{where}.{name}"))
 
@@ -387,3 +398,5 @@ def _check_distribution(network: str, model: RslRlModelCfg, why: str) -> None:
       f"agent.{network}.distribution_cfg is None, but {why}. "
       'Give one, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}.'
     )
+  if isinstance(std := model.distribution_cfg.get("init_std"), (int, float)):
+    _check(f"agent.{network}.distribution_cfg.init_std", std, "positive", _is_positive)

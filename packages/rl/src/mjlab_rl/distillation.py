@@ -35,19 +35,6 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
     network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True
 
-  def load(
-    self,
-    path: str,
-    load_cfg: dict[str, bool] | None = None,
-    strict: bool = True,
-    map_location: str | None = None,
-  ) -> dict[str, Any]:
-    infos = super().load(path, load_cfg, strict, map_location)
-    # The optimiser's state has the step size of then, and nothing but the configuration changes it here.
-    for group in self._distillation.optimizer.param_groups:
-      group["lr"] = self._distillation.learning_rate
-    return infos
-
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
     if not self._distillation.teacher_loaded:
       raise ConfigError("there is no teacher to learn from: load one before learning")

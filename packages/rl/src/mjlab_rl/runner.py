@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import os
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -15,13 +16,19 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
+from mjlab_rl.checkpoint import CheckpointError
 from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.iteration_report import IterationReport
+from mjlab_rl.run_directory import checkpoints
 from mjlab_rl.scalar_log import ScalarLog, open_logs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
+
+
+class DivergedError(RuntimeError):
+  """An update left a network that is not finite; the message says when, and what there is from before."""
 
 
 class MjlabOnPolicyRunner(OnPolicyRunner):
@@ -53,6 +60,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     console: Console | None = None,
   ):
     cfg.check_samples(env.num_envs)
+    if not env.num_actions:
+      raise ConfigError("the environment takes no actions, so there is nothing to learn")
     seen = env.unwrapped.get_observations()
     for network, groups in cfg.obs_groups.items():
       for group in groups:
@@ -129,6 +138,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         for log in logs:
           log.write(report)
         self.console.show(report)
+        self._check_finite(iteration, losses | {"mean_std": action_std})
 
         # Looked at once: a signal from here on waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
@@ -141,6 +151,15 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
             log.save_file(path)
         if is_last:
           break
+
+  def _check_finite(self, iteration: int, values: Mapping[str, float]) -> None:
+    if broken := [name for name, value in values.items() if not math.isfinite(value)]:
+      saved = checkpoints(self.log_dir) if self.log_dir is not None else []
+      last = f"; the last checkpoint is {saved[-1]}" if saved else ""
+      raise DivergedError(
+        f"iteration {iteration + 1}: {', '.join(broken)} not finite, so it is not saved{last}. Rewards that grow "
+        "without limit and steps that are too large (agent.algorithm.learning_rate) do that."
+      )
 
   def checkpoint_path(self) -> Path:
     """Where the present state is saved."""
@@ -197,13 +216,27 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     """
     del map_location
     state = checkpoint.read_checkpoint(Path(path), self.agent_cfg.policy)
+    wanted = [part for part in (*self.networks, "optimizer") if load_cfg is None or load_cfg.get(part)]
+    if missing := [part for part in wanted if f"{part}_state_dict" not in state]:
+      raise CheckpointError(
+        f"checkpoint {path}: no {' and no '.join(missing)} in it, so its training cannot go on; another can begin as "
+        "its policy (--init-from)"
+      )
+    if "optimizer" in wanted:
+      checkpoint.check_optimizer(Path(path), state["optimizer_state_dict"], self.alg.optimizer.state_dict())
     for part, model in self.networks.items():
-      if load_cfg is None or load_cfg.get(part):
+      if part in wanted:
         self.check_shapes_seen(Path(path), part, checkpoint.shapes_seen(state, part))
-        checkpoint.check_fit(Path(path), part, state.get(f"{part}_state_dict", {}), model.state_dict())
+        checkpoint.check_fit(Path(path), part, state[f"{part}_state_dict"], model.state_dict())
     if self.alg.load(state, load_cfg, strict):
       # A file of rsl-rl's names the last iteration done.
       self.current_learning_iteration = int(state["iter"]) + (0 if "mjlab" in state else 1)
+    algorithm = self.agent_cfg.algorithm
+    if "optimizer" in wanted and getattr(algorithm, "schedule", "fixed") == "fixed":
+      # The optimiser's state has the step size of then, and nothing but the configuration changes it here.
+      self.alg.learning_rate = algorithm.learning_rate
+      for group in self.alg.optimizer.param_groups:
+        group["lr"] = algorithm.learning_rate
     if load_cfg is None and "mjlab" in state:
       self._load_worlds(state["mjlab"])
     elif load_cfg is None:
