@@ -15,8 +15,12 @@ def draw_seed() -> int:
 
 
 def seed_everything(seed: int | None = None) -> int:
-  """Seeds the global generators of Python, NumPy and torch (all devices); returns the seed used, drawn if None."""
-  seed = draw_seed() if seed is None else seed
+  """Seeds the global generators of Python, NumPy and torch (all devices); returns the seed used, drawn if None.
+
+  Raises:
+    ValueError: It does not fit into 64 bits.
+  """
+  seed = draw_seed() if seed is None else _checked(seed)
   random.seed(seed)
   # The legacy call is meant: libraries that draw from NumPy's global state are the ones to be reached.
   np.random.seed(seed % 2**32)  # noqa: NPY002
@@ -25,5 +29,15 @@ def seed_everything(seed: int | None = None) -> int:
 
 
 def make_generator(device: torch.device | str, seed: int) -> torch.Generator:
-  """A generator on `device` that starts from `seed`."""
-  return torch.Generator(device=device).manual_seed(seed)
+  """A generator on `device` that starts from `seed`.
+
+  Raises:
+    ValueError: The seed does not fit into 64 bits.
+  """
+  return torch.Generator(device=device).manual_seed(_checked(seed))
+
+
+def _checked(seed: int) -> int:
+  if not -(2**63) <= seed < 2**64:
+    raise ValueError(f"seed {seed} does not fit into 64 bits")
+  return seed
