@@ -1,6 +1,7 @@
 """Seeds, saving, spaces, and what is said of a wrong config."""
 
 import copy
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -304,7 +305,8 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
   ("options", "message"),
   [
     ({"episode_length_s": 0.0}, "termination 'time_out' is a time-out, so episode_length_s must be positive"),
-    ({"episode_length_s": -1.0}, "episode_length_s must not be negative, got -1.0"),
+    ({"episode_length_s": -1.0}, "episode_length_s must be finite and not negative, got -1.0"),
+    ({"episode_length_s": math.inf}, "episode_length_s must be finite and not negative, got inf"),
     ({"decimation": 0}, "decimation must be at least 1, got 0"),
     ({"num_envs": 0}, "scene.num_envs must be at least 1, got 0"),
   ],

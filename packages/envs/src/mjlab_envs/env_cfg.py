@@ -1,5 +1,6 @@
 """What a manager-based environment is made of."""
 
+import math
 from dataclasses import dataclass, field
 
 from mjlab_managers import (
@@ -59,8 +60,8 @@ class ManagerBasedRlEnvCfg:
       found.append(f"decimation must be at least 1, got {self.decimation}")
     if self.scene.num_envs < 1:
       found.append(f"scene.num_envs must be at least 1, got {self.scene.num_envs}")
-    if self.episode_length_s < 0:
-      found.append(f"episode_length_s must not be negative, got {self.episode_length_s}")
+    if not 0 <= self.episode_length_s < math.inf:
+      found.append(f"episode_length_s must be finite and not negative, got {self.episode_length_s}")
     timed = [name for name, term in self.terminations.items() if term is not None and term.time_out]
     if timed and not self.episode_length_s > 0:
       found.append(f"termination '{timed[0]}' is a time-out, so episode_length_s must be positive")
