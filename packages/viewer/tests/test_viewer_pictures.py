@@ -1,8 +1,11 @@
 """Pictures and films of worlds, without a screen."""
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import NoReturn
 
 import av
 import mujoco
@@ -141,6 +144,26 @@ def test_a_video_holds_the_frames_given_and_appears_only_when_whole(tmp_path: Pa
 def test_a_video_of_another_kind_is_refused(name: str, tmp_path: Path) -> None:
   with pytest.raises(ViewerError, match=r"films are written as \.mp4"):
     VideoFile(tmp_path / name, 50)
+
+
+def test_a_film_is_given_up_where_the_disk_takes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+  def full(*_: object, **__: object) -> NoReturn:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+  stream = SimpleNamespace(encode=full)
+  container = SimpleNamespace(add_stream=lambda *_, **__: stream, mux=full, close=full)
+  monkeypatch.setattr(av, "open", lambda *_, **__: container)
+  monkeypatch.setattr(Path, "unlink", full)
+  video = VideoFile(tmp_path / "film.mp4", 50)
+  with pytest.raises(OSError, match="No space left"):
+    video.add(np.zeros((8, 8, 3), np.uint8))
+  # It was waited for without end in the background, where this is done.
+  video.discard()
+
+
+def test_a_picture_larger_than_opengl_draws_is_refused(opengl: None) -> None:
+  with pytest.raises(RenderingError, match="no picture of 999999 x 48 can be drawn here"):
+    OffscreenRenderer(BoxEnv(1).sim.mj_model, PictureCfg(width=999_999, height=48))
 
 
 def test_a_film_made_in_the_background_shows_every_step(opengl: None, tmp_path: Path) -> None:

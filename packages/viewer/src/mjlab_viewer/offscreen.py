@@ -10,7 +10,7 @@ import numpy as np
 
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.contacts import contact_shapes, embolden
-from mjlab_viewer.errors import ViewerError
+from mjlab_viewer.errors import RenderingError, ViewerError
 from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms
 from mjlab_viewer.opengl import make_context
@@ -43,7 +43,7 @@ class OffscreenRenderer:
     cfg: What pictures look like.
 
   Raises:
-    RenderingError: OpenGL does not work here.
+    RenderingError: OpenGL does not work here, or not for pictures of this size.
     ViewerError: a size or camera that cannot be.
   """
 
@@ -64,7 +64,11 @@ class OffscreenRenderer:
     self._options.geomgroup[:] = self.cfg.geom_groups
     self._scene = self._new_scene(model.ngeom + 512)
     self._gl = make_context(self.cfg.width, self.cfg.height)
-    self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    try:
+      self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    except mujoco.FatalError as error:
+      self._gl.free()
+      raise RenderingError(f"no picture of {self.cfg.width} x {self.cfg.height} can be drawn here: {error}") from error
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
 
   def render(self, snapshot: Snapshot) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import threading
@@ -60,11 +61,13 @@ class VideoFile:
       os.replace(self._temporary, self.path)
 
   def discard(self) -> None:
-    """Stop without a file."""
-    if self._open is not None:
-      self._open[0].close()
-      self._open = None
-    self._temporary.unlink(missing_ok=True)
+    """Stop without a file. Where writing failed, so may this, which is no news to anybody."""
+    opened, self._open = self._open, None
+    if opened is not None:
+      with contextlib.suppress(OSError):
+        opened[0].close()
+    with contextlib.suppress(OSError):
+      self._temporary.unlink(missing_ok=True)
 
 
 class BackgroundVideo:
