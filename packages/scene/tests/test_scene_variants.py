@@ -21,8 +21,8 @@ ASSET = '<asset><mesh name="wedge" vertex="0 0 0 .2 0 0 0 .15 0 .2 .15 0 0 0 .1 
 NAMES = ("ball", "crate", "wedge", "nothing")
 
 
-def spec_of(geoms: str, joint: str = "<freejoint/>") -> Callable[[], mujoco.MjSpec]:
-  xml = f'<mujoco>{ASSET}<worldbody><body name="thing">{joint}{geoms}</body></worldbody></mujoco>'
+def spec_of(geoms: str, joint: str = "<freejoint/>", asset: str = ASSET) -> Callable[[], mujoco.MjSpec]:
+  xml = f'<mujoco>{asset}<worldbody><body name="thing">{joint}{geoms}</body></worldbody></mujoco>'
   return lambda: mujoco.MjSpec.from_string(xml)
 
 
@@ -161,6 +161,31 @@ def test_objects_of_other_names_or_in_another_order_are_refused_by_name(make, na
   with pytest.raises(StateError, match=message):
     load(scene, other, save(saved, sim))
   assert torch.equal(scene["thing"].variant, before)
+
+
+@pytest.mark.parametrize(
+  ("name", "other", "message"),
+  [
+    ("ball", spec_of(BALL.replace('size=".06"', 'size=".05"')), "variant 'ball' was saved with another geom_size than"),
+    ("ball", spec_of(BALL.replace('mass=".4"', 'mass=".5"')), "variant 'ball' was saved with another body_mass than"),
+    ("ball", spec_of(BALL.replace('friction=".9', 'friction=".8')), "saved with another geom_friction"),
+    ("crate", spec_of(CRATE.replace("cylinder", "capsule")), "variant 'crate' was saved with another"),
+    (
+      "wedge",
+      spec_of(WEDGE, asset=ASSET.replace("0 .15 .1", "0 .14 .1")),
+      "variant 'wedge' was saved with another mesh",
+    ),
+    ("nothing", spec_of(BALL), "variant 'nothing' was saved as nothing; here it is an object"),
+  ],
+)
+def test_an_object_that_kept_only_its_name_is_refused_by_name(make, name: str, other: Any, message: str) -> None:
+  saved, sim = make(all_of_them())
+  changed = VariantEntityCfg(variants={**OBJECTS, name: other}, init_state=START, assignment=NAMES)
+  scene, another = make(changed)
+  before = another.data.qpos.clone()
+  with pytest.raises(StateError, match=message):
+    load(scene, another, save(saved, sim))
+  assert torch.equal(another.data.qpos, before)
 
 
 def test_shares_are_dealt_in_whole_worlds_and_shuffled() -> None:

@@ -76,7 +76,7 @@ class VariantEntity(Entity):
 
   def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
     owner = f"entity '{name}'"
-    spec, self._inertias = _merge(cfg.variants, owner)
+    spec, self._inertias, self._contents = _merge(cfg.variants, owner)
     self.variant_names = tuple(cfg.variants)
     self._assignment, self._seed = cfg.assignment, cfg.seed
     plain = EntityCfg(spec_fn=lambda: spec, init_state=cfg.init_state, articulation=cfg.articulation)
@@ -120,18 +120,29 @@ class VariantEntity(Entity):
 
   def state_dict(self) -> dict[str, Any]:
     # Who has which variant is told by its number.
-    return {**super().state_dict(), _NAMES: list(self.variant_names)}
+    return {**super().state_dict(), _VARIANTS: self._contents}
 
   def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    saved, here = state.get(_NAMES, ()), self.variant_names
-    if tuple(saved) != here:
+    saved, here = state.get(_VARIANTS, {}), self.variant_names
+    if tuple(saved) != here or not isinstance(saved, Mapping):
       named = ", ".join(saved) or "(not told)"
       raise StateError(f"{path}: saved with the variants {named}; here there are {', '.join(here)}.")
-    super()._collect({name: value for name, value in state.items() if name != _NAMES}, path, writes)
+    for name, content in self._contents.items():
+      if saved[name].keys() != content.keys():
+        there, now = ("nothing" if not of else "an object" for of in (saved[name], content))
+        raise StateError(f"{path}: variant '{name}' was saved as {there}; here it is {now}.")
+      for quantity, value in content.items():
+        before = saved[name][quantity].to(value)
+        if before.shape != value.shape or not torch.allclose(before, value, rtol=1e-5, atol=1e-9):
+          raise StateError(f"{path}: variant '{name}' was saved with another {quantity} than it has here.")
+    super()._collect({name: value for name, value in state.items() if name != _VARIANTS}, path, writes)
 
 
 _OBJECT = "object"
-_NAMES = "variants"
+_VARIANTS = "variants"
+_CONTENT = """geom_type geom_size geom_pos geom_quat geom_friction geom_condim geom_contype geom_conaffinity
+geom_priority geom_solref geom_solimp geom_margin geom_gap body_mass body_ipos body_inertia body_iquat""".split()
+"""By which an object is known again, beside its meshes."""
 
 
 def assign(
@@ -166,19 +177,22 @@ def assign(
   return np.random.default_rng(seed).permutation(dealt).tolist()
 
 
-def _merge(variants: Mapping[str, SpecFn | None], owner: str) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None]]:
-  """One spec with the geoms of all variants on one body, and what each variant weighs."""
+def _merge(
+  variants: Mapping[str, SpecFn | None], owner: str
+) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None], dict[str, dict[str, torch.Tensor]]]:
+  """One spec with the geoms of all variants on one body, and what each variant weighs and is."""
   if not any(make is not None for make in variants.values()):
     raise ValueError(f"{owner}: variants need at least one object")
   merged = mujoco.MjSpec()
   root = merged.worldbody.add_body(name=_OBJECT)
   inertias: dict[str, _Inertia | None] = {}
+  contents: dict[str, dict[str, torch.Tensor]] = {}
   floats: dict[str, bool] = {}
   for name, make in variants.items():
     if not name or "/" in name:
       raise ValueError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
     if make is None:
-      inertias[name] = None
+      inertias[name], contents[name] = None, {}
       continue
     what = f"{owner}: variant '{name}'"
     spec = make()
@@ -195,7 +209,8 @@ def _merge(variants: Mapping[str, SpecFn | None], owner: str) -> tuple[mujoco.Mj
         raise ValueError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
     body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    inertias[name] = _inertia(spec.copy().compile())
+    alone = spec.copy().compile()
+    inertias[name], contents[name] = _inertia(alone), _content(alone)
     for part in spec.bodies[1:]:
       part.explicitinertial = False
       part.mass = 0.0
@@ -219,7 +234,7 @@ def _merge(variants: Mapping[str, SpecFn | None], owner: str) -> tuple[mujoco.Mj
   root.simple = False
   root.mass, root.ipos, root.inertia, root.iquat = solid.mass, solid.com, solid.moments, solid.quat
   root.gravcomp = 1.0 if None in inertias.values() else 0.0
-  return merged, inertias
+  return merged, inertias, contents
 
 
 def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:
@@ -229,6 +244,12 @@ def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:
   if spec.worldbody.geoms:
     raise ValueError(f"{what}: geom '{spec.worldbody.geoms[0].name}' belongs to no body")
   return roots[0]
+
+
+def _content(model: mujoco.MjModel) -> dict[str, torch.Tensor]:
+  # Of a mesh this tells every vertex that moved, in nine numbers.
+  arrays = {"mesh_vert": model.mesh_vert.T @ model.mesh_vert, **{name: getattr(model, name) for name in _CONTENT}}
+  return {name: torch.tensor(array, dtype=torch.float64) for name, array in arrays.items()}
 
 
 def _inertia(model: mujoco.MjModel) -> _Inertia:
