@@ -204,6 +204,7 @@ THING = '<mujoco><worldbody><body name="thing"><freejoint/><geom name="hull" {}/
     ({"event": "push", "steps": (0, 10)}, "event 'push' randomises no field"),
     ({"event": "friction", "steps": (10, 10)}, r"must grow from 0 or more, got \(10, 10\)"),
     ({"event": "light", "steps": (0, 10)}, "a choice, which cannot be widened"),
+    ({"event": "once", "steps": (0, 10)}, "event 'once' fires once, at startup, before anything has grown"),
   ],
 )
 def test_a_curriculum_of_nothing_is_refused_at_build(make: Make, params: dict[str, Any], message: str) -> None:
@@ -211,7 +212,8 @@ def test_a_curriculum_of_nothing_is_refused_at_build(make: Make, params: dict[st
   cfg.scene.entities["robot"].spec_fn = with_light(cfg.scene.entities["robot"].spec_fn)
   light = randomize_field("light_active", "lamp", Categorical((0, 1)))
   cfg.events |= {
-    "friction": event("startup"),
+    "friction": event("reset"),
+    "once": EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": body_mass("trunk", (1.0, 2.0))}),
     "light": EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": light}),
   }
   cfg.curriculum = {"wider": CurriculumTermCfg(mdp.widen_randomization, params=params)}
