@@ -102,6 +102,49 @@ def test_numbers_are_those_of_the_reference() -> None:
   assert sensor.reduce == "maxforce"
 
 
+def test_solver_events_and_learner_are_those_of_the_reference() -> None:
+  task = g1_flat()
+  sim, events, twist = task.env.sim, task.env.events, command(task.env).velocity_range
+  assert (sim.iterations, sim.ls_iterations, sim.cone, sim.impratio) == (10, 20, "pyramidal", 1.0)
+  # Larger buffers than there, one of the deviations.
+  assert (sim.nconmax, sim.njmax) == (48, 256)
+  push = events["push_robot"]
+  assert push is not None
+  assert (push.mode, push.interval_range_s, push.params["velocity_range"]) == ("interval", (1.0, 3.0), twist)
+  assert set(events) == {"push_robot", "base_com", "encoder_bias", "foot_friction"}
+  task.env.scene.num_envs, task.env.seed = 256, 1
+  with ManagerBasedRlEnv(task.env, device="cpu") as env:
+    model, compiled = env.sim.model, env.sim.mj_model
+    names = [compiled.geom(geom).name for geom in range(compiled.ngeom)]
+    feet = [geom for geom, name in enumerate(names) if "_foot" in name and name.endswith("_collision")]
+    assert len(feet) == 14
+    friction = model.geom_friction[:, feet].numpy()
+    # All feet of a world alike, sliding only.
+    assert np.ptp(friction, axis=1).max() == 0.0
+    assert np.ptp(friction[..., 1:], axis=(0, 1)).max() == 0.0
+    torso = compiled.body("robot/torso_link").id
+    drawn = {
+      "friction": (friction[:, 0, 0], 0.3, 1.2),
+      "bias": (env.scene["robot"].data.encoder_bias.numpy().ravel(), -0.01, 0.01),
+    }
+    for axis, reach in enumerate((0.025, 0.05, 0.05)):
+      offset = model.body_ipos[:, torso, axis].numpy() - compiled.body_ipos[torso, axis]
+      drawn[f"com {axis}"] = (offset, -reach, reach)
+    others = [body for body in range(compiled.nbody) if body != torso]
+    assert np.ptp(model.body_ipos[:, others].numpy(), axis=0).max() == 0.0
+    for name, (values, low, high) in drawn.items():
+      assert low <= values.min() < low + 0.05 * (high - low), name
+      assert high - 0.05 * (high - low) < values.max() <= high, name
+  assert isinstance(task.agent, RslRlOnPolicyRunnerCfg)
+  agent, ppo = task.agent, task.agent.algorithm
+  assert (agent.num_steps_per_env, agent.max_iterations, agent.experiment_name) == (24, 30_000, "g1_tracking")
+  assert (ppo.num_learning_epochs, ppo.num_mini_batches, ppo.learning_rate, ppo.schedule) == (5, 4, 1e-3, "adaptive")
+  assert (ppo.clip_param, ppo.use_clipped_value_loss, ppo.value_loss_coef) == (0.2, True, 1.0)
+  assert (ppo.gamma, ppo.lam, ppo.desired_kl, ppo.max_grad_norm) == (0.99, 0.95, 0.01, 1.0)
+  for network in (agent.actor, agent.critic):
+    assert (network.hidden_dims, network.activation, network.obs_normalization) == ((512, 256, 128), "elu", True)
+
+
 def test_watching_starts_at_the_beginning_unperturbed_and_stops_at_the_end() -> None:
   task = g1_flat()
   assert task.play is not None
