@@ -82,6 +82,9 @@ def test_the_number_of_worlds_changes_nothing() -> None:
   play(few, 50)
   play(many, 50, copies=64)
   torch.testing.assert_close(few.probabilities(), many.probabilities(), atol=1e-6, rtol=1e-5)
+  # The books themselves, so that those of many worlds go on in few as they would have.
+  for name, value in few.state_dict().items():
+    torch.testing.assert_close(value, many.state_dict()[name], atol=1e-8, rtol=1e-5)
 
 
 def test_a_bin_that_is_visited_more_but_fails_as_often_per_visit_looks_no_harder() -> None:
@@ -160,6 +163,20 @@ def test_a_reset_by_hand_forgets_nothing() -> None:
   nobody = torch.zeros(4, dtype=torch.bool)
   books.count_step(torch.zeros(4, dtype=torch.int64), torch.zeros(4, dtype=torch.int64), nobody)
   assert all(torch.equal(value, before[name]) for name, value in books.state_dict().items())
+
+
+def test_what_ends_in_a_reset_by_hand_is_counted_in_the_next_step() -> None:
+  at_once, by_hand = sampler(), sampler()
+  clip, frame = torch.tensor([0, 1, 2, 2]), torch.tensor([10, 5, 20, 90])
+  ended = torch.tensor([True, False, True, False])
+  failed, nobody = torch.tensor([True, False, False, False]), torch.zeros(4, dtype=torch.bool)
+  for books in (at_once, by_hand):
+    play(books, 5)
+    books.count_ends(clip, frame, ended, failed)
+  by_hand.count_step(clip, frame, nobody)
+  for books in (at_once, by_hand):
+    books.count_step(clip, frame, ~ended)
+  assert all(torch.equal(value, by_hand.state_dict()[name]) for name, value in at_once.state_dict().items())
 
 
 def test_the_log_has_each_clip_and_each_second_of_it() -> None:
