@@ -80,6 +80,35 @@ def test_worlds_see_one_scene_each_in_its_own_way() -> None:
   assert np.abs(env.sim.model.cam_pos[:, camera].numpy()).max() <= 0.005
 
 
+def test_each_of_them_alone_changes_what_is_seen() -> None:
+  def clean() -> ManagerBasedRlEnvCfg:
+    cfg = randomised(lift_cube_rgb_env)
+    image = image_cfg(cfg)
+    image.noise, image.delay_max_lag = None, 0
+    cfg.scene.env_spacing = 0.0
+    return cfg
+
+  env, _ = lift(4, clean)
+  place(env, np.tile([0.3, 0.0, 0.02], (4, 1)))
+  events = [name for name in env.event_manager.active_terms if name.startswith(IMAGE_EVENTS) or name == "cube_color"]
+  terms = {name: env.event_manager.get_term_cfg(name) for name in events}
+  fields = ("cam_pos", "cam_quat", "cam_intrinsic", "cam_fovy", "light_pos", "light_diffuse", "geom_rgba")
+  fields += ("mat_texid", "mat_rgba", "mat_texrepeat")
+  everybody = torch.ones(4, dtype=torch.bool)
+  changed = {}
+  for name, cfg in terms.items():
+    # All worlds as compiled, but for what this one draws.
+    for field in fields:
+      values = env.sim.model[field]
+      values.copy_(torch.as_tensor(getattr(env.sim.mj_model, field)).reshape(values.shape[1:]).expand_as(values))
+    assert np.ptp(images(env), axis=0).max() == 0.0
+    cfg.func(env, everybody, **cfg.params)
+    seen = images(env)
+    changed[name] = float(np.abs(seen - seen[:1]).max())
+  assert len(changed) == 10
+  assert min(changed.values()) > 0.01, changed
+
+
 @pytest.mark.parametrize("make", [lift_cube_rgb_env, multi_cube_seg_env])
 def test_a_reset_changes_what_its_worlds_see_and_no_bit_of_the_others(make: Env) -> None:
   env, _ = lift(4, lambda: randomised(make))

@@ -14,7 +14,7 @@ from mjlab_managers import MetricsTermCfg
 from mjlab_robots import G1_ACTION_SCALE
 from mjlab_tracking.g1 import g1_flat_env
 from mjlab_tracking.mdp import MotionCommand
-from tracking_env import clips, command
+from tracking_env import clips, command, make, still
 from tracking_oracle import STEP, Reference, World, matrix
 
 NOISE = {
@@ -163,6 +163,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def steps(folder: Path) -> list[Step]:
   return roll(folder, 160)
+
+
+def test_the_reference_is_the_clip_by_mujoco_c_from_its_first_frame_to_its_last(folder: Path) -> None:
+  env, term = make(still(folder))
+  library = term.library
+  for clip, name in enumerate(("a_squat", "b_march")):
+    expected = Reference(folder / f"{name}.npz", env.sim.mj_model)
+    first, count = int(library.offsets[clip]), int(library.lengths[clip])
+    assert count == len(expected.qpos)
+    rows = library.table[first : first + count].numpy()
+    turned = np.array([[matrix(quat) for quat in row.reshape(-1, 4)] for row in rows[:, library.columns["body_quat"]]])
+    bodies = expected.bodies
+    for column, values in {
+      "joint_pos": expected.qpos[:, 7:],
+      "joint_vel": expected.qvel[:, 6:],
+      "body_pos": np.array([body.pos.ravel() for body in bodies]),
+      "lin_vel": np.array([body.speed.ravel() for body in bodies]),
+      "ang_vel": np.array([body.spin.ravel() for body in bodies]),
+    }.items():
+      np.testing.assert_allclose(rows[:, library.columns[column]], values, atol=1e-6, err_msg=column)
+    np.testing.assert_allclose(turned, [body.rotation for body in bodies], atol=1e-6)
 
 
 def check(steps: list[Step], kind: str, tol: float) -> None:

@@ -137,6 +137,16 @@ def test_an_episode_remembers_nothing_of_the_one_before() -> None:
     assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+def test_swings_are_forgotten_where_an_episode_ends_and_nowhere_else() -> None:
+  env = make_env(2)
+  env.reset()
+  env.step(torch.zeros(2, 12))
+  swing = env.reward_manager.get_term_cfg("foot_swing_height").func
+  swing._peak.fill_(0.4)
+  env.reset(env_ids=[1])
+  assert swing._peak.tolist() == [[0.4] * 4, [0.0] * 4]
+
+
 def test_a_robot_has_fallen_over_beyond_seventy_degrees_in_any_direction() -> None:
   env = make_env(8)
   env.reset()
