@@ -1,5 +1,7 @@
 """When gait is judged: gates, speed classes, and what counts as a swing."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -141,7 +143,7 @@ def test_swings_are_forgotten_where_an_episode_ends_and_nowhere_else() -> None:
   env = make_env(2)
   env.reset()
   env.step(torch.zeros(2, 12))
-  swing = env.reward_manager.get_term_cfg("foot_swing_height").func
+  swing: Any = env.reward_manager.get_term_cfg("foot_swing_height").func
   swing._peak.fill_(0.4)
   env.reset(env_ids=[1])
   assert swing._peak.tolist() == [[0.4] * 4, [0.0] * 4]

@@ -231,12 +231,11 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     if self.alg.load(state, load_cfg, strict):
       # A file of rsl-rl's names the last iteration done.
       self.current_learning_iteration = int(state["iter"]) + (0 if "mjlab" in state else 1)
-    algorithm = self.agent_cfg.algorithm
-    if "optimizer" in wanted and getattr(algorithm, "schedule", "fixed") == "fixed":
+    if "optimizer" in wanted and self.cfg["algorithm"].get("schedule", "fixed") == "fixed":
       # The optimiser's state has the step size of then, and nothing but the configuration changes it here.
-      self.alg.learning_rate = algorithm.learning_rate
+      self.alg.learning_rate = self.cfg["algorithm"]["learning_rate"]
       for group in self.alg.optimizer.param_groups:
-        group["lr"] = algorithm.learning_rate
+        group["lr"] = self.alg.learning_rate
     if load_cfg is None and "mjlab" in state:
       self._load_worlds(state["mjlab"])
     elif load_cfg is None:
