@@ -398,6 +398,22 @@ def test_the_page_is_served_to_this_machine_alone_unless_told_otherwise() -> Non
     assert viewer.url == f"http://localhost:{viewer.server.get_port()}"
 
 
+def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(opengl: None, tmp_path: Path) -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  playback.pause()
+  viewer = BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path)
+  film = viewer.start_recording()
+  playback.step_once()
+  viewer.close()
+  assert list(tmp_path.iterdir()) == [film]
+  viewer.close()
+  viewer._due["frame"] = 0.0
+  viewer.update()
+  playback.step_once()
+  assert playback.error is None
+
+
 def test_an_address_that_is_not_here_is_refused_by_name() -> None:
   with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1: "):
     BrowserViewer(BoxEnv(1), host="192.0.2.1", port=8300)

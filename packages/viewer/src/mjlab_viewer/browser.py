@@ -181,7 +181,8 @@ class BrowserViewer:
     return path
 
   def close(self) -> None:
-    """Stop serving. Calling it again does nothing."""
+    """Stop serving, and finish the film that is being made. Calling it again does nothing."""
+    self._is_off = True
     if self._video is not None:
       with contextlib.suppress(ViewerError):
         self.stop_recording()
