@@ -405,6 +405,9 @@ def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(ope
   viewer = BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path)
   film = viewer.start_recording()
   playback.step_once()
+  assert viewer._controls is not None
+  viewer._controls.show_status()
+  assert (viewer._controls._record.label, viewer._controls._record.color) == ("Stop recording", "red")
   viewer.close()
   assert list(tmp_path.iterdir()) == [film]
   viewer.close()
