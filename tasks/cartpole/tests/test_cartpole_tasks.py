@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_cartpole import balance, swingup
+from mjlab_cartpole.rewards import gaussian, quadratic
 from mjlab_envs import ManagerBasedRlEnv
 
 TASKS = {"Mjlab-Cartpole-Balance": balance, "Mjlab-Cartpole-Swingup": swingup}
@@ -64,6 +65,10 @@ def test_the_reward_is_its_formula_in_every_state(make: Make) -> None:
 
 
 def test_the_kernels_are_a_tenth_at_their_margins() -> None:
+  margin = torch.tensor([0.0, 2.0, -2.0])
+  for kernel in (gaussian, quadratic):
+    torch.testing.assert_close(kernel(margin, 2.0), torch.tensor([1.0, 0.1, 0.1]))
+  assert quadratic(torch.tensor(3.0), 2.0) == 0.0
   values = [reward(*(np.array(v) for v in point)) for point in ((2.0, 0.0, 0.0, 0.0), (0.0, 0.0, 5.0, 0.0))]
   assert values == pytest.approx([0.55, 0.55])
   assert reward(*(np.array(v) for v in (0.0, 0.0, 0.0, 1.0))) == pytest.approx(4.1 / 5)

@@ -152,6 +152,30 @@ def test_the_lowest_point_is_where_mujoco_has_it_however_it_is_turned(number: in
     assert float(term.object_clearance[number]) == pytest.approx(lowest_point(env, number, f"object/{name}"), abs=1e-6)
 
 
+def test_only_what_a_world_has_counts_wherever_it_sits_on_its_body() -> None:
+  def off_centre(kind: mujoco.mjtGeom, size: float, x: float, z: float) -> Callable[[], mujoco.MjSpec]:
+    def spec_fn() -> mujoco.MjSpec:
+      spec = cube_spec()
+      spec.geoms[0].type, spec.geoms[0].size, spec.geoms[0].pos = kind, (size,) * 3, (x, 0.0, z)
+      return spec
+
+    return spec_fn
+
+  box, ball = (
+    off_centre(mujoco.mjtGeom.mjGEOM_BOX, 0.02, 0.1, 0.1),
+    off_centre(mujoco.mjtGeom.mjGEOM_SPHERE, 0.01, 0, 0.05),
+  )
+  entity = VariantEntityCfg(variants={"box": box, "ball": ball}, assignment=("box", "ball"))
+  env, term = lift(2, lambda: lift_env({"object": entity}))
+  # Begins as high above the ground as was drawn, which its own lowest point says.
+  assert (term.object_clearance >= 0.0).all()
+  assert (term.object_clearance <= 0.03).all()
+  upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(2, 4)
+  put(env, torch.tensor([0.3, 0.0, 0.2]).expand(2, 3).double(), upright)
+  assert term.object_clearance.tolist() == pytest.approx([0.2 + 0.08, 0.2 + 0.04])
+  assert term.object_size.tolist() == [pytest.approx([0.04] * 3), pytest.approx([0.02] * 3)]
+
+
 def test_a_mesh_reaches_as_far_as_the_box_about_it() -> None:
   def wedge() -> mujoco.MjSpec:
     spec = cube_spec()

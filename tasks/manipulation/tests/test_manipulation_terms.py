@@ -111,13 +111,18 @@ def test_success_is_to_stay_at_the_goal_for_the_whole_time() -> None:
     assert held == ([1.0, 0.0, 0.0] if step == steps - 1 else [0.0, 0.0, 0.0])
     at_goal = metric(env, "at_goal").tolist()
     assert at_goal == [1.0, float(step != steps - 2), 0.0]
+  # As long in all, but not on end.
+  for _ in range(steps - 2):
+    env.metrics_manager.compute()
+    assert metric(env, "held").tolist() == [1.0, 0.0, 0.0]
   place(env, term.command.numpy() + 0.5)
   for _ in range(7):
     env.metrics_manager.compute()
   # What was won stays won, and its time stands still.
   assert metric(env, "held").tolist() == [1.0, 0.0, 0.0]
   times = metric(env, "time_to_success").tolist()
-  assert times == pytest.approx([HOLD, HOLD + 7 * STEP, HOLD + 7 * STEP])
+  late = HOLD + (steps + 5) * STEP
+  assert times == pytest.approx([HOLD, late, late])
   env.reset(env_ids=[0])
   assert env.drain_log()["Episode_Metrics/held"] == 1.0
   env.metrics_manager.compute()
