@@ -50,9 +50,10 @@ def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> fl
 
 
 def test_a_grid_of_ten_by_twenty_builds_in_under_five_seconds() -> None:
-  start = time.perf_counter()
+  # Of this process alone: others may be busy.
+  start = time.process_time()
   model, _, terrain = added(TerrainGridCfg(types=all_types(), rows=10, columns=20))
-  assert time.perf_counter() - start < 5.0
+  assert time.process_time() - start < 5.0
   assert terrain.origins.shape == (10, 20, 3)
   assert model.ngeom == len(terrain.geom_names) == len(set(terrain.geom_names))
 
