@@ -118,15 +118,20 @@ def test_the_first_reset_moves_nobody(env: ManagerBasedRlEnv) -> None:
 
 def test_mean_and_greatest_level_and_that_of_each_kind_of_ground_are_logged(env: ManagerBasedRlEnv) -> None:
   levels = levels_of(env)
-  env.drain_log()
-  levels.levels.copy_(torch.arange(40) % 10)
-  env.episode_length_buf.fill_(1000)
-  env.step(torch.zeros(40, 12))
-  now, columns = levels.levels.numpy(), levels.columns.numpy()
-  log = {key.rsplit("/", 1)[1]: value for key, value in env.drain_log().items() if "terrain_levels" in key}
-  expected = {"mean": now.mean(), "max": now.max()}
-  expected |= {kind: now[columns == column].mean() for column, kind in enumerate(KINDS)}
-  assert log == pytest.approx(expected, abs=1e-5)
+  before = levels.columns.clone()
+  # On the columns that worlds began on, and on others, as after a resume or an event that moves them.
+  for columns in (before, before.roll(7)):
+    env.drain_log()
+    levels.levels.copy_(torch.arange(40) % 10)
+    levels.columns.copy_(columns)
+    env.episode_length_buf.fill_(1000)
+    env.step(torch.zeros(40, 12))
+    now = levels.levels.numpy()
+    log = {key.rsplit("/", 1)[1]: value for key, value in env.drain_log().items() if "terrain_levels" in key}
+    expected = {"mean": now.mean(), "max": now.max()}
+    expected |= {kind: now[columns.numpy() == column].mean() for column, kind in enumerate(KINDS)}
+    assert log == pytest.approx(expected, abs=1e-5)
+  levels.columns.copy_(before)
 
 
 def test_a_kind_of_ground_on_which_nobody_stands_logs_no_nonsense() -> None:

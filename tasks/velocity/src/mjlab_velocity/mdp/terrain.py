@@ -19,15 +19,14 @@ class terrain_levels(ManagerTermBase):
   Logs the mean and the highest level, and the mean of each type of ground.
   """
 
-  _constants = frozenset({"_weights"})
+  _constants = frozenset({"_on_type"})
 
   def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     levels = _levels(env)
     self._types = tuple(dict.fromkeys(levels.column_types))
-    on_type = [[column == kind for column in levels.column_types] for kind in self._types]
-    members = torch.tensor(on_type, device=env.device)[:, levels.columns].float()
-    self._weights = members / members.sum(1, keepdim=True).clamp(min=1.0)
+    on_type = [[float(column == kind) for column in levels.column_types] for kind in self._types]
+    self._on_type = torch.tensor(on_type, device=env.device)
     self._far = 0.5 * levels.tile_size[0]
 
   def __call__(
@@ -43,7 +42,9 @@ class terrain_levels(ManagerTermBase):
     # An episode that has not begun proves nothing.
     levels.move(mask & (env.episode_length_buf > 0), up, down)
     now = levels.levels.float()
-    by_type = (self._weights * now).sum(1)
+    # Worlds may have been put onto other columns, by an event or by a run that was resumed.
+    members = self._on_type.index_select(1, levels.columns)
+    by_type = (members * now).sum(1) / members.sum(1).clamp(min=1.0)
     return {"mean": now.mean(), "max": now.max()} | dict(zip(self._types, by_type.unbind(), strict=True))
 
 
