@@ -142,6 +142,14 @@ def test_joined_clips_go_on_where_and_as_the_first_ended() -> None:
   assert turn.max() < 3.0 * quat_error_magnitude(motion.root_quat[1:], motion.root_quat[:-1]).max()
 
 
+def test_joined_clips_need_not_have_their_joints_in_one_order() -> None:
+  motion = wiggle()
+  other = motion.changed("", joint_pos=motion.joint_pos.flip(1), joint_names=motion.joint_names[::-1])
+  joined = concatenate([motion, other])
+  assert joined.joint_names == motion.joint_names
+  torch.testing.assert_close(joined.joint_pos, concatenate([motion, motion]).joint_pos)
+
+
 def test_clips_that_do_not_fit_are_not_joined() -> None:
   with pytest.raises(MotionError, match="differ in rate"):
     concatenate([wiggle(), wiggle(rate=30.0)])

@@ -100,6 +100,8 @@ def test_numbers_are_those_of_the_reference() -> None:
   sensor = cfg.scene.sensors["self_collision"]
   assert isinstance(sensor, ContactSensorCfg)
   assert sensor.reduce == "maxforce"
+  # All substeps of a step, however many there are.
+  assert sensor.history_length == "decimation"
 
 
 def test_solver_events_and_learner_are_those_of_the_reference() -> None:

@@ -99,7 +99,7 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
   """One after the other; each is put where the one before ended, facing as it did then.
 
   Args:
-    motions: At least one, of one robot and one rate.
+    motions: At least one, of one robot and one rate; joints are placed by name.
     blend: Time over which the end of one becomes the start of the next [s].
 
   Raises:
@@ -111,11 +111,13 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
     raise MotionError(f"concatenate: the blend must take time, got {blend:g} s")
   whole = motions[0]
   for motion in motions[1:]:
-    if motion.rate != whole.rate or motion.joint_names != whole.joint_names or motion.root_body != whole.root_body:
+    same_joints = set(motion.joint_names) == set(whole.joint_names) and motion.root_body == whole.root_body
+    if motion.rate != whole.rate or not same_joints:
       raise MotionError(f"'{whole.name}' and '{motion.name}' differ in rate or joints; resample and map them first")
     count = round(blend * whole.rate)
     if count < 1 or count >= min(whole.num_frames, motion.num_frames):
       raise MotionError(f"concatenate: a blend of {blend:g} s does not fit into '{whole.name}' and '{motion.name}'")
+    joints = motion.joint_pos[:, [motion.joint_names.index(name) for name in whole.joint_names]]
     turn = quat_mul(quat_yaw(whole.root_quat[-count]), quat_conjugate(quat_yaw(motion.root_quat[0])))
     offset = whole.root_pos[-count] - quat_apply(turn, motion.root_pos[0])
     offset[2] = 0.0
@@ -133,7 +135,7 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
       f"followed by {motion.name}",
       root_pos=joined(whole.root_pos, pos),
       root_quat=torch.cat((whole.root_quat[:-count], middle_quat, quat[count:])),
-      joint_pos=joined(whole.joint_pos, motion.joint_pos),
+      joint_pos=joined(whole.joint_pos, joints),
     )
   return whole
 

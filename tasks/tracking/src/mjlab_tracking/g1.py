@@ -159,7 +159,7 @@ def _self_collision() -> ContactSensorCfg:
     secondary=copy.deepcopy(robot),
     fields=("found", "force"),
     reduce="maxforce",
-    history_length=DECIMATION,
+    history_length="decimation",
   )
 
 
