@@ -148,6 +148,17 @@ def test_a_run_begins_as_the_policy_of_another_task(tmp_path: Path, capsys: pyte
   assert "agent.actor.activation was elu in its training and is relu here" in capsys.readouterr().err
 
 
+def test_a_teacher_is_named_by_its_task(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
+  flags = ["--log-root", str(tmp_path), "--device", "cpu"]
+  assert cli.main(["train", "Test-Taught", "--teacher", "Test-Pendulun", *flags]) == 2
+  assert "no teacher: 'Test-Pendulun' is neither" in (error := capsys.readouterr().err)
+  assert "Nearest task: Test-Pendulum" in error
+  assert train(tmp_path, "--agent.max-iterations", "1", "--quiet") == 0
+  assert cli.main(["train", "Test-Taught", "--teacher", TASK, *flags]) == 0
+  assert f"learning from {runs(tmp_path)[0] / 'model_1.pt'}" in capsys.readouterr().out
+
+
 def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr("mjlab.making.default_worlds", lambda device, configured: 2)
   for flags, worlds in (([], 2), (["--env.scene.num-envs", "8"], 8), (["--env.scene.num-envs=3"], 3)):
@@ -171,6 +182,12 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     (["--resume", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
     (["--init-from", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
     (["--init-from", "x", "--resume", "y"], 2, "exclude each other: a run that is continued has its policy"),
+    (["--init-from", "Test-Pendulun"], 1, "Nearest task: Test-Pendulum"),
+    (["--seed", "1", "--resume"], 2, "exclude each other: a run that is continued goes on with its random numbers"),
+    (["--seed", str(2**64)], 1, "does not fit into 64 bits"),
+    (["--env.scene.num-envs", str(10**12)], 1, "not enough memory"),
+    (["--agent.num-steps-per-env", str(10**11)], 1, "not enough memory"),
+    (["--agent.torch-compile-mode", "maximal"], 2, "--agent.torch-compile-mode: expected {None,default,"),
     (["--device", "cuda:77"], 1, "device 'cuda:77' does not exist; there is cpu"),
     (["--env.actions.torque.actuators", "hings"], 1, "Nearest: hinge"),
     (["--env.decimation", "0"], 1, "decimation must be at least 1"),
@@ -207,6 +224,44 @@ def test_the_umbrella_holds_every_command_that_is_installed(capsys: pytest.Captu
     with contextlib.suppress(SystemExit):
       assert cli.main([command, "--help"]) == 0
     assert f"usage: {command} " in capsys.readouterr().out
+
+
+def test_what_follows_help_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.main(["help", "list-envs"]) == 0
+  assert capsys.readouterr().out.startswith("usage: list-envs [KEYWORD]")
+  assert cli.main(["help", "trian"]) == 2
+  assert "Nearest: train" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+  "words",
+  [
+    ["export-scene", TASK, "--output", "file/folder"],
+    ["evaluate", TASK, "--agent", "zero", "--output", "file/folder"],
+    ["evaluate", TASK, "--agent", "zero", "--output", "file"],
+    ["train", TASK, "--log-root", "file"],
+    ["play", TASK, "--agent", "zero", "--video", "file/film.mp4"],
+  ],
+)
+def test_what_cannot_be_written_is_one_line(
+  words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  Path("file").write_text("precious")
+  assert cli.main(words) == 1
+  captured = capsys.readouterr()
+  assert captured.err.count("\n") == 1
+  assert "file" in captured.err
+  assert "episodes" not in captured.out
+  assert Path("file").read_text() == "precious"
+
+
+def test_a_folder_with_a_space_is_quoted_where_a_command_is_offered(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  assert cli.main(["export-scene", TASK, "--output", "my scene"]) == 0
+  assert "python -m mujoco.viewer --mjcf 'my scene/scene.xml'" in capsys.readouterr().out
 
 
 def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,6 +80,9 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
   [
     (["--agent", "zero", "--require", "length>25"], "expected [GROUP:]METRIC>=NUMBER"),
     (["--agent", "zero", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
+    (["--agent", "zero", "--require", ""], "expected [GROUP:]METRIC>=NUMBER"),
+    (["--agent", "zero", "--env.scene.num-envs", "3"], "--env.scene.num-envs: an evaluation plays one episode in each"),
+    (["--checkpoint", "gone.onnx"], "policy gone.onnx: no such file"),
     (["--checkpoint", "gone"], "'gone' is neither a checkpoint nor a run"),
     ([], "no run of Test-Pendulum with a checkpoint"),
     (["--eval.episode", "3"], "--eval.episodes"),
@@ -87,10 +90,18 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
 )
 def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
   assert evaluate(*words) in (1, 2)
-  error = capsys.readouterr().err
+  captured = capsys.readouterr()
+  error = captured.err
+  # A flag that cannot be is found before anything is done.
+  assert captured.out == "" or "lenght" in error
   assert message in error
   assert error.startswith("error: ")
   assert error.count("\n") == 1
+
+
+def test_progress_is_said_now_and_then_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+  assert evaluate("--agent", "zero", "--env.episode-length-s", "4.1") == 0
+  assert capsys.readouterr().err == "step 100: 0 of 6 episodes over\nstep 200: 0 of 6 episodes over\n"
 
 
 @pytest.mark.parametrize("agent", ["trained", "random"])

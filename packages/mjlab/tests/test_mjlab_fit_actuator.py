@@ -1,6 +1,5 @@
 """`fit-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -87,17 +86,6 @@ def test_a_mistake_is_one_line_and_writes_nothing(
   assert message in error
   assert error.count("\n") == 1
   assert {path.name for path in Path.cwd().iterdir()} == {"motor.csv", "broken.csv"}
-
-
-def test_without_matplotlib_there_is_a_network_but_no_plot(
-  records: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  monkeypatch.setitem(sys.modules, "matplotlib", None)
-  assert cli.fit_actuator([str(records), *QUICK]) == 0
-  assert "no plot: matplotlib is not installed (extra 'plot' of mjlab-actuators)" in capsys.readouterr().out
-  assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt"}
-  assert cli.fit_actuator([str(records), *QUICK, "--output", str(records) + ".pt", "--plot", "p.png"]) == 2
-  assert "--plot: a plot needs matplotlib" in capsys.readouterr().err
 
 
 def test_ctrl_c_writes_what_was_learned(records: Path) -> None:

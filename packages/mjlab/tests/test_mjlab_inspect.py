@@ -1,6 +1,5 @@
 """`inspect-dr`: what events do is measured, shown, and held against what was asked."""
 
-import importlib.util
 from pathlib import Path
 
 import mjlab
@@ -39,7 +38,6 @@ def inspect(*flags: str) -> int:
 def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-  pytest.importorskip("matplotlib")
   damping = randomize_field("dof_damping", "hinge", (0.5, 2.0), operation="scale", distribution="log_uniform")
   offer(monkeypatch, inertia=pseudo_inertia("pole", scale=0.2), damping=damping)
   picture = tmp_path / "events.png"
@@ -104,7 +102,7 @@ def test_a_mistake_is_one_line(
   assert error.count("\n") == 1
 
 
-def test_a_picture_overwrites_nothing_and_says_what_it_needs(
+def test_a_picture_overwrites_nothing(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
   offer(monkeypatch)
@@ -113,10 +111,10 @@ def test_a_picture_overwrites_nothing_and_says_what_it_needs(
   assert inspect("--png", str(mine)) == 2
   assert "exists; --force overwrites it" in capsys.readouterr().err
   assert mine.read_text() == "precious"
-  find = importlib.util.find_spec
-  monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else find(name, *a))
-  assert inspect("--png", str(tmp_path / "new.png")) == 2
-  assert "--png needs matplotlib: uv pip install matplotlib" in capsys.readouterr().err
+  folder = tmp_path / "folder.png"
+  folder.mkdir()
+  assert inspect("--png", str(folder), "--force") == 2
+  assert "folder.png is a folder" in capsys.readouterr().err
 
 
 def test_a_task_that_cannot_be_built_says_why_in_a_line(

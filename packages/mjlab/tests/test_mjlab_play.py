@@ -162,6 +162,29 @@ def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys:
   assert cli.main([*arguments, "--force"]) == 0
 
 
+def test_a_film_that_is_interrupted_is_there_until_then_and_said(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  step = Playback.step_once
+
+  def interrupted(self: Playback) -> None:
+    if self.step_count == 3:
+      raise KeyboardInterrupt
+    step(self)
+
+  monkeypatch.setattr(Playback, "step_once", interrupted)
+  film = tmp_path / "film.mp4"
+  flags = ["--agent", "zero", "--video", str(film), "--video-width", "64", "--video-height", "48"]
+  assert cli.main(["play", TASK, "--device", "cpu", *flags]) == 130
+  assert f"the film of 3 steps until then is {film}" in capsys.readouterr().out
+  with av.open(str(film)) as container:
+    assert sum(1 for _ in container.decode(video=0)) == 4
+
+
 def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,6 +237,7 @@ def test_a_film_where_opengl_is_missing_is_one_line(
     (["--video", "film.mp4", "--viewer", "native"], 2, "leave out --viewer native"),
     (["--num-envs", "0", "--agent", "zero"], 1, "num_envs"),
     (["--device", "cuda:7"], 1, "device 'cuda:7' does not exist"),
+    (["--video", "film.mp4", "--video-length", "inf"], 2, "--video-length must be positive and finite, got inf"),
     (["--agent", "zero", "--speed", "0"], 2, "--speed must be positive, got 0"),
     (
       ["--agent", "zero", "--viewer", "browser", "--host", "192.0.2.1"],
@@ -300,6 +324,8 @@ def test_the_demo_lifts_too_to_where_it_is_told(
   assert cli.main(["demo", "--task=lift", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
   # Of eight that begin anywhere at most one may have slipped away.
   assert int((away[0] < 0.05).sum()) >= 7
+  assert cli.main(["demo", "lift"]) == 2
+  assert capsys.readouterr().err == "error: 'lift': not a flag; --task walk or lift says what to show\n"
   assert cli.main(["demo", "--task", "lit"]) == 2
   assert "demo 'lit' does not exist" in capsys.readouterr().err
 

@@ -53,6 +53,9 @@ def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest
   [
     ([], "--output is missing: name the clip's file"),
     (["--output", "clip.csv"], "--output clip.csv: the clip's file must end in .npz"),
+    (["--output", "clip.npz", "--seconds", "nan"], "--seconds must be positive and finite, got nan"),
+    (["--output", "clip.npz", "--skip", "-1"], "--skip must be finite and not negative, got -1"),
+    (["--output", "gone/clip.npz"], "--output: there is no folder gone"),
     (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist; the scene has: robot"),
   ],
 )

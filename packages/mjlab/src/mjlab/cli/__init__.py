@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Sequence
 
-from mjlab.cli._errors import UsageError, is_users_mistake
+from mjlab.cli._errors import UsageError, is_out_of_memory, is_users_mistake
 
 _COMMANDS: dict[str, tuple[str, str, str]] = {
   # name: module here, or function of a member that offers the command itself; arguments; what it does
@@ -25,14 +25,16 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
   "visualize-terrain": ("mjlab_terrain.visualize:main", "[flags]", "look at terrain"),
   "export-scene": ("_export_scene", "TASK [flags]", "write a task's model with its assets"),
-  "viz-nan": ("_viz_nan", "FILE", "show why worlds diverged"),
-  "fit-actuator": ("_fit_actuator", "RECORDS", "learn a motor from a CSV of commands and responses"),
+  "viz-nan": ("_viz_nan", "FILE [flags]", "show why worlds diverged"),
+  "fit-actuator": ("_fit_actuator", "RECORDS [flags]", "learn a motor from a CSV of commands and responses"),
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
   """`mjlab COMMAND ...`"""
   arguments = list(sys.argv[1:] if argv is None else argv)
+  if arguments[0:1] == ["help"] and len(arguments) > 1:
+    arguments = [arguments[1], "--help", *arguments[2:]]
   if not arguments or arguments[0] in ("-h", "--help", "help"):
     print(_help(), end="")
     return 0 if arguments else 2
@@ -105,8 +107,14 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
       import traceback
 
       traceback.print_exc()
-    print(f"error: {error}", file=sys.stderr)
+    print(f"error: {_told(error)}", file=sys.stderr)
     return 1
+
+
+def _told(error: Exception) -> str:
+  if not is_out_of_memory(error):
+    return str(error)
+  return f"not enough memory, fewer worlds need less: {(str(error).splitlines() or [''])[0]}"
 
 
 @contextlib.contextmanager

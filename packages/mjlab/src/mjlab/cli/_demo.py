@@ -31,6 +31,8 @@ def run(arguments: list[str]) -> int:
     print(_HELP, end="")
     return 0
   shown, others = _task(arguments)
+  if others and not others[0].startswith("-"):
+    raise UsageError(f"'{others[0]}': not a flag; --task {' or '.join(_POLICIES)} says what to show")
   with as_file(files("mjlab") / _POLICIES[shown]) as directory:
     from mjlab_rl import load_run
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab import making
-from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._errors import UsageError, building
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
 from mjlab.cli._task_command import build_env, run_with_task
 
@@ -71,22 +71,26 @@ def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
 
 def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab_core import seed_everything
-  from mjlab_rl import Threshold
+  from mjlab_rl import EvaluationError, Threshold
 
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
-  thresholds = [Threshold.parse(text) for text in (wanted.require or "").split(",") if text.strip()]
+  try:
+    thresholds = [Threshold.parse(text) for text in wanted.require.split(",")] if wanted.require is not None else []
+  except EvaluationError as error:
+    raise UsageError(f"--require: {error}") from error
   source, parts = find_policy(wanted, name, task)
   # Once more, upon the configuration of the run.
   wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
   folder = _folder(wanted, source)
   device = making.resolve_device(wanted.device)
   evaluator = wanted.eval
-  try:
+  worlds, unasked = wanted.env.scene.num_envs, parts.env.scene.num_envs
+  with building():
     cfg = evaluator.configure(wanted.env)
-  except (ValueError, OSError) as error:
-    raise BuildError(str(error)) from error
+  if worlds not in (unasked, cfg.scene.num_envs):
+    raise UsageError("--env.scene.num-envs: an evaluation plays one episode in each world; --help eval says how many")
   env = build_env(parts, without_teacher(cfg, parts.agent), device)
   try:
     policy = make_policy(wanted.agent, source, env, parts)
@@ -117,13 +121,17 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
     return None
   if (folder / "evaluation.json").exists() and not wanted.force:
     raise UsageError(f"{folder} has an evaluation already: --force replaces it, --output puts this one elsewhere")
+  # Before the work and not after it.
+  folder.mkdir(parents=True, exist_ok=True)
   return folder
 
 
 def _show(step: int, left: int, total: int) -> None:
+  text = f"step {step}: {total - left} of {total} episodes over"
   if sys.stderr.isatty() and (step % 10 == 0 or left == 0):
-    print(f"\rstep {step}: {total - left} of {total} episodes over", end="\n" if left == 0 else "", file=sys.stderr)
-    sys.stderr.flush()
+    print(f"\r{text}", end="\n" if left == 0 else "", file=sys.stderr, flush=True)
+  elif step % 100 == 0:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:
@@ -131,7 +139,6 @@ def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> Non
 
   from mjlab.cli._evaluation_plot import plot_curves, plot_groups
 
-  folder.mkdir(parents=True, exist_ok=True)
   (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")
   plot_groups(evaluation, folder / "groups.png")
   if evaluation.curves:

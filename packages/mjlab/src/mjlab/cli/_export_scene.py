@@ -2,12 +2,13 @@
 
 import dataclasses
 import os
+import shlex
 import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab.cli._errors import UsageError
+from mjlab.cli._errors import UsageError, building
 from mjlab.cli._task_command import run_with_task
 
 if TYPE_CHECKING:
@@ -49,10 +50,11 @@ def _export(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     raise UsageError(f"{folder} is no exported scene (it has no scene.xml), so it is not replaced, not even by --force")
   from mjlab_scene import Scene
 
-  scene = Scene(cfg.scene, cfg.decimation)
-  cfg.sim.apply(scene.spec)
-  path = write_scene(scene.spec, folder)
-  print(f"wrote {path}; open it with: python -m mujoco.viewer --mjcf {path}")
+  with building():
+    scene = Scene(cfg.scene, cfg.decimation)
+    cfg.sim.apply(scene.spec)
+    path = write_scene(scene.spec, folder)
+  print(f"wrote {path}; open it with: python -m mujoco.viewer --mjcf {shlex.quote(str(path))}")
   return 0
 
 

@@ -26,7 +26,7 @@ class Arguments:
   output: str | None = None
   """File of the network; None: that of the first records, with the ending .pt."""
   plot: str | None = None
-  """Picture of errors and efforts; None: that of the network, with the ending .png, where matplotlib is installed."""
+  """Picture of errors and efforts; None: that of the network, with the ending .png."""
   force: bool = False
   """Overwrite files that exist."""
   history_length: int = 3
@@ -107,15 +107,8 @@ def _check_files(output: Path, plot: Path, wanted: Arguments, records: list[str]
 
 
 def _fit(records: list[str], output: Path, plot: Path, wanted: Arguments) -> int:
-  from mjlab_actuators import MotorFitCfg, fit_motor, read_records, require_matplotlib
+  from mjlab_actuators import MotorFitCfg, fit_motor, read_records
 
-  plots = True
-  try:
-    require_matplotlib()
-  except ModuleNotFoundError as error:
-    if wanted.plot is not None:
-      raise UsageError(f"--plot: {error}") from error
-    plots = False
   found = read_records(records)
   stretches = "1 segment" if len(found.segments) == 1 else f"{len(found.segments)} segments"
   print(f"{found.num_rows} rows in {stretches}, every {found.period:g} s")
@@ -127,11 +120,8 @@ def _fit(records: list[str], output: Path, plot: Path, wanted: Arguments) -> int
   _report(fit, wanted.epochs)
   fit.save(output)
   print(f"network: {output}")
-  if plots:
-    fit.save_plot(plot)
-    print(f"plot: {plot}")
-  else:
-    print("no plot: matplotlib is not installed (extra 'plot' of mjlab-actuators)")
+  fit.save_plot(plot)
+  print(f"plot: {plot}")
   print(f"use it as: {fit.config(output)}")
   return 0
 

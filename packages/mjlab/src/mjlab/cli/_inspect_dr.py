@@ -25,7 +25,7 @@ class Arguments:
   seed: int = 0
   """Seed of the draws."""
   png: str | None = None
-  """Picture of distributions, total mass and inertia ellipsoids: FILE.png; needs matplotlib."""
+  """Picture of distributions, total mass and inertia ellipsoids: FILE.png."""
   force: bool = False
   """Overwrite the picture."""
   traceback: bool = False
@@ -74,12 +74,10 @@ def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
 
 def _check_picture(path: Path, force: bool) -> None:
-  import importlib.util
-
-  if importlib.util.find_spec("matplotlib") is None:
-    raise UsageError("--png needs matplotlib: uv pip install matplotlib")
   if path.suffix.lower() != ".png":
     raise UsageError(f"--png: {path} does not end in .png")
+  if path.is_dir():
+    raise UsageError(f"--png: {path} is a folder")
   if path.exists() and not force:
     raise UsageError(f"--png: {path} exists; --force overwrites it")
   if not path.absolute().parent.is_dir():
@@ -110,8 +108,11 @@ def draw(reports: "list[EventReport]", inertia: "InertiaReport", title: str, pat
   figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
   # Through a file of its own, so that a picture is there whole or not at all.
   part = path.with_name(path.name + ".part")
-  figure.savefig(part, dpi=100, format="png")
-  part.replace(path)
+  try:
+    figure.savefig(part, dpi=100, format="png")
+    part.replace(path)
+  finally:
+    part.unlink(missing_ok=True)
 
 
 _BLUE, _GREY = "#1b6ca8", "#c9ced3"

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -127,8 +128,8 @@ def _check_video(wanted: Arguments) -> None:
   path = check_video_path(wanted.video)
   if path.exists() and not wanted.force:
     raise UsageError(f"{path} exists; --force overwrites it")
-  if not wanted.video_length > 0:
-    raise UsageError(f"--video-length must be positive, got {wanted.video_length:g}")
+  if not 0 < wanted.video_length < math.inf:
+    raise UsageError(f"--video-length must be positive and finite, got {wanted.video_length:g}")
 
 
 def _without_terminations(cfg: Any) -> Any:
@@ -175,6 +176,10 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
       video.add(taker.take(worlds, drawers=env.drawn_at_first(), apart=True))
       if frame % 100 == 99:
         print(f"{(frame + 1) * env.step_dt:.0f} of {frames * env.step_dt:.0f} s", flush=True)
+  except KeyboardInterrupt:
+    if (path := video.close()) is not None:
+      print(f"the film of {playback.step_count} steps until then is {path}")
+    raise
   finally:
     path = video.close()
   if video.error is not None:

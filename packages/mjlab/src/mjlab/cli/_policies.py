@@ -33,9 +33,11 @@ def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | N
 
 
 def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
-  from mjlab_rl import find_checkpoint
+  from mjlab_rl import RunNotFoundError, find_checkpoint
 
   if checkpoint.endswith(".onnx"):
+    if not Path(checkpoint).is_file():
+      raise RunNotFoundError(f"policy {checkpoint}: no such file")
     return Path(checkpoint)
   try:
     return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)

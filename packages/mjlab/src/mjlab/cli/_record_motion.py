@@ -1,6 +1,7 @@
 """`record-motion TASK --output FILE.npz [flags]`: what a policy does becomes a clip that another can be taught."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,12 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   output = Path(wanted.output)
   if output.exists() and not wanted.force:
     raise UsageError(f"{output} is there already; --force replaces it")
+  if not 0 < wanted.seconds < math.inf:
+    raise UsageError(f"--seconds must be positive and finite, got {wanted.seconds:g}")
+  if not 0 <= wanted.skip < math.inf:
+    raise UsageError(f"--skip must be finite and not negative, got {wanted.skip:g}")
+  if not output.absolute().parent.is_dir():
+    raise UsageError(f"--output: there is no folder {output.parent}")
   source, parts = find_policy(wanted, name, task)
   wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed

@@ -9,7 +9,7 @@ from mjlab_core import unknown
 
 from mjlab import making
 from mjlab.cli._config_flags import flags
-from mjlab.cli._errors import BuildError, UsageError
+from mjlab.cli._errors import UsageError, building
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
@@ -66,10 +66,8 @@ def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any
   Raises:
     BuildError: The configuration cannot be built.
   """
-  try:
+  with building():
     return (parts.make_env or making.standard_env)(cfg, device=device)
-  except (ValueError, OSError) as error:
-    raise BuildError(str(error)) from error
 
 
 def load_named_task(name: str) -> "TaskCfg[Any]":

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +30,8 @@ class Arguments:
   """Run to continue, with its configuration and the flags given here: latest (of this task, also without a value),
   the name or directory of a run, or a checkpoint file."""
   teacher: str | None = None
-  """Policy to imitate, in tasks that distil one: latest (of the task that teaches; also None), the name or directory of
-  a run, or a checkpoint file."""
+  """Policy to imitate, in tasks that distil one: latest (of the task that teaches; also None), a task (its latest), the
+  name or directory of a run, or a checkpoint file."""
   init_from: str | None = None
   """Policy to begin as, of a student too: latest or the name of a run of this task's experiment, a task (its latest),
   the directory of a run, or a checkpoint file. All but the policy begins anew."""
@@ -114,6 +115,8 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     raise UsageError("--teacher and --resume exclude each other: a run that is continued has its teacher")
   if wanted.init_from is not None and wanted.resume is not None:
     raise UsageError("--init-from and --resume exclude each other: a run that is continued has its policy")
+  if wanted.seed is not None and wanted.resume is not None:
+    raise UsageError("--seed and --resume exclude each other: a run that is continued goes on with its random numbers")
   console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
   device = making.resolve_device(wanted.device)
   checkpoint = _checkpoint(wanted, name)
@@ -134,7 +137,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   worlds = wanted.env.scene.num_envs
   hint = " (--env.scene.num-envs sets it)" if worlds == default else ""
   where = f"{device} ({making.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
-  console.say(f"{name}: {worlds} worlds{hint} on {where}")
+  console.say(f"{name}: {worlds} world{'s' * (worlds != 1)}{hint} on {where}")
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
   if teacher is not None:
@@ -178,7 +181,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     watchers.close()
   if result.stopped_by is not None:
     console.say(f"stopped ({result.stopped_by}) after {result.iterations} iterations; saved {result.checkpoint}")
-    console.say(f"continue with: train {name} --resume {result.directory}")
+    console.say(f"continue with: {shlex.join(['train', name, '--resume', str(result.directory)])}")
   else:
     console.say(f"done: {result.iterations} iterations, {result.checkpoint}")
   return 0
@@ -232,7 +235,7 @@ def _checkpoint(wanted: Arguments, task: str) -> Path | None:
 
 def _teacher(wanted: Arguments, task: str) -> Path | None:
   """The checkpoint of the policy to imitate; None where none is, or where the run that is continued has its own."""
-  from mjlab_rl import RslRlDistillationRunnerCfg, find_checkpoint
+  from mjlab_rl import RslRlDistillationRunnerCfg
 
   agent = wanted.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
@@ -248,9 +251,7 @@ def _teacher(wanted: Arguments, task: str) -> Path | None:
   else:
     experiment = load_named_task(agent.teacher_task).agent.experiment_name
   try:
-    return find_checkpoint(
-      wanted.teacher or "latest", log_root=Path(wanted.log_root), experiment=experiment, task=agent.teacher_task
-    )
+    return _trained(wanted.teacher or "latest", wanted, experiment, agent.teacher_task)
   except FileNotFoundError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
@@ -258,14 +259,21 @@ def _teacher(wanted: Arguments, task: str) -> Path | None:
 
 def _beginning(wanted: Arguments) -> Path | None:
   """The checkpoint of the policy to begin as; None where none is."""
-  if wanted.init_from is None:
-    return None
-  from mjlab_rl import find_checkpoint
+  return None if wanted.init_from is None else _trained(wanted.init_from, wanted, wanted.agent.experiment_name)
 
-  if wanted.init_from in list_tasks():
-    experiment = load_task(wanted.init_from).agent.experiment_name
-    return find_checkpoint("latest", log_root=Path(wanted.log_root), experiment=experiment, task=wanted.init_from)
-  return find_checkpoint(wanted.init_from, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name)
+
+def _trained(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
+  """The checkpoint that `named` means, as `find_checkpoint` says, or of a task its latest."""
+  from mjlab_core import nearest
+  from mjlab_rl import RunNotFoundError, find_checkpoint
+
+  if named in list_tasks():
+    named, task, experiment = "latest", named, load_task(named).agent.experiment_name
+  try:
+    return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
+  except RunNotFoundError as error:
+    close = nearest(named, list_tasks(), 1)
+    raise RunNotFoundError(f"{error}. Nearest task: {close[0]}" if close else str(error)) from error
 
 
 def _gpu_name(device: str) -> str:
