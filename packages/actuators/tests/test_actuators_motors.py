@@ -204,6 +204,8 @@ def test_limits_raised_per_world_act_in_that_world_only() -> None:
     (dc(velocity_limit=math.inf), "velocity_limit of joint 'a' is inf"),
     (dc(effort_limit=0.0), "effort_limit of joint 'a' is 0.0"),
     (dc(stiffness=-1.0), "stiffness of joint 'a' is -1.0"),
+    (dc(stiffness=float("nan")), "stiffness of joint 'a' is nan; it must be finite"),
+    (dc(stiffness={"a": "30", "b": 1.0}), "stiffness of joint 'a' is '30'; it must be finite"),
     (dc(saturation_effort={"[ab]c": 1.0}), "DcMotorActuatorCfg.saturation_effort: pattern .* matches no joint"),
     (enveloped(TorqueSpeedEnvelope(20.0, 10.0, 4.0, 6.0)), "no_load_speed of joint 'a' is 10.0.* may be swapped"),
     (enveloped(TorqueSpeedEnvelope(10.0, 20.0, 6.0, 4.0)), "braking_effort of joint 'a' is 4.0.* may be swapped"),

@@ -66,6 +66,25 @@ def test_a_bad_range_is_refused_by_name(lo: float, hi: float, limits: dict, mess
 
 
 @pytest.mark.parametrize(
+  ("bounds", "message"),
+  [
+    ((1.0,), r"delay: must be two numbers, the lowest and the highest, got \(1\.0,\)"),
+    (1.0, "must be two numbers"),
+    ("ab", "must be two numbers"),
+    ((2, 1), "is inverted"),
+    ((math.nan, 1.0), "not a number"),
+    ((1.0, math.inf), r"range \(1\.0, inf\) must be finite"),
+    ((-1.0, 1.0), "must stay at or above 0"),
+  ],
+)
+def test_what_is_no_range_of_a_config_is_refused_by_name(bounds: object, message: str) -> None:
+  core.check_bounds("delay", (0, 1.0), minimum=0.0, finite=True)
+  core.check_bounds("delay", [0.0, math.inf])
+  with pytest.raises(ValueError, match=message):
+    core.check_bounds("delay", bounds, minimum=0.0, finite=True)
+
+
+@pytest.mark.parametrize(
   "src", [7.0, torch.tensor(7.0), torch.full((4, 1), 7.0), torch.full((4, 3), 7, dtype=torch.int32)]
 )
 def test_masked_writes_touch_masked_rows_only_and_stay_in_place(src: torch.Tensor | float) -> None:

@@ -185,6 +185,7 @@ def test_a_binary_action_opens_for_zero_or_more_and_closes_below(make: Make) -> 
     ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "Set use_default_offset=False to use 5.0"),
     ({"legs": mdp.JointPositionActionCfg(clip=(1.0, -1.0))}, "clip"),
     ({"legs": mdp.JointPositionActionCfg(clip={"hip": (1.0, -1.0)})}, r"clip\['hip'\]"),
+    ({"legs": mdp.JointPositionActionCfg(scale=float("nan"))}, "scale must be finite, got nan"),
     ({"legs": mdp.JointPositionActionCfg(actuators="hop")}, "'hop' matches no actuated joint. Nearest: hip"),
     ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0})}, "knee"),
     ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0, "knee": 1.0, "toe": 2.0})}, "toe"),

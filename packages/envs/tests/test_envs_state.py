@@ -1,7 +1,6 @@
 """Seeds, saving, spaces, and what is said of a wrong config."""
 
 import copy
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -305,10 +304,13 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
   ("options", "message"),
   [
     ({"episode_length_s": 0.0}, "termination 'time_out' is a time-out, so episode_length_s must be positive"),
-    ({"episode_length_s": -1.0}, "episode_length_s must be finite and not negative, got -1.0"),
-    ({"episode_length_s": math.inf}, "episode_length_s must be finite and not negative, got inf"),
+    ({"episode_length_s": -1.0}, "episode_length_s must not be negative, got -1.0"),
     ({"decimation": 0}, "decimation must be at least 1, got 0"),
     ({"num_envs": 0}, "scene.num_envs must be at least 1, got 0"),
+    ({"num_envs": 2.5}, "scene.num_envs must be a whole number, got 2.5"),
+    ({"decimation": True}, "decimation must be a whole number, got True"),
+    ({"episode_length_s": float("inf")}, "episode_length_s must be finite, got inf; 0 is without end"),
+    ({"seed": 1.5}, "seed must be a whole number or None, got 1.5"),
   ],
 )
 def test_numbers_out_of_range_are_refused_at_build(make: Make, options: dict, message: str) -> None:

@@ -141,11 +141,12 @@ class TestParameters:
           "raises": RewardTermCfg(lambda env: env.scene["table"], weight=1.0),
           "argless": RewardTermCfg(lambda: None, weight=1.0),
           "not_callable": RewardTermCfg("joints", weight=1.0),  # type: ignore
+          "params": RewardTermCfg(fine, weight=1.0, params=None),  # type: ignore
         },
         env,
       )
     message = str(caught.value)
-    assert len(caught.value.problems) == 9
+    assert len(caught.value.problems) == 10
     for said in (
       "RewardManager: term 'typo': unknown parameter 'sdt'. Nearest: std. Given: sdt; possible: std.",
       "term 'typo': missing parameter std.",
@@ -157,6 +158,7 @@ class TestParameters:
       "): 'table'",
       "term 'argless': must take the environment",
       "term 'not_callable': func 'joints' is not callable",
+      "term 'params': params must be a dict, got None",
     ):
       assert said in message
 

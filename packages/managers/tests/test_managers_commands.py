@@ -131,7 +131,7 @@ def test_resetting_a_world_leaves_the_others_bit_identical_and_all_of_it_is_save
     assert torch.equal(after[name][others], value[others])
 
 
-@pytest.mark.parametrize("limits", [(2.0, 1.0), (-1.0, 1.0)])
+@pytest.mark.parametrize("limits", [(2.0, 1.0), (-1.0, 1.0), (1.0, float("inf"))])
 def test_an_impossible_time_range_is_an_error(env, limits):
   with pytest.raises(ConfigError, match="term 'twist': resampling_time_range"):
     build(env, *limits)

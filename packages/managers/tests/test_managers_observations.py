@@ -457,8 +457,17 @@ class TestEvaluation:
     [
       ({"clip": (1.0, -1.0)}, "clip: range .* is inverted"),
       ({"scale": (1.0, 2.0, 3.0)}, "3 scales for 2 components"),
-      ({"delay_min_lag": 3, "delay_max_lag": 1}, "needs 0 <= delay_min_lag <= delay_max_lag"),
-      ({"history_length": -1}, "history_length must not be negative"),
+      ({"clip": (1.0,)}, "clip: must be two numbers"),
+      ({"scale": float("nan")}, "scale must be finite, got nan"),
+      ({"delay_min_lag": 3, "delay_max_lag": 1}, "needs delay_min_lag <= delay_max_lag, got 3 and 1"),
+      ({"delay_min_lag": -1}, "delay_min_lag must be at least 0"),
+      ({"delay_max_lag": 1.5}, "delay_max_lag must be a whole number, got 1.5"),
+      ({"delay_max_lag": 3, "delay_update_period": 0.5}, "delay_update_period must be a whole number"),
+      ({"history_length": -1}, "history_length must be at least 0"),
+      ({"history_length": None}, "history_length must be a whole number, got None"),
+      ({"noise": GaussianNoiseCfg(std=float("nan"))}, "finite"),
+      ({"noise": ConstantNoiseCfg(bias=float("inf"))}, "finite"),
+      ({"noise": 0.1}, "expected a NoiseCfg or a model of noise, got float 0.1"),
       ({"noise": UniformNoiseCfg(n_min=1.0, n_max=-1.0)}, "is inverted"),
       ({"noise": UniformNoiseCfg(n_min=(0.0,) * 3)}, "3 numbers for 2 components"),
       ({"noise": GaussianNoiseCfg(std=-1.0)}, "std must not be negative"),
@@ -468,6 +477,11 @@ class TestEvaluation:
   def test_options_that_mean_nothing_are_errors_at_build(self, env, options, said):
     with pytest.raises(ConfigError, match=f"(?s)g/t.*{said}"):
       one(env, **options)
+
+  def test_a_history_of_a_group_that_is_no_count_is_an_error_at_build(self, env):
+    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, history_length=-1)
+    with pytest.raises(ConfigError, match="group 'g': history_length must be at least 0, got -1"):
+      ObservationManager({"g": group}, env)
 
   def test_a_replaced_option_that_is_wrong_is_an_error_until_it_is_replaced_again(self, env):
     manager = one(env, scale=2.0)

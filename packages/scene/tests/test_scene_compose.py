@@ -223,6 +223,19 @@ def test_the_last_edit_and_the_extent_reach_the_model() -> None:
   assert model.site("mark").id >= 0
 
 
+@pytest.mark.parametrize(
+  ("options", "message"),
+  [
+    ({"num_envs": 2.5}, "scene: num_envs must be a whole number, got 2.5"),
+    ({"extent": 0.0}, "scene: extent must be a positive length, got 0.0"),
+    ({"extent": float("nan")}, "scene: extent must be a positive length, got nan"),
+  ],
+)
+def test_numbers_that_cannot_be_are_refused_by_name(options: dict[str, Any], message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    Scene(SceneCfg(**options))
+
+
 # State
 
 

@@ -1,6 +1,7 @@
 """Heights above the ground: against closed forms and mj_ray, fresh, and never polluted by rays that see nothing."""
 
 import inspect
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -336,9 +337,12 @@ def test_a_ring_is_round_and_may_have_a_centre() -> None:
   ("make", "message"),
   [
     (lambda: RingPatternCfg(radius=0.0), "positive radius"),
+    (lambda: RingPatternCfg(radius=math.nan), "positive radius"),
     (lambda: RingPatternCfg(num_samples=0, include_center=False), "at least one ray"),
     (lambda: GridPatternCfg(resolution=0.0), "positive resolution"),
+    (lambda: GridPatternCfg(resolution=math.nan), "positive resolution"),
     (lambda: GridPatternCfg(size=(-1.0, 1.0)), "two sides"),
+    (lambda: GridPatternCfg(size=(math.inf, 1.0)), "two sides"),
     (lambda: FrameMatch(type=TYPO, pattern=".*"), "type of frame 'sit' does not exist. Nearest: site"),
   ],
 )

@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import ClassVar, TypeVar
 
 import mujoco
@@ -300,8 +301,8 @@ class ActuatorCfg(ABC):
     return match_values_full(values, target_names, what=self.transmission_type, owner=f"{type(self).__name__}.{name}")
 
   def _check(self, name: str, target: str, value: float) -> None:
-    if not (math.isfinite(value) and value >= 0.0):
-      raise ValueError(f"{self._field_of(name, target)} is {value}; it must be finite and not negative")
+    if not (isinstance(value, Real) and math.isfinite(value) and value >= 0.0):
+      raise ValueError(f"{self._field_of(name, target)} is {value!r}; it must be finite and not negative")
 
   def _field_of(self, name: str, target: str) -> str:
     """How messages begin that are about a field of one target."""

@@ -12,6 +12,7 @@ from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_core.buffers import DelayBuffer, HistoryBuffer
+  from mjlab_core.counts import why_no_count
   from mjlab_core.drawing import DebugDraw
   from mjlab_core.frames import combine_frames, heading, subtract_frames, transform_points, velocity_at
   from mjlab_core.masking import fill_, where_
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     rotvec_from_quat,
     wrap_to_pi,
   )
-  from mjlab_core.sampling import check_range, gaussian, log_uniform, truncated_normal, uniform
+  from mjlab_core.sampling import check_bounds, check_range, gaussian, log_uniform, truncated_normal, uniform
   from mjlab_core.seeding import draw_seed, make_generator, seed_everything
   from mjlab_core.state import StateError, Stateful
 
@@ -60,6 +61,7 @@ __all__ = [
   "StateError",
   "Stateful",
   "UnknownNameError",
+  "check_bounds",
   "check_range",
   "combine_frames",
   "cross",
@@ -101,6 +103,7 @@ __all__ = [
   "unknown",
   "velocity_at",
   "where_",
+  "why_no_count",
   "wrap_to_pi",
 ]
 
@@ -108,6 +111,7 @@ __getattr__, __dir__ = lazy_exports(
   __name__,
   {
     ".buffers": "DelayBuffer HistoryBuffer",
+    ".counts": "why_no_count",
     ".drawing": "DebugDraw",
     ".frames": "combine_frames heading subtract_frames transform_points velocity_at",
     ".masking": "fill_ where_",
@@ -117,7 +121,7 @@ __getattr__, __dir__ = lazy_exports(
       "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
       "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
-    ".sampling": "check_range gaussian log_uniform truncated_normal uniform",
+    ".sampling": "check_bounds check_range gaussian log_uniform truncated_normal uniform",
     ".seeding": "draw_seed make_generator seed_everything",
     ".state": "StateError Stateful",
   },

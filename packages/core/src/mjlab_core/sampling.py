@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 
 import torch
 from torch import Tensor
@@ -83,6 +84,20 @@ def truncated_normal(
   x = x.clamp_(min=lo) if not isinstance(lo, Tensor) else torch.maximum(x, lo)
   x = x.clamp_(max=hi) if not isinstance(hi, Tensor) else torch.minimum(x, hi)
   return x.to(dtype)
+
+
+def check_bounds(name: str, bounds: object, *, minimum: float = -math.inf, finite: bool = False) -> None:
+  """`check_range` of what a config holds as a pair, and of numbers that are finite if these must be.
+
+  Raises:
+    ValueError: it is no pair of numbers, or no such range; the message begins with `name`.
+  """
+  if not (isinstance(bounds, Sequence) and len(bounds) == 2 and all(isinstance(bound, Real) for bound in bounds)):
+    raise ValueError(f"{name}: must be two numbers, the lowest and the highest, got {bounds!r}.")
+  lo, hi = (float(bound) for bound in bounds)
+  check_range(name, lo, hi, minimum=minimum)
+  if finite and not (math.isfinite(lo) and math.isfinite(hi)):
+    raise ValueError(f"{name}: range ({lo}, {hi}) must be finite.")
 
 
 def check_range(

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from mjlab_core.counts import why_no_count
 from mjlab_managers import (
   ActionTermCfg,
   CommandTermCfg,
@@ -56,12 +57,15 @@ class ManagerBasedRlEnvCfg:
   def problems(self) -> list[str]:
     """What is wrong with these numbers, one sentence each."""
     found: list[str] = []
-    if self.decimation < 1:
-      found.append(f"decimation must be at least 1, got {self.decimation}")
-    if self.scene.num_envs < 1:
-      found.append(f"scene.num_envs must be at least 1, got {self.scene.num_envs}")
-    if not 0 <= self.episode_length_s < math.inf:
-      found.append(f"episode_length_s must be finite and not negative, got {self.episode_length_s}")
+    for name, count in (("decimation", self.decimation), ("scene.num_envs", self.scene.num_envs)):
+      if wrong := why_no_count(count, 1):
+        found.append(f"{name} {wrong}")
+    if self.episode_length_s < 0:
+      found.append(f"episode_length_s must not be negative, got {self.episode_length_s}")
+    elif not math.isfinite(self.episode_length_s):
+      found.append(f"episode_length_s must be finite, got {self.episode_length_s}; 0 is without end")
+    if self.seed is not None and (isinstance(self.seed, bool) or not isinstance(self.seed, int)):
+      found.append(f"seed must be a whole number or None, got {self.seed!r}")
     timed = [name for name, term in self.terminations.items() if term is not None and term.time_out]
     if timed and not self.episode_length_s > 0:
       found.append(f"termination '{timed[0]}' is a time-out, so episode_length_s must be positive")

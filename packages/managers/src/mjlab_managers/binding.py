@@ -147,6 +147,9 @@ def bind(
     problems.append(f"term '{name}': class {func.__name__} has no __call__.")
     return None
   second = ""
+  if not isinstance(cfg.params, dict):
+    problems.append(f"term '{name}': params must be a dict, got {cfg.params!r}.")
+    return None
   merged = dict(cfg.params)
   parameters = _parameters(func)
   if parameters is not None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from mjlab_core.masking import fill_, where_
-from mjlab_core.sampling import check_range, uniform
+from mjlab_core.sampling import check_bounds, uniform
 from mjlab_core.state import Stateful
 
 from mjlab_managers.env import ManagerEnv
@@ -146,7 +146,8 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     for name, cfg in self._cfgs.items():
       try:
         if cfg.resampling_time_range is not None:
-          check_range(f"term '{name}': resampling_time_range", *cfg.resampling_time_range, minimum=0.0)
+          what = f"term '{name}': resampling_time_range"
+          check_bounds(what, cfg.resampling_time_range, minimum=0.0, finite=True)
       except ValueError as error:
         self._problem(str(error), error)
       term = self._build(name, cfg)

@@ -7,9 +7,10 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
+from mjlab_core.counts import why_no_count
 from mjlab_core.masking import where_
 from mjlab_core.names import unknown
-from mjlab_core.sampling import check_range
+from mjlab_core.sampling import check_bounds
 
 from mjlab_managers.binding import Term, attribute_of
 from mjlab_managers.env import ManagerEnv
@@ -100,12 +101,12 @@ class EventManager(ManagerBase[EventTermCfg]):
       self._problem(f"term '{name}': {option} is for mode interval, the mode is {cfg.mode}.")
     if cfg.interval_range_s is not None:
       try:
-        check_range(f"term '{name}': interval_range_s", *cfg.interval_range_s, minimum=0.0)
+        check_bounds(f"term '{name}': interval_range_s", cfg.interval_range_s, minimum=0.0, finite=True)
       except ValueError as error:
         self._problem(str(error), error)
-    if cfg.min_step_count_between_reset < 0:
-      self._problem(f"term '{name}': min_step_count_between_reset is negative, {cfg.min_step_count_between_reset}.")
-    if cfg.min_step_count_between_reset > 0 and cfg.mode != "reset":
+    if wrong := why_no_count(cfg.min_step_count_between_reset):
+      self._problem(f"term '{name}': min_step_count_between_reset {wrong}.")
+    elif cfg.min_step_count_between_reset > 0 and cfg.mode != "reset":
       self._problem(f"term '{name}': min_step_count_between_reset is for mode reset, the mode is {cfg.mode}.")
     return len(self._problems) == before
 

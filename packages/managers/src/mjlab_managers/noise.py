@@ -128,7 +128,10 @@ class FusedNoise:
         raise ValueError(unknown("operation", str(cfg.operation), get_args(Operation), owner=type(cfg).__name__))
       where = slice(start - self.start, stop - self.start)
       for vector, value in zip((base, width, std), cfg.affine(), strict=True):
-        vector[0, where] = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
+        numbers = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
+        if not numbers.isfinite().all():
+          raise ValueError(f"noise must be of finite numbers, got {cfg}.")
+        vector[0, where] = numbers
       scales[0, where] = cfg.operation == "scale"
       replaces[0, where] = cfg.operation == "abs"
     self._base = base.to(device)

@@ -9,14 +9,15 @@ from typing import Any
 
 import torch
 from mjlab_core.buffers import DelayBuffer, HistoryBuffer
+from mjlab_core.counts import why_no_count
 from mjlab_core.masking import where_
 from mjlab_core.names import UnknownNameError, unknown
-from mjlab_core.sampling import check_range
+from mjlab_core.sampling import check_bounds
 from mjlab_core.state import Stateful
 
 from mjlab_managers.binding import Term, copy_cfg
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase, is_float
+from mjlab_managers.manager import ManagerBase, described, is_float
 from mjlab_managers.noise import (
   EpisodeBias,
   FusedNoise,
@@ -81,6 +82,9 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   def _read_group(self, group: str, cfg: ObservationGroupCfg) -> None:
     if cfg.nan_policy not in NAN_POLICIES:
       self._problem(unknown("nan_policy", str(cfg.nan_policy), NAN_POLICIES, owner=f"group '{group}'"))
+    if cfg.history_length is not None and (wrong := why_no_count(cfg.history_length)):
+      self._problem(f"group '{group}': history_length {wrong}.")
+      return
     first = len(self._slots)
     for name, term_cfg in cfg.terms.items():
       if term_cfg is None:
@@ -105,18 +109,18 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     before = len(self._problems)
     try:
       if cfg.clip is not None:
-        check_range(f"term '{path}': clip", *cfg.clip)
+        check_bounds(f"term '{path}': clip", cfg.clip)
     except ValueError as error:
       self._problem(str(error), error)
-    if not 0 <= cfg.delay_min_lag <= cfg.delay_max_lag:
+    for option in ("delay_min_lag", "delay_max_lag", "delay_update_period", "history_length"):
+      if wrong := why_no_count(getattr(cfg, option)):
+        self._problem(f"term '{path}': {option} {wrong}.")
+    if len(self._problems) == before and cfg.delay_min_lag > cfg.delay_max_lag:
       self._problem(
-        f"term '{path}': needs 0 <= delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."
+        f"term '{path}': needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."
       )
     if not 0.0 <= cfg.delay_hold_prob <= 1.0:
       self._problem(f"term '{path}': delay_hold_prob must be in [0, 1], got {cfg.delay_hold_prob}.")
-    for option in ("delay_update_period", "history_length"):
-      if getattr(cfg, option) < 0:
-        self._problem(f"term '{path}': {option} must not be negative, got {getattr(cfg, option)}.")
     return len(self._problems) == before
 
   def _read_term(self, group: str, name: str, cfg: ObservationTermCfg, group_cfg: ObservationGroupCfg) -> None:
@@ -163,6 +167,9 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
         if factors.numel() not in (1, slot.width):
           self._problem(f"term '{slot.path}': {factors.numel()} scales for {slot.width} components.")
           continue
+        if not factors.isfinite().all():
+          self._problem(f"term '{slot.path}': scale must be finite, got {cfg.scale}.")
+          continue
         scale[0, columns] = factors
       checked[0, columns] = group.nan_policy != "disabled"
       if group.nan_policy == "error":
@@ -176,6 +183,8 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       noise = cfg.noise.noise_cfg if isinstance(cfg.noise, NoiseModelWithAdditiveBiasCfg) else cfg.noise
       try:
         for part in (noise, bias.bias_noise_cfg if bias is not None else None):
+          if part is not None and not isinstance(part, NoiseCfg):
+            raise TypeError(f"expected a NoiseCfg or a model of noise, got {described(part)}.")
           if part is not None:
             FusedNoise([(0, slot.width, part)], "cpu")
       except (AttributeError, TypeError, ValueError) as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import mujoco
 import numpy as np
 import torch
+from mjlab_core.counts import why_no_count
 from mjlab_core.names import UnknownNameError, unknown
 from mjlab_core.state import Stateful
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
@@ -80,8 +81,10 @@ class Scene(Stateful):
   """Where each world has its origin, world frame, (num_envs, 3) [m]; there once the scene is initialized."""
 
   def __init__(self, cfg: SceneCfg, decimation: int | None = None) -> None:
-    if cfg.num_envs < 1:
-      raise ValueError(f"scene: num_envs {cfg.num_envs} must be at least 1")
+    if wrong := why_no_count(cfg.num_envs, 1):
+      raise ValueError(f"scene: num_envs {wrong}")
+    if cfg.extent is not None and not 0.0 < cfg.extent < math.inf:
+      raise ValueError(f"scene: extent must be a positive length, got {cfg.extent}")
     self.cfg = cfg
     self.num_envs = cfg.num_envs
     self.spec = new_scene_spec()

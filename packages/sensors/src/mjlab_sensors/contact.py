@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, fill_, unknown
+from mjlab_core import DebugDraw, fill_, unknown, why_no_count
 
 from mjlab_sensors._elements import match_elements, names_of
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
@@ -96,11 +96,11 @@ class ContactSensorCfg(SensorCfg):
       raise ValueError(f"{self.label}: a field is asked for twice in {self.fields}")
     if self.reduce not in get_args(ContactReduce):
       raise ValueError(unknown("reduce", self.reduce, get_args(ContactReduce), self.label))
-    if self.num_slots < 1:
-      raise ValueError(f"{self.label}: num_slots must be at least 1, not {self.num_slots}")
+    if wrong := why_no_count(self.num_slots, 1):
+      raise ValueError(f"{self.label}: num_slots {wrong}")
     if self.reduce == "netforce" and self.num_slots != 1:
       raise ValueError(f"{self.label}: netforce is one sum of all contacts: num_slots must be 1, not {self.num_slots}")
-    if self.history_length != "decimation" and (not isinstance(self.history_length, int) or self.history_length < 0):
+    if self.history_length != "decimation" and why_no_count(self.history_length):
       raise ValueError(
         f"{self.label}: history_length must be a number of substeps or 'decimation', not {self.history_length!r}"
       )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import floor
+from math import floor, inf
 
 import mujoco
 import numpy as np
@@ -42,7 +42,7 @@ class RingPatternCfg(RayPatternCfg):
   """Put one more ray, the first, at the frame itself."""
 
   def __post_init__(self) -> None:
-    if self.radius <= 0.0 or self.num_samples < 0 or self.num_samples + self.include_center < 1:
+    if not 0.0 < self.radius < inf or self.num_samples < 0 or self.num_samples + self.include_center < 1:
       raise ValueError(f"RingPatternCfg: needs a positive radius and at least one ray, not {self}")
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +108,7 @@ class GridPatternCfg(RayPatternCfg):
   """Distance between neighbours [m]."""
 
   def __post_init__(self) -> None:
-    if self.resolution <= 0.0 or len(self.size) != 2 or min(self.size) < 0.0:
+    if not 0.0 < self.resolution < inf or len(self.size) != 2 or not all(0.0 <= side < inf for side in self.size):
       raise ValueError(f"GridPatternCfg: needs a positive resolution and two sides of at least 0, not {self}")
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,9 +1,12 @@
 """Simulation options, checked before anything is compiled."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import mujoco
+from mjlab_core.counts import why_no_count
 from mjlab_core.names import unknown
 
 from mjlab_sim.errors import SimulationError
@@ -125,21 +128,25 @@ class SimulationCfg:
     problems: list[str] = []
     for name in ("timestep", "impratio"):
       value = getattr(self, name)
-      if value is not None and not value > 0:
-        problems.append(f"{name} must be positive, got {value}")
+      if value is not None and not 0 < value < math.inf:
+        problems.append(f"{name} must be {'positive' if not value > 0 else 'finite'}, got {value}")
     for name in ("iterations", "ls_iterations", "ccd_iterations", "nconmax", "njmax", "contact_sensor_maxmatch"):
       value = getattr(self, name)
-      if value is not None and value < 1:
-        problems.append(f"{name} must be at least 1, got {value}")
+      if value is not None and (wrong := why_no_count(value, 1)):
+        problems.append(f"{name} {wrong}")
     for name in ("tolerance", "ls_tolerance"):
       value = getattr(self, name)
-      if value is not None and value < 0:
+      if value is not None and not value >= 0:
         problems.append(f"{name} must not be negative, got {value}")
-    if self.num_threads < 0:
-      problems.append(f"num_threads must not be negative, got {self.num_threads}")
+    if self.gravity is not None and not (
+      isinstance(self.gravity, Sequence) and len(self.gravity) == 3 and all(map(math.isfinite, self.gravity))
+    ):
+      problems.append(f"gravity must be three finite numbers, got {self.gravity}")
+    if wrong := why_no_count(self.num_threads):
+      problems.append(f"num_threads {wrong}")
     for name in ("buffer_size", "max_envs_to_dump", "max_dumps"):
-      if getattr(self.nan_guard, name) < 1:
-        problems.append(f"nan_guard.{name} must be at least 1, got {getattr(self.nan_guard, name)}")
+      if wrong := why_no_count(getattr(self.nan_guard, name), 1):
+        problems.append(f"nan_guard.{name} {wrong}")
     for name, table in (
       ("integrator", _INTEGRATORS),
       ("solver", _SOLVERS),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, get_args
 
 import mujoco
 import torch
+from mjlab_core.counts import why_no_count
 from mjlab_core.names import unknown
 
 from mjlab_sim.config import SimulationCfg
@@ -50,8 +51,8 @@ class Simulation:
   def __init__(
     self, num_envs: int, spec: mujoco.MjSpec, cfg: SimulationCfg | None = None, device: str | torch.device = "cpu"
   ) -> None:
-    if num_envs < 1:
-      raise SimulationError(f"num_envs must be at least 1, got {num_envs}")
+    if wrong := why_no_count(num_envs, 1):
+      raise SimulationError(f"num_envs {wrong}")
     self.cfg = SimulationCfg() if cfg is None else cfg
     self.num_envs = num_envs
     self.device = _resolve_device(device)

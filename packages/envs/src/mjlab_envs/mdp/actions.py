@@ -1,5 +1,6 @@
 """From the policy's output to set-points of joints, tendons and sites."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -8,7 +9,7 @@ import torch
 from mjlab_actuators import Transmission
 from mjlab_core.masking import where_
 from mjlab_core.names import match_names, match_values_full
-from mjlab_core.sampling import check_range
+from mjlab_core.sampling import check_bounds
 from mjlab_managers import ActionTerm, ActionTermCfg
 from mjlab_scene.indexing import as_index
 
@@ -170,9 +171,10 @@ class DrivenTargets(ActionTerm):
 
   def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
     owner = f"{self._owner}: {what}"
-    return torch.tensor(
-      [match_values_full(values, self.target_names, what=self.transmission, owner=owner)], **self._constant
-    )
+    numbers = match_values_full(values, self.target_names, what=self.transmission, owner=owner)
+    if not all(map(math.isfinite, numbers)):
+      raise ValueError(f"{owner} must be finite, got {values}")
+    return torch.tensor([numbers], **self._constant)
 
   def _bounds(self, cfg: DrivenTargetsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
     if cfg.clip is None:
@@ -180,7 +182,7 @@ class DrivenTargets(ActionTerm):
     endless = (-float("inf"), float("inf"))
     by_pattern = {".*": cfg.clip} if isinstance(cfg.clip, tuple) else cfg.clip
     for pattern, bounds in by_pattern.items():
-      check_range(f"clip['{pattern}']", *bounds)
+      check_bounds(f"clip['{pattern}']", bounds)
     owner = f"{self._owner}: clip"
     bounds = match_values_full(by_pattern, self.target_names, what=self.transmission, owner=owner, default=endless)
     table = torch.tensor([bounds], **self._constant)
