@@ -134,9 +134,8 @@ class PlaybackControls:
     self._told_error: str | None = None
     self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
     self._ask(self._pause, self._toggle)
-    step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused", color="gray")
-    self._ask(step, self._step)
-    self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH, color="gray"), self._reset)
+    self._ask(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
+    self._ask(gui.add_button("Reset", icon=viser.Icon.REFRESH), self._reset)
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
     self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
@@ -149,7 +148,7 @@ class PlaybackControls:
       disabled=True,
       hint="While paused",
     )
-    self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD, color="gray")
+    self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
     self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
     for command, action in (
       (gui.add_command("Pause", hotkey="space"), self._toggle),
@@ -173,7 +172,7 @@ class PlaybackControls:
     playback = self._playback
     self._pause.label = "Play" if playback.paused else "Pause"
     self._record.label, self._record.color = (
-      ("Stop recording", "red") if self._viewer.is_recording else ("Record", "gray")
+      ("Stop recording", "red") if self._viewer.is_recording else ("Record", None)
     )
     self._timeline.disabled = not playback.paused
     state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
@@ -237,7 +236,7 @@ class PlaybackControls:
       by_hand = self._gui.add_checkbox("By hand", initial_value=False, hint="Of the selected world")
       zeros = [_zero(lower, upper) for _, lower, upper in command.axes]
       axes = [self._add_axis(*axis, zero) for axis, zero in zip(command.axes, zeros, strict=True)]
-      stop = self._gui.add_button("Stop", hint="All to zero", color="gray")
+      stop = self._gui.add_button("Stop", hint="All to zero")
 
     def given() -> tuple[int, list[float]] | None:
       return (self._viewer.selected, [float(axis.value) for axis in axes]) if by_hand.value else None
@@ -262,7 +261,7 @@ class PlaybackControls:
 
     with self._gui.add_folder("Policy"):
       choice = self._gui.add_dropdown("Checkpoint", known(), initial_value=checkpoints.loaded)
-      newest = self._gui.add_button("Newest", hint="Look for new checkpoints and take the last one", color="gray")
+      newest = self._gui.add_button("Newest", hint="Look for new checkpoints and take the last one")
 
       def load() -> None:
         self._playback.request(lambda: self._playback.set_policy(checkpoints.load(choice.value)))
