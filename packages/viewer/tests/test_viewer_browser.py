@@ -492,6 +492,21 @@ def test_reset_goes_back_to_now() -> None:
     assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
 
 
+def test_a_button_shows_what_it_does() -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    assert viewer._controls is not None
+    button = viewer._controls._pause
+    for act, label, icon in (
+      (playback.pause, "Play", viser.Icon.PLAYER_PLAY),
+      (playback.resume, "Pause", viser.Icon.PLAYER_PAUSE),
+    ):
+      act()
+      viewer._controls.show_status()
+      assert (button.label, button.icon) == (label, icon)
+
+
 def test_only_the_thread_that_shows_draws(monkeypatch: pytest.MonkeyPatch) -> None:
   env = BoxEnv(1)
   with BrowserViewer(env, port=8300) as viewer:

@@ -170,7 +170,9 @@ class PlaybackControls:
   def show_status(self) -> None:
     """Say how it goes."""
     playback = self._playback
-    self._pause.label = "Play" if playback.paused else "Pause"
+    label, icon = ("Play", viser.Icon.PLAYER_PLAY) if playback.paused else ("Pause", viser.Icon.PLAYER_PAUSE)
+    if self._pause.label != label:
+      self._pause.label, self._pause.icon = label, icon
     self._record.label, self._record.color = (
       ("Stop recording", "red") if self._viewer.is_recording else ("Record", None)
     )
