@@ -492,6 +492,22 @@ def test_reset_goes_back_to_now() -> None:
     assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
 
 
+@pytest.mark.parametrize(("label", "value"), [("World", 2), ("Shown", 1)])
+def test_other_worlds_are_shown_as_they_are_now(label: str, value: int) -> None:
+  env = BoxEnv(3)
+  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    playback.pause()
+    inputs["Seconds back"].value = 2.0
+    viewer.update()
+    assert inputs["Seconds back"].value == 2.0
+    inputs[label].value = value
+    viewer._due["frame"] = 0.0
+    viewer.update()
+    assert inputs["Seconds back"].value == 0.0
+
+
 def test_a_button_shows_what_it_does() -> None:
   env = BoxEnv(1)
   playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))

@@ -148,6 +148,8 @@ class PlaybackControls:
       disabled=True,
       hint="While paused",
     )
+    # What was shown is of the worlds that were shown then.
+    self.values.on_change(viewer.drawn_worlds, lambda: setattr(self._timeline, "value", 0.0))
     self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
     self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
     for command, action in (
