@@ -301,6 +301,25 @@ def test_listing_and_help_start_fast_and_import_nothing_heavy(arguments: list[st
   assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize(
+  "arguments",
+  [
+    ["train", "Mjlab-Cartpole-Balance", "--no-such-flag", "1"],
+    ["train", "Mjlab-Cartpole-Balance", "--resume", "nothing"],
+    ["evaluate", "Mjlab-Cartpole-Balance", "--require", "nothing"],
+    ["record-motion", "Mjlab-Cartpole-Balance"],
+    ["inspect-dr", "Mjlab-Cartpole-Balance", "--num-envs", "1"],
+  ],
+)
+def test_a_mistake_is_found_before_what_learns_is_imported(arguments: list[str]) -> None:
+  code = (
+    "import sys; from mjlab.cli import main; code = main(sys.argv[1:])\n"
+    "assert code, code; assert not {'rsl_rl', 'tensordict', 'torch._dynamo'} & set(sys.modules)"
+  )
+  done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+  assert done.returncode == 0, done.stderr
+
+
 def test_importing_mjlab_imports_neither_torch_nor_warp() -> None:
   code = "import mjlab, sys; assert not {'torch', 'warp', 'mujoco'} & set(sys.modules)"
   subprocess.run([sys.executable, "-c", code], check=True)

@@ -48,7 +48,6 @@ def run(arguments: list[str]) -> int:
 def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab import making
   from mjlab.cli._flag_parser import parse
-  from mjlab.inspection import inspect_events, inspect_inertia, table
 
   wanted = parse(Arguments(env=task.env), given)
   if wanted.num_envs < 2:
@@ -56,6 +55,8 @@ def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   picture = None if wanted.png is None else Path(wanted.png)
   if picture is not None:
     _check_picture(picture, wanted.force)
+  from mjlab.inspection import inspect_events, inspect_inertia, table
+
   device = making.resolve_device(wanted.device)
   cfg = replaced(replaced(wanted.env, ("scene", "num_envs"), wanted.num_envs), ("seed",), wanted.seed)
   env = build_env(task, cfg, device)

@@ -56,10 +56,6 @@ def run(arguments: list[str]) -> int:
 
 
 def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  import torch
-  from mjlab_tracking import MotionError, check_quality, derived_arrays, save_motion
-  from mjlab_tracking.recording import MotionRecorder
-
   from mjlab.cli._flag_parser import parse
 
   wanted = parse(Arguments(env=task.env), given)
@@ -77,6 +73,10 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if not output.absolute().parent.is_dir():
     raise UsageError(f"--output: there is no folder {output.parent}")
   source, parts = find_policy(wanted, name, task)
+  import torch
+  from mjlab_tracking import MotionError, check_quality, derived_arrays, save_motion
+  from mjlab_tracking.recording import MotionRecorder
+
   wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
   device = making.resolve_device(wanted.device)

@@ -102,7 +102,7 @@ def _with_latest(given: list[str]) -> list[str]:
 
 
 def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab_rl import Console, train
+  from mjlab_rl import Console
 
   from mjlab.cli._flag_parser import parse
 
@@ -144,6 +144,9 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     console.say(f"learning from {teacher}")
   if beginning is not None:
     console.say(f"beginning as {beginning}")
+
+  # Seconds, for those whose command line was right.
+  from mjlab_rl import train
 
   watchers = Watchers(wanted)
   is_built = False
