@@ -264,6 +264,20 @@ def test_a_folder_with_a_space_is_quoted_where_a_command_is_offered(
   assert "python -m mujoco.viewer --mjcf 'my scene/scene.xml'" in capsys.readouterr().out
 
 
+def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(tmp_path: Path) -> None:
+  flags = ["--log-root", str(tmp_path / "Läufe"), "--device", "cpu", "--agent.max-iterations", "1"]
+  options = {"PYTHONIOENCODING": "ascii", "PYTHONPATH": str(Path(__file__).parent)}
+  done = subprocess.run(
+    [sys.executable, "-c", OWN, "train", TASK, *flags],
+    env=os.environ | options,
+    capture_output=True,
+    text=True,
+    check=False,
+  )
+  assert done.returncode == 0, done.stderr
+  assert "L\\xe4ufe" in done.stdout
+
+
 def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert train(tmp_path, "--env.decimation", "0", "--traceback") == 1
   assert "Traceback" in capsys.readouterr().err

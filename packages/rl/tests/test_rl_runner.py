@@ -295,7 +295,10 @@ def test_a_checkpoint_with_code_in_it_is_not_run(tmp_path: Path) -> None:
     runner(None, agent()).load(str(path))
 
 
-def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [OSError("disk full"), RuntimeError("unexpected pos 64 vs 0")])
+def test_a_failed_write_leaves_the_old_checkpoint_and_is_told(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
   trained = runner(tmp_path, agent())
   path = tmp_path / "model_0.pt"
   trained.save(str(path))
@@ -303,10 +306,10 @@ def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: p
 
   def half(state: object, file: Path) -> None:
     Path(file).write_bytes(b"half")
-    raise OSError("disk full")
+    raise error
 
   monkeypatch.setattr(torch, "save", half)
-  with pytest.raises(OSError, match="disk full"):
+  with pytest.raises(CheckpointError, match=rf"model_0\.pt could not be written \({error}\); is there room"):
     trained.save(str(path))
   assert path.read_bytes() == before
   assert [file.name for file in tmp_path.iterdir()] == ["model_0.pt"]

@@ -21,11 +21,20 @@ class CheckpointError(ValueError):
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-  """Write `state` to `path`: under another name first, so that no crash leaves half a file under this one."""
+  """Write `state` to `path`: under another name first, so that no crash leaves half a file under this one.
+
+  Raises:
+    CheckpointError: It cannot be written, for lack of room for instance.
+  """
   temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
   try:
     torch.save(state, temporary)
     os.replace(temporary, path)
+  except (OSError, RuntimeError) as error:
+    # Torch tells of a full disk in riddles.
+    raise CheckpointError(
+      f"checkpoint {path} could not be written ({_first_line(error)}); is there room on the disk?"
+    ) from error
   finally:
     temporary.unlink(missing_ok=True)
 

@@ -5,6 +5,7 @@ Exit codes: 0 done (also after a stop with Ctrl-C, SIGTERM or SIGHUP that saved)
 
 import contextlib
 import importlib
+import io
 import os
 import signal
 import sys
@@ -89,6 +90,9 @@ fit_actuator = _command("fit-actuator")
 
 def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
   """Run a command; what the user got wrong becomes one line, what we got wrong a traceback."""
+  if isinstance(sys.stdout, io.TextIOWrapper):
+    # A name that the terminal has no letters for is no reason to stop.
+    sys.stdout.reconfigure(errors="backslashreplace")
   try:
     with _interruptible():
       return command(arguments)
