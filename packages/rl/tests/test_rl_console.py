@@ -51,10 +51,11 @@ def test_a_narrow_terminal_keeps_what_matters_most(monkeypatch: pytest.MonkeyPat
     assert stream.getvalue() == "\r\x1b[2K" + line
 
 
-def test_a_terminal_that_is_gone_stops_nothing() -> None:
+@pytest.mark.parametrize("number", [errno.EIO, errno.EPIPE])
+def test_a_terminal_or_a_reader_that_is_gone_stops_nothing(number: int) -> None:
   class Gone(Terminal):
     def write(self, text: str) -> int:
-      raise OSError(errno.EIO, "Input/output error")
+      raise OSError(number, os.strerror(number))
 
   console = Console("normal", Gone())
   console.show(report(0))

@@ -77,9 +77,9 @@ class Console:
       self._stream.write(text)
       self._stream.flush()
     except OSError as error:
-      if error.errno != errno.EIO:
+      if error.errno not in (errno.EIO, errno.EPIPE):
         raise
-      # The terminal was closed; the run goes on to its next checkpoint without it.
+      # The terminal was closed, or who read our pipe ended; the run goes on without them.
       self._verbosity = "quiet"
 
 
