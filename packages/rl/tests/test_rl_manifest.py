@@ -189,3 +189,9 @@ def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> No
     (tmp_path / "exp" / run).mkdir(parents=True)
     (tmp_path / "exp" / run / "model_1.pt").touch()
   assert find_checkpoint("latest", log_root=tmp_path, experiment="exp").parent.name == "2026-01-01_00-00-00.2_name"
+
+
+def test_which_manifest_cannot_be_rebuilt_is_said(tmp_path: Path) -> None:
+  (tmp_path / "manifest.json").write_text('{"format": 1, "colour": 1}')
+  with pytest.raises(ManifestError, match=r"manifest\.json: manifest: RunManifest has no field 'colour' any more"):
+    load_run(tmp_path)

@@ -297,7 +297,10 @@ def load_run(path: str | os.PathLike[str]) -> RunManifest:
     raise ManifestError(f"{path}: not JSON ({error})") from error
   if not isinstance(data, dict) or data.pop("format", None) != _FORMAT:
     raise ManifestError(f"{path}: written by another version of mjlab-rl; this one reads format {_FORMAT}")
-  return _construct(RunManifest, data, "manifest")
+  try:
+    return _construct(RunManifest, data, "manifest")
+  except ManifestError as error:
+    raise ManifestError(f"{path}: {error}") from error
 
 
 def task_of(directory: Path) -> str | None:
