@@ -132,6 +132,27 @@ def test_default_state_of_ball_hinge_and_slide_joints_round_trips(make_worlds: M
   assert torch.equal(data.joint_pos_biased, data.joint_pos)
 
 
+@pytest.mark.parametrize("wrong", [[False, True], torch.tensor([False, True]), [0.0, 1.0], torch.ones(2)], ids=str)
+def test_ids_that_are_no_whole_numbers_are_refused(make_worlds: MakeWorlds, wrong) -> None:
+  scene, _ = make_worlds(3, robot=FLOATING)
+  scene["robot"].write_joint_position(random(3, 5), joint_ids=[0, 1])
+  with pytest.raises(ValueError, match="entity 'robot': write_joint_position: ids must be whole numbers"):
+    scene["robot"].write_joint_position(random(3, 5), joint_ids=wrong)
+
+
+def test_ids_count_as_they_are_now_and_are_not_kept(make_worlds: MakeWorlds) -> None:
+  scene, _ = make_worlds(3, robot=FLOATING)
+  robot, ids = scene["robot"], torch.tensor([0])
+  robot.write_joint_velocity(torch.ones(3, 1), joint_ids=ids)
+  ids.fill_(2)
+  kept = len(robot._selections())
+  for _ in range(9):
+    robot.write_joint_velocity(torch.full((3, 1), 5.0), joint_ids=ids.clone())
+  robot.write_joint_velocity(torch.full((3, 1), 7.0), joint_ids=ids)
+  assert robot.data.joint_vel[0].tolist() == [1.0, 0.0, 0.0, 0.0, 7.0]
+  assert len(robot._selections()) == kept + 1
+
+
 @pytest.mark.parametrize("selection", [slice(1, 3), [2, 0], torch.tensor([2, 1])], ids=["slice", "list", "tensor"])
 def test_joint_ids_select_joints_whatever_their_width(make_worlds: MakeWorlds, selection) -> None:
   scene, _ = make_worlds(2, robot=FLOATING)

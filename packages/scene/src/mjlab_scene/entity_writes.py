@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import TYPE_CHECKING, Literal
 
 import torch
@@ -304,16 +305,22 @@ class EntityWrites(Stateful):
       selection = slice(None)
     if isinstance(selection, slice):
       key = (kind, selection.start, selection.stop, selection.step)
-    elif isinstance(selection, torch.Tensor):
+    elif isinstance(selection, torch.Tensor) and selection.is_cuda:
       key = (kind, id(selection))
     else:
-      key = (kind, tuple(selection))
+      if isinstance(selection, torch.Tensor):
+        selection = selection.tolist()
+      # As text, True is not 1.
+      key = (kind, repr(list(selection)))
     found = cache.get(key)
     if found is None:
-      chosen = range(count)[selection] if isinstance(selection, slice) else [int(i) for i in selection]
+      numbers = selection.tolist() if isinstance(selection, torch.Tensor) else selection
+      chosen = range(count)[numbers] if isinstance(numbers, slice) else list(numbers)
+      if any(isinstance(i, bool) or not isinstance(i, Integral) for i in chosen):
+        raise ValueError(f"entity '{self.name}': {what}: ids must be whole numbers, got {chosen}")
       if any(not -count <= i < count for i in chosen):
         raise ValueError(f"entity '{self.name}': {what}: ids {list(chosen)} must be within {count}")
-      # Holding the selection keeps its id from being given to another tensor.
+      # Holding a tensor keeps its id from being given to another one.
       found = cache[key] = (selection, resolve([i % count for i in chosen]))
     return found[1]
 
