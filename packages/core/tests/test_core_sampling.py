@@ -109,6 +109,18 @@ def test_masked_writes_reach_through_views_and_refuse_wrong_shapes() -> None:
     core.where_(storage, mask, torch.ones(2, 5))
 
 
+@pytest.mark.parametrize(
+  ("mask", "given"),
+  [(torch.tensor([0, 1]), r"torch\.int64 \(2,\)"), (torch.ones(2), "torch.float32"), ([True, False], "list")],
+)
+def test_world_numbers_are_no_mask(mask: Any, given: str) -> None:
+  for write in (core.where_, core.fill_):
+    dst = torch.zeros(2)
+    with pytest.raises(TypeError, match=f"one bool for each world, not {given}"):
+      write(dst, mask, 1.0)
+    assert not dst.any()
+
+
 def test_a_mask_hides_not_a_number_in_the_source() -> None:
   dst = torch.zeros(2)
   core.where_(dst, torch.tensor([False, True]), torch.tensor([math.nan, 1.0]))

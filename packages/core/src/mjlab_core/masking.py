@@ -13,6 +13,9 @@ def where_(dst: Tensor, mask: Tensor, src: Tensor | float) -> Tensor:
     dst: (num_envs, ...), kept in its memory.
     mask: bool (num_envs,), broadcast over the trailing dimensions of `dst`; or any leading part of its shape.
     src: a number, or a tensor that broadcasts to `dst`.
+
+  Raises:
+    TypeError: `mask` is not of bools: of world numbers, say.
   """
   mask = _trailing(mask, dst)
   if not isinstance(src, Tensor):
@@ -24,9 +27,16 @@ def where_(dst: Tensor, mask: Tensor, src: Tensor | float) -> Tensor:
 
 
 def fill_(dst: Tensor, mask: Tensor, value: float) -> Tensor:
-  """Writes one number into the rows of `dst`, (num_envs, ...), where `mask`, bool (num_envs,), is true."""
+  """Writes one number into the rows of `dst`, (num_envs, ...), where `mask`, bool (num_envs,), is true.
+
+  Raises:
+    TypeError: `mask` is not of bools: of world numbers, say.
+  """
   return dst.masked_fill_(_trailing(mask, dst), value)
 
 
 def _trailing(mask: Tensor, like: Tensor) -> Tensor:
+  if not isinstance(mask, Tensor) or mask.dtype is not torch.bool:
+    what = f"{mask.dtype} {tuple(mask.shape)}" if isinstance(mask, Tensor) else type(mask).__name__
+    raise TypeError(f"a mask is a tensor with one bool for each world, not {what}; of world numbers make one")
   return mask.reshape(mask.shape + (1,) * (like.dim() - mask.dim())) if like.dim() > mask.dim() else mask
