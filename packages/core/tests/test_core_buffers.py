@@ -205,6 +205,14 @@ def test_rows_outside_the_mask_stay_bit_identical_whoever_resets(verb: str) -> N
     assert torch.equal(a[others], b[others])
 
 
+@pytest.mark.parametrize("verb", ["reset", "fill"])
+def test_a_restart_draws_the_lags_of_its_worlds_and_of_no_others(verb: str) -> None:
+  buffer = delay(0, 10_000, hold_prob=1.0)
+  mask, before = torch.arange(N) % 2 == 0, buffer.lag.clone()
+  buffer.reset(mask) if verb == "reset" else buffer.fill(mask, 0.0)
+  assert torch.equal(buffer.lag != before, mask)
+
+
 def test_a_saved_delay_continues_bit_identically() -> None:
   a, b = delay(0, 3, hold_prob=1.0), delay(0, 3, seed=1, hold_prob=1.0)
   for step in range(5):
