@@ -1,6 +1,8 @@
 """Seeds, saving, spaces, and what is said of a wrong config."""
 
 import copy
+import gc
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -268,6 +270,18 @@ def test_a_closed_environment_says_so_and_closes_again(make: Make) -> None:
     env.step(torch.zeros(4, 2))
   with pytest.raises(RuntimeError, match="this environment is closed"):
     env.reset()
+
+
+def test_a_closed_environment_that_nobody_holds_is_gone(engine: str) -> None:
+  env = ManagerBasedRlEnv(randomised_cfg(engine), "cpu")
+  env.reset()
+  obs, *_ = env.step(actions(env, 0))
+  held = [weakref.ref(each) for each in (env, env.sim, env.scene, env.scene["robot"].data, env.sim.data.qpos)]
+  env.close()
+  del env
+  gc.collect()
+  assert [ref() for ref in held] == [None] * 5
+  assert torch.isfinite(obs["actor"]).all()
 
 
 def test_a_recorder_that_fails_to_close_leaves_nothing_open(make: Make) -> None:
