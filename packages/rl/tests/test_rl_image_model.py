@@ -393,11 +393,12 @@ def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[I
   message = "observation group 'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"
   student = RslRlDistillationRunnerCfg(max_iterations=1, num_steps_per_env=8, logger="none")
   student.obs_groups = {"student": ("actor",), "teacher": ("speed", "camera")}
-  for learner_cfg, beginning in (
+  cases: list[tuple[Any, dict[str, Any]]] = [
     (cfg, {"init_from": trained}),
     (cfg, {"resume": trained}),
     (student, {"teacher": trained}),
-  ):
+  ]
+  for learner_cfg, beginning in cases:
     learner_cfg = replace(learner_cfg, max_iterations=2)
     with pytest.raises(CheckpointError, match=message):
       train(replace(task, agent=learner_cfg), make_env=SharplySeenPoint, log_root=other, **beginning, **options)
