@@ -64,8 +64,10 @@ class ManagerBasedRlEnvCfg:
       found.append(f"episode_length_s must not be negative, got {self.episode_length_s}")
     elif not math.isfinite(self.episode_length_s):
       found.append(f"episode_length_s must be finite, got {self.episode_length_s}; 0 is without end")
-    if self.seed is not None and (isinstance(self.seed, bool) or not isinstance(self.seed, int)):
-      found.append(f"seed must be a whole number or None, got {self.seed!r}")
+    if self.seed is not None and (wrong := why_no_count(self.seed, -(2**63))):
+      found.append(f"seed {wrong}")
+    elif self.seed is not None and self.seed >= 2**64:
+      found.append(f"seed must fit into 64 bits, got {self.seed}")
     timed = [name for name, term in self.terminations.items() if term is not None and term.time_out]
     if timed and not self.episode_length_s > 0:
       found.append(f"termination '{timed[0]}' is a time-out, so episode_length_s must be positive")
