@@ -236,6 +236,26 @@ class TestTime:
       manager.compute(fresh, advance)
       assert tensor_address(manager) == address
 
+  @pytest.mark.parametrize("flatten", [True, False])
+  def test_an_observation_of_nothing_has_a_history_of_nothing(self, env, flatten):
+    past: dict[str, Any] = {"history_length": 3, "flatten_history_dim": flatten}
+    terms: dict[str, ObservationTermCfg | None] = {
+      "none": ObservationTermCfg(values, params={"columns": 0}, **past),
+      "some": ObservationTermCfg(values, params={"columns": 2}, **past),
+    }
+    groups = {
+      "both": ObservationGroupCfg(terms=terms, concatenate_terms=flatten),
+      "none": ObservationGroupCfg(terms={"none": terms["none"]}, history_length=5),
+    }
+    manager = ObservationManager(groups, env)
+    manager.compute()
+    env.values.add_(1.0)
+    got = manager.compute()
+    both = got["both"]
+    some = both.unflatten(1, (3, 2)) if isinstance(both, torch.Tensor) else both["some"]
+    assert torch.equal(some, torch.stack([env.values[:, :2] - 1.0] * 2 + [env.values[:, :2]], dim=1))
+    assert tensor(got["none"]).shape == (4, 0)
+
 
 def tensor_address(manager: ObservationManager) -> int:
   observation = manager.get()["g"]

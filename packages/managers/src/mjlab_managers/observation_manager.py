@@ -254,7 +254,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
 
   def _build_histories(self) -> None:
     """One window per length; and where each output column is in [frame, window, window, ...]."""
-    lengths = sorted({slot.history for slot in self._slots if slot.history > 1})
+    lengths = sorted({slot.history for slot in self._slots if slot.remembers})
     self._histories: dict[str, HistoryBuffer] = {}
     self._history_columns: dict[str, slice | torch.Tensor] = {}
     source: list[int] = []
@@ -265,7 +265,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     for length in lengths:
       columns: list[int] = []
       for slot in self._slots:
-        if slot.history == length:
+        if slot.history == length and slot.remembers:
           position[slot.path] = len(columns)
           columns += range(slot.frame.start, slot.frame.stop)
       contiguous = columns == list(range(columns[0], columns[-1] + 1))
@@ -275,7 +275,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       offsets[length], widths[length] = offset, len(columns)
       offset += length * len(columns)
     for slot in self._slots:
-      if slot.history > 1:
+      if slot.remembers:
         for age in range(slot.history):
           first = offsets[slot.history] + age * widths[slot.history] + position[slot.path]
           source += range(first, first + slot.width)

@@ -38,6 +38,11 @@ class Slot:
     return math.prod(self.shape)
 
   @property
+  def remembers(self) -> bool:
+    """Whether there is a window of its past to keep: joints of an entity that has none make an observation of none."""
+    return self.history > 1 and self.width > 0
+
+  @property
   def out_shape(self) -> tuple[int, ...]:
     if self.history == 0:
       return self.shape
