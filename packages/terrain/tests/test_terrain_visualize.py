@@ -60,6 +60,7 @@ def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None
     (["stairs_up", "--set", "step_height=3"], "must be like (0.0, 0.2), without brackets"),
     (["stairs_up", "--set", "holes"], "has no value"),
     (["waves", "--seed", "-1"], "seed must not be negative"),
+    (["waves", "--plot", "--image-size", "0", "9"], "--image-size 0 9: both must be at least 1 pixel"),
   ],
 )
 def test_a_mistake_on_the_command_line_says_what_there_is(

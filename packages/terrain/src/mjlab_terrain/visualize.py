@@ -132,6 +132,10 @@ def main(argv: Sequence[str] | None = None) -> int:
   if arguments.image.suffix.lower() != ".png":
     print(f"visualize-terrain: --image {arguments.image}: pictures are PNG; call it FILE.png", file=sys.stderr)
     return 2
+  if min(arguments.image_size) < 1:
+    width, height = arguments.image_size
+    print(f"visualize-terrain: --image-size {width} {height}: both must be at least 1 pixel", file=sys.stderr)
+    return 2
   # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
   headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ
   if headless and not arguments.plot:
