@@ -285,6 +285,26 @@ def test_flat_patches_are_level_on_the_surface_and_on_their_tile(size: tuple[flo
   assert len(np.unique(places[0, 0], axis=0)) == 5
 
 
+@pytest.mark.parametrize(
+  ("size", "patch"),
+  [
+    # No point of the grid is in the range, or far enough from the rim.
+    ((8.0, 8.0), FlatPatchCfg(radius=0.3, x_range=(0.51, 0.53), y_range=(-1.02, -1.01))),
+    ((1.05, 8.0), FlatPatchCfg(radius=0.525)),
+    ((0.7, 0.7), FlatPatchCfg(radius=0.3, resolution=0.5)),
+  ],
+)
+def test_a_narrow_range_of_patches_is_kept_to_within_the_resolution(
+  size: tuple[float, float], patch: FlatPatchCfg
+) -> None:
+  grid = TerrainGridCfg(types={"flat": FlatCfg()}, tile_size=size, rows=1, flat_patches={"p": patch})
+  places = grid.add_to(mujoco.MjSpec()).flat_patches["p"][0, 0]
+  for axis, (low, high) in enumerate((patch.x_range, patch.y_range)):
+    reach = 0.5 * size[axis] - patch.radius
+    assert (places[:, axis] >= max(low, -reach) - 0.5 * patch.resolution).all()
+    assert (places[:, axis] <= min(high, reach) + 0.5 * patch.resolution).all()
+
+
 def test_without_level_places_patches_are_the_most_level_one() -> None:
   cfg = TerrainGridCfg(
     types={"rough": RandomRoughCfg(amplitude=(0.1, 0.1), border=0.0)},

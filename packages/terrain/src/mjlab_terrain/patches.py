@@ -59,26 +59,30 @@ class FlatPatchCfg:
       raise ValueError(f"{who}: z_range {self.z_range} is the wrong way round.")
 
   def find(self, tile: Tile, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Centres of places drawn at random, on the surface, in the tile's frame, (count, 3) [m].
+    """Centres of places drawn at random, on the surface, in the tile's frame, (count, 3) [m], to within `resolution`.
 
     Where a tile has fewer, they repeat; where it has none, all are at the most level place there is.
     """
-    axes = [np.linspace(-0.5 * s, 0.5 * s, max(math.ceil(s / self.resolution), 2) + 1) for s in tile.size]
+    # An even number of steps, so that the middle of the tile is among the points.
+    axes = [np.linspace(-0.5 * s, 0.5 * s, 2 * max(math.ceil(0.5 * s / self.resolution), 1) + 1) for s in tile.size]
     z = surface(tile.boxes, tile.fields, *axes)
     # The grid is square enough that the finer of its two spacings covers the radius in both.
     offsets = disc(self.radius, min(a[1] - a[0] for a in axes))
     difference = over_disc(z, offsets, np.maximum) - over_disc(z, offsets, np.minimum)
     allowed = np.ones(z.shape, dtype=bool)
     for axis, (at, limits, extent) in enumerate(zip(axes, (self.x_range, self.y_range), tile.size, strict=True)):
-      inside = (np.abs(at) <= 0.5 * extent - self.radius + 1e-9) & (limits[0] <= at) & (at <= limits[1])
+      reach = 0.5 * extent - self.radius
+      low, high = max(-reach, limits[0]), min(reach, limits[1])
+      inside = (low - 1e-9 <= at) & (at <= high + 1e-9)
+      # A range between two points of the grid takes the nearer one.
+      inside[np.argmin(np.abs(at - 0.5 * (low + high)))] |= not inside.any()
       allowed &= inside[:, None] if axis == 0 else inside[None, :]
     good = allowed & (difference <= self.max_height_difference) & (self.z_range[0] <= z) & (z <= self.z_range[1])
     found = np.argwhere(good)
     if len(found):
       chosen = found[rng.permutation(len(found))[np.arange(self.count) % len(found)]]
     else:
-      # A range between two points of the grid leaves the centre.
-      flattest = np.where(allowed, difference, np.inf if allowed.any() else difference)
+      flattest = np.where(allowed, difference, np.inf)
       chosen = np.repeat([np.unravel_index(np.argmin(flattest), z.shape)], self.count, axis=0)
     i, j = chosen.T
     return np.stack((axes[0][i], axes[1][j], z[i, j]), axis=-1)
