@@ -181,7 +181,7 @@ class PerlinNoiseCfg(TileCfg):
   wavelength: float = number(1.6, least=0.1)
   """Size of the largest features [m]."""
   octaves: int = number(4, least=1, most=12)
-  """Number of noises that are added; of those whose features are smaller than a cell none is."""
+  """Number of noises that are added; those with features smaller than a cell are left out."""
   persistence: float = number(0.3, most=1.0)
   """Amplitude of each noise relative to that before it."""
   lacunarity: float = number(2.0, least=1.0)
