@@ -281,7 +281,9 @@ def test_a_closed_environment_that_nobody_holds_is_gone(engine: str) -> None:
   del env
   gc.collect()
   assert [ref() for ref in held] == [None] * 5
-  assert torch.isfinite(obs["actor"]).all()
+  seen = obs["actor"]
+  assert isinstance(seen, torch.Tensor)
+  assert torch.isfinite(seen).all()
 
 
 def test_a_recorder_that_fails_to_close_leaves_nothing_open(make: Make) -> None:
