@@ -18,6 +18,8 @@ def new_scene_spec() -> mujoco.MjSpec:
   visual.rgba.force[:] = (0.85, 0.20, 0.15, 1.0)
   visual.map.force = 0.005
   visual.map.haze = 0.25
+  # Where shadows end, ground that is slanted to the light is speckled: out of sight.
+  visual.map.shadowclip = 6.0
   visual.map.znear = 0.01
   visual.scale.forcewidth = 0.06
   visual.scale.contactwidth = 0.15
