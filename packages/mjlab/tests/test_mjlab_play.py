@@ -1,5 +1,7 @@
 """Watching: what is found, what it is built from, what is refused."""
 
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -253,6 +255,17 @@ def test_a_mistake_in_playing_is_one_line_and_an_exit_code(
   told = capsys.readouterr().err
   assert said in told
   assert told.count("\n") == 1
+
+
+def test_who_watches_nobody_that_learned_does_not_wait_for_what_learns() -> None:
+  code = (
+    "import sys, mjlab.cli._play as play; from mjlab.cli import main; play._browser = lambda *_: 0\n"
+    "flags = ['--agent', 'zero', '--viewer', 'browser', '--device', 'cpu', '--num-envs', '1']\n"
+    "assert main(['play', 'Mjlab-Cartpole-Balance', *flags]) == 0\n"
+    "assert not {'rsl_rl', 'tensordict', 'torch._dynamo'} & set(sys.modules)"
+  )
+  done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+  assert done.returncode == 0, done.stderr
 
 
 def test_an_exported_policy_plays_as_its_checkpoint_does(

@@ -138,11 +138,13 @@ def _without_terminations(cfg: Any) -> Any:
 
 
 def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Policy, CheckpointList | None]":
+  policy = make_policy(wanted.agent, source, env, parts)
+  if source is None:
+    return policy, None
   from mjlab_rl import CheckpointPolicy, checkpoints
   from mjlab_viewer import CheckpointList
 
-  policy = make_policy(wanted.agent, source, env, parts)
-  if source is None or not isinstance(policy, CheckpointPolicy):
+  if not isinstance(policy, CheckpointPolicy):
     return policy, None
 
   def load(name: str) -> "Policy":
