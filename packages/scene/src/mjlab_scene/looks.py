@@ -19,7 +19,7 @@ def new_scene_spec() -> mujoco.MjSpec:
   visual.map.force = 0.005
   visual.map.haze = 0.25
   # Where shadows end, ground that is slanted to the light is speckled: out of sight.
-  visual.map.shadowclip = 6.0
+  visual.map.shadowclip = 4.0
   visual.map.znear = 0.01
   visual.scale.forcewidth = 0.06
   visual.scale.contactwidth = 0.15
