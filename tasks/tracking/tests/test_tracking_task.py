@@ -154,6 +154,7 @@ def test_watching_starts_at_the_beginning_unperturbed_and_stops_at_the_end() -> 
   assert command(cfg).sampling == "start"
   assert command(cfg).pose_range == command(cfg).velocity_range == {}
   assert command(cfg).joint_position_range == (0.0, 0.0)
+  assert cfg.episode_length_s == 1e9
   assert cfg.events["push_robot"] is None
   assert cfg.terminations["motion_end"] is not None
 
