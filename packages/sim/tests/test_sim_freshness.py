@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import pytest
 import torch
-from mjlab_sim import Simulation
+from mjlab_sim import Simulation, SimulationError
 from sim_world import reference, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -255,6 +255,23 @@ def test_a_shared_write_is_seen_through_the_expansion_that_follows(make_sim: Mak
   torch.testing.assert_close(sim.data.site_xpos[:, 2, 2], height + 0.1)
   sim.model.site_pos[1, 2, 2] += 0.1
   torch.testing.assert_close(sim.data.site_xpos[:, 2, 2] - height, torch.tensor([0.1, 0.2, 0.1, 0.1], dtype=sim.dtype))
+
+
+def test_a_write_to_what_a_field_was_before_its_expansion_is_an_error_by_name(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine)
+  mass, gravity = sim.model.body_mass, sim.model.opt.gravity
+  part = mass[:, 1:3]
+  sim.expand_model_fields(["body_mass"])
+  sim.step()
+  for act in (sim.step, lambda: sim.data.xpos):
+    part.mul_(2.0)
+    with pytest.raises(SimulationError, match="model field body_mass was written through a tensor from before it was"):
+      act()
+    # It is said once; what is the simulation's may be written to as ever.
+    act()
+    sim.model.body_mass[1] += 0.1
+    gravity[:, 2] += 0.1
+    act()
 
 
 def test_rays_see_geoms_where_the_written_state_puts_them(make_sim: MakeSim, engine: str) -> None:

@@ -75,6 +75,8 @@ class Simulation:
     # Model fields that somebody asked for, and so may write to.
     self._asked_for: dict[str, TorchArray] = {}
     self._watched: list[torch.Tensor] = []
+    # What was handed out of fields before they were expanded, which are somewhere else now; and its version then.
+    self._left_behind: list[tuple[str, torch.Tensor, int]] = []
     self._epoch = 0
     self._model_changed = False
     self._state_version = self._versions(self._kinematic)
@@ -127,7 +129,8 @@ class Simulation:
   def expand_model_fields(self, names: Iterable[str]) -> None:
     """Give model fields one value per world, with every field derived from them.
 
-    Graphs recorded before hold the old memory and are recorded anew.
+    Graphs recorded before hold the old memory and are recorded anew. Tensors taken before are not the simulation's any
+    more; who writes to one is told so by the next step or read.
 
     Args:
       names: Fields of MjModel, or `opt.<name>`.
@@ -145,11 +148,15 @@ class Simulation:
         f"model fields {', '.join(fresh)} cannot be expanded inside a recorded step; expand them before the first step"
       )
     for name in fresh:
+      if name in self._asked_for:
+        shared = _plain(self._asked_for[name])
+        self._left_behind.append((name, shared, shared._version))
       self._engine.expand(name)
       self._expanded[name] = None
     if fresh:
       self._asked_for = {name: field_of(name) for name in self._asked_for}
       self._watched = [_plain(field) for field in self._asked_for.values()]
+      self._watched += [shared for _, shared, _ in self._left_behind]
       # A write to the shared field may not have been seen yet.
       self._model_changed = True
       self._state_version = -1
@@ -484,9 +491,19 @@ class Simulation:
       self._model_version = version
       self._model_changed = True
       self._state_version = -1
+      self._check_left_behind()
     if self._versions(self._kinematic) != self._state_version:
       self._engine.forward(self._model_changed)
       self._settled()
+
+  def _check_left_behind(self) -> None:
+    written = {name for name, shared, version in self._left_behind if shared._version != version}
+    self._left_behind = [(name, shared, shared._version) for name, shared, _ in self._left_behind]
+    if written:
+      raise SimulationError(
+        f"model field {', '.join(sorted(written))} was written through a tensor from before it was expanded, which "
+        "changes no world; take it from sim.model again"
+      )
 
   def _settled(self) -> None:
     self._state_version = self._versions(self._kinematic)
