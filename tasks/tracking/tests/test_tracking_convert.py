@@ -117,6 +117,8 @@ def test_a_joint_map_places_a_clip_of_another_robot() -> None:
     (["wiggle.csv", "--rate", "50", "--smooth", "nan"], "smooth: width must be positive, got nan s"),
     (["wiggle.csv", "--rate", "50", "--concatenate", "nan"], "concatenate: the blend must take time, got nan s"),
     (["wiggle.csv", "--rate", "50", "--joint-map", "robot.xml"], "not JSON"),
+    (["march_in_plaze"], "clip 'march_in_plaze' does not exist. Nearest: march_in_place"),
+    (["."], ". is a folder; name the clips in it: ./*"),
     (["wiggle.pkl"], "wiggle.pkl: this reads .csv and .npz"),
   ],
 )

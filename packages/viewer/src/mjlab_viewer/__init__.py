@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
+  from mjlab_viewer.address import check_address
   from mjlab_viewer.browser import BrowserViewer
   from mjlab_viewer.camera import Camera, CameraCfg
   from mjlab_viewer.checkpoint_list import CheckpointList
@@ -51,11 +52,13 @@ __all__ = [
   "ViewedSim",
   "ViewerError",
   "ZeroPolicy",
+  "check_address",
 ]
 
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
+    ".address": "check_address",
     ".browser": "BrowserViewer",
     ".camera": "Camera CameraCfg",
     ".checkpoint_list": "CheckpointList",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import viser
 
+from mjlab_viewer.address import check_address
 from mjlab_viewer.browser_controls import REMEMBERED, PlaybackControls, WorldControls
 from mjlab_viewer.browser_scene import BrowserScene
 from mjlab_viewer.camera import CameraCfg
@@ -274,21 +274,3 @@ class BrowserViewer:
       video.add(self._taker.take((self.selected,), drawers=self._worlds.drawers()))
     except Exception as error:
       self._fail("film", error)
-
-
-def check_address(host: str, port: int) -> None:
-  """Refuse an address that is not this machine's: the server would wait for it for ever.
-
-  Raises:
-    ViewerError: it cannot be listened on.
-  """
-  if not 0 < port < 65536:
-    raise ViewerError(f"port {port} does not exist; there is 1 to 65535")
-  try:
-    # Whether this port is free is the server's own question; it takes the next one.
-    with socket.create_server((host, 0)):
-      pass
-  except OSError as error:
-    # Python repeats the address behind the system's own words.
-    reason = (error.strerror or str(error)).partition(" (while ")[0]
-    raise ViewerError(f"cannot listen on {host}: {reason}") from error

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
+from mjlab_core.names import unknown
 
 from mjlab_tracking.editing import concatenate, crop, mirror, smooth, to_ground
 from mjlab_tracking.formats import JointMap, Statement, read_motion
@@ -129,10 +130,7 @@ def _convert(options: argparse.Namespace) -> int:
     body_names=options.body_names,
     joint_map=None if options.joint_map is None else _joint_map(options.joint_map),
   )
-  clips: list[Path] = options.clips
-  shipped = shipped_clips()
-  paths = [path if path.is_file() else shipped.get(str(path), path) for path in clips]
-  motions = [_edited(read_motion(path, robot, said), robot, options) for path in paths]
+  motions = [_edited(read_motion(_found(clip), robot, said), robot, options) for clip in options.clips]
   if options.concatenate is not None:
     motions = [concatenate(motions, blend=options.concatenate)]
   motions = [_finished(motion, robot, options) for motion in motions]
@@ -165,6 +163,18 @@ def _convert(options: argparse.Namespace) -> int:
   if preview is not None and options.preview:
     preview.browse(motions[0], host=options.host, port=options.port)
   return int(has_errors)
+
+
+def _found(clip: Path) -> Path:
+  """The file that is meant: this one, or that of a clip that ships."""
+  shipped = shipped_clips()
+  if not clip.is_file() and str(clip) in shipped:
+    return shipped[str(clip)]
+  if clip.is_dir():
+    raise MotionError(f"{clip} is a folder; name the clips in it: {clip}/*")
+  if not clip.exists() and not clip.suffix:
+    raise MotionError(f"{unknown('clip', str(clip), list(shipped))} It may also be the path of a .csv or .npz.")
+  return clip
 
 
 def _edited(motion: Motion, robot: Kinematics, options: argparse.Namespace) -> Motion:

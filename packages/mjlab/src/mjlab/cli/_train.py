@@ -145,10 +145,10 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if beginning is not None:
     console.say(f"beginning as {beginning}")
 
+  watchers = Watchers(wanted)
   # Seconds, for those whose command line was right.
   from mjlab_rl import train
 
-  watchers = Watchers(wanted)
   is_built = False
 
   def on_ready(env: "RlEnv", directory: Path | None) -> None:
@@ -194,6 +194,15 @@ class Watchers:
   """Those who look on while a policy is trained."""
 
   def __init__(self, wanted: Arguments) -> None:
+    if wanted.viewer:
+      from mjlab_viewer import check_address
+
+      check_address(wanted.viewer_host, wanted.viewer_port)
+    if wanted.video and not 1 <= wanted.video_length <= wanted.video_interval:
+      raise UsageError(
+        f"--video-length {wanted.video_length}: films of so many steps cannot begin every {wanted.video_interval} "
+        "(--video-interval)"
+      )
     self._wanted = wanted
     self._open: list[Any] = []
 
