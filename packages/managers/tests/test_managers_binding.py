@@ -236,6 +236,14 @@ class TestClassTerms:
       def __init__(self, cfg, env) -> None:
         raise ValueError("no such sensor")
 
-    for func, said in ((SimpleNamespace, "class SimpleNamespace has no __call__"), (Broken, "no such sensor")):
-      with pytest.raises(ConfigError, match=f"term 'n'.*{said}"):
+    class Wrong(Counter):
+      def __init__(self, cfg, env) -> None:
+        raise TypeError("no such argument")
+
+    for func, said in (
+      (SimpleNamespace, ".*class SimpleNamespace has no __call__"),
+      (Broken, "no such sensor"),
+      (Wrong, "TypeError while making Wrong: no such argument"),
+    ):
+      with pytest.raises(ConfigError, match=f"term 'n': {said}"):
         RewardManager({"n": RewardTermCfg(func, weight=1.0)}, env)

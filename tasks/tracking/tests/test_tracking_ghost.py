@@ -71,7 +71,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
   return clips(tmp_path_factory.mktemp("clips"))
 
 
-def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path) -> None:
+def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(
+  folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+  # Of primitives, whose places are told, also where there are meshes.
+  monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   cfg = without_failures(still(folder))
   env, term = make(cfg)
   canvas: Any = Canvas((2, 0))

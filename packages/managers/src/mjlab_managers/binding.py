@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import torch
-from mjlab_core.names import nearest
+from mjlab_core.names import UnknownNameError, nearest
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.scene_entity import SceneEntityCfg
@@ -191,8 +191,12 @@ def bind(
   if isinstance(func, type):
     try:
       func = func(cfg, env)
+    except (ValueError, UnknownNameError) as error:
+      # Of the term itself, about what it was given.
+      problems.append(f"term '{name}': {error}")
+      return None
     except Exception as error:
-      problems.append(f"term '{name}': {type(error).__name__} while making {func!r}: {error}")
+      problems.append(f"term '{name}': {type(error).__name__} while making {func.__name__}: {error}")
       return None
     func.name = name
     cfg.func = func
