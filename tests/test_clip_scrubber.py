@@ -107,7 +107,11 @@ def ghost_centres(env: ManagerBasedRlEnv, motion: Motion, frame: int) -> np.ndar
   return data.geom_xpos[seen]
 
 
-def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(chromium: Browser) -> None:
+def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
+  chromium: Browser, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+  # A robot of primitives, whose places are told, also where there are meshes.
+  monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   env, term = tracking()
   motion = clip()
   with env, Shown(env, 29, chromium) as shown:

@@ -194,6 +194,8 @@ def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
     make_context(8, 8).free()
   except RenderingError as error:
     pytest.skip(str(error))
+  # Of primitives, whose places are told, also where there are meshes.
+  monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   drawn: list[list[np.ndarray]] = []
   add = BackgroundVideo.add
 

@@ -1,6 +1,7 @@
 """Entities, terrain and sensors in one model."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -10,7 +11,7 @@ from mjlab_core import UnknownNameError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg
 from mjlab_sensors import BuiltinSensorCfg
 from mjlab_sim import Simulation
-from mjlab_terrain import PlaneCfg
+from mjlab_terrain import PlaneCfg, TerrainGridCfg, WavesCfg
 
 MakeWorlds = Callable[..., tuple[Scene, Simulation]]
 
@@ -97,6 +98,19 @@ def test_initial_velocity_of_the_keyframe_turns_with_the_base(make_worlds: MakeW
   scene, sim = make_worlds(cfg=SceneCfg(entities={"robot": entity(text, **start)}))
   assert scene.compile().key("init_state").qvel[3:].tolist() == pytest.approx([0.1, -0.2, -0.3])
   torch.testing.assert_close(scene["robot"].data.root_link_ang_vel_w[0], torch.tensor([0.1, 0.2, 0.3]).to(sim.dtype))
+
+
+@pytest.mark.parametrize("root", ["<freejoint/>", ""], ids=["floating", "fixed"])
+def test_an_entity_with_mesh_files_stands_on_ground_that_is_coloured_by_a_picture(tmp_path: Path, root: str) -> None:
+  file = tmp_path / "corner.obj"
+  file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+  xml = f"""<mujoco><asset><mesh name="corner" file="{file}"/></asset><worldbody>
+    <body name="it">{root}<geom type="mesh" mesh="corner"/></body></worldbody></mujoco>"""
+  ground = TerrainGridCfg(types={"waves": WavesCfg()}, rows=1, columns=1, difficulty=(1.0, 1.0))
+  scene = Scene(SceneCfg(num_envs=1, terrain=ground, entities={"it": entity(xml)}))
+  assert scene.spec.assets
+  model = scene.spec.compile()
+  assert (model.nmesh, model.nhfield) == (1, 1)
 
 
 # Placement

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -92,13 +93,19 @@ class Entity(EntityNames, EntityWrites):
     pose = self.initial_state.root_pose
     if self._wrapped:
       base = scene.worldbody.add_body(name=self.prefix + MOCAP_BASE, mocap=True, pos=pose[:3], quat=pose[3:])
-      scene.attach(self.spec, prefix=self.prefix, frame=base.add_frame())
+      self._attach(scene, base.add_frame())
       return
-    scene.attach(self.spec, prefix=self.prefix, frame=scene.worldbody.add_frame())
+    self._attach(scene, scene.worldbody.add_frame())
     if not self.is_floating:
       root = scene.body(self.prefix + self.root_body_name)
       root.pos, root.quat = pose[:3], pose[3:]
       root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+  def _attach(self, scene: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
+    with warnings.catch_warnings():
+      # Its files are found where they are, also where the scene holds others in memory.
+      warnings.filterwarnings("ignore", message="Attaching a child without asset dict")
+      scene.attach(self.spec, prefix=self.prefix, frame=frame)
 
   def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:
     """Find the entity in the simulation's model and allocate all of its memory.
