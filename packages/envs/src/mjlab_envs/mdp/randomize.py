@@ -85,7 +85,8 @@ class widen_randomization(ManagerTermBase):
     begin, end = cfg.params["steps"]
     if not 0 <= begin < end:
       raise ValueError(f"steps: must grow from 0 or more, got ({begin}, {end})")
-    self.strength = randomizer_of(env, event := cfg.params["event"]).strength
+    event = cfg.params["event"]
+    self.strength = randomizer_of(env, event).strength
     if env.event_manager.get_term_cfg(event).mode == "startup":
       raise ValueError(f"event '{event}' fires once, at startup, before anything has grown; give it another mode")
     self(env, env.reset_buf, **cfg.params)
