@@ -44,6 +44,7 @@ def main() -> None:
   parser.add_argument("--against", choices=("iteration", "steps", "seconds"), default="iteration")
   parser.add_argument("--reference", nargs="*", default=[], metavar="ITERATION:REWARD")
   parser.add_argument("--show", nargs="*", default=[], metavar="COLUMN", help="more columns of progress.csv to draw")
+  parser.add_argument("--every", type=int, default=1, metavar="N", help="write one iteration in N to the CSV")
   parser.add_argument("--output", type=Path, required=True, help="path without suffix; .png and .csv are written")
   args = parser.parse_args()
   columns = COLUMNS | {column.rsplit("/", 1)[-1]: column for column in args.show}
@@ -69,7 +70,7 @@ def main() -> None:
   figure.suptitle(args.title, fontsize=11)
   args.output.parent.mkdir(parents=True, exist_ok=True)
   figure.savefig(args.output.with_suffix(".png"), dpi=130)
-  write(args.output.with_suffix(".csv"), runs, columns)
+  write(args.output.with_suffix(".csv"), {name: rows[:: args.every] for name, rows in runs.items()}, columns)
   print(f"wrote {args.output}.png and .csv")
 
 
@@ -89,7 +90,7 @@ def read(directories: list[str], columns: dict[str, str]) -> list[dict[str, floa
 
 
 def write(path: Path, runs: dict[str, list[dict[str, float]]], columns: dict[str, str]) -> None:
-  """One row per run and iteration."""
+  """One line for each row of each run."""
   with path.open("w", newline="") as file:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(["run", *columns])

@@ -25,7 +25,7 @@ def main() -> None:
       print(f"| | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
     for group in args.groups or data["groups"]:
       values = [data["groups"][group][metric] for metric in metrics]
-      cells = [f"{v['mean']:.3g} ({v['low']:.3g} .. {v['high']:.3g})" for v in values]
+      cells = ["-" if v["mean"] is None else f"{v['mean']:.3g} ({v['low']:.3g} .. {v['high']:.3g})" for v in values]
       print(f"| {name if group == 'all' else f'{name}, {group}'} | {' | '.join(cells)} |")
 
 

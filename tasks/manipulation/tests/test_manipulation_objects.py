@@ -95,6 +95,35 @@ def test_every_world_has_one_object_whose_size_weight_and_surface_are_its_own() 
   assert 0.5 <= float(friction.min()) <= float(friction.max()) <= 1.5
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_on_a_gpu_a_recorded_step_draws_from_the_objects_that_were_loaded() -> None:
+  def deal(shuffle: int) -> ManagerBasedRlEnv:
+    cfg = lift_objects_env()
+    entity, mass = cfg.scene.entities["object"], cfg.events["object_mass"]
+    assert isinstance(entity, VariantEntityCfg)
+    assert mass is not None
+    cfg.scene.num_envs, cfg.seed, entity.seed, mass.mode = 64, 0, shuffle, "reset"
+    cfg.episode_length_s = 0.1
+    return ManagerBasedRlEnv(cfg, "cuda:0")
+
+  with deal(0) as saved, deal(1) as loaded:
+    still = torch.zeros(64, saved.action_manager.total_action_dim, device="cuda:0")
+    for env in (saved, loaded):
+      env.reset()
+      for _ in range(8):
+        env.step(still)
+    loaded.load_state_dict(saved.state_dict())
+    before = saved.sim.model.body_mass.clone()
+    for env in (saved, loaded):
+      # All worlds end in these.
+      for _ in range(8):
+        env.step(still)
+      assert env.num_graphs == 1
+    assert not torch.equal(saved.sim.model.body_mass, before)
+    for name in saved.sim.expanded_fields:
+      assert torch.equal(loaded.sim.model[name], saved.sim.model[name]), name
+
+
 def test_each_begins_above_the_ground_by_as_much_whatever_its_size() -> None:
   env, term = lift(8 * 40, lift_objects_env)
   variant, drawn = env.scene["object"].variant.numpy(), []
