@@ -267,6 +267,22 @@ def test_a_policy_that_is_not_finite_is_not_trained_on_and_not_saved(tmp_path: P
   assert all(value.isfinite().all() for value in learner(checkpoints(tmp_path)[-1])["actor_state_dict"].values())
 
 
+@pytest.mark.parametrize("name", ["actor", "critic"])
+def test_what_only_the_last_step_of_an_update_breaks_is_not_saved_either(tmp_path: Path, name: str) -> None:
+  broken = runner(tmp_path, agent(save_interval=1))
+  *_, bias = broken.networks[name].parameters()
+
+  def update(obs: Any, of: Any = broken._update) -> dict[str, float]:
+    losses = of(obs)
+    bias.detach()[0] = float("nan")
+    return losses
+
+  broken._update = update
+  with pytest.raises(DivergedError, match=f"iteration 1: {name} not finite, so it is not saved"):
+    broken.learn(2)
+  assert checkpoints(tmp_path) == []
+
+
 def test_who_can_do_nothing_learns_nothing() -> None:
   class StillPoint(PointEnv):
     def __init__(self) -> None:

@@ -14,6 +14,7 @@ from mjlab_core import unknown
 from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
+from torch.nn.utils import get_total_norm
 
 from mjlab_rl import checkpoint
 from mjlab_rl.checkpoint import CheckpointError
@@ -138,7 +139,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         for log in logs:
           log.write(report)
         self.console.show(report)
-        self._check_finite(iteration, losses | {"mean_std": action_std})
+        self._check_finite(iteration, losses | {"mean_std": action_std} | self._largest_weights())
 
         # Looked at once: a signal from here on waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
@@ -151,6 +152,14 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
             log.save_file(path)
         if is_last:
           break
+
+  def _largest_weights(self) -> dict[str, float]:
+    """By network: the losses of an update are from before its last step."""
+    weights = {
+      name: [value for value in network.state_dict().values() if value.is_floating_point()]
+      for name, network in self.networks.items()
+    }
+    return {name: float(get_total_norm(values, math.inf)) for name, values in weights.items()}
 
   def _check_finite(self, iteration: int, values: Mapping[str, float]) -> None:
     if broken := [name for name, value in values.items() if not math.isfinite(value)]:
