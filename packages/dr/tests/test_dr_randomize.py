@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_dr import (
+  Categorical,
   FieldRandomizer,
   Gaussian,
   LogUniform,
@@ -55,6 +56,8 @@ XML = """
 ROWS = 2000
 WRONG_DISTRIBUTION: dict[str, Any] = {"distribution": "normal"}
 WRONG_OPERATION: dict[str, Any] = {"operation": "absolut"}
+TWICE: Any = {0: (0.0, 1.0), "sliding": (0.5, 2.0)}
+NO_VALUES: list[Any] = [0.5, None, (0.3,), (0.3, 1.2, 2.0), ("0.3", "1.2"), Uniform, {"sliding": 1.0}]
 COM = {"x": (-0.02, 0.03), "y": (0.0, 0.01), "z": (-0.05, -0.01)}
 
 
@@ -232,12 +235,27 @@ def test_a_distribution_of_ones_own_works(model: mujoco.MjModel) -> None:
     (lambda: body_com_offset("trunk", {"w": (0.0, 1.0)}), "axis 'w' does not exist"),
     (lambda: geom_friction("foot", (0.0, 1.0), axes=(3,)), "axis 3 does not exist; there are 3"),
     (lambda: geom_friction("foot", {0: (0.0, 1.0)}, axes=(0,)), "either axes or values by axis"),
+    (lambda: geom_friction("foot", TWICE), "axis 'sliding' is given values twice"),
+    (lambda: geom_friction("foot", (0.0, 1.0), axes=(1, "torsional")), "axis 'torsional' is given values twice"),
     (lambda: geom_friction("foot", {}), "no axis is given values"),
+    (lambda: geom_friction((), (0.0, 1.0)), "no pattern is given"),
+    (lambda: geom_friction("foot", Categorical(("low", "high"))), "names are for what is chosen among named things"),
+    *[
+      (lambda values=values: geom_friction("foot", values), r"sliding: .* neither two numbers, \(lo, hi\), nor a dist")
+      for values in NO_VALUES
+    ],
   ],
 )  # fmt: skip
 def test_a_randomizer_that_cannot_be_is_refused_when_it_is_made(make, message: str) -> None:
   with pytest.raises(ValueError, match=message):
     make()
+
+
+def test_a_list_of_two_numbers_and_a_single_axis_are_read_as_they_are_meant() -> None:
+  values: Any = [0.3, 1.2]
+  assert geom_friction("foot", values) == geom_friction("foot", (0.3, 1.2))
+  for axis in (1, "torsional"):
+    assert geom_friction("foot", values, axes=axis) == geom_friction("foot", (0.3, 1.2), axes=(1,))
 
 
 @pytest.mark.parametrize(

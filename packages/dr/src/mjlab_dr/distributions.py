@@ -139,6 +139,11 @@ class Categorical:
     if min(self.weights) < 0.0 or not sum(self.weights):
       raise ValueError(f"{name}: weights must not be negative, nor all zero, got {self.weights}.")
 
+  @property
+  def has_names(self) -> bool:
+    """Whether some are given by name."""
+    return any(isinstance(x, str) for x in self.values)
+
   def support(self) -> tuple[float, float]:
     """Smallest and largest value; those given by name are not known yet, and count as 0."""
     numbers = [0.0 if isinstance(x, str) else x for x in self.values]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from numbers import Real
+from typing import Any, Literal, get_args
 
 from mjlab_core import unknown
 
@@ -15,6 +16,7 @@ from mjlab_dr.distributions import Categorical, Distribution, Gaussian, LogUnifo
 DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
 ByAxis = Mapping[int, Values] | Mapping[str, Values]
+_METHODS = ("check", "support", "sample")
 
 _BY_NAME: dict[str, type[Uniform] | type[LogUniform] | type[Gaussian]] = {
   "uniform": Uniform,
@@ -63,13 +65,19 @@ class FieldRandomizer:
       raise ValueError(f"{self.label}: operation {self.operation!r} makes no sense for it; there is only {only!r}.")
     if field.form == "intrinsics" and self.operation == "add":
       raise ValueError(f"{self.label}: a sum might turn a focal length negative; scale it, or give it absolute.")
+    if not self.pattern:
+      raise ValueError(f"{self.label}: no pattern is given.")
     if not self.values:
       raise ValueError(f"{self.label}: no axis is given values. Axes: {', '.join(field.axes)}.")
     for axis, distribution in self.values.items():
       if axis not in range(len(field.axes)):
         raise ValueError(f"{self.label}: axis {axis} does not exist; there are {len(field.axes)}, from 0.")
       name = f"{self.label} {field.axes[axis]}".rstrip()
+      if isinstance(distribution, type) or not all(callable(getattr(distribution, x, None)) for x in _METHODS):
+        raise ValueError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
       distribution.check(name)
+      if isinstance(distribution, Categorical) and distribution.has_names and not field.integer:
+        raise ValueError(f"{name}: names are for what is chosen among named things, got {distribution.values}.")
       if field.integer and not isinstance(distribution, Categorical):
         raise ValueError(f"{name} is a choice: give a Categorical.")
       self._check_bounds(name, distribution, *field.bounds(axis))
@@ -123,7 +131,7 @@ def randomize_field(
   pattern: str | Sequence[str],
   values: Values | ByAxis,
   *,
-  axes: Sequence[int | str] | None = None,
+  axes: int | str | Sequence[int | str] | None = None,
   operation: Operation | None = None,
   distribution: DistributionName = "uniform",
   shared: bool = False,
@@ -155,16 +163,20 @@ def randomize_field(
   if isinstance(values, Mapping):
     if axes is not None:
       raise ValueError(f"{label}: give either axes or values by axis, not both.")
-    by_axis: dict[int | str, Values] = dict(values.items())
+    pairs: list[tuple[int | str, Values]] = list(values.items())
   else:
-    by_axis = dict.fromkeys(range(len(names)) if axes is None else axes, values)
+    axes = (axes,) if isinstance(axes, int | str) else axes
+    pairs = [(axis, values) for axis in (range(len(names)) if axes is None else axes)]
+  by_axis: dict[int, Distribution] = {}
+  for given, value in pairs:
+    axis = _axis(given, names, label)
+    if axis in by_axis:
+      raise ValueError(f"{label}: axis {given!r} is given values twice.")
+    by_axis[axis] = _as_distribution(value, _BY_NAME[distribution])
   return FieldRandomizer(
     field=field,
     pattern=pattern,
-    values={
-      _axis(axis, names, label): _BY_NAME[distribution](*value) if isinstance(value, tuple) else value
-      for axis, value in by_axis.items()
-    },
+    values=by_axis,
     operation=FIELDS[field].operation if operation is None else operation,
     shared=shared,
     isotropic=isotropic,
@@ -172,11 +184,17 @@ def randomize_field(
   )
 
 
+def _as_distribution(values: Any, kind: Callable[..., Distribution]) -> Any:
+  # A list is what comes from files. What is neither is refused where all distributions are checked.
+  is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
+  return kind(*values) if is_pair else values
+
+
 def _axis(axis: int | str, names: tuple[str, ...], label: str) -> int:
   if isinstance(axis, int):
     return axis
   if axis not in names:
-    raise ValueError(unknown("axis", axis, names, owner=label))
+    raise ValueError(unknown("axis", str(axis), names, owner=label))
   return names.index(axis)
 
 
@@ -184,7 +202,7 @@ def geom_friction(
   pattern: str | Sequence[str],
   values: Values | ByAxis,
   *,
-  axes: Sequence[int | str] | None = None,
+  axes: int | str | Sequence[int | str] | None = None,
   operation: Operation = "absolute",
   distribution: DistributionName = "uniform",
   shared: bool = False,
