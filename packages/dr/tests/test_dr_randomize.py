@@ -194,6 +194,19 @@ def test_several_randomizers_compose_on_axes_and_the_report_tells_before_and_aft
   assert lines[-1] == ["encoder_bias", "left_knee", "0", "0.01"]
 
 
+def test_the_spring_of_a_joint_composes_with_its_zero_in_either_order() -> None:
+  xml = '<mujoco><worldbody><body><joint name="hip" stiffness="1"/><geom size=".1"/></body></worldbody></mujoco>'
+  zero = randomize_field("qpos0", "hip", (0.1, 0.1))
+  spring = randomize_field("qpos_spring", "hip", (0.02, 0.02))
+  for cfgs in ([zero, spring], [spring, zero], [zero, zero, spring], [spring, zero, zero]):
+    once = randomize(mujoco.MjModel.from_xml_string(xml), cfgs, seed=0)
+    for _ in range(2):
+      once.resample()
+      shift = 0.1 * cfgs.count(zero)
+      np.testing.assert_allclose(once.model.qpos0, [shift])
+      np.testing.assert_allclose(once.model.qpos_spring, [shift + 0.02])
+
+
 def test_one_number_written_twice_is_refused_by_name(model: mujoco.MjModel) -> None:
   with pytest.raises(
     ValueError, match=r"geom 'left_foot' is written by two randomizers, geom_friction 'left_foot' and"

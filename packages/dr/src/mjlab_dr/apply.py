@@ -121,6 +121,7 @@ class RandomizeField:
     if field.moves_with:
       columns, default = [component.columns for component in self.components], _flat_default(sim, field.moves_with)
       self._follower = _Columns(field.moves_with, columns, default, sim.num_envs)
+      self._follower.start_from(upon)
 
     dtype = self._writes[0].default.dtype
     self._dtype = dtype if dtype.is_floating_point else torch.float64
@@ -173,11 +174,11 @@ class RandomizeField:
     if mask.device.type == "cpu" and not mask.numpy().any():
       return
     results = self._results(draw)
+    if self._follower is not None:
+      led, flat = self._writes[0], self._flat(self._follower.field)
+      self._follower.store(flat, mask, self._follower.start(flat) + (results[0] - led.start(self._flat(led.field))))
     for write, value in zip(self._writes, results, strict=True):
       write.store(self._flat(write.field), mask, value)
-    if self._follower is not None:
-      moved = self._follower.default + (results[0] - self._writes[0].default)
-      self._follower.store(self._flat(self._follower.field), mask, moved)
     if recompute and self.needs_constants:
       self._sim.recompute_constants(mask)
 
