@@ -53,6 +53,10 @@ IDLE = [
   (FIELD("actuator_ctrlrange", "pull", (-1.0, 1.0)), "has no limit of control"),
   (FIELD("actuator_actrange", "hip", (-1.0, 1.0)), "has no limit of activation"),
   (FIELD("actuator_dynprm", "hip", (0.1, 0.2), axes=(0,)), "has no dynamics"),
+  (FIELD("actuator_gainprm", "hip", (0.1, 0.2), axes="3"), "of actuator 'hip' would do nothing, for it reads 1 of"),
+  (FIELD("actuator_biasprm", "rope", (0.1, 0.2), axes="7"), "of actuator 'rope' would do nothing, for it reads 3 of"),
+  (FIELD("actuator_biasprm", "pull", (0.1, 0.2), axes="1"), "of actuator 'pull' would do nothing, for it reads 0 of"),
+  (FIELD("actuator_dynprm", "belt", (0.1, 0.2), axes="4"), "of actuator 'belt' would do nothing, for it reads 3 of"),
   (FIELD("actuator_delay", "rope", (0.0, 0.01)), "was compiled without a delay"),
   (FIELD("actuator_lengthrange", "hip", (0.1, 0.2)), "is no muscle"),
   (FIELD("actuator_cranklength", "hip", (0.1, 0.2)), "is no slider-crank"),
@@ -92,6 +96,32 @@ def test_a_pattern_leaves_out_what_would_do_nothing_and_says_so_if_that_is_all(m
   refused(model, randomize_field("jnt_range", "root|crank", (0.9, 1.0)), several)
   # One word of several that does nothing is as much a mistake as one alone.
   refused(model, randomize_field("jnt_range", ("hip", "crank"), (0.9, 1.0)), "joint 'crank' would do nothing")
+
+
+def scaled(field: str, pattern: str | tuple[str, ...], axes: Any = None) -> FieldRandomizer:
+  return FIELD(field, pattern, (0.5, 2.0), axes=axes, operation="scale")
+
+
+@pytest.mark.parametrize(
+  ("cfg", "message"),
+  [
+    (scaled("dof_frictionloss", "crank"), "joint 'crank' would do nothing, for it is zero, as is every multiple"),
+    (scaled("jnt_stiffness", "root|crank"), r"as is every multiple\. Nor would one of the 1 others that match"),
+    (scaled("jnt_stiffness", ("hip", "crank")), "joint 'crank' would do nothing"),
+    (scaled("opt.gravity", ".*", "x"), "x of option 'option' would do nothing"),
+    (scaled("body_ipos", "arm|shin", "y"), "y of body 'shin' would do nothing"),
+    (scaled("jnt_axis", "hip", ("x", "z")), "x of joint 'hip' would do nothing"),
+  ],
+)  # fmt: skip
+def test_multiples_of_zero_are_refused(model: mujoco.MjModel, cfg: FieldRandomizer, message: str) -> None:
+  refused(model, cfg, message)
+
+
+def test_a_pattern_leaves_out_multiples_of_zero(model: mujoco.MjModel) -> None:
+  once = randomize(model, [scaled("jnt_stiffness", ".*"), scaled("opt.gravity", ".*")], seed=0)
+  changed = {change.element for change in once.changes() if change.field == "jnt_stiffness" and change.before}
+  assert changed == {"hip", "slide", "shoulder"}
+  assert [change.axis for change in once.changes() if change.after != change.before][-1] == "z"
 
 
 def test_wind_without_a_medium_is_refused() -> None:
@@ -136,6 +166,7 @@ RESULTS = [
   (FIELD("light_cutoff", "spot", (0.0, 200.0), operation="add"), r"light 'spot' may get light_cutoff 240, above the"),
   (FIELD("actuator_delay", "hip", (0.0, 0.1)), r"a delay of 0\.1 s, but its buffer was compiled for 0\.016 s"),
   (FIELD("geom_matid", "post", Categorical(("steal", "dull"))), "material 'steal' does not exist"),
+  (FIELD("jnt_axis", "slide", (0.0, 0.0), operation="absolute"), "'slide' may get jnt_axis of length zero"),
   (FIELD("geom_matid", "post", Categorical((0, 7))), "7 is no material; there are 3"),
 ]  # fmt: skip
 

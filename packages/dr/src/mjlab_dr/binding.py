@@ -175,6 +175,10 @@ def check_results(
     ValueError: naming the element, what it may get, and what is allowed.
   """
   field = FIELDS[cfg.field]
+  if cfg.operation == "scale":
+    _check_multiples(cfg, binding, defaults, owner)
+  if field.form == "direction" and cfg.operation == "absolute":
+    _check_length(cfg, binding, defaults, owner)
   if field.kind == "body" and (cfg.field in ("body_ipos", "body_iquat") or field.form == "pseudo_inertia"):
     _check_simple(binding, model, owner)
   if field.form != "plain" or field.integer:
@@ -217,6 +221,39 @@ def check_results(
       _check_signs(what, both)
     elif cfg.field == "actuator_delay":
       _check_delay(what, both[""][1], model, row_of[element])
+
+
+def _check_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, owner: str) -> None:
+  """Refuses patterns, and axes that were asked for by themselves, of which all that is multiplied is zero."""
+  field = FIELDS[cfg.field]
+  is_zero = (defaults == 0.0).all(0)
+  drawn = [field.axes[axis] for axis in cfg.values]
+  groups = [drawn] if cfg.every_axis else [[axis] for axis in drawn]
+  for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
+    matched = [name for name in binding.elements if re.fullmatch(pattern, name)]
+    for axes in groups:
+      zeros = [
+        zero
+        for component, zero in zip(binding.components, is_zero, strict=True)
+        if component.field == cfg.field and component.axis in axes and component.element in matched
+      ]
+      if zeros and all(zeros):
+        which = "" if cfg.every_axis else axes[0]
+        what = f"{which} of {field.kind} {matched[0]!r}".removeprefix(" of ")
+        raise ValueError(
+          f"{owner}: a change of {what} would do nothing, for it is zero, as is every multiple."
+          + (f" Nor would one of the {len(matched) - 1} others that match {pattern!r}." if len(matched) > 1 else "")
+        )
+
+
+def _check_length(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, owner: str) -> None:
+  """Refuses directions that become zero whatever is drawn."""
+  field = FIELDS[cfg.field]
+  is_zero = {field.axes[axis]: not any(values.support()) for axis, values in cfg.values.items()}
+  for name in binding.elements:
+    columns = [i for i, component in enumerate(binding.components) if component.element == name]
+    if all(is_zero.get(binding.components[i].axis, not defaults[:, i].any()) for i in columns):
+      raise ValueError(f"{owner}: {field.kind} {name!r} may get {cfg.field} of length zero.")
 
 
 Spans = dict[str, tuple[float, float]]

@@ -71,7 +71,42 @@ def why_axis_idle(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
     joint = int(model.actuator_trnid[i, 0])
     if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_TENDON) or model.jnt_type[joint] in _SCALAR_JOINTS:
       return "has one gear"
+  elif name in _PARAMETERS:
+    types, used_by = _PARAMETERS[name]
+    used = used_by.get(int(getattr(model, types)[i]), len(FIELDS[name].axes))
+    if axis >= used:
+      return f"reads {used} of these numbers"
   return ""
+
+
+_PARAMETERS: dict[str, tuple[str, dict[int, int]]] = {
+  "actuator_gainprm": (
+    "actuator_gaintype",
+    {
+      int(mujoco.mjtGain.mjGAIN_FIXED): 1,
+      int(mujoco.mjtGain.mjGAIN_AFFINE): 3,
+      int(mujoco.mjtGain.mjGAIN_MUSCLE): 9,
+    },
+  ),
+  "actuator_biasprm": (
+    "actuator_biastype",
+    {
+      int(mujoco.mjtBias.mjBIAS_NONE): 0,
+      int(mujoco.mjtBias.mjBIAS_AFFINE): 3,
+      int(mujoco.mjtBias.mjBIAS_MUSCLE): 9,
+    },
+  ),
+  "actuator_dynprm": (
+    "actuator_dyntype",
+    {
+      int(mujoco.mjtDyn.mjDYN_INTEGRATOR): 0,
+      int(mujoco.mjtDyn.mjDYN_FILTER): 1,
+      int(mujoco.mjtDyn.mjDYN_FILTEREXACT): 1,
+      int(mujoco.mjtDyn.mjDYN_MUSCLE): 3,
+    },
+  ),
+}
+"""Of parameters of actuators, the field that says of which type it is, and how many numbers that type reads."""
 
 
 _SCALAR_TRANSMISSIONS = (
