@@ -124,6 +124,20 @@ def test_a_pattern_leaves_out_multiples_of_zero(model: mujoco.MjModel) -> None:
   assert [change.axis for change in once.changes() if change.after != change.before][-1] == "z"
 
 
+def test_a_state_that_a_motor_was_compiled_without_cannot_be_given_to_it() -> None:
+  """MuJoCo tells from these numbers which states it has, and would read those of its neighbour."""
+  motor = mujoco.MjModel.from_xml_string("""
+<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody>
+<actuator><dcmotor name="m" joint="j" motorconst=".1" resistance="1"/></actuator></mujoco>""")
+  states = [("actuator_dynprm", axis) for axis in ("0", "2", "5", "7")] + [("actuator_gainprm", "5")]
+  for field, axis in states:
+    refused(
+      motor, FIELD(field, "m", (0.1, 0.2), axes=axis), f"{axis} of actuator 'm' would .* compiled without the state"
+    )
+  once = randomize(motor, [FIELD("actuator_gainprm", "m", (0.1, 0.2), operation="add")], seed=0)
+  assert [change.axis for change in once.changes()] == [axis for axis in "0123456789" if axis != "5"]
+
+
 def test_wind_without_a_medium_is_refused() -> None:
   vacuum = mujoco.MjModel.from_xml_string("<mujoco/>")
   refused(vacuum, randomize_field("opt.wind", ".*", (0.0, 1.0)), "needs a density or a viscosity")

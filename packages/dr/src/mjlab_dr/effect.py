@@ -76,6 +76,9 @@ def why_axis_idle(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
     used = used_by.get(int(getattr(model, types)[i]), len(FIELDS[name].axes))
     if axis >= used:
       return f"reads {used} of these numbers"
+    is_motor = int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_DCMOTOR)
+    if is_motor and (name, axis) in _MOTOR_STATES and not getattr(model, name)[i, axis]:
+      return "was compiled without the state that it would have then"
   return ""
 
 
@@ -107,6 +110,9 @@ _PARAMETERS: dict[str, tuple[str, dict[int, int]]] = {
   ),
 }
 """Of parameters of actuators, the field that says of which type it is, and how many numbers that type reads."""
+
+_MOTOR_STATES = {*(("actuator_dynprm", axis) for axis in (0, 2, 5, 7)), ("actuator_gainprm", 5)}
+"""Parameters of which a DC motor has an activation where they are not zero: they lay out memory."""
 
 
 _SCALAR_TRANSMISSIONS = (
