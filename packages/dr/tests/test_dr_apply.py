@@ -1,9 +1,10 @@
 """A randomiser on many worlds behind the protocol: masks, fixed memory, no sync, once-only recomputation."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import pytest
@@ -20,6 +21,7 @@ from mjlab_dr import (
   FIELDS,
   Categorical,
   Custom,
+  Distribution,
   FieldRandomizer,
   ModelFields,
   RandomizeField,
@@ -90,6 +92,21 @@ class NoSync(TorchDispatchMode):
     name = func.overloadpacket.__name__
     assert name not in {"nonzero", "_local_scalar_dense", "masked_select", "lift_fresh", "is_nonzero"}, name
     return func(*args, **(kwargs or {}))
+
+
+class Beyond:
+  """Draws what it says that it does not draw."""
+
+  def __repr__(self) -> str:
+    return "Beyond()"
+
+  def check(self, name: str) -> None: ...
+
+  def support(self) -> tuple[float, float]:
+    return 0.5, 1.0
+
+  def sample(self, shape: Sequence[int], **more: Any) -> torch.Tensor:
+    return torch.full(tuple(shape), 3.0)
 
 
 CFGS = [
@@ -370,9 +387,25 @@ def test_a_function_of_ones_own_is_held_within_its_bounds() -> None:
   friction = sim.model.geom_friction[:, sim.mj_model.geom("shin").id, 0]
   assert friction.unique().numel() > 1
   assert ((friction >= 0.2) & (friction <= 1.1)).all()
-  short = Custom(lambda shape, **more: torch.zeros(1), 0.0, 1.0)
-  with pytest.raises(ValueError, match="a custom distribution returned"):
-    bound(randomize_field("geom_friction", "shin", short, axes=(0,)), sim).apply(torch.ones(N).bool())
+
+
+NO_TENSOR: Any = [0.5]
+WRONG: list[Any] = [
+  (Custom(lambda shape, **more: torch.zeros(1), 0.0, 1.0), r"returned \(1,\) where \(256,\) was asked for"),
+  (Custom(lambda shape, **more: NO_TENSOR, 0.0, 1.0), r"returned \[0\.5\] where a tensor"),
+  (Custom(lambda shape, **more: torch.full(tuple(shape), torch.nan), 0.0, 1.0), "sliding: .* drew nan, outside of"),
+  (Beyond(), r"sliding: Beyond\(\) drew 3\.0, outside of its support \[0\.5, 1\]"),
+]
+
+
+@pytest.mark.parametrize(("distribution", "message"), WRONG)
+def test_a_distribution_of_ones_own_is_tried_when_it_is_bound(distribution: Distribution, message: str) -> None:
+  sim = FakeSim(EVERYTHING)
+  rng = make_generator("cpu", 0)
+  state = rng.get_state()
+  with pytest.raises(ValueError, match=message):
+    RandomizeField(geom_friction("shin", distribution), sim, generator=rng)
+  assert torch.equal(rng.get_state(), state)
 
 
 def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mjlab_dr.binding import bind, check_results, with_ids
 from mjlab_dr.catalogue import FIELDS
-from mjlab_dr.distributions import joint_sampler
+from mjlab_dr.distributions import joint_sampler, try_out
 from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
 
@@ -125,6 +125,8 @@ class RandomizeField:
 
     dtype = self._writes[0].default.dtype
     self._dtype = dtype if dtype.is_floating_point else torch.float64
+    for axis, distribution in self.distributions.items():
+      try_out(distribution, f"{owner} {field.axes[axis]}".rstrip(), device=sim.device, dtype=self._dtype)
     self._sample = joint_sampler(
       distributions[:1] if cfg.isotropic else distributions, device=sim.device, dtype=self._dtype
     )

@@ -201,6 +201,8 @@ class Custom:
   ) -> Tensor:
     """What the function draws, held within [lo, hi]."""
     drawn = self.function(shape, generator=generator, device=device, dtype=dtype)
+    if not isinstance(drawn, Tensor):
+      raise ValueError(f"a custom distribution returned {drawn!r} where a tensor was asked for.")
     if drawn.shape != tuple(shape):
       raise ValueError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
     return drawn.to(dtype).clamp(self.lo, self.hi)
@@ -209,6 +211,23 @@ class Custom:
 def _check_finite(name: str, *numbers: float) -> None:
   if not all(math.isfinite(x) for x in numbers):
     raise ValueError(f"{name}: needs finite numbers, got {numbers}.")
+
+
+def try_out(distribution: Distribution, name: str, *, device: torch.device, dtype: torch.dtype) -> None:
+  """Draws from a distribution that somebody else wrote, with a generator of its own.
+
+  Raises:
+    ValueError: beginning with `name`, the draws are no numbers, or outside of what it says is their support.
+  """
+  if isinstance(distribution, _Parametric | Categorical):
+    return
+  generator = torch.Generator(device).manual_seed(0)
+  drawn = distribution.sample((256,), generator=generator, device=device, dtype=dtype)
+  # What rounds to a bound is within it.
+  lo, hi = torch.tensor(distribution.support(), device=device, dtype=dtype)
+  outside = drawn[~((drawn >= lo) & (drawn <= hi))].tolist()
+  if outside:
+    raise ValueError(f"{name}: {distribution!r} drew {outside[0]}, outside of its support [{lo:.6g}, {hi:.6g}].")
 
 
 def joint_sampler(
