@@ -65,11 +65,18 @@ def test_an_event_that_does_nothing_or_not_what_was_asked_is_said_in_capitals_an
   def stuck(shape, *, generator, device, dtype) -> torch.Tensor:
     calls.append(shape)
     # Alike for all worlds of the environment, while many are asked for at once to compare with.
-    return torch.ones(shape, device=device, dtype=dtype) if len(shape) == 2 else torch.linspace(0.5, 1.5, shape[0])
+    return torch.full(shape, 1.2, device=device, dtype=dtype) if len(shape) == 2 else torch.linspace(0.5, 1.5, shape[0])
 
   offer(monkeypatch, mass=body_mass("pole", Custom(stuck, 0.5, 1.5), operation="scale"))
   assert inspect() == 1
   assert "NOTHING DIFFERS" in capsys.readouterr().out
+
+  offer(monkeypatch, mass=body_mass("pole", (1.0, 1.0), operation="scale"), damping=damping_of(3.0))
+  assert inspect() == 1
+  rows = {row[0]: row for row in map(str.split, capsys.readouterr().out.splitlines())}
+  assert rows["mass"][-2:] == ["NOTHING", "CHANGES"]
+  # Alike in all worlds as it was asked to be.
+  assert rows["damping"][-2:] == ["as", "asked"]
 
   def low(shape, *, generator, device, dtype) -> torch.Tensor:
     draw = torch.rand(shape, generator=generator, device=device, dtype=dtype)
@@ -78,6 +85,10 @@ def test_an_event_that_does_nothing_or_not_what_was_asked_is_said_in_capitals_an
   offer(monkeypatch, mass=body_mass("pole", Custom(low, 0.5, 1.5), operation="scale"))
   assert inspect() == 1
   assert "NOT AS ASKED" in capsys.readouterr().out
+
+
+def damping_of(value: float) -> FieldRandomizer:
+  return randomize_field("dof_damping", "hinge", (value, value))
 
 
 @pytest.mark.parametrize(

@@ -31,11 +31,15 @@ class AxisReport:
   """How likely draws like these are if they follow `asked`."""
   values: torch.Tensor
   """What was written for this axis, (num_envs, number of elements)."""
+  compiled: torch.Tensor
+  """What was there before, (1 or num_envs, number of elements)."""
 
   @property
   def verdict(self) -> str:
     """In words: as asked, or what is wrong."""
     lo, hi = self.asked.support()
+    if self.values.numel() and not (self.values - self.compiled).any():
+      return "NOTHING CHANGES"
     if self.values.numel() and not (self.values - self.values[:1]).any() and lo != hi:
       return "NOTHING DIFFERS"
     return "as asked" if self.probability > _UNLIKELY else "NOT AS ASKED"
@@ -137,7 +141,7 @@ def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
 
 def _axes(term: RandomizeField) -> list[AxisReport]:
   cfg, info = term.cfg, FIELDS[term.cfg.field]
-  values, reports = term.values(), []
+  values, compiled, reports = term.values(), term.default, []
   for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), term.distributions.items(), strict=True):
     columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.field]
     finite = drawn[drawn.isfinite()]
@@ -154,6 +158,7 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
         drawn=finite,
         probability=agreement(sample, asked),
         values=values[:, columns] if columns else values,
+        compiled=compiled[:, columns] if columns else compiled,
       )
     )
   return reports

@@ -120,11 +120,16 @@ _BLUE, _GREY = "#1b6ca8", "#c9ced3"
 
 
 def _draw_axis(panel: Any, report: "EventReport", axis: Any) -> None:
+  import numpy as np
   import torch
+  from mjlab_dr import LogUniform
 
   generator = torch.Generator().manual_seed(0)
   asked = axis.asked.sample((20_000,), generator=generator, device=torch.device("cpu"), dtype=torch.float64).numpy()
   drawn = axis.drawn.double().cpu().numpy()
+  is_log = isinstance(axis.asked, LogUniform)
+  if is_log:
+    asked, drawn = np.log10(asked), np.log10(drawn[drawn > 0.0])
   lo, hi = (
     min(asked.min(), *drawn[:1], drawn.min(initial=asked.min())),
     max(asked.max(), drawn.max(initial=asked.max())),
@@ -136,9 +141,8 @@ def _draw_axis(panel: Any, report: "EventReport", axis: Any) -> None:
   colour = "black" if axis.verdict == "as asked" else "#c0392b"
   what = f"{axis.field} {axis.axis}".strip()
   panel.set_title(f"{report.name} ({report.mode})\n{what}: {axis.verdict}", fontsize=8, color=colour)
-  panel.set_xlabel(
-    {"add": "added", "scale": "factor", "absolute": "value"}[axis.operation] + f" [{axis.unit}]", fontsize=8
-  )
+  label = {"add": "added", "scale": "factor", "absolute": "value"}[axis.operation] + f" [{axis.unit}]"
+  panel.set_xlabel(f"{label}, logarithm to base 10" if is_log else label, fontsize=8)
   _plain(panel)
 
 
@@ -178,4 +182,5 @@ def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
 def _plain(panel: Any) -> None:
   panel.set_yticks([])
   panel.tick_params(labelsize=7)
+  panel.locator_params(axis="x", nbins=6)
   panel.spines[["top", "right", "left"]].set_visible(False)
