@@ -247,6 +247,24 @@ def test_changes_of_the_goal_add_up_on_a_leash_and_begin_anew_with_the_episode(m
   assert torch.linalg.vector_norm(term.goal_pos_w[1] - pos[1]) > 0.049
 
 
+def test_a_world_that_diverged_has_a_goal_again_when_it_begins_anew(make: Make) -> None:
+  env, term = reaching(make, relative_to="goal")
+  robot, action = env.scene["robot"], torch.full((4, 6), 0.01)
+  position = robot.data.joint_pos.clone()
+  broken = position.clone()
+  broken[1] = torch.nan
+  for joints in (position, broken):
+    robot.write_joint_state(joints, torch.zeros_like(joints))
+    term.process_actions(action)
+  assert term.goal_pos_w.isnan().any(1).tolist() == [False, True, False, False]
+  robot.write_joint_state(position, torch.zeros_like(position))
+  term.reset(torch.tensor([False, True, False, False]))
+  term.process_actions(action)
+  pos, quat = term.frame_pose()
+  assert torch.linalg.vector_norm(term.goal_pos_w - pos, dim=-1).max() < 0.1
+  assert (term.goal_quat_w * quat).sum(-1).abs().min() > 0.99
+
+
 @pytest.mark.parametrize("relative_to", ["pose", "goal"])
 def test_an_arm_that_is_told_nothing_holds_its_goal_and_sinks_from_its_pose(make: Make, relative_to: str) -> None:
   cfg = arm_cfg(relative_to=relative_to)

@@ -150,7 +150,9 @@ class DifferentialIKAction(DrivenJoints):
       return
     lead = cfg.delta_pos_scale * move
     if self._adds_up:
-      lead = _limited(lead + (self.goal_pos_w - pos) * self._has_goal, cfg.max_lead[0])
+      # Chosen, not multiplied: the goal of a world that diverged is NaN.
+      ahead = torch.where(self._has_goal, self.goal_pos_w - pos, 0.0)
+      lead = _limited(lead + ahead, cfg.max_lead[0])
     self.goal_pos_w.copy_(pos + lead)
     if cfg.orientation_weight:
       lead = cfg.delta_ori_scale * quat_apply(root, turn)
