@@ -1,5 +1,6 @@
 """Environments of the lift task, and states put together by hand."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +23,7 @@ def three_cubes() -> ManagerBasedRlEnvCfg:
   cfg = lift_env({name: EntityCfg(spec_fn=cube_spec) for name in COLOURS})
   command = cfg.commands[COMMAND]
   assert isinstance(command, LiftCommandCfg)
-  command.start = Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03))
+  command.start = Region(x=(0.25, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03))
   return cfg
 
 
@@ -77,6 +78,26 @@ def in_mujoco(env: ManagerBasedRlEnv, world: int) -> mujoco.MjData:
   data.mocap_quat[:] = env.sim.data.mocap_quat[world].numpy()
   mujoco.mj_forward(env.sim.mj_model, data)
   return data
+
+
+def room_in_sight(env: ManagerBasedRlEnv, start: Region, edges: tuple[float, float, float]) -> float:
+  """How far the image reaches beyond a box that begins in a region, where it is least, as a share of half the image.
+
+  What a pinhole sees is a cone of flat sides, so that for every yaw the least is at a corner of the region.
+  """
+  data, model = in_mujoco(env, 0), env.sim.mj_model
+  camera = data.camera("robot/camera_d405")
+  # The image is square: the lens's horizontal field of view is wider.
+  limit = np.tan(0.5 * np.radians(model.cam_fovy[camera.id]))
+  corners = 0.5 * np.array(list(itertools.product((-1, 1), repeat=3))) * edges
+  yaw = np.radians(np.arange(0, 360, 2))
+  turned = np.stack([np.cos(yaw), -np.sin(yaw)], -1), np.stack([np.sin(yaw), np.cos(yaw)], -1)
+  x, y = (corners[:, :2] @ row.T for row in turned)
+  box = np.stack([x, y, np.broadcast_to(corners[:, 2:] + 0.5 * edges[2], x.shape)], -1).reshape(-1, 3)
+  places = np.array(list(itertools.product(start.x, start.y, start.z)))[:, None] + env.scene.env_origins[0].numpy()
+  seen = (box + places - camera.xpos) @ camera.xmat.reshape(3, 3)
+  assert (seen[..., 2] < 0.0).all()
+  return float(1.0 - (np.abs(seen[..., :2]) / -seen[..., 2:]).max() / limit)
 
 
 def metric(env: ManagerBasedRlEnv, name: str) -> torch.Tensor:

@@ -25,7 +25,7 @@ GEOM_GROUPS = (0, 3)
 
 # Cubes beside one another
 CUBES = {"red_cube": red_cube_spec, "green_cube": green_cube_spec, "blue_cube": blue_cube_spec}
-CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03))
+CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03))
 
 # Learner
 ENCODER = {

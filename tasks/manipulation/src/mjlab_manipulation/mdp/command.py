@@ -43,7 +43,7 @@ class LiftCommandCfg(CommandTermCfg):
   """Entities that are there; each world is to lift one of them."""
   goal: Region = field(default_factory=lambda: Region(x=(0.3, 0.5), y=(-0.2, 0.2), z=(0.2, 0.4)))
   """Where the centre of the object is to go."""
-  start: Region = field(default_factory=lambda: Region(x=(0.22, 0.4), y=(-0.105, 0.105), z=(0.0, 0.03)))
+  start: Region = field(default_factory=lambda: Region(x=(0.22, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03)))
   """Where objects begin, x and y of their origins and z of their lowest points: where the wrist camera sees all of a
   cube of 4 cm from the pose "home"."""
   start_yaw: Range = (-math.pi, math.pi)
