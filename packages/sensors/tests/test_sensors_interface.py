@@ -242,3 +242,12 @@ def test_a_unit_points_where_its_orientation_says(world: World) -> None:
   data = world.sensors["imu"].data
   down = torch.tensor((0.0, 0.0, -1.0), dtype=world.sim.dtype).expand(NUM_ENVS, 3)
   torch.testing.assert_close(quat_apply(data.orientation, data.projected_gravity), down)
+
+
+def test_what_is_changed_to_something_wrong_is_refused_under_the_name_the_scene_gives() -> None:
+  cfg = RayCastSensorCfg(frames=SITES, pattern=LidarPatternCfg(rows=4, columns=6))
+  cfg.max_distance = -1.0
+  with pytest.raises(ValueError, match="RayCastSensorCfg 'lidar': max_distance"):
+    cfg.build("lidar")
+  with pytest.raises(ValueError, match="^RayCastSensorCfg: max_distance"):
+    cfg.validate()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import mujoco
@@ -35,7 +35,7 @@ class SensorCfg(ABC):
   @property
   def label(self) -> str:
     """The sensor as error messages call it."""
-    return f"{type(self).__name__} '{self.name}'"
+    return f"{type(self).__name__} '{self.name}'" if self.name else type(self).__name__
 
   def build(self, name: str = "") -> Sensor[Any]:
     """The sensor, not yet part of any spec.
@@ -50,7 +50,8 @@ class SensorCfg(ABC):
       raise ValueError(f"{self.label}: the scene calls this sensor {name!r}; give one name, or leave `name` empty")
     if not (name or self.name):
       raise ValueError(f"{type(self).__name__}: a sensor needs a name")
-    self.validate()
+    # By its name, which messages give.
+    replace(self, name=name or self.name).validate()
     return self._make(name or self.name)
 
   @abstractmethod
