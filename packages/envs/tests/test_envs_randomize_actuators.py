@@ -196,6 +196,12 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
     assert torch.equal(values, plain[name].expand_as(values)), name
 
 
+def test_a_list_of_two_numbers_is_a_range(make: Make) -> None:
+  env = make(arm_cfg(LAWS["pd"], kp=drawn("stiffness", [2.0, 2.0], targets="pd")))
+  (law,) = env.scene["robot"].actuators.groups
+  assert (law.stiffness == 40.0).all()
+
+
 def test_the_limit_of_a_tendon_follows_its_actuators(make: Make, engine: str) -> None:
   motor = NativeMotorActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", effort_limit=LIMIT)
   event = drawn("effort_limit", (2.0, 2.0), transmission_type="tendon", targets="rope")
@@ -267,6 +273,7 @@ def delays(**params: Any) -> EventTermCfg:
   [
     ({"a": drawn("stifness", (0.8, 1.2))}, "actuator parameter 'stifness' does not exist. Nearest: stiffness"),
     ({"a": drawn("stiffness", (1.2, 0.8))}, "stiffness.* 1.2"),
+    ({"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
     ({"a": drawn("stiffness", (-0.1, 0.8))}, "values from -0.1 up; none may be negative"),
     ({"a": drawn("stiffness", (0.8, 1.2), operation="add")}, "operation 'add' does not exist. .*scale"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),

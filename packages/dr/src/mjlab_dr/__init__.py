@@ -3,7 +3,16 @@
 from mjlab_dr.apply import ModelFields, RandomizeField, apply_all
 from mjlab_dr.binding import Component
 from mjlab_dr.catalogue import FIELDS, LEFT_OUT, Field, element_names
-from mjlab_dr.distributions import Categorical, Custom, Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.distributions import (
+  Categorical,
+  Custom,
+  Distribution,
+  Gaussian,
+  LogUniform,
+  Uniform,
+  as_distribution,
+  check_distribution,
+)
 from mjlab_dr.draws import agreement, drawn_values
 from mjlab_dr.inertia import inertia_perturbation, perturb_inertia, pseudo_inertia_matrix
 from mjlab_dr.randomizers import (
@@ -35,8 +44,10 @@ __all__ = [
   "Uniform",
   "agreement",
   "apply_all",
+  "as_distribution",
   "body_com_offset",
   "body_mass",
+  "check_distribution",
   "drawn_values",
   "element_names",
   "encoder_bias",

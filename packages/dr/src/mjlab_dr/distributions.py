@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import accumulate
+from numbers import Real
 from typing import Any, ClassVar, Protocol
 
 import torch
@@ -211,6 +212,21 @@ class Custom:
 def _check_finite(name: str, *numbers: float) -> None:
   if not all(math.isfinite(x) for x in numbers):
     raise ValueError(f"{name}: needs finite numbers, got {numbers}.")
+
+
+def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) -> Any:
+  """The distribution that a pair of numbers means, or whatever else was given; `check_distribution` judges that."""
+  # A list is what comes from files.
+  is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
+  return kind(*values) if is_pair else values
+
+
+def check_distribution(distribution: Distribution, name: str) -> None:
+  """Raises ValueError, beginning with `name`, if something is no distribution, or one with impossible parameters."""
+  methods = [getattr(distribution, method, None) for method in ("check", "support", "sample")]
+  if isinstance(distribution, type) or not all(map(callable, methods)):
+    raise ValueError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
+  distribution.check(name)
 
 
 def try_out(distribution: Distribution, name: str, *, device: torch.device, dtype: torch.dtype) -> None:

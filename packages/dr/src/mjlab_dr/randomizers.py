@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from mjlab_core import unknown
 
 from mjlab_dr.catalogue import FIELDS, Operation
-from mjlab_dr.distributions import Categorical, Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.distributions import (
+  Categorical,
+  Distribution,
+  Gaussian,
+  LogUniform,
+  Uniform,
+  as_distribution,
+  check_distribution,
+)
 
 DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
 ByAxis = Mapping[int, Values] | Mapping[str, Values]
-_METHODS = ("check", "support", "sample")
 
 _BY_NAME: dict[str, type[Uniform] | type[LogUniform] | type[Gaussian]] = {
   "uniform": Uniform,
@@ -73,9 +79,7 @@ class FieldRandomizer:
       if axis not in range(len(field.axes)):
         raise ValueError(f"{self.label}: axis {axis} does not exist; there are {len(field.axes)}, from 0.")
       name = f"{self.label} {field.axes[axis]}".rstrip()
-      if isinstance(distribution, type) or not all(callable(getattr(distribution, x, None)) for x in _METHODS):
-        raise ValueError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
-      distribution.check(name)
+      check_distribution(distribution, name)
       if isinstance(distribution, Categorical) and distribution.has_names and not field.integer:
         raise ValueError(f"{name}: names are for what is chosen among named things, got {distribution.values}.")
       if field.integer and not isinstance(distribution, Categorical):
@@ -172,7 +176,7 @@ def randomize_field(
     axis = _axis(given, names, label)
     if axis in by_axis:
       raise ValueError(f"{label}: axis {given!r} is given values twice.")
-    by_axis[axis] = _as_distribution(value, _BY_NAME[distribution])
+    by_axis[axis] = as_distribution(value, _BY_NAME[distribution])
   return FieldRandomizer(
     field=field,
     pattern=pattern,
@@ -182,12 +186,6 @@ def randomize_field(
     isotropic=isotropic,
     every_axis=axes is None and not isinstance(values, Mapping),
   )
-
-
-def _as_distribution(values: Any, kind: Callable[..., Distribution]) -> Any:
-  # A list is what comes from files. What is neither is refused where all distributions are checked.
-  is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
-  return kind(*values) if is_pair else values
 
 
 def _axis(axis: int | str, names: tuple[str, ...], label: str) -> int:

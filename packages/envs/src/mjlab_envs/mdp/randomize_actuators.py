@@ -7,7 +7,7 @@ import torch
 from mjlab_actuators import ActuatorParameter, ActuatorSet, ParameterName, Target, Transmission
 from mjlab_core.names import match_names, unknown
 from mjlab_core.sampling import check_range
-from mjlab_dr import Distribution, Uniform
+from mjlab_dr import Distribution, as_distribution, check_distribution
 from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
 
 from mjlab_envs.mdp.randomize import _writers
@@ -37,8 +37,8 @@ class randomize_actuator(ManagerTermBase):
     actuators, owner = _actuators(env, params["asset"], f"{self.name} '{params['parameter']}'")
     if params["operation"] not in get_args(ActuatorOperation):
       raise ValueError(unknown("operation", params["operation"], get_args(ActuatorOperation), owner=owner))
-    distribution = _distribution(params["values"])
-    distribution.check(owner)
+    distribution: Distribution = as_distribution(params["values"])
+    check_distribution(distribution, owner)
     if distribution.support()[0] < 0.0:
       raise ValueError(f"{owner}: values from {distribution.support()[0]:g} up; none may be negative")
     self._parameter = ActuatorParameter(
@@ -61,7 +61,7 @@ class randomize_actuator(ManagerTermBase):
   ) -> None:
     del parameter, targets, transmission_type, asset  # Resolved at build.
     nominal = self._parameter.nominal
-    draw = _distribution(values).sample(self._shape, generator=env.rng, device=nominal.device, dtype=nominal.dtype)
+    draw = as_distribution(values).sample(self._shape, generator=env.rng, device=nominal.device, dtype=nominal.dtype)
     self._parameter.scale(draw / nominal if operation == "absolute" else draw, mask)
 
 
@@ -115,10 +115,6 @@ class randomize_actuator_delay(ManagerTermBase):
     lo, hi = lag_range
     for delay in self._delays:
       delay.pin(mask, torch.randint(lo, hi + 1, (env.num_envs,), generator=env.rng, device=env.device))
-
-
-def _distribution(values: Values) -> Distribution:
-  return Uniform(*values) if isinstance(values, tuple) else values
 
 
 def _actuators(env: "ManagerBasedRlEnv", asset: SceneEntityCfg, what: str) -> tuple[ActuatorSet, str]:
