@@ -196,6 +196,17 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
     assert torch.equal(values, plain[name].expand_as(values)), name
 
 
+def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
+  names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
+  env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)))
+  parameter = env.event_manager.get_term_cfg("kp").func.parameter
+  assert torch.equal(parameter.factors(), torch.ones(WORLDS, len(names)))
+  factor = torch.linspace(0.5, 2.0, WORLDS * len(names)).view(WORLDS, -1)
+  parameter.scale(factor, torch.tensor([True, True, False, True]))
+  factor[2] = 1.0
+  torch.testing.assert_close(parameter.factors(), factor.to(parameter.nominal.dtype))
+
+
 def test_a_list_of_two_numbers_is_a_range(make: Make) -> None:
   env = make(arm_cfg(LAWS["pd"], kp=drawn("stiffness", [2.0, 2.0], targets="pd")))
   (law,) = env.scene["robot"].actuators.groups

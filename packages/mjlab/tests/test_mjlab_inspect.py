@@ -1,6 +1,8 @@
 """`inspect-dr`: what events do is measured, shown, and held against what was asked."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mjlab
 import mjlab.registry as registry
@@ -24,6 +26,11 @@ def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> No
     }
     limit = {"parameter": "effort_limit", "values": (0.8, 1.2)}
     cfg.env.events["effort"] = EventTermCfg(mdp.randomize_actuator, mode="reset", params=limit)
+    (robot,) = cfg.env.scene.entities.values()
+    articulation: Any = robot.articulation
+    (motor,) = articulation.actuators
+    articulation.actuators = (replace(motor, delay_min_lag=0, delay_max_lag=3),)
+    cfg.env.events["late"] = EventTermCfg(mdp.randomize_actuator_delay, mode="reset", params={"lag_range": (1, 3)})
     cfg.env.events["nothing"] = EventTermCfg(lambda env, mask: None, mode="step")
     return cfg
 
@@ -44,14 +51,18 @@ def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   assert inspect("--png", str(picture)) == 0
   shown = capsys.readouterr().out
   rows = [line.split() for line in shown.splitlines()]
-  assert sum(row[-2:] == ["as", "asked"] for row in rows) == 8
+  assert sum(row[-2:] == ["as", "asked"] for row in rows) == 10
   (damping_row,) = [row for row in rows if row[0] == "damping"]
   assert damping_row[1:5] == ["reset", "dof_damping", "hinge", "scale"]
   least, mean, most = (float(cell) for cell in damping_row[-5:-2])
   assert 0.5 <= least < 0.6 < mean < 1.9 < most <= 2.0
   assert ["nothing", "step", "-", "NOTHING", "CHANGED"] in rows
-  (effort,) = [line for line in shown.splitlines() if line.startswith("effort ")]
-  assert "actuator_forcerange (2)" in effort
+  (effort,) = [row for row in rows if row[0] == "effort"]
+  assert effort[1:6] == ["reset", "effort_limit", "hinge", "scale", "Uniform(0.8,"]
+  assert 0.8 <= float(effort[-5]) < 0.81 < 1.19 < float(effort[-3]) <= 1.2
+  (late,) = [line for line in shown.splitlines() if line.startswith("late ")]
+  assert "absolute Categorical((1, 2, 3), None)" in late
+  assert late.split()[-5::2] == ["1", "3", "asked"]
   assert "as compiled 0.2" in shown
   assert picture.read_bytes().startswith(b"\x89PNG")
   assert [path.name for path in tmp_path.iterdir()] == ["events.png"]

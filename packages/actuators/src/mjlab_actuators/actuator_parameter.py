@@ -120,6 +120,16 @@ class ActuatorParameter:
       flat = self._flat(owner, field)
       flat.index_copy_(1, columns, where_(flat.index_select(1, columns), mask, values))
 
+  def factors(self) -> torch.Tensor:
+    """What every target is scaled by now, (num_envs, num_targets), in new memory."""
+    out = self.nominal.new_ones(self._sim.num_envs, len(self.targets))
+    for (owner, field), (columns, of_target, default) in self._places.items():
+      # Zeros stay zeros: the factor is seen where its target has another number.
+      seen = default[0] != 0.0
+      ratio = self._flat(owner, field).index_select(1, columns[seen]) / default[:, seen]
+      out.index_copy_(1, of_target[seen], ratio.to(out.dtype))
+    return out
+
   def _flat(self, owner: Actuator | None, field: str) -> torch.Tensor:
     # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
     return (getattr(self._sim.model, field) if owner is None else getattr(owner, field)).view(self._sim.num_envs, -1)

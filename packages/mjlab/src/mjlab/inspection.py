@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_dr import FIELDS, Distribution, RandomizeField, agreement, drawn_values
+from mjlab_dr import FIELDS, Categorical, Distribution, RandomizeField, agreement, as_distribution, drawn_values
 from mjlab_envs import mdp
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class EventReport:
   mode: str
   axes: list[AxisReport] = field(default_factory=list)
   changed: dict[str, int] = field(default_factory=dict)
-  """Of an event other than `mdp.randomize`: how many numbers it changed, by what they belong to."""
+  """Of an event that draws neither fields, gains nor delays: how many numbers it changed, by what they belong to."""
 
 
 @dataclass(kw_only=True)
@@ -90,6 +90,14 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
         term.strength.fill_(1.0)
       manager.fire(name)
       report.axes = _axes(term)
+      continue
+    if isinstance(cfg.func, mdp.randomize_actuator):
+      manager.fire(name)
+      report.axes = [_gain_axis(cfg.func, cfg.params)]
+      continue
+    if isinstance(cfg.func, mdp.randomize_actuator_delay):
+      manager.fire(name)
+      report.axes = [_lag_axis(cfg.func, cfg.params)]
       continue
     before = _snapshot(env)
     manager.fire(name)
@@ -151,7 +159,7 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
       AxisReport(
         field=cfg.field,
         axis=name,
-        unit=info.unit_of(axis),
+        unit="1" if cfg.operation == "scale" else info.unit_of(axis),
         elements=tuple(term.element_names),
         operation=cfg.operation,
         asked=asked,
@@ -162,6 +170,45 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
       )
     )
   return reports
+
+
+_UNITS = {"stiffness": "N m/rad or N/m", "damping": "N m s/rad or N s/m", "effort_limit": "N m or N"}
+
+
+def _gain_axis(term: mdp.randomize_actuator, params: Mapping[str, Any]) -> AxisReport:
+  parameter, operation, asked = term.parameter, params["operation"], as_distribution(params["values"])
+  values = parameter.factors() * parameter.nominal
+  drawn = parameter.factors() if operation == "scale" else values
+  return AxisReport(
+    field=parameter.name,
+    axis="",
+    unit="1" if operation == "scale" else _UNITS[parameter.name],
+    elements=tuple(target.name for target in parameter.targets),
+    operation=operation,
+    asked=asked,
+    drawn=drawn.flatten(),
+    probability=agreement(drawn, asked),
+    values=values,
+    compiled=parameter.nominal,
+  )
+
+
+def _lag_axis(term: mdp.randomize_actuator_delay, params: Mapping[str, Any]) -> AxisReport:
+  lo, hi = params["lag_range"]
+  lags = term.lags()
+  asked = Categorical(tuple(range(lo, hi + 1)))
+  return AxisReport(
+    field="delay",
+    axis="",
+    unit="physics steps",
+    elements=term.targets,
+    operation="absolute",
+    asked=asked,
+    drawn=lags.flatten(),
+    probability=agreement(lags, asked),
+    values=lags,
+    compiled=torch.full_like(lags, -1),
+  )
 
 
 def table(reports: list[EventReport], inertia: InertiaReport) -> str:

@@ -41,11 +41,12 @@ class randomize_actuator(ManagerTermBase):
     check_distribution(distribution, owner)
     if distribution.support()[0] < 0.0:
       raise ValueError(f"{owner}: values from {distribution.support()[0]:g} up; none may be negative")
-    self._parameter = ActuatorParameter(
+    self.parameter = ActuatorParameter(
       actuators, env.sim, params["parameter"], params["targets"], params["transmission_type"]
     )
-    _claim(env, params["asset"], params["parameter"], self._parameter.targets, self._parameter.written, owner)
-    self._shape = (env.num_envs, len(self._parameter.targets))
+    """What is scaled, in the worlds of this environment."""
+    _claim(env, params["asset"], params["parameter"], self.parameter.targets, self.parameter.written, owner)
+    self._shape = (env.num_envs, len(self.parameter.targets))
 
   def __call__(
     self,
@@ -60,9 +61,9 @@ class randomize_actuator(ManagerTermBase):
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
     del parameter, targets, transmission_type, asset  # Resolved at build.
-    nominal = self._parameter.nominal
+    nominal = self.parameter.nominal
     draw = as_distribution(values).sample(self._shape, generator=env.rng, device=nominal.device, dtype=nominal.dtype)
-    self._parameter.scale(draw / nominal if operation == "absolute" else draw, mask)
+    self.parameter.scale(draw / nominal if operation == "absolute" else draw, mask)
 
 
 class randomize_actuator_delay(ManagerTermBase):
@@ -97,6 +98,8 @@ class randomize_actuator_delay(ManagerTermBase):
         )
     _claim(env, params["asset"], "delay", sorted(wanted), {}, owner)
     self._delays = [law.delay for law in laws if law.delay is not None]
+    self.targets = tuple(names)
+    """Names of the targets whose delay is drawn."""
     nobody = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     for delay in self._delays:
       delay.pin(nobody, lo)
@@ -115,6 +118,10 @@ class randomize_actuator_delay(ManagerTermBase):
     lo, hi = lag_range
     for delay in self._delays:
       delay.pin(mask, torch.randint(lo, hi + 1, (env.num_envs,), generator=env.rng, device=env.device))
+
+  def lags(self) -> torch.Tensor:
+    """Lags of the worlds now, (num_envs, number of delays) [physics steps], in new memory."""
+    return torch.stack([delay.lag for delay in self._delays], 1)
 
 
 def _actuators(env: "ManagerBasedRlEnv", asset: SceneEntityCfg, what: str) -> tuple[ActuatorSet, str]:
