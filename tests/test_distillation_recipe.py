@@ -22,7 +22,7 @@ STUDENT = "Mjlab-Lift-Cube-Yam-Depth-Distill"
 FEW = ["--env.scene.num-envs", "4", "--agent.num-steps-per-env", "8"]
 SMALL = {
   "train": ["--quiet", *FEW],
-  "evaluate": ["--eval.episodes", "2", "--eval.seconds", "0.1", "--quiet"],
+  "evaluate": ["--eval.episodes", "2", "--eval.seconds", "1", "--quiet"],
   "play": ["--video", "film.mp4", "--video-length", "0.1", "--video-width", "64", "--video-height", "64"],
 }
 

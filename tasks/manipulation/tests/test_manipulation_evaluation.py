@@ -213,3 +213,11 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     evaluator().configure(cfg)
   with pytest.raises(EvaluationError, match="'lift' is no lift command; there are: lift_height"):
     LiftEvaluation(command="lift").configure(lift_cube_env())
+  with pytest.raises(EvaluationError, match=r"held for 1 s, and every goal is over after 0\.8 s"):
+    LiftEvaluation(seconds=0.8).configure(lift_cube_env())
+  cfg = lift_cube_env()
+  timed = cfg.metrics["time_to_success"]
+  assert timed is not None
+  timed.params["hold"] = 0.5
+  with pytest.raises(EvaluationError, match=r"held and time_to_success mean another success: hold is 1\.0 and 0\.5"):
+    evaluator().configure(cfg)

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 MAX_WIDTHS = 6
 """Widths of objects that are each a group of their own."""
 
-_MEASURED = ("held", "time_to_success", "lifted", "dropped", "finger_force", "position_error")
+_SUCCESS = ("held", "time_to_success")
+_MEASURED = (*_SUCCESS, "lifted", "dropped", "finger_force", "position_error")
 
 
 @dataclass(kw_only=True)
@@ -46,11 +47,23 @@ class LiftEvaluation:
     missing = [name for name in _MEASURED if cfg.metrics.get(name) is None]
     if missing:
       raise EvaluationError(f"metrics {', '.join(missing)} are measured, and the task has none of that name")
+    self._check_success(cfg)
     command.goal_time_range = (self.seconds, self.seconds)
     cfg.episode_length_s = max(cfg.episode_length_s, self.seconds)
     cfg.scene.num_envs, cfg.seed = self.episodes, self.seed
     cfg.curriculum = {}
     return cfg
+
+  def _check_success(self, cfg: ManagerBasedRlEnvCfg) -> None:
+    held, timed = (term.params for name in _SUCCESS if (term := cfg.metrics[name]) is not None)
+    for name in held.keys() & timed.keys():
+      if held[name] != timed[name]:
+        what = f"{name} is {held[name]} and {timed[name]}"
+        raise EvaluationError(f"metrics {' and '.join(_SUCCESS)} mean another success: {what}")
+    if held.get("hold", 0.0) > self.seconds:
+      raise EvaluationError(
+        f"success is to be held for {held['hold']:g} s, and every goal is over after {self.seconds:g} s"
+      )
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
     term = lift_command(env, self.command)

@@ -72,6 +72,9 @@ class held(ManagerTermBase):
 
   def __init__(self, cfg: MetricsTermCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
+    for name in ("within", "hold"):
+      if not cfg.params[name] > 0.0:
+        raise ValueError(f"{name} must be positive, got {cfg.params[name]}")
     self._steps = torch.zeros(env.num_envs, dtype=torch.int64, device=env.device)
     self._done = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     self._needed = max(1, round(cfg.params["hold"] / env.step_dt))
