@@ -17,7 +17,7 @@ from mjlab_managers import (
   ObservationTermCfg,
   SceneEntityCfg,
 )
-from mjlab_scene import InitialStateCfg, VariantEntityCfg
+from mjlab_scene import EntityCfg, InitialStateCfg, VariantEntityCfg
 
 Make = Callable[..., ManagerBasedRlEnv]
 
@@ -192,6 +192,30 @@ def test_objects_that_differ_between_worlds_are_stepped_reset_and_randomised_fro
   height = env.scene["thing"].data.root_link_pos_w[:, 2]
   torch.testing.assert_close(height[[0, 1, 3]], torch.full((3,), 0.05, dtype=height.dtype), rtol=0.0, atol=5e-3)
   torch.testing.assert_close(height[2], torch.tensor(0.2, dtype=height.dtype))
+
+
+def test_a_free_object_can_be_given_another_centre_of_mass(make: Make) -> None:
+  """Its compiler would otherwise count on one at the origin of its frame."""
+  cfg = quiet()
+  box = THING.format('type="box" size=".05 .05 .05" mass="2"')
+  start = InitialStateCfg(pos=(1.0, 0.0, 2.0))
+  cfg.scene.entities["thing"] = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(box), init_state=start)
+  randomizer = pseudo_inertia("thing", alpha=(-0.2, 0.2), t=(0.01, 0.02))
+  cfg.events["inertia"] = EventTermCfg(
+    mdp.randomize, mode="reset", params={"randomizer": randomizer, "asset": SceneEntityCfg("thing")}
+  )
+  env = make(cfg)
+  env.reset()
+  body = env.sim.mj_model.body("thing/thing")
+  com, joint = env.sim.model.body_ipos[:, body.id], int(body.dofadr[0])
+  assert ((com >= 0.01) & (com <= 0.02)).all()
+  env.scene["thing"].write_default_state()
+  env.sim.data.qvel[:] = 0.0
+  env.sim.data.qvel[:, joint + 3 : joint + 6] = torch.tensor([0.0, 0.0, 100.0])
+  env.sim.step()
+  # Where it spins about its centre of mass, the origin of its frame is pulled inwards.
+  pull = env.sim.data.qacc[:, joint : joint + 2]
+  torch.testing.assert_close(pull, 1e4 * com[:, :2], rtol=1e-3, atol=0.0)
 
 
 THING = '<mujoco><worldbody><body name="thing"><freejoint/><geom name="hull" {}/></body></worldbody></mujoco>'

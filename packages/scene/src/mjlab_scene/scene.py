@@ -124,6 +124,9 @@ class Scene(Stateful):
     for name, entity in entities.items():
       options.adopt(entity.spec, f"entity '{name}'")
       entity.attach(self.spec)
+    # What is compiled as simple cannot be given another centre of mass.
+    for body in self.spec.bodies[1:]:
+      body.simple = False
     return entities
 
   def _add_sensors(self, decimation: int | None) -> dict[str, Sensor[Any]]:
