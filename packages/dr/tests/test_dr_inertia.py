@@ -237,6 +237,24 @@ def test_a_fixed_base_without_mass_is_left_alone_by_a_pattern_for_all() -> None:
   assert len(fields["body_mass"][:, link].unique()) == 20
 
 
+def test_a_body_compiled_as_simple_can_be_scaled_and_stretched_but_neither_moved_nor_sheared() -> None:
+  xml = """<mujoco><worldbody><body name="cube"{}><freejoint/><geom type="box" size=".1 .2 .3"/></body></worldbody>
+</mujoco>"""
+  model, oracle = (mujoco.MjModel.from_xml_string(xml.format(simple)) for simple in ("", ' simple="false"'))
+  assert model.body("cube").simple != oracle.body("cube").simple
+  sizes: Any = {"alpha": (-0.3, 0.3), "d": (-0.2, 0.2)}
+  for each in (model, oracle):
+    randomize(each, [pseudo_inertia("cube", **sizes)], seed=0)
+    for name in ("body_ipos", "body_iquat"):
+      np.testing.assert_array_equal(getattr(each, name)[1], getattr(model, name)[0])
+  for name in ("body_mass", "body_inertia", "dof_invweight0"):
+    np.testing.assert_allclose(getattr(model, name), getattr(oracle, name), rtol=1e-12)
+  for group in ("s", "t"):
+    more: Any = {group: (0.0, 0.1)}
+    with pytest.raises(ValueError, match="'cube' was compiled as simple"):
+      randomize(model, [pseudo_inertia("cube", **sizes, **more)], seed=0)
+
+
 def test_the_shorthand_names_its_parts() -> None:
   cfg = pseudo_inertia("torso", scale=0.1, d=(-0.2, 0.2), t=(-0.01, 0.02))
   assert [d.support() for d in cfg.values.values()] == [

@@ -179,7 +179,11 @@ def check_results(
     _check_multiples(cfg, binding, defaults, owner)
   if field.form == "direction" and cfg.operation == "absolute":
     _check_length(cfg, binding, defaults, owner)
-  if field.kind == "body" and (cfg.field in ("body_ipos", "body_iquat") or field.form == "pseudo_inertia"):
+  # What scales or stretches a body leaves its centre of mass where it is, if that is the origin.
+  drawn = {field.axes[axis] for axis in cfg.values}
+  if cfg.field in ("body_ipos", "body_iquat") or (
+    field.form == "pseudo_inertia" and not drawn <= {"alpha", "d1", "d2", "d3"}
+  ):
     _check_simple(binding, model, owner)
   if field.form != "plain" or field.integer:
     return
