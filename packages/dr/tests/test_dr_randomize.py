@@ -296,7 +296,7 @@ def test_friction_that_no_contact_uses_is_refused() -> None:
   geom_sliding = randomize(model, [geom_friction("g", (0.3, 1.2))], seed=0)
   assert geom_sliding.changes()[0].before == 1.0
   with pytest.raises(
-    ValueError, match="torsional of geom 'g' would do nothing, for it needs condim 4, which no contact"
+    ValueError, match="torsional of geom 'g' would do nothing, for it needs condim 4, which none of its contacts"
   ):
     randomize(model, [geom_friction("g", (0.0, 0.1), axes=(1,))], seed=0)
 

@@ -124,6 +124,46 @@ def test_a_pattern_leaves_out_multiples_of_zero(model: mujoco.MjModel) -> None:
   assert [change.axis for change in once.changes() if change.after != change.before][-1] == "z"
 
 
+CONTACTS = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="0 0 1" condim="3"/>
+  <geom name="wall" size=".1"/>
+  <body name="foot"><freejoint/><geom name="foot" size=".1" priority="1" condim="3"/></body>
+  <body name="ball"><freejoint/><geom name="ball" size=".1" condim="6" contype="0" conaffinity="2"/></body>
+  <body name="pin"><freejoint/><geom name="pin" size=".1" contype="2" conaffinity="0"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+  ("geom", "axis", "reason"),
+  [
+    # Only the foot may touch the floor, and its priority is the higher one.
+    ("floor", "sliding", "has a lower priority than all that it can touch"),
+    ("foot", "torsional", "needs condim 4, which none of its contacts has: it is 3"),
+    ("ball", "rolling", ""),
+    ("pin", "torsional", ""),
+    ("foot", "sliding", ""),
+  ],
+)
+def test_friction_counts_where_a_contact_that_can_be_would_take_it(geom: str, axis: str, reason: str) -> None:
+  cfg = FIELD("geom_friction", geom, (0.2, 0.9), axes=axis)
+  if reason:
+    refused(mujoco.MjModel.from_xml_string(CONTACTS), cfg, re.escape(reason))
+  else:
+    assert randomize(mujoco.MjModel.from_xml_string(CONTACTS), [cfg], seed=0).changes()
+
+
+def test_softness_of_what_always_yields_to_a_higher_priority_is_refused() -> None:
+  model = mujoco.MjModel.from_xml_string(CONTACTS)
+  soft: list[tuple[str, Any]] = [
+    ("geom_solref", {"axes": "timeconst"}),
+    ("geom_solimp", {"axes": "dmin"}),
+    ("geom_solmix", {}),
+  ]
+  for field, more in soft:
+    refused(model, FIELD(field, "floor", (0.5, 0.6), **more), "has a lower priority than all that it can touch")
+  assert randomize(model, [FIELD("geom_margin", "floor", (0.0, 0.01))], seed=0).changes()
+
+
 def test_a_state_that_a_motor_was_compiled_without_cannot_be_given_to_it() -> None:
   """MuJoCo tells from these numbers which states it has, and would read those of its neighbour."""
   motor = mujoco.MjModel.from_xml_string("""

@@ -27,6 +27,7 @@ _CONTACT = {
   "geom_surfacevel",
   "geom_adhesion",
 }
+_BY_PRIORITY = {"geom_friction", "geom_solref", "geom_solimp", "geom_solmix"}
 _CONDIM = {"geom_friction": (3, 4, 6), "pair_friction": (3, 3, 4, 6, 6)}
 
 
@@ -49,14 +50,10 @@ def why_axis_idle(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
     if axis >= used:
       return f"has only {used} size{'s' if used > 1 else ''}"
   elif name in _CONDIM:
-    # Of two geoms in contact the larger condim counts.
-    condim = (
-      max([*model.geom_condim, *model.pair_dim], default=1) if name == "geom_friction" else int(model.pair_dim[i])
-    )
+    condim = _condim(model, i) if name == "geom_friction" else int(model.pair_dim[i])
     needed = _CONDIM[name][axis]
     if condim < needed:
-      whose = "no contact can have" if name == "geom_friction" else "its contacts do not have"
-      return f"needs condim {needed}, which {whose}: it is {condim}"
+      return f"needs condim {needed}, which none of its contacts has: it is {condim}"
   elif name == "eq_data":
     kind = mujoco.mjtEq(int(model.eq_type[i]))
     if kind == mujoco.mjtEq.mjEQ_CONNECT and axis >= 3:
@@ -166,7 +163,29 @@ def _geom(model: mujoco.MjModel, name: str, i: int) -> str:
     return "collides with nothing"
   if name == "geom_size" and int(model.geom_type[i]) not in _SIZES:
     return "is no primitive with a size"
+  if name in _BY_PRIORITY:
+    touched = _touched(model, i)
+    if len(touched) and (model.geom_priority[touched] > model.geom_priority[i]).all():
+      return "has a lower priority than all that it can touch"
   return ""
+
+
+def _condim(model: mujoco.MjModel, i: int) -> int:
+  """Largest condim of contacts of a geom that would take its friction."""
+  touched = _touched(model, i)
+  if not len(touched):
+    # What it is to touch may be elsewhere.
+    return int(model.geom_condim.max())
+  # Of two geoms the one with the higher priority decides, and of equals the larger condim.
+  equal = touched[model.geom_priority[touched] == model.geom_priority[i]]
+  return max(int(model.geom_condim[i]), *model.geom_condim[equal].tolist(), 0)
+
+
+def _touched(model: mujoco.MjModel, i: int) -> np.ndarray:
+  """Geoms of other bodies that one may collide with."""
+  fits = (model.geom_contype & model.geom_conaffinity[i]) | (model.geom_contype[i] & model.geom_conaffinity)
+  welded = model.body_weldid[model.geom_bodyid]
+  return np.flatnonzero((fits != 0) & (welded != welded[i]))
 
 
 def _camera(model: mujoco.MjModel, name: str, i: int) -> str:
