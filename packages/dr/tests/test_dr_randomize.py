@@ -58,6 +58,7 @@ WRONG_DISTRIBUTION: dict[str, Any] = {"distribution": "normal"}
 WRONG_OPERATION: dict[str, Any] = {"operation": "absolut"}
 TWICE: Any = {0: (0.0, 1.0), "sliding": (0.5, 2.0)}
 NO_VALUES: list[Any] = [0.5, None, (0.3,), (0.3, 1.2, 2.0), ("0.3", "1.2"), Uniform, {"sliding": 1.0}]
+HALF: Any = 2.5
 COM = {"x": (-0.02, 0.03), "y": (0.0, 0.01), "z": (-0.05, -0.01)}
 
 
@@ -113,6 +114,46 @@ def test_derived_tensors_of_every_world_equal_a_recompiled_model(model: mujoco.M
     for name, tensor in fields.items():
       assert tensor.dtype == dtype
       np.testing.assert_allclose(tensor[world], getattr(oracle, name), rtol=1e-5 if dtype == torch.float32 else 1e-9)
+
+
+def test_tensors_are_drawn_again_in_masked_worlds_in_place(model: mujoco.MjModel) -> None:
+  cfgs = [body_com_offset("trunk", COM), geom_friction("left_foot", (0.3, 1.2)), encoder_bias("left_knee", (0.0, 0.1))]
+  fields = randomize(model, cfgs, num_worlds=4, seed=1)
+  kept, before = dict(fields), {name: value.clone() for name, value in fields.items()}
+  mask = torch.tensor([True, False, True, False])
+  for _ in range(3):
+    fields.resample(mask)
+  for name, value in before.items():
+    assert fields[name] is kept[name]
+    assert torch.equal(fields[name][~mask], value[~mask]), name
+    assert not torch.equal(fields[name][mask], value[mask]), name
+  model.body_ipos[:] = fields["body_ipos"][2].numpy()
+  oracle = recompiled(model)
+  np.testing.assert_allclose(fields["dof_invweight0"][2], oracle.dof_invweight0, rtol=1e-5)
+  again = randomize(model, cfgs, num_worlds=4, seed=7)
+  fields.resample(seed=7)
+  assert torch.equal(fields["geom_friction"], again["geom_friction"])
+
+
+def test_tensors_of_ones_own_are_written_where_something_is_drawn_and_keep_the_rest(model: mujoco.MjModel) -> None:
+  mine = {"geom_friction": torch.full((5, model.ngeom, 3), 7.0, dtype=torch.float64)}
+  fields = randomize(model, [geom_friction("left_foot", (0.3, 1.2)), body_com_offset("trunk", COM)], tensors=mine)
+  assert fields["geom_friction"] is mine["geom_friction"]
+  foot = model.geom("left_foot").id
+  assert ((mine["geom_friction"][:, foot, 0] >= 0.3) & (mine["geom_friction"][:, foot, 0] <= 1.2)).all()
+  assert int((mine["geom_friction"] != 7.0).sum()) == 5
+  assert fields["body_ipos"].shape == (5, model.nbody, 3)
+  assert fields["body_ipos"].dtype == torch.float64
+  wrong = {"geom_friction": torch.zeros(5, 3)}
+  with pytest.raises(ValueError, match=r"tensor 'geom_friction' is \(5, 3\), .* \(5, 6, 3\)"):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2))], tensors=wrong)
+  misspelt = {"geom_fricton": mine["geom_friction"]}
+  with pytest.raises(ValueError, match=r"tensors: field 'geom_fricton' does not exist\. Nearest: geom_friction"):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2))], tensors=misspelt)
+  with pytest.raises(ValueError, match="tensors: none is given"):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2))], tensors={})
+  with pytest.raises(ValueError, match=r"num_worlds must be .* got 2\.5"):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2))], num_worlds=HALF)
 
 
 CASES = [

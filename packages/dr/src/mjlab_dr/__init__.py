@@ -24,7 +24,7 @@ from mjlab_dr.randomizers import (
   pseudo_inertia,
   randomize_field,
 )
-from mjlab_dr.standalone import Change, Randomization, randomize
+from mjlab_dr.standalone import Change, Randomization, RandomizedTensors, randomize
 
 __all__ = [
   "FIELDS",
@@ -41,6 +41,7 @@ __all__ = [
   "ModelFields",
   "Randomization",
   "RandomizeField",
+  "RandomizedTensors",
   "Uniform",
   "agreement",
   "apply_all",

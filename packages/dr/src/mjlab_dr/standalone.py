@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import overload
 
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import draw_seed, make_generator
+from mjlab_core import draw_seed, make_generator, unknown, why_no_count
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -102,6 +102,23 @@ class Randomization:
         self.model.stat.meaninertia = self.model.dof_M0.mean()
 
 
+class RandomizedTensors(dict[str, Tensor]):
+  """Randomised and derived fields of many worlds by their MjModel name, (num_worlds, ...), in fixed memory."""
+
+  def __init__(self, randomizers: Sequence[FieldRandomizer], fields: _BatchedFields, seed: int) -> None:
+    self._fields, self._generator = fields, make_generator(fields.device, seed)
+    self._terms = _bind(randomizers, fields, self._generator)
+    self.resample()
+    super().__init__(vars(fields.model))
+
+  def resample(self, mask: Tensor | None = None, *, seed: int | None = None) -> None:
+    """Draws anew, from the defaults and in place, for the worlds of `mask`, bool (num_worlds,), or for all."""
+    if seed is not None:
+      self._generator.manual_seed(seed)
+    everyone = torch.ones(self._fields.num_envs, dtype=torch.bool, device=self._fields.device)
+    apply_all(self._terms, self._fields, everyone if mask is None else mask)
+
+
 @overload
 def randomize(
   model: mujoco.MjModel, randomizers: Sequence[FieldRandomizer], *, seed: int | None = None
@@ -113,11 +130,21 @@ def randomize(
   model: mujoco.MjModel,
   randomizers: Sequence[FieldRandomizer],
   *,
+  tensors: Mapping[str, Tensor],
+  seed: int | None = None,
+) -> RandomizedTensors: ...
+
+
+@overload
+def randomize(
+  model: mujoco.MjModel,
+  randomizers: Sequence[FieldRandomizer],
+  *,
   num_worlds: int,
   device: torch.device | str = "cpu",
   dtype: torch.dtype = torch.float32,
   seed: int | None = None,
-) -> dict[str, Tensor]: ...
+) -> RandomizedTensors: ...
 
 
 def randomize(
@@ -125,10 +152,11 @@ def randomize(
   randomizers: Sequence[FieldRandomizer],
   *,
   num_worlds: int | None = None,
+  tensors: Mapping[str, Tensor] | None = None,
   device: torch.device | str = "cpu",
   dtype: torch.dtype = torch.float32,
   seed: int | None = None,
-) -> Randomization | dict[str, Tensor]:
+) -> Randomization | RandomizedTensors:
   """Randomises one plain model in place, or draws tensors for many worlds and leaves the model alone.
 
   Args:
@@ -136,27 +164,36 @@ def randomize(
     randomizers: what to randomise, one after the other: where two write the same number, the second one starts from
       what the first one made, or is refused if that might become unphysical.
     num_worlds: None writes `model`; a number returns tensors for so many worlds.
+    tensors: fields of one's own by their MjModel name, (num_worlds, ...), which are written in place; what is missing
+      is made like them.
     device: where the tensors live.
     dtype: their type.
     seed: of the draws; None takes one from the operating system.
 
   Returns:
-    For one model a `Randomization`, which reports, draws again and restores. For many worlds the randomised and the
-    derived fields by their MjModel name, (num_worlds, ...).
+    For one model a `Randomization`, which reports, draws again and restores. For many worlds a dict of the randomised
+    and the derived fields by their MjModel name, (num_worlds, ...), which draws again for those of a mask.
 
   Raises:
     ValueError: a pattern matches nothing, a value is written twice, or a result may be unphysical; by name.
   """
   seed = draw_seed() if seed is None else seed
+  if tensors is not None:
+    if not tensors:
+      raise ValueError("randomize: tensors: none is given.")
+    known = {*FIELDS, *(name for field in FIELDS.values() for name in field.derived)}
+    for name in tensors:
+      if name not in known:
+        raise ValueError(unknown("field", name, sorted(known), owner="randomize: tensors"))
+    first = next(iter(tensors.values()))
+    num_worlds, device = len(first), first.device
+    dtype = next((x.dtype for x in tensors.values() if x.is_floating_point()), dtype)
   if num_worlds is None:
     return Randomization(model, randomizers, seed)
-  if num_worlds < 1:
-    raise ValueError(f"randomize: num_worlds must be at least 1, got {num_worlds}.")
-  device = torch.device(device)
-  fields = _BatchedFields(copy.copy(model), num_worlds, device, dtype)
-  terms = _bind(randomizers, fields, make_generator(device, seed))
-  apply_all(terms, fields, torch.ones(num_worlds, dtype=torch.bool, device=device))
-  return dict(vars(fields.model))
+  if wrong := why_no_count(num_worlds, 1):
+    raise ValueError(f"randomize: num_worlds {wrong}.")
+  fields = _BatchedFields(copy.copy(model), num_worlds, torch.device(device), dtype, tensors or {})
+  return RandomizedTensors(randomizers, fields, seed)
 
 
 def _bind(
@@ -198,9 +235,17 @@ def _put(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
 class _BatchedFields:
   """Model fields of many worlds as plain tensors, with MuJoCo's own `mj_setConst` for what derives from them."""
 
-  def __init__(self, mj_model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype) -> None:
+  def __init__(
+    self,
+    mj_model: mujoco.MjModel,
+    num_envs: int,
+    device: torch.device,
+    dtype: torch.dtype,
+    tensors: Mapping[str, Tensor] = MappingProxyType({}),
+  ) -> None:
     self.mj_model, self.num_envs, self.device, self.dtype = mj_model, num_envs, device, dtype
     self.model = SimpleNamespace()
+    self._given = tensors
     self.written: dict[str, None] = {}
     """Fields of MjModel that randomisers write; the other tensors are derived from them."""
 
@@ -219,7 +264,15 @@ class _BatchedFields:
       for field in (name, *FIELDS[name].derived):
         default = self.default_field(field)
         if not hasattr(self.model, field) and default.numel() > 0:
-          setattr(self.model, field, default.repeat(self.num_envs, *[1] * (default.dim() - 1)))
+          setattr(self.model, field, self._given_or_new(field, default))
+
+  def _given_or_new(self, name: str, default: Tensor) -> Tensor:
+    new = default.repeat(self.num_envs, *[1] * (default.dim() - 1))
+    given = self._given.get(name, new)
+    if (given.shape, given.dtype, given.device) != (new.shape, new.dtype, new.device) or not given.is_contiguous():
+      is_, must = (f"{tuple(x.shape)}, {x.dtype} on {x.device}" for x in (given, new))
+      raise ValueError(f"randomize: tensor '{name}' is {is_}; it must be {must}, and contiguous.")
+    return given
 
   def recompute_constants(self, mask: Tensor | None = None) -> None:
     """Runs `mj_setConst` on the host for the masked worlds, one after the other."""
