@@ -21,7 +21,7 @@ from mjlab_actuators import (
 )
 from mjlab_dr import LogUniform, randomize_field
 from mjlab_envs import mdp
-from mjlab_managers import ConfigError, EventTermCfg
+from mjlab_managers import ConfigError, CurriculumTermCfg, EventTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 
 # An environment, of which tests also touch what is not public.
@@ -205,6 +205,27 @@ def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
   parameter.scale(factor, torch.tensor([True, True, False, True]))
   factor[2] = 1.0
   torch.testing.assert_close(parameter.factors(), factor.to(parameter.nominal.dtype))
+
+
+def test_a_curriculum_widens_the_range_of_a_gain(make: Make) -> None:
+  cfg = arm_cfg(
+    LAWS["pd"],
+    kp=drawn("stiffness", (0.5, 1.5), "step", targets="pd"),
+    kd=drawn("damping", (4.0, 4.0), "step", targets="pd", operation="absolute"),
+  )
+  cfg.curriculum = {
+    name: CurriculumTermCfg(mdp.widen_randomization, params={"event": name, "steps": (2, 12)}) for name in ("kp", "kd")
+  }
+  env = make(cfg)
+  (law,) = env.scene["robot"].actuators.groups
+  spread = []
+  for step in range(20):
+    env.step(torch.zeros(WORLDS, 0))
+    share = min(1.0, max(0.0, (step + 1 - 2) / 10))
+    spread.append((law.stiffness / 20.0 - 1.0).abs().max().item())
+    assert spread[-1] <= 0.5 * share + 1e-6
+    torch.testing.assert_close(law.damping, torch.full_like(law.damping, 2.0 + 2.0 * share))
+  assert max(spread[11:]) > 0.3
 
 
 def test_a_list_of_two_numbers_is_a_range(make: Make) -> None:

@@ -92,6 +92,7 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
       report.axes = _axes(term)
       continue
     if isinstance(cfg.func, mdp.randomize_actuator):
+      cfg.func.strength.fill_(1.0)
       manager.fire(name)
       report.axes = [_gain_axis(cfg.func, cfg.params)]
       continue

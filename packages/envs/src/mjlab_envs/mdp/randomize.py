@@ -1,6 +1,6 @@
 """Domain randomisation as an event."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import torch
@@ -61,6 +61,11 @@ class randomize(ManagerTermBase):
       written[key] = randomizer.label
     self.needs_constants = randomizer.needs_constants
 
+  @property
+  def strength(self) -> torch.Tensor:
+    """How far from the default what is written lies, as `RandomizeField.strength`, ()."""
+    return self.field.strength
+
   def __call__(
     self,
     env: "ManagerBasedRlEnv",
@@ -75,7 +80,7 @@ class randomize(ManagerTermBase):
 
 
 class widen_randomization(ManagerTermBase):
-  """Curriculum: what the `randomize` event `event` does grows from nothing to the ranges as configured.
+  """Curriculum: what the event `event`, `randomize` or `randomize_actuator`, does grows from nothing to its ranges.
 
   The strength goes from 0 to 1 between two counts of environment steps, `steps`; it is what is logged, ().
   """
@@ -86,7 +91,10 @@ class widen_randomization(ManagerTermBase):
     if not 0 <= begin < end:
       raise ValueError(f"steps: must grow from 0 or more, got ({begin}, {end})")
     event = cfg.params["event"]
-    self.strength = randomizer_of(env, event).strength
+    term: Any = env.event_manager.get_term_cfg(event).func
+    if not hasattr(type(term), "strength"):
+      raise ValueError(f"event '{event}' randomises no field or gain: its function has no strength to be widened")
+    self.strength: torch.Tensor = term.strength
     if env.event_manager.get_term_cfg(event).mode == "startup":
       raise ValueError(f"event '{event}' fires once, at startup, before anything has grown; give it another mode")
     self(env, env.reset_buf, **cfg.params)

@@ -47,6 +47,17 @@ class randomize_actuator(ManagerTermBase):
     """What is scaled, in the worlds of this environment."""
     _claim(env, params["asset"], params["parameter"], self.parameter.targets, self.parameter.written, owner)
     self._shape = (env.num_envs, len(self.parameter.targets))
+    self._strength: torch.Tensor | None = None
+
+  @property
+  def strength(self) -> torch.Tensor:
+    """How far from what was configured what is written lies, from 0 to 1 for the draw as asked for, ().
+
+    For curricula: written in place it widens the range. Ask for it before the first step is recorded.
+    """
+    if self._strength is None:
+      self._strength = torch.ones((), device=self.parameter.nominal.device, dtype=self.parameter.nominal.dtype)
+    return self._strength
 
   def __call__(
     self,
@@ -63,7 +74,10 @@ class randomize_actuator(ManagerTermBase):
     del parameter, targets, transmission_type, asset  # Resolved at build.
     nominal = self.parameter.nominal
     draw = as_distribution(values).sample(self._shape, generator=env.rng, device=nominal.device, dtype=nominal.dtype)
-    self.parameter.scale(draw / nominal if operation == "absolute" else draw, mask)
+    factor = draw / nominal if operation == "absolute" else draw
+    if self._strength is not None:
+      factor = torch.lerp(torch.ones_like(factor), factor, self._strength)
+    self.parameter.scale(factor, mask)
 
 
 class randomize_actuator_delay(ManagerTermBase):
