@@ -340,7 +340,9 @@ FIELDS: dict[str, Field] = {
   "tendon_lengthspring": _range("tendon", "m or rad", note="slack between the two"),
   "tendon_springyield": _at_least_zero("tendon", "N", from_zero=False),
   # MuJoCo's own actuators
-  "actuator_gainprm": Field(kind="actuator", axes=_TEN, note="0 is kp of a position actuator"),
+  "actuator_gainprm": Field(
+    kind="actuator", axes=_TEN, note="0 is kp of a position actuator, which reads -kp in biasprm 1 as well"
+  ),
   "actuator_biasprm": Field(kind="actuator", axes=_TEN, note="1 is -kp, 2 is -kd of a position actuator"),
   "actuator_dynprm": Field(kind="actuator", axes=_TEN, note="0 is the time constant of a filter [s]"),
   "actuator_forcerange": _range("actuator", "N or N m"),
