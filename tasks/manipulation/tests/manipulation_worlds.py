@@ -80,7 +80,7 @@ def in_mujoco(env: ManagerBasedRlEnv, world: int) -> mujoco.MjData:
   return data
 
 
-def room_in_sight(env: ManagerBasedRlEnv, start: Region, edges: tuple[float, float, float]) -> float:
+def room_in_sight(env: ManagerBasedRlEnv, start: Region, edges: tuple[float, ...]) -> float:
   """How far the image reaches beyond a box that begins in a region, where it is least, as a share of half the image.
 
   What a pinhole sees is a cone of flat sides, so that for every yaw the least is at a corner of the region.

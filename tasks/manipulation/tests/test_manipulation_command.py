@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 from manipulation_worlds import COLOURS, lift, room_in_sight, three_cubes
-from mjlab_envs import ManagerBasedRlEnv
-from mjlab_managers import ConfigError
+from mjlab_dr import randomize_field
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import ConfigError, EventTermCfg, SceneEntityCfg
 from mjlab_manipulation import lift_cube_env, multi_cube_seg_env
 from mjlab_manipulation.mdp import Region
 from mjlab_manipulation.objects import CUBE_EDGE
@@ -57,6 +58,31 @@ def test_cubes_never_overlap_and_take_every_order() -> None:
   assert gaps.min() < 0.06 + 0.002
   assert gaps.max() > 0.06 + 0.07
   assert np.bincount(term.target.numpy()).min() > 60
+
+
+def test_cubes_that_are_larger_in_some_worlds_stand_further_apart_there() -> None:
+  def of_many_sizes() -> ManagerBasedRlEnvCfg:
+    cfg = three_cubes()
+    for name in COLOURS:
+      size = randomize_field("geom_size", ".*", (0.5, 2.2), operation="scale", isotropic=True)
+      cfg.events[f"size_{name}"] = EventTermCfg(
+        mdp.randomize, mode="startup", params={"randomizer": size, "asset": SceneEntityCfg(name)}
+      )
+    return cfg
+
+  env, _ = lift(300, of_many_sizes)
+  where = places(env, COLOURS)[..., 1]
+  geoms = [env.sim.mj_model.geom(f"{name}/cube").id for name in COLOURS]
+  radius = np.sqrt(2) * env.sim.model.geom_size[:, geoms, 0].numpy()
+  for a, b in itertools.combinations(range(3), 2):
+    assert (np.abs(where[:, a] - where[:, b]) > radius[:, a] + radius[:, b] - 1e-9).all()
+  # Where there is room, all stand in their region; where there is none, about its middle.
+  needed = 2.0 * np.sort(radius)[:, 1:].sum(1)
+  large = needed > 0.206
+  assert np.abs(where[~large]).max() <= 0.103 + 1e-9
+  assert large.sum() > 5
+  np.testing.assert_allclose(where[large].mean(1), 0.0, atol=1e-9)
+  assert where[~large].mean(1).std() > 0.005
 
 
 @pytest.mark.parametrize("make", [lift_cube_env, multi_cube_seg_env], ids=["one", "three"])

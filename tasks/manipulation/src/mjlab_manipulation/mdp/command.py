@@ -35,6 +35,7 @@ class LiftCommandCfg(CommandTermCfg):
 
   Objects stand in a row: along y any two centres are at least `min_distance` apart, drawn uniformly among all rows for
   which that holds, in an order of their own in every world. So none overlaps another, and no draw is ever rejected.
+  Worlds whose objects were made larger since keep them as far apart as these need, at worst beyond the ends of `start`.
   """
 
   resampling_time_range: tuple[float, float] | None = None
@@ -87,8 +88,7 @@ class LiftCommand(CommandTerm):
     check_range("goal_time_range", *cfg.goal_time_range, minimum=env.step_dt)
     count = len(self._objects)
     width = cfg.start.y[1] - cfg.start.y[0]
-    self._slack = width - (count - 1) * cfg.min_distance
-    if self._slack < 0.0:
+    if width < (count - 1) * cfg.min_distance:
       raise ValueError(f"start.y is {width:g} m wide, too little for {count} objects {cfg.min_distance:g} m apart")
     self._extents = [Extent(env, entity) for entity in self._objects]
     self._check_distance()
@@ -166,9 +166,7 @@ class LiftCommand(CommandTerm):
       _between(place[:, 2], cfg.start.z) - below,
       _between(place[:, 3], cfg.start_yaw),
     )
-    row = torch.arange(count, device=self.device) * cfg.min_distance
-    y = cfg.start.y[0] + place[:, 1].sort(dim=1).values * self._slack + row
-    y = y.gather(1, place[:, 4].argsort(dim=1))
+    y = self._in_a_row(place[:, 1], place[:, 4])
     zero = torch.zeros_like(yaw)
     quat = torch.stack([torch.cos(0.5 * yaw), zero, zero, torch.sin(0.5 * yaw)], dim=-1)
     state = torch.cat(
@@ -177,15 +175,27 @@ class LiftCommand(CommandTerm):
     for i, entity in enumerate(self._objects):
       entity.write_root_state(state[:, i], mask)
 
+  def _in_a_row(self, place: torch.Tensor, order: torch.Tensor) -> torch.Tensor:
+    """Where objects are along y, (num_envs, objects) [m], of as many uniform numbers for places and for their order."""
+    cfg, count = self.cfg, len(self._objects)
+    if count == 1:
+      return _between(place, cfg.start.y)
+    distance = self._apart().clamp(min=cfg.min_distance)
+    slack = cfg.start.y[1] - cfg.start.y[0] - (count - 1) * distance
+    row = cfg.start.y[0] + 0.5 * slack.clamp(max=0.0) + torch.arange(count, device=self.device) * distance
+    y = row + place.sort(dim=1).values * slack.clamp(min=0.0)
+    return y.gather(1, order.argsort(dim=1))
+
+  def _apart(self) -> torch.Tensor:
+    """How far apart no two objects can touch, with the sizes they have now, (num_envs or 1, 1) [m]."""
+    boxes = [extent.box() for extent in self._extents]
+    reach = torch.stack(torch.broadcast_tensors(*(torch.maximum(-low, high)[:, :2] for low, high in boxes)), dim=1)
+    return torch.linalg.vector_norm(reach, dim=-1).sort(dim=1).values[:, -2:].sum(1, keepdim=True)
+
   def _check_distance(self) -> None:
-    """Checks, at build, that no two objects beside one another can touch."""
-    radii = []
-    for extent in self._extents:
-      low, high = extent.box()
-      reach = torch.maximum(-low, high)[:, :2]
-      radii.append(float(torch.linalg.vector_norm(reach, dim=-1).max()))
-    needed = sum(sorted(radii)[-2:])
-    if len(radii) > 1 and self.cfg.min_distance < needed:
+    """Checks, at build, that no two objects can touch."""
+    needed = float(self._apart().max())
+    if len(self._objects) > 1 and self.cfg.min_distance < needed:
       raise ValueError(f"min_distance is {self.cfg.min_distance:g} m, and objects may touch below {needed:.4g} m")
 
   def update(self) -> None:
