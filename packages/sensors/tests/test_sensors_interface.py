@@ -249,5 +249,5 @@ def test_what_is_changed_to_something_wrong_is_refused_under_the_name_the_scene_
   cfg.max_distance = -1.0
   with pytest.raises(ValueError, match="RayCastSensorCfg 'lidar': max_distance"):
     cfg.build("lidar")
-  with pytest.raises(ValueError, match="^RayCastSensorCfg: max_distance"):
+  with pytest.raises(ValueError, match=r"^RayCastSensorCfg: max_distance"):
     cfg.validate()
