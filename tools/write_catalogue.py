@@ -105,11 +105,12 @@ def _follows(field: Field) -> str:
 
 
 def _notes(field: Field) -> str:
+  writes = "writes " + ", ".join(f"`{name}`" for name in field.fields)
   form = {
     "direction": "unit length",
     "rotation": "angles about the axes of the parent",
-    "intrinsics": "",
-    "pseudo_inertia": "writes " + ", ".join(f"`{name}`" for name in field.fields),
+    "servo": writes,
+    "pseudo_inertia": writes,
   }
   return "; ".join(filter(None, (field.note, form.get(field.form, ""))))
 

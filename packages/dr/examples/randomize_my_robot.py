@@ -52,6 +52,7 @@ def main() -> None:
       body_mass("base", (0.8, 1.3), operation="scale"),
       pseudo_inertia("arm", scale=0.2, t=(-0.02, 0.02)),
       randomize_field("dof_damping", "lift", (0.5, 2.0), operation="scale", distribution="log_uniform"),
+      randomize_field("actuator_kp", "lift", (0.9, 1.1)),
       # -kd of a position actuator.
       randomize_field("actuator_biasprm", "lift", {"2": (0.7, 1.3)}, operation="scale"),
     ],

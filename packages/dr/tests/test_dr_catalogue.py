@@ -49,11 +49,13 @@ def draws(name: str, fields: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
     changed = (value != default).flatten(2).any(-1).any(0)
     turn = quat_mul(value[:, changed], quat_conjugate(default[changed]).expand_as(value[:, changed]))
     return {axis: x.numpy().ravel() for axis, x in zip(field.axes, euler_xyz_from_quat(turn), strict=True)}
+  if field.form == "servo":
+    value, default = value[..., 0], default[:, 0]
   if cfg.operation == "add":
     value = value - default
   elif cfg.operation == "scale":
     value = torch.where(default == 0.0, torch.nan, value / default)
-  changed = (fields[name] != torch.tensor(compiled(name))).any(0) & ~value.isnan().any(0)
+  changed = (value != value[:1]).any(0) & ~value.isnan().any(0)
   if len(field.axes) == 1 or field.kind == "option":
     changed = changed.unsqueeze(-1) if len(field.axes) == 1 else changed
     value = value.unsqueeze(-1) if len(field.axes) == 1 else value

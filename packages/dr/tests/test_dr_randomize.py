@@ -248,6 +248,49 @@ def test_the_spring_of_a_joint_composes_with_its_zero_in_either_order() -> None:
       np.testing.assert_allclose(once.model.qpos_spring, [shift + 0.02])
 
 
+SERVOS = """<mujoco>
+  <worldbody>
+    <body><joint name="hip" axis="0 1 0"/><geom size=".1" pos=".2 0 0"/></body>
+    <body><joint name="knee" axis="0 1 0"/><geom size=".1" pos=".2 0 0"/></body>
+  </worldbody>
+  <actuator><position name="hip" joint="hip" kp="20" kv="3"/><motor name="knee" joint="knee"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(("operation", "lo", "hi"), [("scale", 0.5, 1.5), ("add", -5.0, 5.0), ("absolute", 10.0, 30.0)])
+def test_kp_of_a_position_actuator_is_one_number_in_its_gain_and_its_feedback(
+  operation: Any, lo: float, hi: float
+) -> None:
+  model = mujoco.MjModel.from_xml_string(SERVOS)
+  kp = randomize_field("actuator_kp", ".*", (lo, hi), operation=operation)
+  fields = randomize(model, [kp], num_worlds=400, seed=0)
+  gain, feedback = fields["actuator_gainprm"], fields["actuator_biasprm"]
+  assert torch.equal(gain[:, 0, 0], -feedback[:, 0, 1])
+  spread = {"scale": 20.0, "add": 1.0, "absolute": 1.0}[operation]
+  start = 20.0 if operation == "add" else 0.0
+  assert stats.kstest(gain[:, 0, 0].numpy(), stats.uniform(start + spread * lo, spread * (hi - lo)).cdf).pvalue > 1e-3
+  untouched = [torch.tensor(x, dtype=torch.float32) for x in (model.actuator_gainprm, model.actuator_biasprm)]
+  for tensor, compiled, column in ((gain, untouched[0], 0), (feedback, untouched[1], 1)):
+    rest = torch.ones(2, 10, dtype=torch.bool)
+    rest[0, column] = False
+    assert (tensor[:, rest] == compiled[rest]).all()
+
+
+def test_what_has_no_kp_and_a_kp_that_cannot_be_are_refused() -> None:
+  def refused(message: str, *cfgs: FieldRandomizer) -> None:
+    with pytest.raises(ValueError, match=message):
+      randomize(mujoco.MjModel.from_xml_string(SERVOS), cfgs, seed=0)
+
+  refused("'knee' would do nothing, for it is no position actuator", randomize_field("actuator_kp", "knee", (1.0, 2.0)))
+  less = randomize_field("actuator_kp", "hip", (-21.0, 0.0), operation="add")
+  refused("actuator 'hip' may get kp -1, below the physical minimum 0", less)
+  twice = (
+    randomize_field("actuator_kp", "hip", (0.5, 2.0)),
+    randomize_field("actuator_gainprm", "hip", {"0": (1.0, 2.0)}),
+  )
+  refused("actuator 'hip' is written by two randomizers", *twice)
+
+
 def test_one_number_written_twice_is_refused_by_name(model: mujoco.MjModel) -> None:
   with pytest.raises(
     ValueError, match=r"geom 'left_foot' is written by two randomizers, geom_friction 'left_foot' and"

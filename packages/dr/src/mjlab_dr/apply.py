@@ -219,6 +219,9 @@ class RandomizeField:
       if self._form == "direction":
         return [normalize(vector).flatten(1)]
       return [vector.flatten(1), torch.rad2deg(2.0 * torch.atan(self._half_heights / vector[..., 1]))]
+    if self._form == "servo":
+      kp = self._combined(draw, starts[0].unsqueeze(-1)).squeeze(-1)
+      return [kp, -kp]
     draw = draw if self._strength is None else draw * self._strength
     if self._form == "rotation":
       default = starts[0].unflatten(1, (-1, 4))

@@ -94,7 +94,9 @@ def bind(
         for e, (name, i) in enumerate(elements)
       ),
     )
-  if field.form != "plain":
+  if field.form == "servo":
+    components = _servo(elements)
+  elif field.form != "plain":
     components = _whole(cfg.field, field, model, elements)
   else:
     components = _single(cfg, field, model, elements, owner)
@@ -124,6 +126,15 @@ def _single(
     reason = why_axis_idle(model, cfg.field, elements[0][1], axes[0])
     raise ValueError(f"{owner}: a change of {field.kind} {elements[0][0]!r} would do nothing, for it {reason}.")
   return sorted(components, key=lambda component: component.source)
+
+
+def _servo(elements: list[tuple[str, int]]) -> list[Component]:
+  """Gain and feedback of position actuators."""
+  return [
+    Component(field=written, element=element, axis="kp", row=i, columns=(i * FIELDS[written].width + k,), source=e)
+    for written, k in (("actuator_gainprm", 0), ("actuator_biasprm", 1))
+    for e, (element, i) in enumerate(elements)
+  ]
 
 
 def _whole(name: str, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]]) -> list[Component]:
@@ -185,12 +196,14 @@ def check_results(
     field.form == "pseudo_inertia" and not drawn <= {"alpha", "d1", "d2", "d3"}
   ):
     _check_simple(binding, model, owner)
-  if field.form != "plain" or field.integer:
+  if field.form not in ("plain", "servo") or field.integer:
     return
   distributions = list(cfg.values.values())
   # Lowest and highest of each axis of each element, drawn or not.
   spans: dict[str, Spans] = {}
   for i, component in enumerate(binding.components):
+    if component.field != cfg.shown_in:
+      continue
     minimum, maximum = field.bounds(field.axes.index(component.axis))
     # Worlds without the element have it out of bounds, so that nothing meets it.
     start = defaults[defaults[:, i] >= minimum, i]
@@ -239,7 +252,7 @@ def _check_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarra
       zeros = [
         zero
         for component, zero in zip(binding.components, is_zero, strict=True)
-        if component.field == cfg.field and component.axis in axes and component.element in matched
+        if component.field == cfg.shown_in and component.axis in axes and component.element in matched
       ]
       if zeros and all(zeros):
         which = "" if cfg.every_axis else axes[0]

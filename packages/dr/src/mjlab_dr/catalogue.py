@@ -12,7 +12,7 @@ Kind = Literal[
   "option", "body", "joint", "geom", "site", "camera", "light", "material", "tendon", "pair", "equality", "actuator"
 ]
 Operation = Literal["absolute", "add", "scale"]
-Form = Literal["plain", "direction", "rotation", "intrinsics", "pseudo_inertia"]
+Form = Literal["plain", "direction", "rotation", "intrinsics", "servo", "pseudo_inertia"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +48,8 @@ class Field:
 
   form: Form = "plain"
   """`direction`: written with unit length. `rotation`: axes are angles about the parent's x, y and z, written as a
-  quaternion. `intrinsics`: written with the field of view that follows. `pseudo_inertia`: the ten log-Cholesky
-  parameters, written as the `fields` of a body."""
+  quaternion. `intrinsics`: written with the field of view that follows. `servo`: written as gain and, negated, as the
+  feedback on position. `pseudo_inertia`: the ten log-Cholesky parameters, written as the `fields` of a body."""
 
   fields: tuple[str, ...] = ()
   """Fields of MjModel that it writes, where that is not the one of its own name."""
@@ -340,8 +340,20 @@ FIELDS: dict[str, Field] = {
   "tendon_lengthspring": _range("tendon", "m or rad", note="slack between the two"),
   "tendon_springyield": _at_least_zero("tendon", "N", from_zero=False),
   # MuJoCo's own actuators
+  "actuator_kp": Field(
+    kind="actuator",
+    axes=("kp",),
+    unit="N m/rad or N/m",
+    minimum=(0.0,),
+    form="servo",
+    fields=("actuator_gainprm", "actuator_biasprm"),
+    operation="scale",
+    note="of position actuators",
+  ),
   "actuator_gainprm": Field(
-    kind="actuator", axes=_TEN, note="0 is kp of a position actuator, which reads -kp in biasprm 1 as well"
+    kind="actuator",
+    axes=_TEN,
+    note="0 is kp of a position actuator, which reads -kp in biasprm 1: `actuator_kp` is both",
   ),
   "actuator_biasprm": Field(kind="actuator", axes=_TEN, note="1 is -kp, 2 is -kd of a position actuator"),
   "actuator_dynprm": Field(kind="actuator", axes=_TEN, note="0 is the time constant of a filter [s]"),

@@ -36,7 +36,7 @@ def drawn_values(term: RandomizeField) -> dict[str, Tensor]:
     elif cfg.operation == "scale":
       values = torch.where(default == 0.0, torch.nan, values / default)
     for i, component in enumerate(term.components):
-      if component.field == cfg.field and component.axis in names:
+      if component.field == cfg.shown_in and component.axis in names:
         out[:, term.element_names.index(component.element), names.index(component.axis)] = values[:, i]
   return dict(zip(names, out.unbind(-1), strict=True))
 

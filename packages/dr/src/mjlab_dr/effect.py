@@ -226,6 +226,8 @@ def _tendon(model: mujoco.MjModel, name: str, i: int) -> str:
 
 
 def _actuator(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name == "actuator_kp" and not _is_servo(model, i):
+    return "is no position actuator"
   if name == "actuator_forcerange" and not model.actuator_forcelimited[i]:
     return "has no limit of force"
   if name == "actuator_actrange" and not model.actuator_actlimited[i]:
@@ -241,6 +243,12 @@ def _actuator(model: mujoco.MjModel, name: str, i: int) -> str:
   if name == "actuator_delay" and model.actuator_historyadr[i] < 0:
     return "was compiled without a delay"
   return ""
+
+
+def _is_servo(model: mujoco.MjModel, i: int) -> bool:
+  is_servo = int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+  is_servo &= int(model.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+  return is_servo and bool(model.actuator_gainprm[i, 0] == -model.actuator_biasprm[i, 1] != 0.0)
 
 
 def _always(model: mujoco.MjModel, name: str, i: int) -> str:

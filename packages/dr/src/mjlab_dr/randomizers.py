@@ -112,6 +112,11 @@ class FieldRandomizer:
     return f"{self.field} {self.pattern!r}"
 
   @property
+  def shown_in(self) -> str:
+    """Of the fields that are written, the one in which a draw is read as it was made."""
+    return (FIELDS[self.field].fields or (self.field,))[0]
+
+  @property
   def composes(self) -> bool:
     """Whether it may start from what another one made, physical whatever that was."""
     field = FIELDS[self.field]

@@ -152,7 +152,7 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
   cfg, info = term.cfg, FIELDS[term.cfg.field]
   values, compiled, reports = term.values(), term.default, []
   for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), term.distributions.items(), strict=True):
-    columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.field]
+    columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.shown_in]
     finite = drawn[drawn.isfinite()]
     # One draw for all elements is one draw.
     sample = drawn[:, :1] if cfg.shared else drawn
