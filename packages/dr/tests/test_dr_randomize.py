@@ -152,6 +152,9 @@ def test_tensors_of_ones_own_are_written_where_something_is_drawn_and_keep_the_r
     randomize(model, [geom_friction("left_foot", (0.3, 1.2))], tensors=misspelt)
   with pytest.raises(ValueError, match="tensors: none is given"):
     randomize(model, [geom_friction("left_foot", (0.3, 1.2))], tensors={})
+  both: dict[str, Any] = {"tensors": mine, "num_worlds": 3}
+  with pytest.raises(ValueError, match="either num_worlds or tensors"):
+    randomize(model, [geom_friction("left_foot", (0.3, 1.2))], **both)
   with pytest.raises(ValueError, match=r"num_worlds must be .* got 2\.5"):
     randomize(model, [geom_friction("left_foot", (0.3, 1.2))], num_worlds=HALF)
 

@@ -181,6 +181,8 @@ def randomize(
   if tensors is not None:
     if not tensors:
       raise ValueError("randomize: tensors: none is given.")
+    if num_worlds is not None:
+      raise ValueError("randomize: give either num_worlds or tensors, which say how many worlds there are.")
     known = {*FIELDS, *(name for field in FIELDS.values() for name in field.derived)}
     for name in tensors:
       if name not in known:
