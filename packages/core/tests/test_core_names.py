@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from mjlab_core import NameMatchError, match_names, match_values, match_values_full, nearest, unknown
+from mjlab_core import UnknownNameError, match_names, match_values, match_values_full, nearest, unknown
 
 LEGS = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
 
@@ -12,7 +12,7 @@ LEGS = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("
 def test_patterns_match_whole_names_in_the_order_of_the_names() -> None:
   assert match_names(("R._hip_joint", "FL_.*"), LEGS, what="joint") == ([0, 1, 2, 6, 9], [*LEGS[:3], LEGS[6], LEGS[9]])
   assert match_names(".*", LEGS, what="joint")[0] == list(range(12))
-  with pytest.raises(NameMatchError):
+  with pytest.raises(UnknownNameError):
     match_names("FL_hip", LEGS, what="joint")
 
 
@@ -23,7 +23,7 @@ def test_preserve_order_follows_the_patterns_then_the_names() -> None:
 
 
 def test_a_pattern_without_a_match_names_the_nearest_and_all() -> None:
-  with pytest.raises(NameMatchError) as error:
+  with pytest.raises(UnknownNameError) as error:
     match_names(["FR_.*", "left_hip_.*"], LEGS, what="joint", owner="entity 'robot'")
   assert str(error.value) == (
     "entity 'robot': pattern 'left_hip_.*' matches no joint. Nearest: FL_hip_joint, FR_hip_joint, RL_hip_joint. "
@@ -32,14 +32,14 @@ def test_a_pattern_without_a_match_names_the_nearest_and_all() -> None:
 
 
 def test_a_name_hit_twice_names_both_patterns() -> None:
-  with pytest.raises(NameMatchError, match=r"joint 'FL_hip_joint' is matched by two patterns, 'FL_\.\*' and '\.\*hip"):
+  with pytest.raises(UnknownNameError, match=r"'FL_hip_joint' is matched by two patterns, 'FL_\.\*' and '\.\*hip"):
     match_names(["FL_.*", ".*hip.*"], LEGS, what="joint")
 
 
 def test_a_broken_expression_and_an_empty_list_of_names_are_said_so() -> None:
-  with pytest.raises(NameMatchError, match=r"pattern 'FL_\(' is not a regular expression"):
+  with pytest.raises(UnknownNameError, match=r"pattern 'FL_\(' is not a regular expression"):
     match_names("FL_(", LEGS, what="joint")
-  with pytest.raises(NameMatchError, match=r"matches no site\. There are none\."):
+  with pytest.raises(UnknownNameError, match=r"matches no site\. There are none\."):
     match_names(".*", [], what="site")
 
 
@@ -55,8 +55,14 @@ def test_full_values_cover_every_name_or_say_which_is_left() -> None:
   assert match_values_full({"F.*": 1, "R.*": 2}, LEGS, what="joint") == [1] * 6 + [2] * 6
   assert match_values_full({"FL.*": 1}, LEGS[:4], what="joint", default=0) == [1, 1, 1, 0]
   assert match_values_full({"FL.*": 1}, LEGS[:4], what="joint", default=None) == [1, 1, 1, None]
-  with pytest.raises(NameMatchError, match=r"act: no pattern gives a value for joint FR_hip_joint\. Patterns: FL\.\*"):
+  with pytest.raises(UnknownNameError, match=r"act: no pattern .* for joint FR_hip_joint\. Patterns: FL\.\*"):
     match_values_full({"FL.*": 1}, LEGS[:4], what="joint", owner="act")
+
+
+def test_every_name_without_a_pattern_of_its_own_has_the_value_for_all() -> None:
+  values = match_values_full({".*": 1, "FL_.*": 2}, LEGS, what="joint")
+  assert values == [2 if leg.startswith("FL") else 1 for leg in LEGS]
+  assert match_values_full({".*": 1, ".*_joint": 2}, LEGS, what="joint") == [2] * len(LEGS)
 
 
 def test_unknown_names_come_with_a_way_out() -> None:

@@ -53,10 +53,10 @@ def test_a_distribution_of_no_width_is_its_point() -> None:
   ("lo", "hi", "limits", "message"),
   [
     (2.0, 1.0, {}, r"friction: range \(2\.0, 1\.0\) is inverted\. Did you mean \(1\.0, 2\.0\)\?"),
-    (-1.0, 1.0, {"minimum": 0.0}, "must stay at or above 0"),
-    (0.0, 1.0, {"minimum": 0.0, "open_minimum": True}, "must stay above 0"),
-    (0.0, 2.0, {"maximum": 1.0}, "must stay at or below 1"),
-    (math.nan, 2.0, {}, "not a number"),
+    (-1.0, 1.0, {"minimum": 0.0}, "must not be negative"),
+    (0.0, 1.0, {"minimum": 0.0, "open_minimum": True}, "must be positive"),
+    (0.0, 2.0, {"maximum": 1.0}, "must be (at most 1|in)"),
+    (math.nan, 2.0, {}, "must be a number"),
   ],
 )
 def test_a_bad_range_is_refused_by_name(lo: float, hi: float, limits: dict, message: str) -> None:
@@ -72,9 +72,9 @@ def test_a_bad_range_is_refused_by_name(lo: float, hi: float, limits: dict, mess
     (1.0, "must be two numbers"),
     ("ab", "must be two numbers"),
     ((2, 1), "is inverted"),
-    ((math.nan, 1.0), "not a number"),
+    ((math.nan, 1.0), "must be a number"),
     ((1.0, math.inf), r"range \(1\.0, inf\) must be finite"),
-    ((-1.0, 1.0), "must stay at or above 0"),
+    ((-1.0, 1.0), "must not be negative"),
   ],
 )
 def test_what_is_no_range_of_a_config_is_refused_by_name(bounds: object, message: str) -> None:
@@ -116,7 +116,7 @@ def test_masked_writes_reach_through_views_and_refuse_wrong_shapes() -> None:
 def test_world_numbers_are_no_mask(mask: Any, given: str) -> None:
   for write in (core.where_, core.fill_):
     dst = torch.zeros(2)
-    with pytest.raises(TypeError, match=f"one bool for each world, not {given}"):
+    with pytest.raises(TypeError, match=f"`mask` must be a bool tensor .*, got {given}"):
       write(dst, mask, 1.0)
     assert not dst.any()
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import ActionManager, ActionTerm, ActionTermCfg, ConfigError
+from mjlab_core.errors import ConfigError
+from mjlab_managers import ActionManager, ActionTerm, ActionTermCfg
 
 
 @dataclass(kw_only=True)
@@ -23,7 +24,7 @@ class Scaled(ActionTerm):
 
   def __init__(self, cfg: ScaledCfg, env: Any) -> None:
     super().__init__(cfg, env)
-    self.target = torch.zeros(self.num_envs, cfg.width)
+    self.target = self.state((cfg.width,))
     self.applied = 0
 
   @property
@@ -39,9 +40,6 @@ class Scaled(ActionTerm):
 
   def apply_actions(self) -> None:
     self.applied += 1
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self.target.masked_fill_(mask[:, None], 0.0)
 
 
 def build(env: Any) -> ActionManager:

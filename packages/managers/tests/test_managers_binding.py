@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import torch
+from mjlab_core.errors import ConfigError
 from mjlab_managers import (
-  ConfigError,
   EventManager,
   EventTermCfg,
   ManagerTermBase,
@@ -186,15 +186,13 @@ class TestParameters:
 class Counter(ManagerTermBase):
   """Calls since the reset, (N,)."""
 
-  def __init__(self, cfg, env) -> None:
-    assert cfg.params["asset"].resolved
-    self.calls = torch.zeros(self.num_envs, device=self.device)
+  def __init__(self, env, *, asset: SceneEntityCfg = ROBOT) -> None:
+    super().__init__(env)
+    assert asset.resolved
+    self.calls = self.state()
 
-  def __call__(self, env, *, asset: SceneEntityCfg = ROBOT) -> torch.Tensor:
+  def __call__(self) -> torch.Tensor:
     return self.calls.add_(1.0).clone()
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self.calls.masked_fill_(mask, 0.0)
 
 
 class TestClassTerms:
@@ -216,15 +214,6 @@ class TestClassTerms:
     other.load_state_dict(state)
     assert other.compute().tolist() == [4.0] * 4
 
-  def test_a_class_term_that_makes_its_memory_when_called_is_named(self, env):
-    class Late(ManagerTermBase):
-      def __call__(self, env) -> torch.Tensor:
-        self.calls = torch.zeros(self.num_envs)
-        return self.calls
-
-    with pytest.raises(ConfigError, match="term 'n': what it remembers must be made in __init__"):
-      RewardManager({"n": RewardTermCfg(Late, weight=1.0)}, env)
-
   def test_managers_do_not_share_configs(self, env):
     cfg = RewardTermCfg(Counter, weight=1.0)
     first, second = RewardManager({"n": cfg}, env), RewardManager({"n": cfg}, env)
@@ -233,17 +222,21 @@ class TestClassTerms:
 
   def test_a_class_that_cannot_be_called_or_made_is_named(self, env):
     class Broken(Counter):
-      def __init__(self, cfg, env) -> None:
+      def __init__(self, env) -> None:
         raise ValueError("no such sensor")
 
     class Wrong(Counter):
-      def __init__(self, cfg, env) -> None:
+      def __init__(self, env) -> None:
         raise TypeError("no such argument")
 
+    class Uncallable(ManagerTermBase):
+      pass
+
     for func, said in (
-      (SimpleNamespace, ".*class SimpleNamespace has no __call__"),
+      (SimpleNamespace, "class SimpleNamespace must be a subclass of ManagerTermBase and have __call__"),
+      (Uncallable, "class Uncallable has no __call__"),
       (Broken, "no such sensor"),
-      (Wrong, "TypeError while making Wrong: no such argument"),
+      (Wrong, r"TypeError while making it \(test_managers_binding.py, line \d+\): no such argument"),
     ):
       with pytest.raises(ConfigError, match=f"term 'n': {said}"):
         RewardManager({"n": RewardTermCfg(func, weight=1.0)}, env)

@@ -4,13 +4,8 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import (
-  CameraNoiseCfg,
-  ConfigError,
-  ObservationGroupCfg,
-  ObservationManager,
-  ObservationTermCfg,
-)
+from mjlab_core.errors import ConfigError
+from mjlab_managers import CameraNoiseCfg, ObservationGroupCfg, ObservationManager, ObservationTermCfg
 
 # Three colours, depth, validity.
 SHAPE = (5, 16, 12)

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 import torch
 from mjlab_core import UnknownNameError
-from mjlab_core.masking import where_
-from mjlab_managers import CommandManager, CommandTerm, CommandTermCfg, ConfigError
+from mjlab_core.errors import ConfigError
+from mjlab_core.indexing import where_
+from mjlab_managers import CommandManager, CommandTerm, CommandTermCfg
 
 
 @dataclass(kw_only=True)
@@ -19,8 +20,7 @@ class UniformCfg(CommandTermCfg):
 class Uniform(CommandTerm):
   def __init__(self, cfg: UniformCfg, env: Any) -> None:
     super().__init__(cfg, env)
-    self._command = torch.zeros(self.num_envs, 3)
-    self.age = torch.zeros(self.num_envs)
+    self._command, self.age = self.state((3,)), self.state()
     self.metrics["error"] = torch.zeros(self.num_envs)
     self.metrics["steps"] = torch.zeros(self.num_envs)
 
@@ -154,11 +154,9 @@ def test_a_step_asks_the_device_nothing_and_no_terms_do_nothing(env, dispatched)
 class Counting(Uniform):
   """Logs how many draws there were in all, and takes that over into any number of worlds."""
 
-  _extra_state = ("total",)
-
   def __init__(self, cfg, env):
     super().__init__(cfg, env)
-    self.total = torch.zeros(1)
+    self.total = self.state((1,), shared=True)
 
   def resample(self, mask):
     super().resample(mask)
@@ -233,7 +231,7 @@ def test_what_is_given_by_hand_holds_in_its_world_and_is_no_part_of_a_step_befor
   assert term.command[2].tolist() != [0.5, 0.25, -1.0]
   term.steer(0, [0.0, 0.0, 0.0])
   assert env.recaptures == ["command 'twist' is given by hand"]
-  assert set(term.state_dict()) == {"time_left", "command_counter", "_command", "age", "_metric_values"}
+  assert set(term.state_dict()) == {"time_left", "command_counter", "_command", "age"}
 
 
 def test_a_term_is_steered_by_its_axes_and_by_nothing_else(env):

@@ -4,26 +4,21 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import (
-  ConfigError,
-  CurriculumManager,
-  CurriculumTermCfg,
-  ManagerTermBase,
-  RewardManager,
-  RewardTermCfg,
-)
+from mjlab_core.errors import ConfigError
+from mjlab_managers import CurriculumManager, CurriculumTermCfg, ManagerTermBase, RewardManager, RewardTermCfg
 
 
 class WeightSchedule(ManagerTermBase):
   """Sets a reward's weight by the step counter, on the device."""
 
-  def __init__(self, cfg: Any, env: Any) -> None:
-    self._steps = torch.tensor([step for step, _ in cfg.params["stages"]])
-    self._values = torch.tensor([value for _, value in cfg.params["stages"]])
-    self._weight = env.reward_manager.weight(cfg.params["reward"])
+  def __init__(self, env: Any, *, reward: str, stages: list[tuple[int, float]]) -> None:
+    super().__init__(env)
+    self._steps = torch.tensor([step for step, _ in stages])
+    self._values = torch.tensor([value for _, value in stages])
+    self._weight = env.reward_manager.weight(reward)
 
-  def __call__(self, env: Any, mask: torch.Tensor, *, reward: str, stages: list[tuple[int, float]]) -> torch.Tensor:
-    stage = (self._steps <= env.common_step_counter).sum() - 1
+  def __call__(self, mask: torch.Tensor) -> torch.Tensor:
+    stage = (self._steps <= self.env.common_step_counter).sum() - 1
     return self._weight.copy_(self._values.index_select(0, stage.reshape(1))[0])
 
 
@@ -79,10 +74,11 @@ def test_a_number_returned_inside_the_step_is_an_error(env):
 
 def test_class_terms_are_saved(env):
   class Level(ManagerTermBase):
-    def __init__(self, cfg: Any, env: Any) -> None:
-      self.level = torch.zeros(self.num_envs)
+    def __init__(self, env: Any) -> None:
+      super().__init__(env)
+      self.level = self.state()
 
-    def __call__(self, env: Any, mask: torch.Tensor) -> torch.Tensor:
+    def __call__(self, mask: torch.Tensor) -> torch.Tensor:
       return self.level.add_(mask).mean()
 
   manager = CurriculumManager({"l": CurriculumTermCfg(Level)}, env)

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import ConfigError, EventManager, EventTermCfg, ManagerTermBase
+from mjlab_core.errors import ConfigError
+from mjlab_managers import EventManager, EventTermCfg, ManagerTermBase
 
 
 class Fired:
@@ -142,11 +143,12 @@ def test_constants_are_recomputed_once_per_apply_where_something_fired(env):
 
 def test_a_class_event_declares_its_fields_after_it_was_made(env):
   class Randomize(ManagerTermBase):
-    def __init__(self, cfg: Any, env: Any) -> None:
-      self.model_fields = (cfg.params["field"],)
+    def __init__(self, env: Any, *, field: str) -> None:
+      super().__init__(env)
+      self.model_fields = (field,)
       self.needs_constants = True
 
-    def __call__(self, env: Any, mask: torch.Tensor, *, field: str) -> None: ...
+    def __call__(self, mask: torch.Tensor) -> None: ...
 
   terms: dict[str, EventTermCfg | None] = {"r": EventTermCfg(Randomize, mode="startup", params={"field": "body_ipos"})}
   manager = EventManager(terms, env)

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import ConfigError, MetricsManager, MetricsTermCfg
+from mjlab_core.errors import ConfigError
+from mjlab_managers import MetricsManager, MetricsTermCfg
 
 
 def column(env: Any) -> torch.Tensor:

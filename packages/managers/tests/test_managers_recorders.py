@@ -4,12 +4,14 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_managers import ConfigError, RecorderManager, RecorderTerm, RecorderTermCfg
+from mjlab_core.errors import ConfigError
+from mjlab_managers import RecorderManager, RecorderTerm, RecorderTermCfg
 
 
 class Recorder(RecorderTerm):
-  def __init__(self, cfg: RecorderTermCfg, env: Any) -> None:
-    super().__init__(cfg, env)
+  def __init__(self, env: Any, *, path: str = "") -> None:
+    super().__init__(env)
+    self.path = path
     self.seen: list[Any] = []
 
   def pre_reset(self, mask: torch.Tensor) -> None:
@@ -40,4 +42,4 @@ def test_no_recorders_do_nothing(env, dispatched):
 
 def test_a_function_is_no_recorder(env):
   with pytest.raises(ConfigError, match="must be a subclass of RecorderTerm"):
-    RecorderManager({"rec": RecorderTermCfg(print)}, env)  # type: ignore
+    RecorderManager({"rec": RecorderTermCfg(print)}, env)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_core.masking import where_
+from mjlab_core.indexing import where_
 from mjlab_managers import (
   ActionManager,
   ActionTerm,
@@ -61,7 +61,7 @@ class GoalCfg(CommandTermCfg):
 class Goal(CommandTerm):
   def __init__(self, cfg: GoalCfg, env: Any) -> None:
     super().__init__(cfg, env)
-    self.goal = torch.zeros(self.num_envs, 5, device=self.device)
+    self.goal = self.state((5,))
     self.metrics["distance"] = torch.zeros(self.num_envs, device=self.device)
 
   @property
@@ -78,14 +78,12 @@ class Goal(CommandTerm):
 class Longest(ManagerTermBase):
   """Largest distance in the episode, (N,)."""
 
-  def __init__(self, cfg: Any, env: Any) -> None:
-    self.longest = torch.zeros(self.num_envs, device=self.device)
+  def __init__(self, env: Any) -> None:
+    super().__init__(env)
+    self.longest = self.state()
 
-  def __call__(self, env: Any) -> torch.Tensor:
-    return torch.maximum(self.longest, distance(env), out=self.longest)
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self.longest.masked_fill_(mask, 0.0)
+  def __call__(self) -> torch.Tensor:
+    return torch.maximum(self.longest, distance(self.env), out=self.longest)
 
 
 HIPS = SceneEntityCfg("robot", joint_names=".*_hip")

@@ -12,13 +12,38 @@ from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
   from mjlab_core.buffers import DelayBuffer, HistoryBuffer
-  from mjlab_core.counts import why_no_count
+  from mjlab_core.config import FORMER_FIELDS, Config
+  from mjlab_core.constraints import (
+    Ascending,
+    Count,
+    Finite,
+    Items,
+    Limits,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    check_fields,
+    check_value,
+    field_problem,
+    field_problems,
+    why_no_count,
+  )
+  from mjlab_core.contacts import Contacts, host_contacts
   from mjlab_core.drawing import DebugDraw
-  from mjlab_core.frames import combine_frames, heading, subtract_frames, transform_points, velocity_at
-  from mjlab_core.masking import fill_, where_
-  from mjlab_core.names import (
-    NameMatchError,
+  from mjlab_core.errors import (
+    ConfigError,
+    DivergedError,
+    FileError,
+    MjlabError,
+    RenderingError,
+    StateError,
     UnknownNameError,
+    UsageError,
+  )
+  from mjlab_core.files import AtomicWrite, printable, reading, remove_leftovers, safe_name
+  from mjlab_core.indexing import Index, as_index, as_slice, fill_, rows_of_worlds, select, where_
+  from mjlab_core.names import (
+    check_name,
     match_names,
     match_values,
     match_values_full,
@@ -26,8 +51,10 @@ if TYPE_CHECKING:
     unknown,
   )
   from mjlab_core.rotations import (
+    combine_frames,
     cross,
     euler_xyz_from_quat,
+    heading,
     matrix_from_quat,
     normalize,
     quat_apply,
@@ -47,29 +74,68 @@ if TYPE_CHECKING:
     quat_yaw,
     random_quat,
     rotvec_from_quat,
+    subtract_frames,
+    transform_points,
+    velocity_at,
     wrap_to_pi,
   )
-  from mjlab_core.sampling import check_bounds, check_range, gaussian, log_uniform, truncated_normal, uniform
-  from mjlab_core.seeding import draw_seed, make_generator, seed_everything
-  from mjlab_core.state import StateError, Stateful
+  from mjlab_core.sampling import (
+    check_bounds,
+    check_range,
+    draw_seed,
+    gaussian,
+    log_uniform,
+    make_generator,
+    seed_everything,
+    truncated_normal,
+    uniform,
+  )
+  from mjlab_core.state import Stateful, StatefulDict
 
 __all__ = [
+  "FORMER_FIELDS",
+  "Ascending",
+  "AtomicWrite",
+  "Config",
+  "ConfigError",
+  "Contacts",
+  "Count",
   "DebugDraw",
   "DelayBuffer",
+  "DivergedError",
+  "FileError",
+  "Finite",
   "HistoryBuffer",
-  "NameMatchError",
+  "Index",
+  "Items",
+  "Limits",
+  "MjlabError",
+  "NonNegative",
+  "Positive",
+  "PositiveCount",
+  "RenderingError",
   "StateError",
   "Stateful",
+  "StatefulDict",
   "UnknownNameError",
+  "UsageError",
+  "as_index",
+  "as_slice",
   "check_bounds",
+  "check_fields",
+  "check_name",
   "check_range",
+  "check_value",
   "combine_frames",
   "cross",
   "draw_seed",
   "euler_xyz_from_quat",
+  "field_problem",
+  "field_problems",
   "fill_",
   "gaussian",
   "heading",
+  "host_contacts",
   "log_uniform",
   "make_generator",
   "match_names",
@@ -78,6 +144,7 @@ __all__ = [
   "matrix_from_quat",
   "nearest",
   "normalize",
+  "printable",
   "quat_apply",
   "quat_apply_inverse",
   "quat_box_minus",
@@ -94,8 +161,13 @@ __all__ = [
   "quat_unique",
   "quat_yaw",
   "random_quat",
+  "reading",
+  "remove_leftovers",
   "rotvec_from_quat",
+  "rows_of_worlds",
+  "safe_name",
   "seed_everything",
+  "select",
   "subtract_frames",
   "transform_points",
   "truncated_normal",
@@ -111,18 +183,26 @@ __getattr__, __dir__ = lazy_exports(
   __name__,
   {
     ".buffers": "DelayBuffer HistoryBuffer",
-    ".counts": "why_no_count",
-    ".drawing": "DebugDraw",
-    ".frames": "combine_frames heading subtract_frames transform_points velocity_at",
-    ".masking": "fill_ where_",
-    ".names": "NameMatchError UnknownNameError match_names match_values match_values_full nearest unknown",
-    ".rotations": (
-      "cross euler_xyz_from_quat matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus "
-      "quat_conjugate quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate "
-      "quat_inverse quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
+    ".config": "FORMER_FIELDS Config",
+    ".constraints": (
+      "Ascending Count Finite Items Limits NonNegative Positive PositiveCount check_fields check_value "
+      "field_problem field_problems why_no_count"
     ),
-    ".sampling": "check_bounds check_range gaussian log_uniform truncated_normal uniform",
-    ".seeding": "draw_seed make_generator seed_everything",
-    ".state": "StateError Stateful",
+    ".contacts": "Contacts host_contacts",
+    ".drawing": "DebugDraw",
+    ".errors": "ConfigError DivergedError FileError MjlabError RenderingError StateError UnknownNameError UsageError",
+    ".files": "AtomicWrite printable reading remove_leftovers safe_name",
+    ".indexing": "Index as_index as_slice fill_ rows_of_worlds select where_",
+    ".names": "check_name match_names match_values match_values_full nearest unknown",
+    ".rotations": (
+      "combine_frames heading subtract_frames transform_points velocity_at cross euler_xyz_from_quat "
+      "matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus quat_conjugate "
+      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
+      "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
+    ),
+    ".sampling": (
+      "check_bounds check_range draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"
+    ),
+    ".state": "Stateful StatefulDict",
   },
 )

@@ -1,87 +1,83 @@
 """Ring buffers over time with one row per world: a window of past frames, and a delay line.
 
-Both live inside a captured step. Time is a counter on the device, one frame is written per step, and a world's reset
-moves only that world's "born" mark: reads never look behind it, which back-fills a young window with its first frame at
-no cost.
+Both work inside a recorded step: fixed memory, no host reads. Each world has its own clock. A read never looks behind
+the first frame after a reset, so that frame fills a young window.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from mjlab_core.masking import where_
+from mjlab_core.constraints import Ascending, Count, Limits, PositiveCount, check_value
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import where_
 from mjlab_core.state import Stateful
 
 
 class _Ring(Stateful):
-  """`length` frames, time first: storage (length, num_envs, *shape)."""
-
-  _constants = frozenset({"_rows"})
-  _extra_state = ("_storage", "_tick")
+  """`length` frames per world, (num_envs, length, *shape)."""
 
   def __init__(
     self, length: int, num_envs: int, shape: Sequence[int], device: torch.device | str, dtype: torch.dtype
   ) -> None:
-    if length < 1:
-      raise ValueError(f"{type(self).__name__}: length must be at least 1, got {length}.")
+    check_value(f"{type(self).__name__}: length", length, PositiveCount)
     self.length, self.num_envs, self.shape = length, num_envs, tuple(shape)
     self.device, self.dtype = torch.device(device), dtype
     self._frame = (num_envs, *self.shape)
-    self._storage = torch.zeros((length, *self._frame), device=device, dtype=dtype)
-    # Tick of the newest frame. A row's born mark is the tick of its first frame; tick + 1 means none yet.
-    self._tick = torch.zeros(1, device=device, dtype=torch.int64)
-    self._born = torch.ones(num_envs, device=device, dtype=torch.int64)
-    self._rows = torch.arange(num_envs, device=device)
+    self._frames = self.state((length, *self.shape), dtype=dtype)
+    self._worlds = torch.arange(num_envs, device=device)
+    # Tick of the newest frame, and tick of the first one since the reset: tick + 1 means that there is none.
+    self._tick = self.state(dtype=torch.int64)
+    self._born = self.state(dtype=torch.int64, fill=1)
 
   def fill(self, mask: Tensor, x: Tensor | float) -> None:
-    """Makes `x` the whole past of the masked rows, as if it had been written for ever; time does not move.
+    """Make `x` the whole past of the worlds in `mask`, bool (num_envs,); time does not pass.
 
-    `mask` is bool (num_envs,); `x` broadcasts to (num_envs, *shape). The other rows stay bit-identical.
+    `x` broadcasts to (num_envs, *shape). The other worlds stay bit-identical.
     """
-    self._put_newest(mask, x)
+    self._replace_newest(mask, x)
     where_(self._born, mask, self._tick)
 
   def reset(self, mask: Tensor) -> None:
-    """Forgets the masked rows, bool (num_envs,): they read zero until the next frame, which then back-fills them."""
-    self._put_newest(mask, 0.0)
+    """Forget the frames of the worlds in `mask`, bool (num_envs,).
+
+    They read zero until their next frame, which then fills their whole past.
+    """
+    self._replace_newest(mask, 0.0)
     where_(self._born, mask, self._tick + 1)
 
-  def take_back(self, before: Mapping[str, Any], mask: Tensor) -> None:
-    """As for all that is Stateful; a frame that was written since becomes the whole past of the masked rows."""
-    written = self._tick != before["_tick"]
-    newest = self._storage.index_select(0, self._tick % self.length)[0]
-    super().take_back(before, mask)
-    _Ring.fill(self, mask & written, newest)
+  def refill(self, mask: Tensor) -> None:
+    self.reset(mask)
 
-  def _put_newest(self, mask: Tensor, x: Tensor | float) -> None:
+  def _replace_newest(self, mask: Tensor, x: Tensor | float) -> None:
     slot = self._tick % self.length
-    newest = self._storage.index_select(0, slot)
-    where_(newest[0], mask, x)
-    self._storage.index_copy_(0, slot, newest)
+    self._frames[self._worlds, slot] = where_(self._frames[self._worlds, slot], mask, x)
 
   def _write(self, x: Tensor) -> None:
     if x.shape != self._frame:
-      raise ValueError(f"{type(self).__name__}: expected a frame of shape {self._frame}, got {tuple(x.shape)}.")
+      raise MjlabError(f"{type(self).__name__}: expected a frame of shape {self._frame}, got {tuple(x.shape)}.")
     self._tick.add_(1)
-    self._storage.index_copy_(0, self._tick % self.length, x.to(self.dtype).unsqueeze(0))
+    self._frames[self._worlds, self._tick % self.length] = x.to(self.dtype)
+
+  def _at(self, ticks: Tensor) -> Tensor:
+    """Return the frames of one moment per world, (num_envs, *shape), in new memory."""
+    return self._frames[self._worlds, ticks % self.length]
 
 
 class HistoryBuffer(_Ring):
-  """The last `length` frames of every world.
+  """Window of the last `length` frames of every world.
 
   Args:
     length: number of frames kept, at least 1.
     num_envs: number of worlds.
     shape: shape of one world's frame.
-    device: where the frames live.
-    dtype: their type; what is appended is cast to it.
+    device: device of the frames.
+    dtype: type of the frames; appended frames are cast to it.
   """
-
-  _constants = frozenset({"_ages"})
 
   def __init__(
     self,
@@ -95,33 +91,37 @@ class HistoryBuffer(_Ring):
     self._ages = torch.arange(length - 1, -1, -1, device=device)
 
   def append(self, x: Tensor) -> None:
-    """Adds the newest frame, (num_envs, *shape); the oldest is dropped."""
+    """Add the newest frame, (num_envs, *shape); the oldest is dropped."""
     self._write(x)
 
   def read(self) -> Tensor:
-    """The window, oldest first, (num_envs, length, *shape), in new memory; a young row repeats its first frame."""
-    ticks = torch.minimum(torch.maximum(self._tick - self._ages, self._born[:, None]), self._tick)
-    return self._storage[ticks % self.length, self._rows[:, None]]
+    """Return the window, oldest first, (num_envs, length, *shape), in new memory.
+
+    A world that is younger than the window repeats its first frame.
+    """
+    tick = self._tick[:, None]
+    ticks = torch.minimum(torch.maximum(tick - self._ages, self._born[:, None]), tick)
+    return self._frames[self._worlds[:, None], ticks % self.length]
 
 
 class DelayBuffer(_Ring):
-  """Serves frames that are `lag` pushes old, with a lag in [min_lag, max_lag] per world at every moment.
+  """Delay line that serves frames `lag` pushes late, with a lag in [min_lag, max_lag] per world.
 
-  The lag is drawn at build, at a world's reset, and then anew at pushes: at every push, or every `update_period` pushes
-  if that is positive (each world at its own phase), and each time kept as it was with probability `hold_prob`. A row
-  younger than its lag serves its first frame. With min_lag == max_lag no random number is drawn.
+  A lag is drawn at build, at a world's reset, and at pushes: at every push, or every `update_period` pushes if that is
+  positive (each world in its own phase). A draw keeps the old lag with probability `hold_prob`. A world younger than
+  its lag serves its first frame. With min_lag == max_lag no random number is drawn.
 
   Args:
     min_lag: smallest lag [pushes], at least 0.
     max_lag: largest lag [pushes].
     num_envs: number of worlds.
     shape: shape of one world's frame.
-    device: where the frames live.
-    dtype: their type; what is pushed is cast to it.
+    device: device of the frames.
+    dtype: type of the frames; pushed frames are cast to it.
     generator: source of the lags, on `device`; None is torch's global one.
     hold_prob: probability in [0, 1] that a lag due for a new draw stays.
     update_period: pushes between two draws; 0 draws at every push.
-    per_env: False gives all worlds one lag, which a reset then leaves alone.
+    per_env: False gives all worlds one lag, which a reset leaves alone.
     per_env_phase: False lets all worlds redraw at the same push after their reset.
   """
 
@@ -140,19 +140,17 @@ class DelayBuffer(_Ring):
     per_env: bool = True,
     per_env_phase: bool = True,
   ) -> None:
-    if not 0 <= min_lag <= max_lag:
-      raise ValueError(f"DelayBuffer: needs 0 <= min_lag <= max_lag, got min_lag {min_lag}, max_lag {max_lag}.")
-    if not 0.0 <= hold_prob <= 1.0:
-      raise ValueError(f"DelayBuffer: hold_prob must be in [0, 1], got {hold_prob}.")
-    if update_period < 0:
-      raise ValueError(f"DelayBuffer: update_period must not be negative, got {update_period}.")
+    check_value("DelayBuffer: (min_lag, max_lag)", (min_lag, max_lag), Annotated[tuple[Count, Count], Ascending()])
+    check_value("DelayBuffer: hold_prob", hold_prob, Annotated[float, Limits(ge=0, le=1)])
+    check_value("DelayBuffer: update_period", update_period, Count)
     super().__init__(max_lag + 1, num_envs, shape, device, dtype)
     self.min_lag, self.max_lag = min_lag, max_lag
     self.hold_prob, self.update_period = hold_prob, update_period
     self._generator, self._per_env, self._per_env_phase = generator, per_env, per_env_phase
     self._varies = min_lag < max_lag
-    self._lag = torch.full((num_envs,), min_lag, device=device, dtype=torch.int64)
-    self._until_draw = torch.full((num_envs,), update_period, device=device, dtype=torch.int64)
+    self._lag = self.state(dtype=torch.int64, fill=min_lag)
+    # Pushes to the next draw, this one included.
+    self._until_draw = self.state(dtype=torch.int64, fill=update_period + 1)
     self._pinned: Tensor | None = None
     if self._varies:
       self._lag.copy_(self._draw_lags())
@@ -160,52 +158,52 @@ class DelayBuffer(_Ring):
 
   @property
   def lag(self) -> Tensor:
-    """The lag now, int64 (num_envs,) [pushes]; not to be written."""
+    """Present lag, int64 (num_envs,) [pushes]; read-only."""
     return self._lag
 
   def push(self, x: Tensor) -> Tensor:
-    """Adds a frame, (num_envs, *shape), and returns the delayed one, of that shape; `x` itself if max_lag is 0."""
+    """Add a frame, (num_envs, *shape), and return the delayed one, of that shape; `x` itself if max_lag is 0."""
     if self.max_lag == 0:
       self._write(x)
       return x.to(self.dtype)
     if self._varies:
       self._advance_lags()
     self._write(x)
-    return self._delayed(torch.maximum(self._tick - self._lag, self._born))
+    return self._at(torch.maximum(self._tick - self._lag, self._born))
 
   def read(self) -> Tensor:
-    """The delayed frame as of the last push, (num_envs, *shape); time does not move."""
-    return self._delayed(torch.minimum(torch.maximum(self._tick - self._lag, self._born), self._tick))
+    """Return the delayed frame of the last push, (num_envs, *shape); time does not pass."""
+    return self._at(torch.minimum(torch.maximum(self._tick - self._lag, self._born), self._tick))
 
   def reset(self, mask: Tensor) -> None:
-    """Forgets the masked rows, bool (num_envs,), and draws their lags anew; the others stay bit-identical."""
+    """Forget the frames of the worlds in `mask`, bool (num_envs,), and draw their lags; the others are unchanged."""
     super().reset(mask)
     self._restart(mask)
 
   def fill(self, mask: Tensor, x: Tensor | float) -> None:
-    """Makes `x` the whole past of the masked rows and draws their lags anew; the others stay bit-identical.
+    """Make `x` the whole past of the worlds in `mask`, bool (num_envs,), and draw their lags.
 
-    `mask` is bool (num_envs,); `x` broadcasts to (num_envs, *shape).
+    `x` broadcasts to (num_envs, *shape). The other worlds stay bit-identical.
     """
     super().fill(mask, x)
     self._restart(mask)
 
   def pin(self, mask: Tensor, lag: Tensor | int) -> None:
-    """Sets the lags of the masked rows, bool (num_envs,), and keeps them through draws and resets until the next pin.
+    """Set the lags of the worlds in `mask`, bool (num_envs,), and keep them through draws and resets.
 
-    `lag` is int64 and broadcasts to (num_envs,) [pushes]; it is clamped to [min_lag, max_lag]. The first call makes
-    memory, so it belongs before a step is recorded; an empty mask does only that.
+    `lag` is int64 and broadcasts to (num_envs,) [pushes]; it is clamped to [min_lag, max_lag]. The first call
+    allocates memory, so it belongs before a step is recorded; with an empty mask it does nothing else.
 
     Raises:
-      ValueError: the lag is the same for all rows at all times, so there is nothing to set.
+      MjlabError: all worlds always have the same lag.
     """
     if not (self._varies and self._per_env):
-      raise ValueError(
-        f"DelayBuffer: lags in [{self.min_lag}, {self.max_lag}], per_env {self._per_env}, are alike in all rows; they "
-        "cannot be pinned."
+      raise MjlabError(
+        f"DelayBuffer: lags in [{self.min_lag}, {self.max_lag}], per_env {self._per_env}, are the same in all "
+        "worlds, so they cannot be pinned."
       )
     if self._pinned is None:
-      self._pinned = torch.full_like(self._lag, -1)
+      self._pinned = self.state(dtype=torch.int64, fill=-1)
     lag = torch.as_tensor(lag, device=self.device).clamp(self.min_lag, self.max_lag)
     where_(self._pinned, mask, lag)
     where_(self._lag, mask, lag)
@@ -244,10 +242,7 @@ class DelayBuffer(_Ring):
 
   def _draw_phases(self) -> Tensor:
     if self.update_period == 0 or not (self._per_env and self._per_env_phase):
-      return torch.full_like(self._until_draw, self.update_period)
+      return torch.full_like(self._until_draw, self.update_period + 1)
     return torch.randint(
       1, self.update_period + 1, self._draws, generator=self._generator, device=self.device, dtype=torch.int64
     )
-
-  def _delayed(self, ticks: Tensor) -> Tensor:
-    return self._storage[ticks % self.length, self._rows]

@@ -1,4 +1,4 @@
-"""What a viewer offers to whoever wants to show something in its picture: a sensor its rays, a command its arrow."""
+"""Debug-drawing interface for sensors and commands."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 class DebugDraw(Protocol):
   """Draws shapes over the present picture; they are gone in the next one.
 
-  Whoever draws is called once a picture, outside of the step, with `debug_draw(draw)`, and draws what belongs to the
-  worlds in `draw.worlds`. Arguments are tensors of any device or arrays, one row per shape and n rows in all; n may be
-  0. Everything is in the world frame. A color is red, green, blue and opacity from 0 to 1, either one for all shapes or
-  one for each, (n, 4); in the same way a radius is one number or (n,) [m].
+  A viewer calls `debug_draw(draw)` of sensors and commands once per picture, outside of the step. They draw the
+  worlds in `draw.worlds`. Arguments are tensors of any device or arrays, one row per shape and n rows in all; n may
+  be 0. All coordinates are in the world frame. A color is red, green, blue and opacity from 0 to 1, one for all
+  shapes or one for each, (n, 4); in the same way a radius is one number or (n,) [m].
   """
 
   @property
@@ -28,19 +28,19 @@ class DebugDraw(Protocol):
     ...
 
   def arrows(self, start: Array, end: Array, color: Color, radius: float | Array) -> None:
-    """Arrows from `start` to `end`, both (n, 3) [m]; `radius` is that of the shaft, one or (n,) [m]."""
+    """Draw arrows from `start` to `end`, both (n, 3) [m]; `radius` is that of the shaft, one or (n,) [m]."""
     ...
 
   def lines(self, start: Array, end: Array, color: Color, radius: float | Array) -> None:
-    """Straight lines from `start` to `end`, both (n, 3) [m], `radius` thick, one or (n,) [m]."""
+    """Draw straight lines from `start` to `end`, both (n, 3) [m], `radius` thick, one or (n,) [m]."""
     ...
 
   def spheres(self, center: Array, radius: float | Array, color: Color) -> None:
-    """Spheres around `center`, (n, 3) [m]; `radius` is one or (n,) [m]."""
+    """Draw spheres around `center`, (n, 3) [m]; `radius` is one or (n,) [m]."""
     ...
 
   def frames(self, position: Array, quaternion: Array, size: float) -> None:
-    """Three axes (x red, y green, z blue) of length `size` [m] at `position`, (n, 3) [m].
+    """Draw three axes (x red, y green, z blue) of length `size` [m] at `position`, (n, 3) [m].
 
     Args:
       position: origins, (n, 3) [m].
@@ -50,7 +50,7 @@ class DebugDraw(Protocol):
     ...
 
   def ellipsoids(self, center: Array, quaternion: Array, radii: Array, color: Color) -> None:
-    """Ellipsoids around `center`, (n, 3) [m].
+    """Draw ellipsoids around `center`, (n, 3) [m].
 
     Args:
       center: middles, (n, 3) [m].
@@ -61,11 +61,11 @@ class DebugDraw(Protocol):
     ...
 
   def meshes(self, mesh_name: str, position: Array, quaternion: Array, color: Color) -> None:
-    """A mesh of the model, once at each pose: the ghost of a robot's part.
+    """Draw a mesh of the model at each pose.
 
     Args:
       mesh_name: full name of the mesh in the model.
-      position: where the mesh's own origin lies, (n, 3) [m].
+      position: origin of the mesh, (n, 3) [m].
       quaternion: unit (w, x, y, z) from the mesh's axes to the world, (n, 4).
       color: one, or (n, 4).
     """

@@ -1,4 +1,4 @@
-"""Packages whose public names are imported when they are first asked for."""
+"""Lazy imports: a package imports its public names at their first use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-  """`__getattr__` and `__dir__` (PEP 562) of a package that imports what it offers on demand.
+  """Return `__getattr__` and `__dir__` (PEP 562) of a package that imports its public names on demand.
 
   Args:
     package: `__name__` of the package, which lists its public names in `__all__`.

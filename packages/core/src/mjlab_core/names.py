@@ -1,7 +1,7 @@
-"""The one rule by which patterns select names.
+"""Selection of names by patterns, and messages about names that do not exist.
 
-A pattern is a regular expression that must match a whole name (`re.fullmatch`). Each name is hit by at most one pattern
-and each pattern hits at least one name; anything else is a `NameMatchError` that lists what there is.
+A pattern is a regular expression that must match a whole name (`re.fullmatch`). Each pattern matches at least one name,
+and each name matches at most one pattern; otherwise `UnknownNameError` lists the existing names.
 """
 
 from __future__ import annotations
@@ -11,11 +11,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, TypeVar, cast
 
+from mjlab_core.errors import UnknownNameError
+
 T = TypeVar("T")
-
-
-class NameMatchError(ValueError):
-  """Patterns and names do not fit: nothing matched, a name matched twice, or a pattern is not a regular expression."""
 
 
 class _Required:
@@ -24,17 +22,19 @@ class _Required:
 
 _REQUIRED: Final = _Required()
 _MAX_LISTED: Final = 60
+EVERY: Final = ".*"
+"""Pattern that matches every name."""
 
 
 def match_names(
   patterns: str | Sequence[str], names: Sequence[str], *, what: str, owner: str = "", preserve_order: bool = False
 ) -> tuple[list[int], list[str]]:
-  """Indices and names selected by `patterns`, in the order of `names`, or of `patterns` if `preserve_order`.
+  """Return indices and names selected by `patterns`, in the order of `names`, or of `patterns` if `preserve_order`.
 
-  `what` says in messages what the names are ("joint"), `owner` whose they are ("entity 'robot'").
+  Messages call the names `what`, such as "joint", and their owner `owner`, such as "entity 'robot'".
 
   Raises:
-    NameMatchError: a pattern matches no name, or two patterns match one name.
+    UnknownNameError: a pattern matches no name, or two patterns match one name.
   """
   patterns = [patterns] if isinstance(patterns, str) else list(patterns)
   owner_of = _assign(patterns, names, what=what, owner=owner)
@@ -47,13 +47,18 @@ def match_names(
 def match_values(
   values: Mapping[str, T], names: Sequence[str], *, what: str, owner: str = ""
 ) -> tuple[list[int], list[str], list[T]]:
-  """Indices, names and values of the names that a pattern of `values` selects, in the order of `names`.
+  """Return indices, names and values of the names that a pattern of `values` selects, in the order of `names`.
+
+  The pattern ".*" gives the value of the names that no other pattern matches.
 
   Raises:
-    NameMatchError: a pattern matches no name, or two patterns match one name.
+    UnknownNameError: a pattern matches no name, or two patterns other than ".*" match one name.
   """
-  patterns = list(values)
+  patterns = [pattern for pattern in values if pattern != EVERY]
   owner_of = _assign(patterns, names, what=what, owner=owner)
+  if EVERY in values:
+    owner_of = [len(patterns) if p < 0 else p for p in owner_of]
+    patterns.append(EVERY)
   picked = [i for i in range(len(names)) if owner_of[i] >= 0]
   return picked, [names[i] for i in picked], [values[patterns[owner_of[i]]] for i in picked]
 
@@ -61,10 +66,10 @@ def match_values(
 def match_values_full(
   values: T | Mapping[str, T], names: Sequence[str], *, what: str, owner: str = "", default: T | _Required = _REQUIRED
 ) -> list[T]:
-  """One value per name: `values` itself for all, or by pattern, with `default` where no pattern matches.
+  """Return one value per name: `values` itself for all, or by pattern, with `default` where no pattern matches.
 
   Raises:
-    NameMatchError: as `match_values`, or a name is left without a value and there is no default.
+    UnknownNameError: as `match_values`, or a name is left without a value and there is no default.
   """
   if not isinstance(values, Mapping):
     return [cast(T, values)] * len(names)
@@ -73,14 +78,14 @@ def match_values_full(
   by_index = dict(zip(picked, found, strict=True))
   left = [name for i, name in enumerate(names) if i not in by_index]
   if left and isinstance(default, _Required):
-    raise NameMatchError(
+    raise UnknownNameError(
       f"{_prefix(owner)}no pattern gives a value for {what} {_listing(left)}. Patterns: {_listing(list(table))}."
     )
   return [by_index[i] if i in by_index else cast(T, default) for i in range(len(names))]
 
 
 def nearest(name: str, candidates: Iterable[str], n: int = 3) -> list[str]:
-  """Up to `n` candidates most like `name`, best first; empty when none is like it."""
+  """Return up to `n` candidates most like `name`, best first; empty when none is like it."""
   matcher = difflib.SequenceMatcher(b=name.lower())
   scored: list[tuple[float, str]] = []
   for candidate in candidates:
@@ -91,40 +96,44 @@ def nearest(name: str, candidates: Iterable[str], n: int = 3) -> list[str]:
   return [candidate for _, candidate in sorted(scored, key=lambda pair: -pair[0])[:n]]
 
 
-class UnknownNameError(KeyError):
-  """Something was asked for by a name that does not exist; the message lists what does."""
-
-  def __str__(self) -> str:
-    # A KeyError shows its message quoted and escaped.
-    return str(self.args[0])
-
-
 def unknown(what: str, name: str, candidates: Iterable[str], owner: str = "") -> str:
-  """The message for a name that does not exist: "owner: what 'x' does not exist. Nearest: a, b. All 12: ..."."""
+  """Return the message for a name that does not exist: "owner: what 'x' does not exist. Nearest: a, b. All 12: ..."."""
   return f"{_prefix(owner)}{what} {name!r} does not exist. {_offer(name, list(candidates))}"
 
 
+def check_name(what: str, name: str, candidates: Iterable[str], owner: str = "") -> str:
+  """Return `name`.
+
+  Raises:
+    UnknownNameError: it is not one of `candidates`.
+  """
+  candidates = list(candidates)
+  if name not in candidates:
+    raise UnknownNameError(unknown(what, name, candidates, owner))
+  return name
+
+
 def _assign(patterns: Sequence[str], names: Sequence[str], *, what: str, owner: str) -> list[int]:
-  """For each name the index of the pattern that selects it, or -1."""
+  """Return for each name the index of the pattern that selects it, or -1."""
   owner_of = [-1] * len(names)
   for p, pattern in enumerate(patterns):
     try:
       matches = re.compile(pattern).fullmatch
     except re.error as error:
-      raise NameMatchError(f"{_prefix(owner)}pattern {pattern!r} is not a regular expression: {error}.") from error
+      raise UnknownNameError(f"{_prefix(owner)}pattern {pattern!r} is not a regular expression: {error}.") from error
     hit = False
     for i, name in enumerate(names):
       if matches(name) is None:
         continue
       hit = True
       if owner_of[i] >= 0:
-        raise NameMatchError(
+        raise UnknownNameError(
           f"{_prefix(owner)}{what} {name!r} is matched by two patterns, {patterns[owner_of[i]]!r} and {pattern!r}; "
           f"each name may match one. {_all(names)}"
         )
       owner_of[i] = p
     if not hit:
-      raise NameMatchError(f"{_prefix(owner)}pattern {pattern!r} matches no {what}. {_offer(pattern, names)}")
+      raise UnknownNameError(f"{_prefix(owner)}pattern {pattern!r} matches no {what}. {_offer(pattern, names)}")
   return owner_of
 
 

@@ -1,8 +1,11 @@
-"""Rotations as unit quaternions (w, x, y, z), pure functions over any leading shape.
+"""Rotations as unit quaternions (w, x, y, z), and frames: pure functions over any leading shape.
 
 All functions broadcast their leading dimensions, keep dtype and device, and run without a host sync, so they may be
-recorded in a CUDA graph. Quaternions are taken to be unit; `normalize` makes them so. A quaternion and its negative are
-the same rotation, and every function that returns an angle or a rotation vector treats them alike.
+recorded in a CUDA graph. Quaternions must be unit; `normalize` scales them. A quaternion and its negative are the same
+rotation, and every function that returns an angle or a rotation vector treats them alike.
+
+A pose is a position (..., 3) [m] and a quaternion (..., 4). `pos_ab, quat_ab` is the pose of frame b in frame a: it
+takes coordinates in b to coordinates in a.
 """
 
 from __future__ import annotations
@@ -15,24 +18,24 @@ from torch import Tensor
 
 
 def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
-  """`x` scaled to unit length along its last dimension, (..., n); vectors shorter than `eps` shrink towards zero."""
+  """Scale `x` to unit length along its last dimension, (..., n); vectors shorter than `eps` shrink towards zero."""
   return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True).clamp_min(eps)
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-  """Cross product, (..., 3); unlike torch's own it also broadcasts over a different number of leading dimensions."""
+  """Return the cross product, (..., 3); unlike torch's own it broadcasts over any number of leading dimensions."""
   if a.dim() != b.dim():
     a, b = torch.broadcast_tensors(a, b)
   return torch.linalg.cross(a, b)
 
 
 def wrap_to_pi(angle: Tensor) -> Tensor:
-  """The same angle in [-pi, pi], (...) [rad]; angles already inside come back bit-identical."""
+  """Return the same angle in [-pi, pi], (...) [rad]; angles already inside come back bit-identical."""
   return angle - torch.round(angle / (2.0 * math.pi)) * (2.0 * math.pi)
 
 
 def quat_mul(a: Tensor, b: Tensor) -> Tensor:
-  """Hamilton product, (..., 4): the rotation `b` followed by the rotation `a`."""
+  """Return the Hamilton product, (..., 4): the rotation `b` followed by the rotation `a`."""
   aw, av = a[..., :1], a[..., 1:]
   bw, bv = b[..., :1], b[..., 1:]
   w = aw * bw - (av * bv).sum(-1, keepdim=True)
@@ -41,36 +44,36 @@ def quat_mul(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_conjugate(q: Tensor) -> Tensor:
-  """(w, -x, -y, -z), (..., 4); for unit quaternions the inverse rotation."""
+  """Return (w, -x, -y, -z), (..., 4); for unit quaternions the inverse rotation."""
   return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
 
 
 def quat_inverse(q: Tensor) -> Tensor:
-  """Multiplicative inverse, (..., 4), also for quaternions that are not unit."""
+  """Return the multiplicative inverse, (..., 4), also for quaternions that are not unit."""
   return quat_conjugate(q) / q.square().sum(-1, keepdim=True)
 
 
 def quat_apply(q: Tensor, v: Tensor) -> Tensor:
-  """`v` rotated by `q`, (..., 3): takes coordinates in the rotated frame to coordinates in the parent frame."""
+  """Rotate `v` by `q`, (..., 3): takes coordinates in the rotated frame to coordinates in the parent frame."""
   axis = q[..., 1:]
   t = 2.0 * cross(axis, v)
   return v + q[..., :1] * t + cross(axis, t)
 
 
 def quat_apply_inverse(q: Tensor, v: Tensor) -> Tensor:
-  """`v` rotated by the inverse of `q`, (..., 3): takes parent coordinates to coordinates in the rotated frame."""
+  """Rotate `v` by the inverse of `q`, (..., 3): takes coordinates in the parent frame to the rotated frame."""
   axis = q[..., 1:]
   t = 2.0 * cross(axis, v)
   return v - q[..., :1] * t + cross(axis, t)
 
 
 def quat_unique(q: Tensor) -> Tensor:
-  """The representative with w >= 0, (..., 4)."""
+  """Return the representative with w >= 0, (..., 4)."""
   return torch.where(q[..., :1] < 0.0, -q, q)
 
 
 def quat_from_euler_xyz(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-  """Quaternion of Rz(yaw) Ry(pitch) Rx(roll), (..., 4); angles (...) [rad], about the fixed axes x, then y, then z."""
+  """Return the quaternion of Rz(yaw) Ry(pitch) Rx(roll), (..., 4); angles (...) [rad] about the fixed axes x, y, z."""
   half = 0.5 * torch.stack(torch.broadcast_tensors(roll, pitch, yaw), dim=-1)
   (cr, cp, cy), (sr, sp, sy) = half.cos().unbind(-1), half.sin().unbind(-1)
   cpcy, spsy, cpsy, spcy = cp * cy, sp * sy, cp * sy, sp * cy
@@ -80,7 +83,7 @@ def quat_from_euler_xyz(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 def euler_xyz_from_quat(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-  """Roll, pitch and yaw, each (...) [rad], of Rz(yaw) Ry(pitch) Rx(roll).
+  """Return roll, pitch and yaw, each (...) [rad], of Rz(yaw) Ry(pitch) Rx(roll).
 
   Pitch is in [-pi/2, pi/2], the others in [-pi, pi]. In gimbal lock roll and yaw are not unique; the returned triple
   still gives the rotation back. After Bernardes and Viollet, "Quaternion to Euler angles conversion: a direct, general
@@ -94,14 +97,14 @@ def euler_xyz_from_quat(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def quat_from_rotvec(rotvec: Tensor) -> Tensor:
-  """Exponential map, (..., 4): rotation about `rotvec`, (..., 3), by its length [rad]."""
+  """Return the exponential map, (..., 4): rotation about `rotvec`, (..., 3), by its length [rad]."""
   angle = torch.linalg.vector_norm(rotvec, dim=-1, keepdim=True)
   # sinc keeps sin(angle / 2) / angle exact through zero without a branch.
   return torch.cat((torch.cos(0.5 * angle), 0.5 * torch.sinc(angle / (2.0 * math.pi)) * rotvec), dim=-1)
 
 
 def rotvec_from_quat(q: Tensor) -> Tensor:
-  """Logarithmic map, (..., 3) [rad]: the rotation vector of length at most pi; `q` and `-q` give the same."""
+  """Return the logarithmic map, (..., 3) [rad]: a rotation vector of length at most pi; `q` and `-q` give the same."""
   q = quat_unique(q)
   w, v = q[..., :1], q[..., 1:]
   s = torch.linalg.vector_norm(v, dim=-1, keepdim=True)
@@ -111,13 +114,13 @@ def rotvec_from_quat(q: Tensor) -> Tensor:
 
 
 def matrix_from_quat(q: Tensor) -> Tensor:
-  """Rotation matrix, (..., 3, 3); its columns are the rotated axes in the parent frame."""
+  """Return the rotation matrix, (..., 3, 3); its columns are the rotated axes in the parent frame."""
   axes = torch.eye(3, dtype=q.dtype, device=q.device)
   return quat_apply(q.unsqueeze(-2), axes).mT.contiguous()
 
 
 def quat_from_matrix(matrix: Tensor) -> Tensor:
-  """Quaternion with w >= 0 of rotation matrices (..., 3, 3), (..., 4); accurate for every angle, pi included.
+  """Return the quaternion with w >= 0 of rotation matrices (..., 3, 3), (..., 4); accurate for every angle.
 
   The four rows below are 4 q_i q; the one with the largest q_i is free of cancellation (Shepperd, 1978).
   """
@@ -133,38 +136,37 @@ def quat_from_matrix(matrix: Tensor) -> Tensor:
 
 
 def quat_yaw(q: Tensor) -> Tensor:
-  """The yaw of roll-pitch-yaw as a quaternion about z, (..., 4): where the rotated x axis points, seen from above."""
-  w, x, y, z = q.unbind(-1)
-  half = 0.5 * torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+  """Return the yaw of roll-pitch-yaw as a quaternion about z, (..., 4): the heading of the rotated x axis."""
+  half = 0.5 * heading(q)
   zero = torch.zeros_like(half)
   return torch.stack((half.cos(), zero, zero, half.sin()), dim=-1)
 
 
 def quat_box_minus(a: Tensor, b: Tensor) -> Tensor:
-  """Shortest rotation vector from `b` to `a` in the parent (world) frame, (..., 3) [rad]."""
+  """Return the shortest rotation vector from `b` to `a` in the parent (world) frame, (..., 3) [rad]."""
   return rotvec_from_quat(quat_mul(a, quat_conjugate(b)))
 
 
 def quat_box_plus(q: Tensor, rotvec: Tensor) -> Tensor:
-  """`q` turned by a rotation vector in the parent (world) frame, (..., 4); undoes `quat_box_minus`."""
+  """Turn `q` by a rotation vector in the parent (world) frame, (..., 4); undoes `quat_box_minus`."""
   return quat_mul(quat_from_rotvec(rotvec), q)
 
 
 def quat_error_magnitude(a: Tensor, b: Tensor) -> Tensor:
-  """Angle of the shortest rotation between `a` and `b`, (...) [rad], in [0, pi]."""
+  """Return the angle of the shortest rotation between `a` and `b`, (...) [rad], in [0, pi]."""
   relative = quat_mul(a, quat_conjugate(b))
   return 2.0 * torch.atan2(torch.linalg.vector_norm(relative[..., 1:], dim=-1), relative[..., 0].abs())
 
 
 def quat_slerp(a: Tensor, b: Tensor, t: Tensor | float) -> Tensor:
-  """The rotation a share `t` of the shortest way from `a` to `b`, (..., 4); `t` is a number or a tensor (...)."""
+  """Return the rotation at a share `t` of the shortest way from `a` to `b`, (..., 4); `t` is a number or (...)."""
   if isinstance(t, Tensor):
     t = t.unsqueeze(-1)
   return quat_box_plus(a, t * quat_box_minus(b, a))
 
 
 def quat_integrate(q: Tensor, angular_velocity: Tensor, dt: Tensor | float) -> Tensor:
-  """`q` after turning for `dt` [s] at a constant angular velocity in the body frame (MuJoCo's qvel), (..., 4).
+  """Turn `q` for `dt` [s] at a constant angular velocity in the body frame (MuJoCo's qvel), (..., 4).
 
   `angular_velocity` is (..., 3) [rad/s]. For a velocity in the world frame use `quat_box_plus(q, velocity * dt)`.
   """
@@ -180,6 +182,35 @@ def random_quat(
   device: torch.device | str | None = None,
   dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-  """Rotations uniform over SO(3), (*shape, 4)."""
+  """Draw rotations uniformly from SO(3), (*shape, 4)."""
   shape = (shape,) if isinstance(shape, int) else tuple(shape)
   return normalize(torch.randn(*shape, 4, generator=generator, device=device, dtype=dtype))
+
+
+def transform_points(points: Tensor, pos: Tensor, quat: Tensor) -> Tensor:
+  """Return points (..., P, 3) of a frame in its parent's coordinates, (..., P, 3) [m]."""
+  return pos.unsqueeze(-2) + quat_apply(quat.unsqueeze(-2), points)
+
+
+def combine_frames(pos_ab: Tensor, quat_ab: Tensor, pos_bc: Tensor, quat_bc: Tensor) -> tuple[Tensor, Tensor]:
+  """Return the pose of c in a from the poses of b in a and of c in b: position (..., 3) and quaternion (..., 4)."""
+  return pos_ab + quat_apply(quat_ab, pos_bc), quat_mul(quat_ab, quat_bc)
+
+
+def subtract_frames(pos_wa: Tensor, quat_wa: Tensor, pos_wb: Tensor, quat_wb: Tensor) -> tuple[Tensor, Tensor]:
+  """Return the pose of b in a from the poses of both in a third frame: position (..., 3) and quaternion (..., 4)."""
+  return quat_apply_inverse(quat_wa, pos_wb - pos_wa), quat_mul(quat_conjugate(quat_wa), quat_wb)
+
+
+def velocity_at(linear: Tensor, angular: Tensor, offset: Tensor) -> Tensor:
+  """Return the velocity of a rigid body's point at `offset` from the point that moves with `linear`, (..., 3) [m/s].
+
+  All three (..., 3) in one frame: `linear` [m/s], `angular` [rad/s], `offset` [m].
+  """
+  return linear + cross(angular, offset)
+
+
+def heading(quat: Tensor) -> Tensor:
+  """Return the yaw of the rotated x axis seen from above, (...) [rad]."""
+  w, x, y, z = quat.unbind(-1)
+  return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,4 +1,4 @@
-"""Draws from distributions, whole batches at a time and without a host sync, and the check of their ranges at build.
+"""Draws from distributions, whole batches at a time and without a host sync, seeds, and checks of ranges.
 
 Bounds are numbers or tensors that broadcast against `shape`. The amount of randomness consumed depends on `shape`
 alone, so that what a world draws does not depend on which worlds are asked for.
@@ -7,11 +7,16 @@ alone, so that what a world draws does not depend on which worlds are asked for.
 from __future__ import annotations
 
 import math
+import random
+import secrets
 from collections.abc import Sequence
-from numbers import Real
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from mjlab_core.constraints import Limits, field_problem
+from mjlab_core.errors import MjlabError
 
 
 def uniform(
@@ -23,7 +28,7 @@ def uniform(
   device: torch.device | str | None = None,
   dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-  """Uniform in [lo, hi], of shape `shape`."""
+  """Draw uniformly from [lo, hi], of shape `shape`."""
   return torch.rand(tuple(shape), generator=generator, device=device, dtype=dtype).mul_(hi - lo).add_(lo)
 
 
@@ -36,7 +41,7 @@ def log_uniform(
   device: torch.device | str | None = None,
   dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-  """exp(uniform(log lo, log hi)) in [lo, hi], of shape `shape`; both bounds positive."""
+  """Draw exp(uniform(log lo, log hi)) in [lo, hi], of shape `shape`; both bounds positive."""
   log_lo = lo.log() if isinstance(lo, Tensor) else math.log(lo)
   log_hi = hi.log() if isinstance(hi, Tensor) else math.log(hi)
   return uniform(log_lo, log_hi, shape, generator=generator, device=device, dtype=dtype).exp_()
@@ -51,7 +56,7 @@ def gaussian(
   device: torch.device | str | None = None,
   dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-  """Normal with `mean` and standard deviation `std`, of shape `shape`, one independent draw per element."""
+  """Draw from the normal distribution with `mean` and standard deviation `std`, of shape `shape`."""
   return torch.randn(tuple(shape), generator=generator, device=device, dtype=dtype).mul_(std).add_(mean)
 
 
@@ -66,7 +71,7 @@ def truncated_normal(
   device: torch.device | str | None = None,
   dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-  """The normal distribution conditioned on [lo, hi], of shape `shape`, by its inverse distribution function.
+  """Draw from the normal distribution conditioned on [lo, hi], of shape `shape`, by inversion.
 
   Works in float64 inside. An interval more than five standard deviations above the mean loses resolution.
   """
@@ -87,17 +92,14 @@ def truncated_normal(
 
 
 def check_bounds(name: str, bounds: object, *, minimum: float = -math.inf, finite: bool = False) -> None:
-  """`check_range` of what a config holds as a pair, and of numbers that are finite if these must be.
+  """Check a pair (lo, hi) of a config as `check_range` does.
 
   Raises:
-    ValueError: it is no pair of numbers, or no such range; the message begins with `name`.
+    MjlabError: the value is not a pair of numbers, or not such a range; the message begins with `name`.
   """
-  if not (isinstance(bounds, Sequence) and len(bounds) == 2 and all(isinstance(bound, Real) for bound in bounds)):
-    raise ValueError(f"{name}: must be two numbers, the lowest and the highest, got {bounds!r}.")
-  lo, hi = (float(bound) for bound in bounds)
-  check_range(name, lo, hi, minimum=minimum)
-  if finite and not (math.isfinite(lo) and math.isfinite(hi)):
-    raise ValueError(f"{name}: range ({lo}, {hi}) must be finite.")
+  if not isinstance(bounds, Sequence) or field_problem(bounds, tuple[float, float]):
+    raise MjlabError(f"{name}: must be two numbers, the lowest and the highest, got {bounds!r}.")
+  check_range(name, *bounds, minimum=minimum, finite=finite)
 
 
 def check_range(
@@ -108,17 +110,49 @@ def check_range(
   minimum: float = -math.inf,
   maximum: float = math.inf,
   open_minimum: bool = False,
+  finite: bool = False,
 ) -> None:
-  """Checks, at build, that lo <= hi are numbers inside [minimum, maximum], or (minimum, maximum] if `open_minimum`.
+  """Check that lo <= hi are numbers inside [minimum, maximum], or (minimum, maximum] if `open_minimum`.
 
   Raises:
-    ValueError: not so; the message begins with `name`.
+    MjlabError: they are not; the message begins with `name`.
   """
-  if math.isnan(lo) or math.isnan(hi):
-    raise ValueError(f"{name}: range ({lo}, {hi}) has a bound that is not a number.")
-  if lo > hi:
-    raise ValueError(f"{name}: range ({lo}, {hi}) is inverted. Did you mean ({hi}, {lo})?")
-  if lo < minimum or (open_minimum and lo == minimum):
-    raise ValueError(f"{name}: range ({lo}, {hi}) must stay {'above' if open_minimum else 'at or above'} {minimum:g}.")
-  if hi > maximum:
-    raise ValueError(f"{name}: range ({lo}, {hi}) must stay at or below {maximum:g}.")
+  limits = Limits(ge=minimum, gt=minimum if open_minimum else -math.inf, le=maximum, finite=finite)
+  problem = limits.problem((lo, hi))
+  if problem or lo > hi:
+    problem = f"must {problem}." if problem else f"is inverted. Did you mean ({hi}, {lo})?"
+    raise MjlabError(f"{name}: range ({lo}, {hi}) {problem}")
+
+
+def draw_seed() -> int:
+  """Return a seed from the operating system, in [0, 2^31)."""
+  return secrets.randbelow(2**31)
+
+
+def seed_everything(seed: int | None = None) -> int:
+  """Seed the global generators of Python, NumPy and torch (all devices); return the seed, drawn if None.
+
+  Raises:
+    MjlabError: the seed does not fit into 64 bits.
+  """
+  seed = draw_seed() if seed is None else _checked(seed)
+  random.seed(seed)
+  # The legacy call seeds libraries that draw from NumPy's global state.
+  np.random.seed(seed % 2**32)  # noqa: NPY002
+  torch.manual_seed(seed)
+  return seed
+
+
+def make_generator(device: torch.device | str, seed: int) -> torch.Generator:
+  """Return a generator on `device` that starts from `seed`.
+
+  Raises:
+    MjlabError: the seed does not fit into 64 bits.
+  """
+  return torch.Generator(device=device).manual_seed(_checked(seed))
+
+
+def _checked(seed: int) -> int:
+  if not -(2**63) <= seed < 2**64:
+    raise MjlabError(f"seed {seed} does not fit into 64 bits")
+  return seed

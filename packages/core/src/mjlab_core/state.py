@@ -1,137 +1,259 @@
-"""Saving and restoring what an object remembers between steps."""
+"""Declared state: tensors that are saved, restored and reset with the object that owns them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from mjlab_core.masking import where_
+from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.indexing import where_
 from mjlab_core.names import unknown
 
+T = TypeVar("T", bound="Stateful")
 
-class StateError(ValueError):
-  """A state does not fit the object it is loaded into."""
+_MARK = "_is_declared_state"
+
+
+@dataclass(slots=True)
+class _Declared:
+  """One tensor of state."""
+
+  tensor: Tensor
+  fill: Tensor | float | None
+  """Value after a reset; None leaves a reset to the owner."""
+  shared: bool
+
+
+@dataclass(slots=True)
+class _Registry:
+  """State and children of one object, by attribute name."""
+
+  tensors: dict[str, _Declared] = field(default_factory=dict)
+  children: dict[str, Any] = field(default_factory=dict)
+  made: dict[int, _Declared] = field(default_factory=dict)
+  """Declared tensors that no attribute holds yet, by identity."""
+  owned: bool = False
 
 
 class Stateful:
-  """Base of everything that remembers something from one step to the next.
+  """Base of objects that keep state from one step to the next.
 
-  The state is found, not declared: every tensor attribute whose first dimension is `self.num_envs`. What differs from
-  that is named in three class attributes, which add up over the base classes:
+  State is declared where it is made, as with `torch.nn.Module.register_buffer`:
 
-  - `_constants`: attributes of that shape that never change after build and are not saved;
-  - `_extra_state`: tensors of another shape that are saved too;
-  - `_children`: attributes that are Stateful, or a mapping or sequence of Stateful (None is skipped).
+      self.peak = self.state((4,))  # (num_envs, 4), zeros
+
+  Declared state is part of `state_dict`. It is written in place; assigning another tensor to the attribute raises.
+  A Stateful object that is assigned to an attribute becomes a child, and its state a part of this object's state. An
+  object has one owner, the first; assigned elsewhere it is a plain reference. Several children are kept in a
+  `StatefulDict`.
+
+  The attributes `num_envs` and `device` must exist before state is declared.
   """
 
   num_envs: int
-  _constants: ClassVar[frozenset[str]] = frozenset()
-  _extra_state: ClassVar[tuple[str, ...]] = ()
-  _children: ClassVar[tuple[str, ...]] = ()
+  device: torch.device
+
+  def state(
+    self,
+    shape: Sequence[int] = (),
+    *,
+    fill: Tensor | float = 0.0,
+    dtype: torch.dtype = torch.float32,
+    shared: bool = False,
+  ) -> Tensor:
+    """Return a new tensor, to be assigned to an attribute, that is state of this object.
+
+    Args:
+      shape: shape of one world's state.
+      fill: initial value, and the value after `refill`: a number, or a tensor that broadcasts to the whole state.
+      dtype: type of the tensor.
+      shared: one state for all worlds, of shape `shape`, which resets leave alone. Otherwise (num_envs, *shape).
+    """
+    try:
+      size = tuple(shape) if shared else (self.num_envs, *shape)
+      tensor = torch.empty(size, device=self.device, dtype=dtype)
+    except AttributeError as error:
+      raise MjlabError(f"{_label(self)}: call super().__init__(env) before declaring state.") from error
+    if isinstance(fill, Tensor):
+      fill = fill.detach().to(tensor).clone()
+      tensor.copy_(fill)
+    else:
+      tensor.fill_(fill)
+    return self._declare(tensor, fill, shared)
+
+  def state_of(self, memory: Tensor, *, shared: bool = False) -> Tensor:
+    """Declare existing memory, to be assigned to an attribute, as state that only the owner resets.
+
+    Args:
+      memory: (num_envs, ...), or any shape if `shared`.
+      shared: the first axis is not the worlds.
+    """
+    return self._declare(memory, None, shared)
+
+  def _declare(self, tensor: Tensor, fill: Tensor | float | None, shared: bool) -> Tensor:
+    _registry(self).made[id(tensor)] = _Declared(tensor, fill, shared)
+    setattr(tensor, _MARK, True)
+    return tensor
+
+  def __setattr__(self, name: str, value: Any) -> None:
+    registry: _Registry | None = self.__dict__.get("_registry")
+    if registry is not None or isinstance(value, Stateful):
+      _register(self, registry or _registry(self), name, value)
+    object.__setattr__(self, name, value)
+
+  def children(self) -> Mapping[str, Stateful]:
+    """Return the children by attribute name."""
+    return _registry(self).children
+
+  def undeclared(self, path: str = "self") -> dict[str, Tensor]:
+    """Return the tensors, in attributes here and in children, that no object declared as state, by dotted name."""
+    registry = _registry(self)
+    found: dict[str, Tensor] = {}
+    for name, value in vars(self).items():
+      found |= _undeclared(value, f"{path}.{name}")
+    for name, child in registry.children.items():
+      found |= child.undeclared(f"{path}.{name}")
+    return found
+
+  # Saving and loading
 
   def state_dict(self) -> dict[str, Any]:
-    """Clones of all state tensors by attribute name, with one nested dict per child."""
-    state: dict[str, Any] = {name: tensor.detach().clone() for name, tensor in self._state_tensors().items()}
-    for name, children in self._state_children().items():
-      state[name] = (
-        children.state_dict()
-        if isinstance(children, Stateful)
-        else {key: child.state_dict() for key, child in children.items()}
+    """Return clones of the declared state by attribute name, with one nested dict per child."""
+    registry = _registry(self)
+    if registry.made:
+      shapes = ", ".join(str(tuple(made.tensor.shape)) for made in registry.made.values())
+      raise MjlabError(
+        f"{_label(self)}: state of shape {shapes} is not an attribute; assign what self.state() returns."
       )
-    return state
+    state: dict[str, Any] = {name: declared.tensor.detach().clone() for name, declared in registry.tensors.items()}
+    return state | {name: child.state_dict() for name, child in registry.children.items()}
 
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
-    """Writes a state from `state_dict` into this object's tensors, in place; all is checked before any is written.
+    """Write a state from `state_dict` into this object's tensors, in place; check all before writing any.
 
     Raises:
-      StateError: a name is missing or unknown, or a shape or kind of number differs; the message gives the full name.
+      StateError: a name is missing or unknown, or a shape or dtype differs; the message gives the full name.
     """
-    writes: list[tuple[Tensor, Tensor]] = []
-    self._collect(state, type(self).__name__, writes)
+    self.check_state_dict(state)
+    self.restore(state)
+
+  def check_state_dict(self, state: Mapping[str, Any], path: str = "") -> None:
+    """Raise what `load_state_dict` would raise, and write nothing.
+
+    Args:
+      state: the state to check.
+      path: name of this object in messages; its class if empty.
+    """
+    path, registry = path or type(self).__name__, _registry(self)
+    if not isinstance(state, Mapping):
+      raise StateError(f"{path}: expected a mapping, got {type(state).__name__}.")
+    expected = [*registry.tensors, *registry.children]
+    for name in expected:
+      if name not in state:
+        raise StateError(f"{path}.{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
+    for name in state:
+      if name not in expected:
+        raise StateError(unknown("saved entry", name, expected, owner=path))
+    for name, declared in registry.tensors.items():
+      _check_tensor(state[name], declared.tensor, f"{path}.{name}")
+    for name, child in registry.children.items():
+      child.check_state_dict(state[name], f"{path}.{name}")
+
+  def restore(self, state: Mapping[str, Any], mask: Tensor | None = None) -> None:
+    """Write a state of this very object back, in place and unchecked.
+
+    Args:
+      state: an earlier `state_dict`.
+      mask: worlds to restore, bool (num_envs,); all if None. Shared state is always restored.
+    """
+    registry = _registry(self)
     with torch.no_grad():
-      for target, source in writes:
-        target.copy_(source)
+      for name, declared in registry.tensors.items():
+        if mask is None or declared.shared:
+          declared.tensor.copy_(state[name])
+        else:
+          where_(declared.tensor, mask, state[name])
+    for name, child in registry.children.items():
+      child.restore(state[name], mask)
 
-  def check_state_dict(self, state: Mapping[str, Any]) -> None:
-    """Raises what `load_state_dict` would raise, and writes nothing: for owners of several states."""
-    self._collect(state, type(self).__name__, [])
+  def refill(self, mask: Tensor) -> None:
+    """Write the initial value into the state of the worlds in `mask`, bool (num_envs,), here and in all children.
 
-  def take_back(self, before: Mapping[str, Any], mask: Tensor) -> None:
-    """Undoes what was remembered since `before`, a `state_dict`, in all worlds but those of `mask`, bool (num_envs,).
-
-    In place; what has no row per world is undone altogether.
+    Shared state and state of existing memory stay.
     """
-    extra = _inherited(type(self), "_extra_state")
-    for name, tensor in self._state_tensors().items():
-      if name in extra:
-        tensor.copy_(before[name])
-      else:
-        where_(tensor, ~mask, before[name])
-    for name, child in self._state_children().items():
-      for key, item in (("", child),) if isinstance(child, Stateful) else child.items():
-        item.take_back(before[name][key] if key else before[name], mask)
-
-  def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[Tensor, Tensor]]) -> None:
-    tensors, children = self._state_tensors(), self._state_children()
-    _check_keys(state, [*tensors, *children], path)
-    for name, target in tensors.items():
-      source = state[name]
-      if not isinstance(source, Tensor):
-        raise StateError(f"{path}.{name}: expected a tensor, got {type(source).__name__}.")
-      if source.shape != target.shape:
-        raise StateError(f"{path}.{name}: saved shape {tuple(source.shape)}, here {tuple(target.shape)}.")
-      # Precision may differ between engines; the kind of number may not.
-      if source.dtype != target.dtype and not (source.is_floating_point() and target.is_floating_point()):
-        raise StateError(f"{path}.{name}: saved dtype {source.dtype}, here {target.dtype}.")
-      writes.append((target, source))
-    for name, child in children.items():
-      if not isinstance(state[name], Mapping):
-        raise StateError(f"{path}.{name}: expected a mapping, got {type(state[name]).__name__}.")
-      if isinstance(child, Stateful):
-        child._collect(state[name], f"{path}.{name}", writes)
-        continue
-      _check_keys(state[name], list(child), f"{path}.{name}")
-      for key, item in child.items():
-        item._collect(state[name][key], f"{path}.{name}.{key}", writes)
-
-  def _state_tensors(self) -> dict[str, Tensor]:
-    extra, constants = _inherited(type(self), "_extra_state"), _inherited(type(self), "_constants")
-    num_envs = getattr(self, "num_envs", None)
-    tensors = {
-      name: value
-      for name, value in vars(self).items()
-      if isinstance(value, Tensor)
-      and name not in constants
-      and (name in extra or (value.dim() > 0 and value.shape[0] == num_envs))
-    }
-    if absent := [name for name in extra if name not in tensors]:
-      raise StateError(f"{type(self).__name__}: _extra_state names {absent}, which are not tensor attributes.")
-    return tensors
-
-  def _state_children(self) -> dict[str, Stateful | dict[str, Stateful]]:
-    children: dict[str, Stateful | dict[str, Stateful]] = {}
-    for name in _inherited(type(self), "_children"):
-      value = getattr(self, name)
-      if isinstance(value, Stateful):
-        children[name] = value
-      elif value is not None:
-        items = value.items() if isinstance(value, Mapping) else enumerate(value)
-        children[name] = {str(key): child for key, child in items if isinstance(child, Stateful)}
-    return children
+    registry = _registry(self)
+    for declared in registry.tensors.values():
+      if declared.fill is not None and not declared.shared:
+        fill = declared.fill
+        where_(declared.tensor, mask, fill)
+    for child in registry.children.values():
+      child.refill(mask)
 
 
-def _inherited(cls: type, attribute: str) -> list[str]:
-  """The names listed under `attribute` by a class and its bases, base first."""
-  return list(dict.fromkeys(name for base in reversed(cls.__mro__) for name in vars(base).get(attribute, ())))
+class StatefulDict(Stateful, dict[str, T]):
+  """Dictionary of children by name; the state of each entry is part of its state."""
+
+  def __init__(self, items: Mapping[str, T] | None = None) -> None:
+    super().__init__()
+    _registry(self).children = self
+    for name, child in (items or {}).items():
+      self[name] = child
+
+  def __setitem__(self, name: str, child: T) -> None:
+    super().__setitem__(name, child)
+    _registry(child).owned = True
 
 
-def _check_keys(state: Mapping[str, Any], expected: list[str], path: str) -> None:
-  for name in expected:
-    if name not in state:
-      raise StateError(f"{path}.{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
-  for name in state:
-    if name not in expected:
-      raise StateError(unknown("saved entry", name, expected, owner=path))
+def _registry(owner: Stateful) -> _Registry:
+  registry = owner.__dict__.get("_registry")
+  if registry is None:
+    registry = owner.__dict__["_registry"] = _Registry()
+  return registry
+
+
+def _register(owner: Stateful, registry: _Registry, name: str, value: Any) -> None:
+  """Note what an assignment means for the state of `owner`."""
+  made = registry.made.pop(id(value), None)
+  if made is not None:
+    registry.tensors[name] = made
+  elif name in registry.tensors and value is not registry.tensors[name].tensor:
+    raise MjlabError(
+      f"{_label(owner)}: the state '{name}' cannot be replaced. Write into it: self.{name}.copy_(x), "
+      f"self.{name}.mul_(x), or where_(self.{name}, mask, x) for some worlds."
+    )
+  if name in registry.children and value is not registry.children[name]:
+    _registry(registry.children.pop(name)).owned = False
+  if isinstance(value, Stateful) and not _registry(value).owned:
+    registry.children[name], _registry(value).owned = value, True
+
+
+def _undeclared(value: Any, path: str) -> dict[str, Tensor]:
+  """Return the tensors in a value, also in its containers, that are not declared."""
+  if isinstance(value, Tensor):
+    return {} if hasattr(value, _MARK) else {path: value}
+  items: dict[str, Any] = {}
+  if isinstance(value, dict) and not isinstance(value, Stateful):
+    items = {f"{path}[{key!r}]": item for key, item in value.items()}
+  elif isinstance(value, list | tuple):
+    items = {f"{path}[{index}]": item for index, item in enumerate(value)}
+  return {name: tensor for where, item in items.items() for name, tensor in _undeclared(item, where).items()}
+
+
+def _label(owner: Stateful) -> str:
+  name = getattr(owner, "name", "")
+  kind = type(owner).__name__
+  return f"{kind} '{name}'" if name and name != kind else kind
+
+
+def _check_tensor(source: Any, target: Tensor, path: str) -> None:
+  if not isinstance(source, Tensor):
+    raise StateError(f"{path}: expected a tensor, got {type(source).__name__}.")
+  if source.shape != target.shape:
+    raise StateError(f"{path}: saved shape {tuple(source.shape)}, here {tuple(target.shape)}.")
+  # Precision may differ between engines; the kind of number may not.
+  if source.dtype != target.dtype and not (source.is_floating_point() and target.is_floating_point()):
+    raise StateError(f"{path}: saved dtype {source.dtype}, here {target.dtype}.")

@@ -1,15 +1,15 @@
 """Action, command, curriculum, event, metrics, observation, recorder, reward and termination managers.
 
-They know an environment only as the protocol `ManagerEnv`. Whatever they do inside a step works on masks over all
-worlds, in fixed memory, without asking the device anything, so that a whole step can be recorded as one CUDA graph.
+Managers know an environment only as the protocol `ManagerEnv`. Inside a step they work on masks over all worlds, in
+fixed memory, and read nothing from the device. A whole step can therefore be recorded as one CUDA graph.
 """
 
 from mjlab_managers.action_manager import ActionManager, ActionTerm, ActionTermCfg
 from mjlab_managers.camera_noise import CameraNoiseCfg
 from mjlab_managers.command_manager import CommandManager, CommandTerm, CommandTermCfg
 from mjlab_managers.curriculum_manager import CurriculumManager, CurriculumTermCfg
-from mjlab_managers.env import ManagerEnv, SceneLike
-from mjlab_managers.errors import ConfigError
+from mjlab_managers.deployment import ActionTargets, Reading, TermSource, sourced
+from mjlab_managers.env import ManagerEnv
 from mjlab_managers.event_manager import EventManager, EventMode, EventTermCfg
 from mjlab_managers.log import LogBuffer
 from mjlab_managers.manager import ManagerBase
@@ -24,7 +24,7 @@ from mjlab_managers.noise import (
   UniformNoiseCfg,
 )
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
-from mjlab_managers.observation_manager import NonfiniteObservationError, ObservationManager
+from mjlab_managers.observation_manager import ObservationManager
 from mjlab_managers.recorder_manager import RecorderManager, RecorderTerm, RecorderTermCfg
 from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
 from mjlab_managers.scene_entity import SceneEntityCfg
@@ -33,13 +33,13 @@ from mjlab_managers.termination_manager import TerminationManager, TerminationTe
 
 __all__ = [
   "ActionManager",
+  "ActionTargets",
   "ActionTerm",
   "ActionTermCfg",
   "CameraNoiseCfg",
   "CommandManager",
   "CommandTerm",
   "CommandTermCfg",
-  "ConfigError",
   "ConstantNoiseCfg",
   "CurriculumManager",
   "CurriculumTermCfg",
@@ -58,19 +58,20 @@ __all__ = [
   "NoiseModel",
   "NoiseModelCfg",
   "NoiseModelWithAdditiveBiasCfg",
-  "NonfiniteObservationError",
   "ObservationGroupCfg",
   "ObservationManager",
   "ObservationTermCfg",
+  "Reading",
   "RecorderManager",
   "RecorderTerm",
   "RecorderTermCfg",
   "RewardManager",
   "RewardTermCfg",
   "SceneEntityCfg",
-  "SceneLike",
   "TermLayout",
+  "TermSource",
   "TerminationManager",
   "TerminationTermCfg",
   "UniformNoiseCfg",
+  "sourced",
 ]

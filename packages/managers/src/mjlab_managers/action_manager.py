@@ -1,4 +1,4 @@
-"""Actions: from the policy's output to what drives the simulation."""
+"""Actions: from the output of the policy to the targets of the simulation."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.masking import fill_
+from mjlab_core.config import Config
+from mjlab_core.indexing import fill_
 from mjlab_core.state import Stateful
+from mjlab_core.tables import table
 
+from mjlab_managers.deployment import ActionTargets
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase, is_float
-from mjlab_managers.table import table
+from mjlab_managers.manager import ManagerBase
 
 
 @dataclass(kw_only=True)
-class ActionTermCfg(ABC):
+class ActionTermCfg(Config, ABC):
   """Base of action configs."""
 
   entity: str
@@ -25,14 +27,17 @@ class ActionTermCfg(ABC):
 
   @abstractmethod
   def build(self, env: Any) -> ActionTerm:
-    """The term, on an environment whose scene is initialised."""
+    """Return the term for an environment whose scene is initialised."""
 
 
 class ActionTerm(Stateful, ABC):
-  """Base of action terms: `process_actions` once per step, `apply_actions` before every physics substep."""
+  """Base of action terms.
+
+  The manager calls `process_actions` once per step and `apply_actions` before every physics substep. Subclasses declare
+  state by `self.state(...)` in `__init__`.
+  """
 
   name: str = ""
-  _constants = frozenset({"_raw_action"})
   # The manager's memory, where the raw action is saved.
   _raw_action: torch.Tensor
 
@@ -47,40 +52,45 @@ class ActionTerm(Stateful, ABC):
 
   @property
   def driven(self) -> Set[str]:
-    """What the term writes ("robot/hip" ...); two terms that drive the same thing are an error."""
+    """Names of the targets that the term writes, such as "robot/hip". Two terms must not write the same target."""
     return frozenset()
 
   @property
   def raw_action(self) -> torch.Tensor:
-    """This term's columns of the policy's output, float32 (N, action_dim)."""
+    """Columns of the policy's output that belong to this term, float32 (N, action_dim)."""
     return self._raw_action
 
   @abstractmethod
   def process_actions(self, actions: torch.Tensor) -> None:
-    """Takes the policy's output, float32 (N, action_dim), finite."""
+    """Take the policy's output, float32 (N, action_dim), finite."""
 
-  @abstractmethod
+  def exported(self) -> ActionTargets | None:
+    """Return the computation of joint targets outside the simulation, or None if this action has none."""
+    return None
+
   def apply_actions(self) -> None:
-    """Writes targets for the coming physics substep."""
+    """Write targets for the next physics substep. The default writes nothing: targets stay until they are replaced."""
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forgets what belongs to the episodes of the worlds in `mask`, bool (N,)."""
-    del mask
+    """Begin new episodes in the worlds of `mask`, bool (N,). The default refills their declared state."""
+    self.refill(mask)
 
 
 class ActionManager(ManagerBase[ActionTermCfg]):
-  """Splits the action among its terms and keeps the last three raw actions."""
+  """Manager that splits the action among its terms and keeps the last three raw actions."""
 
   cfg_type = ActionTermCfg
-  _extra_state = ("_nonfinite",)
 
-  def __init__(self, cfgs: Mapping[str, ActionTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
+  def __init__(
+    self, cfgs: Mapping[str, ActionTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
     self._terms: dict[str, ActionTerm] = {}
     driver: dict[str, str] = {}
-    for name, cfg in self._cfgs.items():
+    for name, cfg in list(self._cfgs.items()):
       term = self._build(name, cfg)
       if term is None:
+        self._drop(name)
         continue
       self._terms[name] = term
       shared: dict[str, list[str]] = {}
@@ -90,14 +100,15 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         driver.setdefault(target, name)
       for other, targets in shared.items():
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
-    self._raise_problems()
+    self._finish()
 
+    self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
     # Newest first. One block, so that a reset is one operation.
-    self._history = torch.zeros(self.num_envs, 3, self.total_action_dim, device=self.device)
+    self._history = self.state((3, self.total_action_dim))
     self._frames = tuple(self._history[:, age] for age in range(3))
-    self._nonfinite = torch.zeros((), dtype=torch.int64, device=self.device)
+    self._nonfinite = self.state(dtype=torch.int64, shared=True)
     start = 0
     for term, width in zip(self._terms.values(), self.action_term_dim, strict=True):
       term._raw_action = self._frames[0][:, start : start + width]
@@ -119,11 +130,15 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     return self._frames[2]
 
   def get_term(self, name: str) -> ActionTerm:
-    """A term; UnknownNameError with the nearest names if there is none such."""
+    """Return a term.
+
+    Raises:
+      UnknownNameError: no such term; the message lists the nearest names.
+    """
     return self._lookup(self._terms, name)
 
   def term_slices(self) -> dict[str, slice]:
-    """Columns of each term in the action."""
+    """Return the columns of each term in the action."""
     slices, start = {}, 0
     for name, width in zip(self._terms, self.action_term_dim, strict=True):
       slices[name] = slice(start, start + width)
@@ -131,40 +146,54 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     return slices
 
   def process_action(self, action: torch.Tensor) -> None:
-    """Takes the policy's output, (N, total_action_dim); NaN and infinite entries count as 0.
+    """Take the policy's output, (N, total_action_dim). NaN and infinite entries become 0.
 
     Raises:
-      ValueError: wrong shape or type; nothing has changed then.
+      ValueError: wrong shape or type; nothing was changed.
     """
-    if action.shape != self.action.shape or not is_float(action.dtype):
+    newest, previous, oldest = self._frames
+    if action.shape != newest.shape or not action.dtype.is_floating_point:
       widths = ", ".join(f"{n} {w}" for n, w in zip(self._terms, self.action_term_dim, strict=True))
       raise ValueError(
-        f"action: expected float {tuple(self.action.shape)} ({widths or 'no terms'}), "
+        f"action: expected float {tuple(newest.shape)} ({widths or 'no terms'}), "
         f"got {str(action.dtype).removeprefix('torch.')} {tuple(action.shape)}."
       )
     if not self._terms:
       return
-    newest, previous, oldest = self._frames
     oldest.copy_(previous)
     previous.copy_(newest)
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
-    for term in self._terms.values():
-      term.process_actions(term._raw_action)
+    for name, term in self._terms.items():
+      try:
+        term.process_actions(term._raw_action)
+      except Exception as error:
+        raise self._failure(name, error) from error
 
   def apply_action(self) -> None:
-    """Has every term write its targets; call before every physics substep."""
-    for term in self._terms.values():
-      term.apply_actions()
+    """Write the targets of every term. Call it before every physics substep."""
+    for name, term in self._applied.items():
+      try:
+        term.apply_actions()
+      except Exception as error:
+        raise self._failure(name, error) from error
+
+  def rehearse(self) -> None:
+    for name, term in self._terms.items():
+      with self._trial(name, term):
+        term.process_actions(torch.zeros_like(term._raw_action))
+        term.apply_actions()
+        term.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+    self._raise_problems()
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Zeroes the action history of the worlds in `mask`, bool (N,)."""
+    """Set the action history of the worlds in `mask`, bool (N,), to zero, and reset the terms there."""
     fill_(self._history, mask, 0.0)
     super().reset(mask)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Nonfinite/action`: entries replaced by 0; NaN where there were none."""
+    """Return `Nonfinite/action`, the number of entries replaced by 0, or NaN if there were none."""
     count = self._nonfinite.double().reshape(1)
     return ["Nonfinite/action"], count.masked_fill(count == 0, torch.nan)
 
@@ -177,4 +206,4 @@ class ActionManager(ManagerBase[ActionTermCfg]):
 
   def describe(self) -> str:
     rows = zip(self._terms, self.action_term_dim, strict=True)
-    return table(f"Actions ({self.total_action_dim})", ("term", "width"), rows)
+    return table(("term", "width"), rows, title=f"Actions ({self.total_action_dim})")

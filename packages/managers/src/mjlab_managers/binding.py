@@ -1,4 +1,4 @@
-"""Binding a term's parameters to its signature, at build, so that every mistake has a name."""
+"""Binding of terms to their parameters: checks at build, the call in the step, and live changes."""
 
 from __future__ import annotations
 
@@ -6,55 +6,303 @@ import copy
 import dataclasses
 import functools
 import inspect
-import operator
 import types
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
-from mjlab_core.names import UnknownNameError, nearest
+from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.names import unknown
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.scene_entity import SceneEntityCfg
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.locked import LockedDict
+from mjlab_managers.parameters import Scalar, Signature, fits_scalar, write_scalar
+from mjlab_managers.scene_entity import resolve_entities
+from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
+from mjlab_managers.watch import Watch
 
 T = TypeVar("T")
 
-_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-_BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+_WORLDS = ("mask", "env_ids")
 
 
 class Term:
-  """A term ready to be called: `term()` or, for those that act on some worlds, `term(mask)`."""
+  """Term bound to its parameters: `term()`, or `term(mask)` if it acts on some worlds.
 
-  def __init__(
-    self, name: str, cfg: ManagerTermBaseCfg, func: Callable[..., Any], env: ManagerEnv, *, wants_ids: bool
-  ) -> None:
-    self.name, self.cfg, self.func, self._env = name, cfg, func, env
-    self.wants_ids = wants_ids
-    self.seen = tuple(cfg.params.values())
+  Parameters annotated `float` are passed as scalars on the device, so that a change is a write. A term that reads them
+  on the host gets Python numbers instead.
+
+  Args:
+    name: name of the term in its manager.
+    owner: label of the manager, for messages.
+    cfg: the manager's own copy.
+    env: the environment.
+    masked: the term acts on some worlds.
+
+  Raises:
+    MjlabError: a parameter names something that does not exist, or the class refuses its parameters.
+  """
+
+  def __init__(self, name: str, owner: str, cfg: ManagerTermBaseCfg, env: ManagerEnv, *, masked: bool = False) -> None:
+    self.name, self.owner, self.cfg, self._env = name, owner, cfg, env
+    self._kind = cast("type[ManagerTermBase]", cfg.func) if isinstance(cfg.func, type) else None
+    self._signature = Signature(cfg.func, 2 if masked and self._kind is None else 1)
+    called = self._signature if self._kind is None else Signature(self._kind.__call__, 2)
+    self.wants_ids = masked and "env_ids" in called.leading
+    # Terms with indices run outside the recorded step, where Python numbers serve. A function gets scalars once a trial
+    # call shows that it can work with them.
+    self._takes_scalars = self._kind is not None and not self.wants_ids
+    self._is_tried = False
+    self.given: dict[str, Any] = {}
+    """Parameters, defaults included, with resolved entities."""
+    self._scalars: dict[str, Scalar] = {}
+    self._values: dict[str, Any] = {}
+    self._used: set[str] = set()
+    self._instance: ManagerTermBase | None = None
+    self.func: Callable[..., Any] = cfg.func
+    """The function, or the instance of the class."""
+    self._build(self._resolved({**self._signature.defaults, **cfg.params}))
 
   def __call__(self, *args: Any) -> Any:
-    # The config's own dict, so that a change on the host takes effect.
-    return self.func(self._env, *args, **self.cfg.params)
+    try:
+      if self._kind is not None:
+        return self.func(*args)
+      return self.func(self._env, *args, **self._values)
+    except Exception as error:
+      raise MjlabError(f"{self.owner}: term '{self.name}': {type(error).__name__}: {error}") from error
 
-  def params_changed(self) -> bool:
-    """Whether a parameter was replaced on the host since the last call; if so, its entities are resolved."""
-    params = self.cfg.params
-    if len(params) == len(self.seen) and all(map(operator.is_, params.values(), self.seen)):
-      return False
-    for key, value in self.cfg.params.items():
-      self.cfg.params[key] = resolve_entities(value, self._env)
-    self.seen = tuple(self.cfg.params.values())
-    return True
+  def call(self, *args: Any) -> Any:
+    """Call the term and pass its errors through."""
+    if self._kind is not None:
+      return self.func(*args)
+    return self.func(self._env, *args, **self._values)
+
+  def try_call(self, *args: Any, rebuilt: Callable[[], None]) -> Any:
+    """Call the term on trial, with scalars if it works with them, otherwise with Python numbers."""
+    if self._kind is None and not self.wants_ids and not self._is_tried:
+      self._is_tried = self._takes_scalars = True
+      self._build(self.given)
+    with Watch() as watch:
+      try:
+        value, failed = self.call(*args), False
+      except Exception:
+        if not self._scalars:
+          raise
+        value, failed = None, True
+    if not (self._scalars and (failed or watch.reads_host)):
+      return value
+    self._takes_scalars = False
+    self._build(self.given)
+    rebuilt()
+    return self.call(*args)
+
+  def set_params(self, params: Mapping[str, Any]) -> Callable[[], None] | None:
+    """Change parameters, and return a function that undoes the change, or None if only scalars were written.
+
+    Raises:
+      MjlabError: a parameter does not exist or has a wrong value; nothing was changed.
+    """
+    if problems := list(self._signature.problems(params, complete=False)):
+      raise MjlabError("; ".join(problem.rstrip(".") for problem in problems) + ".")
+    resolved = self._resolved(params)
+    changed = {name: value for name, value in resolved.items() if not same(value, self.given.get(name))}
+    if all(
+      name in self._scalars and name not in self._used and fits_scalar(self._scalars[name], value)
+      for name, value in changed.items()
+    ):
+      for name, value in changed.items():
+        write_scalar(self._scalars[name], value)
+      self.given |= changed
+      self._publish()
+      return None
+    before = self.given, self._scalars, self._values, self._used, self._takes_scalars
+    attributes, state = self._remembered()
+
+    def undo() -> None:
+      self.given, self._scalars, self._values, self._used, self._takes_scalars = before
+      if attributes is not None:
+        vars(self._instance).clear()
+        vars(self._instance).update(attributes)
+      self._publish()
+
+    try:
+      self._build({**self.given, **changed})
+      if state is not None and self._instance is not None:
+        _carry_over(self._instance, state)
+    except Exception:
+      undo()
+      raise
+    return undo
+
+  def scalar(self, name: str) -> torch.Tensor:
+    """Return the scalar of a parameter on the device.
+
+    Raises:
+      MjlabError: no such parameter, or the term reads it only in `__init__`.
+    """
+    if name not in self.given:
+      raise MjlabError(unknown("parameter", name, list(self.given)))
+    scalar = self._scalars.get(name)
+    if not isinstance(scalar, torch.Tensor) or name in self._used:
+      raise MjlabError(
+        f"parameter '{name}' is not read again in every step, or is no number; set_params changes it between steps."
+      )
+    return scalar
+
+  def _remembered(self) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+    if self._instance is None:
+      return None, None
+    return dict(vars(self._instance)), self._instance.state_dict()
+
+  def _resolved(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    values = {}
+    for name, value in params.items():
+      try:
+        values[name] = resolve_entities(value, self._env)
+      except ValueError as error:
+        raise MjlabError(f"parameter '{name}': {error}") from error
+    return values
+
+  def _build(self, given: dict[str, Any]) -> None:
+    """Pass parameters to the term: keep them for the call of a function, or make the instance of a class."""
+    scalars: dict[str, Scalar] = {}
+    if self._takes_scalars:
+      found = {name: self._signature.scalar(name, value, self._env.device) for name, value in given.items()}
+      scalars = {name: scalar for name, scalar in found.items() if scalar is not None}
+    values = {**given, **scalars}
+    used: set[str] = set()
+    if self._kind is not None:
+      try:
+        used = self._make(self._kind, values, scalars)
+      except Exception:
+        if not scalars:
+          raise
+        # It may need Python numbers; if not, the error is the same again.
+        self._takes_scalars = False
+        self._build(given)
+        return
+    self.given, self._scalars, self._values, self._used = given, scalars, values, used
+    self._publish()
+
+  def _make(self, kind: type[ManagerTermBase], values: dict[str, Any], scalars: dict[str, Scalar]) -> set[str]:
+    """Run `__init__`, on the same object if there is one, and return the names of the scalars that it used."""
+    term = kind.__new__(kind) if self._instance is None else self._instance
+    vars(term).clear()
+    term.name = self.name
+    with Watch(scalars) as watch:
+      kind.__init__(term, self._env, **values)
+    self._instance = term
+    self.func = cast("Callable[..., Any]", term)
+    return watch.used
+
+  def _publish(self) -> None:
+    """Write the parameters into the config as a read-only dict."""
+    advice = (
+      f"{self.owner}: term '{self.name}' is built; change its parameters by set_params('{self.name}', name=value)."
+    )
+    vars(self.cfg)["params"] = LockedDict(self.given, advice)
+    vars(self.cfg)["func"] = self.func
+
+
+def term_problems(cfg: ManagerTermBaseCfg, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:
+  """Return the mistakes in a term and its parameters that show in signatures.
+
+  Args:
+    cfg: the term.
+    base: required base of class terms.
+    masked: the term acts on some worlds.
+  """
+  func = cfg.func
+  if not callable(func):
+    return [f"func {func!r} is not callable."]
+  if not isinstance(cfg.params, dict):
+    return [f"params must be a dict, got {cfg.params!r}."]
+  if isinstance(func, type):
+    wrong = _class_problem(func, base, masked=masked)
+    return [wrong] if wrong else list(Signature(func, 1).problems(cfg.params))
+  signature = Signature(func, 2 if masked else 1)
+  if wrong := _leading_problem(signature, masked=masked):
+    return [wrong]
+  return list(signature.problems(cfg.params))
+
+
+def _leading_problem(signature: Signature, *, masked: bool) -> str:
+  if not signature.known:
+    return ""
+  if not signature.leading and not signature.takes_more_positional:
+    return "must take the environment as its first parameter."
+  if not masked:
+    return ""
+  second = signature.leading[1] if len(signature.leading) > 1 else ""
+  if second in _WORLDS or (not second and signature.takes_more_positional):
+    return ""
+  found = f"'{second}'" if second else "missing"
+  return (
+    "the second parameter must be 'mask' (bool (num_envs,), recorded with the step) or 'env_ids' (indices, run outside "
+    f"the recording); it is {found}."
+  )
+
+
+def _class_problem(kind: type, base: type, *, masked: bool) -> str:
+  """Return the reason why a class cannot be a term; empty if it can."""
+  name, is_called = kind.__name__, base is ManagerTermBase
+  called = kind.__call__ if is_called and _defines(kind, "__call__") else None
+  parameters = _names(called) if called else []
+  worlds = parameters[0] if masked and parameters and parameters[0] in _WORLDS else "mask" if masked else ""
+  resets = _names(getattr(kind, "reset", None))
+  is_old = (
+    _names(kind.__init__)[:1] not in (["env"], ["args"])
+    or parameters not in ([worlds] if worlds else [], ["args"])
+    or resets not in ([], ["mask"])
+  )
+  if is_called and called is not None and (is_old or not issubclass(kind, base)):
+    wanted = [parameter for parameter in parameters if parameter not in ("env", *_WORLDS)]
+    wanted = wanted or [parameter for parameter in _names(kind.__init__) if parameter not in ("env", "cfg")]
+    signature = f"self, env, *, {', '.join(wanted)}" if wanted else "self, env"
+    return (
+      f"class {name} does not have the form of a class term, which takes its parameters in __init__:\n"
+      f"  class {name}(ManagerTermBase):\n"
+      f"    def __init__({signature}): super().__init__(env); ...\n"
+      f"    def __call__(self{', ' + worlds if worlds else ''}): ...\n"
+      "    def reset(self, mask): ...  # mask: bool (num_envs,); only where refilling its declared state is not enough"
+    )
+  if not issubclass(kind, base):
+    return f"class {name} must be a subclass of {base.__name__}" + (" and have __call__." if is_called else ".")
+  if is_called and called is None:
+    return f"class {name} has no __call__."
+  return f"class {name} must have the form __init__(self, env, *, ...)." if is_old else ""
+
+
+def _defines(kind: type, name: str) -> bool:
+  return any(name in vars(base) for base in kind.__mro__)
+
+
+def _names(func: Any) -> list[str]:
+  """Return the names of the parameters of a method, without `self`."""
+  try:
+    return list(inspect.signature(func).parameters)[1:]
+  except (TypeError, ValueError):
+    return []
+
+
+def _carry_over(term: ManagerTermBase, state: Mapping[str, Any]) -> None:
+  """Restore the state of a term that was built again, if it still fits."""
+  try:
+    term.load_state_dict(state)
+  except StateError:
+    # Another parameter, another shape: its state begins again.
+    return
 
 
 def copy_cfg(cfg: T) -> T:
-  """A deep copy of a config that leaves the owner of a bound method alone."""
+  """Return a deep copy of a config. The owner of a bound method is not copied."""
   memo: dict[int, Any] = {}
   for func in _callables(cfg):
     if isinstance(func, types.MethodType):
       memo[id(func.__self__)] = func.__self__
+    elif isinstance(func, ManagerTermBase):
+      # The instance belongs to another environment.
+      memo[id(func)] = type(func)
   return copy.deepcopy(cfg, memo)
 
 
@@ -66,7 +314,7 @@ def _callables(cfg: Any) -> Iterator[Any]:
 
 
 def attribute_of(func: Any, name: str, default: Any = None) -> Any:
-  """The attribute `name` of a callable, seen through partials and `functools.wraps`."""
+  """Return the attribute `name` of a callable, or of the function inside partials and `functools.wraps`."""
   while True:
     if hasattr(func, name):
       return getattr(func, name)
@@ -76,41 +324,11 @@ def attribute_of(func: Any, name: str, default: Any = None) -> Any:
     func = inner
 
 
-def resolve_entities(value: Any, env: ManagerEnv) -> Any:
-  """`value` with every SceneEntityCfg in it resolved; containers are copied only where something in them changed."""
-  if isinstance(value, SceneEntityCfg):
-    return value if value.resolved else value.resolve(env.scene, env.device)
-  if isinstance(value, dict):
-    items = {key: resolve_entities(item, env) for key, item in value.items()}
-    return value if all(items[key] is value[key] for key in items) else items
-  if isinstance(value, list | tuple):
-    parts = [resolve_entities(item, env) for item in value]
-    if all(a is b for a, b in zip(parts, value, strict=True)):
-      return value
-    return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
-  if dataclasses.is_dataclass(value) and not isinstance(value, type):
-    changed = {}
-    for item in dataclasses.fields(value):
-      old = getattr(value, item.name)
-      new = resolve_entities(old, env)
-      if new is not old:
-        changed[item.name] = new
-    if not changed:
-      return value
-    twin = copy.copy(value)
-    for name, new in changed.items():
-      object.__setattr__(twin, name, new)
-    return twin
-  return value
-
-
 def same(a: Any, b: Any) -> bool:
-  """Whether two resolved parameter values, or two functions, are interchangeable; in doubt they are not."""
+  """Return True if two resolved parameter values, or two functions, are surely interchangeable."""
   if a is b:
     return True
-  if type(a) is not type(b):
-    return False
-  if isinstance(a, torch.Tensor):
+  if type(a) is not type(b) or isinstance(a, torch.Tensor):
     return False
   if isinstance(a, Mapping):
     return list(a) == list(b) and all(same(a[key], b[key]) for key in a)
@@ -124,102 +342,3 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
   except (RuntimeError, TypeError, ValueError):
     return False
-
-
-def bind(
-  name: str, cfg: ManagerTermBaseCfg, env: ManagerEnv, problems: list[str], *, masked: bool = False
-) -> Term | None:
-  """Merges defaults and `cfg.params`, resolves entities, makes class terms; None if something is wrong.
-
-  Args:
-    name: the term's name, for messages.
-    cfg: the manager's own copy; its `params` become complete, its `func` the instance of a class term.
-    env: the environment.
-    problems: receives one line per mistake.
-    masked: the term takes `mask` or `env_ids` after the environment.
-  """
-  problem_count = len(problems)
-  func = cfg.func
-  if not callable(func):
-    problems.append(f"term '{name}': func {func!r} is not callable.")
-    return None
-  if isinstance(func, type) and not any("__call__" in vars(base) for base in func.__mro__):
-    problems.append(f"term '{name}': class {func.__name__} has no __call__.")
-    return None
-  second = ""
-  if not isinstance(cfg.params, dict):
-    problems.append(f"term '{name}': params must be a dict, got {cfg.params!r}.")
-    return None
-  merged = dict(cfg.params)
-  parameters = _parameters(func)
-  if parameters is not None:
-    leading = [p for p in parameters if p.kind in _POSITIONAL][: 2 if masked else 1]
-    starred = any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
-    if masked:
-      second = leading[1].name if len(leading) > 1 else ""
-      if second not in ("mask", "env_ids") and not (starred and not second):
-        found = f"'{second}'" if second else "missing"
-        problems.append(
-          f"term '{name}': the second parameter must be 'mask' (bool (num_envs,), recorded with the step) or 'env_ids' "
-          f"(indices, run outside the recording); it is {found}."
-        )
-        return None
-    elif not leading and not starred:
-      problems.append(f"term '{name}': must take the environment as its first parameter.")
-      return None
-    open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
-    possible = {p.name: p for p in parameters if p.kind in _BY_NAME and p not in leading}
-    for given in cfg.params:
-      if given not in possible and not open_ended:
-        problems.append(_unknown_parameter(name, given, list(cfg.params), list(possible)))
-    missing = [p.name for p in possible.values() if p.default is p.empty and p.name not in cfg.params]
-    if missing:
-      problems.append(
-        f"term '{name}': missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}. "
-        f"Given: {_listed(cfg.params)}; possible: {_listed(possible)}."
-      )
-    defaults = {p.name: p.default for p in possible.values() if p.default is not p.empty and p.name not in cfg.params}
-    merged = {**defaults, **merged}
-  for key, value in merged.items():
-    try:
-      merged[key] = resolve_entities(value, env)
-    except (ValueError, KeyError) as error:
-      problems.append(f"term '{name}': parameter '{key}': {error.args[0] if error.args else error}")
-  if len(problems) > problem_count:
-    return None
-  cfg.params = merged
-  if isinstance(func, type):
-    try:
-      func = func(cfg, env)
-    except (ValueError, UnknownNameError) as error:
-      # Of the term itself, about what it was given.
-      problems.append(f"term '{name}': {error}")
-      return None
-    except Exception as error:
-      problems.append(f"term '{name}': {type(error).__name__} while making {func.__name__}: {error}")
-      return None
-    func.name = name
-    cfg.func = func
-  return Term(name, cfg, func, env, wants_ids=second == "env_ids")
-
-
-def _parameters(func: Any) -> list[inspect.Parameter] | None:
-  try:
-    if isinstance(func, type):
-      return list(inspect.signature(func.__call__).parameters.values())[1:]
-    return list(inspect.signature(func).parameters.values())
-  except (ValueError, TypeError):
-    # Some built-ins have no signature; the dry run is then the only check.
-    return None
-
-
-def _listed(names: Any) -> str:
-  return ", ".join(names) or "none"
-
-
-def _unknown_parameter(term: str, given: str, all_given: list[str], possible: list[str]) -> str:
-  close = nearest(given, possible)
-  hint = f" Nearest: {', '.join(close)}." if close else ""
-  return (
-    f"term '{term}': unknown parameter '{given}'.{hint} Given: {_listed(all_given)}; possible: {_listed(possible)}."
-  )

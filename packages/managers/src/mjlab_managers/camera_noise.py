@@ -1,4 +1,4 @@
-"""What a real camera does to its images: exposure, pixel noise, and the noise, steps and holes of depth."""
+"""Camera noise: exposure, pixel noise, and the noise, steps and holes of depth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from mjlab_core.masking import where_
+from mjlab_core.indexing import where_
 from mjlab_core.sampling import check_range
 
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
@@ -16,44 +16,45 @@ Range = tuple[float, float]
 
 @dataclass(kw_only=True)
 class CameraNoiseCfg(NoiseModelCfg):
-  """Noise of images (N, channels, height, width), whose colours and depths are shares in [0, 1].
+  """Noise of images (N, channels, height, width) with colours and depths in [0, 1].
 
-  Each range is one of a camera: every world draws a value at each reset, uniformly, and keeps it for the episode; what
-  flickers is drawn anew for every frame. Colours become gain x^gamma + bias, plus noise; depth gets noise, then steps,
-  then holes. A depth of 1 is far, or nothing at all, and stays so. Results are held within [0, 1].
+  A range describes the camera: every world draws a uniform value at each reset and keeps it for the episode. Pixel
+  noise and holes are drawn for every frame. Colours become gain x^gamma + bias, plus noise. Depth gets noise, then
+  steps, then holes. A depth of 1 means far or no measurement, and stays 1. Results are clamped to [0, 1].
   """
 
   color: tuple[int, ...] = ()
-  """Neighbouring channels that are colours."""
+  """Adjacent channels that hold colours."""
   depth: int | None = None
-  """The channel that is depth."""
+  """Channel that holds depth."""
   lost: tuple[int, ...] = ()
-  """Neighbouring channels that become 0 in the holes of depth: where depth is valid, masks made from it."""
+  """Adjacent channels that become 0 in the holes of depth, such as a mask of valid depth."""
   gain: Range = (1.0, 1.0)
-  """Factor of colours, the time of exposure."""
+  """Factor of colours, as from the exposure time."""
   gamma: Range = (1.0, 1.0)
-  """Exponent of colours; above 1 darkens what is between black and white."""
+  """Exponent of colours. A value above 1 darkens the tones between black and white."""
   bias: Range = (0.0, 0.0)
-  """What is added to colours."""
+  """Offset of colours."""
   color_std: Range = (0.0, 0.0)
-  """Standard deviation of each frame's noise of colours, a draw for each number of each pixel."""
+  """Standard deviation of the colour noise, drawn for each channel of each pixel in every frame."""
   depth_std: Range = (0.0, 0.0)
-  """Standard deviation of each frame's noise of a depth of 1; it grows with the square of depth, as stereo does."""
+  """Standard deviation of the depth noise at depth 1, drawn in every frame. It grows with the square of depth, as in
+  stereo cameras."""
   disparity_step: Range = (0.0, 0.0)
-  """Depth is rounded so that its inverse is a multiple of this, as stereo does; 0 leaves it as it is."""
+  """Step of the inverse of depth, as in stereo cameras; 0 means no rounding."""
   hole_share: Range = (0.0, 0.0)
-  """Share of pixels without depth, which read 1; each frame has its own."""
+  """Share of pixels in holes, which are drawn in every frame. These pixels read 1."""
   hole_size: int = 3
-  """Edge of the squares that holes are made of [pixel]."""
+  """Edge length of the square holes [pixel]."""
 
   def build(
     self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
   ) -> CameraNoise:
-    """The noise of images of one shape (channels, height, width).
+    """Return the noise for images of one shape (channels, height, width).
 
     Raises:
-      ValueError: no image, a channel that it does not have, channels that are no neighbours, holes of what is no depth,
-        or an impossible range.
+      ValueError: the shape is not that of an image, a channel does not exist, channels are not adjacent, a range needs
+        a channel that is not given, or a range is invalid.
     """
     return CameraNoise(self, shape, num_envs, device, generator)
 
@@ -64,9 +65,7 @@ _SMALLEST = 1e-6
 
 
 class CameraNoise(NoiseModel):
-  """See `CameraNoiseCfg`."""
-
-  _constants = frozenset({"_base", "_width"})
+  """Noise of one camera, built by `CameraNoiseCfg`."""
 
   def __init__(
     self,
@@ -93,10 +92,11 @@ class CameraNoise(NoiseModel):
       if getattr(self, f"_{channels}") is None:
         raise ValueError(f"CameraNoiseCfg: {name} changes nothing, for no channel is named as {channels}.")
     self._active = active
-    self.num_envs, self._generator, self._size = num_envs, generator, cfg.hole_size
+    self.num_envs, self.device = num_envs, torch.device(device)
+    self._generator, self._size = generator, cfg.hole_size
     lo, hi = (torch.tensor([list(end)], device=device) for end in zip(*bounds.values(), strict=True))
     self._base, self._width = lo, hi - lo
-    self._drawn = torch.zeros(num_envs, len(_RANGES), device=device)
+    self._drawn = self.state((len(_RANGES),))
     self.reset(torch.ones(num_envs, dtype=torch.bool, device=device))
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -131,7 +131,7 @@ class CameraNoise(NoiseModel):
     depth.copy_(torch.where(far, 1.0, y.clamp(0.0, 1.0)))
 
   def _holes(self, like: torch.Tensor) -> torch.Tensor:
-    """Uniform numbers that are the same within squares, whose grid is somewhere else in every world, like `like`."""
+    """Return uniform numbers in the shape of `like`, constant within squares, on a grid shifted in each world."""
     size, (n, _, height, width) = self._size, like.shape
     rows, columns = (pixels // size + 2 for pixels in (height, width))
     u = torch.rand(n, rows * columns + 2, generator=self._generator, device=like.device)
@@ -146,7 +146,7 @@ class CameraNoise(NoiseModel):
 
 
 def _neighbours(name: str, channels: Sequence[int], count: int) -> slice | None:
-  """The slice that selects channels, so that what is selected is a view; None for none."""
+  """Return the slice that selects channels as a view, or None for no channels."""
   if not channels:
     return None
   for channel in channels:

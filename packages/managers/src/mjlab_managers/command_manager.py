@@ -1,44 +1,46 @@
-"""Commands: what the policy is asked to do, drawn anew from time to time."""
+"""Commands: targets that the policy shall follow, drawn at resets and in intervals."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.masking import fill_, where_
+from mjlab_core.config import Config
+from mjlab_core.indexing import fill_, where_
 from mjlab_core.sampling import check_bounds, uniform
 from mjlab_core.state import Stateful
+from mjlab_core.tables import table
 
+from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.log import LogBuffer
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.table import table
 
 # Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.
 _DUE = 1e-6
 
 
 @dataclass(kw_only=True)
-class CommandTermCfg(ABC):
+class CommandTermCfg(Config, ABC):
   """Base of command configs."""
 
   resampling_time_range: tuple[float, float] | None
-  """Shortest and longest time between two draws [s]; None: a command lasts until the reset."""
+  """Shortest and longest time between two draws [s]; None keeps a command until the reset."""
   debug_vis: bool = False
-  """Whether viewers draw the command at first, which its term does if it has `debug_draw(draw)`."""
+  """Initial state of the drawing in viewers. The term draws by a method `debug_draw(draw)`."""
 
   @abstractmethod
   def build(self, env: Any) -> CommandTerm:
-    """The term, on an environment whose scene is initialised."""
+    """Return the term for an environment whose scene is initialised."""
 
 
 class Metrics(dict[str, torch.Tensor]):
-  """Metrics of a command by name, float32 (N,) each, accumulating over an episode.
+  """Metrics of a command by name, float32 (N,) each, accumulated over an episode.
 
-  `metrics["error"] = x` and `metrics["error"] += x` write into the memory that the first assignment made.
+  The first assignment to a name makes its memory. Later ones, such as `metrics["error"] += x`, write into it.
   """
 
   def __setitem__(self, name: str, value: torch.Tensor) -> None:
@@ -50,7 +52,10 @@ class Metrics(dict[str, torch.Tensor]):
 
 
 class CommandTerm(Stateful, ABC):
-  """Base of command terms. Subclasses name their metrics in `__init__`: `self.metrics["error"] = torch.zeros(...)`."""
+  """Base of command terms.
+
+  Subclasses declare state and metrics in `__init__`: `self.state(...)` and `self.metrics["error"] = torch.zeros(...)`.
+  """
 
   name: str = ""
 
@@ -59,54 +64,59 @@ class CommandTerm(Stateful, ABC):
     self.num_envs, self.device = env.num_envs, env.device
     self.metrics = Metrics()
     self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
-    self.time_left = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-    """Time to the next draw, float64 (N,) [s]; zero where only resets draw."""
-    self.command_counter = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+    # The manager resets both.
+    self.time_left = self.state_of(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
+    """Time to the next draw, float64 (N,) [s]; zero if only resets draw."""
+    self.command_counter = self.state_of(torch.zeros(self.num_envs, dtype=torch.int64, device=self.device))
     """Draws since the reset, int64 (N,)."""
     self.by_hand: tuple[torch.Tensor, torch.Tensor] | None = None
-    """Which worlds are steered, bool (N,), and their numbers, (N, len(axes)); None until somebody does, so that only
-    then `update` has anything to do with it."""
+    """Mask of the steered worlds, bool (N,), and their numbers, (N, len(axes)); None before the first `steer`."""
 
   @property
   @abstractmethod
   def command(self) -> torch.Tensor:
-    """The command, (N, d), always in the same memory."""
+    """Command of each world, (N, d), always in the same memory."""
 
   @abstractmethod
   def resample(self, mask: torch.Tensor) -> None:
-    """Draws new commands, for all worlds, and writes them into those of `mask`, bool (N,)."""
+    """Draw new commands for all worlds, and write them into the worlds of `mask`, bool (N,)."""
 
   def update(self) -> None:
-    """Follows what the command depends on, every step; no time passes in the worlds of `env.command_manager.fresh`."""
+    """Update the command in every step. No time passes in the worlds of `env.command_manager.fresh`."""
 
   def update_metrics(self) -> None:
-    """Adds this step to `metrics`."""
+    """Add this step to `metrics`."""
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forgets what belongs to the episodes of the worlds in `mask`, bool (N,), before the command is drawn anew."""
-    del mask
+    """Begin new episodes in the worlds of `mask`, bool (N,), before `resample`. The default refills their state."""
+    self.refill(mask)
 
   def log_values(self) -> dict[str, torch.Tensor]:
-    """What to log beside the metrics, by name: 0-d tensors, asked for once per log interval; always the same names."""
+    """Return further values to log, 0-d tensors by name. Called once per log interval; the names must not change."""
     return {}
 
   def load_progress(self, state: Mapping[str, Any]) -> None:
-    """Takes from a `state_dict` what a run with another number of worlds can use."""
+    """Load the parts of a `state_dict` that do not depend on the number of worlds."""
     del state
+
+  def source(self) -> TermSource:
+    """Return the readings that make the command outside the simulation. By default an operator gives the command."""
+    columns = tuple(name for name, *_ in self.axes)
+    return TermSource(readings=(Reading(name=f"command/{self.name}", read=lambda: self.command, columns=columns),))
 
   @property
   def axes(self) -> Sequence[tuple[str, float, float]]:
-    """What viewers can give by hand: name, least and greatest value of each number; nothing unless a term says so.
+    """Name, smallest and largest value of each number that viewers can set; empty by default.
 
-    Such a term takes the numbers of `by_hand` over in `update`.
+    A term with axes copies the numbers of `by_hand` into its command in `update`.
     """
     return ()
 
   def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Give one world these numbers, one for each of `axes`, until they are taken back with None; on the host.
+    """Set the command of one world on the host: one number for each of `axes`, or None to end steering.
 
     Raises:
-      ValueError: More or fewer numbers than axes.
+      ValueError: more or fewer numbers than axes.
     """
     axes = self.axes
     if values is not None and len(values) != len(axes):
@@ -131,88 +141,115 @@ class CommandTerm(Stateful, ABC):
 
 
 class CommandManager(ManagerBase[CommandTermCfg]):
-  """Keeps the commands and their timers. Everything works on masks; nothing asks how many worlds are in one."""
+  """Manager of the commands and their timers. It works on masks only and never counts worlds on the host."""
 
   cfg_type = CommandTermCfg
-  _constants = frozenset({"fresh", "_none"})
 
-  def __init__(self, cfgs: Mapping[str, CommandTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
+  def __init__(
+    self, cfgs: Mapping[str, CommandTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
     self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
     """Worlds that do not advance in the current `compute`, bool (N,)."""
     self._none = self.fresh
     self._terms: dict[str, CommandTerm] = {}
     log_names: list[str] = []
-    for name, cfg in self._cfgs.items():
-      try:
-        if cfg.resampling_time_range is not None:
-          what = f"term '{name}': resampling_time_range"
-          check_bounds(what, cfg.resampling_time_range, minimum=0.0, finite=True)
-      except ValueError as error:
-        self._problem(str(error), error)
+    for name, cfg in list(self._cfgs.items()):
       term = self._build(name, cfg)
-      if term is None:
+      if term is None or not (self._check_command(name, term) and self._lay_out_metrics(name, term)):
+        self._drop(name)
         continue
       self._terms[name] = term
       log_names += [f"Metrics/{name}/{metric}" for metric in term.metrics]
-      self._check_command(name, term)
-      self._lay_out_metrics(name, term)
-    self._raise_problems()
     self._log = LogBuffer(log_names, self.device)
+    self._finish()
 
-  def _check_command(self, name: str, term: CommandTerm) -> None:
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: CommandTermCfg) -> Iterator[str]:
+    yield from super()._cfg_problems(name, cfg)
+    if isinstance(cfg, CommandTermCfg) and cfg.resampling_time_range is not None:
+      try:
+        check_bounds(f"term '{name}': resampling_time_range", cfg.resampling_time_range, minimum=0.0, finite=True)
+      except ValueError as error:
+        yield str(error)
+
+  def rehearse(self) -> None:
+    everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+    for name, term in self._terms.items():
+      with self._trial(name, term, "a trial step"):
+        term.reset(everywhere)
+        term.resample(everywhere)
+        term.update_metrics()
+        term.update()
+        term.log_values()
+    self._raise_problems()
+
+  def _check_command(self, name: str, term: CommandTerm) -> bool:
     try:
       command = term.command
     except Exception as error:
-      self._problem(f"term '{name}': {type(error).__name__} while reading its command: {error}", error)
-      return
+      self._failed_trial(name, "reading its command", error)
+      return False
     what = f"a command of shape ({self.num_envs}, d)"
-    if self._check_tensor(name, command, what, lambda dtype: not dtype.is_complex) and (
-      command.dim() < 2 or command.shape[0] != self.num_envs
-    ):
+    if not self._check_tensor(name, command, what, lambda dtype: not dtype.is_complex):
+      return False
+    if command.dim() < 2 or command.shape[0] != self.num_envs:
       self._problem(f"term '{name}': must return {what}, returned {tuple(command.shape)}.")
+      return False
+    return True
 
-  def _lay_out_metrics(self, name: str, term: CommandTerm) -> None:
-    if not term.metrics:
-      return
+  def _lay_out_metrics(self, name: str, term: CommandTerm) -> bool:
     for metric, value in term.metrics.items():
       if value.shape != (self.num_envs,):
         self._problem(f"term '{name}': metric '{metric}' must be ({self.num_envs},), is {tuple(value.shape)}.")
-        return
-    # One block per term: one operation to log it, one to reset it.
-    term._metric_values = torch.stack(list(term.metrics.values()), dim=1)
-    for column, metric in enumerate(term.metrics):
-      dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
+        return False
+    if term.metrics:
+      # One block per term: one operation to log it, one to reset it.
+      term._metric_values = term.state_of(torch.stack(list(term.metrics.values()), dim=1))
+      for column, metric in enumerate(term.metrics):
+        dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
+    return True
 
   def get_term(self, name: str) -> CommandTerm:
-    """A term; UnknownNameError with the nearest names if there is none such."""
+    """Return a term.
+
+    Raises:
+      UnknownNameError: no such term; the message lists the nearest names.
+    """
     return self._lookup(self._terms, name)
 
   def get_command(self, name: str) -> torch.Tensor:
-    """A term's command, (N, d)."""
+    """Return the command of a term, (N, d).
+
+    Raises:
+      UnknownNameError: no such term; the message lists the nearest names.
+    """
     return self._lookup(self._terms, name).command
 
   def compute(self, dt: float, fresh: torch.Tensor | None = None) -> None:
-    """One step of `dt` [s]: metrics, timers, new draws where a timer ran out, updates.
+    """Advance all commands by `dt`: metrics, timers, draws for expired timers, updates.
 
     Args:
-      dt: time that passed [s].
-      fresh: worlds for which no time passed because they were just reset, bool (N,); None for no world.
+      dt: elapsed time [s].
+      fresh: worlds that were just reset, in which no time passed, bool (N,); None for no world.
     """
     if not self._terms:
       return
     self.fresh = self._none if fresh is None else fresh
     moving = ~self.fresh
     passed = moving.double()
-    for term in self._terms.values():
-      term.update_metrics()
-      if term.cfg.resampling_time_range is not None:
-        term.time_left.sub_(passed, alpha=dt)
-        term._renew((term.time_left <= _DUE) & moving)
-      term.update()
+    for name, term in self._terms.items():
+      try:
+        term.update_metrics()
+        if term.cfg.resampling_time_range is not None:
+          term.time_left.sub_(passed, alpha=dt)
+          term._renew((term.time_left <= _DUE) & moving)
+        term.update()
+      except Exception as error:
+        raise self._failure(name, error) from error
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Logs the metrics of the worlds in `mask`, bool (N,), zeroes them and draws new commands there."""
+    """Log the metrics of the worlds in `mask`, bool (N,), set them to zero, and draw new commands there."""
     if not self._terms:
       return
     terms = list(self._terms.values())
@@ -223,24 +260,30 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       played = mask & (self.env.episode_length_buf > 0)
       self._log.add(values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), played)
     super().reset(mask)
-    for term in terms:
+    for name, term in self._terms.items():
       if term.metrics:
         fill_(term._metric_values, mask, 0.0)
       term.command_counter.masked_fill_(mask, 0)
-      term._renew(mask)
+      try:
+        term._renew(mask)
+      except Exception as error:
+        raise self._failure(name, error) from error
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Metrics/<command>/<metric>`: mean over the episodes that ended; and what terms log of their own."""
+    """Return `Metrics/<command>/<metric>`, means over the episodes that ended, and the `log_values` of terms."""
     names, values = self._log.tensors()
-    own = {
-      f"Metrics/{name}/{key}": value for name, term in self._terms.items() for key, value in term.log_values().items()
-    }
+    own: dict[str, torch.Tensor] = {}
+    for name, term in self._terms.items():
+      try:
+        own |= {f"Metrics/{name}/{key}": value for key, value in term.log_values().items()}
+      except Exception as error:
+        raise self._failure(name, error) from error
     if not own:
       return names, values
     return [*names, *own], torch.cat((values, torch.stack([value.double() for value in own.values()])))
 
   def load_progress(self, state: Mapping[str, Any]) -> None:
-    """Lets each term take from a `state_dict` what a run with another number of worlds can use."""
+    """Load the parts of a `state_dict` that do not depend on the number of worlds, term by term."""
     for name, term in self._terms.items():
       if name in state.get("_stateful_terms", {}):
         term.load_progress(state["_stateful_terms"][name])
@@ -257,4 +300,4 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       times = term.cfg.resampling_time_range
       after = "the reset" if times is None else "{} to {} s".format(*times)
       rows.append((name, type(term).__name__, tuple(term.command.shape[1:]), after))
-    return table("Commands", ("term", "type", "shape", "resampled after"), rows)
+    return table(("term", "type", "shape", "resampled after"), rows, title="Commands")

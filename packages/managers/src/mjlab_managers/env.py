@@ -1,26 +1,15 @@
-"""What a manager needs of an environment, and nothing more."""
+"""Protocol of an environment, as managers use it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import torch
 
 
-class SceneLike(Protocol):
-  """A collection of named entities and sensors; `scene["robot"]` is an entity."""
-
-  @property
-  def entities(self) -> Mapping[str, Any]:
-    """Entities by name; each has `joint_names`, `body_names`, `geom_names`, `site_names`, `actuator_names`."""
-    ...
-
-  def __getitem__(self, name: str, /) -> Any: ...
-
-
 class ManagerEnv(Protocol):
-  """An environment as the managers see it: many worlds that step together on one device."""
+  """Environment of many worlds that step together on one device."""
 
   @property
   def num_envs(self) -> int:
@@ -51,11 +40,16 @@ class ManagerEnv(Protocol):
     ...
 
   @property
-  def scene(self) -> SceneLike: ...
+  def scene(self) -> Any:
+    """Scene with named entities and sensors: `scene["robot"]`, and all entities by name in `scene.entities`.
+
+    An entity has `joint_names`, `body_names`, `geom_names`, `site_names`, `actuator_names`.
+    """
+    ...
 
   @property
   def rng(self) -> torch.Generator:
-    """The one source of randomness of terms, on `device`."""
+    """Generator of all random draws of terms, on `device`."""
     ...
 
   @property
@@ -69,13 +63,13 @@ class ManagerEnv(Protocol):
     ...
 
   def run_eagerly(self, fn: Callable[[], None], name: str) -> None:
-    """Runs `fn` outside the recorded step: splits the graph while it is recorded, a plain call otherwise."""
+    """Run `fn` outside the recorded step: split the graph during a recording, otherwise call `fn`."""
     ...
 
   def request_recapture(self, reason: str) -> None:
-    """Asks for a new recording of the step before the next replay."""
+    """Request a new recording of the step before the next replay."""
     ...
 
   def recompute_constants(self, mask: torch.Tensor) -> None:
-    """Recomputes the model quantities that derive from randomised fields, in the worlds of `mask`, bool (N,)."""
+    """Recompute model quantities that derive from randomised fields, in the worlds of `mask`, bool (N,)."""
     ...

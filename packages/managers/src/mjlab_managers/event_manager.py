@@ -1,21 +1,21 @@
-"""Events: changes to the simulation at startup, at resets, from time to time, or every step."""
+"""Events: changes to the simulation at startup, at resets, in intervals, or in every step."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.counts import why_no_count
-from mjlab_core.masking import where_
+from mjlab_core.constraints import why_no_count
+from mjlab_core.indexing import where_
 from mjlab_core.names import unknown
 from mjlab_core.sampling import check_bounds
+from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.table import table
 from mjlab_managers.term import ManagerTermBaseCfg
 
 EventMode = Literal["startup", "reset", "interval", "step"]
@@ -28,87 +28,124 @@ _NEVER = -(2**62)
 
 @dataclass
 class EventTermCfg(ManagerTermBaseCfg):
-  """An event: `func(env, mask, **params)` changes the worlds of `mask`, bool (N,).
+  """Config of an event: `func(env, mask, **params)` changes the worlds of `mask`, bool (N,).
 
-  A function (or the class or instance) may carry two attributes: `model_fields`, names of model fields that it writes
-  per world, and `needs_constants`, true if quantities that derive from them must be recomputed afterwards.
+  The function, class or instance may have three attributes:
+
+  - `model_fields`: names of the model fields that it writes per world.
+  - `needs_constants`: True if quantities that derive from these fields must be recomputed afterwards.
+  - `claims`: mapping from keys of the written numbers to their descriptions. Two events must not claim the same key.
   """
 
   _: KW_ONLY
   mode: EventMode
-  """`startup`: once; `reset`: where an episode begins; `interval`: where a timer ran out; `step`: every step."""
+  """`startup`: once; `reset`: when an episode begins; `interval`: when a timer expires; `step`: in every step."""
   interval_range_s: tuple[float, float] | None = None
-  """Shortest and longest time between two firings [s]; mode interval only, required there."""
+  """Shortest and longest time between two events [s]; required in mode interval, not allowed in others."""
   is_global_time: bool = False
-  """Whether one timer serves all worlds, which resets then leave alone; mode interval only."""
+  """True: one timer for all worlds, which resets do not change; mode interval only."""
   min_step_count_between_reset: int = 0
-  """Environment steps that must have passed since the event last fired in a world; mode reset only."""
+  """Smallest number of environment steps between two events in one world; mode reset only."""
 
 
 class EventManager(ManagerBase[EventTermCfg]):
-  """Fires events. Timers are on the device; a mode without terms costs nothing."""
+  """Manager that fires events. Timers are on the device; a mode without terms costs nothing."""
 
   cfg_type = EventTermCfg
-  _constants = frozenset({"_everyone", "_lo", "_span", "_global_lo", "_global_span", "_min_steps"})
-  _extra_state = ("_global_time_left",)
+  masked = True
 
-  def __init__(self, cfgs: Mapping[str, EventTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
+  def __init__(
+    self, cfgs: Mapping[str, EventTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
     self._terms: dict[EventMode, list[Term]] = {mode: [] for mode in _MODES}
-    for name, cfg in self._cfgs.items():
-      if not self._check(name, cfg):
-        continue
-      term = self._bind(name, cfg, masked=True)
-      if term is not None:
+    for name, cfg in list(self._cfgs.items()):
+      term = self._bind(name, cfg)
+      if term is not None and self._may_write(term):
         self._terms[cfg.mode].append(term)
+      else:
+        self._drop(name)
     self._raise_problems()
 
-    self.model_fields: tuple[str, ...] = tuple(
-      dict.fromkeys(field for term in self._all_terms() for field in attribute_of(term.func, "model_fields", ()))
-    )
-    """Model fields that some term writes per world, to be expanded before the first event."""
-    self._needs_constants = {
-      term.name for term in self._all_terms() if attribute_of(term.func, "needs_constants", False)
-    }
+    self.model_fields = self._written_fields()
+    """Model fields that terms write per world. They must be expanded before the first event."""
+    self._needs_constants = self._deriving()
     self._masks = {
       term.name: torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
       for term in self._all_terms()
       if term.wants_ids
     }
-    self._everyone = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+    self._all_worlds = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
 
     interval = self._terms["interval"]
     self._own = [term for term in interval if not self._cfgs[term.name].is_global_time]
     self._global = [term for term in interval if self._cfgs[term.name].is_global_time]
     self._lo, self._span = self._ranges(self._own)
     self._global_lo, self._global_span = self._ranges(self._global)
-    self._time_left = self._draw((self.num_envs, len(self._own)), self._lo, self._span)
-    self._global_time_left = self._draw((1, len(self._global)), self._global_lo, self._global_span)
+    self._time_left = self.state_of(self._draw((self.num_envs, len(self._own)), self._lo, self._span))
+    self._global_time_left = self.state_of(
+      self._draw((1, len(self._global)), self._global_lo, self._global_span), shared=True
+    )
 
     self._gated = [term for term in self._terms["reset"] if self._cfgs[term.name].min_step_count_between_reset > 0]
     steps = [self._cfgs[term.name].min_step_count_between_reset for term in self._gated]
     self._min_steps = torch.tensor([steps], dtype=torch.int64, device=self.device)
-    self._last_fired = torch.full((self.num_envs, len(self._gated)), _NEVER, dtype=torch.int64, device=self.device)
+    self._last_fired = self.state((len(self._gated),), fill=_NEVER, dtype=torch.int64)
+    self._finish()
 
-  def _check(self, name: str, cfg: EventTermCfg) -> bool:
-    before = len(self._problems)
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: EventTermCfg) -> Iterator[str]:
+    yield from super()._cfg_problems(name, cfg)
+    if not isinstance(cfg, EventTermCfg):
+      return
     if cfg.mode not in _MODES:
-      self._problem(unknown("mode", str(cfg.mode), _MODES, owner=f"term '{name}'"))
+      yield unknown("mode", str(cfg.mode), _MODES, owner=f"term '{name}'")
     elif cfg.mode == "interval" and cfg.interval_range_s is None:
-      self._problem(f"term '{name}': mode interval needs interval_range_s.")
+      yield f"term '{name}': mode interval needs interval_range_s."
     elif cfg.mode != "interval" and (cfg.interval_range_s is not None or cfg.is_global_time):
       option = "is_global_time" if cfg.interval_range_s is None else "interval_range_s"
-      self._problem(f"term '{name}': {option} is for mode interval, the mode is {cfg.mode}.")
+      yield f"term '{name}': {option} is for mode interval, the mode is {cfg.mode}."
     if cfg.interval_range_s is not None:
       try:
         check_bounds(f"term '{name}': interval_range_s", cfg.interval_range_s, minimum=0.0, finite=True)
       except ValueError as error:
-        self._problem(str(error), error)
+        yield str(error)
     if wrong := why_no_count(cfg.min_step_count_between_reset):
-      self._problem(f"term '{name}': min_step_count_between_reset {wrong}.")
+      yield f"term '{name}': min_step_count_between_reset {wrong}."
     elif cfg.min_step_count_between_reset > 0 and cfg.mode != "reset":
-      self._problem(f"term '{name}': min_step_count_between_reset is for mode reset, the mode is {cfg.mode}.")
-    return len(self._problems) == before
+      yield f"term '{name}': min_step_count_between_reset is for mode reset, the mode is {cfg.mode}."
+
+  def rehearse(self) -> None:
+    for term in self._all_terms():
+      worlds = torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._all_worlds
+      self._dry_run(term, worlds)
+    self._raise_problems()
+
+  def _check_again(self, term: Term) -> bool:
+    if new := [field for field in self._written_fields() if field not in self.model_fields]:
+      self._problem(f"term '{term.name}': writes model fields {', '.join(new)}, which must be known at build.")
+    self._needs_constants = self._deriving()
+    return self._may_write(term) and not new
+
+  def _may_write(self, term: Term) -> bool:
+    """Return True if no other event claims the same numbers; note the mistake otherwise."""
+    claims: Mapping[Hashable, str] = attribute_of(term.func, "claims", {})
+    for other in self._all_terms():
+      both = () if other is term else [key for key in attribute_of(other.func, "claims", ()) if key in claims]
+      if both:
+        self._problem(
+          f"term '{term.name}': {claims[both[0]]} is written by event '{other.name}' too; only one of them would count."
+        )
+        return False
+    return True
+
+  def _written_fields(self) -> tuple[str, ...]:
+    fields = [field for term in self._all_terms() for field in attribute_of(term.func, "model_fields", ())]
+    return tuple(dict.fromkeys(fields))
+
+  def _deriving(self) -> set[str]:
+    """Return the names of the terms after which quantities that derive from model fields must be recomputed."""
+    return {term.name for term in self._all_terms() if attribute_of(term.func, "needs_constants", False)}
 
   def _all_terms(self) -> list[Term]:
     return [term for terms in self._terms.values() for term in terms]
@@ -127,17 +164,18 @@ class EventManager(ManagerBase[EventTermCfg]):
     return [mode for mode, terms in self._terms.items() if terms]
 
   def apply(self, mode: EventMode, mask: torch.Tensor | None = None) -> None:
-    """Fires the terms of one mode.
+    """Fire the terms of one mode.
 
     Args:
-      mode: which.
-      mask: bool (N,), None for all worlds. Reset: worlds whose episode begins. Interval: worlds for which a step of
-        time passed; a global timer always advances, and fires in all worlds.
+      mode: mode of the terms.
+      mask: worlds to act on, bool (N,); None for all worlds. In mode reset these are the worlds whose episode begins,
+        in mode interval those in which one step of time passed. A global timer always advances, and fires in all
+        worlds.
     """
     terms = self._terms[mode]
     if not terms:
       return
-    mask = self._everyone if mask is None else mask
+    mask = self._all_worlds if mask is None else mask
     if mode == "interval":
       fired = self._due(mask)
     elif mode == "reset" and self._gated:
@@ -147,16 +185,16 @@ class EventManager(ManagerBase[EventTermCfg]):
     self._fire(terms, mask, fired)
 
   def fire(self, name: str, mask: torch.Tensor | None = None) -> None:
-    """Fires one term now, whatever its mode and timers say; outside of a step.
+    """Fire one term now, outside of a step, independent of its mode and timers.
 
     Raises:
-      KeyError: no such term.
+      UnknownNameError: no such term.
     """
     term = self._lookup({term.name: term for term in self._all_terms()}, name)
-    self._fire([term], self._everyone if mask is None else mask, {})
+    self._fire([term], self._all_worlds if mask is None else mask, {})
 
   def _fire(self, terms: list[Term], mask: torch.Tensor, fired: dict[str, torch.Tensor]) -> None:
-    """Calls terms on the worlds where each is due, `mask` unless `fired` says otherwise."""
+    """Call each term on its worlds in `fired`, or on `mask` if it has none there."""
     derived: list[torch.Tensor] = []
     for term in terms:
       where = fired.get(term.name, mask)
@@ -206,13 +244,10 @@ class EventManager(ManagerBase[EventTermCfg]):
     self.env.run_eagerly(call, name=f"event '{term.name}'")
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Redraws the timers of the worlds in `mask`, bool (N,), and resets class terms; after mode reset was applied."""
+    """Draw new timers in the worlds of `mask`, bool (N,), and reset class terms; after `apply("reset", mask)`."""
     if self._own:
       where_(self._time_left, mask, self._draw((self.num_envs, len(self._own)), self._lo, self._span))
     super().reset(mask)
-
-  def _watched_terms(self) -> list[Term]:
-    return self._all_terms()
 
   def describe(self) -> str:
     rows = []
@@ -223,4 +258,4 @@ class EventManager(ManagerBase[EventTermCfg]):
         when += ", one timer for all worlds" if cfg.is_global_time else ""
         when += f"at most every {cfg.min_step_count_between_reset} steps" if cfg.min_step_count_between_reset else ""
         rows.append((mode, term.name, when))
-    return table("Events", ("mode", "term", "when"), rows)
+    return table(("mode", "term", "when"), rows, title="Events")

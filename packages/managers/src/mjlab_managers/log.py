@@ -1,4 +1,4 @@
-"""Statistics that gather on the device and are read once per log interval."""
+"""Statistics that are collected on the device and read once per log interval."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import torch
 
 
 class LogBuffer:
-  """Means over (world, moment) pairs, one per name.
+  """Means over pairs of world and time, one for each name.
 
   Args:
-    names: log keys, K of them.
-    device: where sums live.
+    names: K log keys.
+    device: device of the sums.
   """
 
   def __init__(self, names: Sequence[str], device: torch.device | str) -> None:
@@ -21,17 +21,17 @@ class LogBuffer:
     self._count = torch.zeros((), dtype=torch.int64, device=device)
 
   def add(self, values: torch.Tensor, mask: torch.Tensor) -> None:
-    """Adds the rows of `values`, (N, K), of the worlds in `mask`, bool (N,)."""
+    """Add the rows of `values`, (N, K), of the worlds in `mask`, bool (N,)."""
     if not self.names:
       return
     self._sums.add_(values.masked_fill(~mask[:, None], 0.0).sum(0))
     self._count.add_(mask.sum())
 
   def tensors(self) -> tuple[list[str], torch.Tensor]:
-    """Names and means, float64 (K,), NaN where nothing was added since `clear`."""
+    """Return names and means, float64 (K,), NaN if nothing was added since `clear`."""
     return self.names, self._sums / self._count
 
   def clear(self) -> None:
-    """Begins a new interval."""
+    """Begin a new interval."""
     self._sums.zero_()
     self._count.zero_()

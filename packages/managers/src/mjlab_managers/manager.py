@@ -1,166 +1,352 @@
-"""What all managers have in common."""
+"""Base of all managers: named terms, trial calls at build, state, and live changes."""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
-from mjlab_core.names import UnknownNameError, unknown
-from mjlab_core.state import Stateful
+from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError, as_consequence, is_consequence
+from mjlab_core.names import unknown
+from mjlab_core.state import Stateful, StatefulDict
 
-from mjlab_managers.binding import Term, bind, copy_cfg
+from mjlab_managers.binding import Term, copy_cfg, term_problems
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.errors import ConfigError
+from mjlab_managers.locked import lock
 from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.watch import undeclared_memory
 
 CfgT = TypeVar("CfgT")
 
 
 class ManagerBase(Stateful, Generic[CfgT]):
-  """A set of named terms over one environment.
+  """Set of named terms over one environment.
 
-  Configs are copied; entries that are None are left out. All that is wrong with them is raised at once.
+  Configs are copied. Entries that are None are left out.
 
   Args:
     cfgs: term configs by name.
     env: the environment.
+    problems: list that receives one line per mistake, to report the mistakes of several managers together. The manager
+      then consists of the terms without mistakes. None raises the mistakes.
 
   Raises:
     ConfigError: a config is wrong; one line per mistake, with manager and term.
   """
 
   cfg_type: ClassVar[type]
-  _children = ("_stateful_terms",)
+  live_fields: ClassVar[frozenset[str]] = frozenset()
+  """Fields of a term config that may be assigned after build."""
+  masked: ClassVar[bool] = False
+  """True if terms take the worlds to act on."""
 
-  def __init__(self, cfgs: Mapping[str, CfgT | None], env: ManagerEnv) -> None:
+  def __init__(self, cfgs: Mapping[str, CfgT | None], env: ManagerEnv, *, problems: list[str] | None = None) -> None:
     self.env = env
     self.num_envs, self.device = env.num_envs, torch.device(env.device)
-    self._stateful_terms: dict[str, Stateful] = {}
-    self._resets: list[Callable[[torch.Tensor], Any]] = []
+    self._stateful_terms: StatefulDict[Stateful] = StatefulDict()
+    self._resets: dict[str, Callable[[torch.Tensor], Any]] = {}
+    self._bound: dict[str, Term] = {}
     self._problems: list[str] = []
+    self._collected = problems
     self._cause: BaseException | None = None
+    self._broken: set[str] = set()
     self._cfgs: dict[str, CfgT] = {}
-    for name, cfg in cfgs.items():
-      if cfg is None:
-        continue
-      if not isinstance(cfg, self.cfg_type):
-        self._problems.append(f"term '{name}': expected a {self.cfg_type.__name__}, got {described(cfg)}.")
-        continue
-      self._cfgs[name] = copy_cfg(cfg)
+    self._live: list[tuple[Any, frozenset[str]]] = []
+    if isinstance(cfgs, Mapping):
+      for name, cfg in cfgs.items():
+        if cfg is not None:
+          self._read(name, cfg)
+    else:
+      self._problem(_NO_MAPPING.format(described(cfgs)))
 
-  # What the user asks.
+  @classmethod
+  def check(cls, cfgs: Mapping[str, CfgT | None]) -> list[str]:
+    """Return the mistakes in configs that show without an environment, one line each."""
+    lines: list[str] = []
+    if not isinstance(cfgs, Mapping):
+      return [f"{cls.__name__}: {_NO_MAPPING.format(described(cfgs))}"]
+    for name, cfg in cfgs.items():
+      if cfg is not None:
+        lines += [f"{cls.__name__}: {problem}" for problem in cls._cfg_problems(name, cfg)]
+    return lines
+
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: CfgT) -> Iterator[str]:
+    """Yield the mistakes in one config that show without an environment."""
+    if not isinstance(cfg, cls.cfg_type):
+      yield f"term '{name}': expected a {cls.cfg_type.__name__}, got {described(cfg)}."
+    elif isinstance(cfg, ManagerTermBaseCfg):
+      for problem in term_problems(cfg, masked=cls.masked):
+        yield f"term '{name}': {problem}"
+
+  # Interface for users.
 
   @property
   def label(self) -> str:
-    """The manager's name in messages."""
+    """Name of the manager in messages."""
     return type(self).__name__
 
   @property
   def active_terms(self) -> Any:
-    """Names of the terms, in order."""
+    """Names of the terms in order."""
     return list(self._cfgs)
 
   def get_term_cfg(self, name: str, /) -> CfgT:
-    """The live config of a term; its values may be changed on the host.
+    """Return the config of a term. It is read-only except for `live_fields`; `set_params` changes parameters.
 
     Raises:
       UnknownNameError: no such term.
     """
     return self._lookup(self._cfgs, name)
 
+  def term(self, name: str, /) -> Term:
+    """Return a term as a callable with its parameters: `term()`, or `term(mask)` for events and curricula.
+
+    Raises:
+      UnknownNameError: no such term.
+    """
+    return self._lookup(self._bound, name)
+
+  def set_params(self, name: str, /, **params: Any) -> None:
+    """Change parameters of a term from the next step on.
+
+    A number that the term takes as a scalar is written, and the recorded step stays valid. Any other change builds a
+    class term again, keeps its state, and requests a new recording of the step.
+
+    Args:
+      name: name of the term.
+      params: new values by name. Other parameters keep their values.
+
+    Raises:
+      UnknownNameError: no such term.
+      ConfigError: a parameter does not exist or has a wrong value; nothing was changed.
+    """
+    if name in self._cfgs and name not in self._bound:
+      raise MjlabError(f"{self.label}: term '{name}' has no parameters; its config is fixed at build.")
+    term = self._lookup(self._bound, name)
+    try:
+      undo = term.set_params(params)
+    except MjlabError as error:
+      raise ConfigError(f"{self.label}: term '{name}': {error}") from error
+    if undo is None:
+      return
+    if not self._check_again(term):
+      undo()
+    self._adopt(name, term.func)
+    self._raise_problems()
+    if not term.wants_ids:
+      self.env.request_recapture(f"{self.label}: parameters of '{name}' changed")
+
+  def scalar(self, name: str, parameter: str, /) -> torch.Tensor:
+    """Return a scalar parameter of a term, float64, 0-d, that curricula may write inside the step.
+
+    The config of the term does not show such writes.
+
+    Raises:
+      UnknownNameError: no such term.
+      MjlabError: no such parameter, or the term does not read it in every step.
+    """
+    term = self._lookup(self._bound, name)
+    try:
+      return term.scalar(parameter)
+    except MjlabError as error:
+      raise MjlabError(f"{self.label}: term '{name}': {error}") from error
+
   def describe(self) -> str:
-    """A table of the terms."""
+    """Return a table of the terms."""
     raise NotImplementedError
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    """Name and current values of each term in one world, for viewers; reads from the device."""
+    """Return name and current values of each term in one world, for viewers. It reads from the device."""
     del env_idx
     return []
 
-  # What the environment calls.
+  # Interface for the environment.
+
+  def rehearse(self) -> None:
+    """Call every term that was not called at build once for all worlds, and report errors like mistakes in configs.
+
+    The state of terms is restored. The environment restores the simulation, the scene and the generator.
+    """
+
+  def remember(self) -> Callable[[], None]:
+    """Return a function that restores the present parameters, live fields of configs, and state."""
+    state = self.state_dict()
+    given = {name: dict(term.given) for name, term in self._bound.items()}
+    fields = [(cfg, {name: getattr(cfg, name) for name in live}) for cfg, live in self._live]
+
+    def put_back() -> None:
+      for name, params in given.items():
+        now = self._bound[name].given
+        if changed := {key: value for key, value in params.items() if now[key] is not value}:
+          self.set_params(name, **changed)
+      for cfg, values in fields:
+        for name, value in values.items():
+          setattr(cfg, name, value)
+      self.restore(state)
+
+    return put_back
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Ends the episodes of the worlds in `mask`, bool (N,): logs what belongs to them and forgets it."""
-    for reset in self._resets:
-      reset(mask)
+    """End the episodes of the worlds in `mask`, bool (N,): log their statistics and reset their state."""
+    for name, reset in self._resets.items():
+      try:
+        reset(mask)
+      except Exception as error:
+        raise self._failure(name, error) from error
 
   def sync(self) -> None:
-    """Host side, before each step: notices what was changed in the live configs, asks for a new recording if needed."""
-    for term in self._watched_terms():
-      if term.params_changed():
-        self.env.request_recapture(f"{self.label}: parameters of '{term.name}' changed")
+    """Read changes of live fields, on the host before each step, and request a new recording if needed."""
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """Log keys and values, float64 (K,), since `clear_log`; NaN where nothing happened. Does not read them."""
+    """Return log keys and values since `clear_log`, float64 (K,) on the device; NaN if nothing happened."""
     return [], torch.zeros(0, dtype=torch.float64, device=self.device)
 
   def clear_log(self) -> None:
-    """Begins a new log interval."""
+    """Begin a new log interval."""
 
-  # What the managers share.
+  # Interface for subclasses.
 
-  def _watched_terms(self) -> Sequence[Term]:
-    return ()
+  def _read(self, name: str, cfg: CfgT) -> None:
+    """Keep a copy of a config without mistakes; note the mistakes otherwise."""
+    if found := list(self._cfg_problems(name, cfg)):
+      self._broken.add(name)
+      for problem in found:
+        self._problem(problem)
+    else:
+      self._cfgs[name] = copy_cfg(cfg)
 
   def _lookup(self, table: Mapping[str, Any], name: str) -> Any:
-    if name not in table:
-      raise UnknownNameError(unknown("term", name, list(table), owner=self.label))
-    return table[name]
+    if name in table:
+      return table[name]
+    error = UnknownNameError(unknown("term", name, list(table), owner=self.label))
+    if name in self._broken:
+      raise as_consequence(error)
+    raise error
+
+  def _failure(self, name: str, error: Exception) -> MjlabError:
+    return MjlabError(f"{self.label}: term '{name}': {type(error).__name__}: {error}")
 
   def _problem(self, text: str, cause: BaseException | None = None) -> None:
-    self._problems.append(text)
-    self._cause = self._cause or cause
+    if not is_consequence(cause):
+      self._problems.append(text)
+      self._cause = self._cause or cause
 
   def _raise_problems(self) -> None:
-    if self._problems:
-      error, cause = ConfigError(self.label, self._problems), self._cause
-      # A live config can be put right after a failed `sync`.
-      self._problems, self._cause = [], None
-      raise error from cause
+    """Report the mistakes so far: raise them, or add them to the list passed to the manager."""
+    if not self._problems:
+      return
+    lines, cause = [f"{self.label}: {problem}" for problem in self._problems], self._cause
+    self._problems, self._cause = [], None
+    if self._collected is None:
+      raise ConfigError(*lines) from cause
+    self._collected += lines
 
-  def _bind(self, name: str, cfg: ManagerTermBaseCfg, *, masked: bool = False) -> Term | None:
-    term = bind(name, cfg, self.env, self._problems, masked=masked)
-    if term is not None:
+  def _finish(self) -> None:
+    """End the build: report mistakes, and make the configs read-only."""
+    self._raise_problems()
+    self._collected = None
+    self._seal()
+
+  def _seal(self) -> None:
+    for name, cfg in self._cfgs.items():
+      self._lock(name, cfg, self.live_fields)
+
+  def _lock(self, name: str, cfg: Any, live: frozenset[str]) -> None:
+    ways = [f"set_params('{name}', ...) changes its parameters"] if isinstance(cfg, ManagerTermBaseCfg) else []
+    ways += [f"these fields may be assigned: {', '.join(sorted(live))}"] if live else []
+    advice = f"{self.label}: '{name}' is built, and its config is read-only"
+    lock(cfg, "; ".join([advice, *ways]) + ".", live)
+    self._live.append((cfg, live))
+
+  def _drop(self, name: str) -> None:
+    """Remove a term that has a mistake."""
+    self._broken.add(name)
+    self._cfgs.pop(name, None)
+    self._bound.pop(name, None)
+    self._resets.pop(name, None)
+    self._stateful_terms.pop(name, None)
+
+  def _bind(self, name: str, cfg: ManagerTermBaseCfg) -> Term | None:
+    """Return the term with its parameters, or None with the mistake noted."""
+    try:
+      term = Term(name, self.label, cfg, self.env, masked=self.masked)
       self._adopt(name, term.func)
+    except (MjlabError, ValueError) as error:
+      self._problem(f"term '{name}': {error}", error)
+      return None
+    except Exception as error:
+      self._problem(f"term '{name}': {type(error).__name__} while making it{place_of(error)}: {error}", error)
+      return None
+    self._bound[name] = term
     return term
 
   def _adopt(self, name: str, obj: Any) -> None:
-    """Registers what a term remembers for saving and for resets."""
+    """Register a term for saving and for resets."""
     if isinstance(obj, Stateful):
       self._stateful_terms[name] = obj
+      obj.state_dict()
     if not isinstance(obj, type) and callable(reset := getattr(obj, "reset", None)):
-      self._resets.append(reset)
+      self._resets[name] = reset
 
   def _build(self, name: str, cfg: Any) -> Any:
-    """What `cfg.build(env)` returns, or None with the mistake noted."""
+    """Return `cfg.build(env)`, or None with the mistake noted."""
     try:
       obj = cfg.build(self.env)
-    except Exception as error:
+      obj.name = name
+      self._adopt(name, obj)
+    except ValueError as error:
       self._problem(f"term '{name}': {error}", error)
       return None
-    obj.name = name
-    self._adopt(name, obj)
+    except Exception as error:
+      self._problem(f"term '{name}': {type(error).__name__} while making it{place_of(error)}: {error}", error)
+      return None
     return obj
 
   def _dry_run(self, term: Term, *args: Any) -> Any:
-    """Calls a term once and leaves what it remembers as it was; None with the mistake noted if it raises."""
-    func: Any = term.func
-    state = func.state_dict() if isinstance(func, Stateful) else None
+    """Return the value of a trial call, or None with the mistake noted."""
+    with self._trial(term.name, term.func) as trial:
+      trial.value = term.try_call(*args, rebuilt=trial.rebuilt)
+    return trial.value
+
+  @contextmanager
+  def _trial(self, name: str, obj: Any, what: str = "a trial call") -> Generator[Trial]:
+    """Note errors of a trial and its writes to undeclared tensors; restore state and the generator."""
+    trial, generator = Trial(obj), self.env.rng.get_state()
+    state = obj.state_dict() if isinstance(obj, Stateful) else None
     try:
-      value = term(*args)
+      yield trial
     except Exception as error:
-      self._problem(f"term '{term.name}': {type(error).__name__} in a trial call{_place(error)}: {error}", error)
-      return None
-    if state is None:
-      return value
-    try:
-      func.load_state_dict(state)
-    except ValueError as error:
-      self._problem(f"term '{term.name}': what it remembers must be made in __init__, not when called: {error}", error)
-    return value
+      self._failed_trial(name, what, error)
+      trial.failed = True
+    self.env.rng.set_state(generator)
+    before, after = trial.memory, undeclared_memory(obj)
+    way = "Declare state in __init__, self.x = self.state(...), and write into it: copy_, mul_, where_."
+    moved = [path for path, (address, _) in after.items() if path not in before or before[path][0] != address]
+    written = [] if moved else [path for path, memory in after.items() if before[path] != memory]
+    if moved:
+      self._problem(
+        f"term '{name}': {what} put another tensor into {', '.join(moved)}, which a recorded step cannot follow. {way}"
+      )
+    if written:
+      self._problem(
+        f"term '{name}': {what} wrote into {', '.join(written)}, which is not declared, so it is not saved with a run. "
+        f"{way}"
+      )
+    trial.failed = trial.failed or bool(moved or written)
+    if isinstance(obj, Stateful) and state is not None:
+      obj.restore(state)
+
+  def _failed_trial(self, name: str, what: str, error: Exception) -> None:
+    self._problem(f"term '{name}': {type(error).__name__} in {what}{place_of(error)}: {error}", error)
+
+  def _check_again(self, term: Term) -> bool:
+    """Return True if a term works after a build or rebuild; note the mistakes otherwise."""
+    del term
+    return True
 
   def _check_tensor(self, name: str, value: Any, what: str, fits: Callable[[torch.dtype], bool]) -> bool:
     if not isinstance(value, torch.Tensor):
@@ -171,45 +357,42 @@ class ManagerBase(Stateful, Generic[CfgT]):
       return True
     return False
 
-  def _bind_vectors(self: ManagerBase[Any], dtype_name: str, fits: Callable[[torch.dtype], bool]) -> list[Term]:
-    """The terms, each of which returns one number per world; raises all problems up to here."""
-    terms: list[Term] = []
-    for name, cfg in self._cfgs.items():
-      term = self._bind(name, cfg)
-      if term is not None:
-        terms.append(term)
-        self._check_vector(term, dtype_name, fits)
-    self._raise_problems()
-    return terms
 
-  def _check_vector(self, term: Term, dtype_name: str, fits: Callable[[torch.dtype], bool]) -> None:
-    """Runs a term dry and checks that it returns one number per world."""
-    before = len(self._problems)
-    value = self._dry_run(term)
-    if len(self._problems) > before:
-      return
-    what = f"{dtype_name} ({self.num_envs},)"
-    if self._check_tensor(term.name, value, what, fits) and value.shape != (self.num_envs,):
-      self._problem(f"term '{term.name}': must return {what}, returned {described(value)}.")
+class Trial:
+  """Result of a trial call, and the undeclared memory of the object before it."""
+
+  def __init__(self, obj: Any) -> None:
+    self.value: Any = None
+    self.failed = False
+    self._obj = obj
+    self.rebuilt()
+
+  def rebuilt(self) -> None:
+    """Take the memory again, because the object was built again."""
+    self.memory = undeclared_memory(self._obj)
 
 
 def is_float(dtype: torch.dtype) -> bool:
-  """Whether it is a real floating-point type."""
+  """Return True for a real floating-point type."""
   return dtype.is_floating_point
 
 
 def described(value: Any) -> str:
-  """A value in a message: of a tensor its type, shape and place."""
+  """Return a description of a value for messages; for a tensor its type, shape and device."""
   if isinstance(value, torch.Tensor):
     return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)} on {value.device}"
   return f"{type(value).__name__} {value!r}" if isinstance(value, int | float | str) else type(value).__name__
 
 
-def _place(error: Exception) -> str:
-  """Where in a term it was raised, or by what the term called: " (my_terms.py, line 12)"."""
+_NO_MAPPING = "terms must be a dict by name, got {}."
+
+
+def place_of(error: Exception) -> str:
+  """Return the place in a term, or in a function that it called, of an error: " (my_terms.py, line 12)"."""
   here = Path(__file__).parent
-  for frame in traceback.extract_tb(error.__traceback__):
+  # The first frame is where it was caught.
+  for frame in traceback.extract_tb(error.__traceback__)[1:]:
     path = Path(frame.filename)
-    if path.parent != here:
+    if path.parent != here and "torch" not in path.parts:
       return f" ({path.name}, line {frame.lineno})"
   return ""

@@ -1,21 +1,21 @@
-"""Metrics: numbers about an episode that nobody optimises."""
+"""Metrics: numbers about an episode that are logged and not optimised."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.masking import fill_, where_
+from mjlab_core.indexing import fill_, where_
 from mjlab_core.names import unknown
+from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.log import LogBuffer
-from mjlab_managers.manager import ManagerBase, is_float
-from mjlab_managers.table import table
 from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.vector_manager import VectorManager
 
 Reduction = Literal["mean", "sum", "last", "max"]
 
@@ -25,27 +25,28 @@ _REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
 
 @dataclass
 class MetricsTermCfg(ManagerTermBaseCfg):
-  """A metric: `func(env, **params)` returns float (N,)."""
+  """Config of a metric: `func(env, **params)` returns float (N,)."""
 
   _: KW_ONLY
   reduce: Reduction = "mean"
-  """How an episode's values become one."""
+  """Reduction of the values of an episode to one number."""
   per_substep: bool = False
-  """Whether it is evaluated after every physics substep and averaged over the substeps of a step."""
+  """True: evaluated after every physics substep and averaged over the substeps of a step."""
 
 
-class MetricsManager(ManagerBase[MetricsTermCfg]):
-  """Reduces metrics over episodes. A NaN or infinite value counts as 0; an episode without a step is left out."""
+class MetricsManager(VectorManager[MetricsTermCfg]):
+  """Manager that reduces metrics over episodes.
+
+  A NaN or infinite value counts as 0. An episode without a step is left out.
+  """
 
   cfg_type = MetricsTermCfg
-  _constants = frozenset({"_raw", "_values", "_initial", "_nonfinite"})
 
-  def __init__(self, cfgs: Mapping[str, MetricsTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
-    for name, cfg in self._cfgs.items():
-      if cfg.reduce not in _REDUCTIONS:
-        self._problem(unknown("reduce", str(cfg.reduce), _REDUCTIONS, owner=f"term '{name}'"))
-    terms = self._bind_vectors("float", is_float)
+  def __init__(
+    self, cfgs: Mapping[str, MetricsTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
+    terms = self._bind_vectors()
 
     def rank(term: Term) -> int:
       return _REDUCTIONS.index(self._cfgs[term.name].reduce)
@@ -62,20 +63,27 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
     self._values = torch.zeros_like(self._raw)
     self._initial = torch.zeros(1, count, device=self.device)
     self._initial[:, self._max_start :] = -torch.inf
-    self._episode = self._initial.repeat(self.num_envs, 1)
-    self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
-    self._substep_sums = torch.zeros(self.num_envs, len(self._substep_columns), device=self.device)
+    self._episode = self.state((count,), fill=self._initial)
+    self._steps = self.state(dtype=torch.int64)
+    self._substep_sums = self.state((len(self._substep_columns),))
     self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
     self._log = LogBuffer([f"Episode_Metrics/{term.name}" for term in self._terms], self.device)
+    self._finish()
+
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: MetricsTermCfg) -> Iterator[str]:
+    yield from super()._cfg_problems(name, cfg)
+    if isinstance(cfg, MetricsTermCfg) and cfg.reduce not in _REDUCTIONS:
+      yield unknown("reduce", str(cfg.reduce), _REDUCTIONS, owner=f"term '{name}'")
 
   def compute_substep(self) -> None:
-    """Evaluates the per-substep metrics; call after every physics substep."""
+    """Evaluate the per-substep metrics. Call it after every physics substep."""
     if self._substep_columns:
       values = [self._terms[column]() for column in self._substep_columns]
       self._substep_sums.add_(torch.stack(values, dim=1))
 
   def compute(self) -> None:
-    """Evaluates the other metrics and takes the step into the episode."""
+    """Evaluate the other metrics and add the step to the episode."""
     if not self._terms:
       return
     values: dict[int, torch.Tensor] = {}
@@ -98,12 +106,16 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
     self._steps.add_(1)
 
   def get_value(self, name: str) -> torch.Tensor:
-    """A metric in the last step, terminal states included, (N,); KeyError with the nearest names if there is none."""
+    """Return a metric in the last step, terminal states included, (N,).
+
+    Raises:
+      UnknownNameError: no such term; the message lists the nearest names.
+    """
     columns = {term.name: column for column, term in enumerate(self._terms)}
     return self._values[:, self._lookup(columns, name)]
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Logs the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and starts over there."""
+    """Log the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and reset them there."""
     if not self._terms:
       return
     episode = self._episode
@@ -119,11 +131,11 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
       fill_(self._substep_sums, mask, 0.0)
     super().reset(mask)
 
-  def _watched_terms(self) -> list[Term]:
-    return self._terms
-
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Episode_Metrics/<term>`: mean over ended episodes; `Nonfinite/metrics/<term>`: NaN where there were none."""
+    """Return `Episode_Metrics/<term>`, means over ended episodes, and `Nonfinite/metrics/<term>`, values replaced by 0.
+
+    A value is NaN if there was no such episode or no replaced value.
+    """
     names, means = self._log.tensors()
     counts = self._nonfinite.double()
     return (
@@ -141,4 +153,4 @@ class MetricsManager(ManagerBase[MetricsTermCfg]):
 
   def describe(self) -> str:
     rows = [(name, cfg.reduce, "every substep" if cfg.per_substep else "") for name, cfg in self._cfgs.items()]
-    return table("Metrics", ("term", "reduce", "evaluated"), rows)
+    return table(("term", "reduce", "evaluated"), rows, title="Metrics")

@@ -1,4 +1,4 @@
-"""Noise on observations: its configs, and the one pass that applies all of it."""
+"""Noise on observations: configs, and one pass that applies the noise of all terms."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.masking import where_
+from mjlab_core.config import Config
+from mjlab_core.indexing import where_
 from mjlab_core.names import unknown
 from mjlab_core.sampling import check_range
 from mjlab_core.state import Stateful
@@ -19,15 +20,18 @@ PerDim = float | tuple[float, ...]
 
 
 @dataclass(kw_only=True)
-class NoiseCfg(ABC):
-  """Base of noise: x + n, x * n or n, each component n = base + u width + z std, u uniform in [0, 1], z normal."""
+class NoiseCfg(Config, ABC):
+  """Base of noise configs.
+
+  The noise of a component is n = base + u width + z std, with u uniform in [0, 1] and z standard normal.
+  """
 
   operation: Operation = "add"
-  """`add`: x + n; `scale`: x * n; `abs`: n replaces x."""
+  """Result for a value x: `add` gives x + n, `scale` gives x * n, `abs` gives n."""
 
   @abstractmethod
   def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    """base, width and std.
+    """Return base, width and std.
 
     Raises:
       ValueError: the config is wrong.
@@ -36,7 +40,7 @@ class NoiseCfg(ABC):
 
 @dataclass(kw_only=True)
 class ConstantNoiseCfg(NoiseCfg):
-  """A constant."""
+  """Constant noise."""
 
   bias: PerDim = 0.0
 
@@ -46,7 +50,7 @@ class ConstantNoiseCfg(NoiseCfg):
 
 @dataclass(kw_only=True)
 class UniformNoiseCfg(NoiseCfg):
-  """Uniform in [n_min, n_max]."""
+  """Uniform noise in [n_min, n_max]."""
 
   n_min: PerDim = -1.0
   n_max: PerDim = 1.0
@@ -60,7 +64,7 @@ class UniformNoiseCfg(NoiseCfg):
 
 @dataclass(kw_only=True)
 class GaussianNoiseCfg(NoiseCfg):
-  """Normal with `mean` and standard deviation `std`."""
+  """Normal noise with `mean` and standard deviation `std`."""
 
   mean: PerDim = 0.0
   std: PerDim = 1.0
@@ -72,37 +76,37 @@ class GaussianNoiseCfg(NoiseCfg):
 
 
 @dataclass(kw_only=True)
-class NoiseModelWithAdditiveBiasCfg:
-  """Noise, then a bias that is drawn anew at every reset and added throughout the episode."""
+class NoiseModelWithAdditiveBiasCfg(Config):
+  """Noise, then a bias that is drawn at every reset and added during the whole episode."""
 
   bias_noise_cfg: NoiseCfg
   """Distribution of the bias; its `operation` does not matter."""
   noise_cfg: NoiseCfg | None = None
   sample_bias_per_component: bool = True
-  """False: all components of the term share one draw."""
+  """True: one draw for each component of the term; False: one draw for all."""
 
 
 class NoiseModel(Stateful, ABC):
-  """Noise that knows the shape of its term and remembers something of each episode; see `NoiseModelCfg`."""
+  """Noise for one shape of term with state for each episode, built by a `NoiseModelCfg`."""
 
   @abstractmethod
   def reset(self, mask: torch.Tensor) -> None:
-    """Begins new episodes in the worlds of `mask`, bool (N,); draws for all, and leaves the others bit-identical."""
+    """Begin new episodes in the worlds of `mask`, bool (N,): draw for all worlds, and change only these."""
 
   @abstractmethod
   def apply_(self, x: torch.Tensor) -> None:
-    """Applies the noise to what a term returned, float32 (N, *shape), in place; remembers nothing of it."""
+    """Apply the noise to the value of a term, float32 (N, *shape), in place, without a change of state."""
 
 
 @dataclass(kw_only=True)
-class NoiseModelCfg(ABC):
-  """Base of noise of one's own, such as that of images."""
+class NoiseModelCfg(Config, ABC):
+  """Base of configs of custom noise, such as noise of images."""
 
   @abstractmethod
   def build(
     self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
   ) -> NoiseModel:
-    """The noise of a term of this shape, which draws from `generator` and keeps its memory on `device`.
+    """Return the noise for a term of this shape. It draws from `generator` and keeps its state on `device`.
 
     Raises:
       ValueError: the config is wrong, or does not fit the term.
@@ -110,11 +114,11 @@ class NoiseModelCfg(ABC):
 
 
 class FusedNoise:
-  """The noise of many columns, applied together.
+  """Noise of many columns, applied together.
 
   Args:
-    parts: first column, one past the last, and noise of each noisy term.
-    device: where.
+    parts: first column, column after the last, and noise of each noisy term.
+    device: device of the columns.
   """
 
   def __init__(self, parts: Sequence[tuple[int, int, NoiseCfg]], device: torch.device | str) -> None:
@@ -142,7 +146,7 @@ class FusedNoise:
     self._device = device
 
   def sample(self, num_envs: int, generator: torch.Generator) -> torch.Tensor:
-    """Noise for columns `start` to `stop`, (num_envs, stop - start), or (1, ...) where nothing is random."""
+    """Return noise for columns `start` to `stop`, (num_envs, stop - start), or (1, ...) if nothing is random."""
     shape = (num_envs, self.stop - self.start)
     noise = self._base
     if self._width is not None:
@@ -152,7 +156,7 @@ class FusedNoise:
     return noise
 
   def apply_(self, frame: torch.Tensor, generator: torch.Generator) -> None:
-    """Applies the noise to `frame`, float32 (num_envs, all columns), in place."""
+    """Apply the noise to `frame`, float32 (num_envs, all columns), in place."""
     x = frame[:, self.start : self.stop]
     noise = self.sample(frame.shape[0], generator)
     if self._scales is None and self._replaces is None:
@@ -170,8 +174,8 @@ class EpisodeBias:
   """Biases of many columns, each constant over an episode.
 
   Args:
-    parts: first column, one past the last, and noise of each term with a bias.
-    values: memory of the biases, (num_envs, all columns), kept by the owner.
+    parts: first column, column after the last, and noise of each term with a bias.
+    values: memory of the biases, (num_envs, all columns), owned by the caller.
     generator: source of the draws.
   """
 
@@ -196,14 +200,14 @@ class EpisodeBias:
     self._source = torch.tensor(source, device=values.device) if shared else None
 
   def redraw(self, mask: torch.Tensor) -> None:
-    """Draws for all worlds and takes over the biases of those in `mask`, bool (N,)."""
+    """Draw biases for all worlds and keep those of the worlds in `mask`, bool (N,)."""
     draw = self._noise.sample(self._values.shape[0], self._generator)
     if self._source is not None:
       draw = draw.index_select(1, self._source)
     where_(self._values, mask, draw)
 
   def add_to(self, frame: torch.Tensor) -> None:
-    """Adds the biases to `frame`, (num_envs, all columns), in place."""
+    """Add the biases to `frame`, (num_envs, all columns), in place."""
     frame[:, self._noise.start : self._noise.stop].add_(self._values)
 
 

@@ -5,63 +5,72 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
+from mjlab_core.config import Config
+
 from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.term import ManagerTermBaseCfg
 
-NanPolicy = Literal["sanitize", "disabled", "error"]
+NanPolicy = Literal["sanitize", "warn", "disabled", "error"]
 
 NAN_POLICIES: tuple[NanPolicy, ...] = get_args(NanPolicy)
 
 
 @dataclass
 class ObservationTermCfg(ManagerTermBaseCfg):
-  """An observation: `func(env, **params)` returns float (N, ...), then processed in the order of the options below."""
+  """Config of an observation term: `func(env, **params)` returns float (N, ...).
+
+  The value is processed in the order of the fields below.
+  """
 
   _: KW_ONLY
   noise: NoiseCfg | NoiseModelWithAdditiveBiasCfg | NoiseModelCfg | None = None
-  """Applied where the group is corrupted."""
+  """Noise, applied in groups with `corrupt=True`."""
   clip: tuple[float, float] | None = None
   """Smallest and largest value."""
   scale: float | tuple[float, ...] | None = None
-  """Factor, for all components or one for each."""
+  """Factor for all components, or one for each."""
   delay_min_lag: int = 0
   """Smallest delay [env steps]."""
   delay_max_lag: int = 0
   """Largest delay [env steps]."""
   delay_hold_prob: float = 0.0
-  """Probability that the delay stays as it was when it is due for a new draw."""
+  """Probability that a world keeps its delay at a draw."""
   delay_update_period: int = 0
-  """Steps between two draws of the delay; 0 draws every step."""
+  """Steps between two draws of the delay; 0 draws in every step."""
   delay_per_env: bool = True
-  """Whether each world draws its own delay."""
+  """True: each world draws its own delay; False: one draw for all worlds."""
   delay_per_env_phase: bool = True
-  """Whether worlds draw at different steps of the period."""
+  """True: worlds draw at different steps of the period."""
   history_length: int = 0
-  """Number of frames shown, oldest first, the newest included; 0 is the newest alone, without a time axis."""
+  """Number of frames H, oldest first, the newest included; 0 gives the newest frame without a time axis."""
   flatten_history_dim: bool = True
-  """Whether a history is (N, H * d) instead of (N, H, d)."""
+  """True: a history is (N, H * d); False: (N, H, d)."""
+  source: str | None = None
+  """Name of a reading that supplies the value outside the simulation; None uses the source that `func` declares."""
 
 
 @dataclass(kw_only=True)
-class ObservationGroupCfg:
-  """A group of terms that a network takes together."""
+class ObservationGroupCfg(Config):
+  """Config of a group of terms, one input of a network."""
 
   terms: dict[str, ObservationTermCfg | None]
   concatenate_terms: bool = True
-  """Whether the group is one tensor (N, D) instead of a dict by term."""
+  """True: the group is one tensor, (N, D); False: a dict of terms."""
   corrupt: bool = False
-  """Whether the terms' noise is applied."""
+  """True: the noise of the terms is applied."""
   history_length: int | None = None
-  """If given, the history of every term, together with the group's `flatten_history_dim`."""
+  """Number of frames of every term, used with `flatten_history_dim` of the group; None uses those of the terms."""
   flatten_history_dim: bool = True
   nan_policy: NanPolicy = "sanitize"
-  """`sanitize`: NaN and infinite entries become 0 and are counted; `disabled`: they pass; `error`: they raise, for
-  which the recorded step is interrupted."""
+  """Treatment of NaN and infinite entries.
+
+  `sanitize` replaces them by 0 and counts them. `warn` also names the term in the logger "mjlab" once per log interval.
+  `disabled` passes them on. `error` raises, and interrupts the recorded step for the check."""
 
 
 @dataclass(kw_only=True)
 class TermLayout:
-  """Where a term is in its group's observation, for whoever rebuilds it elsewhere."""
+  """Place and processing of a term in the observation of its group, for a computation outside the simulation."""
 
   name: str
   columns: slice

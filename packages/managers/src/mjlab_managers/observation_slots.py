@@ -1,4 +1,4 @@
-"""Where the terms of all observation groups are: in the frame that is processed, and in the output."""
+"""Columns of observation terms in the processed frame and in the output."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermC
 
 @dataclass
 class Slot:
-  """A term of a group: its columns in the frame of all terms, and in the output."""
+  """Term of a group, with its columns in the frame of all terms and in the output."""
 
   group: str
   name: str
   group_cfg: ObservationGroupCfg
   cfg: ObservationTermCfg
   own: Term
-  """The slot's own binding, whose parameters are the ones in `cfg`."""
+  """Binding of this slot."""
   term: Term
-  """What is evaluated: `own`, or that of an earlier slot that asks for the same."""
+  """Evaluated binding: `own`, or that of an earlier slot with the same function and parameters."""
   shape: tuple[int, ...]
   history: int
   flatten: bool
@@ -38,8 +38,8 @@ class Slot:
     return math.prod(self.shape)
 
   @property
-  def remembers(self) -> bool:
-    """Whether there is a window of its past to keep: joints of an entity that has none make an observation of none."""
+  def needs_history(self) -> bool:
+    """True if the term needs a history buffer. A term without columns needs none."""
     return self.history > 1 and self.width > 0
 
   @property
@@ -49,46 +49,25 @@ class Slot:
     return (self.history * self.width,) if self.flatten else (self.history, *self.shape)
 
   def processing(self) -> tuple[Any, ...]:
-    """What the fused pass was compiled from; a replaced value has another identity."""
+    """Return the configs of the processing. A replaced config has another identity."""
     cfg, group = self.cfg, self.group_cfg
     return (cfg.noise, cfg.clip, cfg.scale, group.corrupt, group.nan_policy)
 
 
 def twin_of(own: Term, slots: Sequence[Slot]) -> Slot | None:
-  """A slot that evaluates the same function with the same parameters; what remembers something is never shared."""
+  """Return a slot with the same function and the same parameters. Class terms are never shared."""
   if hasattr(own.func, "reset"):
     return None
   for slot in slots:
-    if same(slot.own.func, own.func) and same(slot.own.cfg.params, own.cfg.params):
+    if same(slot.own.func, own.func) and same(slot.own.given, own.given):
       return slot
   return None
 
 
 def place_columns(slots: Sequence[Slot]) -> None:
-  """Gives every slot its columns, one behind the other."""
+  """Assign columns to all slots, one after the other."""
   frame = out = 0
   for slot in slots:
     slot.frame = slice(frame, frame + slot.width)
     slot.out = slice(out, out + math.prod(slot.out_shape))
     frame, out = slot.frame.stop, slot.out.stop
-
-
-def delay_columns(slots: Sequence[Slot]) -> dict[str, slice]:
-  """Columns of the frame that go through one delay line, by the path of the first slot in it."""
-  columns: dict[str, slice] = {}
-  last: tuple[Any, ...] | None = None
-  key = ""
-  for slot in slots:
-    cfg = slot.cfg
-    if cfg.delay_max_lag == 0:
-      last = None
-      continue
-    fixed = cfg.delay_min_lag == cfg.delay_max_lag
-    # Neighbours with one constant delay share a line; random delays are drawn for each term.
-    if fixed and last == (slot.group, cfg.delay_max_lag):
-      columns[key] = slice(columns[key].start, slot.frame.stop)
-    else:
-      key = slot.path
-      columns[key] = slot.frame
-    last = (slot.group, cfg.delay_max_lag) if fixed else None
-  return columns

@@ -1,89 +1,115 @@
-"""Recorders: hooks that see what happens, on the host, outside the recorded step."""
+"""Recorders: hooks that observe a run on the host, outside the recorded step."""
 
 from __future__ import annotations
 
+import collections
 import contextlib
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
+from mjlab_core.tables import table
 
+from mjlab_managers.binding import term_problems
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase
-from mjlab_managers.table import table
+from mjlab_managers.manager import ManagerBase, described
+from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 
 
 @dataclass
-class RecorderTermCfg:
-  """A recorder: `func` is a subclass of RecorderTerm, made with `(cfg, env)`."""
-
-  func: type[RecorderTerm]
-  _: KW_ONLY
-  params: dict[str, Any] = field(default_factory=dict)
-  """Options that the class reads from its config."""
+class RecorderTermCfg(ManagerTermBaseCfg):
+  """Config of a recorder: `func` is a subclass of `RecorderTerm`."""
 
 
-class RecorderTerm:
-  """Base of recorders. Hooks run eagerly, so they may read from the device; only those overridden cost anything."""
+class RecorderTerm(ManagerTermBase):
+  """Base of recorders, `__init__(self, env, *, ...)`.
 
-  name: str = ""
+  Hooks run outside the recorded step, so they may read from the device. Hooks that are not overridden cost nothing.
+  Each hook is called once at build, on a copy of the recorder with `is_trial` True and its own lists, dictionaries and
+  arrays. A hook that writes files should return without a write if `is_trial` is True.
+  """
 
-  def __init__(self, cfg: RecorderTermCfg, env: Any) -> None:
-    self.cfg, self.env = cfg, env
+  is_trial: bool = False
 
   def pre_reset(self, mask: torch.Tensor) -> None:
-    """Before the worlds in `mask`, bool (N,), are reset: their last action, reward and reason are still there."""
+    """Run before the reset of the worlds in `mask`, bool (N,), with their last action, reward and termination."""
 
   def post_reset(self, mask: torch.Tensor) -> None:
-    """After the worlds in `mask`, bool (N,), were reset and observed."""
+    """Run after the reset and observation of the worlds in `mask`, bool (N,)."""
 
   def post_step(self) -> None:
-    """At the end of every step."""
+    """Run at the end of every step."""
 
   def close(self) -> None:
-    """At the end of the run."""
+    """Run at the end of the run."""
 
 
 class RecorderManager(ManagerBase[RecorderTermCfg]):
-  """Calls the hooks of all recorders."""
+  """Manager that calls the hooks of all recorders."""
 
   cfg_type = RecorderTermCfg
 
-  def __init__(self, cfgs: Mapping[str, RecorderTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
+  def __init__(
+    self, cfgs: Mapping[str, RecorderTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
     self._terms: dict[str, RecorderTerm] = {}
-    for name, cfg in self._cfgs.items():
-      if not (isinstance(cfg.func, type) and issubclass(cfg.func, RecorderTerm)):
-        self._problem(f"term '{name}': func must be a subclass of RecorderTerm, is {cfg.func!r}.")
-        continue
-      try:
-        term = cfg.func(cfg, env)
-      except Exception as error:
-        self._problem(f"term '{name}': {type(error).__name__}: {error}", error)
-        continue
-      term.name = name
-      self._terms[name] = term
+    for name, cfg in list(self._cfgs.items()):
+      term = self._bind(name, cfg)
+      if term is None:
+        self._drop(name)
+      else:
+        assert isinstance(term.func, RecorderTerm)
+        self._terms[name] = term.func
+    self._finish()
+
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: RecorderTermCfg) -> Iterator[str]:
+    if not isinstance(cfg, RecorderTermCfg):
+      yield f"term '{name}': expected a RecorderTermCfg, got {described(cfg)}."
+    elif not (isinstance(cfg.func, type) and issubclass(cfg.func, RecorderTerm)):
+      yield f"term '{name}': func must be a subclass of RecorderTerm, is {cfg.func!r}."
+    else:
+      yield from (f"term '{name}': {problem}" for problem in term_problems(cfg, RecorderTerm))
+
+  def rehearse(self) -> None:
+    everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+    for name, term in self._terms.items():
+      twin = _twin(term)
+      for hook, args in (("pre_reset", (everywhere,)), ("post_reset", (everywhere,)), ("post_step", ())):
+        try:
+          getattr(twin, hook)(*args)
+        except Exception as error:
+          self._failed_trial(name, hook, error)
     self._raise_problems()
 
+  def reset(self, mask: torch.Tensor) -> None:
+    """Do nothing. Recorders have hooks for resets."""
+
   def get_term(self, name: str) -> RecorderTerm:
-    """A recorder; UnknownNameError with the nearest names if there is none such."""
+    """Return a recorder.
+
+    Raises:
+      UnknownNameError: no such recorder; the message lists the nearest names.
+    """
     return self._lookup(self._terms, name)
 
   def pre_reset(self, mask: torch.Tensor) -> None:
-    """Calls `pre_reset(mask)` of the recorders that have it."""
+    """Call `pre_reset(mask)` of the recorders that have it."""
     self._call("pre_reset", mask)
 
   def post_reset(self, mask: torch.Tensor) -> None:
-    """Calls `post_reset(mask)` of the recorders that have it."""
+    """Call `post_reset(mask)` of the recorders that have it."""
     self._call("post_reset", mask)
 
   def post_step(self) -> None:
-    """Calls `post_step()` of the recorders that have it."""
+    """Call `post_step()` of the recorders that have it."""
     self._call("post_step")
 
   def close(self) -> None:
-    """Closes all recorders, also if one of them fails to."""
+    """Close all recorders, even if one of them raises an error."""
     with contextlib.ExitStack() as stack:
       for term in reversed(self._terms.values()):
         stack.callback(term.close)
@@ -93,13 +119,37 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     terms = [term for term in self._terms.values() if getattr(type(term), hook) is not base]
     if not terms:
       return
-    hooks: list[Callable[..., None]] = [getattr(term, hook) for term in terms]
+    hooks: list[tuple[str, Callable[..., None]]] = [(term.name, getattr(term, hook)) for term in terms]
 
     def call() -> None:
-      for function in hooks:
-        function(*args)
+      for name, function in hooks:
+        try:
+          function(*args)
+        except Exception as error:
+          raise self._failure(name, error) from error
 
     self.env.run_eagerly(call, name=f"recorders {', '.join(term.name for term in terms)} ({hook})")
 
   def describe(self) -> str:
-    return table("Recorders", ("term", "type"), [(name, type(term).__name__) for name, term in self._terms.items()])
+    return table(
+      ("term", "type"), [(name, type(term).__name__) for name, term in self._terms.items()], title="Recorders"
+    )
+
+
+def _twin(term: RecorderTerm) -> RecorderTerm:
+  """Return a copy for a trial, with its own containers."""
+  twin = copy.copy(term)
+  vars(twin).update({name: _own(value) for name, value in vars(term).items() if name != "_registry"}, is_trial=True)
+  return twin
+
+
+def _own(value: Any) -> Any:
+  if isinstance(value, torch.Tensor):
+    return value.clone()
+  if isinstance(value, list | set | collections.deque):
+    return type(value)(_own(item) for item in value)
+  if isinstance(value, dict):
+    twin = copy.copy(value)
+    twin.update({key: _own(item) for key, item in value.items()})
+    return twin
+  return copy.copy(value) if hasattr(value, "__array__") else value

@@ -3,75 +3,85 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
+from numbers import Real
 from typing import Any
 
 import torch
-from mjlab_core.masking import fill_
+from mjlab_core.indexing import fill_
+from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.log import LogBuffer
-from mjlab_managers.manager import ManagerBase, is_float
-from mjlab_managers.table import table
 from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.vector_manager import VectorManager
 
 
 @dataclass
 class RewardTermCfg(ManagerTermBaseCfg):
-  """A reward: `func(env, **params)` returns float (N,)."""
+  """Config of a reward: `func(env, **params)` returns float (N,)."""
 
   _: KW_ONLY
   weight: float
-  """Factor of the term. At 0 the term is not evaluated; it may be changed at any time."""
+  """Factor of the term, which may be changed at any time. A term with weight 0 is not evaluated."""
 
 
-class RewardManager(ManagerBase[RewardTermCfg]):
-  """Weighs and sums the terms; a NaN or infinite value counts as 0 and is counted.
+class RewardManager(VectorManager[RewardTermCfg]):
+  """Weighted sum of reward terms. NaN and infinite values become 0 and are counted.
 
   Args:
     cfgs: reward terms by name.
     env: the environment.
-    scale_by_dt: multiplies rewards by the step time, so that weights are rates per second.
+    scale_by_dt: multiply rewards by the step time, so that weights are rates per second.
+    problems: as for `ManagerBase`.
   """
 
   cfg_type = RewardTermCfg
-  _constants = frozenset({"_idle", "_raw", "_clean", "_weighted", "_nonfinite"})
-  _extra_state = ("_weights",)
+  live_fields = frozenset({"weight"})
 
-  def __init__(self, cfgs: Mapping[str, RewardTermCfg | None], env: ManagerEnv, *, scale_by_dt: bool = True) -> None:
-    super().__init__(cfgs, env)
-    self._terms = self._bind_vectors("float", is_float)
+  def __init__(
+    self,
+    cfgs: Mapping[str, RewardTermCfg | None],
+    env: ManagerEnv,
+    *,
+    scale_by_dt: bool = True,
+    problems: list[str] | None = None,
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
+    self._terms = self._bind_vectors()
+    self._raise_problems()
 
     names = [term.name for term in self._terms]
     count = len(names)
     self.scale_by_dt = scale_by_dt
     self._scale = env.step_dt if scale_by_dt else 1.0
     self._host_weights = self._read_host_weights()
-    self._weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
+    weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
+    self._weights = self.state_of(weights, shared=True)
     # Terms whose weight is set on the device; the host cannot know when it is 0.
     self._on_device: set[str] = set()
     self._active = [weight != 0.0 for weight in self._host_weights]
 
-    self.reward = torch.zeros(self.num_envs, device=self.device)
+    self.reward = self.state()
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
     self._raw = torch.zeros(self.num_envs, count, device=self.device)
     self._clean = torch.zeros_like(self._raw)
     self._weighted = torch.zeros_like(self._raw)
-    self._episode_sums = torch.zeros_like(self._raw)
+    self._episode_sums = self.state((count,))
     self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
     self._log = LogBuffer([f"Episode_Reward/{name}" for name in names], self.device)
+    self._finish()
 
   @property
   def step_reward(self) -> torch.Tensor:
-    """Value times weight of each term in the last step, (N, R), not scaled by time."""
+    """Value times weight of each term in the last step, (N, R), not scaled by the step time."""
     return self._weighted
 
   @property
   def episode_sums(self) -> torch.Tensor:
-    """Sum of each term's contribution over the running episode, (N, R)."""
+    """Sum of the contribution of each term over the running episode, (N, R)."""
     return self._episode_sums
 
   @property
@@ -80,9 +90,9 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     return self._nonfinite
 
   def weight(self, name: str) -> torch.Tensor:
-    """The weight of a term on the device, 0-d, for curricula to write inside the step.
+    """Return the weight of a term on the device, 0-d, that curricula may write inside the step.
 
-    From then on the term is always evaluated. The live config does not follow such writes.
+    After this call the term is always evaluated. The config of the term does not show such writes.
     """
     self._lookup(self._cfgs, name)
     index = [term.name for term in self._terms].index(name)
@@ -92,7 +102,7 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     return self._weights[0, index]
 
   def compute(self) -> torch.Tensor:
-    """Evaluates the step; returns `reward`, (N,), always the same memory."""
+    """Evaluate the step and return `reward`, (N,), always the same memory."""
     if not self._terms:
       return self.reward
     values = [term() if active else self._idle for term, active in zip(self._terms, self._active, strict=True)]
@@ -107,17 +117,16 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     return self.reward
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Logs the episode sums of the worlds in `mask`, bool (N,), and zeroes them."""
+    """Log the episode sums of the worlds in `mask`, bool (N,), and set them to zero."""
     if not self._terms:
       return
-    # An episode without a step proves nothing.
+    # An episode without a step has no statistics.
     self._log.add(self._episode_sums, mask & (self.env.episode_length_buf > 0))
     fill_(self._episode_sums, mask, 0.0)
     super().reset(mask)
 
   def sync(self) -> None:
-    """Host side, before each step: takes over weights and parameters that were changed in the live configs."""
-    super().sync()
+    """Read changed weights from the configs, on the host before each step."""
     weights = self._read_host_weights()
     if weights == self._host_weights:
       return
@@ -129,18 +138,23 @@ class RewardManager(ManagerBase[RewardTermCfg]):
 
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
     super().load_state_dict(state)
-    # Who continues with another weight means it; only what curricula set on the device is part of the state.
+    # A weight from the config takes precedence; only weights that curricula set on the device are part of the state.
     for index, (term, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
       if term.name not in self._on_device:
         self._weights[0, index].fill_(weight)
 
+  @classmethod
+  def _cfg_problems(cls, name: str, cfg: RewardTermCfg) -> Iterator[str]:
+    yield from super()._cfg_problems(name, cfg)
+    if isinstance(cfg, RewardTermCfg) and (wrong := _weight_problem(name, cfg.weight)):
+      yield wrong
+
   def _read_host_weights(self) -> tuple[float, ...]:
-    weights = tuple(float(self._cfgs[term.name].weight) for term in self._terms)
-    for term, weight in zip(self._terms, weights, strict=True):
-      if not math.isfinite(weight):
-        self._problem(f"term '{term.name}': weight must be finite, got {weight}.")
+    for term in self._terms:
+      if wrong := _weight_problem(term.name, self._cfgs[term.name].weight):
+        self._problem(wrong)
     self._raise_problems()
-    return weights
+    return tuple(float(self._cfgs[term.name].weight) for term in self._terms)
 
   def _update_activity(self) -> None:
     active = [
@@ -152,14 +166,12 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     if changed:
       self.env.request_recapture(f"{self.label}: terms switched on or off: {', '.join(changed)}")
 
-  def _watched_terms(self) -> list[Term]:
-    return self._terms
-
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Episode_Reward/<term>`: mean over ended episodes of the episode sum per second of the longest possible episode.
+    """Return `Episode_Reward/<term>` and `Nonfinite/reward/<term>`.
 
-    Where episodes have no longest one (length 0) it is the mean of the sums.
-    `Nonfinite/reward/<term>`: values replaced by 0, NaN where there were none.
+    The first is the mean of the episode sums over ended episodes, divided by the greatest episode length [s]; it is not
+    divided if episodes have no greatest length (0). The second is the number of values replaced by 0, or NaN if there
+    were none.
     """
     names, means = self._log.tensors()
     counts = self._nonfinite.double()
@@ -177,4 +189,10 @@ class RewardManager(ManagerBase[RewardTermCfg]):
     return [(term.name, [value]) for term, value in zip(self._terms, values, strict=True)]
 
   def describe(self) -> str:
-    return table("Rewards", ("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()])
+    return table(("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()], title="Rewards")
+
+
+def _weight_problem(name: str, weight: Any) -> str:
+  if isinstance(weight, bool) or not isinstance(weight, Real) or not math.isfinite(weight):
+    return f"term '{name}': weight must be a finite number, got {weight!r}."
+  return ""

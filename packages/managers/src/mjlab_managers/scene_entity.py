@@ -1,33 +1,34 @@
-"""Selecting joints, bodies, geoms, sites and actuators of an entity by name."""
+"""Selection of joints, bodies, geoms, sites and actuators of an entity by name."""
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar
 
 import torch
+from mjlab_core.config import Config
+from mjlab_core.errors import MjlabError, as_consequence
+from mjlab_core.indexing import Index, as_index
 from mjlab_core.names import match_names, unknown
 
-from mjlab_managers.env import SceneLike
+from mjlab_managers.env import ManagerEnv
 
 Selection = str | int | Sequence[str] | Sequence[int] | None
-"""Patterns that match whole names, indices inside the entity, or None for everything."""
-
-Index = slice | torch.Tensor
-"""What indexes a tensor: a slice where the selection is contiguous (a view), else an int64 tensor on the device."""
+"""Patterns that match whole names, indices inside the entity, or None for all."""
 
 KINDS = ("joint", "body", "geom", "site", "actuator")
 
 
 @dataclass
-class SceneEntityCfg:
-  """An entity of the scene, and which of its elements a term is about.
+class SceneEntityCfg(Config):
+  """Entity of the scene, and the elements of it that a term uses.
 
-  A config as the user writes it is unresolved. The managers hand terms a resolved copy, in which `<kind>_ids` index the
-  entity's arrays and `<kind>_names` are the selected names, a tuple, in the same order. Beside a ball joint, whose
-  position has four columns, joints can only be selected all together.
+  A config that a user writes is unresolved. Managers pass a resolved copy to terms. In this copy, `<kind>_ids` are
+  indices into the arrays of the entity, and `<kind>_names` is a tuple of the selected names in the same order. In an
+  entity with a ball joint, whose position has four columns, only all joints together can be selected.
   """
 
   name: str
@@ -38,7 +39,7 @@ class SceneEntityCfg:
   site_names: Selection = None
   actuator_names: Selection = None
   preserve_order: bool = False
-  """True: in the order of the patterns; False: in the order of the model."""
+  """True: order of the patterns; False: order of the model."""
 
   _ids: ClassVar[dict[str, Index] | None] = None
 
@@ -69,18 +70,19 @@ class SceneEntityCfg:
 
   @property
   def resolved(self) -> bool:
-    """Whether this is a copy that a manager has resolved."""
+    """True for a resolved copy."""
     return self._ids is not None
 
-  def resolve(self, scene: SceneLike, device: torch.device | str) -> SceneEntityCfg:
-    """A resolved copy; this config stays as it is.
+  def resolve(self, scene: Any, device: torch.device | str) -> SceneEntityCfg:
+    """Return a resolved copy. This config does not change.
 
     Raises:
-      ValueError: no such entity, a pattern matches nothing or two match one name, an index out of range or twice, an
-        empty selection, or some of several joints one of which is a ball joint.
+      ValueError: no such entity, a pattern matches nothing, two patterns match one name, an index is out of range or
+        given twice, the selection is empty, or only some joints of an entity with a ball joint are selected.
     """
     if self.name not in scene.entities:
-      raise ValueError(unknown("entity", self.name, list(scene.entities), owner="scene"))
+      error = MjlabError(unknown("entity", self.name, list(scene.entities), owner="scene"))
+      raise as_consequence(error) if self.name in getattr(scene, "missing", ()) else error
     entity = scene[self.name]
     resolved = copy.copy(self)
     ids: dict[str, Index] = {}
@@ -92,7 +94,7 @@ class SceneEntityCfg:
           raise ValueError(f"entity '{self.name}': has no {kind}s to select from.")
         continue
       picked = _select(selection, tuple(names), kind, f"entity '{self.name}'", self.preserve_order)
-      ids[kind] = _collapse(picked, len(names), device)
+      ids[kind] = slice(None) if picked == list(range(len(names))) else as_index(picked, device)
       wide = getattr(entity, "wide_joints", ()) if kind == "joint" else ()
       if wide and ids[kind] != slice(None):
         chosen = ", ".join(names[i] for i in picked)
@@ -138,9 +140,29 @@ def _select(selection: Any, names: tuple[str, ...], kind: str, owner: str, prese
   return items if preserve_order else sorted(items)
 
 
-def _collapse(picked: list[int], total: int, device: torch.device | str) -> Index:
-  if picked == list(range(total)):
-    return slice(None)
-  if picked == list(range(picked[0], picked[0] + len(picked))):
-    return slice(picked[0], picked[-1] + 1)
-  return torch.tensor(picked, dtype=torch.int64, device=device)
+def resolve_entities(value: Any, env: ManagerEnv) -> Any:
+  """Return `value` with every SceneEntityCfg in it resolved. A container is copied only if a value in it changed."""
+  if isinstance(value, SceneEntityCfg):
+    return value if value.resolved else value.resolve(env.scene, env.device)
+  if isinstance(value, dict):
+    items = {key: resolve_entities(item, env) for key, item in value.items()}
+    return value if all(items[key] is value[key] for key in items) else items
+  if isinstance(value, list | tuple):
+    parts = [resolve_entities(item, env) for item in value]
+    if all(a is b for a, b in zip(parts, value, strict=True)):
+      return value
+    return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+  if dataclasses.is_dataclass(value) and not isinstance(value, type):
+    changed = {}
+    for item in dataclasses.fields(value):
+      old = getattr(value, item.name)
+      new = resolve_entities(old, env)
+      if new is not old:
+        changed[item.name] = new
+    if not changed:
+      return value
+    twin = copy.copy(value)
+    for name, new in changed.items():
+      object.__setattr__(twin, name, new)
+    return twin
+  return value

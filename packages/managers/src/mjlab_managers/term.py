@@ -1,4 +1,4 @@
-"""Terms: a function and its parameters, or a class when it remembers something."""
+"""Terms: functions with parameters, or classes with parameters and state."""
 
 from __future__ import annotations
 
@@ -7,46 +7,46 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import torch
+from mjlab_core.config import Config
 from mjlab_core.state import Stateful
-
-from mjlab_managers.env import ManagerEnv
 
 
 @dataclass
-class ManagerTermBaseCfg:
-  """A term: what is called, and with what."""
+class ManagerTermBaseCfg(Config):
+  """Config of a term: a function or class, and its parameters."""
 
   func: Callable[..., Any]
-  """Function, partial or callable, or a class made once with `(cfg, env)` and then called with the same arguments."""
+  """Function or other callable `f(env, *, ...)`, or a subclass of `ManagerTermBase`."""
   _: KW_ONLY
   params: dict[str, Any] = field(default_factory=dict)
-  """Arguments of `func` by name. Every SceneEntityCfg in it, however deep, is resolved."""
+  """Parameters by name. Every SceneEntityCfg in it is resolved, at any depth."""
 
 
 class ManagerTermBase(Stateful):
-  """Base of class terms: `__init__(cfg, env)`, `__call__(env, ...)` and `reset(mask)`.
+  """Base of class terms, which take their parameters at build and may have state.
 
-  `num_envs`, `device` and `name` exist before `__init__` runs, which need not call this one. Tensor attributes with one
-  row per world are saved with the run.
+      class swing_height(ManagerTermBase):
+        def __init__(self, env, *, sensor: str, target: float) -> None:
+          super().__init__(env)
+          self._sensor, self._target = env.scene[sensor], target
+          self.peak = self.state((4,))
+
+        def __call__(self) -> torch.Tensor: ...
+
+  Events and curricula are called with the worlds to act on, `__call__(self, mask)`.
+
+  Parameters annotated `float` are passed as 0-d tensors, so that `set_params` is a write. float(x) returns a Python
+  number.
   """
 
-  num_envs: int
-  device: torch.device
-  name: str
-  """The term's name in its manager (the class name while `__init__` runs)."""
+  name: str = ""
+  """Name of the term in its manager, set before `__init__` runs."""
 
-  def __new__(cls, *args: Any, **kwargs: Any) -> ManagerTermBase:
-    self = super().__new__(cls)
-    self.name = cls.__name__
-    env: ManagerEnv | None = kwargs.get("env", args[1] if len(args) > 1 else None)
-    # Without arguments it is a copy being made, whose attributes follow.
-    if env is not None:
-      self.num_envs, self.device = env.num_envs, env.device
-    return self
-
-  def __init__(self, cfg: Any, env: Any) -> None:
-    del cfg, env
+  def __init__(self, env: Any) -> None:
+    self.env = env
+    self.num_envs: int = env.num_envs
+    self.device: torch.device = env.device
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forgets what belongs to the episodes of the worlds in `mask`, bool (N,)."""
-    del mask
+    """Begin new episodes in the worlds of `mask`, bool (num_envs,). The default refills their declared state."""
+    self.refill(mask)

@@ -1,4 +1,4 @@
-"""Terminations: when and why episodes end."""
+"""Terminations: conditions that end an episode."""
 
 from __future__ import annotations
 
@@ -6,45 +6,44 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
 import torch
+from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase
-from mjlab_managers.table import table
 from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.vector_manager import VectorManager
 
 
 @dataclass
 class TerminationTermCfg(ManagerTermBaseCfg):
-  """A termination: `func(env, **params)` returns bool (N,)."""
+  """Config of a termination: `func(env, **params)` returns bool (N,)."""
 
   _: KW_ONLY
   time_out: bool = False
-  """Whether it truncates the episode (the task could have gone on) instead of terminating it."""
+  """True: the episode is truncated, although the task could continue; False: the episode is terminated."""
 
 
-class TerminationManager(ManagerBase[TerminationTermCfg]):
-  """Evaluates all reasons for an episode to end; a world may be terminated and timed out at once."""
+class TerminationManager(VectorManager[TerminationTermCfg]):
+  """Manager that evaluates all terminations. A world may be terminated and timed out in the same step."""
 
   cfg_type = TerminationTermCfg
-  _constants = frozenset({"_counts"})
+  live_fields = frozenset({"time_out"})
+  dtype_name = "bool"
 
-  def __init__(self, cfgs: Mapping[str, TerminationTermCfg | None], env: ManagerEnv) -> None:
-    super().__init__(cfgs, env)
-    self._terms = self._bind_vectors("bool", lambda dtype: dtype is torch.bool)
-
-    def flags() -> torch.Tensor:
-      return torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-
-    self.terminated = flags()
+  def __init__(
+    self, cfgs: Mapping[str, TerminationTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    super().__init__(cfgs, env, problems=problems)
+    self._terms = self._bind_vectors()
+    self.terminated = self.state(dtype=torch.bool)
     """Worlds that ended for another reason than time in the last `compute`, bool (N,)."""
-    self.time_outs = flags()
+    self.time_outs = self.state(dtype=torch.bool)
     """Worlds that ran out of time in the last `compute`, bool (N,)."""
-    self.dones = flags()
+    self.dones = self.state(dtype=torch.bool)
     """Worlds that ended in the last `compute`, bool (N,)."""
-    self._masks = torch.zeros(self.num_envs, len(self._terms), dtype=torch.bool, device=self.device)
+    self._masks = self.state((len(self._terms),), dtype=torch.bool)
     self._counts = torch.zeros(len(self._terms), dtype=torch.int64, device=self.device)
     self._order()
+    self._finish()
 
   def _order(self) -> None:
     # Columns hold terminations first, so that both unions are over a slice.
@@ -57,16 +56,16 @@ class TerminationManager(ManagerBase[TerminationTermCfg]):
     return tuple(bool(self._cfgs[term.name].time_out) for term in self._terms)
 
   def get_term(self, name: str) -> torch.Tensor:
-    """Where the term was true in the last `compute`, bool (N,)."""
+    """Return the value of a term in the last `compute`, bool (N,)."""
     return self._masks[:, self._lookup(self._column, name)]
 
   @property
   def step_terms(self) -> tuple[list[str], torch.Tensor]:
-    """Names of the terms, and where each was true in the last `compute`, bool (N, terms), always the same memory."""
+    """Names of the terms, and their values in the last `compute`, bool (N, terms), always the same memory."""
     return [term.name for term in self._columns], self._masks
 
   def compute(self) -> torch.Tensor:
-    """Evaluates the step; returns `dones`, bool (N,), always the same memory."""
+    """Evaluate the step and return `dones`, bool (N,), always the same memory."""
     if not self._terms:
       return self.dones
     torch.stack([term() for term in self._columns], dim=1, out=self._masks)
@@ -77,18 +76,14 @@ class TerminationManager(ManagerBase[TerminationTermCfg]):
     return self.dones
 
   def sync(self) -> None:
-    """Host side, before each step: takes over parameters and `time_out` flags that were changed in the live configs."""
-    super().sync()
+    """Read changed `time_out` flags from the configs, on the host before each step."""
     if self._read_kinds() != self._kinds:
       self._order()
       self._counts.zero_()
       self.env.request_recapture(f"{self.label}: time_out of a term changed")
 
-  def _watched_terms(self) -> list[Term]:
-    return self._terms
-
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
-    """`Episode_Termination/<term>`: episodes that ended for that reason since `clear_log`; NaN if none ended at all."""
+    """Return `Episode_Termination/<term>`, episodes that the term ended since `clear_log`; NaN if no episode ended."""
     counts = self._counts.double()
     names = [f"Episode_Termination/{term.name}" for term in self._columns]
     return names, counts.masked_fill(counts.sum() == 0, torch.nan)
@@ -102,4 +97,4 @@ class TerminationManager(ManagerBase[TerminationTermCfg]):
 
   def describe(self) -> str:
     rows = [(name, "time out" if cfg.time_out else "termination") for name, cfg in self._cfgs.items()]
-    return table("Terminations", ("term", "kind"), rows)
+    return table(("term", "kind"), rows, title="Terminations")

@@ -1,0 +1,123 @@
+"""Base of config dataclasses, and the names that their fields have in mjlab 1.x and Isaac Lab."""
+
+from __future__ import annotations
+
+import inspect
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core.errors import ConfigError
+from mjlab_core.names import unknown
+
+_SPEC_FN = "edit the model in spec_fn"
+
+FORMER_FIELDS: dict[str, dict[str, str]] = {
+  "ActionTermCfg": {
+    "actuator_names": "actuators",
+    "asset_name": "entity",
+    "entity_name": "entity",
+    "joint_names": "actuators",
+    "transmission_type": "each transmission has its own class: JointPositionActionCfg, TendonLengthActionCfg, ...",
+  },
+  "ActuatorCfg": {
+    "delay_per_env_phase": "worlds always change their delay at times of their own",
+    "joint_names_expr": "target_names_expr",
+  },
+  "CameraSensorCfg": {
+    "camera_name": "camera",
+    "clone_data": "images are the sensor's memory; observation terms copy them",
+    "enabled_geom_groups": "geom_groups",
+    "parent_body": "body",
+  },
+  "CommandTermCfg": {"asset_name": "entity", "entity_name": "entity", "viz": "drawings have fixed colours and sizes"},
+  "ContactSensorCfg": {
+    "debug": "debug_vis",
+    "secondary_policy": "each secondary is reported by itself; name one, or None for anything",
+  },
+  "EntityArticulationCfg": {"actuator_cfgs": "actuators"},
+  "EntityCfg": {
+    "sort_actuators": "controls follow the order of the model; targets are given by joint, tendon or site",
+    "textures": _SPEC_FN,
+  },
+  "ManagerTermBaseCfg": {"name": "the key of the dict is the name of a term"},
+  "MotionCommandCfg": {
+    "adaptive_alpha": "adaptive=AdaptiveSamplingCfg(memory=...)",
+    "adaptive_kernel_size": "adaptive=AdaptiveSamplingCfg(lookahead=...)",
+    "adaptive_lambda": "adaptive=AdaptiveSamplingCfg(decay=...)",
+    "adaptive_uniform_ratio": "adaptive=AdaptiveSamplingCfg(uniform_share=...)",
+    "anchor_body_name": "anchor_body",
+    "body_names": "bodies",
+    "motion_file": "motion",
+    "sampling_mode": "sampling",
+  },
+  "ObservationGroupCfg": {
+    "concatenate_dim": "terms are joined along their last dimension, images along channels",
+    "enable_corruption": "corrupt",
+    "nan_check_per_term": "the message always names the term",
+  },
+  "RaySensorCfg": {
+    "frame": "frames",
+    "include_geom_groups": "geom_groups",
+    "ray_alignment": "alignment",
+    "viz": "drawings have fixed colours and sizes",
+  },
+  "RingPatternCfg": {"rings": "one ring: radius and num_samples; a RayPatternCfg of your own may hold several"},
+  "RslRlBaseRunnerCfg": {
+    "load_checkpoint": "mjlab train --resume",
+    "load_run": "mjlab train --resume",
+    "resume": "mjlab train --resume",
+    "policy": "actor and critic",
+  },
+  "SceneEntityCfg": {
+    f"{kind}_ids": f"give patterns or indices as {kind}_names" for kind in ("joint", "body", "geom", "site", "actuator")
+  },
+  "SensorCfg": {"update_latest_measurement": "sensors are read when they are asked for"},
+  "SimulationCfg": {
+    "ls_parallel": "the line search is always the engine's own",
+    "mujoco": "its fields are those of SimulationCfg: SimulationCfg(timestep=..., iterations=...)",
+  },
+  "UniformVelocityCommandCfg": {
+    "heading_command": "heading_fraction",
+    "heading_control_stiffness": "heading_stiffness",
+    "init_velocity_prob": "initial_velocity_fraction",
+    "rel_forward_envs": "forward_fraction",
+    "rel_heading_envs": "heading_fraction",
+    "rel_standing_envs": "standing_fraction",
+    "rel_world_envs": "world_fraction",
+  },
+}
+"""New name of a field, or the way that took its place, by class and former name; subclasses included."""
+
+
+class Config:
+  """Base of config dataclasses. An unknown keyword is an error that names the nearest field, or the one it became.
+
+  Raises:
+    ConfigError: unknown keywords, all in one message.
+  """
+
+  if not TYPE_CHECKING:
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Config:
+      """Return a new instance, for `__init__` to fill."""
+      known = _keywords(cls)
+      if wrong := [name for name in kwargs if known is not None and name not in known]:
+        raise ConfigError(*(_problem(cls, name, known) for name in wrong))
+      return super().__new__(cls)
+
+
+def _problem(cls: type, name: str, known: tuple[str, ...]) -> str:
+  for base in cls.__mro__:
+    if (new := FORMER_FIELDS.get(base.__name__, {}).get(name)) is not None:
+      instead = f"it is called {new!r} here" if new.isidentifier() else new
+      return f"{cls.__name__}: field {name!r} does not exist: {instead}. See docs/migration.md."
+  return unknown("field", name, known, owner=cls.__name__)
+
+
+@cache
+def _keywords(cls: type) -> tuple[str, ...] | None:
+  """Return the keywords that a class takes; None if it takes any."""
+  parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]
+  if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+    return None
+  return tuple(parameter.name for parameter in parameters)

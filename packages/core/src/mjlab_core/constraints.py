@@ -1,0 +1,263 @@
+"""Constraints of config fields: declared in a field's annotation, and checked by one function.
+
+    @dataclass(kw_only=True)
+    class LidarCfg:
+      mode: Literal["spin", "scan"] = "spin"
+      rows: Annotated[int, Limits(ge=1)] = 16
+      noise: NonNegative = 0.0
+      fov: Annotated[tuple[float, float], Limits(ge=-90, le=90), Ascending()] = (-15.0, 15.0)
+      offsets: Annotated[float | Mapping[str, float] | None, Limits(gt=0)] = None
+
+      def __post_init__(self) -> None:
+        check_fields(self, "LidarCfg")
+
+An annotation is a constraint by itself where it is `int`, `float`, a `Literal`, a tuple or mapping of these, or a
+union. Limits apply to every number of a value: to all elements of a sequence and all values of a mapping. Values of
+other types are accepted.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import types
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from functools import cache
+from itertools import pairwise
+from numbers import Integral, Real
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from mjlab_core.errors import ConfigError
+from mjlab_core.names import unknown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+  """Limits of all numbers of a value, NaN refused.
+
+  Args:
+    ge: numbers are at least this.
+    gt: numbers are greater than this.
+    le: numbers are at most this.
+    lt: numbers are less than this.
+    finite: infinity is refused too.
+    nonzero: zero is refused.
+  """
+
+  ge: float = -math.inf
+  gt: float = -math.inf
+  le: float = math.inf
+  lt: float = math.inf
+  finite: bool = True
+  nonzero: bool = False
+
+  def problem(self, value: Any) -> str:
+    """Return the rule that a value breaks, to follow "must"; empty if it keeps all."""
+    numbers = list(_numbers(value))
+    if any(math.isnan(number) for number in numbers):
+      return "be a number"
+    if self.finite and any(math.isinf(number) for number in numbers):
+      return "be finite"
+    if self.nonzero and any(number == 0 for number in numbers):
+      return "not be zero"
+    inside = all(self.ge <= number <= self.le for number in numbers)
+    # An infinite bound is no bound.
+    above = self.gt == -math.inf or all(number > self.gt for number in numbers)
+    below = self.lt == math.inf or all(number < self.lt for number in numbers)
+    return "" if inside and above and below else self._words
+
+  @property
+  def _words(self) -> str:
+    low, high = max(self.ge, self.gt), min(self.le, self.lt)
+    if math.isinf(high):
+      if low == 0:
+        return "be positive" if self.gt == 0 else "not be negative"
+      return f"be above {low:g}" if self.gt == low else f"be at least {low:g}"
+    if math.isinf(low):
+      return f"be below {high:g}" if self.lt == high else f"be at most {high:g}"
+    ends = ("(" if self.gt == low else "[") + f"{low:g}, {high:g}" + (")" if self.lt == high else "]")
+    return f"be in {ends}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ascending:
+  """Order of a sequence: no element is less than the one before it, nor equal to it if `strict`."""
+
+  strict: bool = False
+
+  def problem(self, value: Any) -> str:
+    """Return the rule that a value breaks, to follow "must"; empty if it keeps it, or is not a sequence."""
+    if value is None or isinstance(value, str | Mapping | Real):
+      return ""
+    ordered = all(a < b if self.strict else a <= b for a, b in pairwise(value))
+    return "" if ordered else ("rise" if self.strict else "not fall")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Items:
+  """Number of elements of a sequence or mapping, from `ge` to `le`; each occurs once if `unique`."""
+
+  ge: int = 1
+  le: int = sys.maxsize
+  unique: bool = False
+
+  def problem(self, value: Any) -> str:
+    """Return the rule that a value breaks, to follow "must"; empty if it keeps it, or is None or a string."""
+    if value is None or isinstance(value, str):
+      return ""
+    if not self.ge <= len(value) <= self.le:
+      count, bound = (self.ge, "at least") if len(value) < self.ge else (self.le, "at most")
+      return f"have {bound} {count} element{'s' * (count != 1)}"
+    return "name each element once" if self.unique and len(set(value)) < len(value) else ""
+
+
+_TYPE_RULES = ("be a whole number", "be a number", "be a tuple", "be a mapping")
+
+Count = Annotated[int, Limits(ge=0)]
+"""Whole number from 0 on."""
+PositiveCount = Annotated[int, Limits(ge=1)]
+"""Whole number from 1 on."""
+NonNegative = Annotated[float, Limits(ge=0)]
+"""Finite number from 0 on."""
+Positive = Annotated[float, Limits(gt=0)]
+"""Finite number above 0."""
+Finite = Annotated[float, Limits()]
+"""Finite number."""
+
+
+def check_fields(cfg: Any, owner: str) -> None:
+  """Check the fields of a dataclass against their annotations.
+
+  Args:
+    cfg: the dataclass instance.
+    owner: name of the config in messages, such as "ContactSensorCfg 'feet'".
+
+  Raises:
+    ConfigError: values that break a constraint, all in one message.
+  """
+  if problems := field_problems(cfg):
+    raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
+
+
+def field_problem(value: Any, hint: Any) -> str:
+  """Return the reason why a value breaks an annotation, to follow the value's name; empty if it does not."""
+  rule = _broken_rule(value, hint)
+  return f"must {rule}, got {value!r}" if rule else ""
+
+
+def check_value(name: str, value: Any, hint: Any) -> None:
+  """Check one value against an annotation.
+
+  Raises:
+    ConfigError: the value breaks it; the message begins with `name`.
+  """
+  if problem := field_problem(value, hint):
+    raise ConfigError(f"{name} {problem}")
+
+
+def field_problems(cfg: Any) -> list[str]:
+  """Return one line for each field of a dataclass whose value breaks a constraint, without the name of the config."""
+  hints = field_hints(type(cfg))
+  problems = []
+  for name in (field.name for field in fields(cfg) if field.name in hints):
+    value, hint = getattr(cfg, name), hints[name]
+    if problem := field_problem(value, hint):
+      problems.append(_names_close(name, value, hint) or f"{name} {problem}")
+  return problems
+
+
+def why_no_count(value: object, least: int = 0) -> str:
+  """Return the reason why a value is not a whole number from `least` on: "must be at least 1, got 0"; else "".
+
+  The reason is written to follow the value's name.
+  """
+  return field_problem(value, Annotated[int, Limits(ge=least)])
+
+
+@cache
+def field_hints(cls: type) -> dict[str, Any]:
+  """Return the annotations of fields that can be resolved.
+
+  Others, such as names that only type checkers import, are left out.
+  """
+  hints: dict[str, Any] = {}
+  for base in reversed(cls.__mro__):
+    namespace = vars(sys.modules[base.__module__])
+    for name, hint in vars(base).get("__annotations__", {}).items():
+      hints.pop(name, None)
+      holder: Any = types.SimpleNamespace(__annotations__={name: hint})
+      with suppress(NameError, AttributeError, TypeError, SyntaxError):
+        hints |= get_type_hints(holder, namespace, dict(vars(base)), include_extras=True)
+  return hints
+
+
+def _broken_rule(value: Any, hint: Any) -> str:
+  """Return the rule of an annotation that a value breaks, to follow "must"; empty if it keeps all."""
+  origin, args = get_origin(hint), get_args(hint)
+  if origin is Annotated:
+    checks: list[Callable[[Any], str]] = [lambda value: _broken_rule(value, args[0])]
+    checks += [rule.problem for rule in args[1:] if isinstance(rule, Limits | Ascending | Items)]
+    return next((broken for check in checks if (broken := check(value))), "")
+  if origin in (Union, types.UnionType):
+    broken = {_broken_rule(value, arg): arg for arg in args if arg is not type(None) or value is None}
+    if "" in broken:
+      return ""
+    # A part for values of this type says best what is wrong.
+    return " or ".join([rule for rule, arg in broken.items() if _is_for(value, rule, arg)] or broken)
+  if origin is Literal:
+    return "" if value in args else f"be {' or '.join(map(repr, args))}"
+  if origin is tuple:
+    return _broken_by_elements(value, args)
+  if isinstance(origin, type) and issubclass(origin, Mapping):
+    if not isinstance(value, Mapping):
+      return "be a mapping"
+    return next((broken for element in value.values() if (broken := _broken_rule(element, args[1]))), "")
+  if hint is int:
+    return "" if isinstance(value, Integral) and not isinstance(value, bool) else "be a whole number"
+  return "be a number" if hint is float and not isinstance(value, Real) else ""
+
+
+def _is_for(value: Any, rule: str, hint: Any) -> bool:
+  """Return True if an annotation that a value breaks by `rule` is for values of its type."""
+  literals = [type(choice) for choice in get_args(hint)] if get_origin(hint) is Literal else [type(value)]
+  return rule not in _TYPE_RULES and type(value) in literals
+
+
+def _broken_by_elements(value: Any, hints: tuple[Any, ...]) -> str:
+  if isinstance(value, str | Mapping) or not hasattr(value, "__len__"):
+    return "be a tuple"
+  if hints[-1] is ...:
+    hints = hints[:1] * len(value)
+  if len(value) != len(hints):
+    return f"have {len(hints)} elements"
+  return next((broken for pair in zip(value, hints, strict=True) if (broken := _broken_rule(*pair))), "")
+
+
+def _names_close(name: str, value: Any, hint: Any) -> str:
+  """Return the message for a misspelt name of a `Literal`, with the nearest names; empty for another problem."""
+  values = value if isinstance(value, list | tuple) else [value]
+  known = list(dict.fromkeys(str(choice) for choice in _choices(hint)))
+  wrong = [word for word in values if isinstance(word, str) and word not in known]
+  return unknown(name, wrong[0], known) if known and wrong else ""
+
+
+def _choices(hint: Any) -> Iterator[Any]:
+  """Yield the choices of all `Literal`s of an annotation."""
+  if get_origin(hint) is Literal:
+    yield from get_args(hint)
+  else:
+    for arg in get_args(hint):
+      yield from _choices(arg)
+
+
+def _numbers(value: Any) -> Iterator[float]:
+  if isinstance(value, Real):
+    yield float(value)
+  elif isinstance(value, Mapping):
+    for inner in value.values():
+      yield from _numbers(inner)
+  elif not isinstance(value, str) and hasattr(value, "__len__"):
+    for inner in value:
+      yield from _numbers(inner)
