@@ -157,7 +157,7 @@ def test_wrapped_actuators_take_the_set_point_that_their_law_asks_for() -> None:
   model, actuators = wrap(xml, XmlActuatorCfg(target_names_expr=(".*",)))
   ctrl = actuators.compute(*identifiable(JOINTS))
   wanted = {
-    "push": command(2, "d"),
+    "push": command(2, "d") / 5.0,
     "spin": command(1, "b"),
     "hold": command(0, "a"),
     "also_hold": command(0, "b"),
@@ -211,12 +211,12 @@ def test_ctrl_that_is_not_driven_is_not_touched() -> None:
   ctrl = torch.full((2, model.nu), -7.0, dtype=torch.float64)
   actuators.build(model, num_envs=2, device="cpu", dtype=torch.float64, ctrl=ctrl)
   actuators.compute(*identifiable(JOINTS))
-  assert ctrl[0].tolist() == [command(2, "d"), -7.0, command(0, "a"), -7.0]
+  assert ctrl[0].tolist() == [command(2, "d") / 5.0, -7.0, command(0, "a"), -7.0]
 
 
 def test_an_actuator_whose_set_point_cannot_be_told_is_refused_until_it_is_said() -> None:
   xml = WRAPPED % '<damper name="brake" joint="c" kv="1" ctrlrange="0 1"/>'
-  with pytest.raises(ValueError, match="which set-point actuator 'brake' takes"):
+  with pytest.raises(ValueError, match="which target actuator 'brake' takes"):
     wrap(xml, XmlActuatorCfg(target_names_expr=(".*",)))
   _, actuators = wrap(xml, XmlActuatorCfg(target_names_expr=("c",), command_field="effort_target"))
   assert actuators.compute(*identifiable(JOINTS))[0].tolist() == [command(2, "c")]

@@ -173,7 +173,7 @@ def test_saved_and_loaded_histories_continue_alike(tmp_path: Path) -> None:
 def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
   (law,) = build(cfg(stored(network(), tmp_path / "n.pt"))).groups
   assert isinstance(law, LearnedMlp)
-  with pytest.raises(ValueError, match="parameter 'stiffness' does not exist; this law has: effort_limit"):
+  with pytest.raises(ValueError, match="parameter 'stiffness' does not exist; this actuator model has: effort_limit"):
     law.expand("stiffness")
   assert not any(parameter.requires_grad for parameter in law.network.parameters())
 
@@ -220,13 +220,13 @@ def test_a_network_of_the_wrong_width_is_refused_by_name(tmp_path: Path, save: A
     ({"path": "nowhere.pt"}, "LearnedMlpActuatorCfg: network file .*nowhere.pt' does not exist"),
     ({"activation": "softsing"}, "activation 'softsing' does not exist. Nearest: softsign"),
     ({"input_order": "velpos"}, "input_order 'velpos' does not exist. Nearest: vel_pos"),
-    ({"history_length": 0}, "history_length is 0"),
-    ({"effort_scale": 0.0}, "effort_scale is 0.0"),
-    ({"position_scale": float("nan")}, "position_scale is nan"),
-    ({"effort_limit": -1.0}, "effort_limit of joint 'a' is -1.0"),
-    ({"saturation_effort": 3.0}, "saturation_effort is given without velocity_limit"),
-    ({"velocity_limit": 3.0}, "velocity_limit is given without saturation_effort"),
-    ({"saturation_effort": 3.0, "velocity_limit": 0.0}, "velocity_limit of joint 'a' is 0"),
+    ({"history_length": 0}, "history_length must be at least 1, got 0"),
+    ({"effort_scale": 0.0}, "effort_scale must not be zero, got 0.0"),
+    ({"position_scale": float("nan")}, "position_scale must be a number, got nan"),
+    ({"effort_limit": -1.0}, "effort_limit must be positive, got -1.0"),
+    ({"saturation_effort": 3.0}, "saturation_effort is given, but velocity_limit is not"),
+    ({"velocity_limit": 3.0}, "velocity_limit is given, but saturation_effort is not"),
+    ({"saturation_effort": 3.0, "velocity_limit": 0.0}, "velocity_limit must be positive, got 0.0"),
   ],
 )
 def test_impossible_settings_are_refused_by_name_at_build(

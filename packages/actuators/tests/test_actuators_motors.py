@@ -199,17 +199,26 @@ def test_limits_raised_per_world_act_in_that_world_only() -> None:
 @pytest.mark.parametrize(
   ("cfg", "message"),
   [
-    (dc(saturation_effort={"a": 1.0, "b": 0.0}), "DcMotorActuatorCfg: saturation_effort of joint 'b' is 0"),
-    (dc(velocity_limit=-3.0), "DcMotorActuatorCfg: velocity_limit of joint 'a' is -3.0"),
-    (dc(velocity_limit=math.inf), "velocity_limit of joint 'a' is inf"),
-    (dc(effort_limit=0.0), "effort_limit of joint 'a' is 0.0"),
-    (dc(stiffness=-1.0), "stiffness of joint 'a' is -1.0"),
-    (dc(stiffness=float("nan")), "stiffness of joint 'a' is nan; it must be finite"),
-    (dc(stiffness={"a": "30", "b": 1.0}), "stiffness of joint 'a' is '30'; it must be finite"),
+    (
+      dc(saturation_effort={"a": 1.0, "b": 0.0}),
+      "DcMotorActuatorCfg: saturation_effort must be positive, got .*'b': 0.0",
+    ),
+    (dc(velocity_limit=-3.0), "DcMotorActuatorCfg: velocity_limit must be positive, got -3.0"),
+    (dc(velocity_limit=math.inf), "velocity_limit must be finite, got inf"),
+    (dc(effort_limit=0.0), "effort_limit must be positive, got 0.0"),
+    (dc(stiffness=-1.0), "stiffness must not be negative, got -1.0"),
+    (dc(stiffness=float("nan")), "stiffness must be a number, got nan"),
+    (dc(stiffness={"a": "30", "b": 1.0}), "stiffness must be a number, got .*'a': '30'"),
     (dc(saturation_effort={"[ab]c": 1.0}), "DcMotorActuatorCfg.saturation_effort: pattern .* matches no joint"),
-    (enveloped(TorqueSpeedEnvelope(20.0, 10.0, 4.0, 6.0)), "no_load_speed of joint 'a' is 10.0.* may be swapped"),
-    (enveloped(TorqueSpeedEnvelope(10.0, 20.0, 6.0, 4.0)), "braking_effort of joint 'a' is 4.0.* may be swapped"),
-    (enveloped(TorqueSpeedEnvelope(10.0, 20.0, 0.0, 4.0)), "motoring_effort of joint 'a' is 0.0"),
+    (
+      enveloped(TorqueSpeedEnvelope(20.0, 10.0, 4.0, 6.0)),
+      "joint 'a' must have full_effort_speed 20.0 below no_load_speed 10.0",
+    ),
+    (
+      enveloped(TorqueSpeedEnvelope(10.0, 20.0, 6.0, 4.0)),
+      "joint 'a' must have .* motoring_effort 6.0 above 0 and at most braking_effort 4.0",
+    ),
+    (enveloped(TorqueSpeedEnvelope(10.0, 20.0, 0.0, 4.0)), "motoring_effort 0.0 above 0"),
     (enveloped({"a": UNITREE_ENVELOPES["Go2HV"]}), "EnvelopedPdActuatorCfg.envelope: no pattern .* joint .*b"),
   ],
 )

@@ -89,8 +89,10 @@ def test_each_target_gets_its_own_factor_wherever_its_number_lives() -> None:
     IdealPdActuatorCfg(target_names_expr=("a", "b"), stiffness=1.0, damping={"a": 2.0, "b": 4.0}),
   )
   parameter = ActuatorParameter(actuators, sim, "damping")
-  assert parameter.nominal.tolist() == [[2.0, 4.0, 3.0]]
-  assert {(field, target.name) for (field, _), target in parameter.written.items()} == {
+  assert parameter.default.tolist() == [[2.0, 4.0, 3.0]]
+  assert {
+    (field, text.split("'")[1]) for (field, column), text in parameter.claims.items() if isinstance(column, int)
+  } == {
     ("actuator_gainprm", "c"),
     ("actuator_biasprm", "c"),
   }
@@ -118,7 +120,7 @@ def test_a_one_sided_force_range_is_scaled_and_what_has_none_is_refused() -> Non
   general: dict[str, Any] = {"target_names_expr": ("b",), "command_field": "effort_target"}
   actuators, sim = build(NativeGeneralActuatorCfg(force_range=(-6.0, 0.0), **general))
   parameter = ActuatorParameter(actuators, sim, "effort_limit")
-  assert parameter.nominal.tolist() == [[6.0]]
+  assert parameter.default.tolist() == [[6.0]]
   parameter.scale(torch.full((WORLDS, 1), 0.5).double(), MASK)
   assert sim.model.actuator_forcerange[0, 0].tolist() == [-3.0, 0.0]
   actuators, sim = build(NativeGeneralActuatorCfg(**general))
@@ -133,7 +135,7 @@ def test_the_gains_of_a_wrapped_pid_are_found() -> None:
   gains: dict[ParameterName, tuple[float, int]] = {"stiffness": (2.0, 1), "damping": (5.0, 2)}
   for name, (value, column) in gains.items():
     parameter = ActuatorParameter(actuators, sim, name)
-    assert parameter.nominal.item() == value
+    assert parameter.default.item() == value
     parameter.scale(torch.full((WORLDS, 1), 3.0).double(), MASK)
     assert sim.model.actuator_biasprm[:, 0, column].tolist() == [-3.0 * value, -value, -3.0 * value]
 

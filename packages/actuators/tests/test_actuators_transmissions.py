@@ -167,7 +167,7 @@ def force(law: str, numbers: list[Any]) -> Any:
   return {
     "position": KP * (target - q) - KD * v,
     "velocity": KD * (rate - v),
-    "motor": -2.0 * effort,
+    "motor": effort,
     "general": 3.0 * effort + 0.5 - KP * q - KD * v,
     "dc": 0.5 * (effort - 0.5 * v) / 2.0,
     "pd": np.clip(pd, -1.5, 1.5),
@@ -224,11 +224,11 @@ def test_a_site_without_a_reference_is_pushed_by_its_wrench_in_its_own_frame() -
   assert actuators.driven("site") == ("keel", "hook")
   for world, data in enumerate(moving(model)):
     column = actuators.targets.index(Target("site", "keel"))
-    pushed = 3.0 * effort[world, column].clamp(-0.8, 0.8).item() * site_row(model, data, "keel", None)
+    pushed = effort[world, column].clamp(-2.4, 2.4).item() * site_row(model, data, "keel", None)
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, model.site("hook").id)
     along_x = data.site("hook").xmat.reshape(3, 3)[:, 0] @ jacobian
-    pushed += 3.0 * effort[world, column + 1].clamp(-0.8, 0.8).item() * along_x
+    pushed += effort[world, column + 1].clamp(-2.4, 2.4).item() * along_x
     np.testing.assert_allclose(got[world], pushed, rtol=1e-9, atol=1e-9)
 
 
@@ -343,15 +343,15 @@ SITE: dict[str, Any] = {"target_names_expr": ("keel",), "transmission_type": "si
     ("motor", {"transmission_type": "tendn"}, "transmission_type 'tendn' does not exist. Nearest: tendon"),
     ("motor", {"transmission_type": "tendon", "target_names_expr": ("rop",)}, "matches no tendon. Nearest: rope"),
     ("motor", SITE, "NativeMotorActuatorCfg: site_gear is missing"),
-    ("motor", SITE | {"site_gear": (0, 0, 1)}, "site_gear of site 'keel' is .*six finite numbers"),
-    ("motor", SITE | {"site_gear": (0,) * 6}, "site_gear of site 'keel' is .*not all zero"),
+    ("motor", SITE | {"site_gear": (0, 0, 1)}, "site_gear must have 6 elements"),
+    ("motor", SITE | {"site_gear": (0,) * 6}, "site_gear of site 'keel' is all zero"),
     ("motor", SITE | {"site_gear": {"hook": THRUST}}, "pattern 'hook' matches no site"),
     ("motor", SITE | {"site_gear": THRUST, "refsite": "anchr"}, "refsite 'anchr' does not exist. Nearest: anchor"),
-    ("motor", SITE | {"site_gear": THRUST, "armature": 0.1}, "armature is given, but a site has none"),
+    ("motor", SITE | {"site_gear": THRUST, "armature": 0.1}, "armature is given, but transmission_type is 'site'"),
     ("motor", {"target_names_expr": ("lift",), "site_gear": THRUST}, "site_gear is given, but transmission_type is"),
     ("motor", {"target_names_expr": ("lift",), "refsite": "keel"}, "refsite is given, but transmission_type is"),
     *(
-      (law, SITE | {"site_gear": THRUST}, "site 'keel' has no position to be driven to without a refsite")
+      (law, SITE | {"site_gear": THRUST}, "site 'keel' has a position only relative to a refsite")
       for law in ("position", "general", "pd", "dc_pd")
     ),
   ],
@@ -369,7 +369,7 @@ def test_laws_that_live_on_a_position_need_a_reference_on_a_site() -> None:
       site_gear=THRUST, torque_constant=1.0, resistance=1.0, inputs=("position_target",), stiffness=1.0, **SITE
     ),
   ):
-    with pytest.raises(ValueError, match="site 'keel' has no position to be driven to without a refsite"):
+    with pytest.raises(ValueError, match="site 'keel' has a position only relative to a refsite"):
       build(cfg)
 
 
@@ -385,7 +385,7 @@ def test_several_wrapped_wrenches_on_one_site_are_refused_by_name() -> None:
 
 
 def test_the_direction_of_a_wrapped_site_is_the_mjcf_s() -> None:
-  with pytest.raises(ValueError, match="XmlActuatorCfg: site_gear is given, but the MJCF says it already"):
+  with pytest.raises(ValueError, match="XmlActuatorCfg: site_gear is given, but the MJCF has it already"):
     build(XmlActuatorCfg(target_names_expr=("hook",), transmission_type="site", site_gear=THRUST), own=OWN)
 
 

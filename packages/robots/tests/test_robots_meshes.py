@@ -12,7 +12,8 @@ import mujoco
 import mujoco_menagerie
 import numpy as np
 import pytest
-from mjlab_robots import MeshesNotFoundError, MeshMode, download_meshes, find_meshes, g1_spec, go1_spec, yam_spec
+from mjlab_core.errors import FileError
+from mjlab_robots import MeshMode, download_meshes, find_meshes, g1_spec, go1_spec, yam_spec
 
 SpecFn = Callable[[MeshMode], mujoco.MjSpec]
 ROBOTS: dict[str, SpecFn] = {"go1": go1_spec, "g1": g1_spec, "yam": yam_spec}
@@ -66,13 +67,13 @@ def test_without_meshes_the_robot_is_drawn_from_primitives(name: str) -> None:
 @pytest.mark.usefixtures("without_meshes")
 @each_robot
 def test_required_meshes_that_are_missing_say_how_to_get_them(name: str) -> None:
-  with pytest.raises(MeshesNotFoundError, match=rf"download_meshes\('{MENAGERIE[name]}'\).*MENAGERIE_ROOT"):
+  with pytest.raises(FileError, match=rf"download_meshes\('{MENAGERIE[name]}'\).*MENAGERIE_ROOT"):
     ROBOTS[name]("require")
 
 
 @pytest.mark.usefixtures("published")
 def test_a_download_is_worn_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
-  with pytest.raises(MeshesNotFoundError):
+  with pytest.raises(FileError):
     go1_spec(meshes="require")
   assert go1_spec(meshes="download").compile().nmesh == FACTS["go1"]["counts"]["nmesh"]
   assert "fetching the meshes of unitree_go1" in capsys.readouterr().err
@@ -86,7 +87,7 @@ def test_a_download_is_worn_and_kept(capsys: pytest.CaptureFixture[str]) -> None
 def test_nothing_is_downloaded_unasked(mode: MeshMode, tmp_path: Path) -> None:
   try:
     model = go1_spec(mode).compile()
-  except MeshesNotFoundError:
+  except FileError:
     assert mode == "require"
   else:
     assert model.nmesh == 0
@@ -95,7 +96,7 @@ def test_nothing_is_downloaded_unasked(mode: MeshMode, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("without_meshes")
 def test_a_download_that_fails_says_where_from_and_what_else_there_is(tmp_path: Path) -> None:
-  with pytest.raises(MeshesNotFoundError, match=r"releases/unitree_g1-.*MENAGERIE_ROOT.*meshes='auto'"):
+  with pytest.raises(FileError, match=r"releases/unitree_g1-.*MENAGERIE_ROOT.*meshes='auto'"):
     g1_spec(meshes="download")
   assert not list((tmp_path / "cache").rglob("*.STL"))
 
@@ -104,7 +105,7 @@ def test_a_download_that_fails_says_where_from_and_what_else_there_is(tmp_path: 
 def test_a_broken_download_is_refused(tmp_path: Path) -> None:
   (tmp_path / "releases").mkdir()
   (tmp_path / "releases" / mujoco_menagerie.get("unitree_go1").asset).write_bytes(b"not an archive")
-  with pytest.raises(MeshesNotFoundError, match="does not match the digest"):
+  with pytest.raises(FileError, match="does not match the digest"):
     download_meshes("unitree_go1")
 
 
@@ -112,9 +113,9 @@ def test_a_broken_download_is_refused(tmp_path: Path) -> None:
 def test_a_set_menagerie_root_is_taken_as_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   (tmp_path / "mine").mkdir()
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "mine"))
-  with pytest.raises(MeshesNotFoundError, match="MENAGERIE_ROOT"):
+  with pytest.raises(FileError, match="MENAGERIE_ROOT"):
     go1_spec(meshes="download")
-  with pytest.raises(MeshesNotFoundError, match="MENAGERIE_ROOT"):
+  with pytest.raises(FileError, match="MENAGERIE_ROOT"):
     download_meshes("unitree_go1")
   assert not (tmp_path / "cache").exists()
 

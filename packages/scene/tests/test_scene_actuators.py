@@ -22,7 +22,7 @@ from mjlab_actuators import (
   NativeVelocityActuatorCfg,
   XmlActuatorCfg,
 )
-from mjlab_scene import EntityArticulationCfg, EntityCfg, Scene
+from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene, SceneCfg
 from mjlab_sim import Simulation
 
 MakeWorlds = Callable[..., tuple[Scene, Simulation]]
@@ -122,3 +122,53 @@ def test_every_kind_drives_its_joint_and_a_reset_stays_in_its_world(
 def test_every_kind_moves_alike_on_both_engines(make_worlds: MakeWorlds, tmp_path: Path) -> None:
   native, warp = (trajectory(make_worlds, tmp_path / "n.pt", engine, resets=True) for engine in ("native", "warp"))
   torch.testing.assert_close(warp, native, rtol=1e-3, atol=1e-4)
+
+
+GEARED = """<mujoco><option gravity="0 0 0"/><worldbody>
+  <body><joint name="j" axis="0 1 0"/><geom size=".1"/></body><body pos="0 1 0"><joint name="k" axis="0 1 0"/>
+  <geom size=".1"/></body></worldbody>{}</mujoco>"""
+SERVO: dict[str, Any] = {"target_names_expr": ("j",), "stiffness": 50.0, "damping": 4.0}
+MOTOR: dict[str, Any] = SERVO | {"torque_constant": 0.5, "resistance": 0.1, "gear": 2.0}
+AFFINE: dict[str, Any] = {"bias_type": "affine", "bias_prm": (0.0, -12.0, -1.0), "gear": 2.0}
+XML = XmlActuatorCfg(target_names_expr=("j",))
+RESTING: dict[str, tuple[ActuatorCfg, str, list[float]]] = {
+  "position": (NativePositionActuatorCfg(**SERVO), "", [0.5]),
+  "dc motor": (NativeDcMotorActuatorCfg(inputs=("position_target",), **MOTOR), "", [0.5]),
+  "dc motor, two inputs": (
+    NativeDcMotorActuatorCfg(inputs=("velocity_target", "position_target"), **MOTOR),
+    "",
+    [0.5, 0.0],
+  ),
+  "general": (
+    NativeGeneralActuatorCfg(target_names_expr=("j",), command_field="position_target", gain_prm=(12.0,), **AFFINE),
+    "",
+    [1.0],
+  ),
+  "MJCF position": (XML, '<position joint="j" kp="12" kv="1" gear="2"/>', [1.0]),
+  "MJCF pid": (XML, '<pid joint="j" kp="12" kv="1" input="pos vel ff" gear="2"/>', [1.0, 0.0, 0.0]),
+  "MJCF dc motor": (
+    XML,
+    '<dcmotor joint="j" motorconst=".5" resistance=".1" input="pos vel" gear="2" controller="12 0 1"/>',
+    [1.0, 0.0],
+  ),
+}
+
+
+@pytest.mark.parametrize("kind", RESTING)
+def test_controls_of_the_keyframe_hold_the_initial_pose_whatever_the_gear(kind: str) -> None:
+  """One number per input, so that actuators behind one with several keep theirs."""
+  cfg, own, expected = RESTING[kind]
+  xml = GEARED.format(f"<actuator>{own}</actuator>")
+  other = NativePositionActuatorCfg(target_names_expr=("k",), stiffness=50.0, damping=4.0)
+  entity = EntityCfg(
+    spec_fn=lambda: mujoco.MjSpec.from_string(xml),
+    articulation=EntityArticulationCfg(actuators=(cfg, other)),
+    init_state=InitialStateCfg(joint_pos={"j": 0.5, "k": -0.3}),
+  )
+  model = Scene(SceneCfg(entities={"arm": entity})).spec.compile()
+  assert model.key_ctrl[0].tolist() == [*expected, -0.3]
+  data = mujoco.MjData(model)
+  mujoco.mj_resetDataKeyframe(model, data, 0)
+  for _ in range(500):
+    mujoco.mj_step(model, data)
+  assert data.qpos.tolist() == pytest.approx([0.5, -0.3], abs=1e-9)

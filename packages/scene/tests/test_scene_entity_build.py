@@ -5,7 +5,7 @@ from typing import Any
 import mujoco
 import pytest
 from mjlab_actuators import XmlActuatorCfg
-from mjlab_core.names import NameMatchError
+from mjlab_core.errors import UnknownNameError
 from mjlab_scene import CollisionCfg, Entity, EntityArticulationCfg, EntityCfg, InitialStateCfg
 
 ARM = """
@@ -60,7 +60,7 @@ def test_unnamed_elements_are_named_so_that_they_can_be_addressed() -> None:
 
 def test_a_pattern_that_matches_nothing_is_an_error_with_the_nearest_name() -> None:
   with pytest.raises(
-    NameMatchError, match=r"entity 'robot': pattern 'left/elbw' matches no joint. Nearest: left/elbow"
+    UnknownNameError, match=r"entity 'robot': pattern 'left/elbw' matches no joint. Nearest: left/elbow"
   ):
     build().find_joints("left/elbw")
 
@@ -117,12 +117,12 @@ def test_typos_in_joint_patterns_are_errors() -> None:
     {"ctrl": {"x": 1.0}},
   ]
   for kwargs in typos:
-    with pytest.raises(NameMatchError, match="entity 'robot': pattern"):
+    with pytest.raises(UnknownNameError, match="entity 'robot': pattern"):
       build(init_state=InitialStateCfg(**kwargs))
 
 
 def test_a_pattern_must_match_the_whole_name() -> None:
-  with pytest.raises(NameMatchError, match="'left' matches no joint"):
+  with pytest.raises(UnknownNameError, match="'left' matches no joint"):
     build(init_state=InitialStateCfg(joint_pos={"left": 0.1}))
 
 
@@ -174,7 +174,7 @@ def test_no_positions_without_a_keyframe_is_an_error() -> None:
 
 @pytest.mark.parametrize("factor", [0.0, 1.5, -1.0])
 def test_the_soft_limit_factor_is_a_fraction(factor: float) -> None:
-  with pytest.raises(ValueError, match=r"soft_joint_pos_limit_factor .* must be in \(0, 1\]"):
+  with pytest.raises(ValueError, match=r"soft_joint_pos_limit_factor must be in \(0, 1\]"):
     build(articulation=EntityArticulationCfg(soft_joint_pos_limit_factor=factor))
 
 
@@ -192,6 +192,12 @@ def test_a_preset_sets_what_matches_and_switches_the_rest_off() -> None:
   assert (left.contype, foot.contype, foot.conaffinity) == (1, 0, 0)
 
 
+def test_a_specific_pattern_overrides_the_one_for_all() -> None:
+  condim = {".*": 3, "left_.*": 4}
+  entity = build(collisions=(CollisionCfg(geom_names_expr=".*_collision", condim=condim),))
+  assert [geom(entity, f"{side}_collision").condim for side in ("left", "right")] == [4, 3]
+
+
 def test_presets_compose_and_none_disables_the_geoms_of_another() -> None:
   one, two = (CollisionCfg(geom_names_expr=(name,)) for name in ("left_collision", "right_collision"))
   entity = build(collisions=(one, two))
@@ -199,24 +205,24 @@ def test_presets_compose_and_none_disables_the_geoms_of_another() -> None:
 
 
 def test_a_preset_that_matches_nothing_is_an_error() -> None:
-  with pytest.raises(NameMatchError, match=r"pattern 'foot_.*' matches no geom"):
+  with pytest.raises(UnknownNameError, match=r"pattern 'foot_.*' matches no geom"):
     build(collisions=(CollisionCfg(geom_names_expr=(".*_collision", "foot_.*")),))
-  with pytest.raises(NameMatchError, match="condim: pattern 'lft' matches no geom"):
+  with pytest.raises(UnknownNameError, match="condim: pattern 'lft' matches no geom"):
     build(collisions=(CollisionCfg(geom_names_expr=".*_collision", condim={"lft": 1}),))
 
 
 @pytest.mark.parametrize(
   ("parameter", "value", "message"),
   [
-    ("condim", 2, "must be 1, 3, 4 or 6"),
-    ("contype", -1, "must be at least 0"),
+    ("condim", 2, "must be 1, 3, 4 or 6, got 2"),
+    ("contype", -1, "must not be negative, got -1"),
     ("solmix", 1.5, r"must be in \[0, 1\]"),
-    ("friction", (1.0, 1.0, 1.0, 1.0), "must be 1 to 3 numbers"),
-    ("friction", (-1.0,), "must not be negative"),
+    ("friction", (1.0, 1.0, 1.0, 1.0), "must have at most 3 elements, got"),
+    ("friction", (-1.0,), "must not be negative, got"),
   ],
 )
 def test_contact_parameters_that_mujoco_cannot_use_are_refused(parameter: str, value: Any, message: str) -> None:
-  with pytest.raises(ValueError, match=f"entity 'robot', geom 'left_collision': {parameter} .* {message}"):
+  with pytest.raises(ValueError, match=f"entity 'robot', .* 'left_collision': {parameter} {message}"):
     build(collisions=(CollisionCfg(geom_names_expr="left_collision", **{parameter: value}),))
 
 

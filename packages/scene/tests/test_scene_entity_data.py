@@ -215,7 +215,8 @@ def _quantities() -> dict[str, str]:
       if isinstance(member, property | cached_quantity) and not name.startswith("_"):
         found[name] = member.__doc__ or ""
     if cls.__module__.startswith("mjlab_scene"):
-      for name, doc in re.findall(r'^  (\w+): torch\.Tensor\n  """(.*?)"""', inspect.getsource(cls), re.M | re.S):
+      fields = r'^  (\w+)(?:: torch\.Tensor| = forwarded\("[\w.]+"\))\n  """(.*?)"""'
+      for name, doc in re.findall(fields, inspect.getsource(cls), re.M | re.S):
         found[name] = doc
   return found
 

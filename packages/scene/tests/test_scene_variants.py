@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_core.state import StateError
+from mjlab_core.errors import StateError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntity, VariantEntityCfg
 from mjlab_scene.variants import assign
 from mjlab_sim import Simulation, SimulationCfg

@@ -42,7 +42,7 @@ def build(num_envs: int = 64, **biases: Any) -> tuple[Simulation, ImuSensor]:
 
 def true_readings(sim: Simulation) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
   columns = {"gyro": slice(0, 3), "accelerometer": slice(3, 6), "quat": slice(6, 10)}
-  _ = sim.epoch
+  _ = sim.version
   gyro, accelerometer, quat = (sim.data.sensordata[:, column].clone() for column in columns.values())
   return gyro, accelerometer, quat
 
@@ -122,9 +122,9 @@ def test_a_unit_of_a_model_that_has_its_elements_already_is_refused() -> None:
 @pytest.mark.parametrize(
   ("fields", "message"),
   [
-    ({"site": ObjRef(type="body", name="box")}, "sits at a site, not at body 'box'"),
-    ({"gyro_bias": -0.1}, "gyro_bias is a magnitude and must not be negative, but is -0.1"),
-    ({"accelerometer_walk": float("nan")}, "accelerometer_walk is a magnitude"),
+    ({"site": ObjRef(type="body", name="box")}, "site must be a site, got body 'box'"),
+    ({"gyro_bias": -0.1}, "gyro_bias must not be negative, got -0.1"),
+    ({"accelerometer_walk": float("nan")}, "accelerometer_walk must be a number, got nan"),
   ],
 )
 def test_a_wrong_unit_is_refused_by_name(fields: dict[str, Any], message: str) -> None:

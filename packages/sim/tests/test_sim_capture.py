@@ -8,7 +8,10 @@ from typing import Any
 import mujoco
 import pytest
 import torch
-from mjlab_sim import Simulation, SimulationCfg, SimulationError, StepGraph, warp_engine
+from mjlab_core import MjlabError
+from mjlab_sim import Simulation, SimulationCfg, StepGraph
+from mjlab_sim.tensors import versions
+from mjlab_sim.warp import launching
 from sim_world import SIZES, WORLD, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -25,7 +28,6 @@ def drive(sim: Simulation, steps: int) -> list[torch.Tensor]:
   for step in range(steps):
     sim.data.ctrl.copy_(torch.cos(sim.data.qpos[:, :3]))
     sim.step()
-    sim.count_overflow()
     if step % 7 == 3:
       sim.reset(torch.arange(sim.num_envs, device=sim.device) % 2 == step % 2)
     if step % 5 == 2:
@@ -72,10 +74,10 @@ def test_where_nothing_is_recorded_a_step_graph_is_a_plain_call(make_sim: MakeSi
 def test_a_step_graph_leaves_nothing_stale(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine)
   graph = sim.capture(lambda: sim.data.qpos.add_(0.01))
-  epoch = sim.epoch
+  epoch = sim.version
   graph()
-  assert sim._state_version == sim._versions(sim._kinematic)
-  assert sim.epoch > epoch
+  assert sim._fresh._state_version == versions(sim._fresh._kinematic)
+  assert sim.version > epoch
 
 
 # What a recording does to its owner, with a recorder that notes calls instead
@@ -103,7 +105,7 @@ def recording(
   make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[Callable[[Simulation], object]], StepGraph]:
   """A step graph of a function of its simulation, that is recorded after three calls."""
-  monkeypatch.setitem(sys.modules, "mjlab_sim.graph", SimpleNamespace(Recorder=FakeRecorder))
+  monkeypatch.setitem(sys.modules, "mjlab_sim.warp.recorder", SimpleNamespace(Recorder=FakeRecorder))
 
   def make(fn: Callable[[Simulation], object]) -> StepGraph:
     sim = make_sim("native")
@@ -128,15 +130,15 @@ def test_a_gpu_that_cannot_capture_is_refused_with_the_reason_and_the_way_out(
   gpu = SimpleNamespace(is_cuda=True, name="H100")
   monkeypatch.setattr("warp.is_mempool_enabled", lambda device: pool)
   monkeypatch.setattr("warp.is_conditional_graph_supported", lambda: conditional)
-  with pytest.raises(SimulationError, match=message):
-    warp_engine.check_capture(gpu)
+  with pytest.raises(MjlabError, match=message):
+    launching.check_capture(gpu)
 
 
 def test_a_gpu_that_can_capture_and_a_cpu_are_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr("warp.is_mempool_enabled", lambda device: device.name == "H100")
   monkeypatch.setattr("warp.is_conditional_graph_supported", lambda: True)
-  warp_engine.check_capture(SimpleNamespace(is_cuda=True, name="H100"))
-  warp_engine.check_capture(SimpleNamespace(is_cuda=False, name="cpu"))
+  launching.check_capture(SimpleNamespace(is_cuda=True, name="H100"))
+  launching.check_capture(SimpleNamespace(is_cuda=False, name="cpu"))
 
 
 def test_a_recording_that_is_outdated_before_it_ends_is_never_replayed(recording: Any) -> None:
@@ -174,10 +176,11 @@ def test_an_error_while_recording_leaves_nothing_half_recorded(recording: Any) -
 
 
 def test_contacts_are_in_a_new_recording_once_somebody_wants_them(recording: Any) -> None:
-  graph = recording(lambda sim: sim.step())
-  sim = graph._sim
+  sims: list[Simulation] = []
+  graph = recording(lambda sim: (sims.append(sim), sim.step()))
   for _ in range(4):
     graph()
+  sim = sims[0]
   assert graph.num_graphs == 1
   sim.contacts(0)
   assert graph.num_graphs == 0
@@ -199,25 +202,25 @@ def test_contacts_are_not_asked_for_first_inside_a_recorded_step(recording: Any,
   graph = recording((lambda sim: sim.graph_break(lambda: look(sim))) if eager else look)
   for _ in range(3):
     graph()
-  with pytest.raises(SimulationError, match="kept from the first call on; call it before the first recorded step"):
+  with pytest.raises(MjlabError, match="kept from the first call on; call it before the first recorded step"):
     graph()
 
 
 @pytest.mark.parametrize("eager", [False, True])
 def test_memory_is_not_replaced_under_a_recorded_step(recording: Any, eager: bool) -> None:
-  calls: list[None] = []
+  calls: list[Simulation] = []
 
   def expand(sim: Simulation) -> None:
-    calls.append(None)
+    calls.append(sim)
     if len(calls) > 3:
       sim.expand_model_fields(["body_mass"])
 
   graph = recording((lambda sim: sim.graph_break(lambda: expand(sim))) if eager else expand)
   for _ in range(3):
     graph()
-  with pytest.raises(SimulationError, match=r"body_mass.*inside a recorded step; expand them before the first step"):
+  with pytest.raises(MjlabError, match=r"body_mass.*inside a recorded step; expand them before the first step"):
     graph()
-  sim = graph._sim
+  sim = calls[0]
   assert not sim.is_capturing
   sim.expand_model_fields(["body_mass"])
   graph()

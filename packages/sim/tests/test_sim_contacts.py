@@ -1,13 +1,18 @@
 """Contacts are those that the engine had: of the substep just done, with the forces it solved for."""
 
+import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import pytest
 import torch
-from mjlab_sim import Contacts, Simulation, SimulationCfg, SimulationError
-from mjlab_sim.contacts import MOST_WORLDS, Watched
+import warp as wp
+from mjlab_core import Contacts, MjlabError, host_contacts
+from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim.engine import MOST_WATCHED, Watched
 from sim_world import NUM_WORLDS, SIZES, WORLD, reference, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -15,7 +20,7 @@ MakeSim = Callable[..., Simulation]
 RESTING = {"ball": 1.0, "rod": 0.5, "block": 2.0}
 
 
-def found(contacts: Contacts) -> dict[str, np.ndarray]:
+def found(contacts: Contacts[torch.Tensor]) -> dict[str, np.ndarray]:
   """Its fields by name, without the rows that are none, in an order that follows from what they are."""
   rows = contacts.found.numpy()
   fields = {name: field.double().numpy()[rows] for name, field in vars(contacts).items() if name != "found"}
@@ -121,6 +126,35 @@ def test_they_are_those_of_mujoco_c_in_the_state_before_the_step(make_sim: MakeS
   assert seen > NUM_WORLDS
 
 
+@pytest.mark.parametrize("adhesion", [0.0, 0.5])
+@pytest.mark.parametrize("condim", [1, 3, 4, 6])
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_forces_on_the_host_are_those_of_mj_contact_force_bit_for_bit(cone: str, condim: int, adhesion: float) -> None:
+  shapes = ("box", "sphere", "ellipsoid", "capsule", "cylinder")
+  bodies = "".join(
+    f'<body pos="{0.15 * i} 0 {0.1 + 0.02 * i}" euler="{10 * i} 20 5"><freejoint/>'
+    f'<geom type="{shape}" size=".1 .08 .07"/></body>'
+    for i, shape in enumerate(shapes)
+  )
+  geom = f'<geom condim="{condim}" adhesion="{adhesion}" friction=".7 .01 .002"/>'
+  model = mujoco.MjModel.from_xml_string(
+    f'<mujoco><option cone="{cone}"/><default>{geom}</default>'
+    f'<worldbody><geom type="plane" size="2 2 .1"/>{bodies}</worldbody></mujoco>'
+  )
+  data, seen = mujoco.MjData(model), 0
+  data.qvel[:] = np.random.default_rng(0).normal(0.0, 1.0, model.nv)
+  for _ in range(100):
+    mujoco.mj_step(model, data)
+    force, frames = np.zeros((data.ncon, 6)), data.contact.frame.reshape(-1, 3, 3)
+    for number in range(data.ncon):
+      mujoco.mj_contactForce(model, data, number, force[number])
+    rows = data.contact.efc_address >= 0
+    expected = np.einsum("nij,ni->nj", frames[rows], force[rows, :3])
+    np.testing.assert_array_equal(host_contacts(model, data).force, expected)
+    seen += len(expected)
+  assert seen > 300
+
+
 def saved(model: mujoco.MjModel) -> bytes:
   buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
   mujoco.mj_saveModel(model, None, buffer)
@@ -163,7 +197,7 @@ def test_a_world_that_was_reset_has_no_contacts_and_the_others_keep_theirs(make_
 
 
 def test_of_many_worlds_those_asked_for_last_are_kept(make_sim: MakeSim, engine: str) -> None:
-  many = MOST_WORLDS + 6
+  many = MOST_WATCHED + 6
   sim = make_sim(engine, num_envs=many)
   sim.contacts(0)
   sim.step()
@@ -178,7 +212,7 @@ def test_of_many_worlds_those_asked_for_last_are_kept(make_sim: MakeSim, engine:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
-  sim = Simulation(MOST_WORLDS + 6, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
+  sim = Simulation(MOST_WATCHED + 6, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
   graph = sim.capture(sim.step)
   for _ in range(5):
     graph()
@@ -187,7 +221,7 @@ def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
     graph()
   assert graph.num_graphs == 1
   # A world that comes later needs no new recording.
-  last = MOST_WORLDS + 5
+  last = MOST_WATCHED + 5
   assert not sim.contacts(last).found.any()
   graph()
   assert graph.num_graphs == 1
@@ -201,17 +235,69 @@ def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
 
 
 def test_the_least_recently_asked_for_leaves_first() -> None:
-  watched = Watched(MOST_WORLDS + 10)
+  watched = Watched(MOST_WATCHED + 10)
   assert watched.slot(0) == (0, None)
-  assert watched.slot(MOST_WORLDS) == (1, 1)
+  assert watched.slot(MOST_WATCHED) == (1, 1)
   assert watched.slot(1) == (2, 2)
   assert watched.slot(0) == (0, None)
-  assert sorted(watched.worlds) == [0, 1, *range(3, MOST_WORLDS + 1)]
-  assert watched.worlds[1] == MOST_WORLDS
+  assert sorted(watched.worlds) == [0, 1, *range(3, MOST_WATCHED + 1)]
+  assert watched.worlds[1] == MOST_WATCHED
 
 
 def test_a_world_that_does_not_exist_is_refused(make_sim: MakeSim) -> None:
   sim = make_sim()
   for world in (-1, NUM_WORLDS):
-    with pytest.raises(SimulationError, match=f"world must be from 0 to 3, got {world}"):
+    with pytest.raises(MjlabError, match=rf"world must be in \[0, 3\], got {world}"):
       sim.contacts(world)
+
+
+# All pairs are those of MuJoCo Warp's convex collision, which finds other contacts than MuJoCo C.
+CONVEX = """
+<mujoco>
+  <option timestep=".005" cone="{cone}" iterations="50" ls_iterations="50"/>
+  <worldbody>
+    <geom type="box" size="2 2 .1" pos="0 0 -.1"/>
+    <body pos="0 0 .0795" euler="90 0 0"><freejoint/><geom type="cylinder" size=".08 .1"/></body>
+    <body pos=".5 0 .0495"><freejoint/><geom type="ellipsoid" size=".1 .07 .05"/></body>
+    <body pos="1 0 .0995"><freejoint/><geom type="cylinder" size=".08 .1"/></body>
+    <body pos="1 0 .2485"><freejoint/><geom type="ellipsoid" size=".1 .07 .05"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.warp
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_forces_of_mujoco_warp_are_those_of_mujoco_c_where_the_contacts_are(make_sim: MakeSim, cone: str) -> None:
+  """Class: a difference to MuJoCo C that is taken for MuJoCo Warp's collision and is our reading of it."""
+  sim = make_sim("warp", 1, CONVEX.format(cone=cone), integrator="implicitfast", capture=False)
+  engine: Any = sim._engine
+  engine._m.opt.run_collision_detection = False
+  sim.contacts(0)
+  model = sim.mj_model
+  data, seen = mujoco.MjData(model), 0
+  data.qvel[:] = np.random.default_rng(0).normal(0.0, 0.2, model.nv)
+  for _ in range(60):
+    mujoco.mj_forward(model, data)
+    given = mjw.put_data(model, data, nconmax=SIZES["nconmax"], njmax=SIZES["njmax"])
+    for name in ("qpos", "qvel", "qacc_warmstart"):
+      getattr(sim.data, name).copy_(torch.as_tensor(getattr(data, name)))
+    for field in dataclasses.fields(given.contact):
+      array = getattr(given.contact, field.name)
+      if array.size:
+        wp.copy(getattr(engine._d.contact, field.name), array)
+    wp.copy(engine._d.nacon, given.nacon)
+    sim.step()
+    expected, contacts = host_contacts(model, data), found(sim.contacts(0))
+    assert len(contacts["pos"]) == len(expected.pos)
+    order = np.lexsort((*np.round(expected.pos, 5).T, *expected.geom.T))
+    np.testing.assert_allclose(contacts["pos"], expected.pos[order], atol=1e-6)
+    for geom in np.unique(expected.geom[:, 1]):
+      net, other = (
+        force[geoms[:, 1] == geom].sum(axis=0)
+        for force, geoms in ((contacts["force"], contacts["geom"]), (expected.force, expected.geom))
+      )
+      assert np.linalg.norm(net - other) < 1e-3 * max(np.linalg.norm(other), 1.0)
+      seen += 1
+    mujoco.mj_step(model, data)
+  assert seen > 100

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from mjlab_sim import SimulationError
+from mjlab_core import MjlabError
 
 
 def test_the_readme_example_of_the_simulation_runs() -> None:
@@ -20,5 +20,5 @@ def test_a_simple_body_that_is_changed_says_what_to_do(make_sim) -> None:
   sim = make_sim(spec=spec)
   sim.expand_model_fields(["body_ipos"])
   sim.model.body_ipos[:, 1, 0] += 0.1
-  with pytest.raises(SimulationError, match=r"recompute_constants:.*simple='false'"):
+  with pytest.raises(MjlabError, match=r"recompute_constants:.*simple='false'"):
     sim.recompute_constants()

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_sim import Simulation, SimulationError
+from mjlab_core import MjlabError
+from mjlab_sim import Simulation
 from sim_world import scatter
 
 MakeSim = Callable[..., Simulation]
@@ -55,25 +56,25 @@ def test_both_engines_draw_the_same(make_sim: MakeSim) -> None:
 @pytest.mark.parametrize(
   ("arguments", "message"),
   [
-    ((1, 6, 4), "camera must be from 0 to 0, got 1"),
-    ((-1, 6, 4), "camera must be from 0 to 0, got -1"),
-    ((0, 0, 4), "an image needs at least one pixel, got width 0 and height 4"),
-    ((0, 6, 4, ("deph",)), "data type 'deph' does not exist. Nearest: depth"),
+    ((1, 6, 4), "renderer: camera must be at most 0, got 1"),
+    ((-1, 6, 4), "renderer: camera must not be negative, got -1"),
+    ((0, 0, 4), "renderer: width must be at least 1, got 0"),
+    ((0, 6, 4, ("deph",)), "renderer: data_types 'deph' does not exist. Nearest: depth"),
   ],
 )
 def test_a_view_that_there_is_not_is_refused(make_sim: MakeSim, arguments: Any, message: str) -> None:
-  with pytest.raises(SimulationError, match=message):
+  with pytest.raises(MjlabError, match=message):
     make_sim("native").make_renderer(*arguments)
 
 
 @pytest.mark.warp
 def test_wrong_groups_and_masks_are_refused(make_sim: MakeSim) -> None:
   sim = make_sim("native")
-  with pytest.raises(SimulationError, match="geomgroup needs 6 entries, got 2"):
+  with pytest.raises(MjlabError, match="geomgroup must have 6 elements, got"):
     sim.make_renderer(0, 6, 4, geomgroup=(True, False))
   renderer = sim.make_renderer(0, 6, 4)
-  with pytest.raises(SimulationError, match="render: mask must be bool"):
+  with pytest.raises(MjlabError, match="render: mask must be bool"):
     renderer.render(torch.zeros(sim.num_envs))
   sim.close()
-  with pytest.raises(SimulationError, match="closed"):
+  with pytest.raises(MjlabError, match="closed"):
     renderer.render()

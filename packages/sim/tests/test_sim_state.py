@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from mjlab_sim import Simulation, SimulationError
+from mjlab_core import MjlabError
+from mjlab_sim import Simulation
 from sim_world import scatter
 
 MakeSim = Callable[..., Simulation]
@@ -104,7 +105,7 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(make_sim: Make
   before = sim.data.qpos.clone()
 
   def refused(state: dict, message: str) -> None:
-    with pytest.raises(SimulationError, match=message):
+    with pytest.raises(MjlabError, match=message):
       sim.load_state_dict(state)
     assert torch.equal(sim.data.qpos, before)
     assert sim.expanded_fields == ()

@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_sim import RayHits, Simulation, SimulationCfg, SimulationError
-from mjlab_sim.static_rays import fixed_geoms, triangulate
+from mjlab_core import MjlabError
+from mjlab_sim import RayHits, Simulation, SimulationCfg
+from mjlab_sim.rays import fixed_geoms, triangulate
 from numpy.typing import NDArray
 
 NUM_ENVS, NUM_RAYS = 3, 150
@@ -194,7 +195,7 @@ def test_ground_that_is_changed_right_after_its_memory_was_replaced_is_seen_as_i
 def test_ground_is_merged_once_for_all_casters_that_see_the_same() -> None:
   sim = build(rough_ground(), "native")
   casters: list[Any] = [sim.make_ray_caster(count, geomid=False) for count in (1, 2)]
-  first, second = (caster._caster._ground for caster in casters)
+  first, second = (caster._rays.cast.__self__._ground for caster in casters)
   assert first is second is not None
   assert first.model.nmeshface > 36 * 12
   assert first.model.ngeom == 1 + 4  # Fields, floor and pole stay as they are.
@@ -229,11 +230,11 @@ def test_triangles_are_counter_clockwise_from_outside_and_closed() -> None:
   ("options", "message"),
   [
     ({"bodyexclude": (0, 1)}, "one for each of 3 rays, got 2"),
-    ({"bodyexclude": (0, 1, 99)}, "bodyexclude must be a body from 0 to 2, or -1, got 99"),
+    ({"bodyexclude": (0, 1, 99)}, r"bodyexclude must be in \[-1, 2\], got \(0, 1, 99\)"),
     ({"max_distance": 0.0}, "max_distance must be positive"),
   ],
 )
 def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str) -> None:
   sim = build(rough_ground(), "native")
-  with pytest.raises(SimulationError, match=message):
+  with pytest.raises(MjlabError, match=message):
     sim.make_ray_caster(3, **options)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,7 +30,7 @@ from mjlab_terrain import (
   WavesCfg,
   all_types,
 )
-from mjlab_terrain.merging import merge_boxes
+from mjlab_terrain.assembly import merge_boxes
 
 
 def added(cfg: TerrainGridCfg) -> tuple[mujoco.MjModel, mujoco.MjData, Terrain]:
@@ -49,12 +48,10 @@ def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> fl
   return 9.0 - mujoco.mj_ray(model, data, np.array([x, y, 9.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
 
 
-def test_a_grid_of_ten_by_twenty_builds_in_under_five_seconds() -> None:
-  # Of this process alone: others may be busy.
-  start = time.process_time()
+def test_a_grid_of_ten_by_twenty_has_few_geoms() -> None:
   model, _, terrain = added(TerrainGridCfg(types=all_types(), rows=10, columns=20))
-  assert time.process_time() - start < 5.0
   assert terrain.origins.shape == (10, 20, 3)
+  assert model.ngeom < 6500
   assert model.ngeom == len(terrain.geom_names) == len(set(terrain.geom_names))
 
 
@@ -108,10 +105,11 @@ def test_a_tile_does_not_depend_on_the_others() -> None:
   large = TerrainGridCfg(types={"flat": FlatCfg(), "rough": RandomRoughCfg()}, rows=3, difficulty=(1.0, 1.0)).tiles()
   # Row 1 of the only column, and row 1 of the first column.
   assert len(small) == 3
-  assert large[2].tile.boxes
+  assert large[2].tile.solids
   again = TerrainGridCfg(types={"rough": RandomRoughCfg()}, rows=9, difficulty=(1.0, 1.0)).tiles()
-  np.testing.assert_array_equal(small[1].tile.fields[0].heights, again[1].tile.fields[0].heights)
-  assert not np.array_equal(small[1].tile.fields[0].heights, small[2].tile.fields[0].heights)
+  first, same, other = (vars(p.tile.solids[0])["heights"] for p in (small[1], again[1], small[2]))
+  np.testing.assert_array_equal(first, same)
+  assert not np.array_equal(first, other)
 
 
 def test_a_curriculum_has_columns_by_share_and_rows_by_difficulty() -> None:
@@ -278,7 +276,8 @@ def test_flat_patches_are_level_on_the_surface_and_on_their_tile(size: tuple[flo
     for place in places[row, column]:
       assert ground(model, data, place[0], place[1]) == pytest.approx(place[2], abs=1e-6)
       assert (np.abs(place[:2] - center) <= 0.5 * np.array(size) - 0.25 + 1e-9).all()
-      for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
+      # Turned a little, so that no ray follows the edge between two boxes.
+      for angle in 0.1 + np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
         there = ground(model, data, place[0] + 0.24 * np.cos(angle), place[1] + 0.24 * np.sin(angle))
         assert there == pytest.approx(place[2], abs=0.055)
   assert (terrain.flat_patches["low"][..., 2] <= 1e-9).all()
@@ -364,21 +363,24 @@ def test_a_bad_type_is_refused_by_name_and_leaves_the_model_alone(tile: TileCfg,
     ({"types": {}}, "types is empty"),
     ({"types": {"a": FlatCfg(share=0.0)}}, "the shares of a sum to 0; give one of them a share of 1"),
     ({"types": {"a": FlatCfg(), "b": FlatCfg()}, "columns": 1}, "at least 2 would work"),
-    ({"rows": 0}, "rows must be at least 1, got 0"),
+    ({"rows": 0}, "rows 0 must be at least 1; 1 would work"),
     ({"rows": 2.0}, "rows must be a whole number, got 2.0"),
     ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
-    ({"tile_size": (8.0, 0.0)}, "tile_size must be two lengths of at least 0.5 m"),
-    ({"layout": "curiculum"}, "layout 'curiculum' does not exist; there are 'curriculum' and 'random'"),
-    ({"difficulty": (0.5, 1.5)}, r"\(0.0, 1.0\) would work"),
-    ({"difficulty": (1.0, 0.0)}, "must go up"),
-    ({"seed": -3}, "seed must not be negative, got -3; 3 would work"),
-    ({"border_width": -1.0}, "border_width must be 0 or at least 0.05 m"),
+    ({"tile_size": (8.0, 0.0)}, r"tile_size \(8.0, 0.0\) must be at least 0.5; \(8.0, 0.5\) would work"),
+    ({"tile_size": 8.0}, r"tile_size must be \(2 numbers\), got 8.0"),
+    ({"columns": 0}, "columns 0 must be at least 1; 1 would work"),
+    ({"layout": "curiculum"}, "layout must be 'curriculum' or 'random', got 'curiculum'"),
+    ({"difficulty": (0.5, 1.5)}, r"between 0 and 1; \(0.5, 1.0\) would work"),
+    ({"difficulty": (1.0, 0.0)}, "must go from low to high"),
+    ({"seed": -3}, "seed -3 must be at least 0; 0 would work"),
+    ({"border_width": -1.0}, "border_width -1.0 must be at least 0; 0"),
+    ({"border_width": 0.01}, "border_width must be 0 or at least 0.05 m"),
     ({"color": "hight"}, "color must be 'height', 'type' or three numbers"),
-    ({"friction": (-1.0, 0.0, 0.0)}, "friction must not be negative"),
+    ({"friction": (-1.0, 0.0, 0.0)}, r"friction \(-1.0, 0.0, 0.0\) must be at least 0"),
     ({"name": ""}, "name must not be empty"),
     ({"flat_patches": {"p": FlatPatchCfg(radius=5.0)}}, "FlatPatchCfg 'p': radius 5 m does not fit.*at most 4 m"),
     ({"flat_patches": {"p": FlatPatchCfg(x_range=(5.0, 6.0))}}, "x_range .* centres can be from -3.5 to 3.5 m"),
-    ({"flat_patches": {"p": FlatPatchCfg(count=0)}}, "count must be at least 1"),
+    ({"flat_patches": {"p": FlatPatchCfg(count=0)}}, "FlatPatchCfg 'p': count 0 must be at least 1"),
   ],
 )
 def test_a_bad_grid_is_refused_with_what_would_work(change: dict[str, Any], message: str) -> None:
@@ -435,6 +437,8 @@ class Holey(TileCfg):
     (lambda tile: tile.heights(np.full((5, 5), np.nan)), "heights must be .* finite"),
     (lambda tile: tile.heights(np.arange(5.0)[None]), r"at least \(2, 2\).* got \(1, 5\)"),
     (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), "is not finite"),
+    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, np.nan, (0.0, 0.0)), "is not finite"),
+    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), "a prism is 0.02 m thin"),
   ],
 )
 def test_geometry_that_is_none_is_refused_where_it_is_made(build: Callable[[Tile], None], message: str) -> None:

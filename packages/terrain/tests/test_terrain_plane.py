@@ -80,8 +80,8 @@ def test_adding_it_twice_is_an_error_by_name() -> None:
   ("cfg", "message"),
   [
     (PlaneCfg(name=""), "name must not be empty"),
-    (PlaneCfg(friction=(-0.1, 0.0, 0.0)), "friction must not be negative"),
-    (PlaneCfg(square=0.0), "square must be a positive length"),
+    (PlaneCfg(friction=(-0.1, 0.0, 0.0)), r"friction \(-0.1, 0.0, 0.0\) must be at least 0"),
+    (PlaneCfg(square=0.0), "square 0.0 must be at least 0.001"),
   ],
 )
 def test_a_bad_setting_is_refused_and_leaves_the_model_alone(cfg: PlaneCfg, message: str) -> None:

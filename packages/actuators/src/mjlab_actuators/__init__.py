@@ -1,10 +1,9 @@
-"""Actuator models for batched MuJoCo: native servos, PD laws, motors, networks, wrapped MJCF, delay."""
+"""Actuator models for batched MuJoCo: native servos, PD, motors, networks, wrapped MJCF, delay."""
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup, DelaySettings, fuse
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField, DelaySettings, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
-from mjlab_actuators.actuator_parameter import ActuatorParameter, ParameterName, PerWorldModel
+from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName, PerWorldModel
 from mjlab_actuators.actuator_set import ActuatorSet
-from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
 from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
 from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
@@ -18,7 +17,6 @@ from mjlab_actuators.motor_design import (
   reflected_inertia_of_stages,
   rotary_to_linear,
 )
-from mjlab_actuators.motor_fit import FitError, FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
 from mjlab_actuators.native import (
   NativeMotorActuatorCfg,
   NativePositionActuatorCfg,
@@ -28,7 +26,6 @@ from mjlab_actuators.native import (
 from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
-from mjlab_actuators.records import Records, RecordsError, read_records
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
 
@@ -37,6 +34,7 @@ __all__ = [
   "Actuator",
   "ActuatorCfg",
   "ActuatorCmd",
+  "ActuatorDelay",
   "ActuatorGroup",
   "ActuatorParameter",
   "ActuatorSet",
@@ -46,15 +44,11 @@ __all__ = [
   "DelaySettings",
   "EnvelopedPd",
   "EnvelopedPdActuatorCfg",
-  "FitError",
-  "FitProgress",
   "IdealPd",
   "IdealPdActuatorCfg",
   "LearnedMlp",
   "LearnedMlpActuatorCfg",
   "LinearMotor",
-  "MotorFit",
-  "MotorFitCfg",
   "NativeDcMotorActuatorCfg",
   "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
@@ -66,8 +60,6 @@ __all__ = [
   "PdGains",
   "PerTarget",
   "PerWorldModel",
-  "Records",
-  "RecordsError",
   "SiteGear",
   "Target",
   "TorqueSpeedEnvelope",
@@ -75,14 +67,11 @@ __all__ = [
   "XmlActuatorCfg",
   "clip_to_dc_motor",
   "command_fields_of",
-  "fit_motor",
   "fuse",
   "gains_from_frequency",
   "radians_per_second",
-  "read_records",
   "reflected_inertia",
   "reflected_inertia_of_stages",
-  "require_matplotlib",
   "rotary_to_linear",
   "targets_of",
   "targets_with_actuator",

@@ -1,21 +1,45 @@
-"""The base of all laws: what is computed, and how groups of one law become one computation."""
+"""Base of all actuator models, and the fusion of groups of one model into one computation."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from mjlab_core.buffers import DelayBuffer
+from mjlab_core.errors import MjlabError
 from mjlab_core.state import Stateful
 
-from mjlab_actuators.command import ActuatorCmd, CommandField
 from mjlab_actuators.transmission import Target
+
+CommandField = Literal["position_target", "velocity_target", "effort_target"]
+"""One of the three targets of a joint, tendon or site."""
+
+COMMAND_FIELDS: tuple[CommandField, ...] = ("position_target", "velocity_target", "effort_target")
+
+
+@dataclass(slots=True)
+class ActuatorCmd:
+  """Targets and measurements of n joints, tendons or sites, one column each.
+
+  Lengths are those of the target: metres for slides, radians for hinges; efforts are newtons or newton metres.
+  """
+
+  position_target: torch.Tensor
+  """Wanted position, (num_envs, n) [m or rad]."""
+  velocity_target: torch.Tensor
+  """Wanted velocity, (num_envs, n) [m/s or rad/s]."""
+  effort_target: torch.Tensor
+  """Feed-forward effort, (num_envs, n) [N or N m]."""
+  position: torch.Tensor
+  """Measured position, (num_envs, n) [m or rad]."""
+  velocity: torch.Tensor
+  """Measured velocity, (num_envs, n) [m/s or rad/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DelaySettings:
-  """How late set-points arrive, in physics substeps."""
+  """Delay of targets, in physics substeps."""
 
   min_lag: int = 0
   max_lag: int = 0
@@ -25,26 +49,26 @@ class DelaySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorGroup:
-  """Targets that one law drives, before any tensor exists. Groups with equal `key` are concatenated by `fuse`."""
+  """Targets that one actuator model drives, before any tensor exists; `fuse` joins groups with equal `key`."""
 
-  law: type["Actuator"]
+  actuator_model: type["Actuator"]
   """The runtime class."""
   targets: tuple[Target, ...]
   """One per column; a target appears twice when two elements of a wrapped MJCF act on one joint."""
   command_fields: tuple[CommandField, ...]
-  """Set-points that the law reads; these, and never the measurements, are delayed."""
+  """Targets that the actuator model reads; these, and never the measurements, are delayed."""
   parameters: Mapping[str, tuple[float, ...]]
-  """Constants of the law, one number per column each."""
+  """Constants of the actuator model, one number per column each."""
   delay: DelaySettings = DelaySettings()
   ctrl_ids: tuple[int, ...] = ()
-  """Model ctrl index of each column; empty for a law that is used without a model."""
+  """Model ctrl index of each column; empty without a MuJoCo model."""
   settings: Hashable = None
-  """What the law needs to know beside numbers, alike for all columns."""
+  """Options of the actuator model that are not numbers per column."""
 
   @property
   def key(self) -> tuple[object, ...]:
     """Groups that agree in this are one computation."""
-    return (self.law, self.command_fields, self.delay, tuple(self.parameters), self.settings)
+    return (self.actuator_model, self.command_fields, self.delay, tuple(self.parameters), self.settings)
 
   @property
   def target_names(self) -> tuple[str, ...]:
@@ -52,7 +76,7 @@ class ActuatorGroup:
     return tuple(target.name for target in self.targets)
 
   def reordered(self, order: Sequence[int]) -> "ActuatorGroup":
-    """The same group with column i taken from column `order[i]`."""
+    """Return the same group with column i taken from column `order[i]`."""
     return replace(
       self,
       targets=tuple(self.targets[i] for i in order),
@@ -62,10 +86,9 @@ class ActuatorGroup:
 
 
 def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
-  """One group per law, its settings and its delay; columns keep the order in which they are given.
+  """Return one group per actuator model, settings and delay; columns keep the order in which they are given.
 
-  This happens before tensors and delay buffers are made, so nothing is allocated twice and laws that remember something
-  fuse as well as those that do not.
+  This happens before tensors and delay buffers are made, so nothing is allocated twice and models with memory fuse too.
   """
   by_key: dict[tuple[object, ...], list[ActuatorGroup]] = {}
   for group in groups:
@@ -87,22 +110,20 @@ def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
 
 
 class Actuator(Stateful, ABC):
-  """A law from set-points and measurements to ctrl, for all worlds and all its targets at once.
+  """Actuator model: from targets and measurements to ctrl, for all worlds and all its targets at once.
 
   Subclasses implement `compute` by the rules of the captured step: fixed memory, masks, no host reads. Their constants
   arrive as attributes named like the parameters, shaped (1, n), or (num_envs, n) after `expand`.
   """
 
-  _children = ("delay",)
-
   needs_feedback: ClassVar[bool] = True
-  """Whether `compute` reads `position` and `velocity`."""
+  """True if `compute` reads `position` and `velocity`."""
 
   effort_limits: ClassVar[tuple[str, ...]] = ("effort_limit",)
-  """Parameters that bound the effort, those that the law has."""
+  """Parameters that bound the effort, those that the model has."""
 
   delay: DelayBuffer | None
-  """Memory of late set-points; None without delay."""
+  """Memory of delayed targets; None without delay."""
 
   def __init__(
     self,
@@ -113,7 +134,7 @@ class Actuator(Stateful, ABC):
     dtype: torch.dtype,
     generator: torch.Generator | None = None,
   ) -> None:
-    self.num_envs = num_envs
+    self.num_envs, self.device = num_envs, torch.device(device)
     self.group = group
     self.target_names = group.target_names
     self._expanded: set[str] = set()
@@ -138,52 +159,47 @@ class Actuator(Stateful, ABC):
 
   @abstractmethod
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
-    """Ctrl of this substep, (num_envs, n); advances the delay by exactly one substep."""
+    """Return ctrl of this substep, (num_envs, n); advance the delay by exactly one substep."""
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
-    """Forgets what was commanded before: the whole delay of masked worlds becomes the set-points of `cmd`.
+    """Forget earlier targets: fill the whole delay of masked worlds with the targets of `cmd`.
 
     Args:
       mask: Worlds to reset, (num_envs,) bool. All others stay bit-identical.
-      cmd: Set-points to start from, in all worlds; measurements are not read.
+      cmd: Targets to start from, in all worlds; measurements are not read.
     """
     if self.delay is not None:
       self.delay.fill(mask, self._stacked(cmd))
 
   def expand(self, name: str) -> torch.Tensor:
-    """The parameter `name` with one row per world, (num_envs, n), to be written in place from then on.
+    """Return the parameter `name` with one row per world, (num_envs, n), to be written in place from then on.
 
-    Belongs before the step is recorded: the first call replaces the tensor.
+    Call it before the step is recorded: the first call replaces the tensor.
 
     Raises:
-      ValueError: This law has no such parameter.
+      MjlabError: This actuator model has no such parameter.
     """
     values = self._parameter(name)
-    self._expanded.add(name)
-    if values.shape[0] != self.num_envs:
-      values = values.repeat(self.num_envs, 1)
+    if name not in self._expanded:
+      self._expanded.add(name)
+      values = self.state_of(values.repeat(self.num_envs // values.shape[0], 1))
       setattr(self, name, values)
     return values
 
   def nominal(self, name: str) -> torch.Tensor:
-    """The configured value of the parameter `name`, (1, n), whatever was written since.
+    """Return the configured value of the parameter `name`, (1, n), whatever was written since.
 
     Raises:
-      ValueError: This law has no such parameter.
+      MjlabError: This actuator model has no such parameter.
     """
     values = self._parameter(name)
     return torch.tensor([self.group.parameters[name]], device=values.device, dtype=values.dtype)
 
-  def _state_tensors(self) -> dict[str, torch.Tensor]:
-    # What was configured is no state, although with a single world it has one row per world.
-    configured = self.group.parameters.keys() - self._expanded
-    return {name: tensor for name, tensor in super()._state_tensors().items() if name not in configured}
-
   def _parameter(self, name: str) -> torch.Tensor:
     if name not in self.group.parameters:
-      raise ValueError(
+      raise MjlabError(
         f"{type(self).__name__}: parameter {name!r} does not exist; "
-        f"this law has: {', '.join(self.group.parameters) or 'none'}"
+        f"this actuator model has: {', '.join(self.group.parameters) or 'none'}"
       )
     return getattr(self, name)
 
@@ -192,7 +208,7 @@ class Actuator(Stateful, ABC):
     return fields[0] if len(fields) == 1 else torch.stack(fields, dim=1)
 
   def _delayed_targets(self, cmd: ActuatorCmd) -> tuple[torch.Tensor, ...]:
-    """The set-points named by `command_fields`, as late as configured, (num_envs, n) each. Call once a substep."""
+    """Return the targets named by `command_fields`, delayed as configured, (num_envs, n) each. Call once a substep."""
     if self.delay is None:
       return tuple(getattr(cmd, field) for field in self.group.command_fields)
     late = self.delay.push(self._stacked(cmd))

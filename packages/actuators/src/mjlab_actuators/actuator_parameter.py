@@ -1,13 +1,14 @@
-"""Gains and effort limits of chosen targets, wherever they live: in a law's tensors, or in fields of the model."""
+"""Gains, effort limits and delays of chosen targets: in tensors of actuator models, or in fields of MjModel."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args
 
 import mujoco
 import torch
-from mjlab_core.masking import where_
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.indexing import where_
 from mjlab_core.names import match_names, unknown
 
 from mjlab_actuators.actuator import Actuator
@@ -16,7 +17,7 @@ from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission
 
 ParameterName = Literal["stiffness", "damping", "effort_limit"]
-"""What can be scaled, whichever law an actuator has."""
+"""Parameter of an actuator model."""
 
 # Where MuJoCo keeps the gains of controllers.
 _DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm", 6)}
@@ -24,7 +25,7 @@ _PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)
 
 
 class PerWorldModel(Protocol):
-  """What is asked of a simulation of `num_envs` worlds."""
+  """Model fields of a simulation of `num_envs` worlds."""
 
   @property
   def num_envs(self) -> int: ...
@@ -43,7 +44,7 @@ class PerWorldModel(Protocol):
 
 @dataclass(frozen=True)
 class _Place:
-  """Numbers that are multiplied by the factor of one target: of a law, or of a model field."""
+  """Number that is multiplied by the factor of one target: of an actuator model, or of a model field."""
 
   owner: Actuator | None
   name: str
@@ -62,11 +63,14 @@ class ActuatorParameter:
   """
 
   targets: tuple[Target, ...]
-  """What is scaled, in the order of columns."""
-  nominal: torch.Tensor
+  """Targets in the order of columns."""
+  names: tuple[str, ...]
+  """Names of the targets."""
+  default: torch.Tensor
   """Configured values, (1, num_targets) [the parameter's unit]."""
-  written: dict[tuple[str, int], Target]
-  """Whose number is written, by field of the model and column of the field's flattened rows."""
+  claims: dict[tuple[str, Hashable], str]
+  """Descriptions of the numbers that are written: by the parameter and its target, and by model field and column of its
+  flattened rows."""
 
   def __init__(
     self,
@@ -76,17 +80,16 @@ class ActuatorParameter:
     patterns: str | Sequence[str] = ".*",
     transmission: Transmission = "joint",
   ) -> None:
-    """Finds the parameter `name` of all targets of one transmission that a pattern matches as a whole.
+    """Find the parameter `name` of all targets of one transmission that a pattern matches as a whole.
 
     Raises:
-      NameMatchError: A pattern matches nothing that is driven.
-      ValueError: A target has no such parameter, or scaling it would change nothing; the message names it.
+      UnknownNameError: A pattern matches nothing that is driven.
+      MjlabError: A target has no such parameter, or scaling it would change nothing; the message names it.
     """
     if name not in get_args(ParameterName):
-      raise ValueError(unknown("actuator parameter", name, get_args(ParameterName), owner=actuators.owner))
-    what = f"driven {transmission}"
-    _, names = match_names(patterns, actuators.driven(transmission), what=what, owner=actuators.owner)
-    self.name, self.targets = name, tuple(Target(transmission, target) for target in names)
+      raise UnknownNameError(unknown("actuator parameter", name, get_args(ParameterName), owner=actuators.owner))
+    self.name, self.targets = name, _matched(actuators, patterns, transmission)
+    self.names = tuple(target.name for target in self.targets)
     self._sim = sim
     self._places: dict[tuple[Actuator | None, str], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
     found: dict[tuple[Actuator | None, str], list[_Place]] = defaultdict(list)
@@ -96,8 +99,9 @@ class ActuatorParameter:
       nominal.append(value)
       for place in places:
         found[place.owner, place.name].append(place)
-    self.written = {
-      (field, place.column): self.targets[place.target]
+    self.claims = _claims(name, self.targets)
+    self.claims |= {
+      (field, place.column): f"{field} of {_described(self.targets[place.target])}"
       for (owner, field), places in found.items()
       for place in places
       if owner is None
@@ -111,18 +115,18 @@ class ActuatorParameter:
       of_target = torch.tensor([place.target for place in places], device=sim.device)
       self._places[owner, field] = (columns, of_target, default.reshape(1, -1).index_select(1, columns))
     dtype = next(iter(self._places.values()))[2].dtype
-    self.nominal = torch.tensor([nominal], device=sim.device, dtype=dtype)
+    self.default = torch.tensor([nominal], device=sim.device, dtype=dtype)
 
   def scale(self, factor: torch.Tensor, mask: torch.Tensor) -> None:
-    """Writes `factor`, (num_envs, num_targets), times what was configured, into worlds of `mask`, bool (num_envs,)."""
+    """Write `factor`, (num_envs, num_targets), times what was configured, into worlds of `mask`, bool (num_envs,)."""
     for (owner, field), (columns, of_target, default) in self._places.items():
       values = default * factor.index_select(1, of_target)
       flat = self._flat(owner, field)
       flat.index_copy_(1, columns, where_(flat.index_select(1, columns), mask, values))
 
   def factors(self) -> torch.Tensor:
-    """What every target is scaled by now, (num_envs, num_targets), in new memory."""
-    out = self.nominal.new_ones(self._sim.num_envs, len(self.targets))
+    """Return the present factor of every target, (num_envs, num_targets), in new memory."""
+    out = self.default.new_ones(self._sim.num_envs, len(self.targets))
     for (owner, field), (columns, of_target, default) in self._places.items():
       # Zeros stay zeros: the factor is seen where its target has another number.
       seen = default[0] != 0.0
@@ -130,26 +134,105 @@ class ActuatorParameter:
       out.index_copy_(1, of_target[seen], ratio.to(out.dtype))
     return out
 
+  def values(self) -> torch.Tensor:
+    """Return the present values of all targets, (num_envs, num_targets), in new memory."""
+    return self.factors() * self.default
+
+  def write(self, values: torch.Tensor, mask: torch.Tensor) -> None:
+    """Write values, (num_envs, num_targets), into the worlds of `mask`, bool (num_envs,)."""
+    self.scale(values / self.default, mask)
+
   def _flat(self, owner: Actuator | None, field: str) -> torch.Tensor:
     # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
     return (getattr(self._sim.model, field) if owner is None else getattr(owner, field)).view(self._sim.num_envs, -1)
 
 
+class ActuatorDelay:
+  """Lags of the delayed actuator models of some targets, which worlds keep, through resets too, once they are written.
+
+  Targets of one actuator model and one delay setting share their delay, so patterns name all of them or none.
+  """
+
+  names: tuple[str, ...]
+  """Names of the targets of each delay, joined by commas."""
+  default: torch.Tensor
+  """-1 for each delay, whose lag is drawn as configured, (1, num_delays)."""
+  claims: dict[tuple[str, Hashable], str]
+  """Descriptions of the delays by target."""
+
+  def __init__(
+    self,
+    actuators: ActuatorSet,
+    lag_range: tuple[int, int],
+    patterns: str | Sequence[str] = ".*",
+    transmission: Transmission = "joint",
+  ) -> None:
+    """Find the delays of all targets of one transmission that a pattern matches as a whole.
+
+    Raises:
+      UnknownNameError: a pattern matches nothing that is driven.
+      MjlabError: a target shares its delay with one that is not matched, or cannot have these lags [physics steps].
+    """
+    targets, (lo, hi), owner = _matched(actuators, patterns, transmission), lag_range, actuators.owner
+    models = [model for model in actuators.groups if not set(targets).isdisjoint(model.group.targets)]
+    for model in models:
+      settings, members = model.group.delay, model.group.targets
+      if others := [target.name for target in members if target not in targets]:
+        mine = next(target.name for target in members if target in targets)
+        raise MjlabError(f"{owner}: '{mine}' shares its delay with {', '.join(others)}; name all of them, or none")
+      if not settings.min_lag <= lo <= hi <= settings.max_lag or settings.min_lag == settings.max_lag:
+        raise MjlabError(
+          f"{owner}: lags in [{lo}, {hi}] for '{members[0].name}', whose config has delay_min_lag {settings.min_lag} "
+          f"and delay_max_lag {settings.max_lag}; widen those"
+        )
+    self._delays = [model.delay for model in models if model.delay is not None]
+    self.names = tuple(", ".join(model.target_names) for model in models)
+    self.claims = _claims("delay", targets)
+    device = self._delays[0].device
+    self.default = torch.full((1, len(self._delays)), -1.0, device=device)
+    for delay in self._delays:
+      # The first write allocates memory, which must not happen in a recorded step.
+      delay.pin(torch.zeros(delay.num_envs, dtype=torch.bool, device=device), lo)
+
+  def values(self) -> torch.Tensor:
+    """Return the present lags, (num_envs, num_delays) [physics steps], in new memory."""
+    return torch.stack([delay.lag for delay in self._delays], 1).to(self.default.dtype)
+
+  def write(self, values: torch.Tensor, mask: torch.Tensor) -> None:
+    """Set lags, (num_envs, num_delays) [physics steps], in the worlds of `mask`, bool (num_envs,)."""
+    for delay, lag in zip(self._delays, values.long().unbind(1), strict=True):
+      delay.pin(mask, lag)
+
+
+def _matched(actuators: ActuatorSet, patterns: str | Sequence[str], transmission: Transmission) -> tuple[Target, ...]:
+  what = f"driven {transmission}"
+  _, names = match_names(patterns, actuators.driven(transmission), what=what, owner=actuators.owner)
+  return tuple(Target(transmission, name) for name in names)
+
+
+def _described(target: Target) -> str:
+  return f"{target.transmission} '{target.name}'"
+
+
+def _claims(name: str, targets: Iterable[Target]) -> dict[tuple[str, Hashable], str]:
+  return {(name, target): f"{name} of {_described(target)}" for target in targets}
+
+
 def _find(
   actuators: ActuatorSet, sim: PerWorldModel, name: str, target: Target, index: int
 ) -> tuple[float, list[_Place]]:
-  """Configured value of a parameter of one target, and all places that hold it."""
+  """Return the configured value of a parameter of one target, and all places that hold it."""
   owner = f"{actuators.owner}: {name} of {target.transmission} {target.name!r}".removeprefix(": ")
   value, places, elements = 0.0, [], set()
-  for law in actuators.groups:
-    for column, other in enumerate(law.group.targets):
+  for model in actuators.groups:
+    for column, other in enumerate(model.group.targets):
       if other != target:
         continue
-      element = _element_of(sim.mj_model, law.group.ctrl_ids[column])
-      if not isinstance(law, PassThrough):
-        fields = law.effort_limits if name == "effort_limit" else (name,)
-        values = {field: law.group.parameters[field][column] for field in fields if field in law.group.parameters}
-        numbers = [(number, _Place(law, field, column, index)) for field, number in values.items()]
+      element = _element_of(sim.mj_model, model.group.ctrl_ids[column])
+      if not isinstance(model, PassThrough):
+        fields = model.effort_limits if name == "effort_limit" else (name,)
+        values = {field: model.group.parameters[field][column] for field in fields if field in model.group.parameters}
+        numbers = [(number, _Place(model, field, column, index)) for field, number in values.items()]
       elif element in elements:
         continue
       else:
@@ -158,22 +241,22 @@ def _find(
       places += [place for _, place in numbers]
       value = value or next((number for number, _ in numbers if number != 0.0), 0.0)
   if not places:
-    raise ValueError(f"{owner}: its actuator has none")
+    raise MjlabError(f"{owner}: its actuator has none")
   if value == 0.0 or value == float("inf"):
     why = "is zero" if value == 0.0 else "was not given"
-    raise ValueError(f"{owner}: it {why}, so that scaling it changes nothing")
+    raise MjlabError(f"{owner}: it {why}, so that scaling it changes nothing")
   if name == "effort_limit":
     places += _shared_limits(sim.mj_model, target, elements, index, owner)
   return value, places
 
 
 def _element_of(model: mujoco.MjModel, ctrl: int) -> int:
-  """The actuator that an index into ctrl belongs to."""
+  """Return the actuator that an index into ctrl belongs to."""
   return int((model.actuator_ctrladr <= ctrl).nonzero()[0][-1])
 
 
 def _in_model(model: mujoco.MjModel, name: str, element: int, index: int) -> list[tuple[float, _Place]]:
-  """Values and places of a parameter of an actuator whose law runs in MuJoCo; none where it has no such parameter."""
+  """Return values and places of a parameter of an actuator that MuJoCo computes; none if it has no such parameter."""
   fields: list[tuple[str, int]] = []
   kind, bias = mujoco.mjtGain(model.actuator_gaintype[element]), mujoco.mjtBias(model.actuator_biastype[element])
   gain, on_length, on_velocity = model.actuator_gainprm[element, 0], *model.actuator_biasprm[element, 1:3]
@@ -195,7 +278,7 @@ def _in_model(model: mujoco.MjModel, name: str, element: int, index: int) -> lis
 
 
 def _shared_limits(model: mujoco.MjModel, target: Target, elements: set[int], index: int, owner: str) -> list[_Place]:
-  """Places of the limit on all actuators of a joint or tendon together, if it has one."""
+  """Return the places of the limit on all actuators of a joint or tendon together, if it has one."""
   if target.transmission == "site":
     return []
   row = int(model.actuator_trnid[next(iter(elements)), 0])
@@ -205,7 +288,7 @@ def _shared_limits(model: mujoco.MjModel, target: Target, elements: set[int], in
     return []
   same = (model.actuator_trntype == model.actuator_trntype[next(iter(elements))]) & (model.actuator_trnid[:, 0] == row)
   if int(same.sum()) > 1:
-    raise ValueError(
+    raise MjlabError(
       f"{owner}: {int(same.sum())} actuators share its actuatorfrcrange, so that one of them cannot be scaled alone"
     )
   return [_Place(None, field, 2 * row + side, index) for side in range(2)]

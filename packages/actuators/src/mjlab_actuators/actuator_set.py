@@ -1,16 +1,16 @@
-"""All actuators of one entity: from set-points to the entity's part of ctrl, once a substep."""
+"""All actuators of one entity: from targets to the entity's part of ctrl, once a substep."""
 
 import re
 from collections.abc import Sequence
 
 import mujoco
 import torch
-from mjlab_core.names import NameMatchError
-from mjlab_core.state import Stateful
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.indexing import as_slice
+from mjlab_core.state import Stateful, StatefulDict
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup, fuse
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg
-from mjlab_actuators.command import ActuatorCmd
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, acts_on, actuators_of, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, targets_with_actuator
@@ -19,28 +19,24 @@ _Names = dict[Transmission, list[str]]
 
 
 class ActuatorSet(Stateful):
-  """Builds, fuses and runs the actuators of an entity.
+  """Actuators of an entity, built, fused and run together.
 
   `edit_spec` before the model is compiled, `build` after, then `compute` in every substep and `reset` for worlds that
-  start anew. Set-points and measurements have one column per target: the entity's joints, in the order given to
+  start anew. Targets and measurements have one column per driven element: the entity's joints, in the order given to
   `build`, then the tendons and then the sites that are driven, in the model's order. Where each command goes in ctrl is
   a map made at build by name, so the order of MuJoCo's elements, of the configs and of the joints may all differ.
 
   Attributes, after `build`:
-    groups: The runtime laws, one per law and delay setting.
-    targets: What the set-point columns belong to.
+    groups: The actuator models, one per class, settings and delay.
+    targets: Joints, tendons and sites of the columns.
     ctrl_ids: Indices into the model's ctrl that this set drives, ascending.
     ctrl_targets: Name of the target of each driven ctrl, in the order of `ctrl_ids`.
     site_outputs: For each driven site, where `actuator_length` and `actuator_velocity` hold its position and velocity
       along the wrench.
     ctrl: Commands of the last substep, (num_envs, len(ctrl_ids)), fixed memory; a view of the simulation's ctrl where
       `build` was given that and the driven indices are contiguous.
-    needs_feedback: Whether any law reads measurements; if not, `compute` may be given any tensors for them.
+    needs_feedback: True if any actuator model reads measurements; if not, `compute` may be given any tensors for them.
   """
-
-  _children = ("groups",)
-  # Rewritten in every substep before anybody reads it.
-  _constants = frozenset({"ctrl"})
 
   groups: tuple[Actuator, ...]
   targets: tuple[Target, ...]
@@ -51,20 +47,20 @@ class ActuatorSet(Stateful):
   needs_feedback: bool
 
   def __init__(self, cfgs: Sequence[ActuatorCfg], owner: str = "") -> None:
-    """`owner` names whose actuators these are in messages, e.g. "entity 'robot'"."""
+    """Keep the configs; `owner` names the entity in messages, e.g. "entity 'robot'"."""
     self.cfgs = tuple(cfgs)
     self.owner = owner
 
   def edit_spec(self, spec: mujoco.MjSpec, target_names: Sequence[str] | None = None) -> None:
-    """Adds the configured MuJoCo actuators and joint properties, after the actuators that the MJCF declares.
+    """Add the configured MuJoCo actuators and joint properties, after the actuators that the MJCF declares.
 
     Args:
       spec: The entity alone, its names without prefix.
       target_names: Joints that patterns may match; None for all hinges and slides.
 
     Raises:
-      NameMatchError: A pattern matches nothing of its kind; the message says so where it fits another kind.
-      ValueError: A number is impossible, or a target is driven twice.
+      UnknownNameError: A pattern matches nothing of its kind; the message says so where it fits another kind.
+      MjlabError: A number is impossible, or a target is driven twice.
     """
     names = self._candidates(spec, target_names)
     actuated: _Names = {
@@ -86,23 +82,23 @@ class ActuatorSet(Stateful):
     prefix: str = "",
     ctrl: torch.Tensor | None = None,
   ) -> "ActuatorSet":
-    """Makes the laws and their memory for a compiled model.
+    """Make the actuator models and their memory for a compiled model.
 
     Args:
       model: The compiled model, of this entity alone or of a whole scene.
       target_names: Joints of the first columns, without prefix; None for all hinges and slides.
       num_envs: Number of worlds.
-      device: Where set-points and ctrl live.
-      dtype: Type of set-points and ctrl.
+      device: Device of targets and ctrl.
+      dtype: Type of targets and ctrl.
       generator: Source of delay lags; None takes torch's global one.
-      prefix: What the scene puts before the entity's names, such as "robot/".
+      prefix: Prefix that the scene puts before the entity's names, such as "robot/".
       ctrl: The simulation's ctrl, (num_envs, model.nu), to be written into; None keeps the commands in `self.ctrl`.
 
     Returns:
       Itself.
 
     Raises:
-      ValueError: An actuator is missing in the model, or is driven by two configs.
+      MjlabError: An actuator is missing in the model, or is driven by two configs.
     """
     self.num_envs = num_envs
     names = self._candidates(model, target_names, prefix)
@@ -127,24 +123,25 @@ class ActuatorSet(Stateful):
     self._place_ctrl(ctrl, device=device, dtype=dtype)
     column = {target: index for index, target in enumerate(self.targets)}
     position = {index: place for place, index in enumerate(self.ctrl_ids)}
-    laws, self._routes = [], []
+    actuators, self._routes = [], []
     for group in fuse(groups):
       # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
       # columns are plain slices when they keep the order of the targets.
       order = sorted(
         range(len(group.targets)),
         key=group.ctrl_ids.__getitem__
-        if issubclass(group.law, PassThrough)
+        if issubclass(group.actuator_model, PassThrough)
         else [column[target] for target in group.targets].__getitem__,
       )
       group = group.reordered(order)
-      law = group.law(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
-      laws.append(law)
+      actuator = group.actuator_model(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+      actuators.append(actuator)
       columns = [column[target] for target in group.targets]
       places = [position[index] for index in group.ctrl_ids]
-      self._routes.append(_Route(law, columns, places, len(self.targets), self.ctrl))
-    self.groups = tuple(laws)
-    self.needs_feedback = any(law.needs_feedback for law in laws)
+      self._routes.append(_Route(actuator, columns, places, len(self.targets), self.ctrl))
+    self.groups = tuple(actuators)
+    self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(actuators)})
+    self.needs_feedback = any(actuator.needs_feedback for actuator in actuators)
     return self
 
   def compute(
@@ -155,13 +152,19 @@ class ActuatorSet(Stateful):
     position: torch.Tensor,
     velocity: torch.Tensor,
   ) -> torch.Tensor:
-    """Commands of this substep, (num_envs, len(ctrl_ids)), in `self.ctrl` and in the ctrl given to `build`.
+    """Return the commands of this substep, (num_envs, len(ctrl_ids)), in `self.ctrl` and in the ctrl given to `build`.
 
-    To be called exactly once a substep: it advances delays. All arguments are (num_envs, len(targets)).
+    Call it exactly once a substep: it advances delays. All arguments are (num_envs, len(targets)).
     """
-    cmd = ActuatorCmd(position_target, velocity_target, effort_target, position, velocity)
+    targets = (position_target, velocity_target, effort_target)
+    cmd: ActuatorCmd | None = None
     for route in self._routes:
-      route.run(cmd)
+      if route.gather is None:
+        cmd = ActuatorCmd(*targets, position, velocity) if cmd is None else cmd
+        route.run(cmd)
+      else:
+        field, index, into = route.gather
+        torch.index_select(targets[field], 1, index, out=into)
     if self._scatter is not None:
       target, ids = self._scatter
       target.index_copy_(1, ids, self.ctrl)
@@ -174,7 +177,7 @@ class ActuatorSet(Stateful):
     velocity_target: torch.Tensor,
     effort_target: torch.Tensor,
   ) -> None:
-    """Starts masked worlds as if these set-points, (num_envs, len(targets)), had always been given.
+    """Start masked worlds as if these targets, (num_envs, len(targets)), had always been given.
 
     Time does not pass: nothing is pushed, and worlds outside `mask` (num_envs,) stay bit-identical. The entity gives
     its default pose, so that a delayed robot holds it rather than driving to zero.
@@ -186,37 +189,37 @@ class ActuatorSet(Stateful):
 
   @property
   def target_names(self) -> tuple[str, ...]:
-    """Names of the set-point columns."""
+    """Names of the columns."""
     return tuple(target.name for target in self.targets)
 
   def driven(self, transmission: Transmission) -> tuple[str, ...]:
-    """Names of the joints, tendons or sites that an actuator drives, in the order of their columns."""
+    """Return the names of the joints, tendons or sites that an actuator drives, in the order of their columns."""
     return self._driven[transmission]
 
   def _candidates(
     self, source: mujoco.MjSpec | mujoco.MjModel, joints: Sequence[str] | None, prefix: str = ""
   ) -> _Names:
-    """What patterns may match, by kind."""
+    """Return the names that patterns may match, by kind."""
     names: _Names = {kind: targets_of(source, kind, prefix) for kind in TRANSMISSIONS}
     if joints is not None:
       names["joint"] = list(joints)
     return names
 
   def _match(self, cfg: ActuatorCfg, names: _Names, actuated: _Names) -> list[str]:
-    """What `cfg` drives; `actuated` are the names that have an actuator in the MJCF."""
+    """Return the names that `cfg` drives; `actuated` are the names that have an actuator in the MJCF."""
     candidates = names.get(cfg.transmission_type, [])
     try:
       if isinstance(cfg, XmlActuatorCfg):
         return cfg.match(candidates, self.owner, actuated.get(cfg.transmission_type))
       return cfg.match(candidates, self.owner)
-    except NameMatchError as error:
+    except UnknownNameError as error:
       if isinstance(error.__cause__, re.error):
         raise
       lost = [p for p in cfg.target_names_expr if not any(re.fullmatch(p, name) for name in candidates)]
       for kind in TRANSMISSIONS:
         meant = [name for name in names[kind] if any(re.fullmatch(p, name) for p in lost)]
         if kind != cfg.transmission_type and meant:
-          raise NameMatchError(f"{error} There is a {kind} {meant[0]!r}: transmission_type={kind!r}?") from error
+          raise UnknownNameError(f"{error} There is a {kind} {meant[0]!r}: transmission_type={kind!r}?") from error
       raise
 
   def _groups(self, model: mujoco.MjModel, names: _Names, prefix: str) -> list[ActuatorGroup]:
@@ -247,41 +250,42 @@ class ActuatorSet(Stateful):
 
 
 class _Route:
-  """The way of one fused law from the set-point columns into ctrl."""
+  """Path of one fused actuator model from the columns of targets into ctrl."""
 
   def __init__(
-    self, law: Actuator, columns: Sequence[int], places: Sequence[int], num_targets: int, ctrl: torch.Tensor
+    self, actuator: Actuator, columns: Sequence[int], places: Sequence[int], num_targets: int, ctrl: torch.Tensor
   ) -> None:
-    self._law = law
+    self._actuator = actuator
     self._all = list(columns) == list(range(num_targets))
-    self._slice = _as_slice(columns)
+    self._slice = as_slice(columns)
     self._index = torch.tensor(columns, device=ctrl.device)
-    place = _as_slice(places)
+    place = as_slice(places)
     self._ctrl = ctrl
     self._into = ctrl[:, place] if place is not None else None
     self._places = torch.tensor(places, device=ctrl.device)
-    self._direct = isinstance(law, PassThrough) and law.delay is None and self._into is not None
-    self._fields = law.group.command_fields
+    is_plain = isinstance(actuator, PassThrough) and not actuator.is_geared and actuator.delay is None
+    self._fields = actuator.group.command_fields
+    self.gather: tuple[int, torch.Tensor, torch.Tensor] | None = None
+    """For targets that go to ctrl as they are: the index in `COMMAND_FIELDS`, their columns, and where they go."""
+    if is_plain and self._into is not None and not self._all:
+      self.gather = (COMMAND_FIELDS.index(self._fields[0]), self._index, self._into)
 
   def run(self, cmd: ActuatorCmd) -> None:
-    if self._direct and self._into is not None and not self._all:
-      torch.index_select(getattr(cmd, self._fields[0]), 1, self._index, out=self._into)
-      return
-    value = self._law.compute(self._select(cmd))
+    value = self._actuator.compute(self._select(cmd))
     if self._into is not None:
       self._into.copy_(value)
     else:
       self._ctrl.index_copy_(1, self._places, value)
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
-    if self._law.delay is not None or type(self._law).reset is not Actuator.reset:
-      self._law.reset(mask, self._select(cmd))
+    if self._actuator.delay is not None or type(self._actuator).reset is not Actuator.reset:
+      self._actuator.reset(mask, self._select(cmd))
 
   def _select(self, cmd: ActuatorCmd) -> ActuatorCmd:
-    """The columns of this law; fields that it does not read are handed over whole."""
+    """Return the columns of this actuator model; fields that it does not read are handed over whole."""
     if self._all:
       return cmd
-    fields = (*self._fields, "position", "velocity") if self._law.needs_feedback else self._fields
+    fields = (*self._fields, "position", "velocity") if self._actuator.needs_feedback else self._fields
     selected = ActuatorCmd(cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity)
     if self._slice is not None:
       for field in fields:
@@ -300,13 +304,8 @@ def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, Ta
   for group in groups:
     for index, target in zip(group.ctrl_ids, group.targets, strict=True):
       if index in target_of:
-        raise ValueError(
+        raise MjlabError(
           f"{owner + ': ' if owner else ''}{target.transmission} {target.name!r} is driven by two actuator configs"
         )
       target_of[index] = target
   return target_of
-
-
-def _as_slice(indices: Sequence[int]) -> slice | None:
-  start = indices[0] if indices else 0
-  return slice(start, start + len(indices)) if list(indices) == list(range(start, start + len(indices))) else None

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
-from mjlab_actuators.actuator import Actuator
-from mjlab_actuators.actuator_cfg import PerTarget
-from mjlab_actuators.command import ActuatorCmd
+from mjlab_actuators.actuator import ActuatorCmd
+from mjlab_actuators.actuator_cfg import EffortLimit, PositivePerTarget
 from mjlab_actuators.ideal_pd import Pd, PdActuatorCfg
 
 
@@ -20,7 +19,7 @@ def clip_to_dc_motor(
   effort_limit: torch.Tensor,
   braking: bool,
 ) -> torch.Tensor:
-  """Limits `effort` in place to what a DC motor at full voltage gives at this velocity, and returns it.
+  """Limit `effort` in place to what a DC motor at full voltage gives at this velocity, and return it.
 
   The voltage balance of a motor, V = i R + K w with effort K i, makes the effort at full voltage a straight line of the
   velocity, from the stall effort S down to zero at the no-load speed W (K. Lynch and F. Park, *Modern Robotics*,
@@ -38,7 +37,7 @@ def clip_to_dc_motor(
     saturation_effort: S, positive and finite, broadcasts to (num_envs, n) [N or N m].
     velocity_limit: W, positive and finite, broadcasts likewise [m/s or rad/s].
     effort_limit: F, positive, infinite without a limit, broadcasts likewise [N or N m].
-    braking: Whether the motor is forced to brake beyond its no-load speed.
+    braking: True if the motor is forced to brake beyond its no-load speed.
   """
   drop = velocity * (saturation_effort / velocity_limit)
   upper = torch.minimum(saturation_effort - drop, effort_limit)
@@ -63,6 +62,7 @@ class DcMotor(Pd):
   """Largest effort of the drive, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    """Return the effort within the bounds of the motor."""
     return clip_to_dc_motor(
       self._wanted(cmd),
       cmd.velocity,
@@ -77,27 +77,24 @@ class DcMotor(Pd):
 class DcMotorActuatorCfg(PdActuatorCfg):
   """PD with feed-forward, limited by the torque-speed line of a DC motor; all on the joint's side of the gearbox."""
 
-  saturation_effort: PerTarget
+  saturation_effort: PositivePerTarget
   """Effort at stall and full voltage [N or N m]."""
-  velocity_limit: PerTarget
+  velocity_limit: PositivePerTarget
   """No-load speed at full voltage [m/s or rad/s]."""
-  effort_limit: PerTarget | None = None
+  effort_limit: EffortLimit = None
   """Largest effort that the drive's current allows, in both senses [N or N m]; None for no limit. It may exceed the
   stall effort: a motor that is driven backwards gives more than that."""
   braking: bool = False
-  """Whether the motor is forced to brake where it turns faster than its no-load speed; see `clip_to_dc_motor`."""
+  """True if the motor is forced to brake where it turns faster than its no-load speed; see `clip_to_dc_motor`."""
 
-  @property
-  def law(self) -> type[Actuator]:
-    return DcMotor
+  actuator_model = DcMotor
 
   @property
   def settings(self) -> Hashable:
+    """`braking`."""
     return self.braking
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    return super().parameters(target_names) | {
-      "saturation_effort": self._positives("saturation_effort", target_names),
-      "velocity_limit": self._positives("velocity_limit", target_names),
-      "effort_limit": self._limits("effort_limit", target_names),
-    }
+    """Return the gains and limits."""
+    names = ("stiffness", "damping", "saturation_effort", "velocity_limit", "effort_limit")
+    return self._numbers(target_names, *names)

@@ -1,20 +1,19 @@
 """PD behind the measured torque-speed envelope of a geared motor, and the envelopes of Unitree's motors."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
+from mjlab_core.constraints import Limits
 
-from mjlab_actuators.actuator import Actuator
-from mjlab_actuators.command import ActuatorCmd
+from mjlab_actuators.actuator import ActuatorCmd
 from mjlab_actuators.ideal_pd import Pd, PdActuatorCfg
 
 
 class TorqueSpeedEnvelope(NamedTuple):
-  """What a motor was measured to give, on the output side of its gearbox."""
+  """Measured limits of a motor, on the output side of its gearbox."""
 
   full_effort_speed: float
   """Speed up to which the full motoring effort is there, the knee of the curve (Unitree's X1) [rad/s]."""
@@ -42,7 +41,7 @@ UNITREE_ENVELOPES: Mapping[str, TorqueSpeedEnvelope] = MappingProxyType(
 
 
 class EnvelopedPd(Pd):
-  """A PD law limited by an envelope that knows driving from braking.
+  """PD limited by an envelope with separate limits for driving and braking.
 
   With e = kp (q* - q) + kd (q*' - q') + effort*, the effort is clamp(e, +-limit), where
 
@@ -64,6 +63,7 @@ class EnvelopedPd(Pd):
   """Peak effort against the motion, (1, n) or (num_envs, n) [N or N m]."""
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    """Return the effort within the envelope."""
     effort = self._wanted(cmd)
     share = (self.no_load_speed - cmd.velocity.abs()) / (self.no_load_speed - self.full_effort_speed)
     motoring = share.clamp_(0.0, 1.0) * self.motoring_effort
@@ -79,26 +79,26 @@ class EnvelopedPdActuatorCfg(PdActuatorCfg):
   `frictionloss` and `viscous_damping`.
   """
 
-  envelope: TorqueSpeedEnvelope | Mapping[str, TorqueSpeedEnvelope]
+  envelope: Annotated[TorqueSpeedEnvelope | Mapping[str, TorqueSpeedEnvelope], Limits(ge=0)]
   """One envelope for all targets, or envelopes by pattern (full match; every target by exactly one pattern)."""
 
-  @property
-  def law(self) -> type[Actuator]:
-    return EnvelopedPd
+  actuator_model = EnvelopedPd
+
+  def problems(self, target_names: Sequence[str]) -> Iterator[str]:
+    """Yield what is wrong with fields that keep their own constraints."""
+    yield from super().problems(target_names)
+    envelopes: list[TorqueSpeedEnvelope] = self._by_target("envelope", target_names)
+    for target, (knee, no_load, motoring, braking) in zip(target_names, envelopes, strict=True):
+      # Drive and brake may be equally strong; a line between two equal speeds has no slope.
+      if not (knee < no_load and 0.0 < motoring <= braking):
+        yield (
+          f"envelope of {self.transmission_type} {target!r} must have full_effort_speed {knee} below no_load_speed "
+          f"{no_load}, and motoring_effort {motoring} above 0 and at most braking_effort {braking}"
+        )
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    envelopes = self._by_target("envelope", self.envelope, target_names)
-    for target, envelope in zip(target_names, envelopes, strict=True):
-      for name, value in envelope._asdict().items():
-        if not (math.isfinite(value) and value >= 0.0) or (value == 0.0 and name != "full_effort_speed"):
-          raise ValueError(f"{self._field_of(name, target)} is {value}; it must be finite and positive")
-      for larger, smaller in (("no_load_speed", "full_effort_speed"), ("braking_effort", "motoring_effort")):
-        low, high = getattr(envelope, smaller), getattr(envelope, larger)
-        # Drive and brake may be equally strong; a line between two equal speeds has no slope.
-        if high < low or (high == low and larger == "no_load_speed"):
-          raise ValueError(
-            f"{self._field_of(larger, target)} is {high}, not above its {smaller} {low}; the two may be swapped"
-          )
+    """Return the gains and the numbers of the envelopes."""
+    envelopes = self._by_target("envelope", target_names)
     return super().parameters(target_names) | {
       name: tuple(float(getattr(envelope, name)) for envelope in envelopes) for name in TorqueSpeedEnvelope._fields
     }

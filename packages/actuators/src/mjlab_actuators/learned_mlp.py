@@ -4,30 +4,32 @@ After J. Hwangbo et al., "Learning agile and dynamic motor skills for legged rob
 """
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 import mujoco
 import torch
 from mjlab_core.buffers import HistoryBuffer
-from mjlab_core.names import unknown
+from mjlab_core.constraints import Limits, PositiveCount
+from mjlab_core.errors import MjlabError
 
-from mjlab_actuators.actuator import Actuator, ActuatorGroup
-from mjlab_actuators.actuator_cfg import PerTarget
-from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField
+from mjlab_actuators.actuator_cfg import EffortLimit, PerTarget
 from mjlab_actuators.dc_motor import clip_to_dc_motor
 from mjlab_actuators.ideal_pd import TorqueActuatorCfg
 from mjlab_actuators.network_file import Activation, load_network
 
 InputOrder = Literal["pos_vel", "vel_pos"]
-"""Whether the columns of position errors come before those of velocities."""
+"""Order of the columns: position errors before velocities, or after."""
+Scale = Annotated[float, Limits(nonzero=True)]
+"""Finite factor other than 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MlpSettings:
-  """Which network, and what it is fed with."""
+  """Network of an actuator model, and its inputs."""
 
   network_file: Path
   activation: Activation
@@ -39,7 +41,7 @@ class MlpSettings:
   braking: bool
 
   def load(self, device: torch.device | str = "cpu") -> torch.nn.Module:
-    """The network, checked to be as wide as its history."""
+    """Return the network, checked to be as wide as its history."""
     return load_network(
       self.network_file, num_inputs=2 * self.history_length, activation=self.activation, device=device
     )
@@ -52,9 +54,6 @@ class LearnedMlp(Actuator):
   velocities, newest first, times `velocity_scale`, sampled in every substep; after a reset the first sample stands for
   those before it. The clip is `clip_to_dc_motor` where a motor is configured, else +-effort_limit.
   """
-
-  _children = ("history",)
-  _constants = frozenset({"_scale"})
 
   history: HistoryBuffer
   """Scaled errors and velocities in the network's order, (num_envs, history_length, 2, n)."""
@@ -92,6 +91,7 @@ class LearnedMlp(Actuator):
       self.network(rows)
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    """Return the clipped output of the network."""
     (target,) = self._delayed_targets(cmd)
     error, velocity = target - cmd.position, cmd.velocity
     pair = (error, velocity) if self._position_first else (velocity, error)
@@ -111,6 +111,7 @@ class LearnedMlp(Actuator):
     )
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
+    """Forget earlier targets and samples."""
     super().reset(mask, cmd)
     self.history.reset(mask)
 
@@ -127,35 +128,34 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
   """TorchScript archive, or plain state dict of linear layers; (m, 2 history_length) -> (m, 1)."""
   activation: Activation = "softsign"
   """Between the layers of a state dict; a TorchScript archive knows its own."""
-  history_length: int = 3
+  history_length: PositiveCount = 3
   """Samples of each, the present one included [substeps]."""
   sample_period: float | None = None
   """Period of the samples that the network was trained on [s]; a model of another timestep is refused."""
-  position_scale: float = 1.0
+  position_scale: Scale = 1.0
   """Factor of position errors before the network."""
-  velocity_scale: float = 1.0
+  velocity_scale: Scale = 1.0
   """Factor of velocities before the network."""
-  effort_scale: float = 1.0
+  effort_scale: Scale = 1.0
   """Factor of the network's output [N or N m]."""
   input_order: InputOrder = "pos_vel"
-  """Whether position errors or velocities come first."""
-  effort_limit: PerTarget | None = None
+  """Order of position errors and velocities."""
+  effort_limit: EffortLimit = None
   """Largest effort [N or N m]; None for no limit."""
-  saturation_effort: PerTarget | None = None
+  saturation_effort: Annotated[PerTarget | None, Limits(gt=0)] = None
   """Stall effort of the torque-speed line [N or N m]; None for no such line. See `clip_to_dc_motor`."""
-  velocity_limit: PerTarget | None = None
+  velocity_limit: Annotated[PerTarget | None, Limits(gt=0)] = None
   """No-load speed of the torque-speed line [m/s or rad/s]; given with `saturation_effort` or not at all."""
   braking: bool = False
-  """Whether the motor is forced to brake where it turns faster than its no-load speed."""
+  """True if the motor is forced to brake where it turns faster than its no-load speed."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
 
-  @property
-  def law(self) -> type[Actuator]:
-    return LearnedMlp
+  actuator_model = LearnedMlp
 
   @property
-  def settings(self) -> Hashable:
+  def settings(self) -> MlpSettings:
+    """Network and inputs."""
     return MlpSettings(
       network_file=Path(self.network_file).resolve(),
       activation=self.activation,
@@ -167,45 +167,31 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
       braking=self.braking,
     )
 
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    kind = type(self).__name__
-    if self.input_order not in get_args(InputOrder):
-      raise ValueError(unknown("input_order", self.input_order, get_args(InputOrder), owner=kind))
-    length = self.history_length
-    if isinstance(length, bool) or not isinstance(length, int) or length < 1:
-      raise ValueError(f"{kind}: history_length is {length!r}; it must be a whole number of substeps, 1 or more")
-    for name in ("position_scale", "velocity_scale", "effort_scale"):
-      value = getattr(self, name)
-      if not math.isfinite(value) or value == 0.0:
-        raise ValueError(f"{kind}: {name} is {value}; it must be finite and not zero")
-    settings = self.settings
-    assert isinstance(settings, MlpSettings)
+  def problems(self, target_names: Sequence[str]) -> Iterator[str]:
+    """Yield what is wrong with fields that keep their own constraints, and with the network."""
+    yield from super().problems(target_names)
+    for given, other in (("saturation_effort", "velocity_limit"), ("velocity_limit", "saturation_effort")):
+      if getattr(self, other) is None:
+        yield from self._given((given,), f"{other} is not; the torque-speed line needs both")
     try:
-      settings.load()
+      self.settings.load()
     except ValueError as error:
-      raise ValueError(f"{kind}: {error}") from error
+      yield str(error)
 
   def _reads_position(self) -> bool:
     return True
 
   def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
+    """Return the groups of this config, if the network was trained at the timestep of the model."""
     timestep = model.opt.timestep
     if self.sample_period is not None and not math.isclose(self.sample_period, timestep, rel_tol=1e-6):
-      raise ValueError(
+      raise MjlabError(
         f"{type(self).__name__}: the network was trained on samples every {self.sample_period} s, "
         f"the model has a timestep of {timestep} s"
       )
     return super().groups(model, target_names, prefix)
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    limits = {"effort_limit": self._limits("effort_limit", target_names)}
-    if self.saturation_effort is None and self.velocity_limit is None:
-      return limits
-    for given, missing in (("saturation_effort", "velocity_limit"), ("velocity_limit", "saturation_effort")):
-      if getattr(self, missing) is None:
-        raise ValueError(f"{type(self).__name__}: {given} is given without {missing}; the line needs both")
-    return limits | {
-      "saturation_effort": self._positives("saturation_effort", target_names),
-      "velocity_limit": self._positives("velocity_limit", target_names),
-    }
+    """Return the limits, and the torque-speed line if one is configured."""
+    line = () if self.saturation_effort is None else ("saturation_effort", "velocity_limit")
+    return self._numbers(target_names, "effort_limit", *line)

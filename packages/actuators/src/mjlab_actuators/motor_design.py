@@ -8,9 +8,11 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from mjlab_core.errors import MjlabError
+
 
 def radians_per_second(rpm: float) -> float:
-  """Angular speed of so many revolutions per minute, 2 pi / 60 of that [rad/s]; data sheets say rpm."""
+  """Return the angular speed of so many revolutions per minute, 2 pi / 60 of that [rad/s]; data sheets say rpm."""
   return 2.0 * math.pi / 60.0 * rpm
 
 
@@ -24,7 +26,7 @@ class PdGains(NamedTuple):
 
 
 class LinearMotor(NamedTuple):
-  """What a rotary motor becomes behind a rack or crank of constant radius."""
+  """Rotary motor behind a rack or crank of constant radius."""
 
   mass: float
   """Apparent mass [kg]."""
@@ -35,7 +37,7 @@ class LinearMotor(NamedTuple):
 
 
 def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio: float) -> PdGains:
-  """Gains that give J q'' + kd q' + kp q = 0 the wanted poles: kp = J wn^2, kd = 2 zeta J wn (Franklin et al., 3.3).
+  """Return the gains for the wanted poles of J q'' + kd q' + kp q = 0: J wn^2 and 2 zeta J wn (Franklin et al., 3.3).
 
   Args:
     inertia: J, the inertia that the servo feels at its target [kg or kg m^2].
@@ -43,7 +45,7 @@ def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio
     damping_ratio: zeta; 1 is critically damped, more is sluggish without overshoot.
 
   Raises:
-    ValueError: An argument is negative or not finite.
+    MjlabError: An argument is negative or not finite.
   """
   _require_non_negative(inertia=inertia, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
   omega = 2.0 * math.pi * natural_frequency
@@ -51,19 +53,19 @@ def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio
 
 
 def reflected_inertia(rotor_inertia: float, gear_ratio: float) -> float:
-  """Inertia of a rotor seen behind a reduction, J N^2 [kg m^2]; the MJCF attribute `armature` of a joint.
+  """Return the inertia of a rotor seen behind a reduction, J N^2 [kg m^2]; the MJCF attribute `armature` of a joint.
 
   The rotor turns N times as fast as the output, and kinetic energy goes with the square (Lynch and Park, 8.9.2).
 
   Raises:
-    ValueError: An argument is negative or not finite.
+    MjlabError: An argument is negative or not finite.
   """
   _require_non_negative(rotor_inertia=rotor_inertia, gear_ratio=gear_ratio)
   return rotor_inertia * gear_ratio**2
 
 
 def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence[float]) -> float:
-  """Inertia of a chain of rotating parts seen at the output, sum of J_i (N_i ... N_last)^2 [kg m^2].
+  """Return the inertia of a chain of rotating parts seen at the output, sum of J_i (N_i ... N_last)^2 [kg m^2].
 
   `reflected_inertia` of each part with all the reduction that follows it; of a planetary gearbox of two stages
   J1 (N1 N2)^2 + J2 N2^2 + J3.
@@ -74,12 +76,11 @@ def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence
     gear_ratios: Reduction between one part and the next, motor side first.
 
   Raises:
-    ValueError: The lengths do not fit, or a number is negative or not finite.
+    MjlabError: The lengths do not fit, or a number is negative or not finite.
   """
   if len(inertias) not in (len(gear_ratios), len(gear_ratios) + 1):
-    raise ValueError(
-      f"reflected_inertia_of_stages: {len(inertias)} inertias need {len(inertias)} or {len(inertias) - 1} gear ratios, "
-      f"not {len(gear_ratios)}"
+    raise MjlabError(
+      f"{len(inertias)} inertias need {len(inertias)} or {len(inertias) - 1} gear ratios, not {len(gear_ratios)}"
     )
   total = 0.0
   for index, inertia in enumerate(inertias):
@@ -88,20 +89,20 @@ def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence
 
 
 def rotary_to_linear(inertia: float, velocity_limit: float, effort_limit: float, radius: float) -> LinearMotor:
-  """A rotary motor seen through a lever arm of `radius` metres per radian: J / r^2, w r, tau / r.
+  """Return a rotary motor seen through a lever arm of `radius` metres per radian: J / r^2, w r, tau / r.
 
   Speed is v = w r, and the lever keeps power and kinetic energy: F v = tau w, m v^2 = J w^2.
 
   Raises:
-    ValueError: An argument is negative or not finite, or the radius is zero.
+    MjlabError: An argument is negative or not finite, or the radius is zero.
   """
   _require_non_negative(inertia=inertia, velocity_limit=velocity_limit, effort_limit=effort_limit, radius=radius)
   if radius == 0.0:
-    raise ValueError("rotary_to_linear: radius is 0; a lever arm has a length")
+    raise MjlabError("rotary_to_linear: radius is 0; a lever arm has a length")
   return LinearMotor(inertia / radius**2, velocity_limit * radius, effort_limit / radius)
 
 
 def _require_non_negative(**values: float) -> None:
   for name, value in values.items():
     if not (math.isfinite(value) and value >= 0.0):
-      raise ValueError(f"{name} is {value}; it must be a finite number that is not negative")
+      raise MjlabError(f"{name} is {value}; it must be a finite number that is not negative")

@@ -1,6 +1,5 @@
-"""Laws that MuJoCo computes itself: position servo, velocity servo, motor. Torch only hands the set-point over."""
+"""Actuator models that MuJoCo computes: position servo, velocity servo, motor. Torch only hands the target over."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,77 +7,84 @@ from typing import ClassVar
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator
-from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget, is_zero
-from mjlab_actuators.command import ActuatorCmd, CommandField
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, CommandField
+from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, Gear, NonNegativePerTarget, is_zero
 from mjlab_actuators.transmission import Target, limit_force, range_of
 
 
 class PassThrough(Actuator):
-  """Ctrl is one set-point, delayed or not; the law itself runs inside MuJoCo."""
+  """Ctrl is one target, delayed or not; the actuator model itself runs inside MuJoCo."""
 
   needs_feedback = False
 
+  gear: torch.Tensor
+  """Transmission length per position of the joint, (1, n); only where it is not 1."""
+
+  @property
+  def is_geared(self) -> bool:
+    """True if ctrl is another number than the target."""
+    return "gear" in self.group.parameters
+
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
-    return self._delayed_targets(cmd)[0]
+    """Return the target, as the actuator of MuJoCo takes it."""
+    target = self._delayed_targets(cmd)[0]
+    if not self.is_geared:
+      return target
+    # Targets are the joint's: an actuator moves `gear` times as far and as fast, and gives `gear` times its effort.
+    return target / self.gear if self.group.command_fields == ("effort_target",) else target * self.gear
 
 
 @dataclass(kw_only=True)
 class NativeActuatorCfg(ActuatorCfg):
-  """Base of all laws that MuJoCo computes."""
+  """Base of all actuator models that MuJoCo computes."""
 
-  @property
-  def law(self) -> type[Actuator]:
-    return PassThrough
+  actuator_model = PassThrough
 
-  def _check_gear(self, gear: float) -> None:
-    if not math.isfinite(gear) or gear == 0.0:
-      raise ValueError(f"{type(self).__name__}: gear is {gear}; it must be finite and not zero")
+
+@dataclass(kw_only=True)
+class GearedActuatorCfg(NativeActuatorCfg):
+  """Base of actuators with a gear, which targets do not see."""
+
+  gear: Gear = 1.0
+  """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
+
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Return the gear, unless it is 1."""
+    return {} if self.gear == 1.0 else {"gear": (self.gear,) * len(target_names)}
 
 
 @dataclass(kw_only=True)
 class NativePositionActuatorCfg(NativeActuatorCfg):
   """MuJoCo's position servo: force = clamp(kp (u - q) - kd q', +-effort_limit), u = position target.
 
-  Implicit integrators see the derivative of the force, so stiff gains stay stable. The set-point is never clamped: it
-  may lie beyond the joint's range, where a servo must aim to press against something at the range's end.
+  Implicit integrators see the derivative of the force, so stiff gains stay stable. The target is never clamped: it may
+  lie beyond the joint's range, so that the servo can press against something at the end of the range.
   """
 
-  stiffness: PerTarget
+  stiffness: NonNegativePerTarget
   """kp [N/m or N m/rad]."""
-  damping: PerTarget
+  damping: NonNegativePerTarget
   """kd [N s/m or N m s/rad]."""
-  effort_limit: PerTarget | None = None
+  effort_limit: EffortLimit = None
   """Largest force [N or N m]; None for no limit."""
+  velocity_limit: EffortLimit = None
+  """Top speed of the joint [m/s or rad/s], for policy bundles; the simulation does not limit it."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
-
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    self._gains(target_names)
 
   def _reads_position(self) -> bool:
     return not is_zero(self.stiffness)
 
-  def _gains(self, target_names: Sequence[str]) -> list[tuple[float, float, float]]:
-    return list(
-      zip(
-        self._numbers("stiffness", target_names),
-        self._numbers("damping", target_names),
-        self._limits("effort_limit", target_names),
-        strict=True,
-      )
-    )
-
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
+    numbers = self._numbers(target_names, "stiffness", "damping", "effort_limit")
     elements = self._bare_elements(spec, target_names)
-    for name, element, (kp, kd, limit) in zip(target_names, elements, self._gains(target_names), strict=True):
+    for name, element, kp, kd, limit in zip(target_names, elements, *numbers.values(), strict=True):
       element.set_to_position(kp=kp, kv=kd)
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
       limit_force(element, limit)
       low, high = range_of(spec, Target(self.transmission_type, name))
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
-      if high > low and kp > 0.0 and math.isfinite(limit):
+      if high > low and kp > 0.0 and limit < float("inf"):
         element.ctrlrange = [low - limit / kp, high + limit / kp]
 
 
@@ -86,45 +92,31 @@ class NativePositionActuatorCfg(NativeActuatorCfg):
 class NativeVelocityActuatorCfg(NativeActuatorCfg):
   """MuJoCo's velocity servo: force = clamp(kd (u - q'), +-effort_limit), u = velocity target."""
 
-  damping: PerTarget
+  damping: NonNegativePerTarget
   """kd [N s/m or N m s/rad]."""
-  effort_limit: PerTarget | None = None
+  effort_limit: EffortLimit = None
   """Largest force [N or N m]; None for no limit."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("velocity_target",)
 
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    self._numbers("damping", target_names)
-    self._limits("effort_limit", target_names)
-
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    gains = self._numbers("damping", target_names)
-    limits = self._limits("effort_limit", target_names)
-    for element, kd, limit in zip(self._bare_elements(spec, target_names), gains, limits, strict=True):
+    numbers = self._numbers(target_names, "damping", "effort_limit")
+    for element, kd, limit in zip(self._bare_elements(spec, target_names), *numbers.values(), strict=True):
       element.set_to_velocity(kv=kd)
       limit_force(element, limit)
 
 
 @dataclass(kw_only=True)
-class NativeMotorActuatorCfg(NativeActuatorCfg):
-  """A torque source: effort = gear clamp(u, +-effort_limit), u = effort target."""
+class NativeMotorActuatorCfg(GearedActuatorCfg):
+  """A torque source: effort = clamp(effort target, +-gear effort_limit), at the joint."""
 
-  effort_limit: PerTarget | None = None
-  """Largest |u|, before the gear [N or N m]; None for no limit."""
-  gear: float = 1.0
-  """Reduction between motor and target; the effort target is on the motor's side. Negative turns the sense round."""
+  effort_limit: EffortLimit = None
+  """Largest effort of the motor, before the gear [N or N m]; None for no limit."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    self._check_gear(self.gear)
-    self._limits("effort_limit", target_names)
-
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    elements = self._bare_elements(spec, target_names, self.gear)
-    for element, limit in zip(elements, self._limits("effort_limit", target_names), strict=True):
+    (limits,) = self._numbers(target_names, "effort_limit").values()
+    for element, limit in zip(self._bare_elements(spec, target_names, self.gear), limits, strict=True):
       limit_force(element, limit)
-      if math.isfinite(limit):
-        element.ctrlrange = [-limit, limit]
+      element.ctrlrange = element.forcerange

@@ -1,17 +1,17 @@
 """MuJoCo's own DC motor, with its electrical side inside the physics."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import mujoco
-from mjlab_core.names import unknown
+from mjlab_core.constraints import Limits, NonNegative, Positive
+from mjlab_core.errors import MjlabError
 
-from mjlab_actuators.actuator import ActuatorGroup
-from mjlab_actuators.actuator_cfg import PerTarget
-from mjlab_actuators.command import COMMAND_FIELDS, CommandField
-from mjlab_actuators.native import NativeActuatorCfg
+from mjlab_actuators.actuator import COMMAND_FIELDS, ActuatorGroup, CommandField
+from mjlab_actuators.actuator_cfg import EffortLimit
+from mjlab_actuators.native import GearedActuatorCfg
 from mjlab_actuators.transmission import limit_force
 
 _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
@@ -22,104 +22,84 @@ _BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
 
 
 @dataclass(kw_only=True)
-class NativeDcMotorActuatorCfg(NativeActuatorCfg):
+class NativeDcMotorActuatorCfg(GearedActuatorCfg):
   """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the target.
 
   With `inputs="voltage"`, V is the effort target in volts. Otherwise a controller inside MuJoCo asks for the force
-  kp (q* - l) + kd (q*' - w) + effort*, of which only the set-points in `inputs` are there (the others count as zero),
-  and V is the voltage that gives it, clamped to +-voltage_limit. Set-points are on the motor's side of the gear.
-  Constants are those of the motor: either K and R, or `nominal`.
+  kp (q* - q) + kd (q*' - q') + effort* at the joint, of which only the targets in `inputs` are there (the others count
+  as zero), and V is the voltage that gives it, clamped to +-voltage_limit. Targets and gains are those of the joint, as
+  of every other actuator; the other constants are those of the motor: either K and R, or `nominal`.
   """
 
-  torque_constant: float | None = None
+  torque_constant: Positive | None = None
   """K, which is the back-EMF constant too [N m/A = V s/rad]."""
-  resistance: float | None = None
+  resistance: Positive | None = None
   """R [ohm]."""
-  nominal: tuple[float, float, float] | None = None
+  nominal: Annotated[tuple[float, float, float] | None, Limits(gt=0)] = None
   """Data sheet instead of K and R: voltage [V], stall torque [N m], no-load speed [rad/s]."""
   inputs: Literal["voltage"] | tuple[CommandField, ...] = "voltage"
-  """What drives the motor: a voltage, or some of the three set-points through the controller."""
-  stiffness: float = 0.0
-  """kp of the controller [N m/rad]."""
-  damping: float = 0.0
-  """kd of the controller [N m s/rad]."""
-  voltage_limit: float | None = None
+  """Drive of the motor: a voltage, or some of the three targets through the controller."""
+  stiffness: NonNegative = 0.0
+  """kp of the controller, at the joint [N m/rad]."""
+  damping: NonNegative = 0.0
+  """kd of the controller, at the joint [N m s/rad]."""
+  voltage_limit: Positive | None = None
   """Largest voltage [V]; None for no limit."""
-  effort_limit: PerTarget | None = None
+  effort_limit: EffortLimit = None
   """Largest force of the motor, before the gear [N m]; None for no limit."""
-  inductance: float = 0.0
+  inductance: NonNegative = 0.0
   """L [H]; when positive the current lags with L / R and lives in the simulation's `act`."""
-  integral_gain: float = 0.0
-  """ki of the controller, on the position error [N m/(rad s)]; its integral lives in the simulation's `act`."""
-  integral_limit: float = 0.0
-  """Largest effort of the integral [N m]; 0 for no limit."""
-  slew_rate: float = 0.0
+  integral_gain: NonNegative = 0.0
+  """ki of the controller, on the position error of the joint [N m/(rad s)]; its integral lives in the simulation's
+  `act`."""
+  integral_limit: NonNegative = 0.0
+  """Largest effort of the integral, at the joint [N m]; 0 for no limit."""
+  slew_rate: NonNegative = 0.0
   """Largest change of the input [unit of the input/s]; 0 for no limit."""
-  cogging: tuple[float, float, float] | None = None
+  cogging: Annotated[tuple[float, float, float] | None, Limits()] = None
   """Amplitude a [N m], periods n per turn, and phase f [rad] of the torque a sin(n l + f); not limited by
   `effort_limit`."""
-  lugre: tuple[float, float, float, float, float] | None = None
+  lugre: Annotated[tuple[float, float, float, float, float] | None, Limits()] = None
   """Friction after the LuGre model, not limited either: stiffness [N m/rad] and damping [N m s/rad] of the bristles,
   Coulomb and static friction [N m], Stribeck velocity [rad/s]."""
-  thermal: tuple[float, float, float, float, float, float] | None = None
+  thermal: Annotated[tuple[float, float, float, float, float, float] | None, Limits()] = None
   """Winding that warms up: thermal resistance [K/W], heat capacity [J/K] and time constant [s], of which one may be 0
   and follows from the others; coefficient of the resistance [1/K]; temperature that `resistance` was measured at, and
   that of the surroundings."""
-  gear: float = 1.0
-  """Reduction between motor and target."""
 
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    kind = type(self).__name__
-    constants = {"torque_constant": self.torque_constant, "resistance": self.resistance}
-    if (self.nominal is None) == (self.torque_constant is None) or (self.nominal is None) == (self.resistance is None):
-      raise ValueError(f"{kind}: give torque_constant and resistance, or nominal")
-    names = ("voltage", "stall torque", "no-load speed")
-    constants |= {f"nominal {name}": value for name, value in zip(names, self.nominal or (), strict=False)}
-    constants["voltage_limit"] = self.voltage_limit
-    for name, value in constants.items():
-      if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{kind}: {name} is {value}; it must be finite and positive")
-    for name in ("stiffness", "damping", "inductance", "integral_gain", "integral_limit", "slew_rate"):
-      if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-        raise ValueError(f"{kind}: {name} is {getattr(self, name)}; it must be finite and not negative")
-    for name in ("cogging", "lugre", "thermal"):
-      numbers = getattr(self, name)
-      if numbers is not None and not all(math.isfinite(number) for number in numbers):
-        raise ValueError(f"{kind}: {name} is {numbers}; it must be finite")
-    self._check_gear(self.gear)
-    self._limits("effort_limit", target_names)
-    self._validate_inputs(kind)
+  def problems(self, target_names: Sequence[str]) -> Iterator[str]:
+    """Yield what is wrong with fields that keep their own constraints."""
+    yield from super().problems(target_names)
+    inputs, electrical = self.inputs, (self.torque_constant, self.resistance)
+    if electrical.count(None) != (0 if self.nominal is None else 2):
+      yield "give torque_constant and resistance, or nominal"
+    if inputs == "voltage":
+      if self.stiffness or self.damping or self.integral_gain:
+        yield "stiffness, damping and integral_gain are a controller's; inputs 'voltage' has none"
+      return
+    if not inputs or len(set(inputs)) != len(inputs):
+      yield f"inputs is {inputs!r}; name at least one target, each once"
+    gains = {"position_target": self.stiffness, "velocity_target": self.damping}
+    yield from (f"{name} is an input, but its gain is 0" for name, gain in gains.items() if name in inputs and not gain)
+    if self.integral_gain > 0.0 and "position_target" not in inputs:
+      yield "integral_gain is given, but inputs has no position_target to integrate the error of"
 
   def _reads_position(self) -> bool:
     return self.stiffness > 0.0
 
-  def _validate_inputs(self, kind: str) -> None:
-    if self.inputs == "voltage":
-      if self.stiffness or self.damping or self.integral_gain:
-        raise ValueError(f"{kind}: stiffness, damping and integral_gain are a controller's; inputs 'voltage' has none")
-      return
-    for name in self.inputs:
-      if name not in COMMAND_FIELDS:
-        raise ValueError(unknown("input", name, COMMAND_FIELDS, owner=kind))
-    if not self.inputs or len(set(self.inputs)) != len(self.inputs):
-      raise ValueError(f"{kind}: inputs is {self.inputs!r}; name at least one set-point, each once")
-    if self.integral_gain > 0.0 and "position_target" not in self.inputs:
-      raise ValueError(f"{kind}: integral_gain is given, but inputs has no position_target to integrate the error of")
-    if "position_target" in self.inputs and self.stiffness == 0.0:
-      raise ValueError(f"{kind}: stiffness is 0, so that a position target would do nothing")
-    if "velocity_target" in self.inputs and self.damping == 0.0:
-      raise ValueError(f"{kind}: damping is 0, so that a velocity target would do nothing")
-
   @property
   def _fields(self) -> tuple[CommandField, ...]:
-    """The set-points that are handed over, in the order of MuJoCo's inputs."""
+    """Return the targets that are handed over, in the order of MuJoCo's inputs."""
     if self.inputs == "voltage":
       return ("effort_target",)
     return tuple(field for field in COMMAND_FIELDS if field in self.inputs)
 
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Return nothing: the gear of a controller is inside it, and volts have none."""
+    return {}
+
   def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
-    """One group per set-point: a motor with several has as many neighbouring inputs in ctrl."""
+    """Return one group per target: a motor with several has as many neighbouring inputs in ctrl."""
     (first,) = super().groups(model, target_names, prefix)
     return [
       replace(first, command_fields=(field,), ctrl_ids=tuple(index + offset for index in first.ctrl_ids))
@@ -128,22 +108,28 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
 
   def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
     if not ctrl_ids and len(self._fields) > 1:
-      raise ValueError(f"{type(self).__name__}: without a model, a motor of one input can be built, not of several")
+      raise MjlabError(f"{type(self).__name__}: without a model, a motor of one input can be built, not of several")
     return replace(super()._group(target_names, ctrl_ids), command_fields=self._fields[:1])
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     volts = self.voltage_limit or 0.0
     controlled = self.inputs != "voltage"
     bits = [_BITS[field] for field in self._fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
-    constant = self.torque_constant or 0.0
-    elements = self._bare_elements(spec, target_names, self.gear)
-    for element, limit in zip(elements, self._limits("effort_limit", target_names), strict=True):
+    # A motor with a controller is written as it is felt at the joint, so that its inputs are the joint's.
+    turn = math.copysign(1.0, self.gear) if controlled else 1.0
+    ratio = abs(self.gear) if controlled else 1.0
+    constant = ratio * (self.torque_constant or 0.0)
+    voltage, torque, speed = self.nominal or (0.0, 0.0, 0.0)
+    amplitude, periods, phase = self.cogging or (0.0, 0.0, 0.0)
+    bristle_stiffness, bristle_damping, coulomb, static, stribeck = self.lugre or (0.0,) * 5
+    elements = self._bare_elements(spec, target_names, 1.0 if controlled else self.gear)
+    for element, limit in zip(elements, *self._numbers(target_names, "effort_limit").values(), strict=True):
       element.set_to_dcmotor(
         motorconst=[constant, constant],
         resistance=self.resistance or 0.0,
-        nominal=list(self.nominal or (0.0, 0.0, 0.0)),
+        nominal=[voltage, ratio * torque, speed / ratio],
         inductance=[self.inductance, 0.0],
-        cogging=list(self.cogging or (0.0,) * 3),
+        cogging=[ratio * amplitude, ratio * periods, turn * phase],
         controller=[
           self.stiffness,
           self.integral_gain,
@@ -153,10 +139,16 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
           volts if controlled else 0.0,
         ],
         thermal=list(self.thermal or (0.0,) * 6),
-        lugre=list(self.lugre or (0.0,) * 5),
+        lugre=[
+          ratio**2 * bristle_stiffness,
+          ratio**2 * bristle_damping,
+          ratio * coulomb,
+          ratio * static,
+          stribeck / ratio,
+        ],
         ctrlspec=sum(int(bit) for bit in bits),
       )
-      limit_force(element, limit)
+      limit_force(element, ratio * limit)
       if volts and not controlled:
         element.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         element.ctrlrange = [-volts, volts]

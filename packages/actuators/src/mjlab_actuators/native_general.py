@@ -1,82 +1,66 @@
 """MuJoCo's general actuator: gain, bias and activation as written."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import mujoco
-from mjlab_core.names import unknown
+from mjlab_core.constraints import Ascending, Limits
 
-from mjlab_actuators.actuator import ActuatorGroup
-from mjlab_actuators.command import COMMAND_FIELDS, CommandField
-from mjlab_actuators.native import NativeActuatorCfg
+from mjlab_actuators.actuator import ActuatorGroup, CommandField
+from mjlab_actuators.native import GearedActuatorCfg
 
 Dynamics = Literal["none", "integrator", "filter", "filterexact"]
 Gain = Literal["fixed", "affine"]
 Bias = Literal["none", "affine"]
+Range = Annotated[tuple[float, float] | None, Limits(finite=False), Ascending(strict=True)]
+Numbers = Annotated[tuple[float, ...], Limits()]
 
 
 @dataclass(kw_only=True)
-class NativeGeneralActuatorCfg(NativeActuatorCfg):
+class NativeGeneralActuatorCfg(GearedActuatorCfg):
   """MuJoCo's general actuator: force = gain(l, l') w + bias(l, l'), all clamped to `force_range`.
 
+  Targets are those of the joint: u is the position or velocity target times the gear, or the effort target over it.
   With l = gear q, the length of the transmission, gain is g0 ("fixed") or g0 + g1 l + g2 l' ("affine"), bias is 0
   ("none") or b0 + b1 l + b2 l' ("affine"), and w is the input u itself ("none") or the activation that integrates or
   low-pass filters u.
   """
 
   command_field: CommandField
-  """The set-point that is handed over as u."""
+  """The target that is handed over as u."""
   gain_type: Gain = "fixed"
-  gain_prm: tuple[float, ...] = (1.0,)
+  gain_prm: Numbers = (1.0,)
   """g0, g1, g2."""
   bias_type: Bias = "none"
-  bias_prm: tuple[float, ...] = ()
+  bias_prm: Numbers = ()
   """b0, b1, b2."""
   dyn_type: Dynamics = "none"
-  dyn_prm: tuple[float, ...] = ()
+  dyn_prm: Numbers = ()
   """Time constant of the filters [s]."""
-  gear: float = 1.0
-  """Transmission length per position of the target."""
-  ctrl_range: tuple[float, float] | None = None
+  ctrl_range: Range = None
   """Clamp of u; None for none."""
-  force_range: tuple[float, float] | None = None
+  force_range: Range = None
   """Clamp of the force [N or N m]; None for none."""
-  act_range: tuple[float, float] | None = None
+  act_range: Range = None
   """Clamp of the activation; None for none."""
 
-  def validate(self, target_names: Sequence[str]) -> None:
-    super().validate(target_names)
-    kind = type(self).__name__
-    choices: dict[str, Sequence[str]] = {
-      "command_field": COMMAND_FIELDS,
-      "gain_type": get_args(Gain),
-      "bias_type": get_args(Bias),
-      "dyn_type": get_args(Dynamics),
-    }
-    for name, allowed in choices.items():
-      if getattr(self, name) not in allowed:
-        raise ValueError(unknown(name, getattr(self, name), allowed, owner=kind))
+  def problems(self, target_names: Sequence[str]) -> Iterator[str]:
+    """Yield what is wrong with fields that keep their own constraints."""
+    yield from super().problems(target_names)
     for name in ("gain_prm", "bias_prm", "dyn_prm"):
-      numbers = getattr(self, name)
-      if len(numbers) > 3 or not all(math.isfinite(number) for number in numbers):
-        raise ValueError(f"{kind}: {name} is {numbers}; it must be up to three finite numbers")
-    gain, (_, on_length, on_velocity) = self.gain_prm[:1], _padded(self.bias_prm)[:3]
-    if gain == (-on_length,) and on_velocity > 0.0:
-      raise ValueError(
-        f"{kind}: bias_prm is {self.bias_prm}; beside b1 = -g0, MuJoCo takes a positive b2 for a damping ratio and "
+      if len(getattr(self, name)) > 3:
+        yield f"{name} is {getattr(self, name)}; it has up to three numbers"
+    _, on_length, on_velocity = _padded(self.bias_prm)[:3]
+    if self.gain_prm[:1] == (-on_length,) and on_velocity > 0.0:
+      yield (
+        f"bias_prm is {self.bias_prm}; beside b1 = -g0, MuJoCo takes a positive b2 for a damping ratio and "
         "replaces it: write the damping itself, negative"
       )
-    if self.dyn_type in ("filter", "filterexact") and not (self.dyn_prm and self.dyn_prm[0] > 0.0):
-      raise ValueError(f"{kind}: dyn_prm is {self.dyn_prm}; a {self.dyn_type} has a positive time constant")
-    self._check_gear(self.gear)
-    if self.act_range is not None and self.dyn_type == "none":
-      raise ValueError(f"{kind}: act_range is given, but dyn_type 'none' has no activation")
-    for name in ("ctrl_range", "force_range", "act_range"):
-      limits = getattr(self, name)
-      if limits is not None and not limits[0] < limits[1]:
-        raise ValueError(f"{kind}: {name} is {limits}; the first must be less than the second")
+    if self.dyn_type in ("filter", "filterexact") and not _padded(self.dyn_prm)[0] > 0.0:
+      yield f"dyn_prm is {self.dyn_prm}; a {self.dyn_type} has a positive time constant"
+    if self.dyn_type == "none":
+      yield from self._given(("act_range",), "dyn_type 'none' has no activation")
 
   def _reads_position(self) -> bool:
     kinds = ((self.gain_type, self.gain_prm), (self.bias_type, self.bias_prm))
@@ -103,5 +87,5 @@ class NativeGeneralActuatorCfg(NativeActuatorCfg):
 
 
 def _padded(numbers: tuple[float, ...]) -> list[float]:
-  """As many numbers as MuJoCo keeps."""
+  """Return as many numbers as MuJoCo keeps."""
   return [*numbers, *([0.0] * (10 - len(numbers)))]

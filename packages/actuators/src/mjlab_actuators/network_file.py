@@ -1,17 +1,17 @@
-"""Reads actuator networks from files without running anything that a file brings along as Python."""
+"""Actuator networks in files, read without executing Python code of the file."""
 
 import pickle
 import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
-from mjlab_core.names import unknown
+from mjlab_core.errors import FileError
 
 Activation = Literal["softsign", "elu", "relu", "tanh"]
-"""What stands between the linear layers of a network that is stored as a plain state dict."""
+"""Function between the linear layers of a network that is stored as a plain state dict."""
 
 ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
   "softsign": torch.nn.Softsign,
@@ -24,23 +24,21 @@ ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
 def load_network(
   path: str | Path, *, num_inputs: int, activation: Activation, device: torch.device | str = "cpu"
 ) -> torch.nn.Module:
-  """A network from rows (m, num_inputs) to (m, 1), in evaluation mode, without gradients.
+  """Return a network from rows (m, num_inputs) to (m, 1), in evaluation mode, without gradients.
 
   Args:
     path: A TorchScript archive, or a state dict saved by `torch.save` whose 2-D `*.weight` and 1-D `*.bias` entries are
       linear layers in order. The latter is read with `weights_only`, so that nothing in it is executed.
     num_inputs: Width that the network must have.
     activation: Between the layers of a state dict; a TorchScript archive knows its own.
-    device: Where it shall run.
+    device: Device of the network.
 
   Raises:
-    ValueError: The file does not exist, is neither of the two, or holds a network of another width.
+    FileError: The file does not exist, is neither of the two, or holds a network of another width.
   """
   path = Path(path)
-  if activation not in get_args(Activation):
-    raise ValueError(unknown("activation", activation, get_args(Activation)))
   if not path.is_file():
-    raise ValueError(f"network file {str(path)!r} does not exist")
+    raise FileError(f"network file {str(path)!r} does not exist")
   if _is_torchscript(path):
     with warnings.catch_warnings():
       # Torch advises against writing new archives; networks of this kind have long been written.
@@ -66,11 +64,11 @@ def _read_state_dict(path: Path) -> dict[str, torch.Tensor]:
   try:
     state = torch.load(path, map_location="cpu", weights_only=True)
   except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-    raise ValueError(
+    raise FileError(
       f"network file {str(path)!r} is neither TorchScript nor a state dict of tensors; save network.state_dict()"
     ) from error
   if not isinstance(state, Mapping) or not all(isinstance(value, torch.Tensor) for value in state.values()):
-    raise ValueError(f"network file {str(path)!r} holds more than tensors by name; save network.state_dict() alone")
+    raise FileError(f"network file {str(path)!r} holds more than tensors by name; save network.state_dict() alone")
   return dict(state)
 
 
@@ -84,12 +82,12 @@ def _from_state_dict(state: dict[str, torch.Tensor], path: Path, activation: Act
     bias_name = name.removesuffix("weight") + "bias"
     bias = left.pop(bias_name, None)
     if weight.dim() != 2 or (bias is not None and bias.shape != weight.shape[:1]):
-      raise ValueError(f"network file {str(path)!r}: {name!r} of shape {tuple(weight.shape)} is not a linear layer")
+      raise FileError(f"network file {str(path)!r}: {name!r} of shape {tuple(weight.shape)} is not a linear layer")
     layer = torch.nn.Linear(weight.shape[1], weight.shape[0], bias=bias is not None)
     layer.load_state_dict({"weight": weight} if bias is None else {"weight": weight, "bias": bias})
     layers += [layer, ACTIVATIONS[activation]()]
   if left or not layers:
-    raise ValueError(
+    raise FileError(
       f"network file {str(path)!r} is not a chain of linear layers; it also has: {', '.join(left) or 'nothing at all'}"
     )
   return torch.nn.Sequential(*layers[:-1])
@@ -99,10 +97,10 @@ def _check_widths(network: torch.nn.Module, path: Path, num_inputs: int, device:
   try:
     output = network(torch.zeros(2, num_inputs, device=device))
   except RuntimeError as error:
-    raise ValueError(f"network file {str(path)!r} does not take {num_inputs} inputs: {_last_line(error)}") from error
+    raise FileError(f"network file {str(path)!r} does not take {num_inputs} inputs: {_last_line(error)}") from error
   if not isinstance(output, torch.Tensor) or output.shape != (2, 1):
     shape = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-    raise ValueError(f"network file {str(path)!r} makes {shape} of two rows; it must make one number of each, (2, 1)")
+    raise FileError(f"network file {str(path)!r} makes {shape} of two rows; it must make one number of each, (2, 1)")
 
 
 def _last_line(error: RuntimeError) -> str:

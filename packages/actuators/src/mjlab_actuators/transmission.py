@@ -1,13 +1,14 @@
-"""What an actuator acts on: a joint, a tendon, or a site."""
+"""Targets of actuators: joints, tendons and sites."""
 
 import math
 from typing import Literal, NamedTuple, get_args
 
 import mujoco
 import numpy as np
+from mjlab_core.errors import MjlabError
 
 Transmission = Literal["joint", "tendon", "site"]
-"""What an actuator's force acts on: a hinge or slide, along a tendon, or as a wrench at a site."""
+"""Kind of target: a hinge or slide, a tendon, along which the force acts, or a site, at which a wrench acts."""
 
 TRANSMISSIONS: tuple[Transmission, ...] = get_args(Transmission)
 
@@ -29,7 +30,7 @@ _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class Target(NamedTuple):
-  """One column of set-points and measurements."""
+  """Joint, tendon or site that is driven; one column of targets and measurements."""
 
   transmission: Transmission
   name: str
@@ -39,7 +40,7 @@ class Target(NamedTuple):
 def targets_of(
   source: mujoco.MjSpec | mujoco.MjModel, transmission: Transmission = "joint", prefix: str = ""
 ) -> list[str]:
-  """Names of all that can be driven, prefix removed, in the source's order: hinges and slides, tendons, or sites."""
+  """Return the names of all hinges and slides, tendons, or sites, prefix removed, in the source's order."""
   if isinstance(source, mujoco.MjSpec):
     elements = {"joint": source.joints, "tendon": source.tendons, "site": source.sites}[transmission]
     names = [
@@ -55,19 +56,19 @@ def targets_of(
 
 
 def actuators_of(model: mujoco.MjModel, target: Target, prefix: str = "") -> list[int]:
-  """Ids of the actuators of a compiled model that act on `target`, in the model's order."""
+  """Return the ids of the actuators of a compiled model that act on `target`, in the model's order."""
   index = mujoco.mj_name2id(model, _OBJECT[target.transmission], prefix + target.name)
   acting = np.isin(model.actuator_trntype, [int(kind) for kind in _TRN[target.transmission]])
   return np.flatnonzero(acting & (model.actuator_trnid[:, 0] == index)).tolist() if index >= 0 else []
 
 
 def acts_on(element: mujoco.MjsActuator, target: Target) -> bool:
-  """Whether an actuator of a spec acts on `target`."""
+  """Return True if an actuator of a spec acts on `target`."""
   return element.trntype in _TRN[target.transmission] and element.target == target.name
 
 
 def range_of(spec: mujoco.MjSpec, target: Target) -> tuple[float, float]:
-  """Limits of the position of a joint [m or rad] or of the length of a tendon [m]; equal when there are none."""
+  """Return the limits of a joint [m or rad] or of the length of a tendon [m]; equal when there are none."""
   if target.transmission == "site":
     return 0.0, 0.0
   element = spec.joint(target.name) if target.transmission == "joint" else spec.tendon(target.name)
@@ -82,19 +83,19 @@ def range_of(spec: mujoco.MjSpec, target: Target) -> tuple[float, float]:
 def add_element(
   spec: mujoco.MjSpec, owner: str, target: Target, *, gear: list[float], refsite: str | None
 ) -> mujoco.MjsActuator:
-  """An actuator named like its target, free of everything that the MJCF's default classes would put on it.
+  """Add an actuator named like its target, free of everything that the MJCF's default classes would put on it.
 
-  Where something of another kind took the name, the kind follows it: "grip" and "grip_tendon".
+  If something of another kind has the name, the kind follows it: "grip" and "grip_tendon".
 
   Raises:
-    ValueError: The target has an actuator of that name already.
+    MjlabError: The target has an actuator of that name already.
   """
   name = target.name
   taken = {element.name: element for element in spec.actuators}
   if name in taken and not acts_on(taken[name], target):
     name = f"{name}_{target.transmission}"
   if name in taken:
-    raise ValueError(
+    raise MjlabError(
       f"{owner}: {target.transmission} {target.name!r} already has an actuator of that name; drive each "
       f"{target.transmission} by one config (XmlActuatorCfg keeps the MJCF's own actuator)"
     )
@@ -120,7 +121,7 @@ def add_element(
 
 
 def limit_force(element: mujoco.MjsActuator, effort_limit: float) -> None:
-  """Clamps the element's force to +-effort_limit inside MuJoCo; infinity leaves it free."""
+  """Clamp the element's force to +-effort_limit inside MuJoCo; infinity leaves it free."""
   if math.isfinite(effort_limit):
     element.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     element.forcerange = [-effort_limit, effort_limit]

@@ -1,4 +1,4 @@
-"""Robot models for mjlab: physics in MJCFs of ours, servo gains and poses in Python, meshes where they are found."""
+"""Robot models for mjlab: MJCFs for physics, servo gains and poses in Python, optional meshes."""
 
 from mjlab_robots.g1 import (
   G1_ACTION_SCALE,
@@ -18,7 +18,7 @@ from mjlab_robots.go1 import (
   go1,
   go1_spec,
 )
-from mjlab_robots.meshes import MeshesNotFoundError, MeshMode, download_meshes, find_meshes
+from mjlab_robots.meshes import MeshMode, download_meshes, find_meshes
 from mjlab_robots.motors import Motor
 from mjlab_robots.yam import (
   YAM_ACTION_SCALE,
@@ -47,7 +47,6 @@ __all__ = [
   "YAM_DEFAULT_JOINT_POS",
   "YAM_SOFT_JOINT_POS_LIMIT_FACTOR",
   "MeshMode",
-  "MeshesNotFoundError",
   "Motor",
   "download_meshes",
   "find_meshes",

@@ -1,4 +1,4 @@
-"""Where visual meshes are, if they are on this machine at all. Physics never needs one."""
+"""Folders of visual meshes. Physics needs no mesh."""
 
 import os
 import sys
@@ -6,16 +6,14 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal, get_args
 
+from mjlab_core.errors import FileError, MjlabError
+
 MeshMode = Literal["auto", "never", "require", "download"]
-"""Meshes if they are found, primitives always, an error without meshes, or a download of those that are missing."""
-
-
-class MeshesNotFoundError(FileNotFoundError):
-  """Meshes are asked for, are not on this machine and cannot be fetched."""
+"""Source of what is drawn: meshes if they are on this machine, primitives, meshes or an error, downloaded meshes."""
 
 
 def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> Path | None:
-  """Folder that holds all `files` of a MuJoCo Menagerie robot, or None; only mode "download" ever touches the network.
+  """Return the folder with all `files` of a MuJoCo Menagerie robot, or None. Only mode "download" uses the network.
 
   Looks under the environment variable MENAGERIE_ROOT where that is set, else in the cache of `mujoco_menagerie`.
 
@@ -25,12 +23,12 @@ def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> 
     mode: "auto" returns None where a file is missing, "never" without looking.
 
   Raises:
-    MeshesNotFoundError: A file is missing and `mode` is "require", or is "download" and that fails; the message says
+    FileError: A file is missing and `mode` is "require", or is "download" and that fails; the message says
       how to get them.
-    ValueError: `mode` is none of the four.
+    MjlabError: `mode` is unknown.
   """
   if mode not in get_args(MeshMode):
-    raise ValueError(f"meshes is {mode!r}; it must be 'auto', 'never', 'require' or 'download'")
+    raise MjlabError(f"meshes is {mode!r}; it must be 'auto', 'never', 'require' or 'download'")
   if mode == "never":
     return None
   folder = _folder(robot)
@@ -42,7 +40,7 @@ def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> 
   if mode == "auto":
     return None
   where = f"{len(missing)} of {len(files)} are missing in {folder}" if folder else "none is on this machine"
-  raise MeshesNotFoundError(f"meshes of {robot!r}: {where}. {_way_out(robot)}")
+  raise FileError(f"meshes of {robot!r}: {where}. {_way_out(robot)}")
 
 
 def download_meshes(robot: str) -> Path:
@@ -54,10 +52,10 @@ def download_meshes(robot: str) -> Path:
     robot: Name in Menagerie, such as "unitree_go1".
 
   Returns:
-    Folder that holds its mesh files.
+    Folder with its mesh files.
 
   Raises:
-    MeshesNotFoundError: There is no network, or what came is not what was asked for; the message says what to do.
+    FileError: The download failed or does not match its digest; the message says what to do.
     mujoco_menagerie.UnknownRobotError: Menagerie has no such robot.
   """
   import mujoco_menagerie
@@ -69,14 +67,14 @@ def download_meshes(robot: str) -> Path:
   try:
     return entry.path(cache) / "assets"
   except (mujoco_menagerie.MenagerieError, OSError) as error:
-    raise MeshesNotFoundError(f"meshes of {robot!r} could not be fetched: {error}. {_way_out(robot)}") from error
+    raise FileError(f"meshes of {robot!r} could not be fetched: {error}. {_way_out(robot)}") from error
 
 
 def _way_out(robot: str) -> str:
   return (
     f"With a network, `python -c \"import mjlab_robots; mjlab_robots.download_meshes('{robot}')\"` fetches them; "
-    f"without, set MENAGERIE_ROOT to a folder that holds {robot}/assets (MENAGERIE_ROOT, where set, is all that is "
-    "looked at). Physics needs none: meshes='auto' draws the robot from primitives until they are there"
+    f"without, set MENAGERIE_ROOT to a folder that contains {robot}/assets; no other folder is then searched. "
+    "Physics needs no meshes: meshes='auto' draws primitives without them"
   )
 
 
@@ -84,7 +82,7 @@ def _folder(robot: str) -> Path | None:
   root = os.environ.get("MENAGERIE_ROOT")
   if root:
     return Path(root) / robot / "assets"
-  # Imported here: a registry is read at import, and physics alone has no use for it.
+  # Imported here because it reads a registry, which physics does not need.
   import mujoco_menagerie
 
   cache = mujoco_menagerie.Cache()

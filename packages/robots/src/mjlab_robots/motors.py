@@ -1,4 +1,4 @@
-"""Motors seen at the joint: the servo gains that follow from them, and what one unit of action means."""
+"""Motors seen at the joint: servo gains and action scales that follow from them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from mjlab_actuators import ActuatorCfg, NativePositionActuatorCfg, PdGains, gains_from_frequency
 
 NATURAL_FREQUENCY = 10.0
-"""Of a servo that moves nothing but its own reflected rotor [Hz]."""
+"""Natural frequency of a servo that moves only its own reflected rotor [Hz]."""
 DAMPING_RATIO = 2.0
 """Overdamped: the limb's own inertia, which the gains leave out, lowers the ratio."""
 ACTION_EFFORT_SHARE = 0.25
@@ -22,7 +22,7 @@ class Motor:
   effort_limit: float
   """Largest joint torque [N m]."""
   velocity_limit: float
-  """Top joint speed [rad/s]; data sheet only, the servo does not know it."""
+  """Top joint speed [rad/s]; for policy bundles, the servo does not know it."""
   servo_inertia: float | None = None
   """Inertia J that the servo is made for [kg m^2]; None for the armature alone."""
   servo_frequency: float = NATURAL_FREQUENCY
@@ -30,28 +30,29 @@ class Motor:
 
   @property
   def gains(self) -> PdGains:
-    """kp = J wn^2 [N m/rad] and kd = 2 zeta J wn [N m s/rad]."""
+    """Gains kp = J wn^2 [N m/rad] and kd = 2 zeta J wn [N m s/rad]."""
     inertia = self.armature if self.servo_inertia is None else self.servo_inertia
     return gains_from_frequency(inertia, self.servo_frequency, DAMPING_RATIO)
 
   @property
   def action_scale(self) -> float:
-    """Set-point shift of one unit of action [rad]."""
+    """Shift of the target per unit of action [rad]."""
     return ACTION_EFFORT_SHARE * self.effort_limit / self.gains.stiffness
 
   def pair(self) -> "Motor":
-    """Two of them on one joint through a linkage of ratio 1: twice the inertia and the torque at the same speed."""
+    """Return two of them on one joint through a linkage of ratio 1: twice inertia and torque at the same speed."""
     return Motor(armature=2 * self.armature, effort_limit=2 * self.effort_limit, velocity_limit=self.velocity_limit)
 
 
 def position_servos(motors: Mapping[tuple[str, ...], Motor]) -> tuple[ActuatorCfg, ...]:
-  """One group of position servos for each entry of `motors`, joint patterns to motor; `ctrl` follows their order."""
+  """Return a group of position servos for each entry of `motors`, joint patterns to motor, in the order of `ctrl`."""
   return tuple(
     NativePositionActuatorCfg(
       target_names_expr=joints,
       stiffness=motor.gains.stiffness,
       damping=motor.gains.damping,
       effort_limit=motor.effort_limit,
+      velocity_limit=motor.velocity_limit,
       armature=motor.armature,
     )
     for joints, motor in motors.items()
@@ -59,5 +60,5 @@ def position_servos(motors: Mapping[tuple[str, ...], Motor]) -> tuple[ActuatorCf
 
 
 def action_scales(motors: Mapping[tuple[str, ...], Motor]) -> dict[str, float]:
-  """Set-point shift of one unit of action, by joint pattern [rad]: q_target = q_default + scale * action."""
+  """Return the shift of the target per unit of action by joint pattern [rad]: q_target = q_default + scale * action."""
   return {pattern: motor.action_scale for joints, motor in motors.items() for pattern in joints}

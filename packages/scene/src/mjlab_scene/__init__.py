@@ -1,12 +1,12 @@
 """Entities, terrain and sensors composed into one MuJoCo scene."""
 
+from mjlab_scene.actuation import Quantity
 from mjlab_scene.collision import CollisionCfg
-from mjlab_scene.entity import Entity
-from mjlab_scene.entity_cfg import EntityArticulationCfg, EntityCfg, InitialStateCfg
+from mjlab_scene.entity import Entity, EntityArticulationCfg, EntityCfg
 from mjlab_scene.entity_data import EntityData
-from mjlab_scene.indexing import EntityIndexing
-from mjlab_scene.initial_state import InitialState
-from mjlab_scene.keyframes import INIT_STATE
+from mjlab_scene.indexing import ColumnView, EntityIndexing
+from mjlab_scene.initial_state import INIT_STATE, InitialState, InitialStateCfg
+from mjlab_scene.overlay import Overlay, read_overlay
 from mjlab_scene.scene import Scene, SceneCfg, TerrainCfg
 from mjlab_scene.terrain_levels import TerrainLevels
 from mjlab_scene.variants import VariantEntity, VariantEntityCfg
@@ -14,6 +14,7 @@ from mjlab_scene.variants import VariantEntity, VariantEntityCfg
 __all__ = [
   "INIT_STATE",
   "CollisionCfg",
+  "ColumnView",
   "Entity",
   "EntityArticulationCfg",
   "EntityCfg",
@@ -21,10 +22,13 @@ __all__ = [
   "EntityIndexing",
   "InitialState",
   "InitialStateCfg",
+  "Overlay",
+  "Quantity",
   "Scene",
   "SceneCfg",
   "TerrainCfg",
   "TerrainLevels",
   "VariantEntity",
   "VariantEntityCfg",
+  "read_overlay",
 ]

@@ -1,111 +1,119 @@
-"""One class for every physical thing in a scene."""
+"""Robots, objects and fixtures of a scene: configuration, and state to read and write in every world."""
 
 from __future__ import annotations
 
-import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any
 
 import mujoco
 import torch
-from mjlab_actuators import ActuatorSet
-from mjlab_core.masking import fill_, where_
+from mjlab_actuators import ActuatorCfg, ActuatorSet, Transmission
+from mjlab_core.config import Config
+from mjlab_core.constraints import Limits, check_fields
+from mjlab_core.errors import MjlabError
+from mjlab_core.rotations import quat_apply, quat_apply_inverse
+from mjlab_core.state import Stateful
 
-from mjlab_scene.actuator_columns import ActuatorColumns
-from mjlab_scene.collision import apply_collisions
-from mjlab_scene.element_names import KINDS, name_everything, spec_names
-from mjlab_scene.entity_cfg import EntityArticulationCfg, EntityCfg
+from mjlab_scene.actuation import Actuation, Quantity
+from mjlab_scene.collision import CollisionCfg
 from mjlab_scene.entity_data import EntityData
-from mjlab_scene.entity_names import EntityNames
-from mjlab_scene.entity_writes import Columns, EntityWrites
-from mjlab_scene.indexing import EntityIndexing, index_entity
-from mjlab_scene.initial_state import InitialState, read_initial_state
+from mjlab_scene.entity_spec import EntitySpec
+from mjlab_scene.indexing import ColumnView, EntityIndexing, Selection, WritePlaces, fitting, index_entity
+from mjlab_scene.initial_state import InitialStateCfg
+from mjlab_scene.overlay import Overlay, read_overlay
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
-MOCAP_BASE = "mocap_base"
-"""Body that the scene puts above a fixed base, to place it per world."""
+_TARGETS: dict[tuple[Transmission, Quantity], str] = {
+  ("joint", "position"): "set_joint_position_target",
+  ("joint", "velocity"): "set_joint_velocity_target",
+  ("joint", "effort"): "set_joint_effort_target",
+  ("tendon", "position"): "set_tendon_len_target",
+  ("tendon", "velocity"): "set_tendon_vel_target",
+  ("tendon", "effort"): "set_tendon_effort_target",
+  ("site", "position"): "set_site_pos_target",
+  ("site", "velocity"): "set_site_vel_target",
+  ("site", "effort"): "set_site_effort_target",
+}
 
 
-class Entity(EntityNames, EntityWrites):
-  """A robot, an object or a fixture: fixed, floating or mocap base, with or without joints.
+@dataclass(kw_only=True)
+class EntityArticulationCfg(Config):
+  """Actuators and joint limits of an entity."""
 
-  Built from its configuration it is only a spec, edited: everything named, contact presets and actuators applied.
-  `attach` puts it into a scene, `initialize` ties it to the simulation of that scene; from then on `data` can be read
-  and the `write_*` methods used.
+  actuators: tuple[ActuatorCfg, ...] = ()
+  """Actuator groups; a joint, tendon or site is driven by at most one of them."""
+  soft_joint_pos_limit_factor: Annotated[float, Limits(gt=0, le=1)] = 1.0
+  """Soft position limits span this fraction of the joint's range about its middle, in (0, 1]."""
 
-  All names are local: what the scene calls "robot/left/elbow" the entity "robot" calls "left/elbow".
 
-  Raises:
-    ValueError: anything wrong in the configuration, by name.
+@dataclass(kw_only=True)
+class EntityCfg(Config):
+  """One robot, object or fixture.
+
+  The base is floating if the spec holds a free joint (at most one), a mocap body if its root body is one, and fixed
+  otherwise; a fixed base is placed per world through a mocap body "mocap_base" that the scene puts above it.
   """
 
-  _children = ("data", "actuators")
+  spec_fn: Callable[[], mujoco.MjSpec]
+  """Returns a new spec each time it is called; the entity edits it."""
+  init_state: InitialStateCfg = field(default_factory=InitialStateCfg)
+  articulation: EntityArticulationCfg | None = None
+  """None: nothing is actuated by mjlab; actuators in the model keep the controls that the user writes."""
+  collisions: tuple[CollisionCfg, ...] = ()
+  """Contact presets; together they say which geoms collide."""
+  overlay: str | None = None
+  """File of identified values, which take the place of those above; see `mjlab_scene.overlay`."""
 
-  def __init__(self, cfg: EntityCfg, name: str) -> None:
-    if not name or "/" in name:
-      raise ValueError(f"entity name {name!r} must be a word without '/'")
+  def build(self, name: str) -> Entity:
+    """Return the entity that this describes, under `name`."""
+    return Entity(self, name)
+
+
+class Entity(EntitySpec, Stateful):
+  """A robot, an object or a fixture: fixed, floating or mocap base, with or without joints.
+
+  Built from its configuration it is only a spec. `attach` puts it into a scene, `initialize` ties it to the simulation
+  of that scene; from then on `data` can be read and the `write_*` and `set_*` methods used.
+
+  Values that are written have one row per world, or a single row for all worlds, in any floating-point type. `mask`,
+  bool (num_envs,), selects the worlds to write; None writes all. `*_ids` select elements; None selects all. Derived
+  quantities follow on the next read, without a call to forward.
+
+  Raises:
+    MjlabError: Anything wrong in the configuration, by name. A written value has the wrong shape, or the entity has
+      nothing of the kind to write.
+  """
+
+  data: EntityData
+  """State and the quantities that follow from it."""
+  actuation: Actuation
+  """Targets and actuator models."""
+  sim: Simulation
+  """The simulation that the entity is part of."""
+  indexing: EntityIndexing
+  """Places of the entity's elements in the model."""
+
+  def __init__(self, cfg: EntityCfg, name: str, spec: mujoco.MjSpec | None = None) -> None:
     self.cfg = cfg
-    self.name = name
     owner = f"entity '{name}'"
     articulation = EntityArticulationCfg() if cfg.articulation is None else cfg.articulation
-    factor = articulation.soft_joint_pos_limit_factor
-    if not 0.0 < factor <= 1.0:
-      raise ValueError(f"{owner}: soft_joint_pos_limit_factor {factor} must be in (0, 1]")
-    self._soft_joint_pos_limit_factor = factor
-    self.spec = _make_spec(cfg, owner)
-    """The entity alone; attaching moves its contents into the scene."""
-    name_everything(self.spec)
-    own_root = _find_root(self.spec, owner)
-    self.is_floating = own_root is not None and _floats(own_root)
-    """Whether the base has a free joint."""
-    self._wrapped = own_root is None or not (self.is_floating or own_root.mocap)
-    apply_collisions(self.spec, cfg.collisions, owner)
-    self.actuators = ActuatorSet(articulation.actuators, owner) if articulation.actuators else None
-    """What drives joints, tendons and sites; None if nothing is configured to."""
-    if self.actuators is not None:
-      self.actuators.edit_spec(self.spec)
-      name_everything(self.spec)
-    self.initial_state: InitialState = read_initial_state(
-      self.spec, cfg.init_state, None if self._wrapped else own_root, self.is_floating, owner
+    check_fields(articulation, owner)
+    self._soft_joint_pos_limit_factor = articulation.soft_joint_pos_limit_factor
+    spec = _make_spec(cfg, owner) if spec is None else spec
+    self.overlay = Overlay(source="none") if cfg.overlay is None else read_overlay(cfg.overlay)
+    """Identified values."""
+    actuators = self.overlay.edited(articulation.actuators, spec)
+    super().__init__(
+      name,
+      spec,
+      init_state=cfg.init_state,
+      collisions=cfg.collisions,
+      actuators=ActuatorSet(actuators, owner) if actuators else None,
     )
-    """Where the entity starts, by local name."""
-    self.prefix = f"{name}/"
-    """What the scene puts before the entity's names."""
-    self.root_body_name: str = MOCAP_BASE if self._wrapped or own_root is None else own_root.name
-    """Local name of the body that `root_*` quantities and writes are about."""
-    self._names = {kind: spec_names(self.spec, kind) for kind in KINDS}
-    if self._wrapped:
-      self._names["body"] = (MOCAP_BASE, *self._names["body"])
-    self._indexing: EntityIndexing | None = None
-    self._data: EntityData | None = None
-    self._sim: Simulation | None = None
-    self._columns_of: dict[tuple[object, ...], tuple[object, Columns]] = {}
-    self._actuator_columns: ActuatorColumns | None = None
-    self._written: tuple[int, bool] | None = None
-
-  # Building
-
-  def attach(self, scene: mujoco.MjSpec) -> None:
-    """Move the entity into the spec of a scene, under its prefix; its keyframes are left behind."""
-    for key in list(self.spec.keys):
-      self.spec.delete(key)
-    pose = self.initial_state.root_pose
-    if self._wrapped:
-      base = scene.worldbody.add_body(name=self.prefix + MOCAP_BASE, mocap=True, pos=pose[:3], quat=pose[3:])
-      self._attach(scene, base.add_frame())
-      return
-    self._attach(scene, scene.worldbody.add_frame())
-    if not self.is_floating:
-      root = scene.body(self.prefix + self.root_body_name)
-      root.pos, root.quat = pose[:3], pose[3:]
-      root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
-  def _attach(self, scene: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
-    with warnings.catch_warnings():
-      # Its files are found where they are, also where the scene holds others in memory.
-      warnings.filterwarnings("ignore", message="Attaching a child without asset dict")
-      scene.attach(self.spec, prefix=self.prefix, frame=frame)
+    self.overlay.edit_model(self.spec)
 
   def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:
     """Find the entity in the simulation's model and allocate all of its memory.
@@ -117,35 +125,40 @@ class Entity(EntityNames, EntityWrites):
     """
     self.prefix = self.prefix if prefix is None else prefix
     self.num_envs = sim.num_envs
-    self._sim = sim
-    indexing = index_entity(sim.mj_model, self.prefix, self.prefix + self.root_body_name, sim.device)
-    self._indexing = indexing
-    self._names = indexing.names
-    self._columns_of.clear()
-    data = EntityData(sim, indexing, self.initial_state, self._soft_joint_pos_limit_factor)
-    self._data = data
-    if self.actuators is not None:
-      self._actuator_columns = ActuatorColumns(
-        self.actuators, sim, indexing, data, self.initial_state, prefix=self.prefix, rng=rng
-      )
-    self._written = None
+    self.sim = sim
+    self.overlay.check_timestep(sim.timestep)
+    self.indexing = ix = index_entity(sim.mj_model, self.prefix, self.prefix + self.root_body_name, sim.device)
+    self._set_names(ix.names)
+    self.actuation = Actuation(self.actuators, sim, ix, self.initial_state, prefix=self.prefix, rng=rng)
+    self.data = EntityData(
+      sim, ix, self.initial_state, self.actuation, self._soft_joint_pos_limit_factor, self.overlay.encoder_bias
+    )
+    self._writes = self._write_places()
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
+
+  def __getattr__(self, name: str) -> Any:
+    if name in ("data", "actuation", "sim", "indexing"):
+      raise RuntimeError(f"{self.owner} is not part of a simulation yet: initialize its scene first")
+    raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+  @property
+  def wide_joints(self) -> tuple[str, ...]:
+    """Joints of several columns, ball joints: beside one, ids of joints are not columns of `data.joint_pos`."""
+    ix = self.indexing
+    return tuple(name for name, columns in zip(ix.names["joint"], ix.q_of_joint, strict=True) if len(columns) > 1)
 
   # Running
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Set-points of masked worlds to the default pose, at rest, and delays as if they had always been that.
+    """Reset targets of masked worlds (num_envs,) to the default pose at rest, and fill delays with them.
 
-    The state itself is left to whoever resets it.
+    The state itself is left to the caller.
     """
-    data = self.data
-    where_(data.joint_pos_target, mask, data.default_joint_pos)
-    fill_(data.joint_vel_target, mask, 0.0)
-    fill_(data.joint_effort_target, mask, 0.0)
-    if self._actuator_columns is not None:
-      self._actuator_columns.reset(mask)
-    # The simulation's reset clears controls.
-    self._written = None
+    self.actuation.reset(mask)
+
+  def write_ctrl(self) -> None:
+    """Turn targets into controls; to be called exactly once before each substep."""
+    self.actuation.write_ctrl()
 
   def write_default_root_state(self, origins: torch.Tensor | None = None, mask: torch.Tensor | None = None) -> None:
     """Put the root of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
@@ -161,101 +174,215 @@ class Entity(EntityNames, EntityWrites):
     if self.is_articulated:
       self.write_joint_state(self.data.default_joint_pos, self.data.default_joint_vel, mask)
 
-  def write_ctrl(self) -> None:
-    """Turn set-points into controls; to be called exactly once before each substep."""
-    columns = self._actuator_columns
-    if columns is None:
+  # Root
+
+  def write_root_state(self, state: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set pose and velocity of a floating base, (num_envs, 13), or the pose of any other, (num_envs, 7).
+
+    Position [m], quaternion, linear velocity of the link's origin [m/s] and angular velocity [rad/s], world frame.
+    """
+    if not self.is_floating:
+      self.write_root_pose(state, mask)
       return
-    if columns.follows_set_points_only:
-      # Servos inside MuJoCo hold their set-point: within a decimation there is nothing to write twice.
-      # The first substep of a recording writes whatever was written before it: each replay starts from new set-points.
-      written = (columns.version, self.sim.is_capturing)
-      if written == self._written:
-        return
-      self._written = written
-    columns.compute()
+    state = self._checked("write_root_state", state, 13)
+    self.write_root_pose(state[:, :7], mask)
+    self.write_root_velocity(state[:, 7:], mask)
 
-  # What it is
+  def write_root_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised."""
+    pose = self._checked("write_root_pose", pose, 7)
+    if self.is_floating:
+      self._writes.view("write_root_pose").write(pose, mask)
+    else:
+      self._writes.view("write_root_pose, position").write(pose[:, :3], mask)
+      self._writes.view("write_root_pose, orientation").write(pose[:, 3:], mask)
 
-  @property
-  def data(self) -> EntityData:
-    """What can be known about the entity; RuntimeError before `initialize`."""
-    if self._data is None:
-      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
-    return self._data
+  def write_mocap_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set position [m] and orientation of a base that does not float, world frame, (num_envs, 7)."""
+    if self.is_floating:
+      raise MjlabError(f"{self.owner}: write_mocap_pose: its base floats; use write_root_pose")
+    self.write_root_pose(pose, mask)
 
-  @property
-  def sim(self) -> Simulation:
-    """The simulation that the entity is part of; RuntimeError before `initialize`."""
-    if self._sim is None:
-      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
-    return self._sim
+  def write_root_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
+    view = self._writes.view("write_root_velocity")
+    velocity = view.checked(velocity)
+    angular = quat_apply_inverse(self.data.root_link_quat_w, velocity[:, 3:])
+    view.write(torch.cat((velocity[:, :3].expand_as(angular), angular), dim=-1), mask)
 
-  @property
-  def indexing(self) -> EntityIndexing:
-    """Where the entity is in the model; RuntimeError before `initialize`."""
-    if self._indexing is None:
-      raise RuntimeError(f"entity '{self.name}' is not part of a simulation yet: initialize its scene first")
-    return self._indexing
+  def write_root_velocity_b(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], link frame, (num_envs, 6)."""
+    view = self._writes.view("write_root_velocity_b")
+    velocity = view.checked(velocity)
+    linear = quat_apply(self.data.root_link_quat_w, velocity[:, :3])
+    view.write(torch.cat((linear, velocity[:, 3:].expand_as(linear)), dim=-1), mask)
 
-  @property
-  def is_fixed_base(self) -> bool:
-    """Whether the base does not float; it is then a mocap body, its own or the scene's."""
-    return not self.is_floating
+  def write_root_com_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
+    view = self._writes.view("write_root_com_velocity")
+    velocity = view.checked(velocity)
+    quat = self.data.root_link_quat_w
+    arm = quat_apply(quat, self.sim.model.body_ipos[:, self.indexing.root_body])
+    linear = velocity[:, :3] - torch.linalg.cross(velocity[:, 3:].expand_as(arm), arm)
+    view.write(torch.cat((linear, quat_apply_inverse(quat, velocity[:, 3:])), dim=-1), mask)
 
-  @property
-  def is_mocap(self) -> bool:
-    """Whether the model itself makes the root a mocap body."""
-    return not self.is_floating and not self._wrapped
+  # Joints
 
-  @property
-  def is_articulated(self) -> bool:
-    """Whether it has joints other than the free one."""
-    return bool(self._names["joint"])
+  def write_joint_state(
+    self,
+    position: torch.Tensor,
+    velocity: torch.Tensor,
+    mask: torch.Tensor | None = None,
+    joint_ids: Selection = None,
+  ) -> None:
+    """Set positions (num_envs, k) [rad or m] and velocities (num_envs, k) [rad/s or m/s] of joints."""
+    self.write_joint_position(position, mask, joint_ids)
+    self.write_joint_velocity(velocity, mask, joint_ids)
 
-  @property
-  def wide_joints(self) -> tuple[str, ...]:
-    """Joints of several columns, ball joints: beside one, ids of joints are not columns of `data.joint_pos`."""
-    ix = self.indexing
-    return tuple(name for name, columns in zip(ix.names["joint"], ix.q_of_joint, strict=True) if len(columns) > 1)
+  def write_joint_position(
+    self, position: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
+  ) -> None:
+    """Set joint positions, (num_envs, k) [rad or m]; a ball joint takes four columns, a quaternion, normalised."""
+    self._writes.view("write_joint_position", joint_ids).write(position, mask)
 
-  @property
-  def is_actuated(self) -> bool:
-    """Whether actuators are configured to drive its joints, tendons or sites."""
-    return self.actuators is not None
+  def write_joint_velocity(
+    self, velocity: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
+  ) -> None:
+    """Set joint velocities, (num_envs, k) [rad/s or m/s]; a ball joint takes three columns."""
+    self._writes.view("write_joint_velocity", joint_ids).write(velocity, mask)
 
-  def _selections(self) -> dict[tuple[object, ...], tuple[object, Columns]]:
-    return self._columns_of
+  # Targets
 
+  def target_view(self, kind: Transmission, quantity: Quantity, ids: Selection = None) -> ColumnView:
+    """Return a view through which targets are written: resolve ids once at build, then `write` in every step.
 
-def _floats(body: mujoco.MjsBody) -> bool:
-  return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+    Args:
+      kind: "joint", "tendon" or "site".
+      quantity: "position" (the length of a tendon), "velocity" or "effort".
+      ids: Elements of that kind.
+    """
+    return self._writes.view(_TARGETS[kind, quantity], ids)
+
+  def set_joint_position_target(
+    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set position targets of joints, (num_envs, k) [rad or m]."""
+    self._writes.view("set_joint_position_target", joint_ids).write(target, mask)
+
+  def set_joint_velocity_target(
+    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
+    self._writes.view("set_joint_velocity_target", joint_ids).write(target, mask)
+
+  def set_joint_effort_target(
+    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set effort targets of joints, (num_envs, k) [N m or N]."""
+    self._writes.view("set_joint_effort_target", joint_ids).write(target, mask)
+
+  def set_tendon_len_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set length targets of tendons, (num_envs, k) [m or rad]."""
+    self._writes.view("set_tendon_len_target", tendon_ids).write(target, mask)
+
+  def set_tendon_vel_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
+    self._writes.view("set_tendon_vel_target", tendon_ids).write(target, mask)
+
+  def set_tendon_effort_target(
+    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set effort targets along tendons, (num_envs, k) [N or N m]."""
+    self._writes.view("set_tendon_effort_target", tendon_ids).write(target, mask)
+
+  def set_site_pos_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set position targets of sites from their reference site along their gear, (num_envs, k) [m or rad]."""
+    self._writes.view("set_site_pos_target", site_ids).write(target, mask)
+
+  def set_site_vel_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
+    self._writes.view("set_site_vel_target", site_ids).write(target, mask)
+
+  def set_site_effort_target(
+    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
+  ) -> None:
+    """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
+    self._writes.view("set_site_effort_target", site_ids).write(target, mask)
+
+  # Forces and controls
+
+  def write_external_wrench(
+    self,
+    forces: torch.Tensor,
+    torques: torch.Tensor,
+    body_ids: Selection = None,
+    mask: torch.Tensor | None = None,
+  ) -> None:
+    """Apply forces [N] and torques [N m] to bodies at their centres of mass, world frame, (num_envs, k, 3) each.
+
+    They act in every substep until they are overwritten or the world is reset.
+    """
+    on_force, on_torque = (
+      self._writes.view(f"write_external_wrench, {part}", body_ids) for part in ("forces", "torques")
+    )
+    forces, torques = on_force.checked(forces), on_torque.checked(torques)
+    on_force.write(forces, mask)
+    on_torque.write(torques, mask)
+
+  def set_ctrl(self, ctrl: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Set the controls of all actuators of the entity, (num_envs, num_ctrl), in the model's order.
+
+    For actuators without an actuator config; those with one are written again in the next substep.
+    """
+    self._writes.view("set_ctrl").write(ctrl, mask)
+
+  # Columns
+
+  def _write_places(self) -> WritePlaces:
+    sim, ix = self.sim, self.indexing
+    places = WritePlaces(self.owner)
+    if ix.root_q is not None:
+      position, quat = range(ix.root_q.start, ix.root_q.start + 3), range(ix.root_q.start + 3, ix.root_q.stop)
+      places.add("write_root_pose", sim.data.qpos, (position, quat), quaternions=True)
+    elif ix.mocap is not None:
+      places.add("write_root_pose, position", sim.data.mocap_pos[:, ix.mocap], (range(3),))
+      places.add("write_root_pose, orientation", sim.data.mocap_quat[:, ix.mocap], (range(4),), quaternions=True)
+    velocity = () if ix.root_v is None else (range(ix.root_v.start, ix.root_v.stop),)
+    for method in ("write_root_velocity", "write_root_velocity_b", "write_root_com_velocity"):
+      places.add(method, sim.data.qvel, velocity, "its base does not float, so it has no velocity to set")
+    places.add("write_joint_position", sim.data.qpos, ix.qpos_of_joint, "it has no joints", quaternions=True)
+    places.add("write_joint_velocity", sim.data.qvel, ix.qvel_of_joint, "it has no joints")
+    bodies = [range(i, i + 1) for i in ix.ids["body"].tolist()]
+    places.add("write_external_wrench, forces", sim.data.xfrc_applied[..., :3], bodies)
+    places.add("write_external_wrench, torques", sim.data.xfrc_applied[..., 3:], bodies)
+    places.add("set_ctrl", sim.data.ctrl, ix.ctrl_of_actuator, "it has no actuators")
+    for (kind, quantity), method in _TARGETS.items():
+      targets = self.actuation.view(kind, quantity)
+      if kind == "joint":
+        places.add(method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, "it has no joints")
+      else:
+        driven = self.actuators is not None and self.actuators.driven(kind)
+        columns = [range(i, i + 1) for i in range(targets.shape[1])] if driven else []
+        places.add(method, targets, columns, f"no actuator config drives a {kind} of it")
+    return places
+
+  def _checked(self, method: str, value: torch.Tensor, columns: int) -> torch.Tensor:
+    return fitting(value, (self.num_envs, columns), self.sim.dtype, f"{self.owner}: {method}")
 
 
 def _make_spec(cfg: EntityCfg, owner: str) -> mujoco.MjSpec:
   try:
     spec = cfg.spec_fn() if callable(cfg.spec_fn) else None
   except (ValueError, OSError) as error:
-    raise ValueError(f"{owner}: its model cannot be made: {error}") from error
+    raise MjlabError(f"{owner}: its model cannot be made: {error}") from error
   if not isinstance(spec, mujoco.MjSpec):
-    raise ValueError(f"{owner}: spec_fn must be a function that returns an MjSpec")
+    raise MjlabError(f"{owner}: spec_fn must be a function that returns an MjSpec")
   return spec
-
-
-def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
-  """The body with the free joint, wherever it is; else a mocap body on top level; else the first body, if any."""
-  floating = [body for body in spec.bodies if _floats(body)]
-  if len(floating) > 1:
-    names = ", ".join(f"'{body.name}'" for body in floating)
-    raise ValueError(
-      f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make it several"
-    )
-  top = [body for body in spec.bodies[1:] if body.parent.name == "world"]
-  if floating:
-    if floating[0] not in top and floating[0].name not in [body.name for body in top]:
-      raise ValueError(f"{owner}: body '{floating[0].name}' has a free joint but is not on top level")
-    return floating[0]
-  mocap = [body for body in top if body.mocap]
-  if mocap:
-    return mocap[0]
-  return top[0] if top else None

@@ -1,17 +1,20 @@
-"""Where an entity's elements are in the compiled model, and where its state is in the simulation's arrays."""
+"""Places of an entity's elements in the compiled model, and of its state in the simulation's arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 
 import mujoco
 import numpy as np
 import torch
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import Index, as_index, select, where_
 
-from mjlab_scene.element_names import KINDS
+from mjlab_scene.entity_spec import KINDS
 from mjlab_scene.initial_state import POSITION_WIDTH, VELOCITY_WIDTH
 
-Index = slice | torch.Tensor
-"""Selects along one dimension: a slice where ids are contiguous, so that selecting gives a view, else a LongTensor."""
+Selection = slice | torch.Tensor | Sequence[int] | None
+"""Elements of one kind of an entity: all (None), a slice, an int64 tensor or a list of entity-local ids."""
 
 _OBJECT = {
   "body": mujoco.mjtObj.mjOBJ_BODY,
@@ -28,22 +31,7 @@ _COUNT = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "site": "nsite", "t
 _COUNT |= {"actuator": "nactuator", "camera": "ncam", "light": "nlight", "material": "nmat"}
 
 
-def as_index(ids: Sequence[int] | np.ndarray, device: torch.device | str) -> Index:
-  """`ids` as a slice if they are contiguous and ascending, else as a LongTensor on `device`."""
-  numbers = [int(i) for i in ids]
-  if not numbers:
-    return slice(0, 0)
-  if numbers == list(range(numbers[0], numbers[0] + len(numbers))):
-    return slice(numbers[0], numbers[-1] + 1)
-  return torch.tensor(numbers, dtype=torch.long, device=device)
-
-
-def select(array: torch.Tensor, index: Index) -> torch.Tensor:
-  """`array[:, index]`: a view for a slice, a copy for a tensor."""
-  return array[:, index] if isinstance(index, slice) else array.index_select(1, index)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EntityIndexing:
   """Ids of an entity's elements in the model, global, and columns of its joints in the state."""
 
@@ -65,20 +53,20 @@ class EntityIndexing:
   """Columns of the joints in qpos, the free joint left out; a ball joint has four."""
   joint_v: Index
   """Columns of the joints in qvel, the free joint left out; a ball joint has three."""
+  qpos_of_joint: tuple[range, ...]
+  """Columns of each joint in qpos."""
+  qvel_of_joint: tuple[range, ...]
+  """Columns of each joint in qvel."""
   q_of_joint: tuple[range, ...]
-  """Columns of each joint within `joint_q`."""
+  """Columns of each joint in `data.joint_pos`."""
   v_of_joint: tuple[range, ...]
-  """Columns of each joint within `joint_v`."""
-  ctrl: Index
-  """Columns of the actuators in ctrl."""
-  geom_body: Index
-  """Body of each geom."""
-  site_body: Index
-  """Body of each site."""
-  root_of_body: Index
-  """Top body of the kinematic tree of each body; one row if they share one."""
-  root_of_geom: Index
-  root_of_site: Index
+  """Columns of each joint in `data.joint_vel`."""
+  ctrl_of_actuator: tuple[range, ...]
+  """Columns of each actuator in ctrl."""
+  bodies: dict[str, Index]
+  """Body of each body, geom and site, by kind."""
+  trees: dict[str, Index]
+  """Top body of the kinematic tree of each body, geom and site, by kind; one row if they share one."""
 
   @property
   def scalar_joints(self) -> bool:
@@ -87,7 +75,14 @@ class EntityIndexing:
 
 
 def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.device) -> EntityIndexing:
-  """Find all elements of `model` whose names start with `prefix`; `root` is the full name of the root body."""
+  """Return the places of all elements of `model` whose names start with `prefix`.
+
+  Args:
+    model: Compiled model of the scene.
+    prefix: What precedes the entity's names in the model.
+    root: Full name of the entity's root body.
+    device: Where index tensors live.
+  """
   names: dict[str, tuple[str, ...]] = {}
   ids: dict[str, np.ndarray] = {}
   for kind in KINDS:
@@ -102,35 +97,22 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     ids[kind] = np.array([i for i, _ in found], dtype=np.int64)
 
   root_body = model.body(root).id
-  root_q = root_v = None
   joint = int(model.body_jntadr[root_body])
+  root_q = root_v = None
   if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-    root_q = slice(int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[joint]) + 7)
-    root_v = slice(int(model.jnt_dofadr[joint]), int(model.jnt_dofadr[joint]) + 6)
+    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    root_q, root_v = slice(q, q + 7), slice(v, v + 6)
   mocap = int(model.body_mocapid[root_body])
 
-  q_columns: list[int] = []
-  v_columns: list[int] = []
-  q_of_joint: list[range] = []
-  v_of_joint: list[range] = []
-  for i in ids["joint"]:
-    kind = mujoco.mjtJoint(int(model.jnt_type[i]))
-    nq, nv = POSITION_WIDTH[kind], VELOCITY_WIDTH[kind]
-    q_of_joint.append(range(len(q_columns), len(q_columns) + nq))
-    v_of_joint.append(range(len(v_columns), len(v_columns) + nv))
-    q_columns.extend(range(int(model.jnt_qposadr[i]), int(model.jnt_qposadr[i]) + nq))
-    v_columns.extend(range(int(model.jnt_dofadr[i]), int(model.jnt_dofadr[i]) + nv))
-  ctrl = [
-    column
-    for i in ids["actuator"]
-    for column in range(int(model.actuator_ctrladr[i]), int(model.actuator_ctrladr[i]) + int(model.actuator_ctrlnum[i]))
-  ]
+  kinds = [mujoco.mjtJoint(int(model.jnt_type[i])) for i in ids["joint"]]
+  qpos_of_joint = _ranges(model.jnt_qposadr[ids["joint"]], [POSITION_WIDTH[kind] for kind in kinds])
+  qvel_of_joint = _ranges(model.jnt_dofadr[ids["joint"]], [VELOCITY_WIDTH[kind] for kind in kinds])
+  bodies = {"body": ids["body"], "geom": model.geom_bodyid[ids["geom"]], "site": model.site_bodyid[ids["site"]]}
 
-  def roots(bodies: np.ndarray) -> Index:
-    tops = model.body_rootid[bodies]
-    return as_index(tops[:1] if len(set(tops.tolist())) == 1 else tops, device)
+  def tops(bodies: np.ndarray) -> Index:
+    trees = model.body_rootid[bodies]
+    return as_index(trees[:1] if len(set(trees.tolist())) == 1 else trees, device)
 
-  geom_body, site_body = model.geom_bodyid[ids["geom"]], model.site_bodyid[ids["site"]]
   return EntityIndexing(
     names=names,
     ids=ids,
@@ -139,14 +121,174 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     root_q=root_q,
     root_v=root_v,
     mocap=mocap if mocap >= 0 else None,
-    joint_q=as_index(q_columns, device),
-    joint_v=as_index(v_columns, device),
-    q_of_joint=tuple(q_of_joint),
-    v_of_joint=tuple(v_of_joint),
-    ctrl=as_index(ctrl, device),
-    geom_body=as_index(geom_body, device),
-    site_body=as_index(site_body, device),
-    root_of_body=roots(ids["body"]),
-    root_of_geom=roots(geom_body),
-    root_of_site=roots(site_body),
+    joint_q=as_index(_flat(qpos_of_joint), device),
+    joint_v=as_index(_flat(qvel_of_joint), device),
+    qpos_of_joint=qpos_of_joint,
+    qvel_of_joint=qvel_of_joint,
+    q_of_joint=_side_by_side(qpos_of_joint),
+    v_of_joint=_side_by_side(qvel_of_joint),
+    ctrl_of_actuator=_ranges(model.actuator_ctrladr[ids["actuator"]], model.actuator_ctrlnum[ids["actuator"]]),
+    bodies={kind: as_index(ids, device) for kind, ids in bodies.items()},
+    trees={kind: tops(ids) for kind, ids in bodies.items()},
   )
+
+
+def _ranges(starts: Sequence[int] | np.ndarray, widths: Sequence[int] | np.ndarray) -> tuple[range, ...]:
+  return tuple(range(int(start), int(start) + int(width)) for start, width in zip(starts, widths, strict=True))
+
+
+def _side_by_side(ranges: Sequence[range]) -> tuple[range, ...]:
+  widths = [len(columns) for columns in ranges]
+  return _ranges(np.cumsum([0, *widths])[:-1], widths)
+
+
+def _flat(ranges: Sequence[range]) -> list[int]:
+  return [column for columns in ranges for column in columns]
+
+
+class ColumnView:
+  """Chosen columns of a tensor with one row per world, to be written in the worlds of a mask.
+
+  Args:
+    tensor: Shape (num_envs, n, ...); its memory stays where it is.
+    columns: Columns of each chosen element.
+    owner: Beginning of error messages.
+    quaternions: True if four columns of an element are a quaternion, to be normalised.
+  """
+
+  def __init__(self, tensor: torch.Tensor, columns: Sequence[range], owner: str, *, quaternions: bool = False) -> None:
+    self._tensor = tensor
+    self._index = as_index(_flat(columns), tensor.device)
+    self._view = tensor[:, self._index] if isinstance(self._index, slice) else None
+    self._owner = owner
+    places = _side_by_side(columns)
+    self._quaternions = [slice(p.start, p.stop) for p in places if len(p) == 4] if quaternions else []
+    self._shape = (tensor.shape[0], sum(map(len, columns)), *tensor.shape[2:])
+
+  def write(self, value: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+    """Write `value` into the chosen columns.
+
+    Args:
+      value: Shape (num_envs, k, ...), or (1, k, ...) for all worlds, of any floating-point type.
+      mask: Worlds to write, bool (num_envs,); None writes all.
+
+    Raises:
+      MjlabError: `value` has another shape.
+    """
+    if value.shape != self._shape:
+      value = self.checked(value)
+    if self._quaternions:
+      value = value.to(self._tensor.dtype, copy=True)
+      for columns in self._quaternions:
+        value[:, columns] = _unit_quaternion(value[:, columns])
+    if self._view is None:
+      if mask is not None:
+        kept = select(self._tensor, self._index)
+        value = torch.where(mask.reshape(-1, *(1,) * (kept.dim() - 1)), value.to(kept.dtype), kept)
+      self._tensor[:, self._index] = value.to(self._tensor.dtype)
+    elif mask is None:
+      self._view.copy_(value)
+    else:
+      where_(self._view, mask, value)
+
+  def checked(self, value: torch.Tensor) -> torch.Tensor:
+    """Return `value` in the tensor's type; raise MjlabError if its shape does not fit."""
+    return fitting(value, self._shape, self._tensor.dtype, self._owner)
+
+
+def fitting(value: torch.Tensor, shape: tuple[int, ...], dtype: torch.dtype, owner: str) -> torch.Tensor:
+  """Return `value` as `dtype`; raise MjlabError unless it has `shape`, or one row for all worlds."""
+  if tuple(value.shape[1:]) != shape[1:] or value.shape[0] not in (1, shape[0]):
+    wanted = ", ".join(map(str, shape[1:]))
+    raise MjlabError(
+      f"{owner}: shape {tuple(value.shape)} does not fit ({shape[0]}, {wanted}), one row per world, "
+      f"or (1, {wanted}) for all; mjlab_core.rows_of_worlds(values, env_ids, num_envs) makes rows and mask of some"
+    )
+  return value.to(dtype)
+
+
+@dataclass(frozen=True)
+class _Place:
+  tensor: torch.Tensor
+  columns: Sequence[range]
+  lack: str
+  quaternions: bool
+
+
+class WritePlaces:
+  """Tensors and columns that each method of an entity writes.
+
+  Args:
+    owner: The entity as messages name it.
+  """
+
+  def __init__(self, owner: str) -> None:
+    self._owner = owner
+    self._places: dict[str, _Place] = {}
+    self._views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = {}
+
+  def add(
+    self, method: str, tensor: torch.Tensor, columns: Sequence[range], lack: str = "", *, quaternions: bool = False
+  ) -> None:
+    """Let `method` write `tensor`, (num_envs, n, ...); `lack` is the error where an entity has no `columns`."""
+    self._places[method] = _Place(tensor, columns, lack, quaternions)
+
+  def view(self, method: str, ids: Selection = None) -> ColumnView:
+    """Return what `method` writes of the elements `ids`. Each selection is resolved once, when it is first used.
+
+    Raises:
+      MjlabError: The entity has nothing that `method` writes, or an id is out of range.
+    """
+    key = (method, *_selection_key(ids))
+    found = self._views.get(key)
+    if found is None:
+      place, owner = self._places[method], f"{self._owner}: {method}"
+      if not place.columns:
+        raise MjlabError(f"{owner}: {place.lack}")
+      columns = [place.columns[i] for i in _chosen_ids(ids, len(place.columns), owner)]
+      view = ColumnView(place.tensor, columns, owner, quaternions=place.quaternions)
+      # Keeping the selection keeps the id of a CUDA tensor from being given to another tensor.
+      found = self._views[key] = (ids, view)
+    return found[1]
+
+  def __len__(self) -> int:
+    """Return the number of selections resolved so far."""
+    return len(self._views)
+
+
+def _unit_quaternion(quaternion: torch.Tensor) -> torch.Tensor:
+  """Return quaternions (..., 4) normalised; a zero one becomes the identity, as in MuJoCo."""
+  norm = torch.linalg.vector_norm(quaternion, dim=-1, keepdim=True)
+  identity = torch.zeros_like(quaternion)
+  identity[..., 0] = 1.0
+  return torch.where(norm > 1e-10, quaternion / norm, identity)
+
+
+def _chosen_ids(selection: Selection, count: int, owner: str) -> list[int]:
+  """Return the ids in [0, count) that `selection` stands for.
+
+  Raises:
+    MjlabError: An id is not a whole number or not in range.
+  """
+  if selection is None:
+    return list(range(count))
+  if isinstance(selection, slice):
+    return list(range(count)[selection])
+  ids = selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)
+  if any(isinstance(i, bool) or not isinstance(i, Integral) for i in ids):
+    raise MjlabError(f"{owner}: ids must be whole numbers, got {ids}")
+  if any(not -count <= i < count for i in ids):
+    raise MjlabError(f"{owner}: ids {ids} must be within {count}")
+  return [i % count for i in ids]
+
+
+def _selection_key(selection: Selection) -> tuple[object, ...]:
+  """Return what identifies a selection as it is now; the values of a CUDA tensor are not read again."""
+  if isinstance(selection, slice):
+    return (selection.start, selection.stop, selection.step)
+  if isinstance(selection, torch.Tensor) and selection.is_cuda:
+    return ("cuda", id(selection))
+  if selection is None:
+    return ()
+  # As text, True is not 1.
+  return (repr(selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)),)

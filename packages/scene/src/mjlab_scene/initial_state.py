@@ -1,14 +1,19 @@
-"""The state an entity starts in, read from its configuration and its spec before anything is compiled."""
+"""State that an entity starts in: configured, read from its spec, and joined to the keyframe of a scene."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from mjlab_actuators import command_fields_of
+from mjlab_core.config import Config
+from mjlab_core.constraints import Finite, check_fields, check_value
+from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_values
 
-from mjlab_scene.entity_cfg import InitialStateCfg
+INIT_STATE = "init_state"
+"""Name of the scene's keyframe."""
 
 POSITION_WIDTH = {
   mujoco.mjtJoint.mjJNT_FREE: 7,
@@ -24,9 +29,34 @@ VELOCITY_WIDTH = {
 }
 
 
+@dataclass(kw_only=True)
+class InitialStateCfg(Config):
+  """The state an entity is reset to, relative to the origin of its world.
+
+  Patterns are matched as a whole against names; a pattern that matches nothing is an error. A joint that no pattern
+  names keeps the model's reference position (zero unless the model says otherwise) and zero velocity.
+  """
+
+  pos: tuple[Finite, Finite, Finite] | None = None
+  """Position of the root body [m]; None: the keyframe's if `joint_pos` is None, else the model's (fixed base: zero)."""
+  rot: tuple[Finite, Finite, Finite, Finite] | None = None
+  """Orientation of the root body, unit quaternion (w, x, y, z); None: as for `pos`."""
+  lin_vel: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+  """Linear velocity of the root link's origin, world frame [m/s]; floating base only."""
+  ang_vel: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+  """Angular velocity of the root link, world frame [rad/s]; floating base only."""
+  joint_pos: Mapping[str, float | tuple[float, float, float, float]] | None = field(default_factory=dict)
+  """Joint positions by pattern [rad or m], a quaternion for a ball joint; None takes the model's first keyframe."""
+  joint_vel: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
+  """Joint velocities by pattern [rad/s or m/s], three numbers for a ball joint."""
+  ctrl: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+  """Controls of the scene's keyframe by actuator pattern, one number per input; an input that is a position defaults to
+  the joint's initial position."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class InitialState:
-  """Where an entity starts, by name, so that it does not depend on what else is in the scene."""
+  """State that an entity starts in, by local name, so that it does not depend on what else is in the scene."""
 
   root_pose: np.ndarray
   """Position and unit quaternion of the root body, relative to the world's origin, (7,) [m, 1]."""
@@ -36,64 +66,79 @@ class InitialState:
   """Position of each joint but the free one, (1,) [rad or m] or a unit quaternion (4,)."""
   joint_vel: dict[str, np.ndarray]
   """Velocity of each joint but the free one, (1,) or (3,) [rad/s or m/s]."""
-  ctrl: dict[str, float]
+  ctrl: dict[str, tuple[float, ...]]
   """Control of each actuator in the scene's keyframe."""
 
 
 def read_initial_state(
   spec: mujoco.MjSpec, cfg: InitialStateCfg, root: mujoco.MjsBody | None, floating: bool, owner: str
 ) -> InitialState:
-  """The initial state of the entity that `spec` describes; `root` is its own root body, None if that is yet to be made.
+  """Return the initial state of the entity that `spec` describes.
+
+  Args:
+    spec: The entity alone, every element named.
+    cfg: Overrides what the spec says.
+    root: The entity's own root body; None for a fixed base, which has none.
+    floating: True if `root` has a free joint.
+    owner: Beginning of error messages.
 
   Raises:
-    ValueError: a pattern matches nothing, a value has the wrong size, a zero quaternion, a position outside the limits
-      of its joint, a velocity for a base that does not float, or `joint_pos` is None and the spec has no keyframe.
+    MjlabError: A pattern matches nothing, a value has the wrong size, a quaternion is zero, a position is outside the
+      limits of its joint, a velocity is given for a base that does not float, or `joint_pos` is None and the spec has
+      no keyframe.
   """
+  check_fields(cfg, owner)
   joints = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-  root_pose = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) if root is None else _placed(spec, root)
-  root_velocity = np.zeros(6)
-  joint_pos = {joint.name: _reference(joint, spec.compiler.degree) for joint in joints}
-  joint_vel = {joint.name: np.zeros(VELOCITY_WIDTH[joint.type]) for joint in joints}
-  ctrl: dict[str, float] = {}
-
+  state = InitialState(
+    root_pose=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) if root is None else _placed(spec, root),
+    root_velocity=np.zeros(6),
+    joint_pos={joint.name: _reference(joint, spec.compiler.degree) for joint in joints},
+    joint_vel={joint.name: np.zeros(VELOCITY_WIDTH[joint.type]) for joint in joints},
+    ctrl={},
+  )
   if cfg.joint_pos is None:
     if not spec.keys:
-      raise ValueError(f"{owner}: joint_pos is None, which takes the model's keyframe, but the model has none")
-    _read_key(spec, spec.keys[0], floating, root_pose, root_velocity, joint_pos, joint_vel, ctrl, owner)
+      raise MjlabError(f"{owner}: joint_pos=None takes the model's keyframe, but the model has none")
+    _read_key(spec, spec.keys[0], floating, state, owner)
   else:
-    _, names, values = match_values(cfg.joint_pos, list(joint_pos), what="joint", owner=owner)
-    for name, value in zip(names, values, strict=True):
-      joint_pos[name] = _sized(value, joint_pos[name].size, f"{owner}, joint_pos of '{name}'")
-    _check_limits([joint for joint in joints if joint.name in names], joint_pos, spec.compiler.degree, owner)
-  _, names, values = match_values(cfg.joint_vel, list(joint_vel), what="joint", owner=owner)
-  for name, value in zip(names, values, strict=True):
-    joint_vel[name] = _sized(value, joint_vel[name].size, f"{owner}, joint_vel of '{name}'")
+    named = _set_joints(state.joint_pos, cfg.joint_pos, owner, "joint_pos")
+    _check_limits([joint for joint in joints if joint.name in named], state, spec.compiler.degree, owner)
+  _set_joints(state.joint_vel, cfg.joint_vel, owner, "joint_vel")
 
   if cfg.pos is not None:
-    root_pose[:3] = _sized(cfg.pos, 3, f"{owner}, pos")
+    state.root_pose[:3] = cfg.pos
   if cfg.rot is not None:
-    root_pose[3:] = _sized(cfg.rot, 4, f"{owner}, rot")
-  root_pose[3:] = _unit(root_pose[3:], f"{owner}, rot")
-  for name, value in joint_pos.items():
+    state.root_pose[3:] = cfg.rot
+  state.root_pose[3:] = _unit(state.root_pose[3:], f"{owner}, rot")
+  for name, value in state.joint_pos.items():
     if value.size == 4:
-      joint_pos[name] = _unit(value, f"{owner}, joint_pos of '{name}'")
-  velocity = [*_sized(cfg.lin_vel, 3, f"{owner}, lin_vel"), *_sized(cfg.ang_vel, 3, f"{owner}, ang_vel")]
+      state.joint_pos[name] = _unit(value, f"{owner}, joint_pos of '{name}'")
+  velocity = [*cfg.lin_vel, *cfg.ang_vel]
   if any(velocity):
     if not floating:
-      raise ValueError(f"{owner}: lin_vel and ang_vel need a floating base, and this one has no free joint")
-    root_velocity[:] = velocity
+      raise MjlabError(f"{owner}: lin_vel and ang_vel need a floating base; this one has no free joint")
+    state.root_velocity[:] = velocity
 
   for actuator in spec.actuators:
-    ctrl.setdefault(actuator.name, _servo_target(actuator, joint_pos))
+    state.ctrl.setdefault(actuator.name, _resting_ctrl(actuator, state.joint_pos))
   _, names, values = match_values(cfg.ctrl, [a.name for a in spec.actuators], what="actuator", owner=owner)
-  ctrl.update(zip(names, map(float, values), strict=True))
-  return InitialState(
-    root_pose=root_pose, root_velocity=root_velocity, joint_pos=joint_pos, joint_vel=joint_vel, ctrl=ctrl
-  )
+  for name, value in zip(names, values, strict=True):
+    state.ctrl[name] = tuple(_sized(value, len(state.ctrl[name]), f"{owner}, ctrl of '{name}'"))
+  return state
+
+
+def _set_joints(
+  state: dict[str, np.ndarray], values: Mapping[str, float | tuple[float, ...]], owner: str, field: str
+) -> list[str]:
+  """Overwrite `state` with `values` by pattern and return the names that they match."""
+  _, names, matched = match_values(values, list(state), what="joint", owner=owner)
+  for name, value in zip(names, matched, strict=True):
+    state[name] = _sized(value, state[name].size, f"{owner}, {field} of '{name}'")
+  return names
 
 
 def _placed(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> np.ndarray:
-  """Pose in the world of a body on top level, through the frames around it, (7,)."""
+  """Return the pose in the world of a body on top level, through the frames around it, (7,)."""
   pose = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
   element: mujoco.MjsBody | mujoco.MjsFrame | None = body
   while element is not None:
@@ -125,23 +170,20 @@ def _radians(joint: mujoco.MjsJoint, degree: bool) -> float:
 def _sized(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
   numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
   if numbers.shape != (size,):
-    wanted = {1: "one number", 3: "three numbers", 4: "a quaternion (w, x, y, z)"}[size]
-    raise ValueError(f"{where}: {value!r} must be {wanted}")
-  if not np.isfinite(numbers).all():
-    raise ValueError(f"{where}: {value!r} must be finite")
+    wanted = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "a quaternion (w, x, y, z)"}[size]
+    raise MjlabError(f"{where}: {value!r} must be {wanted}")
+  check_value(where, tuple(numbers.tolist()), tuple[Finite, ...])
   return numbers
 
 
 def _unit(quaternion: np.ndarray, where: str) -> np.ndarray:
   norm = np.linalg.norm(quaternion)
   if norm < 1e-6:
-    raise ValueError(f"{where}: the quaternion {quaternion.tolist()} is zero and names no orientation")
+    raise MjlabError(f"{where}: the quaternion {quaternion.tolist()} is zero and names no orientation")
   return quaternion / norm
 
 
-def _check_limits(
-  joints: Sequence[mujoco.MjsJoint], joint_pos: Mapping[str, np.ndarray], degree: bool, owner: str
-) -> None:
+def _check_limits(joints: Sequence[mujoco.MjsJoint], state: InitialState, degree: bool, owner: str) -> None:
   for joint in joints:
     limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
       joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and joint.range[0] != joint.range[1]
@@ -149,65 +191,114 @@ def _check_limits(
     if not limited or joint.type == mujoco.mjtJoint.mjJNT_BALL:
       continue
     low, high = np.asarray(joint.range) * _radians(joint, degree)
-    value = joint_pos[joint.name][0]
+    value = state.joint_pos[joint.name][0]
     if not low - 1e-6 <= value <= high + 1e-6:
-      raise ValueError(f"{owner}: initial position {value:g} of joint '{joint.name}' is outside [{low:g}, {high:g}]")
+      raise MjlabError(f"{owner}: initial position {value:g} of joint '{joint.name}' is outside [{low:g}, {high:g}]")
 
 
-def _servo_target(actuator: mujoco.MjsActuator, joint_pos: Mapping[str, np.ndarray]) -> float:
-  servo = (
-    actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    and actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-    and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    and actuator.biasprm[1] != 0
-  )
-  position = joint_pos.get(actuator.target)
-  return float(position[0] * actuator.gear[0]) if servo and position is not None and position.size == 1 else 0.0
+def _num_inputs(actuator: mujoco.MjsActuator) -> int:
+  return max(1, len(command_fields_of(actuator)))
 
 
-def _read_key(
-  spec: mujoco.MjSpec,
-  key: mujoco.MjsKey,
-  floating: bool,
-  root_pose: np.ndarray,
-  root_velocity: np.ndarray,
-  joint_pos: dict[str, np.ndarray],
-  joint_vel: dict[str, np.ndarray],
-  ctrl: dict[str, float],
-  owner: str,
-) -> None:
+def _resting_ctrl(actuator: mujoco.MjsActuator, joint_pos: Mapping[str, np.ndarray]) -> tuple[float, ...]:
+  """Return a number per input: where that is a position, the joint's times the gear, else zero."""
+  fields = command_fields_of(actuator) or ("effort_target",)
+  position = joint_pos.get(actuator.target) if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT else None
+  length = 0.0 if position is None or position.size != 1 else float(position[0] * actuator.gear[0])
+  return tuple(length if field == "position_target" else 0.0 for field in fields)
+
+
+def _read_key(spec: mujoco.MjSpec, key: mujoco.MjsKey, floating: bool, state: InitialState, owner: str) -> None:
+  """Overwrite `state` with a keyframe of the entity's model."""
   qpos, qvel = list(key.qpos), list(key.qvel)
   for numbers, widths, what in ((qpos, POSITION_WIDTH, "qpos"), (qvel, VELOCITY_WIDTH, "qvel")):
     expected = sum(widths[joint.type] for joint in spec.joints)
     if numbers and len(numbers) != expected:
-      raise ValueError(f"{owner}: keyframe '{key.name}' has {len(numbers)} numbers in {what}, the model {expected}")
+      raise MjlabError(f"{owner}: keyframe '{key.name}' has {len(numbers)} numbers in {what}, the model {expected}")
   q, v = 0, 0
   for joint in spec.joints:
     nq, nv = POSITION_WIDTH[joint.type], VELOCITY_WIDTH[joint.type]
     position, velocity = np.array(qpos[q : q + nq]), np.array(qvel[v : v + nv])
     q, v = q + nq, v + nv
-    if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+    if joint.type != mujoco.mjtJoint.mjJNT_FREE:
       if qpos:
-        root_pose[:] = position
+        state.joint_pos[joint.name] = position
       if qvel:
-        root_velocity[:] = velocity
-        root_velocity[3:] = _rotate(root_pose[3:], velocity[3:])
+        state.joint_vel[joint.name] = velocity
       continue
     if qpos:
-      joint_pos[joint.name] = position
+      state.root_pose[:] = position
     if qvel:
-      joint_vel[joint.name] = velocity
-  mocap = [body for body in spec.bodies if body.mocap]
-  if not floating and mocap:
+      state.root_velocity[:3] = velocity[:3]
+      quat = state.root_pose[3:] / np.linalg.norm(state.root_pose[3:])
+      mujoco.mju_rotVecQuat(state.root_velocity[3:], velocity[3:], quat)
+  if not floating and any(body.mocap for body in spec.bodies):
     if len(key.mpos):
-      root_pose[:3] = list(key.mpos)[:3]
+      state.root_pose[:3] = list(key.mpos)[:3]
     if len(key.mquat):
-      root_pose[3:] = list(key.mquat)[:4]
-  if len(key.ctrl) == len(spec.actuators):
-    ctrl.update({actuator.name: float(value) for actuator, value in zip(spec.actuators, key.ctrl, strict=True)})
+      state.root_pose[3:] = list(key.mquat)[:4]
+  inputs = [_num_inputs(actuator) for actuator in spec.actuators]
+  if len(key.ctrl) == sum(inputs):
+    numbers = iter(key.ctrl)
+    for actuator, count in zip(spec.actuators, inputs, strict=True):
+      state.ctrl[actuator.name] = tuple(float(next(numbers)) for _ in range(count))
 
 
-def _rotate(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-  rotated = np.zeros(3)
-  mujoco.mju_rotVecQuat(rotated, vector, quaternion / np.linalg.norm(quaternion))
+def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState], roots: Mapping[str, str]) -> None:
+  """Add the keyframe "init_state" to an assembled scene: every entity in its initial state, at the world's origin.
+
+  Joints, mocap bodies and actuators outside of entities keep the model's reference and zero control.
+
+  Args:
+    spec: The scene; edited.
+    states: Initial states by the prefix of the entity's names.
+    roots: Full name of the root body by the same prefix.
+  """
+  qpos: list[float] = []
+  qvel: list[float] = []
+  for joint in spec.joints:
+    prefix, state = _owner(joint.name, states)
+    if state is None:
+      reference = [0.0] * POSITION_WIDTH[joint.type]
+      if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+        reference[0] = 1.0
+      elif joint.type == mujoco.mjtJoint.mjJNT_FREE:
+        reference = [*joint.parent.pos, *joint.parent.quat]
+      qpos.extend(reference)
+      qvel.extend([0.0] * VELOCITY_WIDTH[joint.type])
+    elif joint.type == mujoco.mjtJoint.mjJNT_FREE:
+      qpos.extend(state.root_pose)
+      qvel.extend([*state.root_velocity[:3], *_into_body(state.root_pose[3:], state.root_velocity[3:])])
+    else:
+      name = joint.name.removeprefix(prefix)
+      qpos.extend(state.joint_pos[name])
+      qvel.extend(state.joint_vel[name])
+  mpos: list[float] = []
+  mquat: list[float] = []
+  for body in spec.bodies:
+    if not body.mocap:
+      continue
+    prefix, state = _owner(body.name, states)
+    at_root = state is not None and roots[prefix] == body.name
+    mpos.extend(state.root_pose[:3] if state is not None and at_root else body.pos)
+    mquat.extend(state.root_pose[3:] if state is not None and at_root else body.quat)
+  ctrl: list[float] = []
+  for actuator in spec.actuators:
+    prefix, state = _owner(actuator.name, states)
+    at_rest = (0.0,) * _num_inputs(actuator)
+    ctrl.extend(at_rest if state is None else state.ctrl[actuator.name.removeprefix(prefix)])
+  spec.add_key(name=INIT_STATE, qpos=qpos, qvel=qvel, mpos=mpos, mquat=mquat, ctrl=ctrl)
+
+
+def _owner(name: str, states: Mapping[str, InitialState]) -> tuple[str, InitialState | None]:
+  for prefix, state in states.items():
+    if name.startswith(prefix):
+      return prefix, state
+  return "", None
+
+
+def _into_body(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+  inverse, rotated = np.zeros(4), np.zeros(3)
+  mujoco.mju_negQuat(inverse, quaternion)
+  mujoco.mju_rotVecQuat(rotated, vector, inverse)
   return rotated

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.counts import why_no_count
-from mjlab_core.names import UnknownNameError, unknown
-from mjlab_core.state import Stateful
+from mjlab_core.config import Config
+from mjlab_core.constraints import Count, NonNegative, Positive, PositiveCount, check_fields
+from mjlab_core.errors import MjlabError, UnknownNameError, as_consequence
+from mjlab_core.names import unknown
+from mjlab_core.state import Stateful, StatefulDict
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
 from mjlab_terrain import Terrain, grid_origins
 
-from mjlab_scene.entity import Entity
-from mjlab_scene.entity_cfg import EntityCfg
-from mjlab_scene.keyframes import add_init_state
-from mjlab_scene.looks import new_scene_spec
-from mjlab_scene.options import OptionMerger
+from mjlab_scene.entity import Entity, EntityCfg
+from mjlab_scene.export import write_spec, zip_spec
+from mjlab_scene.initial_state import add_init_state
+from mjlab_scene.scene_spec import OptionMerger, new_scene_spec
 from mjlab_scene.terrain_levels import TerrainLevels
 
 if TYPE_CHECKING:
@@ -31,7 +34,7 @@ TERRAIN = "terrain"
 
 
 class TerrainCfg(Protocol):
-  """What a scene needs of a terrain's configuration."""
+  """Configuration of a terrain, as a scene uses it."""
 
   def add_to(self, spec: mujoco.MjSpec) -> Terrain:
     """Add the terrain to `spec`."""
@@ -39,23 +42,23 @@ class TerrainCfg(Protocol):
 
 
 @dataclass(kw_only=True)
-class SceneCfg:
-  """What the worlds of a simulation contain. Building a scene leaves its configuration as it is."""
+class SceneCfg(Config):
+  """Contents of the worlds of a simulation. Building a scene does not change its configuration."""
 
-  num_envs: int = 1
+  num_envs: PositiveCount = 1
   """Number of worlds."""
-  env_spacing: float = 2.0
+  env_spacing: NonNegative = 2.0
   """Distance between the origins of neighbouring worlds [m]; worlds share one coordinate system but never touch."""
   terrain: TerrainCfg | None = None
   """Ground, added without prefix."""
-  max_init_terrain_level: int | None = None
+  max_init_terrain_level: Count | None = None
   """Hardest row of a terrain of tiles that worlds begin on; None for all rows."""
   entities: dict[str, EntityCfg] = field(default_factory=dict)
   """Entities by name; their elements are called "<name>/..." in the scene."""
   sensors: dict[str, SensorCfg] = field(default_factory=dict)
   """Sensors by name, beside those that the entities' models bring."""
-  extent: float | None = None
-  """Size of what a viewer shows at first [m]; None lets MuJoCo find it."""
+  extent: Positive | None = None
+  """Size of the part that a viewer shows at first [m]; None lets MuJoCo find it."""
   spec_fn: Callable[[mujoco.MjSpec], None] | None = None
   """Last edit of the assembled spec."""
 
@@ -70,44 +73,49 @@ class Scene(Stateful):
   Args:
     cfg: What the worlds contain.
     decimation: Physics steps of one environment step, for sensors that follow it; None where there is no such thing.
+    problems: List that receives one line per mistake in the terrain, an entity or a sensor; the scene is then made of
+      the others. None raises the first.
 
   Raises:
-    ValueError: anything wrong in the configuration, by name.
+    MjlabError: anything wrong in the configuration, by name.
   """
 
-  _children = ("entities", "sensors", "terrain_levels")
-
   env_origins: torch.Tensor
-  """Where each world has its origin, world frame, (num_envs, 3) [m]; there once the scene is initialized."""
+  """Origin of each world, world frame, (num_envs, 3) [m]; exists once the scene is initialized."""
 
-  def __init__(self, cfg: SceneCfg, decimation: int | None = None) -> None:
-    if wrong := why_no_count(cfg.num_envs, 1):
-      raise ValueError(f"scene: num_envs {wrong}")
-    if cfg.extent is not None and not 0.0 < cfg.extent < math.inf:
-      raise ValueError(f"scene: extent must be a positive length, got {cfg.extent}")
+  def __init__(self, cfg: SceneCfg, decimation: int | None = None, *, problems: list[str] | None = None) -> None:
+    for part in ("entities", "sensors"):
+      if not isinstance(given := getattr(cfg, part), Mapping):
+        raise MjlabError(f"scene: {part} must be a dict by name, got {type(given).__name__}: {part}={{'name': ...}}")
+    check_fields(cfg, "scene")
+    self._problems, self.missing = problems, set[str]()
+    """Names of what has a mistake and is left out."""
     self.cfg = cfg
     self.num_envs = cfg.num_envs
     self.spec = new_scene_spec()
     """The assembled model; a simulation compiles it."""
     if cfg.extent is not None:
       self.spec.stat.extent = cfg.extent
-    self.terrain: Terrain | None = None if cfg.terrain is None else cfg.terrain.add_to(self.spec)
-    """What the terrain says of itself; None without one."""
+    self.terrain: Terrain | None = None
+    """Facts about the terrain; None without one."""
+    with self._part(TERRAIN):
+      self.terrain = None if cfg.terrain is None else cfg.terrain.add_to(self.spec)
     self.terrain_levels: TerrainLevels | None = None
-    """Which tile each world stands on, once initialized; None on a plane."""
+    """Tile of each world, once initialized; None on a plane."""
     origins = grid_origins if self.terrain is None else self.terrain.env_origins
     self._origins: np.ndarray = origins(cfg.num_envs, cfg.env_spacing)
-    for name in (*cfg.entities, *cfg.sensors):
-      if name == TERRAIN:
-        raise ValueError(f"scene: '{TERRAIN}' is the terrain's name; call this entity or sensor something else")
-      if name in cfg.entities and name in cfg.sensors:
-        raise ValueError(f"scene: '{name}' is both an entity and a sensor; scene['{name}'] can only be one of them")
-    self.entities: dict[str, Entity] = self._attach_entities()
+    names = (TERRAIN, *cfg.entities, *cfg.sensors)
+    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+      raise MjlabError(f"scene: '{twice[0]}' names two parts ('{TERRAIN}' is the terrain's); rename one of them")
+    self.entities: dict[str, Entity] = StatefulDict(self._attach_entities())
     """Entities by name."""
-    self.sensors: dict[str, Sensor[Any]] = self._add_sensors(decimation)
+    self.sensors: dict[str, Sensor[Any]] = StatefulDict(self._add_sensors(decimation))
     """Sensors by name."""
     if cfg.spec_fn is not None:
       cfg.spec_fn(self.spec)
+    # A body compiled as simple cannot get another centre of mass, joint anchor or joint axis.
+    for body in self.spec.bodies[1:]:
+      body.simple = False
     by_prefix = {entity.prefix: entity for entity in self.entities.values()}
     add_init_state(
       self.spec,
@@ -117,16 +125,16 @@ class Scene(Stateful):
 
   def _attach_entities(self) -> dict[str, Entity]:
     options = OptionMerger(self.spec)
-    entities = {name: cfg.build(name) for name, cfg in self.cfg.entities.items()}
+    entities: dict[str, Entity] = {}
+    for name, cfg in self.cfg.entities.items():
+      with self._part(name):
+        entities[name] = cfg.build(name)
     # Options of all first: an attached spec must agree with the scene when it comes in and when the scene is compiled.
     for name, entity in entities.items():
       options.adopt(entity.spec, f"entity '{name}'")
     for name, entity in entities.items():
       options.adopt(entity.spec, f"entity '{name}'")
       entity.attach(self.spec)
-    # What is compiled as simple cannot be given another centre of mass.
-    for body in self.spec.bodies[1:]:
-      body.simple = False
     return entities
 
   def _add_sensors(self, decimation: int | None) -> dict[str, Sensor[Any]]:
@@ -135,19 +143,44 @@ class Scene(Stateful):
     sensors: dict[str, Sensor[Any]] = {}
     for name, cfg in self.cfg.sensors.items():
       if name in found and getattr(cfg, "element", None) != name:
-        raise ValueError(f"scene: sensor '{name}' exists already: an entity's model brings it; choose another name")
-      sensors[name] = cfg.build(name)
+        raise MjlabError(f"scene: sensor '{name}' exists already: an entity's model brings it; choose another name")
+      with self._part(name):
+        sensors[name] = cfg.build(name)
     for name in found:
       if name not in claimed and name not in sensors:
         sensors[name] = BuiltinSensorCfg(element=name).build(name)
-    for sensor in sensors.values():
+    for name, sensor in list(sensors.items()):
       sensor.decimation = decimation
-      sensor.edit_spec(self.spec, self.entities)
+      with self._part(name, sensors):
+        sensor.edit_spec(self.spec, self.entities)
     return sensors
 
+  @contextmanager
+  def _part(self, name: str, parts: dict[str, Any] | None = None) -> Generator[None]:
+    """Note the mistake of a part where mistakes are collected, and take the part out of `parts`."""
+    try:
+      yield
+    except ValueError as error:
+      if self._problems is None:
+        raise
+      # A sensor on an entity that is left out cannot be right.
+      if not any(f"'{other}" in str(error) for other in self.missing):
+        self._problems.append(str(error))
+      self.missing.add(name)
+      if parts is not None:
+        del parts[name]
+
   def compile(self) -> mujoco.MjModel:
-    """The model of one world, with the keyframe "init_state"."""
+    """Return the model of one world, with the keyframe "init_state"."""
     return self.spec.compile()
+
+  def write(self, folder: str | Path) -> Path:
+    """Write the model as MJCF with its files into a folder, which replaces an existing one; return the MJCF's path."""
+    return write_spec(self.spec.copy(), Path(folder))
+
+  def to_zip(self, path: str | Path) -> Path:
+    """Write the model as MJCF with its files into a zip archive; return its path."""
+    return zip_spec(self.spec.copy(), Path(path))
 
   def initialize(self, sim: Simulation, rng: torch.Generator | None = None) -> None:
     """Tie the scene to the simulation made from `spec`, and put every world into its initial state.
@@ -157,16 +190,19 @@ class Scene(Stateful):
       rng: Source of randomness on the simulation's device.
     """
     if sim.num_envs != self.num_envs:
-      raise ValueError(f"scene: the simulation has {sim.num_envs} worlds, the scene {self.num_envs}")
-    self.env_origins = torch.tensor(self._origins, dtype=sim.dtype, device=sim.device)
+      raise MjlabError(f"scene: the simulation has {sim.num_envs} worlds, the scene {self.num_envs}")
+    self.env_origins = self.state_of(torch.tensor(self._origins, dtype=sim.dtype, device=sim.device))
     if self.terrain is not None and math.isfinite(self.terrain.tile_size[0]):
       rng = torch.Generator(sim.device).manual_seed(0) if rng is None else rng
       self.terrain_levels = TerrainLevels(self.terrain, self.env_origins, self.cfg.max_init_terrain_level, rng)
-    for entity in self.entities.values():
-      entity.initialize(sim, rng=rng)
-    for sensor in self.sensors.values():
+    for name, entity in list(self.entities.items()):
+      with self._part(name, self.entities):
+        entity.initialize(sim, rng=rng)
+    self._actuated = [entity.actuation for entity in self.entities.values() if entity.is_actuated]
+    for name, sensor in list(self.sensors.items()):
       sensor.rng = rng
-      sensor.initialize(sim, self.entities)
+      with self._part(name, self.sensors):
+        sensor.initialize(sim, self.entities)
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=sim.device)
     self.reset(everywhere)
     self.write_default_state()
@@ -174,9 +210,9 @@ class Scene(Stateful):
   # Running
 
   def write_ctrl(self) -> None:
-    """Turn the entities' set-points into controls; once before each substep."""
-    for entity in self.entities.values():
-      entity.write_ctrl()
+    """Turn the entities' targets into controls; once before each substep."""
+    for actuation in self._actuated:
+      actuation.write_ctrl()
 
   def update(self, dt: float) -> None:
     """Let the sensors take note of the substep just done, of `dt` [s]."""
@@ -184,9 +220,9 @@ class Scene(Stateful):
       sensor.update(dt)
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forget the past of masked worlds (num_envs,): set-points, delays, sensors. After the simulation's own reset.
+    """Forget the past of masked worlds (num_envs,): targets, delays, sensors. After the simulation's own reset.
 
-    Bases that do not float go to their place in each world. The rest of the state is left to whoever resets it.
+    Bases that do not float go to their place in each world. The rest of the state is left to the caller.
     """
     for entity in self.entities.values():
       entity.reset(mask)
@@ -208,14 +244,15 @@ class Scene(Stateful):
   # Access
 
   def __getitem__(self, name: str) -> Any:
-    """The entity, sensor or terrain of this name; UnknownNameError lists the names there are."""
+    """Return the entity, sensor or terrain of this name; UnknownNameError lists the existing names."""
     if name in self.entities:
       return self.entities[name]
     if name in self.sensors:
       return self.sensors[name]
     if name == TERRAIN and self.terrain is not None:
       return self.terrain
-    raise UnknownNameError(unknown("entity or sensor", name, list(self), "scene"))
+    error = UnknownNameError(unknown("entity or sensor", name, list(self), "scene"))
+    raise as_consequence(error) if {name, name.split("/")[0]} & self.missing else error
 
   def __contains__(self, name: object) -> bool:
     return name in list(self)

@@ -1,28 +1,28 @@
-"""Which tile of a terrain each world stands on."""
+"""Tile of a terrain that each world stands on."""
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
-from mjlab_core.masking import where_
+from mjlab_core.constraints import Limits, check_value
+from mjlab_core.indexing import where_
 from mjlab_core.state import Stateful
 from mjlab_terrain import Terrain
 
 
 class TerrainLevels(Stateful):
-  """A tile for each world: its column for good, its row as it gets better or worse.
+  """Tile of each world: a fixed column, and a row that moves with success.
 
   Args:
-    terrain: What was added to the model.
-    env_origins: Where worlds have their origin, (num_envs, 3) [m]; kept up to date in place.
+    terrain: The terrain that was added to the model.
+    env_origins: Origins of the worlds, (num_envs, 3) [m]; updated in place.
     max_init_level: Hardest row that worlds begin on; None for all rows.
     rng: Source of randomness on the device of `env_origins`.
 
   Raises:
-    ValueError: `max_init_level` is not a row.
+    MjlabError: `max_init_level` is not a row.
   """
-
-  # The scene owns and saves the origins of the worlds.
-  _constants = frozenset({"_origins", "env_origins"})
 
   def __init__(
     self, terrain: Terrain, env_origins: torch.Tensor, max_init_level: int | None, rng: torch.Generator
@@ -30,8 +30,7 @@ class TerrainLevels(Stateful):
     self.num_envs = len(env_origins)
     self.num_rows, self.num_columns = terrain.origins.shape[:2]
     highest = self.num_rows - 1 if max_init_level is None else max_init_level
-    if not 0 <= highest < self.num_rows:
-      raise ValueError(f"scene: max_init_terrain_level must be in [0, {self.num_rows - 1}], got {max_init_level}")
+    check_value("scene: max_init_terrain_level", highest, Annotated[int, Limits(ge=0, le=self.num_rows - 1)])
     device = env_origins.device
     self.column_types = tuple(terrain.type_names[kind] for kind in terrain.tile_types[0])
     """Type of each column's first tile, which in a curriculum is that of the whole column."""
@@ -40,9 +39,9 @@ class TerrainLevels(Stateful):
     self._rng = rng
     self.env_origins = env_origins
     self._origins = torch.tensor(terrain.origins, dtype=env_origins.dtype, device=device).flatten(0, 1)
-    self.levels = torch.randint(highest + 1, (self.num_envs,), generator=rng, device=device)
+    self.levels = self.state_of(torch.randint(highest + 1, (self.num_envs,), generator=rng, device=device))
     """Row of each world, 0 the easiest of a curriculum, (num_envs,)."""
-    self.columns = torch.tensor(terrain.columns_of(self.num_envs), device=device)
+    self.columns = self.state_of(torch.tensor(terrain.columns_of(self.num_envs), device=device))
     """Column of each world, (num_envs,)."""
     self._place(torch.ones(self.num_envs, dtype=torch.bool, device=device))
 

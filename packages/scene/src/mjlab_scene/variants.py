@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.names import unknown
-from mjlab_core.state import StateError
+from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.names import check_name
 
-from mjlab_scene.element_names import name_everything
-from mjlab_scene.entity import Entity
-from mjlab_scene.entity_cfg import EntityCfg
+from mjlab_scene.entity import Entity, EntityCfg
+from mjlab_scene.entity_spec import name_everything
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -41,7 +40,7 @@ class VariantEntityCfg(EntityCfg):
   """
 
   variants: Mapping[str, SpecFn | None]
-  """What the object can be, by name: a function that returns a new spec of one body without joints but a free one;
+  """Kinds of object by name: a function that returns a new spec of one body without joints but a free one;
   None is nothing at all, which no contact or ray meets and gravity leaves where it is."""
   assignment: Mapping[str, float] | Sequence[str] | None = None
   """Shares of the variants in all worlds, those that are not named counting as 1; or the variant of each world by name.
@@ -52,7 +51,7 @@ class VariantEntityCfg(EntityCfg):
   """Made from the variants."""
 
   def build(self, name: str) -> VariantEntity:
-    """The entity this describes, under `name`."""
+    """Return the entity that this describes, under `name`."""
     return VariantEntity(self, name)
 
 
@@ -70,9 +69,9 @@ class VariantEntity(Entity):
   variant_names: tuple[str, ...]
   """The variants in their order."""
   variant: torch.Tensor
-  """Which of them each world has, (num_envs,); there once the scene is initialized."""
+  """Index of the variant of each world, (num_envs,); exists once the scene is initialized."""
   geom_is_there: torch.Tensor
-  """Which of the entity's geoms each world's variant has, bool (num_envs, num_geoms); there once it is initialized."""
+  """True for geoms that the variant of a world has, bool (num_envs, num_geoms); exists once it is initialized."""
 
   def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
     owner = f"entity '{name}'"
@@ -87,7 +86,7 @@ class VariantEntity(Entity):
     """Find the entity in the simulation's model, and give every world its variant."""
     super().initialize(sim, prefix, rng)
     chosen = assign(self.variant_names, self._assignment, sim.num_envs, self._seed, f"entity '{self.name}'")
-    self.variant = torch.tensor(chosen, device=sim.device)
+    self.variant = self.state_of(torch.tensor(chosen, device=sim.device))
     model = sim.mj_model
     fields = ["body_mass", "body_ipos", "body_inertia", "body_iquat", "body_gravcomp"]
     fields += ["geom_margin", "geom_size", "geom_pos", "geom_rgba"]
@@ -106,7 +105,7 @@ class VariantEntity(Entity):
     if None in self._inertias.values():
       sim.model.body_gravcomp[:, body] = by_world([float(self._inertias[name] is None) for name in self.variant_names])
     owners = [self.variant_names.index(name.split("/")[0]) for name in self.indexing.names["geom"]]
-    self.geom_is_there = self.variant[:, None] == torch.tensor(owners, device=sim.device)
+    self.geom_is_there = self.state_of(self.variant[:, None] == torch.tensor(owners, device=sim.device))
     for geom, is_there in zip(self.indexing.ids["geom"].tolist(), self.geom_is_there.unbind(1), strict=True):
       sim.model.geom_margin[:, geom].masked_fill_(~is_there, _NO_CONTACT)
       sim.model.geom_rgba[:, geom, 3].masked_fill_(~is_there, 0.0)
@@ -122,7 +121,7 @@ class VariantEntity(Entity):
     # Who has which variant is told by its number.
     return {**super().state_dict(), _VARIANTS: self._contents}
 
-  def _collect(self, state: Mapping[str, Any], path: str, writes: list[tuple[torch.Tensor, torch.Tensor]]) -> None:
+  def check_state_dict(self, state: Mapping[str, Any], path: str = "") -> None:
     saved, here = state.get(_VARIANTS, {}), self.variant_names
     if tuple(saved) != here or not isinstance(saved, Mapping):
       named = ", ".join(saved) or "(not told)"
@@ -135,7 +134,7 @@ class VariantEntity(Entity):
         before = saved[name][quantity].to(value)
         if before.shape != value.shape or not torch.allclose(before, value, rtol=1e-5, atol=1e-9):
           raise StateError(f"{path}: variant '{name}' was saved with another {quantity} than it has here.")
-    super()._collect({name: value for name, value in state.items() if name != _VARIANTS}, path, writes)
+    super().check_state_dict({name: value for name, value in state.items() if name != _VARIANTS}, path)
 
 
 _OBJECT = "object"
@@ -155,19 +154,18 @@ def assign(
   """Index of the variant of every world; see `VariantEntityCfg.assignment`.
 
   Raises:
-    ValueError: a variant that does not exist, a share that is none, or as many names as there are no worlds.
+    MjlabError: a variant that does not exist, a share that is none, or as many names as there are no worlds.
   """
   if assignment is not None:
     for name in assignment:
-      if name not in names:
-        raise ValueError(unknown("variant", name, names, owner=owner))
+      check_name("variant", name, names, owner)
   if isinstance(assignment, Sequence):
     if len(assignment) != num_envs:
-      raise ValueError(f"{owner}: assignment names {len(assignment)} variants for {num_envs} worlds")
+      raise MjlabError(f"{owner}: assignment names {len(assignment)} variants for {num_envs} worlds")
     return [list(names).index(name) for name in assignment]
   weights = np.array([1.0 if assignment is None else assignment.get(name, 1.0) for name in names])
   if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.sum() > 0.0):
-    raise ValueError(f"{owner}: shares must be numbers from 0, not all 0, got {weights.tolist()}")
+    raise MjlabError(f"{owner}: shares must be numbers from 0, not all 0, got {weights.tolist()}")
   # Largest remainders: whole worlds as near to the shares as can be.
   exact = weights / weights.sum() * num_envs
   counts = np.floor(exact).astype(int)
@@ -182,7 +180,7 @@ def _merge(
 ) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None], dict[str, dict[str, torch.Tensor]]]:
   """One spec with the geoms of all variants on one body, and what each variant weighs and is."""
   if not any(make is not None for make in variants.values()):
-    raise ValueError(f"{owner}: variants need at least one object")
+    raise MjlabError(f"{owner}: variants need at least one object")
   merged = mujoco.MjSpec()
   root = merged.worldbody.add_body(name=_OBJECT)
   inertias: dict[str, _Inertia | None] = {}
@@ -190,7 +188,7 @@ def _merge(
   floats: dict[str, bool] = {}
   for name, make in variants.items():
     if not name or "/" in name:
-      raise ValueError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
+      raise MjlabError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
     if make is None:
       inertias[name], contents[name] = None, {}
       continue
@@ -201,12 +199,12 @@ def _merge(
     joints = list(spec.joints)
     floats[name] = bool(joints)
     if len(joints) > 1 or any(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in joints):
-      raise ValueError(f"{what}: is no rigid object, for it has joint '{joints[-1].name}'")
+      raise MjlabError(f"{what}: is no rigid object, for it has joint '{joints[-1].name}'")
     for joint in joints:
       spec.delete(joint)
     for kind, found in (("actuator", spec.actuators), ("tendon", spec.tendons), ("equality", spec.equalities)):
       if found:
-        raise ValueError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
+        raise MjlabError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
     body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     alone = spec.copy().compile()
@@ -221,7 +219,7 @@ def _merge(
     merged.attach(spec, prefix=f"{name}/", frame=root.add_frame())
   if len(set(floats.values())) > 1:
     fixed = next(name for name, is_free in floats.items() if not is_free)
-    raise ValueError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
+    raise MjlabError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
   joint = root.add_freejoint()
   # Contacts are as stiff as the inverse weight of their geom's body says: all geoms belong to the one that has it.
   merged.fuse_static()
@@ -240,9 +238,9 @@ def _merge(
 def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:
   roots = [body for body in spec.bodies[1:] if body.parent == spec.worldbody]
   if len(roots) != 1:
-    raise ValueError(f"{what}: must be one body with all else in it, has {len(roots)} on the top level")
+    raise MjlabError(f"{what}: must be one body with all else in it, has {len(roots)} on the top level")
   if spec.worldbody.geoms:
-    raise ValueError(f"{what}: geom '{spec.worldbody.geoms[0].name}' belongs to no body")
+    raise MjlabError(f"{what}: geom '{spec.worldbody.geoms[0].name}' belongs to no body")
   return roots[0]
 
 

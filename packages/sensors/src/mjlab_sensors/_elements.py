@@ -1,10 +1,10 @@
-"""Names of the elements of a scene's spec: which exist, and which a pattern means."""
+"""Names of the elements of a scene's spec, and their selection by name or pattern."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import mujoco
-from mjlab_core import NameMatchError, match_names, unknown
+from mjlab_core import MjlabError, UnknownNameError, check_name, match_names
 
 _ELEMENTS: dict[str, Callable[[mujoco.MjSpec], Iterable[Any]]] = {
   "body": lambda spec: spec.bodies,
@@ -23,32 +23,37 @@ _BODY_KINDS = ("xbody", "subtree")
 
 
 def names_of(spec: mujoco.MjSpec, kind: str) -> list[str]:
-  """Full names of all named elements of a kind, in the order of the spec."""
+  """Return the full names of all named elements of a kind, in the order of the spec."""
   elements = _ELEMENTS["body" if kind in _BODY_KINDS else kind](spec)
   return [element.name for element in elements if element.name]
 
 
 def _prefix(entity: str | None, entities: Mapping[str, Any], owner: str) -> str:
-  if entity is None:
-    return ""
-  if entity not in entities:
-    raise NameMatchError(unknown("entity", entity, list(entities), owner))
-  return f"{entity}/"
+  return "" if entity is None else check_name("entity", entity, entities, owner) + "/"
+
+
+def add_sensor(spec: mujoco.MjSpec, owner: str, name: str, **fields: Any) -> Any:
+  """Add a native sensor to the spec, and return it.
+
+  Raises:
+    MjlabError: the spec has a sensor of this name.
+  """
+  if name in names_of(spec, "sensor"):
+    raise MjlabError(f"{owner}: the scene already has a sensor element {name!r}; choose another name, or read that one")
+  return spec.add_sensor(name=name, **fields)
 
 
 def find_element(
   spec: mujoco.MjSpec, entities: Mapping[str, Any], kind: str, name: str, *, entity: str | None, owner: str
 ) -> str:
-  """Full name of the one element called exactly `name`, within an entity where one is given.
+  """Return the full name of the element called exactly `name`, within an entity if one is given.
 
   Raises:
-    NameMatchError: there is no such entity or element; the message names the nearest.
+    UnknownNameError: the entity or element does not exist; the message names the nearest.
   """
   prefix = _prefix(entity, entities, owner)
   candidates = [full.removeprefix(prefix) for full in names_of(spec, kind) if full.startswith(prefix)]
-  if name not in candidates:
-    raise NameMatchError(unknown(kind, name, candidates, owner))
-  return prefix + name
+  return prefix + check_name(kind, name, candidates, owner)
 
 
 def match_elements(
@@ -62,22 +67,20 @@ def match_elements(
   preserve_order: bool = False,
   owner: str,
 ) -> list[str]:
-  """Full names of the elements that the patterns match and `exclude` does not.
+  """Return the full names of the elements that the patterns match and `exclude` does not.
 
   Patterns are whole regular expressions. With an entity they are matched against the names of its own elements,
   without the entity's prefix; without one, against the full names of the scene.
 
   Raises:
-    NameMatchError: unknown entity, a pattern (of `exclude` too) that matches nothing, or nothing left.
+    UnknownNameError: unknown entity, a pattern (of `exclude` too) that matches nothing, or nothing left.
   """
-  if not patterns:
-    raise NameMatchError(f"{owner}: no pattern for a {kind} is given")
   prefix = _prefix(entity, entities, owner)
   candidates = [full.removeprefix(prefix) for full in names_of(spec, kind) if full.startswith(prefix)]
   _, names = match_names(patterns, candidates, what=kind, owner=owner, preserve_order=preserve_order)
   if exclude:
     dropped = set(match_names(exclude, candidates, what=f"excluded {kind}", owner=owner)[1])
     names = [name for name in names if name not in dropped]
-    if not names:
-      raise NameMatchError(f"{owner}: exclude {exclude!r} removes every {kind} that {patterns!r} matches")
+  if not names:
+    raise UnknownNameError(f"{owner}: no {kind} is left of pattern {patterns!r}, exclude {exclude!r}")
   return [prefix + name for name in names]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, NameMatchError, quat_from_matrix, unknown
+from mjlab_core import DebugDraw, Limits, MjlabError, check_fields, check_name, quat_from_matrix
+from mjlab_core.config import Config
 
-from mjlab_sensors._elements import find_element, names_of
+from mjlab_sensors._elements import add_sensor, find_element, names_of
 from mjlab_sensors.native_types import NATIVE_TYPES
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
@@ -71,7 +72,7 @@ SensorType = Literal[
 
 RayDataField = Literal["dist", "dir", "origin", "point", "normal", "depth"]
 _Obj = mujoco.mjtObj
-# Where in the simulation's data what a sensor is attached to has its place and its axes.
+# Fields of the simulation's data with position and axes of the object that a sensor is attached to.
 _POSES: dict[int, tuple[str, str]] = {
   _Obj.mjOBJ_SITE: ("site_xpos", "site_xmat"),
   _Obj.mjOBJ_GEOM: ("geom_xpos", "geom_xmat"),
@@ -84,95 +85,88 @@ _RAY_FIELDS: tuple[str, ...] = get_args(RayDataField)
 
 
 @dataclass(kw_only=True, frozen=True)
-class ObjRef:
+class ObjRef(Config):
   """One element of the scene, by exact name."""
 
   type: ObjKind
-  """What it is. A "body" is seen at its centre of mass, in its inertial axes; an "xbody" at its frame."""
+  """Kind of element. A "body" is measured at its centre of mass, in its inertial axes; an "xbody" at its frame."""
   name: str
   entity: str | None = None
   """Entity whose element it is; without one, `name` is the full name in the scene."""
 
   def __post_init__(self) -> None:
-    if self.type not in get_args(ObjKind):
-      raise ValueError(unknown("type of object", self.type, get_args(ObjKind), f"ObjRef '{self.name}'"))
+    check_fields(self, f"ObjRef '{self.name}'")
 
   def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> str:
-    """Its full name in the scene; NameMatchError if there is no such element."""
+    """Return the full name in the scene; raise UnknownNameError if the element does not exist."""
     return find_element(spec, entities, self.type, self.name, entity=self.entity, owner=owner)
 
 
 @dataclass(kw_only=True)
 class BuiltinSensorCfg(SensorCfg):
-  """A sensor computed by MuJoCo: one that the MJCF already has (`element`), or a new one (`sensor_type`, `obj`)."""
+  """Sensor computed by MuJoCo: one that the MJCF already has (`element`), or a new one (`sensor_type`, `obj`)."""
 
   element: str | None = None
   """Full name of an existing sensor element of the scene, such as `robot/imu_gyro`. Excludes all fields that describe a
   new one."""
   sensor_type: SensorType | None = None
-  """What a new sensor measures."""
+  """Quantity that a new sensor measures."""
   obj: ObjRef | None = None
-  """What a new sensor is attached to."""
+  """Element that a new sensor is attached to."""
   ref: ObjRef | None = None
-  """What a new sensor is measured relative to: the frame of a frame sensor, which without one is the world's; the other
-  side of a distance; the camera of a projection; the site that something is inside of; the geom that carries a mesh of
-  taxels."""
-  cutoff: float = 0.0
-  """Readings are clamped to this magnitude, in the sensor's own unit; 0 for no limit. Of "distance", "normal" and
-  "fromto" it is how far they see [m]; 0 sees penetration only."""
+  """Element that a new sensor is measured relative to: the frame of a frame sensor, by default the world's; the other
+  side of a distance; the camera of a projection; the site of "insidesite"; the geom with a mesh of taxels."""
+  cutoff: Annotated[float, Limits(ge=0, finite=False)] = 0.0
+  """Readings are clamped to this magnitude, in the sensor's own unit; 0 for no limit. It is the range of "distance",
+  "normal" and "fromto" [m]; with 0 they measure penetration only."""
   ray_data: tuple[RayDataField, ...] = ("dist",)
-  """What a rangefinder tells of each of its rays, one after the other in this order: distance [m], -1 where nothing is
-  hit; direction; origin, hit point and normal in the world frame [m]; depth along the axis of a camera [m]."""
+  """Quantities that a rangefinder measures for each of its rays, in this order: distance [m], -1 without a hit;
+  direction; origin, hit point and normal in the world frame [m]; depth along the axis of a camera [m]."""
   enclosed: bool = False
-  """Let "insidesite" tell how far an object reaches out of the site [m] instead of whether its frame is inside."""
+  """Let "insidesite" measure the distance by which an object reaches out of the site [m]; False measures if the
+  object's frame is inside."""
 
   def validate(self) -> None:
+    if (kind := NATIVE_TYPES.get(self.sensor_type or "")) is not None and kind.declared_by != BuiltinSensorCfg.__name__:
+      instead = f"declare it with {kind.declared_by}" if kind.declared_by else "declare it in an MJCF"
+      raise MjlabError(f"{self.label}: BuiltinSensorCfg cannot declare a {self.sensor_type} sensor; {instead}")
+    super().validate()
     if self.element is not None:
       others = [field for field in fields(self) if field.name not in ("name", "debug_vis", "element")]
       if given := [field.name for field in others if getattr(self, field.name) != field.default]:
-        raise ValueError(f"{self.label}: `element` wraps a sensor as it is; leave {', '.join(given)} out")
+        raise MjlabError(f"{self.label}: `element` names an existing sensor; leave {', '.join(given)} out")
       return
-    if self.sensor_type is None:
-      raise ValueError(f"{self.label}: give `element`, a sensor that the scene has, or `sensor_type` for a new one")
-    kind = NATIVE_TYPES.get(self.sensor_type)
     if kind is None:
-      raise ValueError(unknown("sensor type", self.sensor_type, get_args(SensorType), self.label))
-    if kind.declared_by != BuiltinSensorCfg.__name__:
-      instead = f"it is declared by {kind.declared_by}" if kind.declared_by else "only an MJCF can declare it"
-      raise ValueError(f"{self.label}: a {self.sensor_type} sensor cannot be declared here; {instead}")
-    for field, ref, allowed in (("obj", self.obj, kind.objects), ("ref", self.ref, kind.references)):
-      if ref is not None and ref.type not in allowed:
-        takes = f"takes a {' or '.join(allowed)}" if allowed else "takes none"
-        raise ValueError(f"{self.label}: a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}")
-      if ref is None and allowed and (field == "obj" or kind.needs_reference):
-        raise ValueError(f"{self.label}: a {self.sensor_type} sensor needs a {' or '.join(allowed)} as `{field}`")
-    if not self.cutoff >= 0.0:
-      raise ValueError(f"{self.label}: cutoff must be 0 (none) or positive, not {self.cutoff}")
-    if self.sensor_type == "rangefinder":
-      for name in self.ray_data:
-        if name not in _RAY_FIELDS:
-          raise ValueError(unknown("ray_data", name, _RAY_FIELDS, self.label))
-      if list(self.ray_data) != [name for name in _RAY_FIELDS if name in self.ray_data] or not self.ray_data:
-        raise ValueError(f"{self.label}: ray_data must keep the order {_RAY_FIELDS}, but is {self.ray_data}")
-    elif self.ray_data != ("dist",):
-      raise ValueError(f"{self.label}: ray_data is a rangefinder's, not a {self.sensor_type} sensor's")
-    if self.enclosed and self.sensor_type != "insidesite":
-      raise ValueError(f"{self.label}: enclosed is for insidesite, not for a {self.sensor_type} sensor")
+      raise MjlabError(f"{self.label}: give `element`, a sensor of the scene, or `sensor_type` for a new one")
+    self._check_object("obj", self.obj, kind.objects, needed=True)
+    self._check_object("ref", self.ref, kind.references, needed=kind.needs_reference)
+    for field, owner in (("ray_data", "rangefinder"), ("enclosed", "insidesite")):
+      if self.sensor_type != owner and getattr(self, field) != getattr(BuiltinSensorCfg, field):
+        raise MjlabError(f"{self.label}: {field} requires sensor_type='{owner}', got {self.sensor_type!r}")
+    if tuple(self.ray_data) != tuple(name for name in _RAY_FIELDS if name in self.ray_data) or not self.ray_data:
+      raise MjlabError(f"{self.label}: ray_data must keep the order {_RAY_FIELDS}, got {self.ray_data}")
+
+  def _check_object(self, field: str, ref: ObjRef | None, allowed: tuple[str, ...], *, needed: bool) -> None:
+    kinds = " or ".join(allowed)
+    if ref is None and needed and allowed:
+      raise MjlabError(f"{self.label}: a {self.sensor_type} sensor needs a {kinds} as `{field}`")
+    if ref is not None and ref.type not in allowed:
+      takes = f"takes a {kinds}" if allowed else "takes none"
+      raise MjlabError(f"{self.label}: a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}")
 
   def _make(self, name: str) -> BuiltinSensor:
     return BuiltinSensor(name, self)
 
 
 class BuiltinSensor(Sensor[torch.Tensor]):
-  """A sensor computed by MuJoCo; `data` are its columns of the simulation's sensordata, (num_envs, dim).
+  """Sensor computed by MuJoCo; `data` are its columns of the simulation's sensordata, (num_envs, dim).
 
-  Frame and unit of each type are in `NATIVE_TYPES`. Noise and delay are the observation manager's.
-  What depends on positions and velocities describes the present state. What depends on accelerations and forces
-  (accelerometer, force, torque, touch, actuator forces of joints, frame accelerations) describes the substep
-  just done, and is zero in worlds just reset.
+  Frame and unit of each type are in `NATIVE_TYPES`. Noise and delay belong to the observation manager. Readings that
+  depend on positions and velocities describe the present state. Readings that depend on accelerations and forces
+  (accelerometer, force, torque, touch, actuator forces of joints, frame accelerations) describe the substep just done,
+  and are zero in worlds just reset.
   """
 
-  _constants = frozenset({"_columns"})
   cfg: BuiltinSensorCfg
 
   def __init__(self, name: str, cfg: BuiltinSensorCfg) -> None:
@@ -186,17 +180,12 @@ class BuiltinSensor(Sensor[torch.Tensor]):
     return self._columns.shape[-1]
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
-    cfg, existing = self.cfg, names_of(spec, "sensor")
+    cfg = self.cfg
     if cfg.sensor_type is None:
-      if self._element not in existing:
-        raise NameMatchError(unknown("sensor element", self._element, existing, self.label))
+      check_name("sensor element", self._element, names_of(spec, "sensor"), self.label)
       return
-    if self._element in existing:
-      raise ValueError(
-        f"{self.label}: the scene already has a sensor element of this name; "
-        f"use BuiltinSensorCfg(element={self._element!r}), or another name"
-      )
-    sensor = spec.add_sensor(name=self._element, type=NATIVE_TYPES[cfg.sensor_type].enum, cutoff=cfg.cutoff)
+    kind = NATIVE_TYPES[cfg.sensor_type].enum
+    sensor = add_sensor(spec, self.label, self._element, type=kind, cutoff=cfg.cutoff)
     if cfg.sensor_type == "rangefinder":
       sensor.intprm[0] = sum(1 << _RAY_FIELDS.index(name) for name in cfg.ray_data)
     elif cfg.enclosed:
@@ -210,17 +199,17 @@ class BuiltinSensor(Sensor[torch.Tensor]):
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
-    self._columns = sim.data.sensordata[:, sensordata_columns(sim, self._element, self.label)]
+    self._columns = sim.data.sensordata[:, sensordata_columns(sim, self._element)]
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show where the sensor is, and the direction of a reading that has one."""
+    """Draw the sensor's frame, and the direction of a reading that has one."""
     sim, worlds = self.sim, list(draw.worlds)
     model = sim.mj_model
     index = model.sensor(self._element).id
     field = _POSES.get(int(model.sensor_objtype[index]))
     if field is None:
       return
-    _ = sim.epoch
+    _ = sim.version
     place, turn = (getattr(sim.data, name)[worlds, int(model.sensor_objid[index])] for name in field)
     draw.frames(place, quat_from_matrix(turn), 3.0 * self._draw_size)
     kind = next(kind for kind in NATIVE_TYPES.values() if kind.enum.value == model.sensor_type[index])

@@ -1,20 +1,30 @@
-"""What cameras see: colours, depth, and which object each pixel shows."""
+"""Camera sensor: colours, depth, and the object in each pixel."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, NameMatchError, Stateful, quat_from_matrix, unknown, where_
+from mjlab_core import (
+  Count,
+  DebugDraw,
+  Items,
+  MjlabError,
+  Positive,
+  Stateful,
+  check_name,
+  quat_from_matrix,
+  where_,
+)
 from mjlab_sim import DataType
 
 from mjlab_sensors._elements import find_element, names_of
 from mjlab_sensors.frames import FrameSet
-from mjlab_sensors.sensor import Sensor, SensorCfg
+from mjlab_sensors.pinhole import check_resolution, resolution_of
+from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
 
 if TYPE_CHECKING:
   from mjlab_core import DebugDraw
@@ -31,61 +41,50 @@ class CameraSensorCfg(SensorCfg):
   """
 
   camera: str | None = None
-  """Full name of a camera of the scene, such as `robot/head`. It is taken as it is: body, pos, quat, fovy and
-  orthographic are for a new one."""
+  """Full name of a camera of the scene, such as `robot/head`. It excludes body, pos, quat and orthographic, which
+  describe a new camera. With `fovy`, a copy of it that is called like the sensor has that field of view; fields that
+  are randomised are then those of the copy."""
   body: str | None = None
   """Full name of the body that a new camera is fixed to; None is the world, in whose coordinates the worlds of a scene
-  have their origins apart from one another."""
+  have different origins."""
   pos: tuple[float, float, float] = (0.0, 0.0, 0.0)
-  """Where it is in the frame of its body [m]."""
+  """Position in the frame of the body [m]."""
   quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-  """Its orientation (w, x, y, z) in that frame: it looks along its negative z axis, x points right and y up in the
+  """Orientation (w, x, y, z) in that frame: the camera looks along its negative z axis, x points right and y up in the
   image."""
-  fovy: float | None = None
-  """Vertical field of view [deg], by default 45; of an orthographic camera the height of what it sees [m]."""
+  fovy: Positive | None = None
+  """Vertical field of view [deg], by default 45; the height of the image [m] if orthographic."""
   orthographic: bool = False
   """Draw a new camera's image with parallel rays."""
-  width: int = 0
+  width: Count = 0
   """Pixels of a row; 0 takes the resolution of `camera`."""
-  height: int = 0
+  height: Count = 0
   """Rows; 0 takes the resolution of `camera`."""
-  data_types: tuple[DataType, ...] = ("rgb",)
-  """What is drawn: "rgb", "depth" along the optical axis, "distance" along each pixel's ray, "segmentation"."""
-  update_period: int = 0
-  """Physics steps from one image to the next, which is held in between; 0 shows the present state always. A world that
-  was reset gets an image at once, and counts from there."""
-  geom_groups: tuple[int, ...] | None = (0, 1, 2)
-  """Geom groups that are seen; None for all."""
+  data_types: Annotated[tuple[DataType, ...], Items(ge=1)] = ("rgb",)
+  """Images to draw: "rgb", "depth" along the optical axis, "distance" along each pixel's ray, "segmentation"."""
+  update_period: Count = 0
+  """Physics steps from one image to the next, which is held in between; 0 draws every state. A world that was reset
+  gets an image at once, and counts from there."""
+  geom_groups: GeomGroups = (0, 1, 2)
+  """Geom groups that are drawn; None for all."""
   use_textures: bool = True
   """Draw textures."""
   use_shadows: bool = False
   """Let lights cast shadows."""
 
   def validate(self) -> None:
-    least = 0 if self.camera is not None else 1
-    if min(self.width, self.height) < least or (self.width == 0) != (self.height == 0):
-      raise ValueError(f"{self.label}: width and height must be at least 1, not {self.width} and {self.height}")
-    if not self.data_types:
-      raise ValueError(f"{self.label}: data_types must name at least one of: {', '.join(get_args(DataType))}")
-    for kind in self.data_types:
-      if kind not in get_args(DataType):
-        raise ValueError(unknown("data type", kind, get_args(DataType), self.label))
-    if self.update_period < 0:
-      raise ValueError(f"{self.label}: update_period must be 0 or a number of physics steps, not {self.update_period}")
-    groups = self.geom_groups
-    if groups is not None and not (groups and all(0 <= group < mujoco.mjNGROUP for group in groups)):
-      raise ValueError(f"{self.label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {groups}")
+    super().validate()
+    check_resolution(self.label, self.width, self.height, self.camera)
     if self.camera is not None:
-      for field in ("body", "pos", "quat", "fovy", "orthographic"):
-        if getattr(self, field) != getattr(CameraSensorCfg, field):
-          raise ValueError(f"{self.label}: camera {self.camera!r} is taken as it is; leave {field} out")
+      new = ("body", "pos", "quat", "orthographic")
+      if given := [field for field in new if getattr(self, field) != getattr(CameraSensorCfg, field)]:
+        raise MjlabError(f"{self.label}: camera {self.camera!r} exists already; leave {', '.join(given)} out")
     elif self.orthographic and self.fovy is None:
-      raise ValueError(f"{self.label}: an orthographic camera needs fovy, the height of what it sees [m]")
-    if self.fovy is not None and not 0.0 < self.fovy < (inf if self.orthographic else 180.0):
-      bounds = "positive" if self.orthographic else "between 0 and 180 degrees"
-      raise ValueError(f"{self.label}: fovy must be {bounds}, not {self.fovy}")
+      raise MjlabError(f"{self.label}: an orthographic camera needs fovy, the height of its image [m]")
+    if self.fovy is not None and self.fovy >= 180.0 and not self.orthographic:
+      raise MjlabError(f"{self.label}: fovy must be below 180 degrees, got {self.fovy}")
     if not any(self.quat):
-      raise ValueError(f"{self.label}: quat must not be zero")
+      raise MjlabError(f"{self.label}: quat must not be zero")
 
   def _make(self, name: str) -> CameraSensor:
     return CameraSensor(name, self)
@@ -93,47 +92,48 @@ class CameraSensorCfg(SensorCfg):
 
 @dataclass(kw_only=True)
 class CameraData:
-  """Images of a `CameraSensor`, the top row first; None for what is not drawn. Tensors are the sensor's own: read them,
-  and clone what must outlive the step."""
+  """Images of a `CameraSensor`, the top row first; None for images that are not drawn.
+
+  The tensors are the sensor's own memory.
+  """
 
   rgb: torch.Tensor | None
   """Colours, uint8, (num_envs, 3, height, width)."""
   depth: torch.Tensor | None
-  """Distance of what is seen along the optical axis, float32; -1 where nothing is, (num_envs, 1, height, width) [m]."""
+  """Distance along the optical axis, float32; -1 where the pixel shows nothing, (num_envs, 1, height, width) [m]."""
   distance: torch.Tensor | None
-  """Distance of what is seen from where the ray of its pixel starts, float32; -1 where nothing is,
-  (num_envs, 1, height, width) [m]."""
+  """Distance along the ray of the pixel, float32; -1 where it shows nothing, (num_envs, 1, height, width) [m]."""
   segmentation: torch.Tensor | None
-  """Number and type (`mujoco.mjtObj`) of the object that is seen, int32; -1 and -1 for none,
-  (num_envs, 2, height, width)."""
+  """Id and type (`mujoco.mjtObj`) of the object, int32; -1 and -1 for none, (num_envs, 2, height, width)."""
   pos_w: torch.Tensor
-  """Where the camera was when it drew them, world frame, (num_envs, 3) [m]."""
+  """Position of the camera when the images were drawn, world frame, (num_envs, 3) [m]."""
   mat_w: torch.Tensor
-  """Rotation matrix from the camera to the world then; it looks along its negative z axis, (num_envs, 3, 3)."""
+  """Rotation matrix from the camera to the world at that time; it looks along its negative z axis, (num_envs, 3, 3)."""
 
   @property
   def rgb_float(self) -> torch.Tensor | None:
-    """Colours from 0 to 1, float32, computed when asked for, (num_envs, 3, height, width)."""
+    """Colours from 0 to 1, float32, computed at each access, (num_envs, 3, height, width)."""
     return None if self.rgb is None else self.rgb / 255.0
 
   @property
   def quat_w(self) -> torch.Tensor:
-    """Orientation (w, x, y, z) of the camera, world frame, computed when asked for, (num_envs, 4)."""
+    """Orientation (w, x, y, z) of the camera, world frame, computed at each access, (num_envs, 4)."""
     return quat_from_matrix(self.mat_w)
 
 
 class _Shutter(Stateful):
-  """When each world's next image is due, and the image that it holds until then."""
+  """Time until each world's next image, and the image that it holds until then."""
 
   def __init__(self, period: int, images: Images, pos: torch.Tensor, mat: torch.Tensor) -> None:
-    self.num_envs = len(pos)
+    self.num_envs, self.device = len(pos), pos.device
     self._period = period
-    self._wait = torch.zeros(self.num_envs, dtype=torch.int64, device=pos.device)
+    self._wait = self.state(dtype=torch.int64)
     # Until a world that was reset takes a step, it is still being put into its initial state.
-    self._at_start = torch.ones(self.num_envs, dtype=torch.bool, device=pos.device)
-    self._pos, self._mat = torch.zeros_like(pos), torch.zeros_like(mat)
-    self._rgb, self._depth, self._distance = images.rgb, images.depth, images.distance
-    self._segmentation = images.segmentation
+    self._at_start = self.state(fill=True, dtype=torch.bool)
+    self._pos, self._mat = self.state((3,), dtype=pos.dtype), self.state((3, 3), dtype=mat.dtype)
+    for name in ("rgb", "depth", "distance", "segmentation"):
+      image = getattr(images, name)
+      setattr(self, f"_{name}", None if image is None else self.state_of(image))
 
   def step(self) -> None:
     self._wait -= 1
@@ -144,13 +144,13 @@ class _Shutter(Stateful):
     self._at_start |= mask
 
   def open(self) -> torch.Tensor:
-    """Which worlds are to be drawn, bool (num_envs,); their next image is due a whole number of periods later."""
+    """Return the worlds to be drawn, bool (num_envs,); their next image is due a whole number of periods later."""
     due = self._at_start | (self._wait <= 0)
     torch.sub(self._period, torch.remainder(-self._wait, self._period), out=self._wait)
     return due
 
   def pose(self, due: torch.Tensor, pos: torch.Tensor, mat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where the camera was when each world was drawn."""
+    """Return the pose of the camera when each world was drawn."""
     where_(self._pos, due, pos)
     where_(self._mat, due, mat)
     return self._pos, self._mat
@@ -159,18 +159,17 @@ class _Shutter(Stateful):
 class CameraSensor(Sensor[CameraData]):
   """Images of one camera in all worlds, drawn together by MuJoCo Warp's renderer, on a CPU too.
 
-  They are drawn when the data are first asked for after a change of state, in the worlds that are due. Textures,
-  colours, lights, sizes of geoms, poses and fields of view are those of each world. Surfaces are seen from outside
-  only, so that a camera looks out through the shell that it is built into, and nothing is seen beyond the model's far
-  plane, `vis.map.zfar * stat.extent`. Of a height field the surface is seen, without its walls.
+  They are drawn when the data are first read after a change of state, in the worlds that are due. Textures, colours,
+  lights, sizes of geoms, poses and fields of view are those of each world. Surfaces are visible from outside only, so
+  that a camera looks out through the shell that it is built into. Nothing is visible beyond the model's far plane,
+  `vis.map.zfar * stat.extent`. A height field shows its surface, without its walls.
   """
 
-  _children = ("_shutter",)
   cfg: CameraSensorCfg
 
   def __init__(self, name: str, cfg: CameraSensorCfg) -> None:
     super().__init__(name, cfg)
-    self.camera_name = name if cfg.camera is None else cfg.camera
+    self.camera_name = name if cfg.camera is None or cfg.fovy is not None else cfg.camera
     """Full name of the camera."""
     self.width, self.height = cfg.width, cfg.height
     self._shutter: _Shutter | None = None
@@ -178,18 +177,20 @@ class CameraSensor(Sensor[CameraData]):
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
     cfg, cameras = self.cfg, names_of(spec, "camera")
     if cfg.camera is not None:
-      if cfg.camera not in cameras:
-        raise NameMatchError(unknown("camera", cfg.camera, cameras, self.label))
+      check_name("camera", cfg.camera, cameras, self.label)
       if not self.width:
-        self.width, self.height = (int(pixels) for pixels in spec.camera(cfg.camera).resolution)
-        if self.width * self.height <= 1:  # What MuJoCo compiles where none is given.
-          raise ValueError(f"{self.label}: camera {cfg.camera!r} has no resolution; give width and height")
-      return
+        resolution = spec.camera(cfg.camera).resolution
+        self.width, self.height = resolution_of(self.label, cfg.camera, resolution)
+      if cfg.fovy is None:
+        return
     if self.name in cameras:
-      raise ValueError(
-        f"{self.label}: the scene already has a camera of this name; "
-        f"use CameraSensorCfg(camera={self.name!r}), or another name"
-      )
+      raise MjlabError(f"{self.label}: the scene already has this camera; set camera={self.name!r}, or another name")
+    if cfg.camera is not None:
+      like = spec.camera(cfg.camera)
+      copied = {field: getattr(like, field) for field in ("pos", "quat", "mode", "targetbody", "proj")}
+      twin = like.parent.add_camera(name=self.name, resolution=(self.width, self.height), **copied)
+      twin.alt, twin.fovy = like.alt, cfg.fovy
+      return
     body = "world"
     if cfg.body is not None:
       body = find_element(spec, entities, "body", cfg.body, entity=None, owner=self.label)
@@ -204,7 +205,7 @@ class CameraSensor(Sensor[CameraData]):
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self.cfg
-    self._frame = FrameSet(sim, "camera", (self.camera_name,), self.label)
+    self._frame = FrameSet(sim, "camera", (self.camera_name,))
     self._camera = mujoco.mj_name2id(sim.mj_model, mujoco.mjtObj.mjOBJ_CAMERA, self.camera_name)
     groups = cfg.geom_groups
     self._renderer = sim.make_renderer(
@@ -227,7 +228,7 @@ class CameraSensor(Sensor[CameraData]):
   def reset(self, mask: torch.Tensor) -> None:
     if self._shutter is not None:
       self._shutter.reset(mask)
-      # What is held may have to be drawn anew though the state is the same.
+      # The held images may have to be drawn again though the state is the same.
       self._read_at = None
 
   @property
@@ -237,11 +238,11 @@ class CameraSensor(Sensor[CameraData]):
     Coordinates count from the corner of the image to the right and down: its first pixel's centre is (0.5, 0.5).
 
     Raises:
-      ValueError: the camera is orthographic.
+      MjlabError: the camera is orthographic.
     """
     sim, model = self.sim, self.sim.mj_model
     if model.cam_projection[self._camera] == _ORTHOGRAPHIC:
-      raise ValueError(f"{self.label}: camera {self.camera_name!r} is orthographic, and has no intrinsic matrix")
+      raise MjlabError(f"{self.label}: camera {self.camera_name!r} is orthographic, and has no intrinsic matrix")
     sensor = model.cam_sensorsize[self._camera]
     if sensor[1] > 0.0:
       # An image of another shape than the sensor's shows the largest part of it that has the image's shape.
@@ -257,9 +258,9 @@ class CameraSensor(Sensor[CameraData]):
     return matrix
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show where the camera is, and a pyramid from it to the corners of its image; an orthographic one as a box."""
+    """Draw the camera's frame, and a pyramid from it to the corners of its image; an orthographic one as a box."""
     sim, worlds, length = self.sim, list(draw.worlds), 10.0 * self._draw_size
-    _ = sim.epoch
+    _ = sim.version
     pos, mat = (value[worlds] for value in self._pose())
     draw.frames(pos, quat_from_matrix(mat), 3.0 * self._draw_size)
     corner = torch.tensor(((0, 0), (1, 0), (1, 1), (0, 1)), dtype=sim.dtype, device=sim.device)

@@ -1,18 +1,19 @@
-"""Contacts of parts of an entity: who touches what, how hard, and for how long."""
+"""Contact sensor: contacts of parts of an entity, their forces, and their durations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import pairwise, product
+from dataclasses import dataclass, replace
+from itertools import product
 from math import prod
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, fill_, unknown, why_no_count
+from mjlab_core import Count, DebugDraw, Items, MjlabError, PositiveCount, check_fields, fill_
+from mjlab_core.config import Config
 
-from mjlab_sensors._elements import match_elements, names_of
+from mjlab_sensors._elements import add_sensor, match_elements
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
 if TYPE_CHECKING:
@@ -33,11 +34,12 @@ _OBJECTS = {
 
 
 @dataclass(kw_only=True, frozen=True)
-class ContactMatch:
+class ContactMatch(Config):
   """Parts of the scene that take part in contacts."""
 
   mode: ContactMode
-  """What the patterns name: single geoms, bodies with all their geoms, or bodies with all their descendants."""
+  """Kind of element that the patterns name: single geoms, bodies with all their geoms, or bodies with all their
+  descendants."""
   pattern: str | tuple[str, ...]
   """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
   entity: str | None = None
@@ -48,11 +50,10 @@ class ContactMatch:
   """Order the elements as the patterns are, instead of as they come in the model."""
 
   def __post_init__(self) -> None:
-    if self.mode not in _OBJECTS:
-      raise ValueError(unknown("mode", self.mode, _OBJECTS, f"ContactMatch {self.pattern!r}"))
+    check_fields(self, f"ContactMatch {self.pattern!r}")
 
   def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> list[str]:
-    """Full names of the elements; NameMatchError if there are none."""
+    """Return the full names of the elements; raise UnknownNameError if there are none."""
     return match_elements(
       spec,
       entities,
@@ -70,42 +71,31 @@ class ContactSensorCfg(SensorCfg):
   """Contacts of each primary with each secondary."""
 
   primary: ContactMatch
-  """The elements whose contacts are reported, each on its own."""
+  """Elements whose contacts are reported, one by one."""
   secondary: ContactMatch | None = None
-  """The elements that they are in contact with, each on its own; None for anything, all together. A subtree may be its
-  own secondary."""
-  fields: tuple[ContactField, ...] = ("found", "force")
-  """What is reported. `track_air_time` adds "found"."""
+  """Elements that they touch, one by one; None for all elements together. A subtree may be its own secondary."""
+  fields: Annotated[tuple[ContactField, ...], Items(ge=0, unique=True)] = ("found", "force")
+  """Fields of the reading. `track_air_time` adds "found"."""
   reduce: ContactReduce = "maxforce"
-  """Which contacts of a pair fill its slots: the first of MuJoCo's list ("none", an arbitrary order), the deepest
+  """Contacts that fill the slots of a pair: the first of MuJoCo's list ("none", an arbitrary order), the deepest
   ("mindist"), the strongest ("maxforce"), or the sum of all as one contact in the world frame ("netforce")."""
-  num_slots: int = 1
+  num_slots: PositiveCount = 1
   """Contacts reported for each pair of a primary and a secondary; 1 with "netforce"."""
+  global_frame: bool = False
+  """Report force and torque in the world frame, on the secondary, instead of in the frame of each contact."""
   track_air_time: bool = False
-  """Keep the times in the air and in contact."""
-  history_length: int | Literal["decimation"] = 0
-  """Substeps of which the force is kept; "decimation" for those of one environment step, however many these are."""
+  """Measure the times in the air and in contact."""
+  history_length: Count | Literal["decimation"] = 0
+  """Number of past substeps whose force is kept; "decimation" for the substeps of one environment step."""
 
   def validate(self) -> None:
-    for field in self.fields:
-      if field not in _WIDTHS:
-        raise ValueError(unknown("field", field, _WIDTHS, self.label))
+    super().validate()
     if not self.fields and not self.track_air_time:
-      raise ValueError(f"{self.label}: no field is asked for; there are {', '.join(_WIDTHS)}")
-    if len(set(self.fields)) != len(self.fields):
-      raise ValueError(f"{self.label}: a field is asked for twice in {self.fields}")
-    if self.reduce not in get_args(ContactReduce):
-      raise ValueError(unknown("reduce", self.reduce, get_args(ContactReduce), self.label))
-    if wrong := why_no_count(self.num_slots, 1):
-      raise ValueError(f"{self.label}: num_slots {wrong}")
+      raise MjlabError(f"{self.label}: fields is empty; choose from {', '.join(_WIDTHS)}")
     if self.reduce == "netforce" and self.num_slots != 1:
-      raise ValueError(f"{self.label}: netforce is one sum of all contacts: num_slots must be 1, not {self.num_slots}")
-    if self.history_length != "decimation" and why_no_count(self.history_length):
-      raise ValueError(
-        f"{self.label}: history_length must be a number of substeps or 'decimation', not {self.history_length!r}"
-      )
+      raise MjlabError(f"{self.label}: netforce is one sum of all contacts: num_slots must be 1, got {self.num_slots}")
     if self.history_length and "force" not in self.fields:
-      raise ValueError(f"{self.label}: history_length keeps the force: add 'force' to fields {self.fields}")
+      raise MjlabError(f"{self.label}: history_length keeps the force; add 'force' to fields {self.fields}")
 
   def _make(self, name: str) -> ContactSensor:
     return ContactSensor(name, self)
@@ -115,18 +105,18 @@ class ContactSensorCfg(SensorCfg):
 class ContactData:
   """Contacts of the substep just done; all zero in worlds just reset. Views of the sensor's memory, not to be written.
 
-  A contact is one slot of one pair of a primary and a secondary. They are numbered primary by primary as in
-  `ContactSensor.primary_names`, of each secondary by secondary as in `secondary_names`, of each slot by slot:
+  A contact is one slot of one pair of a primary and a secondary. Contacts are numbered by primary as in
+  `ContactSensor.primary_names`, then by secondary as in `secondary_names`, then by slot:
   `force.unflatten(1, sensor.contact_shape)` is (num_envs, num_primaries, num_secondaries, num_slots, 3), and
-  num_contacts the product of these three. Slots are filled from the first on and empty ones are zero. Contacts within a
-  geom's margin or gap count, with zero force. What was not asked for is None.
+  num_contacts is the product of these three. Slots are filled from the first on; empty ones are zero. Contacts within a
+  geom's margin or gap count, with zero force. Fields that are not in the config are None.
   """
 
   found: torch.Tensor | None = None
-  """How many contacts the pair has, in each of its filled slots; 0 in an empty one, (num_envs, num_contacts)."""
+  """Number of contacts of the pair, in each of its filled slots; 0 in an empty one, (num_envs, num_contacts)."""
   force: torch.Tensor | None = None
-  """Force, (num_envs, num_contacts, 3) [N]. "netforce": what the primary exerts on the secondary, world frame. Else in
-  the frame of the contact: first along the normal, where pressing is positive, then along the two tangents."""
+  """Force, (num_envs, num_contacts, 3) [N]. "netforce" or `global_frame`: of the primary on the secondary, world frame.
+  Otherwise in the frame of the contact: first along the normal, where pressing is positive, then along the tangents."""
   torque: torch.Tensor | None = None
   """Torque at the contact point, in the frame of `force`, (num_envs, num_contacts, 3) [Nm]."""
   dist: torch.Tensor | None = None
@@ -138,12 +128,12 @@ class ContactData:
   tangent: torch.Tensor | None = None
   """First unit tangent, world frame; the second is normal x tangent, (num_envs, num_contacts, 3)."""
   current_air_time: torch.Tensor | None = None
-  """How long the primary has been in the air, 0 in contact with any secondary, (num_envs, num_primaries) [s]."""
+  """Time that the primary has been in the air, 0 in contact with any secondary, (num_envs, num_primaries) [s]."""
   last_air_time: torch.Tensor | None = None
   """Length of the air phase that the last landing ended, 0 before one since the reset, (num_envs, num_primaries)
   [s]."""
   current_contact_time: torch.Tensor | None = None
-  """How long the primary has been in contact, 0 in the air, (num_envs, num_primaries) [s]."""
+  """Time that the primary has been in contact, 0 in the air, (num_envs, num_primaries) [s]."""
   last_contact_time: torch.Tensor | None = None
   """Length of the contact phase that the last take-off ended, 0 before one since the reset, (num_envs, num_primaries)
   [s]."""
@@ -153,7 +143,7 @@ class ContactData:
 
 
 class ContactSensor(Sensor[ContactData]):
-  """Contacts of several primaries with anything, or with each of several secondaries.
+  """Contacts of several primaries with all other elements, or with each of several secondaries.
 
   Each pair is one native MuJoCo contact sensor with all fields, and these lie side by side in sensordata, so that the
   whole reading is one view of it. Times and history are kept in `update`, once a substep.
@@ -163,20 +153,24 @@ class ContactSensor(Sensor[ContactData]):
   reset: a foot that starts on the ground has not landed, and no air time is credited to it.
   """
 
-  _constants = frozenset({"_touch", "_force", "_current", "_last", "_history", "_older", "_phases"})
   cfg: ContactSensorCfg
 
   def __init__(self, name: str, cfg: ContactSensorCfg) -> None:
     super().__init__(name, cfg)
     self.primary_names: tuple[str, ...] = ()
     self.secondary_names: tuple[str, ...] = ()
-    """Full names of the secondaries; none where anything counts."""
+    """Full names of the secondaries; empty if all elements count."""
     self.history_length = 0
-    """Substeps of which the force is kept."""
+    """Number of past substeps whose force is kept."""
     self._fields = [field for field in _WIDTHS if field in cfg.fields or (field == "found" and cfg.track_air_time)]
     # MuJoCo evaluates a contact sensor without forces before the step's forces, of the next state. All are to
     # describe the same substep, so force is always among the columns.
-    self._columns = [field for field in _WIDTHS if field in self._fields or field == "force"]
+    needed = {"force"}
+    # The sum of all contacts is in the world frame already.
+    self._is_turned = cfg.global_frame and cfg.reduce != "netforce"
+    if self._is_turned:
+      needed |= {"normal", "tangent"}
+    self._columns = [field for field in _WIDTHS if field in self._fields or field in needed]
     self._views = ContactData()
 
   @property
@@ -186,7 +180,7 @@ class ContactSensor(Sensor[ContactData]):
 
   @property
   def contact_shape(self) -> tuple[int, int, int]:
-    """How contacts are numbered: (num_primaries, num_secondaries, num_slots); one secondary where anything counts."""
+    """Numbering of contacts: (num_primaries, num_secondaries, num_slots); one secondary if all elements count."""
     return self.num_primaries, max(1, len(self.secondary_names)), self.cfg.num_slots
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
@@ -194,27 +188,22 @@ class ContactSensor(Sensor[ContactData]):
     if cfg.history_length != "decimation":
       self.history_length = cfg.history_length
     elif self.decimation is None:
-      raise ValueError(
-        f"{self.label}: history_length='decimation' follows an environment, and there is none; give a number"
-      )
+      raise MjlabError(f"{self.label}: history_length='decimation' needs an environment; give a number without one")
     else:
       self.history_length = self.decimation
     self.primary_names = tuple(cfg.primary.resolve(spec, entities, f"{self.label}: primary"))
     if cfg.secondary is not None:
       self.secondary_names = tuple(cfg.secondary.resolve(spec, entities, f"{self.label}: secondary"))
-    taken = set(names_of(spec, "sensor"))
     content = sum(1 << list(_WIDTHS).index(field) for field in self._columns)
     for name, primary, secondary in self._natives():
-      if name in taken:
-        raise ValueError(f"{self.label}: the scene already has a sensor element {name!r}")
-      sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+      sensor = add_sensor(spec, self.label, name, type=mujoco.mjtSensor.mjSENS_CONTACT)
       sensor.objtype, sensor.objname = _OBJECTS[cfg.primary.mode], primary
       if cfg.secondary is not None and secondary is not None:
         sensor.reftype, sensor.refname = _OBJECTS[cfg.secondary.mode], secondary
       sensor.intprm[:3] = [content, get_args(ContactReduce).index(cfg.reduce), cfg.num_slots]
 
   def _natives(self) -> list[tuple[str, str, str | None]]:
-    """Native sensors in the order of the contacts: their name, the primary and the secondary."""
+    """Return the native sensors in the order of the contacts: their name, the primary and the secondary."""
     if not self.secondary_names:
       return [(f"{self.name}:{primary}", primary, None) for primary in self.primary_names]
     pairs = product(self.primary_names, self.secondary_names)
@@ -224,9 +213,7 @@ class ContactSensor(Sensor[ContactData]):
     super().initialize(sim, entities)
     cfg, num_envs, num_primaries = self.cfg, sim.num_envs, self.num_primaries
     num_contacts = prod(self.contact_shape)
-    blocks = [sensordata_columns(sim, name, self.label) for name, *_ in self._natives()]
-    if any(left.stop != right.start for left, right in pairwise(blocks)):
-      raise ValueError(f"{self.label}: its native sensors no longer lie side by side; was the spec reordered?")
+    blocks = [sensordata_columns(sim, name) for name, *_ in self._natives()]
     slots = sim.data.sensordata[:, blocks[0].start : blocks[-1].stop].unflatten(1, (num_contacts, -1))
     columns, start = {}, 0
     for field in self._columns:
@@ -238,16 +225,15 @@ class ContactSensor(Sensor[ContactData]):
     # One block of memory, so that a reset is one write: air and contact times, now and last, then the forces.
     times = 4 * num_primaries if cfg.track_air_time else 0
     size = times + 3 * num_contacts * self.history_length
-    self._memory = torch.zeros(num_envs, size, dtype=sim.dtype, device=sim.device)
+    self._memory = self.state((size,), dtype=sim.dtype)
     self._phases = torch.tensor([[[True], [False]]], device=sim.device)
     if cfg.track_air_time:
-      # Slots are filled from the first on, so the first one tells.
+      # Slots are filled from the first on, so the first one decides.
       self._touch = columns["found"].unflatten(1, self.contact_shape)[..., 0]
       self._current, self._last = self._memory[:, :times].view(num_envs, 2, 2, num_primaries).unbind(1)
       views.current_air_time, views.current_contact_time = self._current.unbind(1)
       views.last_air_time, views.last_contact_time = self._last.unbind(1)
     if self.history_length:
-      self._force = columns["force"][:, :, None]
       self._history = self._memory[:, times:].view(num_envs, num_contacts, self.history_length, 3)
       self._older = self._history[:, :, :-1]
       views.force_history = self._history
@@ -256,31 +242,31 @@ class ContactSensor(Sensor[ContactData]):
   def update(self, dt: float) -> None:
     if not self._memory.shape[1]:
       return
-    # Reading the epoch makes the sensordata current, whatever the engine still owes.
-    _ = self.sim.epoch
+    # Reading the version makes the sensordata current.
+    _ = self.sim.version
     if self.cfg.track_air_time:
       # Dimension 1 is the phase: 0 air, 1 contact.
       touch = self._touch.amax(-1) if len(self.secondary_names) > 1 else self._touch[..., 0]
       inside = (touch[:, None] > 0) != self._phases
       longer = self._current + dt
-      # A time is zero while its phase is not on, and both are right after a reset, when no phase can end.
+      # A time is zero outside its phase. Both are zero right after a reset, when no phase can end.
       ended = (self._current > 0) > inside
       torch.where(ended, longer, self._last, out=self._last)
       torch.mul(longer, inside, out=self._current)
     if self.history_length:
-      self._history.copy_(torch.cat((self._force, self._older), dim=2))
+      self._history.copy_(torch.cat((self._turned("force")[:, :, None], self._older), dim=2))
 
   def reset(self, mask: torch.Tensor) -> None:
     if self._memory.shape[1]:
       fill_(self._memory, mask, 0.0)
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show each contact as a sphere, where `pos` tells or at its primary, and the force on the primary as an arrow.
+    """Draw each contact as a sphere, at `pos` or at its primary, and the force on the primary as an arrow.
 
-    The direction of a force is known of "netforce", and where normal and tangent are asked for.
+    Arrows need "netforce", or the fields normal and tangent.
     """
     sim, worlds = self.sim, list(draw.worlds)
-    _ = sim.epoch
+    _ = sim.version
     slots = {field: column[worlds] for field, column in self._slots.items()}
     force = slots["force"]
     if "pos" in slots:
@@ -295,39 +281,51 @@ class ContactSensor(Sensor[ContactData]):
     if self.cfg.reduce != "netforce":
       if not {"normal", "tangent"} <= slots.keys():
         return
-      normal, tangent = slots["normal"], slots["tangent"]
-      axes = torch.stack((normal, tangent, torch.linalg.cross(normal, tangent)), dim=-1)
-      force = (axes * force[..., None, :]).sum(-1)
-    # What is read acts on the secondary. It is as long as MuJoCo's own viewer draws it.
+      force = _in_world(force, slots["normal"], slots["tangent"])
+    # The reading acts on the secondary. The arrow is as long as in MuJoCo's own viewer.
     tip = place - force * (sim.mj_model.vis.map.force / sim.mj_model.stat.meanmass)
     draw.arrows(place[touches], tip[touches], (0.9, 0.6, 0.1, 1.0), 0.2 * self._draw_size)
 
   def compute_first_contact(self, dt: float, tol: float = 1e-6) -> torch.Tensor:
-    """Which primaries have landed within the last `dt` [s] and are in contact, (num_envs, num_primaries) bool.
+    """Return the primaries that landed within the last `dt` [s] and are in contact, (num_envs, num_primaries) bool.
 
     A primary that has been in contact since the reset has not landed.
 
     Raises:
-      ValueError: the sensor does not track air time.
+      MjlabError: the sensor does not track air time.
     """
     return self._just_begun(1, dt + tol)
 
   def compute_first_air(self, dt: float, tol: float = 1e-6) -> torch.Tensor:
-    """Which primaries have taken off within the last `dt` [s] and are in the air, (num_envs, num_primaries) bool.
+    """Return the primaries that took off within the last `dt` [s] and are in the air, (num_envs, num_primaries) bool.
 
     A primary that has been in the air since the reset has not taken off.
 
     Raises:
-      ValueError: the sensor does not track air time.
+      MjlabError: the sensor does not track air time.
     """
     return self._just_begun(0, dt + tol)
 
   def _just_begun(self, phase: int, within: float) -> torch.Tensor:
     if not self.cfg.track_air_time:
-      raise ValueError(f"{self.label}: landings and take-offs need track_air_time=True")
+      raise MjlabError(f"{self.label}: landings and take-offs need track_air_time=True")
     time = self._current[:, phase]
     # A phase that began with a switch comes after one of the other kind; the first since the reset does not.
     return (time * self._last[:, 1 - phase] > 0) & (time < within)
 
+  def _turned(self, field: str) -> torch.Tensor:
+    """Return force or torque, in the world frame if the config asks for it, (num_envs, num_contacts, 3)."""
+    vector = self._slots[field]
+    return _in_world(vector, self._slots["normal"], self._slots["tangent"]) if self._is_turned else vector
+
   def _read(self) -> ContactData:
-    return self._views
+    if not self._is_turned:
+      return self._views
+    turned = {field: self._turned(field) for field in ("force", "torque") if field in self._fields}
+    return replace(self._views, **turned)
+
+
+def _in_world(vector: torch.Tensor, normal: torch.Tensor, tangent: torch.Tensor) -> torch.Tensor:
+  """Return vectors of contact frames in the world frame, (..., 3); zero where there is no contact."""
+  axes = torch.stack((normal, tangent, torch.linalg.cross(normal, tangent)), dim=-1)
+  return (axes * vector[..., None, :]).sum(-1)

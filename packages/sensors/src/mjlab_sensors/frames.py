@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import unknown
+from mjlab_core import check_fields
+from mjlab_core.config import Config
 
 from mjlab_sensors._elements import match_elements
 
@@ -18,24 +19,25 @@ if TYPE_CHECKING:
 
 FrameType = Literal["site", "body", "geom", "camera"]
 
-_OBJECTS = {
-  "site": (mujoco.mjtObj.mjOBJ_SITE, "site_xpos", "site_xmat"),
-  "body": (mujoco.mjtObj.mjOBJ_BODY, "xpos", "xmat"),
-  "geom": (mujoco.mjtObj.mjOBJ_GEOM, "geom_xpos", "geom_xmat"),
-  "camera": (mujoco.mjtObj.mjOBJ_CAMERA, "cam_xpos", "cam_xmat"),
+_POSES = {
+  "site": ("site_xpos", "site_xmat"),
+  "body": ("xpos", "xmat"),
+  "geom": ("geom_xpos", "geom_xmat"),
+  "camera": ("cam_xpos", "cam_xmat"),
 }
 _BODY_OF = {"site": "site_bodyid", "geom": "geom_bodyid", "camera": "cam_bodyid"}
 
-# Below this length of its projection to the ground, a frame's x axis no longer tells where it is heading.
+# Below this length of its projection to the ground, a frame's x axis no longer gives its heading.
 _SHORT = 0.1
 
 
 @dataclass(kw_only=True, frozen=True)
-class FrameMatch:
+class FrameMatch(Config):
   """Frames of the scene."""
 
   type: FrameType
-  """What carries the frames. A camera looks along its negative z axis; x points right and y up in its image."""
+  """Kind of element that has the frames. A camera looks along its negative z axis; x points right and y up in its
+  image."""
   pattern: str | tuple[str, ...]
   """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
   entity: str | None = None
@@ -44,11 +46,10 @@ class FrameMatch:
   """Order the frames as the patterns are, instead of as they come in the model."""
 
   def __post_init__(self) -> None:
-    if self.type not in _OBJECTS:
-      raise ValueError(unknown("type of frame", self.type, _OBJECTS, f"FrameMatch {self.pattern!r}"))
+    check_fields(self, f"FrameMatch {self.pattern!r}")
 
   def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> list[str]:
-    """Full names of the elements; NameMatchError if there are none."""
+    """Return the full names of the elements; raise UnknownNameError if there are none."""
     return match_elements(
       spec, entities, self.type, self.pattern, entity=self.entity, preserve_order=self.preserve_order, owner=owner
     )
@@ -57,16 +58,13 @@ class FrameMatch:
 class FrameSet:
   """The frames of a `FrameMatch` in a simulation.
 
-  It holds on to the simulation's memory, so whoever reads it must have made that current by asking for `sim.epoch`.
+  It reads the simulation's memory, which the reader makes current beforehand by reading `sim.version`.
   """
 
-  def __init__(self, sim: Simulation, frame_type: FrameType, names: tuple[str, ...], owner: str) -> None:
-    obj, position, rotation = _OBJECTS[frame_type]
+  def __init__(self, sim: Simulation, frame_type: FrameType, names: tuple[str, ...]) -> None:
+    position, rotation = _POSES[frame_type]
     model = sim.mj_model
-    ids = [mujoco.mj_name2id(model, obj, name) for name in names]
-    for name, index in zip(names, ids, strict=True):
-      if index < 0:
-        raise ValueError(f"{owner}: the simulation's model has no {frame_type} {name!r}")
+    ids = [getattr(model, frame_type)(name).id for name in names]
     bodies = np.arange(model.nbody) if frame_type == "body" else getattr(model, _BODY_OF[frame_type])
     self.body_ids: list[int] = [int(bodies[index]) for index in ids]
     self._index = torch.tensor(ids, device=sim.device)
@@ -94,7 +92,7 @@ class FrameSet:
 
   @property
   def headings(self) -> torch.Tensor:
-    """Unit direction on the ground in which frames head, world frame, (num_envs, num_frames, 2).
+    """Unit heading of the frames on the ground, world frame, (num_envs, num_frames, 2).
 
     It is the x axis projected to the ground, or, where that is nearly vertical, the y axis turned back by 90 degrees.
     """

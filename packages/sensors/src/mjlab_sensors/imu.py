@@ -1,17 +1,26 @@
-"""An inertial measurement unit that is a little wrong, in every world in its own way."""
+"""Inertial measurement unit with biases of its own in each world."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, quat_apply, quat_apply_inverse, quat_from_rotvec, quat_mul, where_
+from mjlab_core import (
+  DebugDraw,
+  MjlabError,
+  NonNegative,
+  quat_apply,
+  quat_apply_inverse,
+  quat_from_rotvec,
+  quat_mul,
+  where_,
+)
 
-from mjlab_sensors._elements import names_of
+from mjlab_sensors._elements import add_sensor
 from mjlab_sensors.builtin import ObjRef
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
@@ -29,31 +38,28 @@ _ELEMENTS = {
 class ImuSensorCfg(SensorCfg):
   """Gyro, accelerometer and orientation of a site, each with a bias.
 
-  The bias of a world is drawn anew whenever it is reset, as that of a device that is switched on, uniformly from plus
-  or minus the given magnitude for each axis. That of gyro and accelerometer may also wander from there. Where neither
-  is given, it stays what an event has made it (`set_bias`). White noise and delay are the observation manager's.
+  A reset draws the bias of a world, as switching a device on does: each axis uniformly from plus or minus the given
+  magnitude. The bias of gyro and accelerometer may also walk from there. A bias with neither stays as an event has set
+  it (`set_bias`). White noise and delay belong to the observation manager.
   """
 
   site: ObjRef
-  """The site that carries the unit and gives its axes."""
-  gyro_bias: float = 0.0
-  """Largest bias of the angular velocity when switched on [rad/s]."""
-  accelerometer_bias: float = 0.0
-  """Largest bias of the acceleration when switched on [m/s^2]."""
-  orientation_bias: float = 0.0
-  """Largest component of the rotation vector by which the orientation that is told is off [rad]."""
-  gyro_walk: float = 0.0
-  """How fast the bias of the gyro wanders: its standard deviation after one second [rad/s / sqrt(s)]."""
-  accelerometer_walk: float = 0.0
-  """How fast the bias of the accelerometer wanders, likewise [m/s^2 / sqrt(s)]."""
+  """Site of the unit, which gives its axes."""
+  gyro_bias: NonNegative = 0.0
+  """Largest bias of the angular velocity at a reset [rad/s]."""
+  accelerometer_bias: NonNegative = 0.0
+  """Largest bias of the acceleration at a reset [m/s^2]."""
+  orientation_bias: NonNegative = 0.0
+  """Largest component of the rotation vector from the true to the measured orientation [rad]."""
+  gyro_walk: NonNegative = 0.0
+  """Random walk of the gyro's bias: its standard deviation after one second [rad/s / sqrt(s)]."""
+  accelerometer_walk: NonNegative = 0.0
+  """Random walk of the accelerometer's bias, likewise [m/s^2 / sqrt(s)]."""
 
   def validate(self) -> None:
+    super().validate()
     if self.site.type != "site":
-      raise ValueError(f"{self.label}: an IMU sits at a site, not at {self.site.type} {self.site.name!r}")
-    for name in ("gyro_bias", "accelerometer_bias", "orientation_bias", "gyro_walk", "accelerometer_walk"):
-      value = getattr(self, name)
-      if not (value >= 0.0 and isfinite(value)):
-        raise ValueError(f"{self.label}: {name} is a magnitude and must not be negative, but is {value}")
+      raise MjlabError(f"{self.label}: site must be a site, got {self.site.type} {self.site.name!r}")
 
   def _make(self, name: str) -> ImuSensor:
     return ImuSensor(name, self)
@@ -61,23 +67,22 @@ class ImuSensorCfg(SensorCfg):
 
 @dataclass(kw_only=True)
 class ImuData:
-  """What an `ImuSensor` tells, bias included. Tensors are the sensor's own: read them, do not write them."""
+  """Reading of an `ImuSensor`, bias included. The tensors are the sensor's own memory."""
 
   angular_velocity: torch.Tensor
   """Angular velocity in the axes of the site, (num_envs, 3) [rad/s]."""
   linear_acceleration: torch.Tensor
-  """Acceleration in the axes of the site, that against gravity included: at rest it points up. It is that of the
-  substep just done, without bias zero in worlds just reset, (num_envs, 3) [m/s^2]."""
+  """Acceleration in the axes of the site, including that against gravity: at rest it points up. It is that of the
+  substep just done; without bias it is zero in worlds just reset, (num_envs, 3) [m/s^2]."""
   orientation: torch.Tensor
   """Unit quaternion (w, x, y, z) from the site to the world, (num_envs, 4)."""
   projected_gravity: torch.Tensor
-  """Unit vector down, as the orientation tells it, in the axes of the site, (num_envs, 3)."""
+  """Unit vector down according to `orientation`, in the axes of the site, (num_envs, 3)."""
 
 
 class ImuSensor(Sensor[ImuData]):
   """Gyro, accelerometer and orientation of a site, each with a bias."""
 
-  _constants = frozenset({"_gyro", "_accelerometer", "_orientation", "_down"})
   cfg: ImuSensorCfg
 
   gyro_bias: torch.Tensor
@@ -85,24 +90,22 @@ class ImuSensor(Sensor[ImuData]):
   accelerometer_bias: torch.Tensor
   """Bias of the acceleration in the axes of the site, (num_envs, 3) [m/s^2]."""
   orientation_bias: torch.Tensor
-  """Rotation vector, in the true axes of the site, that turns them into those that are told, (num_envs, 3) [rad]."""
+  """Rotation vector, in the true axes of the site, that turns them into the measured axes, (num_envs, 3) [rad]."""
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
-    site, taken = self.cfg.site.resolve(spec, entities, self.label), names_of(spec, "sensor")
+    site = self.cfg.site.resolve(spec, entities, self.label)
     for element, kind in _ELEMENTS.items():
-      name = f"{self.name}:{element}"
-      if name in taken:
-        raise ValueError(f"{self.label}: the scene already has a sensor element {name!r}")
-      spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+      add_sensor(spec, self.label, f"{self.name}:{element}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     self._site = sim.mj_model.sensor_objid[sim.mj_model.sensor(f"{self.name}:gyro").id]
     self._gyro, self._accelerometer, self._orientation = (
-      sim.data.sensordata[:, sensordata_columns(sim, f"{self.name}:{element}", self.label)] for element in _ELEMENTS
+      sim.data.sensordata[:, sensordata_columns(sim, f"{self.name}:{element}")] for element in _ELEMENTS
     )
-    rows = torch.zeros(3, sim.num_envs, 3, dtype=sim.dtype, device=sim.device)
-    self.gyro_bias, self.accelerometer_bias, self.orientation_bias = rows.unbind()
+    self.gyro_bias, self.accelerometer_bias, self.orientation_bias = (
+      self.state((3,), dtype=sim.dtype) for _ in range(3)
+    )
     self._down = torch.tensor((0.0, 0.0, -1.0), dtype=sim.dtype, device=sim.device).expand(sim.num_envs, 3)
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
 
@@ -112,7 +115,7 @@ class ImuSensor(Sensor[ImuData]):
         bias.add_(torch.empty_like(bias).normal_(generator=self.rng), alpha=walk * sqrt(dt))
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Switch the units of the worlds in `mask` on anew, (num_envs,) bool."""
+    """Draw the biases of the worlds in `mask`, (num_envs,) bool."""
     cfg = self.cfg
     for bias, most, walk in (
       (self.gyro_bias, cfg.gyro_bias, cfg.gyro_walk),
@@ -130,10 +133,10 @@ class ImuSensor(Sensor[ImuData]):
     accelerometer: torch.Tensor | None = None,
     orientation: torch.Tensor | None = None,
   ) -> None:
-    """Give the worlds in `mask`, (num_envs,) bool, another bias; what is None stays.
+    """Set the biases of the worlds in `mask`; a bias that is None stays.
 
     Args:
-      mask: which worlds.
+      mask: worlds to set, (num_envs,) bool.
       gyro: of the angular velocity, (num_envs, 3) [rad/s].
       accelerometer: of the acceleration, (num_envs, 3) [m/s^2].
       orientation: rotation vector of the axes, (num_envs, 3) [rad].
@@ -147,7 +150,7 @@ class ImuSensor(Sensor[ImuData]):
         where_(bias, mask, value)
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show where the unit believes to point, and the direction of its acceleration."""
+    """Draw the measured orientation, and the direction of the measured acceleration."""
     data, worlds = self.data, list(draw.worlds)
     place, turn = self.sim.data.site_xpos[worlds, self._site], data.orientation[worlds]
     draw.frames(place, turn, 5.0 * self._draw_size)
@@ -156,8 +159,7 @@ class ImuSensor(Sensor[ImuData]):
     draw.arrows(place, place + 5.0 * self._draw_size * direction, (1.0, 1.0, 0.0, 1.0), 0.2 * self._draw_size)
 
   def _version(self) -> int:
-    # Views of one block, which count its writes together.
-    return self.gyro_bias._version
+    return sum(bias._version for bias in (self.gyro_bias, self.accelerometer_bias, self.orientation_bias))
 
   def _read(self) -> ImuData:
     turn = quat_mul(self._orientation, quat_from_rotvec(self.orientation_bias))

@@ -1,4 +1,4 @@
-"""Every type of sensor that MuJoCo computes: what it is attached to, and in which frame and unit it reads."""
+"""Table of all types of native sensors: the objects they are attached to, and frame and unit of their readings."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import mujoco
 _Type = mujoco.mjtSensor
 
 ReadingFrame = Literal["scalar", "own", "reference", "world", "image"]
-"""What the components of a reading refer to.
+"""Frame of the components of a reading.
 
-- "scalar": nothing, it is a number without direction;
-- "own": the axes of what the sensor reads: a site, a joint, a geom, a contact;
-- "reference": the axes of the reference frame, and the world's without one;
+- "scalar": none, it is a number without direction;
+- "own": the axes of the site, joint, geom or contact that the sensor reads;
+- "reference": the axes of the reference frame, or the world's without one;
 - "world": the axes of the world;
 - "image": columns and rows of a camera's image, from its top left corner.
 """
@@ -24,26 +24,26 @@ Stage = Literal["position", "velocity", "acceleration"]
 
 @dataclass(kw_only=True, frozen=True)
 class NativeType:
-  """A type of native sensor."""
+  """Type of native sensor."""
 
   enum: mujoco.mjtSensor
   """MuJoCo's number for it."""
   objects: tuple[str, ...] = ()
-  """What it can be attached to; nothing for a sensor of the whole world."""
+  """Kinds of elements it can be attached to; none for a sensor of the whole world."""
   references: tuple[str, ...] = ()
-  """What it can be measured relative to."""
+  """Kinds of elements it can be measured relative to."""
   needs_reference: bool = False
-  """Whether it means nothing without a reference."""
+  """True if a reference is required."""
   dim: int | None = 1
   """Numbers of a reading; None where that depends on the sensor's settings."""
   frame: ReadingFrame = "scalar"
-  """What the components refer to."""
+  """Frame of the components."""
   unit: str = ""
   """Unit of a reading; empty for a pure number."""
   stage: Stage = "position"
-  """When MuJoCo computes it. Readings of the acceleration stage are those of the substep just done."""
+  """Stage in which MuJoCo computes it. Readings of the acceleration stage are those of the substep just done."""
   declared_by: str | None = "BuiltinSensorCfg"
-  """The configuration that makes a new one; None where only an MJCF can. One that is there is always read as is."""
+  """Config that adds a new one; None if only an MJCF can. Existing ones can always be read."""
 
 
 _FRAMES = ("body", "xbody", "geom", "site", "camera")

@@ -1,25 +1,31 @@
-"""Where the rays of a frame start and where they point."""
+"""Patterns of rays: starting points and directions in the coordinates of a frame."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import floor, inf
+from math import floor
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
+from mjlab_core import Ascending, Count, Limits, MjlabError, NonNegative, Positive, PositiveCount, check_fields
+from mjlab_core.config import Config
 
 
 @dataclass(kw_only=True, frozen=True)
-class RayPatternCfg(ABC):
-  """A fixed set of rays in the coordinates of a frame."""
+class RayPatternCfg(Config, ABC):
+  """Fixed set of rays in the coordinates of a frame."""
+
+  def __post_init__(self) -> None:
+    check_fields(self, type(self).__name__)
 
   @abstractmethod
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
-    """Starting points and unit directions in the frame, both (num_rays, 3), float64 [m]."""
+    """Return starting points and unit directions in the frame, both (num_rays, 3), float64 [m]."""
 
   def resolve(self, model: mujoco.MjModel) -> RayPatternCfg:
-    """The pattern with what it leaves to the compiled model filled in."""
+    """Return the pattern with all values that it takes from the compiled model."""
     del model
     return self
 
@@ -31,19 +37,19 @@ def _downward(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(kw_only=True, frozen=True)
 class RingPatternCfg(RayPatternCfg):
-  """Rays straight down from a circle around the frame; the first sample lies on the x axis, the others follow
-  counter-clockwise."""
+  """Rays straight down from a circle around the frame, counter-clockwise; the first sample is on the x axis."""
 
-  radius: float = 0.1
+  radius: Positive = 0.1
   """Radius of the circle [m]."""
-  num_samples: int = 8
+  num_samples: Count = 8
   """Number of rays on the circle."""
   include_center: bool = True
   """Put one more ray, the first, at the frame itself."""
 
   def __post_init__(self) -> None:
-    if not 0.0 < self.radius < inf or self.num_samples < 0 or self.num_samples + self.include_center < 1:
-      raise ValueError(f"RingPatternCfg: needs a positive radius and at least one ray, not {self}")
+    super().__post_init__()
+    if self.num_samples + self.include_center < 1:
+      raise MjlabError("RingPatternCfg: num_samples must be at least 1 without include_center, got 0")
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     angle = 2.0 * np.pi * np.arange(self.num_samples) / max(self.num_samples, 1)
@@ -60,24 +66,20 @@ class LidarPatternCfg(RayPatternCfg):
   same ray twice; a single row or column looks through the middle.
   """
 
-  rows: int = 16
+  rows: PositiveCount = 16
   """Rows, or channels."""
-  columns: int = 64
+  columns: PositiveCount = 64
   """Rays of each row."""
-  vertical_fov: tuple[float, float] = (-15.0, 15.0)
+  vertical_fov: Annotated[tuple[float, float], Limits(ge=-90, le=90), Ascending()] = (-15.0, 15.0)
   """Lowest and highest angle above the horizontal plane of the frame [deg]."""
-  horizontal_fov: tuple[float, float] = (-180.0, 180.0)
+  horizontal_fov: Annotated[tuple[float, float], Limits(ge=-360, le=360), Ascending()] = (-180.0, 180.0)
   """Rightmost and leftmost angle, counted to the left from the frame's x axis [deg]."""
 
   def __post_init__(self) -> None:
-    if min(self.rows, self.columns) < 1:
-      raise ValueError(f"LidarPatternCfg: needs at least one row and one column, not {self.rows} and {self.columns}")
-    low, high = self.vertical_fov
-    if not -90.0 <= low <= high <= 90.0:
-      raise ValueError(f"LidarPatternCfg: vertical_fov must rise from -90 to 90 degrees, not {self.vertical_fov}")
+    super().__post_init__()
     right, left = self.horizontal_fov
-    if not (-360.0 <= right <= left <= 360.0 and left - right <= 360.0):
-      raise ValueError(f"LidarPatternCfg: horizontal_fov must rise by at most 360 degrees, not {self.horizontal_fov}")
+    if left - right > 360.0:
+      raise MjlabError(f"LidarPatternCfg: horizontal_fov must span at most 360 degrees, got {self.horizontal_fov}")
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     full_turn = self.horizontal_fov[1] - self.horizontal_fov[0] == 360.0
@@ -97,23 +99,26 @@ def _spread(low: float, high: float, count: int, *, full_turn: bool) -> np.ndarr
 
 @dataclass(kw_only=True, frozen=True)
 class GridPatternCfg(RayPatternCfg):
-  """Rays straight down from a grid centred on the frame; x runs fastest, both from negative to positive.
+  """Parallel rays from a grid centred on the frame: straight down, or forward along the frame's x axis.
+
+  Of a downward grid x runs fastest, then y; of a forward one y, then z; all from negative to positive.
 
   A side holds as many steps as fit: (1.6, 1.0) at 0.1 is 17 x 11 rays, 1.0 at 0.3 is -0.45, -0.15, 0.15, 0.45.
   """
 
-  size: tuple[float, float] = (1.0, 1.0)
-  """Sides along x and y [m]."""
-  resolution: float = 0.1
+  size: tuple[NonNegative, NonNegative] = (1.0, 1.0)
+  """Sides along x and y, or y and z of a forward grid [m]."""
+  resolution: Positive = 0.1
   """Distance between neighbours [m]."""
-
-  def __post_init__(self) -> None:
-    if not 0.0 < self.resolution < inf or len(self.size) != 2 or not all(0.0 <= side < inf for side in self.size):
-      raise ValueError(f"GridPatternCfg: needs a positive resolution and two sides of at least 0, not {self}")
+  direction: Literal["down", "forward"] = "down"
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
-    x, y = (self._side(length) for length in self.size)
-    return _downward(np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1))
+    sides = (self._side(length) for length in self.size)
+    points = np.stack([axis.ravel() for axis in np.meshgrid(*sides)], axis=1)
+    if self.direction == "down":
+      return _downward(points)
+    starts = np.concatenate((np.zeros((len(points), 1)), points), axis=1)
+    return starts, np.tile((1.0, 0.0, 0.0), (len(points), 1))
 
   def _side(self, length: float) -> np.ndarray:
     # 1.6 / 0.1 is a little less than 16 in binary; the slack is far below a step.

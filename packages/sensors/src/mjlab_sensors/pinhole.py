@@ -1,17 +1,35 @@
-"""The rays of a camera's pixels."""
+"""Pattern of the rays of a camera's pixels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians, tan
-from typing import Self
+from typing import Annotated, Self
 
 import mujoco
 import numpy as np
-from mjlab_core import unknown
+from mjlab_core import Count, Limits, MjlabError, Positive, check_name
 
 from mjlab_sensors.patterns import RayPatternCfg
+
+
+def check_resolution(owner: str, width: int, height: int, camera: str | None) -> None:
+  """Refuse an image without pixels; zeros take the resolution of `camera`."""
+  if (width == 0 or height == 0) and (camera is None or width != height):
+    raise MjlabError(f"{owner}: width and height must be at least 1, got {width} and {height}")
+
+
+def resolution_of(owner: str, camera: str, resolution: Sequence[int]) -> tuple[int, int]:
+  """Return the width and height of a camera of the scene.
+
+  Raises:
+    MjlabError: the camera has none.
+  """
+  width, height = map(int, resolution)
+  if width * height <= 1:  # MuJoCo's default.
+    raise MjlabError(f"{owner}: camera {camera!r} has no resolution; give width and height")
+  return width, height
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -28,22 +46,22 @@ class PinholeCameraPatternCfg(RayPatternCfg):
   the image (width / 2, height / 2).
   """
 
-  width: int = 16
+  width: Count = 16
   """Pixels of a row; 0 takes the resolution of `camera`."""
-  height: int = 12
+  height: Count = 12
   """Rows; 0 takes the resolution of `camera`."""
-  fovy: float = 45.0
+  fovy: Annotated[float, Limits(gt=0, lt=180)] = 45.0
   """Vertical field of view of square pixels around the middle of the image [deg]; unused where `focal` is given."""
-  focal: tuple[float, float] | None = None
+  focal: tuple[Positive, Positive] | None = None
   """Focal lengths fx and fy [pixel]; None follows from `fovy`."""
   center: tuple[float, float] | None = None
-  """Where the optical axis meets the image, cx from its left and cy from its top [pixel]; None is its middle."""
+  """Pixel on the optical axis, cx from the image's left and cy from its top [pixel]; None is the middle."""
   camera: str | None = None
-  """Full name of a camera of the scene whose intrinsics are taken, in place of all above but the resolution."""
+  """Full name of a camera of the scene whose intrinsics replace all above but the resolution."""
 
   @classmethod
   def from_mujoco_camera(cls, camera: str, *, width: int = 0, height: int = 0) -> Self:
-    """Pixels of a camera of the scene, with its field of view or its physical sensor.
+    """Return the pixels of a camera of the scene, with its field of view or its physical sensor.
 
     Args:
       camera: its full name.
@@ -56,39 +74,30 @@ class PinholeCameraPatternCfg(RayPatternCfg):
   def from_intrinsic_matrix(
     cls, matrix: Sequence[float] | Sequence[Sequence[float]] | np.ndarray, *, width: int, height: int
   ) -> Self:
-    """Pixels of a camera with the matrix K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], as 3 x 3 or 9 numbers [pixel].
+    """Return the pixels of a camera with K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], as 3 x 3 or 9 numbers [pixel].
 
     Raises:
-      ValueError: another shape, or entries that are not those of such a camera.
+      MjlabError: another shape, or entries that are not those of such a camera.
     """
-    values = np.asarray(matrix, dtype=np.float64)
-    if values.size != 9:
-      raise ValueError(f"PinholeCameraPatternCfg: an intrinsic matrix has 9 entries, not {values.size}")
-    k = values.reshape(3, 3)
-    if not np.array_equal(k * [[0, 1, 0], [1, 0, 0], [1, 1, 1]], [[0, 0, 0], [0, 0, 0], [0, 0, 1]]):
-      raise ValueError(
-        "PinholeCameraPatternCfg: an intrinsic matrix is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew, "
-        f"not {k.tolist()}"
+    k = np.asarray(matrix, dtype=np.float64)
+    k = k.reshape(3, 3) if k.size == 9 else k
+    if k.shape != (3, 3) or not np.array_equal(k * [[0, 1, 0], [1, 0, 0], [1, 1, 1]], [[0] * 3, [0] * 3, [0, 0, 1]]):
+      raise MjlabError(
+        "PinholeCameraPatternCfg: an intrinsic matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew, "
+        f"got {k.tolist()}"
       )
     focal, center = (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))
     return cls(width=width, height=height, focal=focal, center=center)
 
   def __post_init__(self) -> None:
-    least = 0 if self.camera is not None else 1
-    if min(self.width, self.height) < least or (self.width == 0) != (self.height == 0):
-      raise ValueError(
-        f"PinholeCameraPatternCfg: width and height must be at least 1, not {self.width} and {self.height}"
-      )
-    if not 0.0 < self.fovy < 180.0:
-      raise ValueError(f"PinholeCameraPatternCfg: fovy must be between 0 and 180 degrees, not {self.fovy}")
-    if self.focal is not None and not min(self.focal) > 0.0:
-      raise ValueError(f"PinholeCameraPatternCfg: focal lengths must be positive, not {self.focal}")
+    super().__post_init__()
+    check_resolution("PinholeCameraPatternCfg", self.width, self.height, self.camera)
     if self.camera is not None and (self.focal is not None or self.center is not None):
-      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} has focal and center of its own")
+      raise MjlabError(f"PinholeCameraPatternCfg: camera {self.camera!r} has its own focal and center; leave them out")
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     if self.camera is not None:
-      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} is read from the model, by `resolve`")
+      raise MjlabError(f"PinholeCameraPatternCfg: camera {self.camera!r} is in the model; call `resolve` first")
     focal = self.height / (2.0 * tan(radians(self.fovy) / 2.0))
     fx, fy = self.focal or (focal, focal)
     cx, cy = self.center or (self.width / 2.0, self.height / 2.0)
@@ -100,16 +109,12 @@ class PinholeCameraPatternCfg(RayPatternCfg):
     if self.camera is None:
       return self
     names = [model.camera(camera).name for camera in range(model.ncam)]
-    if self.camera not in names:
-      raise ValueError(unknown("camera", self.camera, names, "PinholeCameraPatternCfg"))
-    camera = names.index(self.camera)
+    camera = names.index(check_name("camera", self.camera, names, "PinholeCameraPatternCfg"))
     if model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
-      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} is orthographic, and has no pinhole")
-    width, height = (int(pixels) for pixels in model.cam_resolution[camera])
-    if self.width:
-      width, height = self.width, self.height
-    elif width * height == 1:  # What MuJoCo compiles where none is given.
-      raise ValueError(f"PinholeCameraPatternCfg: camera {self.camera!r} has no resolution; give width and height")
+      raise MjlabError(f"PinholeCameraPatternCfg: camera {self.camera!r} is orthographic, and has no pinhole")
+    width, height = self.width, self.height
+    if not width:
+      width, height = resolution_of("PinholeCameraPatternCfg", self.camera, model.cam_resolution[camera])
     sensor = model.cam_sensorsize[camera]
     if not sensor[1] > 0.0:
       return PinholeCameraPatternCfg(width=width, height=height, fovy=float(model.cam_fovy[camera]))

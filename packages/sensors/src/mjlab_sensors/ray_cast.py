@@ -1,4 +1,4 @@
-"""What rays from a frame hit: height scans, range finders, depth images."""
+"""Ray-cast sensor: height scans, range finders, depth images."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core import DebugDraw, quat_from_matrix
+from mjlab_core import DebugDraw, NonNegative, quat_from_matrix
 
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
-from mjlab_sensors.rays import RayAlignment, RaySensor, RaySensorCfg
+from mjlab_sensors.rays import RayAlignment, RayReach, RaySensor, RaySensorCfg
+from mjlab_sensors.sensor import GeomGroups
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -18,19 +19,19 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class RayCastSensorCfg(RaySensorCfg):
-  """What a pattern of rays from each of several frames hits."""
+  """Hits of a pattern of rays from each of several frames."""
 
   pattern: RayPatternCfg = field(default_factory=GridPatternCfg)
   alignment: RayAlignment = "base"
-  max_distance: float = 10.0
-  start_height: float = 0.0
-  """How far behind the points of the pattern, against their direction, rays start [m]. A height scan whose rays start
-  at the frame itself starts them inside of terrain that is higher than the frame; a height above all terrain around it
-  sees that."""
-  geom_groups: tuple[int, ...] | None = (0, 1, 2)
+  max_distance: RayReach = 10.0
+  start_height: NonNegative = 0.0
+  """Distance behind the points of the pattern, against their direction, at which rays start [m]. Rays of a height scan
+  that start at the frame itself start inside terrain that is higher than the frame; rays that start above all terrain
+  around it hit that terrain."""
+  geom_groups: GeomGroups = (0, 1, 2)
   exclude_parent_body: bool = True
   identify_geoms: bool = False
-  """Tell which geoms are hit. On a CPU that is slower on terrain of many geoms."""
+  """Return the geoms that are hit. On a CPU that is slower on terrain of many geoms."""
 
   def _make(self, name: str) -> RayCastSensor:
     return RayCastSensor(name, self)
@@ -38,19 +39,21 @@ class RayCastSensorCfg(RaySensorCfg):
 
 @dataclass(kw_only=True)
 class RayCastData:
-  """Hits of the rays of a `RayCastSensor`, frame by frame: ray r of frame f is number f * rays_per_frame + r, and
-  num_rays counts all. Tensors are the sensor's own: read them, and clone what must outlive the step."""
+  """Hits of the rays of a `RayCastSensor`, frame by frame.
+
+  Ray r of frame f is number f * rays_per_frame + r, and num_rays counts all. The tensors are the sensor's own memory.
+  """
 
   distances: torch.Tensor
-  """Distance of each hit from where its ray starts, `start_height` included; -1 where nothing is hit,
-  (num_envs, num_rays) [m]."""
+  """Distance of each hit from the start of its ray, `start_height` included; -1 without a hit, (num_envs, num_rays)
+  [m]."""
   valid: torch.Tensor
-  """Whether the ray hits anything within its reach, bool, (num_envs, num_rays)."""
+  """True for rays that hit something within their range, bool, (num_envs, num_rays)."""
   hit_pos_w: torch.Tensor
-  """Point that is hit, world frame; where the ray starts if there is none, (num_envs, num_rays, 3) [m]."""
+  """Point that is hit, world frame; the start of the ray without a hit, (num_envs, num_rays, 3) [m]."""
   normals_w: torch.Tensor
-  """Surface normal at the hit, world frame; along the ray where it leaves what it started in, and zero where nothing
-  is hit, (num_envs, num_rays, 3)."""
+  """Surface normal at the hit, world frame; along the ray if it leaves a geom that it started in, and zero without a
+  hit, (num_envs, num_rays, 3)."""
   frame_pos_w: torch.Tensor
   """Origins of the frames, world frame, (num_envs, num_frames, 3) [m]."""
   frame_mat_w: torch.Tensor
@@ -60,7 +63,7 @@ class RayCastData:
 
   @property
   def frame_quat_w(self) -> torch.Tensor:
-    """Orientations (w, x, y, z) of the frames, world frame, computed when asked for, (num_envs, num_frames, 4)."""
+    """Orientations (w, x, y, z) of the frames, world frame, computed at each access, (num_envs, num_frames, 4)."""
     return quat_from_matrix(self.frame_mat_w)
 
   @property
@@ -70,17 +73,13 @@ class RayCastData:
 
   @property
   def quat_w(self) -> torch.Tensor:
-    """Orientation (w, x, y, z) of the first frame, world frame, computed when asked for, (num_envs, 4)."""
+    """Orientation (w, x, y, z) of the first frame, world frame, computed at each access, (num_envs, 4)."""
     return quat_from_matrix(self.frame_mat_w[:, 0])
 
 
 class RayCastSensor(RaySensor[RayCastData]):
-  """What a pattern of rays hits, from each of its frames.
+  """Casts a pattern of rays from each of its frames. Surfaces are hit from both sides, but planes from above only."""
 
-  Surfaces are hit from both sides, but planes from above only.
-  """
-
-  _constants = frozenset({"_hit_pos", "_valid"})
   cfg: RayCastSensorCfg
 
   @property
@@ -99,7 +98,7 @@ class RayCastSensor(RaySensor[RayCastData]):
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show the frames and every hit."""
+    """Draw the frames and every hit."""
     data, worlds = self.data, list(draw.worlds)
     places, turns = data.frame_pos_w[worlds].flatten(0, 1), data.frame_quat_w[worlds].flatten(0, 1)
     draw.frames(places, turns, 2.0 * self._draw_size)

@@ -1,25 +1,25 @@
-"""What sensors made of rays share: frames that rays start from, one pattern at each, cast together."""
+"""Base of sensors made of rays: one pattern of rays at each of several frames, all cast together."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import unknown
+from mjlab_core import Limits, NonNegative
 
 from mjlab_sensors.frames import FrameMatch, FrameSet
 from mjlab_sensors.patterns import RayPatternCfg
-from mjlab_sensors.sensor import Sensor, SensorCfg
+from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 T = TypeVar("T")
 RayAlignment = Literal["base", "yaw", "world"]
+RayReach = Annotated[float, Limits(gt=0, finite=False)]
 
 
 @dataclass(kw_only=True)
@@ -31,58 +31,45 @@ class RaySensorCfg(SensorCfg):
   pattern: RayPatternCfg
   """The rays of each frame."""
   alignment: RayAlignment
-  """Whether the pattern turns with the frame ("base"), with its heading only ("yaw"), or not at all ("world")."""
-  max_distance: float
-  """How far from their points of the pattern rays see [m]."""
-  start_height: float
-  """How far behind these points, against their direction, rays start [m]."""
-  geom_groups: tuple[int, ...] | None
+  """Rotation of the pattern: with the frame ("base"), with the frame's heading only ("yaw"), or none ("world")."""
+  max_distance: RayReach
+  """Range of a ray, from its point of the pattern [m]."""
+  start_height: NonNegative
+  """Distance behind that point, against the ray's direction, at which the ray starts [m]."""
+  geom_groups: GeomGroups
   """Geom groups that rays see; None for all. Geoms of zero alpha are never seen."""
   exclude_parent_body: bool
   """Rays of a frame pass through the geoms of the body that carries it."""
   exclude_own_tree: bool = False
   """Rays of a frame pass through everything that moves with it: all bodies of its kinematic tree, such as a robot."""
 
-  def validate(self) -> None:
-    label, groups = self.label, self.geom_groups
-    if self.alignment not in get_args(RayAlignment):
-      raise ValueError(unknown("alignment", self.alignment, get_args(RayAlignment), label))
-    if not self.max_distance > 0.0:
-      raise ValueError(f"{label}: max_distance must be positive, not {self.max_distance}")
-    if not 0.0 <= self.start_height < inf:
-      raise ValueError(f"{label}: start_height must not be negative, but is {self.start_height}")
-    if groups is not None and not (groups and all(0 <= group < mujoco.mjNGROUP for group in groups)):
-      raise ValueError(f"{label}: geom_groups must name groups from 0 to {mujoco.mjNGROUP - 1}, not {groups}")
-
 
 class RayReading(NamedTuple):
   """Rays of a sensor and what they hit, (num_envs, num_frames * rays_per_frame, ...), frame by frame; world frame."""
 
   origins: torch.Tensor
-  """Where the rays start, `start_height` behind the points of the pattern, (..., 3) [m]."""
+  """Starting points of the rays, `start_height` behind the points of the pattern, (..., 3) [m]."""
   directions: torch.Tensor
   """Unit directions, (..., 3)."""
   distance: torch.Tensor
-  """Distance from where the ray starts; -1 where nothing was hit [m]."""
+  """Distance of the hit from the start of the ray; -1 without a hit [m]."""
   normal: torch.Tensor
-  """Surface normal at the hit; zero where nothing was hit, (..., 3)."""
+  """Surface normal at the hit; zero without a hit, (..., 3)."""
   geomid: torch.Tensor | None
-  """Geom that was hit, -1 where nothing was; None if the sensor does not tell."""
+  """Geom that was hit, -1 without a hit; None if the sensor does not identify geoms."""
 
   @property
   def height(self) -> torch.Tensor:
-    """World height of the hit; meaningless where nothing was hit [m]."""
+    """World height of the hit; meaningless without a hit [m]."""
     return torch.addcmul(self.origins[..., 2], self.distance, self.directions[..., 2])
 
 
 class RaySensor(Sensor[T]):
   """Casts a pattern of rays from each of its frames, in all worlds at once.
 
-  Rays are cast when the data are first asked for after a change of state, so whoever reads them sees the state that
-  is.
+  Rays are cast when the data are first read after a change of state, so they always show the present state.
   """
 
-  _constants = frozenset({"_origins", "_directions", "_zero"})
   _identifies_geoms = False
 
   def __init__(self, name: str, cfg: RaySensorCfg) -> None:
@@ -101,7 +88,7 @@ class RaySensor(Sensor[T]):
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self._ray_cfg
-    self._frames = frames = FrameSet(sim, cfg.frames.type, self.frame_names, self.label)
+    self._frames = frames = FrameSet(sim, cfg.frames.type, self.frame_names)
     rows = cfg.pattern.resolve(sim.mj_model).rays()
     starts, directions = (torch.as_tensor(row, dtype=sim.dtype, device=sim.device) for row in rows)
     self.rays_per_frame: int = len(starts)
@@ -130,7 +117,7 @@ class RaySensor(Sensor[T]):
     self._directions.copy_(directions)
 
   def _cast(self) -> RayReading:
-    """What the rays hit now; the simulation must be current (`sim.epoch`)."""
+    """Cast the rays; the simulation must be current (`sim.version`)."""
     position, factors = self._frames.positions[:, :, None], self._factors()
     self._combine(position, factors, self._starts, out=self._origins)
     if self._turns_directions:
@@ -138,8 +125,8 @@ class RaySensor(Sensor[T]):
     hits = self._caster.cast()
     return RayReading(self._caster.origins, self._caster.directions, hits.distance, hits.normal, hits.geomid)
 
-  # A vector of the pattern in the world is a sum of three products, each of something that the frames tell with
-  # something that never changes. It is not written as a matrix product: on a GPU those may run in reduced precision.
+  # A vector of the pattern in the world is a sum of three products, each of a factor from the frames and a constant.
+  # It is not written as a matrix product: on a GPU those may run in reduced precision.
 
   def _parts(self, rows: torch.Tensor) -> tuple[torch.Tensor, ...]:
     x, y, z = rows.split(1, dim=-1)
@@ -166,7 +153,7 @@ class RaySensor(Sensor[T]):
       out.addcmul_(factor, part)
 
   def _leaves_inside(self, rays: RayReading) -> torch.Tensor:
-    """Whether rays started inside what they hit, and leave it there, (num_envs, num_frames * rays_per_frame) bool."""
+    """Return True for rays that started inside the geom they hit, (num_envs, num_frames * rays_per_frame) bool."""
     if self._points_down:
       return rays.normal[..., 2] < 0.0
     return (rays.normal * rays.directions).sum(-1) > 0.0

@@ -1,36 +1,39 @@
-"""What all sensors share: their life cycle, and data that are computed once per state of the simulation."""
+"""Bases of all sensors: their life cycle, and data that are computed once per state of the simulation."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, Stateful
+from mjlab_core import DebugDraw, Items, Limits, MjlabError, Stateful, check_fields
+from mjlab_core.config import Config
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 T = TypeVar("T")
+GeomGroups = Annotated[tuple[int, ...] | None, Limits(ge=0, le=mujoco.mjNGROUP - 1), Items(ge=1)]
 
 
 @dataclass(kw_only=True)
-class SensorCfg(ABC):
+class SensorCfg(Config, ABC):
   """Configuration of a sensor."""
 
   name: str = ""
   """Name of the sensor in its scene. May be left to the scene, which passes its own key to `build`."""
   debug_vis: bool = False
-  """Whether viewers draw the sensor at first."""
+  """Draw the sensor in a viewer from the start."""
 
   def __post_init__(self) -> None:
     self.validate()
 
-  def validate(self) -> None:  # noqa: B027 - a sensor without rules of its own is fine
-    """Raise ValueError for what is wrong whatever the scene. Runs when made, and again at `build`."""
+  def validate(self) -> None:
+    """Raise MjlabError for values that are wrong in every scene. Runs when made, and again at `build`."""
+    check_fields(self, self.label)
 
   @property
   def label(self) -> str:
@@ -38,21 +41,22 @@ class SensorCfg(ABC):
     return f"{type(self).__name__} '{self.name}'" if self.name else type(self).__name__
 
   def build(self, name: str = "") -> Sensor[Any]:
-    """The sensor, not yet part of any spec.
+    """Return the sensor, not yet part of any spec.
 
     Args:
       name: the name it has in its scene; needed only where the configuration does not give one.
 
     Raises:
-      ValueError: the configuration is wrong, or it has no name, or two different ones.
+      MjlabError: the configuration is wrong, or it has no name, or two different ones.
     """
     if name and self.name and name != self.name:
-      raise ValueError(f"{self.label}: the scene calls this sensor {name!r}; give one name, or leave `name` empty")
-    if not (name or self.name):
-      raise ValueError(f"{type(self).__name__}: a sensor needs a name")
-    # By its name, which messages give.
-    replace(self, name=name or self.name).validate()
-    return self._make(name or self.name)
+      raise MjlabError(f"{self.label}: the scene calls this sensor {name!r}; give one name, or leave `name` empty")
+    name = name or self.name
+    if not name:
+      raise MjlabError(f"{type(self).__name__}: a sensor needs a name")
+    # A copy, so that messages give the name.
+    replace(self, name=name).validate()
+    return self._make(name)
 
   @abstractmethod
   def _make(self, name: str) -> Sensor[Any]: ...
@@ -62,14 +66,12 @@ class Sensor(Stateful, ABC, Generic[T]):
   """Something that is read from a simulation.
 
   A scene calls, in this order: `edit_spec` before the model is compiled, `initialize` once there is a simulation, then
-  `update` after every substep and `reset` for the worlds that start anew. Whoever wants the reading asks `data`; a
-  viewer calls `debug_draw` once a picture.
+  `update` after every substep and `reset` for the worlds that restart. Terms read `data`; a viewer calls `debug_draw`
+  once per picture.
   """
 
-  _constants = frozenset({"_reading"})
-
   decimation: int | None = None
-  """Physics steps of one environment step, for what follows it; whoever knows sets it before `edit_spec`."""
+  """Physics steps of one environment step, set by the environment before `edit_spec`; None without an environment."""
   rng: torch.Generator | None = None
   """Source of randomness on the simulation's device, set before `initialize`; torch's own if None."""
 
@@ -95,26 +97,26 @@ class Sensor(Stateful, ABC, Generic[T]):
       entities: the scene's entities by name; only their names are read.
 
     Raises:
-      ValueError: a name or pattern matches nothing, with the nearest names.
+      MjlabError: a name or pattern matches nothing, with the nearest names.
     """
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
-    """Allocate all memory and take hold of the simulation, which runs the model compiled from the edited spec."""
+    """Allocate all memory and keep a reference to the simulation, which runs the model compiled from the spec."""
     del entities
-    self.num_envs = sim.num_envs
+    self.num_envs, self.device = sim.num_envs, sim.device
     self._sim = sim
     self._read_at = None
 
   def update(self, dt: float) -> None:
-    """Take note of the substep just done, of `dt` [s]. By default there is nothing to note."""
+    """Process the substep just done, of `dt` [s]. The default does nothing."""
     del dt
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forget the past of the worlds in `mask`, (num_envs,) bool. By default there is none."""
+    """Forget the past of the worlds in `mask`, (num_envs,) bool. The default does nothing."""
     del mask
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show what is sensed in the worlds of `draw.worlds`. By default there is nothing to show."""
+    """Draw the reading of the worlds in `draw.worlds`. The default draws nothing."""
     del draw
 
   @property
@@ -124,13 +126,13 @@ class Sensor(Stateful, ABC, Generic[T]):
 
   @property
   def data(self) -> T:
-    """The reading for the state as it is now.
+    """Reading for the present state.
 
     It is computed at the first access after anything that it depends on has changed, so it is never stale and a second
-    access costs nothing. The tensors are the sensor's own memory: read them, do not write them, and clone what
-    must outlive the step.
+    access costs nothing. The tensors are the sensor's own memory: do not write them, and clone them to keep them for
+    longer than the step.
     """
-    now = self.sim.epoch, self._version()
+    now = self.sim.version, self._version()
     if now != self._read_at or self._reading is None:
       self._reading = self._read()
       self._read_at = now
@@ -138,33 +140,26 @@ class Sensor(Stateful, ABC, Generic[T]):
 
   @property
   def sim(self) -> Simulation:
-    """The simulation that is read.
+    """Simulation that the sensor reads.
 
     Raises:
       RuntimeError: `initialize` has not been called.
     """
     if self._sim is None:
-      raise RuntimeError(f"{self.label}: not initialized; it can be read once its scene has a simulation")
+      raise RuntimeError(f"{self.label}: not initialized; call `initialize` with the scene's simulation first")
     return self._sim
 
   def _version(self) -> int:
-    """A number that changes when memory of the sensor's own is written that its reading follows from."""
+    """Return a number that changes when the sensor's own memory, which its reading follows from, is written."""
     return 0
 
   @abstractmethod
   def _read(self) -> T:
-    """Compute the reading; everything derived in the simulation is fresh."""
+    """Compute the reading; all derived quantities of the simulation are current."""
 
 
-def sensordata_columns(sim: Simulation, name: str, owner: str) -> slice:
-  """Where the native sensor `name` lies in `sim.data.sensordata`.
-
-  Raises:
-    ValueError: the simulation's model has no such sensor.
-  """
-  model = sim.mj_model
-  index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-  if index < 0:
-    raise ValueError(f"{owner}: the simulation's model has no sensor {name!r}; was it compiled before `edit_spec`?")
-  start = int(model.sensor_adr[index])
-  return slice(start, start + int(model.sensor_dim[index]))
+def sensordata_columns(sim: Simulation, name: str) -> slice:
+  """Return the columns of the native sensor `name` in `sim.data.sensordata`; KeyError if the model has none."""
+  sensor = sim.mj_model.sensor(name)
+  start = int(sensor.adr[0])
+  return slice(start, start + int(sensor.dim[0]))

@@ -1,18 +1,19 @@
-"""How high frames are above the ground beneath them."""
+"""Terrain-height sensor: heights of frames above the ground beneath them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, unknown
+from mjlab_core import DebugDraw, NonNegative
 
 from mjlab_sensors._flat_ground import plane_height
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
-from mjlab_sensors.rays import RayAlignment, RaySensor, RaySensorCfg
+from mjlab_sensors.rays import RayAlignment, RayReach, RaySensor, RaySensorCfg
+from mjlab_sensors.sensor import GeomGroups
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -22,26 +23,21 @@ HeightReduction = Literal["min", "max", "mean", "none"]
 
 @dataclass(kw_only=True)
 class TerrainHeightSensorCfg(RaySensorCfg):
-  """Height of frames above the ground, seen by rays."""
+  """Height of frames above the ground, measured by rays."""
 
   pattern: RayPatternCfg = field(default_factory=RingPatternCfg)
   alignment: RayAlignment = "yaw"
   reduction: HeightReduction = "min"
-  """How the rays of a frame become one height: that over the highest ground ("min"), the lowest ("max") or the mean;
-  "none" gives all."""
-  max_distance: float = 1.0
-  """How far below their frame rays see [m]. It is also the height that is read where they see nothing."""
-  start_height: float = 0.1
-  """How far behind the frame, against their direction, rays start [m]; ground up to this far above the frame is still
-  seen."""
-  geom_groups: tuple[int, ...] | None = (0,)
+  """One height from the rays of a frame: over the highest ground ("min"), over the lowest ("max"), or the mean; "none"
+  keeps the height of each ray."""
+  max_distance: RayReach = 1.0
+  """Range of the rays below their frame [m], and the reading where no ray hits ground."""
+  start_height: NonNegative = 0.1
+  """Distance behind the frame, against their direction, at which rays start [m]; they hit ground up to so far above
+  the frame."""
+  geom_groups: GeomGroups = (0,)
   """Geom groups that count as ground; None for all."""
   exclude_parent_body: bool = False
-
-  def validate(self) -> None:
-    super().validate()
-    if self.reduction not in get_args(HeightReduction):
-      raise ValueError(unknown("reduction", self.reduction, get_args(HeightReduction), self.label))
 
   def _make(self, name: str) -> TerrainHeightSensor:
     return TerrainHeightSensor(name, self)
@@ -52,20 +48,19 @@ class TerrainHeightData:
   """Heights of the frames of a `TerrainHeightSensor`, in the order of its `frame_names`."""
 
   heights: torch.Tensor
-  """Height of each frame above the ground, 0 when it is in the ground and `max_distance` where no ray sees any,
-  (num_envs, num_frames) [m]; one of each ray, (num_envs, num_frames, num_rays), without reduction."""
+  """Height of each frame above the ground, 0 inside the ground and `max_distance` where no ray hits any,
+  (num_envs, num_frames) [m]; of each ray, (num_envs, num_frames, num_rays), without reduction."""
   valid: torch.Tensor
-  """Whether any ray saw ground, or each ray without reduction, bool of the shape of `heights`."""
+  """True where any ray of the frame hit ground, or the ray itself without reduction, bool, shaped as `heights`."""
 
 
 class TerrainHeightSensor(RaySensor[TerrainHeightData]):
   """Height of frames above the ground: z of the frame less z of the point that a ray hits.
 
-  Ground that a ray does not see (nothing there, or farther than `max_distance`) takes no part in the reduction. Above a
-  level plane that never moves, rays straight down are not cast: what they would measure is the height above it.
+  Rays that hit nothing within `max_distance` take no part in the reduction. Above a level plane that never moves, rays
+  straight down are not cast: they would measure the height above the plane.
   """
 
-  _constants = frozenset({"_heights", "_valid"})
   cfg: TerrainHeightSensorCfg
 
   @property
@@ -87,7 +82,7 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Show the height of each frame as a line down to the ground; without reduction, to the highest ground."""
+    """Draw the height of each frame as a line down to the ground; without reduction, to the highest ground."""
     data, worlds = self.data, list(draw.worlds)
     heights, valid = data.heights[worlds], data.valid[worlds]
     if self.cfg.reduction == "none":
@@ -115,7 +110,7 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
       return TerrainHeightData(heights=self._heights, valid=self._valid)
     torch.any(seen, dim=-1, out=self._valid)
     if cfg.reduction == "min":
-      # What is not seen is as high as a reading can be, so it never wins over what is.
+      # A ray without a hit reads the largest height, so it never wins over one with a hit.
       torch.amin(heights, dim=-1, out=self._heights)
       return TerrainHeightData(heights=self._heights, valid=self._valid)
     heights = heights * seen

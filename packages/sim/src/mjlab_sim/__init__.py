@@ -1,20 +1,18 @@
 """Many MuJoCo worlds as PyTorch tensors: MuJoCo Warp on a GPU, MuJoCo's batch engine on a CPU."""
 
 from mjlab_sim.config import NanGuardCfg, SimulationCfg
-from mjlab_sim.contacts import Contacts
-from mjlab_sim.errors import SimulationError
 from mjlab_sim.fields import PER_WORLD
-from mjlab_sim.nan_dump import Culprit, DivergedWorld, NanDump, Replay
-from mjlab_sim.nan_guard import NanGuard
-from mjlab_sim.rays import RayCaster, RayHits
-from mjlab_sim.rendering import DataType, Images, Renderer
+from mjlab_sim.nan.dump import Culprit, DivergedWorld, NanDump, Replay
+from mjlab_sim.nan.guard import NanGuard
+from mjlab_sim.rays import RayHits
+from mjlab_sim.rendering import DataType, Images
+from mjlab_sim.sensing import RayCaster, Renderer
 from mjlab_sim.simulation import Simulation
 from mjlab_sim.step_graph import StepGraph
-from mjlab_sim.torch_array import TorchArray
+from mjlab_sim.tensors import TorchArray, version_of
 
 __all__ = [
   "PER_WORLD",
-  "Contacts",
   "Culprit",
   "DataType",
   "DivergedWorld",
@@ -28,7 +26,7 @@ __all__ = [
   "Replay",
   "Simulation",
   "SimulationCfg",
-  "SimulationError",
   "StepGraph",
   "TorchArray",
+  "version_of",
 ]

@@ -1,14 +1,16 @@
-"""What a physics engine offers to `Simulation`. Nothing above this seam knows which engine runs."""
+"""Interface of a physics engine. Nothing above this seam knows which engine runs."""
 
 from typing import Protocol
 
 import torch
+from mjlab_core import Contacts
 
-from mjlab_sim.contacts import EngineContacts
-from mjlab_sim.rays import EngineRayCaster
-from mjlab_sim.rendering import EngineRenderer, View
-from mjlab_sim.static_rays import RayTargets
-from mjlab_sim.torch_array import TorchArray
+from mjlab_sim.rays import EngineRays, RayTargets
+from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.tensors import TorchArray
+
+MOST_WATCHED = 64
+"""Most worlds whose contacts are kept at a time."""
 
 
 class Engine(Protocol):
@@ -22,11 +24,11 @@ class Engine(Protocol):
   """Precision of state and derived quantities."""
 
   def data_field(self, name: str) -> TorchArray:
-    """A field of MjData, (num_envs, ...); KeyError if the engine has no such field."""
+    """Return a field of MjData, (num_envs, ...); KeyError if the engine has no such field."""
     ...
 
   def model_field(self, name: str) -> TorchArray:
-    """A per-world field of MjModel: (1, ...) while shared, (num_envs, ...) once expanded."""
+    """Return a per-world field of MjModel: (1, ...) while shared, (num_envs, ...) once expanded."""
     ...
 
   def expand(self, name: str) -> None:
@@ -49,26 +51,49 @@ class Engine(Protocol):
     """Recompute the derived model fields of masked worlds (`mj_setConst`)."""
     ...
 
-  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRayCaster:
-    """A caster with fixed outputs that sees `targets` up to `max_distance` [m]."""
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
+    """Return rays in fixed memory that see `targets` up to `max_distance` [m]."""
     ...
 
-  def renderer(self, view: View) -> EngineRenderer:
-    """A renderer with fixed images."""
+  def renderer(self, view: View) -> EngineImages:
+    """Return fixed images of a view."""
     ...
 
-  def contacts(self) -> EngineContacts:
-    """The record of contacts, which every step keeps from the first call on."""
-    ...
+  def contacts(self, world: int) -> Contacts[torch.Tensor]:
+    """Return the contacts of a world in the last step; every step keeps them from the first call on.
 
-  def count_overflow(self) -> None:
-    """Add this moment's buffer overflows to the counters, on the device."""
+    There are none before the next step after the first call for a world, and none after a reset.
+    """
     ...
 
   def overflow_report(self) -> list[str]:
-    """One sentence for each buffer that overflowed since the last report, with the setting to raise. Reads the host."""
+    """Return one line with the settings to raise when the demand outgrows the last advice. Reads the device."""
     ...
 
   def close(self) -> None:
     """Release threads and graphs."""
     ...
+
+
+class Watched:
+  """Worlds with a slot: all where there are few, else those that were asked for last."""
+
+  def __init__(self, num_envs: int) -> None:
+    self.num_slots = min(num_envs, MOST_WATCHED)
+    # Least recently asked for first.
+    self._slots = {world: world for world in range(self.num_slots)}
+
+  @property
+  def worlds(self) -> list[int]:
+    """The world of each slot."""
+    return sorted(self._slots, key=self._slots.__getitem__)
+
+  def slot(self, world: int) -> tuple[int, int | None]:
+    """Return the slot of a world, and the world that had to leave it."""
+    left = None
+    if world not in self._slots:
+      left = next(iter(self._slots))
+      self._slots[world] = self._slots.pop(left)
+    else:
+      self._slots[world] = self._slots.pop(world)
+    return self._slots[world], left

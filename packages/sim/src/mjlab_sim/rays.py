@@ -1,19 +1,39 @@
-"""Rays against the geoms of every world."""
+"""Rays: what they can hit, what they hit, and ground as triangles.
 
+MuJoCo casts a ray against one geom after another, and a terrain has hundreds. Those that never move and have flat faces
+are turned into triangles once, when a caster is made, and an engine then looks them up in a tree.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Annotated, Any
 
+import mujoco
+import numpy as np
 import torch
+from mjlab_core import Limits, MjlabError, PositiveCount, check_value
+from numpy.typing import NDArray
 
-from mjlab_sim.errors import SimulationError
+_Geom = mujoco.mjtGeom
+_FLAT_FACES = (_Geom.mjGEOM_BOX, _Geom.mjGEOM_MESH, _Geom.mjGEOM_HFIELD)
 
-if TYPE_CHECKING:
-  from mjlab_sim.simulation import Simulation
+# Corners of a cube from -1 to 1, x fastest, and its faces seen counter-clockwise from outside.
+_CORNERS = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], dtype=np.float64)
+_FACES = np.array(
+  [
+    *[(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)],
+    *[(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)],
+  ]
+)
+
+Geoms = NDArray[np.int32]
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+GeomGroups = tuple[bool, bool, bool, bool, bool, bool] | None
 
 
 @dataclass(kw_only=True)
 class RayHits:
-  """What the rays of one cast hit; the tensors are the caster's own and hold until its next cast."""
+  """Hits of the rays of one cast; the tensors are the caster's own and hold until its next cast."""
 
   distance: torch.Tensor
   """Distance along each ray, in lengths of its direction; -1 where nothing was hit, (num_envs, num_rays) [m]."""
@@ -23,45 +43,153 @@ class RayHits:
   """Surface normal at the hit, world frame; zero where nothing was hit, (num_envs, num_rays, 3)."""
 
 
-class RayCaster(Protocol):
-  """Casts a fixed number of rays in every world, inside a captured step too."""
+@dataclass(frozen=True, kw_only=True)
+class EngineRays:
+  """Rays in an engine: fixed memory, and the function that casts them."""
 
   origins: torch.Tensor
-  """Where the rays of the next cast start, world frame, (num_envs, num_rays, 3) [m]; write it in place."""
+  """Starts of the rays of the next cast, world frame, (num_envs, num_rays, 3) [m]."""
   directions: torch.Tensor
-  """Unit directions of the rays of the next cast, world frame, (num_envs, num_rays, 3); write it in place."""
-
-  def cast(self, origins: torch.Tensor | None = None, directions: torch.Tensor | None = None) -> RayHits:
-    """Cast the rays in `origins` and `directions`; what is given is written there first."""
-    ...
-
-
-class EngineRayCaster(Protocol):
-  """An engine's own caster."""
-
-  origins: torch.Tensor
-  directions: torch.Tensor
-
-  def cast(self, *, fixed: bool) -> RayHits:
-    """Cast its rays; `fixed` tells whether geoms that never move are where the compiled model has them."""
-    ...
+  """Directions of the rays of the next cast, world frame, (num_envs, num_rays, 3)."""
+  hits: RayHits
+  cast: Callable[[bool], None]
+  """Fills `hits`; the argument is True where the geoms that never move are in their compiled places."""
 
 
-class FreshRayCaster:
-  """An engine's caster that sees geoms where the written state, and the written model, put them."""
+@dataclass(frozen=True, kw_only=True)
+class RayTargets:
+  """Geoms that the rays of a caster can hit, sorted by how they are found."""
 
-  def __init__(self, sim: "Simulation", caster: EngineRayCaster) -> None:
-    self._sim = sim
-    self._caster = caster
-    self.origins = caster.origins
-    self.directions = caster.directions
+  geomgroup: GeomGroups
+  """True for each of the six geom groups that rays see, None for all."""
+  bodyexclude: NDArray[np.int32]
+  """The body that each ray passes through, -1 for none, (num_rays,)."""
+  owner: NDArray[np.int32]
+  """Owner that each geom is excluded with, (ngeom,): its body, or the root of its kinematic tree."""
+  exclude: NDArray[np.int32]
+  """The owner whose geoms each ray passes through, -1 for none, (num_rays,)."""
+  fixed: Geoms
+  """Geoms with flat faces that never move and that all rays see."""
+  others: Geoms
+  """All other geoms that some ray sees."""
 
-  def cast(self, origins: torch.Tensor | None = None, directions: torch.Tensor | None = None) -> RayHits:
-    for name, given, rays in (("origins", origins, self.origins), ("directions", directions, self.directions)):
-      if given is not None:
-        if given.shape != rays.shape:
-          raise SimulationError(f"cast: {name} must have shape {tuple(rays.shape)}, got {tuple(given.shape)}")
-        rays.copy_(given)
-    self._sim._check_open()
-    self._sim._refresh()
-    return self._caster.cast(fixed=self._sim.fixed_geoms_are_in_place())
+
+def as_groups(geomgroup: Sequence[bool] | None) -> GeomGroups:
+  """Return the geom groups that are seen as bools, one for each group; None for all."""
+  groups: Any = None if geomgroup is None else tuple(map(bool, geomgroup))
+  check_value("geomgroup", groups, GeomGroups)
+  return groups
+
+
+def find_targets(
+  model: mujoco.MjModel,
+  num_rays: int,
+  geomgroup: Sequence[bool] | None,
+  bodyexclude: int | Sequence[int],
+  exclude_trees: bool,
+) -> RayTargets:
+  """Sort the geoms that `mj_ray` would look at under the same filters: it skips those of zero alpha too.
+
+  Raises:
+    MjlabError: a filter that does not fit the model or the rays.
+  """
+  check_value("num_rays", num_rays, PositiveCount)
+  groups = as_groups(geomgroup)
+  bodies = tuple(bodyexclude) if isinstance(bodyexclude, Sequence) else (bodyexclude,)
+  check_value("bodyexclude", bodies, Annotated[tuple[int, ...], Limits(ge=-1, le=model.nbody - 1)])
+  if len(bodies) not in (1, num_rays):
+    raise MjlabError(f"bodyexclude must be one body, or one for each of {num_rays} rays, got {len(bodies)}")
+  body_of_ray = np.array(np.broadcast_to(np.asarray(bodies, dtype=np.int32), num_rays))
+  owner_of_body = model.body_rootid if exclude_trees else np.arange(model.nbody, dtype=np.int32)
+  owner = owner_of_body[model.geom_bodyid]
+  exclude = np.where(body_of_ray < 0, -1, owner_of_body[body_of_ray]).astype(np.int32)
+  matid = model.geom_matid
+  seen = np.where(matid < 0, model.geom_rgba[:, 3], 1.0) != 0.0
+  seen[matid >= 0] = model.mat_rgba[matid[matid >= 0], 3] != 0.0
+  if groups is not None:
+    seen &= np.asarray(groups)[model.geom_group.clip(0, mujoco.mjNGROUP - 1)]
+  excluded = np.isin(owner, exclude)
+  if (exclude == exclude[0]).all():
+    seen &= ~excluded
+  flat = fixed_geoms(model) & np.isin(model.geom_type, _FLAT_FACES) & ~excluded
+  return RayTargets(
+    geomgroup=groups,
+    bodyexclude=body_of_ray,
+    owner=owner,
+    exclude=exclude,
+    fixed=np.flatnonzero(seen & flat).astype(np.int32),
+    others=np.flatnonzero(seen & ~flat).astype(np.int32),
+  )
+
+
+def fixed_bodies(model: mujoco.MjModel) -> NDArray[np.bool_]:
+  """Return True for bodies that never move: welded to the world, and not by way of a mocap body, (nbody,)."""
+  return (model.body_weldid == 0) & (model.body_mocapid[model.body_rootid] < 0)
+
+
+def fixed_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+  """Return True for geoms that never move, (ngeom,)."""
+  return fixed_bodies(model)[model.geom_bodyid]
+
+
+def triangulate(model: mujoco.MjModel, geoms: Geoms) -> tuple[Mesh, Geoms]:
+  """Surfaces of fixed geoms, just as `mj_ray` sees them.
+
+  Returns:
+    Vertices in the world (num_vertices, 3) [m] with triangles (num_triangles, 3), counter-clockwise from outside,
+    and the geom of each triangle (num_triangles,).
+  """
+  data = mujoco.MjData(model)
+  mujoco.mj_kinematics(model, data)
+  vertices, triangles, owners, start = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int32)], [], 0
+  for geom in geoms:
+    points, faces = _surface(model, int(geom))
+    vertices.append(points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
+    triangles.append(faces + start)
+    owners.append(np.full(len(faces), geom))
+    start += len(points)
+  owner = np.concatenate([np.zeros(0), *owners]).astype(np.int32)
+  return (np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)), owner
+
+
+def _surface(model: mujoco.MjModel, geom: int) -> Mesh:
+  kind, data = model.geom_type[geom], model.geom_dataid[geom]
+  if kind == _Geom.mjGEOM_BOX:
+    return _CORNERS * model.geom_size[geom], _FACES
+  return mesh_surface(model, data) if kind == _Geom.mjGEOM_MESH else hfield_surface(model, data)
+
+
+def mesh_surface(model: mujoco.MjModel, mesh: int) -> Mesh:
+  """Surface of a mesh in the frame of its geoms."""
+  first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+  face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+  return model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
+
+
+def hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
+  """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it."""
+  rows, columns, first = model.hfield_nrow[hfield], model.hfield_ncol[hfield], model.hfield_adr[hfield]
+  heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+  return _height_field(heights.astype(np.float64), model.hfield_size[hfield])
+
+
+def _height_field(heights: NDArray[np.float64], size: NDArray[np.float64]) -> Mesh:
+  """Return the surface of a height field and of the box it stands on, whose top is seen from inside of the field."""
+  rows, columns = heights.shape
+  box = _CORNERS * (size[0], size[1], size[3] / 2) - (0.0, 0.0, size[3] / 2)
+  if rows < 2 or columns < 2:
+    return box, _FACES
+  x, y = np.meshgrid(np.linspace(-size[0], size[0], columns), np.linspace(-size[1], size[1], rows))
+  top = np.stack((x, y, heights * size[2]), axis=-1)
+  number = np.arange(rows * columns).reshape(rows, columns)
+  low, right, far, left = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+  surface = np.stack((low, right, far, low, far, left), axis=-1).reshape(-1, 3)
+  # Counter-clockwise seen from above; the walls hang from it down to the box.
+  rim = np.concatenate((number[0], number[1:, -1], number[-1, -2::-1], number[-2:0:-1, 0]))
+  points = top.reshape(-1, 3)
+  foot = points[rim] * (1.0, 1.0, 0.0)
+  below = len(points) + np.arange(len(rim))
+  after, below_after = np.roll(rim, -1), np.roll(below, -1)
+  walls = np.stack((below, below_after, after, below, after, rim), axis=-1).reshape(-1, 3)
+  faces = (surface, walls, _FACES + len(points) + len(foot))
+  return np.concatenate((points, foot, box)), np.concatenate(faces).astype(np.int32)

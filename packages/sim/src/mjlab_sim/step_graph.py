@@ -1,80 +1,136 @@
-"""A function of torch operations and physics that a GPU records once and replays."""
+"""Functions of torch operations and physics that a GPU records once and replays."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
 
+from mjlab_sim.freshness import Freshness
+
 if TYPE_CHECKING:
-  from mjlab_sim.graph import Recorder
-  from mjlab_sim.simulation import Simulation
+  from mjlab_sim.warp.recorder import Recorder
 
 _WARM_UP_CALLS = 3
+
+
+class Recordings:
+  """All step graphs of a simulation, and the recording that is under way.
+
+  Args:
+    fresh: The worlds.
+    prepare: Called before each replay; it may invalidate graphs.
+  """
+
+  def __init__(self, fresh: Freshness, prepare: Callable[[], object]) -> None:
+    self.fresh = fresh
+    self.prepare = prepare
+    self.recorder: Recorder | None = None
+    """The recording under way: operations are noted, not run."""
+    self.is_replaying = False
+    self._graphs: list[StepGraph] = []
+
+  @property
+  def is_inside(self) -> bool:
+    """True inside a function that is being recorded or replayed."""
+    return self.recorder is not None or self.is_replaying
+
+  def add(self, graph: "StepGraph") -> None:
+    """Invalidate this graph with the others from now on."""
+    self._graphs.append(graph)
+
+  def invalidate(self) -> None:
+    """Have every graph recorded again before its next replay: memory or behaviour changed."""
+    for graph in self._graphs:
+      graph.invalidate()
+
+  def interrupt(self, fn: Callable[[], object]) -> None:
+    """Call `fn` eagerly at this point of every replay; outside of a recording call it now."""
+    if self.recorder is None:
+      fn()
+      return
+
+    def between() -> None:
+      # A replay changes memory that caches follow by version.
+      self.fresh.version += 1
+      fn()
+      self.fresh.refresh()
+
+    self.fresh.refresh()
+    self.recorder.interrupt(between)
+    self.fresh.version += 1
 
 
 class StepGraph:
   """A function that is recorded on a GPU and replayed; made by `Simulation.capture`."""
 
-  def __init__(self, sim: "Simulation", fn: Callable[[], object], generators: Sequence[torch.Generator]) -> None:
-    self._sim = sim
+  def __init__(
+    self,
+    recordings: Recordings,
+    fn: Callable[[], object],
+    generators: Sequence[torch.Generator],
+    device: torch.device,
+    *,
+    recorded: bool,
+  ) -> None:
+    self._recordings = recordings
+    self._fresh = recordings.fresh
     self._fn = fn
     self._generators = generators
+    self._device = device
     self._calls = 0
     self._recorder: Recorder | None = None
-    self.recorded = sim.device.type == "cuda" and sim.cfg.capture
-    """Whether calls are replays of a recording."""
+    self.recorded = recorded
+    """True if calls are replays of a recording."""
+    recordings.add(self)
 
   def __call__(self) -> None:
-    sim = self._sim
-    sim._check_open()
-    sim._refresh()
+    self._fresh.refresh()
     if not self.recorded:
+      # `_run` in place: one call less on the path of an action.
       self._fn()
-      sim._refresh()
+      self._fresh.refresh()
       return
-    sim.fixed_geoms_are_in_place()
+    self._recordings.prepare()
     if self._recorder is None and self._calls >= _WARM_UP_CALLS:
       self._record()
     if self._recorder is None:
       # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
       self._calls += 1
-      self._fn()
-      sim._refresh()
+      self._run()
       return
-    sim._is_replaying = True
+    self._recordings.is_replaying = True
     try:
       self._recorder.replay()
     finally:
-      sim._is_replaying = False
-      sim._epoch += 1
+      self._recordings.is_replaying = False
+      self._fresh.version += 1
 
   def invalidate(self) -> None:
-    """Record anew before the next replay: memory or behaviour changed."""
+    """Record again before the next replay: memory or behaviour changed."""
     self._recorder = None
     self._calls = min(self._calls, _WARM_UP_CALLS - 1)
 
   @property
   def num_graphs(self) -> int:
-    """How many graphs the recording consists of: one, and one more for every eager call between."""
+    """Number of CUDA graphs of the recording: one, and one more for every eager call between."""
     return 0 if self._recorder is None else self._recorder.num_graphs
 
   def _record(self) -> None:
-    from mjlab_sim.graph import Recorder
+    from mjlab_sim.warp.recorder import Recorder
 
-    sim = self._sim
     # What is recorded may itself ask for a new recording, which drops this one.
-    self._recorder = sim._recorder = Recorder(sim.device, self._generators)
+    recorder = self._recorder = self._recordings.recorder = Recorder(self._device, self._generators)
     # Nothing cached before may be left out of the recording, and nothing recorded may be taken for computed.
-    sim._epoch += 1
+    self._fresh.version += 1
     try:
-      sim._recorder.record(self._body)
+      recorder.record(self._run)
     except BaseException:
       self._recorder = None
       raise
     finally:
-      sim._recorder = None
-      sim._epoch += 1
+      self._recordings.recorder = None
+      self._fresh.version += 1
 
-  def _body(self) -> None:
+  def _run(self) -> None:
     self._fn()
-    self._sim._refresh()
+    self._fresh.refresh()

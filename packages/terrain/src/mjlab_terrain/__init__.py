@@ -1,23 +1,25 @@
 """Terrain that adds itself to any MuJoCo model. NumPy and MuJoCo only."""
 
-from mjlab_terrain.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
-from mjlab_terrain.gaps import NarrowBeamsCfg, NestedRingsCfg, SteppingStonesCfg
+from mjlab_terrain.checked_fields import drawn, number, scaled
 from mjlab_terrain.grid import TerrainGridCfg
-from mjlab_terrain.heights import (
+from mjlab_terrain.patches import FlatPatchCfg
+from mjlab_terrain.plane import PlaneCfg
+from mjlab_terrain.presets import all_types, walking_types
+from mjlab_terrain.terrain import Terrain, grid_origins
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.types.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
+from mjlab_terrain.types.gaps import NarrowBeamsCfg, NestedRingsCfg, SteppingStonesCfg
+from mjlab_terrain.types.height_map import HeightMapCfg
+from mjlab_terrain.types.heights import (
   DiscreteObstaclesCfg,
   PerlinNoiseCfg,
   PyramidSlopeCfg,
   RandomRoughCfg,
   WavesCfg,
 )
-from mjlab_terrain.own import HeightMapCfg, MeshCfg
-from mjlab_terrain.patches import FlatPatchCfg
-from mjlab_terrain.plane import PlaneCfg
-from mjlab_terrain.presets import all_types, walking_types
-from mjlab_terrain.stairs import OpenStairsCfg, PyramidStairsCfg, RandomStairsCfg
-from mjlab_terrain.terrain import Terrain, grid_origins
-from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg, drawn, number, scaled
+from mjlab_terrain.types.mesh import MeshCfg
+from mjlab_terrain.types.stairs import OpenStairsCfg, PyramidStairsCfg, RandomStairsCfg
 
 __all__ = [
   "DiscreteObstaclesCfg",

@@ -1,145 +1,220 @@
-"""Tiles as geoms of an `MjSpec`."""
+"""Tiles as one static body of an `MjSpec`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjlab_terrain.merging import merge_boxes
-from mjlab_terrain.png import png
-from mjlab_terrain.tile import GROUND_DEPTH, Box, HeightField, Tile
+from mjlab_terrain.colors import Coloring, picture_of
+from mjlab_terrain.solids import GROUND_DEPTH, Box, Floats, HeightField, Prism, Solid
+from mjlab_terrain.surface import lowest_points
+from mjlab_terrain.tile import Tile
 
-# Edge of the picture that colors a height field [pixels].
-_PICTURE = 96
-
-Coloring = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
-"""Color of ground of a type at heights (...), (..., 3) in [0, 1]."""
+FRICTION = (1.0, 0.005, 0.0001)
+"""Sliding, torsional and rolling friction of ground by default [1, m, m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedTile:
-  """A tile of a grid, and where it is."""
+  """Tile of a grid, and its place."""
 
   row: int
   column: int
   kind: int
   """Index of its type."""
-  center: NDArray[np.float64]
+  center: Floats
   """Of the tile, at the height of the rim, world frame, (3,) [m]."""
   tile: Tile
+  lowest: float
+  """Lowest height of its surface [m]."""
+  lowest_at_rim: float
+  """Lowest height of its surface along its rim [m]."""
+
+  @property
+  def origin(self) -> Floats:
+    """Spawn point on the surface, world frame, (3,) [m]."""
+    return self.center + np.array((*self.tile.spawn, self.tile.spawn_height()))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Surface:
-  """How the ground feels and looks."""
+def place_tile(
+  build: Callable[[Tile], None], label: str, tile: Tile, *, row: int, column: int, kind: int, center: Floats
+) -> PlacedTile:
+  """Build a tile; `label` is its type in messages.
 
-  friction: tuple[float, float, float]
-  coloring: Coloring
+  Raises:
+    ValueError: `build` fails, or adds nothing.
+  """
+  try:
+    build(tile)
+  except ValueError as error:
+    where = f"at difficulty {tile.difficulty:.3g}, tile ({row}, {column})"
+    raise ValueError(f"{label}: {where}: {error}") from error
+  if not tile.solids:
+    raise ValueError(f"{label}: build added no geometry to the tile.")
+  lowest, rim = lowest_points(tile.solids, tile.size)
+  return PlacedTile(row=row, column=column, kind=kind, center=center, tile=tile, lowest=lowest, lowest_at_rim=rim)
 
 
-def geom_name(terrain: str, index: int) -> str:
-  """Name of a geom of a terrain, and of the assets that only it uses."""
-  return f"{terrain}_{index}"
+def height_range(placed: Sequence[PlacedTile]) -> tuple[float, float]:
+  """Return the lowest and highest point of the surface, with the ground around the tiles at 0 [m]."""
+  highest = max(float(solid.high[2]) for p in placed for solid in p.tile.solids)
+  return min(0.0, *(p.lowest for p in placed)), max(0.0, highest)
 
 
-def gather(
-  placed: Sequence[PlacedTile], border: Sequence[Box]
-) -> tuple[list[tuple[Box, int]], list[tuple[HeightField, NDArray[np.float64], int]]]:
-  """All boxes in the world frame, merged, and all height fields with their tile's centre, with their type."""
-  boxes = [(box, p.kind, p.center) for p in placed for box in p.tile.boxes]
-  boxes += [(box, 0, np.zeros(3)) for box in border]
-  upright = [entry for entry in boxes if entry[0].rotation is None]
-  out = [
-    (Box(center=box.center + at, half=box.half, rotation=box.rotation), kind)
-    for box, kind, at in boxes
-    if box.rotation is not None
+def gather(placed: Sequence[PlacedTile], border: Sequence[Box] = ()) -> list[tuple[Solid, int]]:
+  """Return all solids in the world frame with their type; boxes that are level with each other become one.
+
+  Where a pit reaches the rim of its tile, everything around it becomes deep enough to have no hollow below it.
+  """
+  rim = min((p.lowest_at_rim for p in placed), default=0.0)
+  bottom = rim - GROUND_DEPTH if rim < 0.0 else np.inf
+  solids = [
+    ((solid.deepened(bottom) if solid.low[2] <= p.lowest else solid).moved(p.center), p.kind)
+    for p in placed
+    for solid in p.tile.solids
   ]
-  if upright:
-    low = np.array([box.center - box.half + at for box, _, at in upright])
-    high = np.array([box.center + box.half + at for box, _, at in upright])
-    low, high, kinds = merge_boxes(low, high, np.array([kind for _, kind, _ in upright]))
-    halves = 0.5 * (high - low)
-    out = [(Box(center=c, half=h), int(k)) for c, h, k in zip(0.5 * (low + high), halves, kinds, strict=True)] + out
-  return out, [(field, p.center, p.kind) for p in placed for field in p.tile.fields]
+  solids += [(box.deepened(bottom), 0) for box in border]
+  upright = [(s, kind) for s, kind in solids if isinstance(s, Box) and s.rotation is None]
+  others = [(s, kind) for s, kind in solids if not (isinstance(s, Box) and s.rotation is None)]
+  if not upright:
+    return others
+  low, high, kinds = merge_boxes(
+    np.array([box.low for box, _ in upright]),
+    np.array([box.high for box, _ in upright]),
+    np.array([kind for _, kind in upright]),
+  )
+  merged = zip(0.5 * (low + high), 0.5 * (high - low), kinds.tolist(), strict=True)
+  return [*((Box(center=center, half=half), kind) for center, half, kind in merged), *others]
 
 
-def add_geoms(
+def merge_boxes(low: Floats, high: Floats, kind: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
+  """Join upright boxes of one kind that share a whole side and the same top and bottom, first along x, then along y.
+
+  Args:
+    low: Lowest corner of each box, (n, 3) [m].
+    high: Highest corner of each box, (n, 3) [m].
+    kind: Boxes of different kinds stay apart, (n,).
+
+  Returns:
+    The same three for the boxes that remain; together they fill the same space.
+  """
+  for axis in (0, 1):
+    other = 1 - axis
+    # Corners of neighbouring tiles agree but for rounding.
+    keys = np.round(np.column_stack((low[:, other], high[:, other], low[:, 2], high[:, 2])) * 1e6).astype(np.int64)
+    start, end = np.round(low[:, axis] * 1e6).astype(np.int64), np.round(high[:, axis] * 1e6).astype(np.int64)
+    order = np.lexsort((start, *keys.T, kind))
+    same = (keys[order][1:] == keys[order][:-1]).all(1) & (kind[order][1:] == kind[order][:-1])
+    new_run = np.concatenate(([True], ~(same & (start[order][1:] == end[order][:-1]))))
+    first = np.flatnonzero(new_run)
+    last = np.concatenate((first[1:], [len(order)])) - 1
+    merged = high[order][first]
+    merged[:, axis] = high[order][last, axis]
+    low, high, kind = low[order][first], merged, kind[order][first]
+  return low, high, kind
+
+
+def check_names(spec: mujoco.MjSpec, label: str, needed: Sequence[tuple[str, str]]) -> None:
+  """Check that a model has no element of these kinds and names; `label` is the terrain in messages.
+
+  Raises:
+    ValueError: it has one.
+  """
+  for kind, name in needed:
+    taken = spec.assets.get(name) if kind == "asset" else getattr(spec, kind)(name)
+    if taken is not None:
+      raise ValueError(
+        f"{label}: the model '{spec.modelname}' already has a {kind} named '{name}'. "
+        "Give the terrain another name, or add it once."
+      )
+
+
+def add_body(
   spec: mujoco.MjSpec,
   name: str,
-  boxes: Sequence[tuple[Box, int]],
-  fields: Sequence[tuple[HeightField, NDArray[np.float64], int]],
-  look: Surface,
+  solids: Sequence[tuple[Solid, int]],
+  coloring: Coloring,
+  *,
+  friction: tuple[float, float, float] = FRICTION,
+  light: bool = True,
 ) -> tuple[str, ...]:
-  """Adds a static body with a geom for each box and height field, and returns the geoms' names."""
+  """Add a static body with a geom for each solid, and return the names of the geoms.
+
+  Raises:
+    ValueError: the model already has an element of a name that is needed; it is unchanged.
+  """
+  names = tuple(f"{name}_{index}" for index in range(len(solids)))
+  needed = [("body", name), *([("light", name)] if light else [])]
+  needed += [(kind, n) for kind in ("geom", "hfield", "mesh", "texture", "material") for n in names]
+  check_names(spec, f"terrain '{name}'", [*needed, *(("asset", f"{n}.png") for n in names)])
   body = spec.worldbody.add_body(name=name)
-  # Said although most are MuJoCo's defaults: the model may have defaults of its own.
-  common = {
-    "friction": look.friction,
-    "condim": 3,
-    "contype": 1,
-    "conaffinity": 1,
-    "group": 0,
-    "mass": 0.0,
-  }
-  names = []
-  for box, kind in boxes:
-    names.append(geom_name(name, len(names)))
-    quat = np.array([1.0, 0.0, 0.0, 0.0])
-    if box.rotation is not None:
-      mujoco.mju_mat2Quat(quat, box.rotation.ravel())
-    top = box.center[2] + box.half[2]
-    body.add_geom(
-      name=names[-1],
-      type=mujoco.mjtGeom.mjGEOM_BOX,
-      pos=box.center,
-      quat=quat,
-      size=box.half,
-      rgba=(*look.coloring(kind, np.array(top)), 1.0),
-      **common,
-    )
-  for field, center, kind in fields:
-    names.append(geom_name(name, len(names)))
-    low, high = field.heights.min(), field.heights.max()
-    half = 0.5 * (field.x[1] - field.x[0]), 0.5 * (field.y[1] - field.y[0])
-    nx, ny = field.heights.shape
-    # MuJoCo counts rows along y.
-    data = ((field.heights - low) / (high - low)).T
-    spec.add_hfield(
-      name=names[-1],
-      nrow=ny,
-      ncol=nx,
-      size=(*half, high - low, GROUND_DEPTH),
-      userdata=data.ravel().tolist(),
-    )
-    _add_picture(spec, names[-1], field, look.coloring, kind)
-    middle = 0.5 * (field.x[0] + field.x[1]), 0.5 * (field.y[0] + field.y[1])
-    body.add_geom(
-      name=names[-1],
-      type=mujoco.mjtGeom.mjGEOM_HFIELD,
-      hfieldname=names[-1],
-      pos=center + np.array((*middle, low)),
-      material=names[-1],
-      rgba=(1.0, 1.0, 1.0, 1.0),
-      **common,
-    )
-  return tuple(names)
+  for geom_name, (solid, kind) in zip(names, solids, strict=True):
+    if isinstance(solid, Box):
+      own = _box(solid)
+    elif isinstance(solid, Prism):
+      own = _prism(spec, geom_name, solid)
+    else:
+      own = _height_field(spec, geom_name, solid)
+    if isinstance(solid, HeightField):
+      _add_material(spec, geom_name, picture_of(solid, coloring, kind))
+      own |= {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
+    else:
+      own["rgba"] = (*coloring(kind, np.array(solid.color_height)), 1.0)
+    # Explicit, although most are MuJoCo's defaults: the model may have defaults of its own.
+    common: dict[str, Any] = {"condim": 3, "contype": 1, "conaffinity": 1, "group": 0, "mass": 0.0}
+    body.add_geom(name=geom_name, friction=friction, **common, **own)
+  if light:
+    add_light(body, height=10.0, direction=(0.3, 0.2, -1.0))
+  return names
 
 
-def _add_picture(spec: mujoco.MjSpec, name: str, field: HeightField, coloring: Coloring, kind: int) -> None:
-  """Adds a material that colors a height field by height."""
-  nx, ny = (min(n, _PICTURE) for n in field.heights.shape)
-  i, j = (
-    np.round(np.linspace(0, n - 1, m)).astype(np.int64) for n, m in zip(field.heights.shape, (nx, ny), strict=True)
+def add_light(body: mujoco.MjsBody, *, height: float, direction: tuple[float, float, float]) -> None:
+  """Add a directional light from above, named like the body."""
+  body.add_light(
+    name=body.name,
+    type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+    pos=(0.0, 0.0, height),
+    dir=direction,
+    diffuse=(0.6, 0.6, 0.6),
+    castshadow=True,
   )
-  colors = coloring(kind, field.heights[np.ix_(i, j)])
-  # A picture's first row is at the far end of y.
-  pixels = np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1]
-  # As a file among the model's assets, because MuJoCo writes no XML of pictures that are none.
-  spec.assets[f"{name}.png"] = png(pixels)
+
+
+def _box(box: Box) -> dict[str, Any]:
+  quat = np.array([1.0, 0.0, 0.0, 0.0])
+  if box.rotation is not None:
+    mujoco.mju_mat2Quat(quat, box.rotation.ravel())
+  return {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": box.center, "quat": quat, "size": box.half}
+
+
+def _prism(spec: mujoco.MjSpec, name: str, prism: Prism) -> dict[str, Any]:
+  spec.add_mesh(name=name, uservert=(prism.corners - prism.center).ravel())
+  return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "pos": prism.center}
+
+
+def _height_field(spec: mujoco.MjSpec, name: str, field: HeightField) -> dict[str, Any]:
+  low, high = field.heights.min(), field.heights.max()
+  half = 0.5 * (field.high - field.low)
+  nx, ny = field.heights.shape
+  spec.add_hfield(
+    name=name,
+    nrow=ny,
+    ncol=nx,
+    size=(*half[:2], high - low, low - field.bottom),
+    # MuJoCo counts rows along y.
+    userdata=((field.heights - low) / (high - low)).T.ravel().tolist(),
+  )
+  middle = 0.5 * (field.low + field.high)
+  return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": name, "pos": (*middle[:2], low)}
+
+
+def _add_material(spec: mujoco.MjSpec, name: str, picture: bytes) -> None:
+  spec.assets[f"{name}.png"] = picture
   texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
   material = spec.add_material(name=name, specular=0.1, shininess=0.1)
   material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name

@@ -1,11 +1,24 @@
-"""Colors of the ground."""
+"""Colors of the ground, and the pictures that color height fields."""
 
 from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjlab_terrain.solids import Floats, HeightField
+
 Rgb = tuple[float, float, float]
+GroundColor = Literal["height", "type"] | Rgb
+Coloring = Callable[[int, Floats], Floats]
+"""Color of ground of a type, given by its index, at heights (...) [m]: (..., 3) in [0, 1]."""
+
+# Largest edge of a picture [pixels].
+_PICTURE = 96
 
 # Height [m] and color: deep water, slate, stone at the rim's height, sand, clay.
 _GRADIENT: tuple[tuple[float, Rgb], ...] = (
@@ -32,13 +45,46 @@ _TYPES: tuple[Rgb, ...] = (
 )
 
 
-def height_color(z: NDArray[np.float64] | float) -> NDArray[np.float64]:
-  """Color of ground at height `z` [m], (..., 3) in [0, 1]."""
+def coloring_of(color: GroundColor) -> Coloring:
+  """Return the coloring by height, by type, or in one color."""
+  if color == "height":
+    return lambda kind, z: _by_height(z)
+  if color == "type":
+    return _by_type
+  one = np.array(color, dtype=np.float64)
+  return lambda kind, z: np.broadcast_to(one, (*np.shape(z), 3))
+
+
+def _by_height(z: Floats) -> Floats:
   at, colors = [z for z, _ in _GRADIENT], np.array([rgb for _, rgb in _GRADIENT])
   return np.stack([np.interp(z, at, colors[:, k]) for k in range(3)], axis=-1)
 
 
-def type_color(index: int, z: NDArray[np.float64] | float) -> NDArray[np.float64]:
-  """Color of ground of the type with this index at height `z` [m], darker below the rim and lighter above, (..., 3)."""
+def _by_type(index: int, z: Floats) -> Floats:
+  """Return the color of a type, darker below the rim and lighter above it."""
   shade = np.clip(1.0 + 0.35 * np.asarray(z, dtype=np.float64), 0.45, 1.6)
   return np.clip(np.array(_TYPES[index % len(_TYPES)]) * shade[..., None], 0.0, 1.0)
+
+
+def picture_of(field: HeightField, coloring: Coloring, kind: int) -> bytes:
+  """Return a PNG file with the colors of a height field of this type, seen from above with x to the right."""
+  count = [min(n, _PICTURE) for n in field.heights.shape]
+  i, j = (np.linspace(0, n - 1, m).round().astype(np.int64) for n, m in zip(field.heights.shape, count, strict=True))
+  colors = coloring(kind, field.heights[np.ix_(i, j)])
+  # The first row of a picture is at the far end of y.
+  return _png(np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1])
+
+
+def _png(pixels: NDArray[np.uint8]) -> bytes:
+  """Return `pixels`, (height, width, 3), as a PNG file.
+
+  MuJoCo writes no XML of a texture without a file, and a terrain needs no library for pictures. All other pictures are
+  written with Pillow.
+  """
+  height, width, _ = pixels.shape
+  # Each line starts with its filter: 0, none.
+  lines = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1).tobytes()
+  header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+  chunks = (b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
+  parts = [struct.pack(">I", len(body)) + k + body + struct.pack(">I", zlib.crc32(k + body)) for k, body in chunks]
+  return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

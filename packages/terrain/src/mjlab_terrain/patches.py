@@ -1,4 +1,4 @@
-"""Flat places on a tile, to put things or feet on."""
+"""Flat places on a tile, for objects or feet."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mjlab_terrain.checked_fields import check_fields, drawn, number, refuse
 from mjlab_terrain.surface import disc, over_disc, surface
 from mjlab_terrain.tile import Tile
 
-Interval = tuple[float, float]
 EVERYWHERE = (-math.inf, math.inf)
 
 
@@ -19,53 +19,46 @@ EVERYWHERE = (-math.inf, math.inf)
 class FlatPatchCfg:
   """Round places on which the ground is nearly level; they may overlap."""
 
-  count: int = 10
+  count: int = number(10, least=1)
   """Number of places on each tile."""
-  radius: float = 0.5
+  radius: float = number(0.5, least=0.01)
   """Radius of a place [m]; all of it lies on the tile."""
-  max_height_difference: float = 0.05
+  max_height_difference: float = number(0.05)
   """Between the highest and the lowest point of a place [m]."""
-  x_range: Interval = EVERYWHERE
-  """Where centres may be along x, from the tile's centre [m]."""
-  y_range: Interval = EVERYWHERE
-  """Where centres may be along y, from the tile's centre [m]."""
-  z_range: Interval = EVERYWHERE
-  """Heights that centres may have [m]."""
-  resolution: float = 0.05
-  """Distance between the points at which the ground is looked at [m]."""
+  x_range: tuple[float, float] = drawn(EVERYWHERE, least=-math.inf)
+  """Range of centres along x, from the tile's centre [m]."""
+  y_range: tuple[float, float] = drawn(EVERYWHERE, least=-math.inf)
+  """Range of centres along y, from the tile's centre [m]."""
+  z_range: tuple[float, float] = drawn(EVERYWHERE, least=-math.inf)
+  """Range of heights of centres [m]."""
+  resolution: float = number(0.05, least=0.01)
+  """Distance between the points at which the ground is sampled [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
-    """Raises a ValueError if no tile of this size can have such places; `name` is what messages call them."""
-    who = f"FlatPatchCfg '{name}'"
-    if self.count < 1:
-      raise ValueError(f"{who}: count must be at least 1, got {self.count}.")
-    if not 0.01 <= self.resolution < math.inf:
-      raise ValueError(f"{who}: resolution must be at least 0.01 m, got {self.resolution}.")
-    if not 0.0 < self.radius <= 0.5 * min(size):
-      raise ValueError(
-        f"{who}: radius {self.radius:g} m does not fit into a tile of {size[0]:g} x {size[1]:g} m; "
-        f"more than 0 and at most {0.5 * min(size):g} m would work."
-      )
-    if not self.max_height_difference >= 0.0:
-      raise ValueError(f"{who}: max_height_difference must not be negative, got {self.max_height_difference}.")
+    """Check that a tile of this size can have such places; `name` is their name in messages.
+
+    Raises:
+      ValueError: it cannot, or a setting is out of its range.
+    """
+    check_fields(self, name)
+    tile = f"a tile of {size[0]:g} x {size[1]:g} m"
+    if self.radius > 0.5 * min(size):
+      fits = f"at most {0.5 * min(size):g} m would work"
+      refuse(self, name, f"radius {self.radius:g} m does not fit into {tile}; {fits}")
     for axis, (low, high) in enumerate((self.x_range, self.y_range)):
       reach = 0.5 * size[axis] - self.radius
-      if low > high or low > reach or high < -reach:
-        raise ValueError(
-          f"{who}: {'xy'[axis]}_range ({low:g}, {high:g}) has no room; "
-          f"centres can be from {-reach:g} to {reach:g} m on a tile of {size[0]:g} x {size[1]:g} m."
-        )
-    if self.z_range[0] > self.z_range[1]:
-      raise ValueError(f"{who}: z_range {self.z_range} is the wrong way round.")
+      if low > reach or high < -reach:
+        where = f"centres can be from {-reach:g} to {reach:g} m on {tile}"
+        refuse(self, name, f"{'xy'[axis]}_range ({low:g}, {high:g}) has no room; {where}")
 
   def find(self, tile: Tile, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Centres of places drawn at random, on the surface, in the tile's frame, (count, 3) [m], to within `resolution`.
+    """Return centres of places drawn at random, on the surface, in the tile's frame, to `resolution`, (count, 3) [m].
 
-    Where a tile has fewer, they repeat; where it has none, all are at the most level place there is.
+    Where a tile has fewer places, they repeat; where it has none, all are at the most level place.
     """
     # An even number of steps, so that the middle of the tile is among the points.
     axes = [np.linspace(-0.5 * s, 0.5 * s, 2 * max(math.ceil(0.5 * s / self.resolution), 1) + 1) for s in tile.size]
-    z = surface(tile.boxes, tile.fields, *axes)
+    z = surface(tile.solids, *axes)
     # The grid is square enough that the finer of its two spacings covers the radius in both.
     offsets = disc(self.radius, min(a[1] - a[0] for a in axes))
     difference = over_disc(z, offsets, np.maximum) - over_disc(z, offsets, np.minimum)

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
 
+from mjlab_terrain.assembly import FRICTION, add_light, check_names
+from mjlab_terrain.checked_fields import check_fields, number
+from mjlab_terrain.colors import Rgb
 from mjlab_terrain.terrain import Terrain
-
-Rgb = tuple[float, float, float]
 
 
 @dataclass(kw_only=True)
 class PlaneCfg:
-  """An infinite plane at height zero with a checkered look."""
+  """Infinite plane at height zero with a checkered look."""
 
   name: str = "terrain"
   """Name of the body, of its geom, and of the light, material and texture that come with it."""
 
-  friction: tuple[float, float, float] = (1.0, 0.005, 0.0001)
+  friction: tuple[float, float, float] = number(FRICTION)
   """Sliding, torsional and rolling friction [1, m, m]."""
 
-  square: float = 0.5
+  square: float = number(0.5, least=1e-3)
   """Edge length of one square of the checker [m]."""
 
   colors: tuple[Rgb, Rgb] = ((0.20, 0.30, 0.40), (0.10, 0.20, 0.30))
@@ -32,19 +31,23 @@ class PlaneCfg:
   line_color: Rgb | None = (0.80, 0.80, 0.80)
   """Color of the lines around each pair of squares; None draws none."""
 
-  reflectance: float = 0.2
-  """How much the ground mirrors, in [0, 1]."""
+  reflectance: float = number(0.2, most=1.0)
+  """Share of the light that the ground mirrors, in [0, 1]."""
 
   light: bool = True
-  """Whether a directional light from above comes with it."""
+  """True adds a directional light from above."""
 
   def add_to(self, spec: mujoco.MjSpec) -> Terrain:
-    """Adds a static body with the plane to the world of `spec`, in geom group 0.
+    """Add a static body with the plane to the world of `spec`, in geom group 0.
 
     Raises:
-      ValueError: a setting is out of its range, or `spec` already has an element of this name; `spec` is as it was.
+      ValueError: a setting is out of its range, or `spec` already has an element of this name; `spec` is unchanged.
     """
-    self._check(spec)
+    if not self.name:
+      raise ValueError("PlaneCfg: name must not be empty.")
+    check_fields(self, self.name)
+    kinds = ["body", "geom", "material", "texture", *(["light"] if self.light else [])]
+    check_names(spec, f"PlaneCfg '{self.name}'", [(kind, self.name) for kind in kinds])
     texture = spec.add_texture(
       name=self.name,
       type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -69,7 +72,7 @@ class PlaneCfg:
       size=(0.0, 0.0, 0.01),
       material=self.name,
       friction=self.friction,
-      # Said although they are MuJoCo's defaults: the model may have defaults of its own.
+      # Explicit, although they are MuJoCo's defaults: the model may have defaults of its own.
       condim=3,
       contype=1,
       conaffinity=1,
@@ -77,34 +80,5 @@ class PlaneCfg:
       rgba=(0.5, 0.5, 0.5, 1.0),
     )
     if self.light:
-      body.add_light(
-        name=self.name,
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=(0.0, 0.0, 3.0),
-        dir=(0.2, 0.1, -1.0),
-        diffuse=(0.6, 0.6, 0.6),
-        castshadow=True,
-      )
+      add_light(body, height=3.0, direction=(0.2, 0.1, -1.0))
     return Terrain(name=body.name, geom_names=(geom.name,))
-
-  def _check(self, spec: mujoco.MjSpec) -> None:
-    if not self.name:
-      raise ValueError("PlaneCfg: name must not be empty.")
-    if any(not 0.0 <= f < math.inf for f in self.friction):
-      raise ValueError(f"PlaneCfg {self.name!r}: friction must not be negative, got {self.friction}.")
-    if not 0.0 < self.square < math.inf:
-      raise ValueError(f"PlaneCfg {self.name!r}: square must be a positive length, got {self.square}.")
-    taken: dict[str, Callable[[str], object]] = {
-      "body": spec.body,
-      "geom": spec.geom,
-      "material": spec.material,
-      "texture": spec.texture,
-    }
-    if self.light:
-      taken["light"] = spec.light
-    for kind, find in taken.items():
-      if find(self.name) is not None:
-        raise ValueError(
-          f"PlaneCfg {self.name!r}: the model {spec.modelname!r} already has a {kind} named {self.name!r}. "
-          "Give the plane another name, or add it once."
-        )

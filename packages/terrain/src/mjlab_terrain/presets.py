@@ -1,22 +1,22 @@
-"""Types of tile with settings that have proven useful."""
+"""Sets of types of tile with useful settings."""
 
 from __future__ import annotations
 
-from mjlab_terrain.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
-from mjlab_terrain.gaps import NarrowBeamsCfg, NestedRingsCfg, SteppingStonesCfg
-from mjlab_terrain.heights import (
+from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.types.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
+from mjlab_terrain.types.gaps import NarrowBeamsCfg, NestedRingsCfg, SteppingStonesCfg
+from mjlab_terrain.types.heights import (
   DiscreteObstaclesCfg,
   PerlinNoiseCfg,
   PyramidSlopeCfg,
   RandomRoughCfg,
   WavesCfg,
 )
-from mjlab_terrain.stairs import OpenStairsCfg, PyramidStairsCfg, RandomStairsCfg
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.types.stairs import OpenStairsCfg, PyramidStairsCfg, RandomStairsCfg
 
 
 def all_types() -> dict[str, TileCfg]:
-  """One of every type, by name, each from easy to hard for a robot with legs of half a metre."""
+  """Return one of every type, by name, each from easy to hard for a robot with legs of half a metre."""
   return {
     "flat": FlatCfg(),
     "stairs_up": PyramidStairsCfg(),
@@ -39,7 +39,7 @@ def all_types() -> dict[str, TileCfg]:
 
 
 def walking_types() -> dict[str, TileCfg]:
-  """A mix to learn walking on: level ground, stairs and slopes up and down, rough ground and waves."""
+  """Return a mix to learn walking on: level ground, stairs and slopes up and down, rough ground and waves."""
   return {
     "flat": FlatCfg(share=0.2),
     "stairs_up": PyramidStairsCfg(share=0.2),

@@ -1,4 +1,4 @@
-"""What a terrain says of itself once it is part of a model."""
+"""Description of a terrain that is part of a model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Terrain:
-  """A terrain that has been added to an `MjSpec`: tiles in rows, which run along x, and columns, which run along y.
+  """Terrain that has been added to an `MjSpec`: tiles in rows, which run along x, and columns, which run along y.
 
   A plane is one tile without end. In a curriculum, rows go from easy to hard and a column has one type.
   """
@@ -26,28 +26,28 @@ class Terrain:
   """Extent of a tile along x and y [m]."""
 
   origins: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
-  """Where to spawn on each tile, on the surface, world frame, (rows, columns, 3) [m]."""
+  """Spawn point of each tile, on the surface, world frame, (rows, columns, 3) [m]."""
 
   difficulty: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1)))
   """Difficulty of each tile in [0, 1], (rows, columns)."""
 
   type_names: tuple[str, ...] = ("plane",)
-  """Names of the types of tile there are."""
+  """Names of the types of tile."""
 
   tile_types: NDArray[np.int64] = field(default_factory=lambda: np.zeros((1, 1), dtype=np.int64))
   """Type of each tile, an index into `type_names`, (rows, columns)."""
 
   column_shares: NDArray[np.float64] = field(default_factory=lambda: np.ones(1))
-  """Which part of all worlds belongs on each column, (columns,); they sum to 1."""
+  """Share of all worlds that belongs on each column, (columns,); they sum to 1."""
 
   flat_patches: dict[str, NDArray[np.float64]] = field(default_factory=dict)
   """Centres of flat places of each tile, on the surface, by name, world frame, (rows, columns, count, 3) [m]."""
 
   height_range: tuple[float, float] = (0.0, 0.0)
-  """Lowest and highest point of the surface [m]."""
+  """Lowest and highest point of the surface [m]; solids below it do not count."""
 
   def columns_of(self, num: int) -> NDArray[np.int64]:
-    """Column of each of `num` worlds, (num,): every column has its share, and those of a column are spread evenly.
+    """Return the column of each of `num` worlds, (num,): every column has its share, spread evenly over the worlds.
 
     Raises:
       ValueError: `num` is not positive.
@@ -61,7 +61,7 @@ class Terrain:
     return column[np.lexsort((column, place))]
 
   def env_origins(self, num: int, spacing: float) -> NDArray[np.float64]:
-    """Where `num` worlds have their origin on the surface, world frame, (num, 3) [m].
+    """Return the origins of `num` worlds on the surface, world frame, (num, 3) [m].
 
     On tiles each column has its share of worlds, which are spread over its rows; on a plane, see `grid_origins`.
     """
@@ -77,7 +77,7 @@ class Terrain:
 
 
 def apportion(shares: NDArray[np.float64], num: int) -> NDArray[np.int64]:
-  """`num` things divided among shares, which sum to 1, by largest remainder, (len(shares),)."""
+  """Return `num` things divided among shares, which sum to 1, by largest remainder, (len(shares),)."""
   exact = shares * num
   counts = np.floor(exact + 1e-9).astype(np.int64)
   # Stable, so that of equal remainders the first is served.
@@ -87,7 +87,7 @@ def apportion(shares: NDArray[np.float64], num: int) -> NDArray[np.int64]:
 
 
 def grid_origins(num: int, spacing: float) -> NDArray[np.float64]:
-  """Origins of `num` worlds on a nearly square grid around zero, at height zero, (num, 3) [m].
+  """Return the origins of `num` worlds on a nearly square grid around zero, at height zero, (num, 3) [m].
 
   Rows run along negative x and are filled along positive y, `spacing` [m] apart.
 

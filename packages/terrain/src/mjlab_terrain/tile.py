@@ -1,57 +1,16 @@
-"""The geometry of one tile, and the tools a type builds it with."""
+"""Geometry of one tile, and the tools that a type builds it with."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Box, HeightField, Interval, Prism, Solid
 from mjlab_terrain.surface import disc, over_disc, surface
-
-MIN_THICKNESS = 0.05
-"""No geom is thinner than this in any direction [m]: contact solvers lose thinner ones."""
-
-GROUND_DEPTH = 1.0
-"""How deep the ground reaches below the lowest surface of a tile [m]."""
-
-FLAT = 1e-3
-"""Features lower than this are left out [m]: a single slab does the same."""
-
-Interval = tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Box:
-  """A solid box."""
-
-  center: NDArray[np.float64]
-  """In the tile's frame, (3,) [m]."""
-  half: NDArray[np.float64]
-  """Half of its extent along its own axes, (3,) [m]."""
-  rotation: NDArray[np.float64] | None = None
-  """Its axes as columns, in the tile's frame, (3, 3); None if they are those of the tile."""
-
-  @property
-  def extent(self) -> NDArray[np.float64]:
-    """Half of its extent along the tile's axes, (3,) [m]."""
-    return self.half if self.rotation is None else np.abs(self.rotation) @ self.half
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeightField:
-  """A surface over the whole tile, given at the vertices of a regular grid."""
-
-  heights: NDArray[np.float64]
-  """Height at each vertex, first index along x, second along y, (nx, ny) [m]."""
-  x: Interval
-  """Extent along x [m]."""
-  y: Interval
-  """Extent along y [m]."""
 
 
 class Tile:
-  """One tile that is being built.
+  """Tile that is being built.
 
   Its frame has its origin at the tile's centre, at the height of the rim where tiles meet, and the axes of the world.
   """
@@ -64,21 +23,20 @@ class Tile:
     self.rng = rng
     """Source of all randomness. Draw the same numbers at any difficulty, and scale them: then features grow with it."""
     self.spawn: tuple[float, float] = (0.0, 0.0)
-    """Where to spawn [m]; the height is that of the surface there."""
-    self.boxes: list[Box] = []
-    self.fields: list[HeightField] = []
+    """Spawn point [m]; its height is that of the surface."""
+    self.solids: list[Solid] = []
 
   def scaled(self, ends: Interval) -> float:
-    """The value at this tile's difficulty, between that of the easiest and that of the hardest."""
+    """Return the value at this tile's difficulty, between that of the easiest and that of the hardest."""
     easiest, hardest = ends
     return easiest + self.difficulty * (hardest - easiest)
 
   def inner(self, border: float) -> tuple[float, float]:
-    """Extent inside a border of this width, along x and y [m]."""
+    """Return the extent inside a border of this width, along x and y [m]."""
     return self.size[0] - 2.0 * border, self.size[1] - 2.0 * border
 
   def box(self, x: Interval, y: Interval, z: Interval) -> None:
-    """Adds a box between these bounds [m].
+    """Add a box between these bounds [m].
 
     Raises:
       ValueError: it is thinner than 5 cm.
@@ -87,7 +45,7 @@ class Tile:
     self.turned_box(0.5 * (low + high), 0.5 * (high - low), None)
 
   def turned_box(self, center: ArrayLike, half: ArrayLike, rotation: NDArray[np.float64] | None) -> None:
-    """Adds a box by its centre, half extents [m] and axes, the columns of `rotation`.
+    """Add a box by its centre, half extents [m] and axes, the columns of `rotation`.
 
     Raises:
       ValueError: it is thinner than 5 cm, or not finite.
@@ -97,21 +55,37 @@ class Tile:
       raise ValueError(f"a box of half extents {half.tolist()} at {np.array(center).tolist()} m is not finite.")
     if half.min() < 0.5 * MIN_THICKNESS - 1e-9:
       raise ValueError(f"a box of {' x '.join(f'{2 * h:.3g}' for h in half)} m is thinner than {MIN_THICKNESS} m.")
-    self.boxes.append(Box(center=np.array(center, dtype=np.float64), half=half, rotation=rotation))
+    self.solids.append(Box(center=np.array(center, dtype=np.float64), half=half, rotation=rotation))
+
+  def prism(self, x: Interval, y: Interval, bottom: float, top: float, slope: tuple[float, float]) -> None:
+    """Add an upright prism over a rectangle: a plane from `slope` [1] through the height `top` at its middle [m].
+
+    Raises:
+      ValueError: a part of it is thinner than 5 cm, or not finite.
+    """
+    half = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
+    lowest = top - abs(slope[0]) * half[0] - abs(slope[1]) * half[1]
+    if not np.isfinite([*x, *y, bottom, top, *slope]).all():
+      raise ValueError(f"a prism over x {x} and y {y}, top {top} and slope {slope} is not finite.")
+    thinnest = min(2.0 * half[0], 2.0 * half[1], lowest - bottom)
+    if thinnest < MIN_THICKNESS - 1e-9:
+      raise ValueError(f"a prism is {thinnest:.3g} m thin; at least {MIN_THICKNESS} m are needed.")
+    center = np.array((0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), top))
+    self.solids.append(Prism(center=center, half=half, slope=slope, bottom=bottom))
 
   def slab(self, top: float = 0.0) -> None:
-    """Adds level ground over the whole tile, its top at this height [m]."""
+    """Add level ground over the whole tile, its top at this height [m]."""
     x, y = 0.5 * self.size[0], 0.5 * self.size[1]
     self.box((-x, x), (-y, y), (top - GROUND_DEPTH, top))
 
   def block(self, extent: tuple[float, float], z: Interval) -> None:
-    """Adds a box of this extent along x and y at the centre [m]."""
+    """Add a box of this extent along x and y at the centre [m]."""
     self.box((-0.5 * extent[0], 0.5 * extent[0]), (-0.5 * extent[1], 0.5 * extent[1]), z)
 
   def frame(
     self, outer: tuple[float, float], inner: tuple[float, float], z: Interval, arms: float | None = None
   ) -> None:
-    """Adds four boxes around the centre: what lies inside of `outer` but not of `inner`, extents along x and y [m].
+    """Add four boxes around the centre: the space inside `outer` but not inside `inner`, extents along x and y [m].
 
     With `arms` it is only the middle of each side, of that width [m].
     """
@@ -125,26 +99,26 @@ class Tile:
     self.box((-narrow, narrow), (iy, oy), z)
 
   def pit(self, depth: float, border: float) -> None:
-    """Adds a floor `depth` below the rim over the whole tile, and a border at the rim's height around it [m]."""
+    """Add a floor `depth` below the rim over the whole tile, and a border at the rim's height around it [m]."""
     self.slab(-depth)
     self.frame(self.size, self.inner(border), (-depth, 0.0))
 
   def grid(self, resolution: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Vertices of a grid over the tile, about `resolution` apart: x as (nx, 1) and y as (1, ny) [m]."""
+    """Return vertices of a grid over the tile, about `resolution` apart: x as (nx, 1) and y as (1, ny) [m]."""
     axes = [np.linspace(-0.5 * s, 0.5 * s, max(round(s / resolution), 2) + 1) for s in self.size]
     return axes[0][:, None], axes[1][None, :]
 
   def fade(self, x: NDArray[np.float64], y: NDArray[np.float64], border: float, blend: float) -> NDArray[np.float64]:
-    """A factor for heights at (x, y): 0 on the border, 1 inside, and smooth over the `blend` [m] between them."""
+    """Return a factor for heights at (x, y): 0 on the border, 1 inside, smooth over the `blend` [m] between them."""
     to_rim = np.minimum(0.5 * self.size[0] - np.abs(x), 0.5 * self.size[1] - np.abs(y))
     t = np.clip((to_rim - border) / max(blend, 1e-9), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
   def heights(self, heights: NDArray[np.float64]) -> None:
-    """Adds a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first.
+    """Add a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first.
 
     Raises:
-      ValueError: they are no grid of at least (2, 2), or not finite.
+      ValueError: they are not finite, or not a grid of at least (2, 2).
     """
     if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
       raise ValueError(f"heights must be (nx, ny), at least (2, 2), and finite; got {heights.shape}.")
@@ -152,24 +126,25 @@ class Tile:
       self.slab(float(heights.max()))
       return
     x, y = 0.5 * self.size[0], 0.5 * self.size[1]
-    self.fields.append(HeightField(heights=heights, x=(-x, x), y=(-y, y)))
+    bottom = float(heights.min()) - GROUND_DEPTH
+    self.solids.append(HeightField(heights=heights, x=(-x, x), y=(-y, y), bottom=bottom))
 
   def spawn_height(self) -> float:
-    """Height of the surface at `spawn` [m]."""
+    """Return the height of the surface at `spawn` [m]."""
     x, y = (np.array([c]) for c in self.spawn)
-    return float(surface(self.boxes, self.fields, x, y)[0, 0])
+    return float(surface(self.solids, x, y)[0, 0])
 
   def spawn_on_top(self, search: float = 1.0, radius: float = 0.4) -> None:
-    """Spawns at a place near the centre that what surrounds it within `radius` [m] does not rise above.
+    """Set the spawn point to the nearest place above which nothing within `radius` [m] rises.
 
-    It is the nearest one no farther than `search` [m] along x and y, or else where the surroundings rise least.
+    The search ends `search` [m] from the centre along x and y; without such a place, the best one is taken.
     """
     spacing = 0.05
     axes: list[NDArray[np.float64]] = []
     for extent in self.size:
       count = int(min(search + radius, 0.5 * extent) / spacing)
       axes.append(spacing * np.arange(-count, count + 1, dtype=np.float64))
-    z = surface(self.boxes, self.fields, *axes)
+    z = surface(self.solids, *axes)
     rise = over_disc(z, disc(radius, spacing), np.maximum) - z
     x, y = np.meshgrid(*axes, indexing="ij")
     rise[(np.abs(x) > search) | (np.abs(y) > search)] = np.inf

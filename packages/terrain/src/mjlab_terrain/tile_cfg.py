@@ -1,60 +1,43 @@
-"""What all types of tile have in common: their settings, which are checked before anything is built."""
+"""Base class of the types of tile."""
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from dataclasses import dataclass
+from typing import NoReturn
 
-from mjlab_terrain.tile import MIN_THICKNESS, Tile
+import mujoco
+import numpy as np
 
-if TYPE_CHECKING:
-  import mujoco
-
-  from mjlab_terrain.terrain import Terrain
-
-
-def scaled(
-  ends: tuple[float, float], *, harder: Literal["more", "less"], least: float = 0.0, most: float = math.inf
-) -> Any:
-  """A setting that difficulty changes: its value at difficulty 0 and at 1. `harder` says which way it may go."""
-  return field(default=ends, metadata={"kind": "scaled", "harder": harder, "least": least, "most": most})
-
-
-def drawn(ends: tuple[float, float], *, least: float = 0.0, most: float = math.inf) -> Any:
-  """A setting that is drawn at random: its lowest and highest value."""
-  return field(default=ends, metadata={"kind": "drawn", "least": least, "most": most})
-
-
-def number(value: float | None, *, least: float = 0.0, most: float = math.inf) -> Any:
-  """A setting with one value. If the default is a whole number, it has to be one; if it is None, it may be None."""
-  return field(default=value, metadata={"kind": "number", "least": least, "most": most})
+from mjlab_terrain.assembly import add_body, gather, height_range, place_tile
+from mjlab_terrain.checked_fields import check_fields, number, refuse
+from mjlab_terrain.colors import coloring_of
+from mjlab_terrain.solids import MIN_THICKNESS
+from mjlab_terrain.terrain import Terrain
+from mjlab_terrain.tile import Tile
 
 
 @dataclass(kw_only=True)
 class TileCfg(ABC):
-  """A type of tile. A new type is a dataclass with `build`; settings from `scaled`, `drawn` and `number` are checked.
+  """Type of tile. A new type is a dataclass with `build`; fields from `scaled`, `drawn` and `number` are checked.
 
-  Types have their rim at height 0, so that neighbours meet, and a flat place or a crest to spawn on.
+  The rim of a tile is at height 0, so that neighbours meet, and a flat place or a crest is there to spawn on.
   """
 
   share: float = number(1.0)
-  """How much of a grid is of this type, relative to the shares of the other types."""
+  """Share of the grid that is of this type, relative to the shares of the other types."""
 
   @abstractmethod
   def build(self, tile: Tile) -> None:
-    """Adds the geometry to an empty tile. It depends on the settings and the tile's size, difficulty and rng alone."""
+    """Add the geometry to an empty tile. It depends on the settings and the tile's size, difficulty and rng alone."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
-    """Checks the settings for tiles of this size [m]; `name` is how messages call the type.
+    """Check the settings for tiles of this size [m]; `name` is the type's name in messages.
 
     Raises:
       ValueError: a setting is out of its range, or does not fit; the message says what would.
     """
-    for f in fields(self):
-      if "kind" in f.metadata:
-        self._check_setting(name, f.name, f.metadata, f.default)
+    check_fields(self, name)
     border, platform = getattr(self, "border", 0.0), getattr(self, "platform", 0.0)
     if 0.0 < border < MIN_THICKNESS:
       self.refuse(name, f"border {border:g} m is thinner than a geom may be; use 0, or at least {MIN_THICKNESS} m")
@@ -70,11 +53,11 @@ class TileCfg(ABC):
       )
 
   def refuse(self, name: str, message: str) -> NoReturn:
-    """Raises a ValueError about this type, called `name`."""
-    raise ValueError(f"{type(self).__name__} '{name}': {message}.")
+    """Raise a ValueError about this type, called `name`."""
+    refuse(self, name, message)
 
   def natural_size(self) -> tuple[float, float]:
-    """Extent of a tile of this type along x and y [m] where nobody says another."""
+    """Return the default extent of a tile of this type along x and y [m]."""
     return 8.0, 8.0
 
   def add_to(
@@ -86,47 +69,31 @@ class TileCfg(ABC):
     seed: int = 0,
     name: str = "terrain",
   ) -> Terrain:
-    """Adds a terrain of one such tile to `spec`, with nothing around it; see `TerrainGridCfg.add_to`."""
-    # The grid is made of tiles and knows them.
-    from mjlab_terrain.grid import TerrainGridCfg
+    """Add a terrain of one such tile to `spec`, with nothing around it, and a directional light.
 
-    grid = TerrainGridCfg(
+    Raises:
+      ValueError: a setting is out of its range, or `spec` already has an element of a name that is needed; `spec` is
+        unchanged.
+    """
+    size = tile_size or self.natural_size()
+    self.check("tile", size)
+    if not 0.0 <= difficulty <= 1.0:
+      self.refuse("tile", f"difficulty must be between 0 and 1, got {difficulty}")
+    tile = Tile(size, difficulty, tile_rng(seed, 0, 0))
+    placed = place_tile(
+      self.build, f"{type(self).__name__} 'tile'", tile, row=0, column=0, kind=0, center=np.zeros(3)
+    )  # fmt: skip
+    return Terrain(
       name=name,
-      tile_size=tile_size or self.natural_size(),
-      rows=1,
-      columns=1,
-      difficulty=(difficulty, difficulty),
-      border_width=0.0,
-      types={"tile": self},
-      seed=seed,
+      geom_names=add_body(spec, name, gather([placed]), coloring_of("height")),
+      tile_size=size,
+      origins=placed.origin[None, None],
+      difficulty=np.array([[difficulty]]),
+      type_names=("tile",),
+      height_range=height_range([placed]),
     )
-    return grid.add_to(spec)
 
-  def _check_setting(self, name: str, setting: str, rule: Any, default: Any) -> None:
-    value: Any = getattr(self, setting)
-    least, most = rule["least"], rule["most"]
-    if value is None and default is None:
-      return
-    if rule["kind"] == "number":
-      if isinstance(default, int) and not isinstance(value, int):
-        self.refuse(name, f"{setting} must be a whole number, got {value!r}")
-      values: tuple[Any, ...] = (value,)
-    else:
-      if not (isinstance(value, tuple | list) and len(value) == 2):
-        ends = "easiest, hardest" if rule["kind"] == "scaled" else "lowest, highest"
-        self.refuse(name, f"{setting} must be ({ends}), got {value!r}")
-      values = tuple(value)
-    if not all(math.isfinite(v) for v in values):
-      self.refuse(name, f"{setting} must be finite, got {value!r}")
-    possible = tuple(min(max(v, least), most) for v in values)
-    if possible != values:
-      instead = possible[0] if rule["kind"] == "number" else tuple(float(p) for p in possible)
-      bounds = f"at least {least:g}" if math.isinf(most) else f"between {least:g} and {most:g}"
-      self.refuse(name, f"{setting} {value!r} must be {bounds}; {instead} would work")
-    if rule["kind"] == "number":
-      return
-    first, second = values[0], values[1]
-    down = rule.get("harder") == "less"
-    if (first < second) if down else (first > second):
-      rule_of = f"{'fall' if down else 'grow'} with difficulty" if rule["kind"] == "scaled" else "go from low to high"
-      self.refuse(name, f"{setting} {value!r} is the wrong way round: it must {rule_of}; {(second, first)} would work")
+
+def tile_rng(seed: int, *key: int) -> np.random.Generator:
+  """Return the random numbers of a tile, given by its row and column, or of another use of a seed."""
+  return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

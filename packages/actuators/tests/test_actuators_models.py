@@ -1,0 +1,289 @@
+"""Each law against its closed form, and the native ones against MuJoCo C."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_actuators import (
+  ActuatorCfg,
+  ActuatorCmd,
+  ActuatorSet,
+  IdealPd,
+  IdealPdActuatorCfg,
+  NativeMotorActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+)
+
+ARM = """
+<mujoco>
+  <default><general gear="7" ctrlrange="-0.1 0.1" forcerange="-0.2 0.2"/></default>
+  <worldbody>
+    <body><geom size="0.1"/><joint name="a" axis="0 1 0" range="-60 90"/>
+      <body pos="0 0 1"><geom size="0.1"/><joint name="b" axis="0 1 0"/>
+        <body pos="0 0 1"><geom size="0.1"/><joint name="c" type="slide" range="-1 2"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+JOINTS = ["a", "b", "c"]
+ALL = (".*",)
+
+
+def random_command(num_envs: int = 4, n: int = 3, seed: int = 0) -> ActuatorCmd:
+  generator = torch.Generator().manual_seed(seed)
+  return ActuatorCmd(*(torch.randn(num_envs, n, generator=generator, dtype=torch.float64) for _ in range(5)))
+
+
+def columns(cmd: ActuatorCmd) -> tuple[torch.Tensor, ...]:
+  return cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity
+
+
+def build(*cfgs: ActuatorCfg, num_envs: int = 4, xml: str = ARM) -> tuple[mujoco.MjModel, ActuatorSet]:
+  spec = mujoco.MjSpec.from_string(xml)
+  actuators = ActuatorSet(cfgs, "entity 'arm'")
+  actuators.edit_spec(spec)
+  model = spec.compile()
+  return model, actuators.build(model, num_envs=num_envs, device="cpu", dtype=torch.float64)
+
+
+def joint_forces(model: mujoco.MjModel, ctrl: torch.Tensor, cmd: ActuatorCmd) -> np.ndarray:
+  """What MuJoCo C makes of one substep's ctrl, (num_envs, nv)."""
+  data, forces = mujoco.MjData(model), []
+  for world in range(ctrl.shape[0]):
+    data.qpos[:], data.qvel[:], data.ctrl[:] = cmd.position[world], cmd.velocity[world], ctrl[world]
+    mujoco.mj_forward(model, data)
+    forces.append(data.qfrc_actuator.copy())
+  return np.array(forces)
+
+
+def clamped(value: torch.Tensor, limit: float) -> np.ndarray:
+  return value.clamp(-limit, limit).numpy()
+
+
+KP, KD, LIMIT = 3.0, 0.4, 2.0
+LAWS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
+  (
+    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD, effort_limit=LIMIT),
+    lambda c: clamped(KP * (c.position_target - c.position) - KD * c.velocity, LIMIT),
+  ),
+  (
+    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD),
+    lambda c: (KP * (c.position_target - c.position) - KD * c.velocity).numpy(),
+  ),
+  (
+    NativeVelocityActuatorCfg(target_names_expr=ALL, damping=KD, effort_limit=0.3),
+    lambda c: clamped(KD * (c.velocity_target - c.velocity), 0.3),
+  ),
+  (NativeMotorActuatorCfg(target_names_expr=ALL), lambda c: c.effort_target.numpy()),
+  (
+    NativeMotorActuatorCfg(target_names_expr=ALL, effort_limit=0.5, gear=-3.0),
+    lambda c: clamped(c.effort_target, 1.5),
+  ),
+  (
+    IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD, effort_limit=LIMIT),
+    lambda c: clamped(
+      KP * (c.position_target - c.position) + KD * (c.velocity_target - c.velocity) + c.effort_target, LIMIT
+    ),
+  ),
+]
+
+
+@pytest.mark.parametrize(("cfg", "law"), LAWS, ids=lambda x: type(x).__name__ if isinstance(x, ActuatorCfg) else "")
+def test_mujoco_applies_the_closed_form(cfg: ActuatorCfg, law: Callable[[ActuatorCmd], np.ndarray]) -> None:
+  model, actuators = build(cfg)
+  cmd = random_command()
+  ctrl = actuators.compute(*columns(cmd))
+  np.testing.assert_allclose(joint_forces(model, ctrl, cmd), law(cmd), rtol=1e-12, atol=1e-12)
+
+
+def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
+  model, actuators = build(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=0.0))
+  cmd = random_command()
+  cmd.position_target.fill_(50.0)
+  ctrl = actuators.compute(*columns(cmd))
+  np.testing.assert_allclose(joint_forces(model, ctrl, cmd), (KP * (50.0 - cmd.position)).numpy())
+
+
+def test_the_informational_ctrl_range_is_the_joint_range_widened_to_saturation_in_radians() -> None:
+  model, _ = build(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=2.0, damping=0.0, effort_limit=3.0))
+  assert not model.actuator_ctrllimited.any()
+  np.testing.assert_allclose(model.actuator("a").ctrlrange, [-np.pi / 3 - 1.5, np.pi / 2 + 1.5])
+  np.testing.assert_allclose(model.actuator("b").ctrlrange, [0.0, 0.0])
+  np.testing.assert_allclose(model.actuator("c").ctrlrange, [-2.5, 3.5])
+
+
+def test_one_config_gives_each_joint_its_own_numbers() -> None:
+  cfg = NativePositionActuatorCfg(
+    target_names_expr=ALL,
+    stiffness={"a": 1.0, "[bc]": 2.0},
+    damping={"[ab]": 0.1, "c": 0.2},
+    effort_limit={"a": 5.0, "b": 6.0, "c": float("inf")},
+    armature={"a": 0.01},
+    frictionloss=0.3,
+    viscous_damping={"b|c": 0.7},
+  )
+  model, _ = build(cfg)
+  np.testing.assert_array_equal(model.actuator_gainprm[:, 0], [1.0, 2.0, 2.0])
+  np.testing.assert_array_equal(-model.actuator_biasprm[:, 2], [0.1, 0.1, 0.2])
+  np.testing.assert_array_equal(model.actuator_forcerange[:2], [[-5.0, 5.0], [-6.0, 6.0]])
+  np.testing.assert_array_equal(model.actuator_forcelimited, [1, 1, 0])
+  np.testing.assert_array_equal(model.dof_armature, [0.01, 0.0, 0.0])
+  np.testing.assert_array_equal(model.dof_frictionloss, [0.3, 0.3, 0.3])
+  np.testing.assert_array_equal(model.dof_damping, [0.0, 0.7, 0.7])
+
+
+def test_zero_stiffness_with_an_effort_limit_builds() -> None:
+  for cfg in (
+    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
+    IdealPdActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
+  ):
+    model, actuators = build(cfg)
+    cmd = random_command()
+    cmd.velocity_target.zero_()
+    cmd.effort_target.zero_()
+    forces = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
+    np.testing.assert_allclose(forces, clamped(-KD * cmd.velocity, LIMIT), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+  ("cfg", "message"),
+  [
+    (
+      NativePositionActuatorCfg(target_names_expr=ALL, stiffness={"a": 1.0, "b": -2.0, "c": 1.0}, damping=0.0),
+      "NativePositionActuatorCfg: stiffness must not be negative, got .*'b': -2.0",
+    ),
+    (
+      IdealPdActuatorCfg(target_names_expr=ALL, stiffness=1.0, damping=-0.1),
+      "IdealPd.*damping must not be negative, got -0.1",
+    ),
+    (
+      IdealPdActuatorCfg(target_names_expr=ALL, stiffness=float("nan"), damping=0.1),
+      "stiffness must be a number, got nan",
+    ),
+    (NativeMotorActuatorCfg(target_names_expr=ALL, effort_limit=0.0), "effort_limit must be positive, got 0.0"),
+    (
+      NativeVelocityActuatorCfg(target_names_expr=ALL, damping=1.0, effort_limit=-1.0),
+      "effort_limit must be positive, got -1.0",
+    ),
+    (NativeMotorActuatorCfg(target_names_expr=ALL, armature=-1e-3), "armature must not be negative, got -0.001"),
+    (
+      NativeMotorActuatorCfg(target_names_expr=ALL, frictionloss={"b": -1.0}),
+      "frictionloss must not be negative, got .*'b': -1.0",
+    ),
+    (
+      NativeMotorActuatorCfg(target_names_expr=ALL, viscous_damping=-1.0),
+      "viscous_damping must not be negative, got -1.0",
+    ),
+    (NativeMotorActuatorCfg(target_names_expr=ALL, gear=0.0), "gear must not be zero, got 0.0"),
+    (NativeMotorActuatorCfg(target_names_expr=ALL, delay_min_lag=3, delay_max_lag=2), "delay_min_lag 3 exceeds"),
+    (NativeMotorActuatorCfg(target_names_expr=ALL, delay_min_lag=-1), "delay_min_lag must not be negative, got -1"),
+    (
+      NativeMotorActuatorCfg(target_names_expr=ALL, delay_max_lag=1, delay_hold_prob=1.5),
+      r"delay_hold_prob must be in \[0, 1\], got 1.5",
+    ),
+    (
+      NativeMotorActuatorCfg(target_names_expr=ALL, delay_update_period=-1),
+      "delay_update_period must not be negative, got -1",
+    ),
+    (NativeMotorActuatorCfg(target_names_expr=("elbow",)), "entity 'arm': pattern 'elbow' matches no joint"),
+    (
+      NativePositionActuatorCfg(target_names_expr=ALL, stiffness={"a": 1.0}, damping=0.0),
+      "NativePositionActuatorCfg.stiffness",
+    ),
+  ],
+)
+def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    build(cfg)
+
+
+class StifferServoCfg(NativePositionActuatorCfg):
+  """A user's own kind of servo."""
+
+  def _numbers(self, target_names, *names):
+    numbers = super()._numbers(target_names, *names)
+    return numbers | {"stiffness": tuple(2.0 * kp for kp in numbers["stiffness"])}
+
+
+def test_a_subclass_of_a_native_config_is_one_too() -> None:
+  own = StifferServoCfg(target_names_expr=("a",), stiffness=KP, damping=KD)
+  model, actuators = build(own, NativePositionActuatorCfg(target_names_expr=("[bc]",), stiffness=KP, damping=KD))
+  assert len(actuators.groups) == 1
+  cmd = random_command()
+  got = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
+  factor = torch.tensor([2.0, 1.0, 1.0])
+  expected = factor * KP * (cmd.position_target - cmd.position) - KD * cmd.velocity
+  np.testing.assert_allclose(got, expected.numpy(), rtol=1e-12, atol=1e-12)
+
+
+def test_a_joint_driven_twice_is_refused() -> None:
+  with pytest.raises(ValueError, match="joint 'b' already has an actuator"):
+    build(NativeMotorActuatorCfg(target_names_expr=ALL), NativeMotorActuatorCfg(target_names_expr=("b",)))
+
+
+def test_a_model_compiled_without_the_actuators_is_refused() -> None:
+  actuators = ActuatorSet([NativeMotorActuatorCfg(target_names_expr=ALL)])
+  with pytest.raises(ValueError, match="no actuator 'a'; call edit_spec before"):
+    actuators.build(mujoco.MjModel.from_xml_string(ARM), num_envs=1, device="cpu", dtype=torch.float64)
+
+
+def test_a_raised_effort_limit_reaches_the_joint() -> None:
+  model, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=100.0, damping=0.0, effort_limit=LIMIT))
+  cmd = random_command()
+  (law,) = actuators.groups
+  law.expand("effort_limit")[1] = 1000.0
+  forces = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
+  free = (100.0 * (cmd.position_target - cmd.position) + cmd.effort_target).numpy()
+  np.testing.assert_allclose(forces[0], np.clip(free[0], -LIMIT, LIMIT))
+  np.testing.assert_allclose(forces[1], free[1])
+  assert np.abs(free[1]).max() > LIMIT
+
+
+@pytest.mark.parametrize("worlds", [1, 2])
+def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -> None:
+  cfg = IdealPdActuatorCfg(target_names_expr=("a",), stiffness=1.0, damping=1.0)
+  law = cfg.build(target_names=["a"], num_envs=worlds, device="cpu", dtype=torch.float64)
+  assert law.state_dict() == {}
+  law.expand("stiffness")
+  assert set(law.state_dict()) == {"stiffness"}
+
+
+def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> None:
+  _, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  cmd = random_command()
+  before = actuators.compute(*columns(cmd)).clone()
+  (law,) = actuators.groups
+  assert isinstance(law, IdealPd)
+  assert law.stiffness.shape == (1, 3)
+  stiffness = law.expand("stiffness")
+  assert stiffness.shape == (4, 3)
+  stiffness[2] *= 2.0
+  after = actuators.compute(*columns(cmd))
+  others = torch.tensor([0, 1, 3])
+  assert torch.equal(after[others], before[others])
+  torch.testing.assert_close(after[2], before[2] + KP * (cmd.position_target - cmd.position)[2])
+  torch.testing.assert_close(law.nominal("stiffness"), torch.full((1, 3), KP, dtype=torch.float64))
+  assert law.expand("stiffness") is stiffness
+  with pytest.raises(
+    ValueError, match="parameter 'stifness' does not exist; this actuator model has: stiffness, damping"
+  ):
+    law.expand("stifness")
+
+
+def test_expanded_limits_clamp_where_there_was_no_limit() -> None:
+  _, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  cmd = random_command()
+  actuators.groups[0].expand("effort_limit").fill_(0.01)
+  assert actuators.compute(*columns(cmd)).abs().max() <= 0.01
+
+
+def test_a_law_works_without_a_model() -> None:
+  cfg = IdealPdActuatorCfg(target_names_expr=ALL, stiffness={"x": 1.0, "y": 2.0}, damping=0.0, delay_max_lag=0)
+  law = cfg.build(target_names=["x", "y"], num_envs=4, device="cpu", dtype=torch.float64)
+  cmd = random_command(n=2)
+  expected = torch.tensor([1.0, 2.0]) * (cmd.position_target - cmd.position) + cmd.effort_target
+  torch.testing.assert_close(law.compute(cmd), expected)

@@ -1,0 +1,275 @@
+"""An entity before simulation: its spec with a name for every element, its root, and its initial state."""
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import mujoco
+from mjlab_actuators import ActuatorSet
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import match_names
+
+from mjlab_scene.collision import CollisionCfg, apply_collisions
+from mjlab_scene.initial_state import InitialState, InitialStateCfg, read_initial_state
+
+FREE_JOINT = "floating_base_joint"
+"""Name given to an unnamed free joint."""
+
+MOCAP_BASE = "mocap_base"
+"""Body that the scene puts above a fixed base, to place it per world."""
+
+KINDS = ("body", "joint", "geom", "site", "tendon", "actuator", "camera", "light", "material")
+"""Kinds of element that an entity lists by name."""
+
+Found = tuple[list[int], list[str]]
+
+
+class EntitySpec:
+  """A robot, an object or a fixture as an edited spec: everything named, contact presets and actuators applied.
+
+  All names are local: the element "robot/left/elbow" of the scene is "left/elbow" of the entity "robot".
+
+  Args:
+    name: Name in the scene.
+    spec: The entity alone; it is edited.
+    init_state: State that the entity is reset to.
+    collisions: Contact presets.
+    actuators: Drives joints, tendons and sites; None leaves actuators of the spec to the user.
+
+  Raises:
+    MjlabError: Anything wrong in the arguments; the message names it.
+  """
+
+  body_names: tuple[str, ...]
+  """Names of the bodies in the model's order; "mocap_base" is the first of a fixed base."""
+  joint_names: tuple[str, ...]
+  """Names of the joints in the model's order, the free joint left out."""
+  geom_names: tuple[str, ...]
+  """Names of the geoms in the model's order."""
+  site_names: tuple[str, ...]
+  """Names of the sites in the model's order."""
+  tendon_names: tuple[str, ...]
+  """Names of the tendons in the model's order."""
+  actuator_names: tuple[str, ...]
+  """Names of the actuators in the model's order; a configured one is named after its target."""
+  camera_names: tuple[str, ...]
+  """Names of the cameras in the model's order."""
+  light_names: tuple[str, ...]
+  """Names of the lights in the model's order."""
+  material_names: tuple[str, ...]
+  """Names of the materials in the model's order."""
+
+  def __init__(
+    self,
+    name: str,
+    spec: mujoco.MjSpec,
+    *,
+    init_state: InitialStateCfg,
+    collisions: Sequence[CollisionCfg] = (),
+    actuators: ActuatorSet | None = None,
+  ) -> None:
+    if not name or "/" in name:
+      raise MjlabError(f"entity name {name!r} must be a word without '/'")
+    self.name = name
+    self.prefix = f"{name}/"
+    """Prefix of the entity's names in the scene."""
+    self.owner = f"entity '{name}'"
+    """The entity as messages name it."""
+    self.spec = spec
+    """The entity alone; attaching moves its contents into the scene."""
+    self.actuators = actuators
+    """Actuator models of joints, tendons and sites; None if none are configured."""
+    name_everything(spec)
+    root = _find_root(spec, self.owner)
+    self.is_floating = root is not None and _floats(root)
+    """True if the base has a free joint."""
+    self.is_mocap = root is not None and root.mocap and not self.is_floating
+    """True if the model itself makes the root a mocap body."""
+    own_root = root if self.is_floating or self.is_mocap else None
+    self.root_body_name: str = MOCAP_BASE if own_root is None else own_root.name
+    """Name of the body that `root_*` quantities and writes are about."""
+    apply_collisions(spec, collisions, self.owner)
+    if actuators is not None:
+      actuators.edit_spec(spec)
+      name_everything(spec)
+    self.initial_state: InitialState = read_initial_state(spec, init_state, own_root, self.is_floating, self.owner)
+    """State that the entity is reset to, by local name."""
+    names = {kind: _spec_names(spec, kind) for kind in KINDS}
+    if own_root is None:
+      names["body"] = (MOCAP_BASE, *names["body"])
+    self._set_names(names)
+
+  def attach(self, scene: mujoco.MjSpec) -> None:
+    """Move the entity into the spec of a scene, under its prefix; its keyframes are not taken along."""
+    for key in list(self.spec.keys):
+      self.spec.delete(key)
+    pose = self.initial_state.root_pose
+    if not (self.is_floating or self.is_mocap):
+      base = scene.worldbody.add_body(name=self.prefix + MOCAP_BASE, mocap=True, pos=pose[:3], quat=pose[3:])
+      self._attach(scene, base.add_frame())
+      return
+    self._attach(scene, scene.worldbody.add_frame())
+    if self.is_mocap:
+      root = scene.body(self.prefix + self.root_body_name)
+      root.pos, root.quat = pose[:3], pose[3:]
+      root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+  def _attach(self, scene: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
+    with warnings.catch_warnings():
+      # Files of the entity are found by path, even if the scene holds others in memory.
+      warnings.filterwarnings("ignore", message="Attaching a child without asset dict")
+      scene.attach(self.spec, prefix=self.prefix, frame=frame)
+
+  # Names
+
+  @property
+  def is_fixed_base(self) -> bool:
+    """True if the base does not float; it is then a mocap body, its own or the scene's."""
+    return not self.is_floating
+
+  @property
+  def is_articulated(self) -> bool:
+    """True if it has joints other than the free one."""
+    return bool(self.joint_names)
+
+  @property
+  def is_actuated(self) -> bool:
+    """True if actuators are configured to drive its joints, tendons or sites."""
+    return self.actuators is not None
+
+  @property
+  def num_bodies(self) -> int:
+    """Number of bodies, the scene's mocap base included."""
+    return len(self.body_names)
+
+  @property
+  def num_joints(self) -> int:
+    """Number of joints, the free one left out."""
+    return len(self.joint_names)
+
+  @property
+  def num_geoms(self) -> int:
+    """Number of geoms."""
+    return len(self.geom_names)
+
+  @property
+  def num_sites(self) -> int:
+    """Number of sites."""
+    return len(self.site_names)
+
+  @property
+  def num_actuators(self) -> int:
+    """Number of actuators in the model."""
+    return len(self.actuator_names)
+
+  def find_bodies(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of the bodies that patterns match as a whole; each pattern must match one."""
+    return self._find("body", patterns, preserve_order)
+
+  def find_joints(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of joints; see `find_bodies`."""
+    return self._find("joint", patterns, preserve_order)
+
+  def find_geoms(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of geoms; see `find_bodies`."""
+    return self._find("geom", patterns, preserve_order)
+
+  def find_sites(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of sites; see `find_bodies`."""
+    return self._find("site", patterns, preserve_order)
+
+  def find_tendons(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of tendons; see `find_bodies`."""
+    return self._find("tendon", patterns, preserve_order)
+
+  def find_actuators(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of actuators; see `find_bodies`."""
+    return self._find("actuator", patterns, preserve_order)
+
+  def find_cameras(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of cameras; see `find_bodies`."""
+    return self._find("camera", patterns, preserve_order)
+
+  def find_lights(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of lights; see `find_bodies`."""
+    return self._find("light", patterns, preserve_order)
+
+  def find_materials(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    """Return local ids and names of materials; see `find_bodies`."""
+    return self._find("material", patterns, preserve_order)
+
+  def _find(self, kind: str, patterns: str | Sequence[str], preserve_order: bool) -> Found:
+    names = getattr(self, f"{kind}_names")
+    return match_names(patterns, names, what=kind, owner=self.owner, preserve_order=preserve_order)
+
+  def _set_names(self, names: Mapping[str, tuple[str, ...]]) -> None:
+    for kind in KINDS:
+      setattr(self, f"{kind}_names", names[kind])
+
+
+def _floats(body: mujoco.MjsBody) -> bool:
+  return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
+  """Return the body with the free joint, else a mocap body on top level, else None: a fixed base."""
+  top = [body for body in spec.bodies[1:] if body.parent.name == "world"]
+  floating = [body for body in spec.bodies if _floats(body)]
+  if len(floating) > 1:
+    names = ", ".join(f"'{body.name}'" for body in floating)
+    raise MjlabError(
+      f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make several entities of them"
+    )
+  if floating and floating[0].name not in [body.name for body in top]:
+    raise MjlabError(f"{owner}: body '{floating[0].name}' has a free joint but is not on top level")
+  return next((body for body in (*floating, *top) if _floats(body) or body.mocap), None)
+
+
+def name_everything(spec: mujoco.MjSpec) -> None:
+  """Name each unnamed body, joint, geom, site, camera, light, tendon, actuator and sensor of `spec`, in place.
+
+  A part of a body is called "<body>_<kind>", an actuator after its target, a sensor "<type>_<object>"; a number is
+  appended where that name is taken.
+  """
+  _name(spec.bodies[1:], "body", lambda body: f"{body.parent.name}_body", taken=["world"])
+  for joint in spec.joints:
+    if joint.type == mujoco.mjtJoint.mjJNT_FREE and not joint.name:
+      taken = [other.name for other in spec.joints]
+      _name([joint], "joint", lambda _: FREE_JOINT, taken)
+  for kind, elements in (
+    ("joint", spec.joints),
+    ("geom", spec.geoms),
+    ("site", spec.sites),
+    ("camera", spec.cameras),
+    ("light", spec.lights),
+  ):
+    _name(elements, kind, lambda element, kind=kind: f"{element.parent.name}_{kind}")
+  _name(spec.tendons, "tendon", lambda tendon: "tendon")
+  _name(spec.actuators, "actuator", lambda actuator: actuator.target)
+  _name(spec.sensors, "sensor", _sensor_name)
+
+
+def _sensor_name(sensor: mujoco.MjsSensor) -> str:
+  kind = sensor.type.name.removeprefix("mjSENS_").lower()
+  return f"{kind}_{sensor.objname}" if sensor.objname else kind
+
+
+def _name(elements: Sequence[Any], kind: str, propose: Callable[[Any], str], taken: Iterable[str] = ()) -> None:
+  used = {element.name for element in elements} | set(taken)
+  for element in elements:
+    if not element.name:
+      proposal = propose(element) or kind
+      name, number = proposal, 2
+      while name in used:
+        name, number = f"{proposal}_{number}", number + 1
+      element.name = name
+      used.add(name)
+
+
+def _spec_names(spec: mujoco.MjSpec, kind: str) -> tuple[str, ...]:
+  """Return the names of all elements of one of `KINDS`, in compiled order, without world body and free joints."""
+  if kind == "body":
+    return tuple(body.name for body in spec.bodies[1:])
+  if kind == "joint":
+    return tuple(joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE)
+  return tuple(element.name for element in getattr(spec, f"{kind}s"))

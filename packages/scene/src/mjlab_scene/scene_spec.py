@@ -1,0 +1,108 @@
+"""Spec of a scene: how it looks by default, and physics options merged from its parts."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from mjlab_core.errors import MjlabError
+
+_OVERCAST = (0.72, 0.80, 0.90)
+_ZENITH = (0.30, 0.45, 0.68)
+_SIZES = ("memory", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam", "nuser_tendon")
+_SIZES += ("nuser_actuator", "nuser_sensor")
+_OPTIONS = tuple(
+  name
+  for name in dir(mujoco.MjSpec().option)
+  if not name.startswith("_") and not callable(getattr(mujoco.MjSpec().option, name))
+)
+
+
+def new_scene_spec() -> mujoco.MjSpec:
+  """Return an empty scene: sky, haze, soft light with shadows, and a camera that looks down at the origin."""
+  spec = mujoco.MjSpec()
+  spec.modelname = "scene"
+  visual = spec.visual
+  visual.headlight.ambient[:] = (0.35, 0.35, 0.35)
+  visual.headlight.diffuse[:] = (0.45, 0.45, 0.45)
+  visual.headlight.specular[:] = (0.05, 0.05, 0.05)
+  visual.rgba.haze[:] = (*_OVERCAST, 1.0)
+  visual.rgba.force[:] = (0.85, 0.20, 0.15, 1.0)
+  visual.map.force = 0.005
+  visual.map.haze = 0.25
+  # Where shadows end, ground that is slanted to the light is speckled: out of sight.
+  visual.map.shadowclip = 4.0
+  visual.map.znear = 0.01
+  visual.scale.forcewidth = 0.06
+  visual.scale.contactwidth = 0.15
+  visual.scale.contactheight = 0.03
+  visual.scale.framelength = 0.6
+  visual.quality.shadowsize = 8192
+  visual.quality.offsamples = 8
+  visual.global_.azimuth = 135
+  visual.global_.elevation = -22
+  visual.global_.offwidth = 1920
+  visual.global_.offheight = 1080
+  # One mean size for all scenes: marks of forces and contacts keep their size whatever the entities are.
+  spec.stat.meansize = 0.03
+  spec.add_texture(
+    name="sky",
+    type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+    builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+    rgb1=_ZENITH,
+    rgb2=_OVERCAST,
+    width=512,
+    height=512 * 6,
+  )
+  return spec
+
+
+class OptionMerger:
+  """Merger of the options of attached specs into those of their scene.
+
+  MuJoCo does not propagate the options of an attached spec, and writes a warning where they differ. Here an option
+  that a part sets to other than MuJoCo's default becomes the scene's; two parts that set it differently are an error.
+  """
+
+  def __init__(self, scene: mujoco.MjSpec) -> None:
+    self._scene = scene
+    self._default = mujoco.MjSpec().option
+    self._setter: dict[str, str] = {}
+
+  def adopt(self, part: mujoco.MjSpec, name: str) -> None:
+    """Merge the options of `part` into the scene's; then both agree in every option.
+
+    Raises:
+      MjlabError: `part` and another part set the same option to different values; the message names both.
+    """
+    for option in _OPTIONS:
+      mine = getattr(part.option, option)
+      if not _equal(mine, getattr(self._default, option)):
+        theirs = getattr(self._scene.option, option)
+        other = self._setter.get(option)
+        if other is not None and not _equal(mine, theirs):
+          raise MjlabError(
+            f"option '{option}': {name} says {_text(mine)} and {other} says {_text(theirs)}; "
+            "the worlds of a scene share their options, so set one of them to the other's value or to the default"
+          )
+        _assign(self._scene.option, option, mine)
+        self._setter[option] = name
+      _assign(part.option, option, getattr(self._scene.option, option))
+    for size in _SIZES:
+      largest = max(getattr(self._scene, size), getattr(part, size))
+      setattr(self._scene, size, largest)
+      setattr(part, size, largest)
+
+
+def _assign(option: Any, name: str, value: Any) -> None:
+  if np.ndim(value):
+    getattr(option, name)[:] = value
+  else:
+    setattr(option, name, value)
+
+
+def _equal(a: Any, b: Any) -> bool:
+  return bool(np.all(np.asarray(a) == np.asarray(b)))
+
+
+def _text(value: Any) -> str:
+  return str(np.asarray(value).tolist())

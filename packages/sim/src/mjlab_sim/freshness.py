@@ -1,0 +1,184 @@
+"""Freshness of derived quantities: they are computed when they are read after a write to the state or the model."""
+
+from collections.abc import Iterable
+
+import torch
+from mjlab_core import MjlabError, unknown
+
+from mjlab_sim.engine import Engine
+from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.tensors import TorchArray, plain, version_of, versions
+
+_DATA_FIELDS = (
+  *STATE,
+  *"""qacc xpos xquat xmat xipos ximat geom_xpos geom_xmat site_xpos site_xmat cam_xpos cam_xmat subtree_com cvel
+  subtree_linvel subtree_angmom sensordata actuator_force actuator_length actuator_velocity qfrc_actuator qfrc_bias
+  qfrc_passive qfrc_constraint qfrc_smooth ten_length ten_velocity xanchor xaxis nefc energy""".split(),
+)
+
+
+class Freshness:
+  """An engine whose derived quantities follow every in-place write, seen through torch's version counters.
+
+  Args:
+    engine: The worlds.
+  """
+
+  def __init__(self, engine: Engine) -> None:
+    self.engine = engine
+    self.is_closed = False
+    self.version = 0
+    """A number that changes whenever derived quantities do."""
+    self._kinematic = [plain(engine.data_field(name)) for name in KINEMATIC_STATE]
+    self._state_version = versions(self._kinematic)
+    self._model_changed = False
+    self._model_version = 0
+    # Model fields that were asked for, and so may be written.
+    self._asked_for: dict[str, TorchArray] = {}
+    self._watched: list[torch.Tensor] = []
+    # Tensors of fields that were returned before their fields were expanded, with their version then.
+    self._replaced: list[tuple[str, torch.Tensor, int]] = []
+
+  def check_open(self) -> None:
+    """Raise MjlabError if the simulation is closed."""
+    if self.is_closed:
+      raise MjlabError("this simulation is closed")
+
+  def check_mask(self, mask: torch.Tensor, what: str) -> None:
+    """Raise MjlabError unless `mask` is bool, (num_envs,)."""
+    num_envs = len(self._kinematic[0])
+    if mask.shape != (num_envs,) or mask.dtype != torch.bool:
+      raise MjlabError(f"{what}: mask must be bool of shape ({num_envs},), got {mask.dtype} {tuple(mask.shape)}")
+
+  def refresh(self) -> None:
+    """Recompute derived quantities if state or a model field was written since."""
+    self.check_open()
+    version = versions(self._watched)
+    if version != self._model_version:
+      self._model_version = version
+      self.note_write(model=True)
+      self._check_replaced()
+    if versions(self._kinematic) != self._state_version:
+      self.engine.forward(self._model_changed)
+      self.settle()
+
+  def settle(self) -> None:
+    """Note that derived quantities were just computed."""
+    self._state_version = versions(self._kinematic)
+    self._model_changed = False
+    self.version += 1
+
+  def note_write(self, *, model: bool = False) -> None:
+    """Note that the engine changed the state, or the model, without a write that version counters show."""
+    self._model_changed |= model
+    self._state_version = -1
+
+  @property
+  def model_fields(self) -> dict[str, TorchArray]:
+    """Model fields that were asked for, by name."""
+    return self._asked_for
+
+  def data_field(self, name: str) -> TorchArray:
+    """Return a field of MjData; KeyError if the engine has no such field."""
+    self.check_open()
+    if name not in STATE:
+      self.refresh()
+    return self.engine.data_field(name)
+
+  def model_field(self, name: str) -> TorchArray:
+    """Return a per-world field of MjModel; KeyError if there is no such field."""
+    field = self._asked_for.get(name)
+    if field is None:
+      self.check_open()
+      field = self._asked_for[name] = self.engine.model_field(name)
+      self._watched.append(plain(field))
+      # Its memory may have been written before: only what comes now counts.
+      self._model_version += version_of(field)
+    return field
+
+  def expand(self, names: Iterable[str]) -> None:
+    """Give model fields one value per world. Tensors that were handed out before are watched for writes."""
+    for name in names:
+      if name in self._asked_for:
+        shared = plain(self._asked_for[name])
+        self._replaced.append((name, shared, version_of(shared)))
+      self.engine.expand(name)
+    self._asked_for = {name: self.engine.model_field(name) for name in self._asked_for}
+    self._watched = [plain(field) for field in self._asked_for.values()]
+    self._watched += [shared for _, shared, _ in self._replaced]
+    # A write to the shared field may not have been seen yet.
+    self.note_write(model=True)
+    self._model_version = versions(self._watched)
+
+  def _check_replaced(self) -> None:
+    written = {name for name, shared, version in self._replaced if version_of(shared) != version}
+    self._replaced = [(name, shared, version_of(shared)) for name, shared, _ in self._replaced]
+    if written:
+      raise MjlabError(
+        f"model field {', '.join(sorted(written))} was written through a tensor from before it was expanded, which "
+        "changes no world; take it from sim.model again"
+      )
+
+
+class DataView:
+  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3).
+
+  A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
+  """
+
+  _fresh: Freshness
+
+  def __init__(self, fresh: Freshness) -> None:
+    object.__setattr__(self, "_fresh", fresh)
+
+  def __getattr__(self, name: str) -> TorchArray:
+    if name.startswith("__"):
+      raise AttributeError(name)
+    try:
+      return self._fresh.data_field(name)
+    except KeyError:
+      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
+
+  def __setattr__(self, name: str, value: torch.Tensor) -> None:
+    field = getattr(self, name)
+    # `data.qpos += x` adds in place and then assigns the result to the name it came from.
+    if value is not field:
+      field.copy_(value)
+
+
+class ModelView:
+  """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded.
+
+  A name is assigned in place. A write to a shared field reaches every world.
+  """
+
+  _fresh: Freshness
+  _prefix: str
+
+  def __init__(self, fresh: Freshness, prefix: str = "") -> None:
+    object.__setattr__(self, "_fresh", fresh)
+    object.__setattr__(self, "_prefix", prefix)
+
+  def __getattr__(self, name: str) -> TorchArray:
+    if name.startswith("__"):
+      raise AttributeError(name)
+    return self[name]
+
+  def __getitem__(self, name: str) -> TorchArray:
+    try:
+      return self._fresh.model_field(self._prefix + name)
+    except KeyError:
+      raise AttributeError(
+        unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
+        + " Others are the same in every world: read them from sim.mj_model."
+      ) from None
+
+  def __setattr__(self, name: str, value: torch.Tensor) -> None:
+    field = self[name]
+    if value is not field:
+      field.copy_(value)
+
+  @property
+  def opt(self) -> "ModelView":
+    """Options that may differ per world: `sim.model.opt.gravity`."""
+    return ModelView(self._fresh, "opt.")

@@ -1,0 +1,1 @@
+"""Records of worlds that diverged."""

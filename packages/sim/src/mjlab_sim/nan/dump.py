@@ -1,0 +1,261 @@
+"""Files of worlds that diverged: what was first, and whether MuJoCo C diverges from there too."""
+
+import contextlib
+import copy
+import json
+import os
+import zipfile
+from collections.abc import Generator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mjlab_core import AtomicWrite, FileError, MjlabError, reading
+
+from mjlab_sim.fields import put
+
+FORMAT = "mjlab NaN dump 1"
+
+# State that a physics step computes; the rest is only ever written from outside.
+_INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+# What MuJoCo takes for a bad state (mjMAXVAL).
+_BOUND = 1e10
+_BAD = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+@dataclass(kw_only=True, frozen=True)
+class Culprit:
+  """The first number of a world that was not finite, or beyond all bounds."""
+
+  field: str
+  """Field of MjData."""
+  index: int
+  """Position in the field, flat."""
+  element: str
+  """Element it belongs to, such as "joint 'hip'"."""
+  value: float
+  step: int
+  """Physics step it was seen before; the number of stored steps where only the last one's result has it."""
+
+
+@dataclass(kw_only=True, frozen=True)
+class Replay:
+  """Stored steps of a diverged world, run again in MuJoCo C."""
+
+  diverged_at: int | None
+  """Physics step after which MuJoCo C's state was not finite either; None where it stayed finite."""
+  qpos: np.ndarray
+  """Positions after each physics step, (steps, nq)."""
+  error: float
+  """Largest difference of a position to the recorded one while both were finite."""
+
+
+class DivergedWorld:
+  """The last states of one world, oldest first, since its last reset.
+
+  Args:
+    dump: The file it is from.
+    row: Which of the file's worlds.
+  """
+
+  def __init__(self, dump: "NanDump", row: int) -> None:
+    self._dump = dump
+    self.index = int(dump.contents["worlds"][row, 0])
+    """Number of the world."""
+    self.env_step = int(dump.contents["worlds"][row, 1])
+    """Environment steps the simulation had done, the one in which it diverged included."""
+    decimation = dump.decimation
+    fields = dump.split(dump.contents["states"][row])
+    time = fields["time"].reshape(-1, decimation)[:, 0]
+    # What is from before the run began has no state at all; what is from before a reset has a later time.
+    begins = [0, *(k for k in range(1, len(time)) if time[k] <= time[k - 1])]
+    first = max(begins[-1], len(time) - self.env_step) * decimation
+    self.states = {name: values[first:] for name, values in fields.items()}
+    """Fields of MjData before each physics step, (steps, ...)."""
+    last = dump.contents["last"][row]
+    nv = dump.model.nv
+    self.result = {**{k: v[0] for k, v in dump.split(last[None, : len(last) - nv]).items()}, "qacc": last[-nv:]}
+    """Fields of MjData after the last physics step."""
+    self.model_fields = {
+      name.removeprefix("model/"): values[row] for name, values in dump.contents.items() if name.startswith("model/")
+    }
+    """Model fields that this world had values of its own of."""
+
+  @property
+  def num_steps(self) -> int:
+    """Physics steps stored."""
+    return len(self.states["time"])
+
+  @cached_property
+  def first(self) -> Culprit:
+    """The first number that was not finite or beyond 1e10; controls and forces come before the state they act on."""
+    for step in range(self.num_steps + 1):
+      here = {name: values[step] for name, values in self.states.items()} if step < self.num_steps else self.result
+      for name in sorted(here, key=lambda name: (name in _INTEGRATED, name == "qacc")):
+        bad = np.flatnonzero(~(np.abs(here[name]) <= _BOUND))
+        if len(bad):
+          index = int(bad[0])
+          element = _element(self._dump.model, name, index, here[name].shape)
+          value = float(here[name].flat[index])
+          return Culprit(field=name, index=index, element=element, value=value, step=step)
+    raise MjlabError(f"world {self.index} of this dump has no value that is not finite")
+
+  def describe_first(self) -> str:
+    """Return the first number that was not finite or beyond 1e10, in a sentence."""
+    first = self.first
+    said = f"{first.field} of {first.element} was {first.value:.3g} {self.when(first.step)}"
+    if first.step == self.num_steps:
+      return said
+    if first.field not in _INTEGRATED:
+      return f"{said}: it was written so"
+    if first.step % self._dump.decimation == 0:
+      return f"{said}: an event, a reset or a command wrote it so, or the step before left it so"
+    return said
+
+  def when(self, step: int) -> str:
+    """When a stored step was, in words; the number of stored steps is the result of the last."""
+    decimation = self._dump.decimation
+    if step == self.num_steps:
+      return f"after physics step {decimation} of {decimation} of environment step {self.env_step}"
+    env_step = self.env_step - (self.num_steps - 1 - step) // decimation
+    return f"before physics step {step % decimation + 1} of {decimation} of environment step {env_step}"
+
+  def replay(self) -> Replay:
+    """Run the stored steps again in MuJoCo C, from the first stored state of each environment step that is finite."""
+    model = self._dump.make_model(self)
+    data = mujoco.MjData(model)
+    qpos, error, diverged_at = [], 0.0, None
+    for step in range(self.num_steps):
+      begins = step % self._dump.decimation == 0
+      for name, values in self.states.items():
+        # Events may write the state between environment steps; within one it is MuJoCo C's own.
+        if name not in _INTEGRATED or (begins and np.isfinite(values[step]).all()):
+          put(data, name, values[step])
+      with _quiet():
+        mujoco.mj_step(model, data)
+      finite = bool(np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all() and np.isfinite(data.qacc).all())
+      after = self.states["qpos"][step + 1] if step + 1 < self.num_steps else self.result["qpos"]
+      if finite and np.isfinite(after).all():
+        error = max(error, float(np.abs(data.qpos - after).max()))
+      if diverged_at is None and (not finite or any(data.warning[kind].number for kind in _BAD)):
+        diverged_at = step
+      qpos.append(data.qpos.copy())
+    return Replay(diverged_at=diverged_at, qpos=np.array(qpos), error=error)
+
+
+class NanDump:
+  """A dump, as `NanGuard` writes it.
+
+  Args:
+    contents: The arrays of the file.
+  """
+
+  def __init__(self, contents: dict[str, np.ndarray]) -> None:
+    self.contents = contents
+    about = json.loads(str(contents["about"]))
+    self.engine: str = about["engine"]
+    """Engine that diverged."""
+    self.mujoco_version: str = about["mujoco"]
+    self.decimation: int = about["decimation"]
+    """Physics steps per environment step."""
+    self._layout: dict[str, tuple[int, ...]] = {name: tuple(shape) for name, shape in about["layout"].items()}
+    self.worlds = [DivergedWorld(self, row) for row in range(len(contents["worlds"]))]
+
+  @classmethod
+  def load(cls, path: str | os.PathLike[str]) -> "NanDump":
+    """Read a file without running anything in it.
+
+    Raises:
+      FileError: there is no such file, it is no dump, or MuJoCo is of another version than the one it is from.
+    """
+    with reading("NaN dump", path):
+      # NumPy would take anything else for a pickle, and tell how to load it unsafely.
+      if not zipfile.is_zipfile(path):
+        raise FileError("not an .npz file")
+      with np.load(path, allow_pickle=False) as file:
+        contents = {name: file[name] for name in file.files}
+      about = json.loads(str(contents["about"]))
+      for name, here in (("format", FORMAT), ("mujoco", mujoco.__version__)):
+        if about[name] != here:
+          raise FileError(f"{name} is '{about[name]}', here it is '{here}'")
+      return cls(contents)
+
+  @cached_property
+  def model(self) -> mujoco.MjModel:
+    """The model that all worlds began with."""
+    return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": self.contents["mjb"].tobytes()})
+
+  def make_model(self, world: DivergedWorld) -> mujoco.MjModel:
+    """Return the model with a world's own values, and without MuJoCo C's silent restart of what diverged."""
+    model = copy.copy(self.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    for name, value in world.model_fields.items():
+      owner: Any = model.opt if name.startswith("opt.") else model
+      target = name.removeprefix("opt.")
+      if np.ndim(getattr(owner, target)):
+        getattr(owner, target)[:] = value.reshape(getattr(owner, target).shape)
+      else:
+        setattr(owner, target, float(value))
+    recomputed = copy.copy(model)
+    mujoco.mj_setConst(recomputed, mujoco.MjData(recomputed))
+    # The one derived constant that engines do not show per world: it follows where the others were recomputed.
+    if np.allclose(recomputed.dof_invweight0, model.dof_invweight0, rtol=1e-4):
+      model.dof_M0[:] = recomputed.dof_M0
+    return model
+
+  def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Packed states, (n, width), as fields, (n, ...)."""
+    fields, start = {}, 0
+    for name, shape in self._layout.items():
+      width = int(np.prod(shape))
+      fields[name] = rows[:, start : start + width].reshape(len(rows), *shape)
+      start += width
+    return fields
+
+
+def write_dump(folder: Path, contents: dict[str, np.ndarray]) -> Path:
+  """Write a dump into a folder under a name that is still free; the file appears whole or not at all."""
+  step = int(contents["worlds"][0, 1])
+  names = (f"nan_dump_step_{step}{suffix}.npz" for suffix in ("", *(f"_{k}" for k in range(2, 10_000))))
+  path = next((folder / name for name in names if not (folder / name).exists()), None)
+  if path is None:
+    raise OSError(f"{folder} holds too many dumps of step {step}")
+  with AtomicWrite(path) as temporary:
+    np.savez_compressed(temporary, allow_pickle=False, **contents)
+  return path
+
+
+@contextlib.contextmanager
+def _quiet() -> Generator[None, None, None]:
+  """MuJoCo says by print and by a file in the working folder that a world diverged, which is known here."""
+  before = mujoco.get_mju_user_warning()
+  mujoco.set_mju_user_warning(lambda _: None)
+  try:
+    yield
+  finally:
+    mujoco.set_mju_user_warning(before)
+
+
+def _element(model: mujoco.MjModel, field: str, index: int, shape: tuple[int, ...]) -> str:
+  """Return the element that a number of a field belongs to, by name where it has one."""
+  if field in ("qvel", "qacc", "qacc_warmstart", "qfrc_applied"):
+    kind, number = mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[index])
+  elif field == "qpos":
+    kind, number = mujoco.mjtObj.mjOBJ_JOINT, int(np.searchsorted(model.jnt_qposadr, index, side="right")) - 1
+  elif field == "act":
+    starts = np.where(model.actuator_actadr < 0, np.iinfo(np.int32).max, model.actuator_actadr)
+    kind, number = mujoco.mjtObj.mjOBJ_ACTUATOR, int(np.flatnonzero(starts <= index)[-1])
+  elif field == "ctrl":
+    kind, number = mujoco.mjtObj.mjOBJ_ACTUATOR, index
+  elif field == "xfrc_applied":
+    kind, number = mujoco.mjtObj.mjOBJ_BODY, index // shape[-1]
+  elif field in ("mocap_pos", "mocap_quat"):
+    kind, number = mujoco.mjtObj.mjOBJ_BODY, int(np.flatnonzero(model.body_mocapid == index // shape[-1])[0])
+  else:
+    return f"entry {index}"
+  word = kind.name.removeprefix("mjOBJ_").lower()
+  name = mujoco.mj_id2name(model, kind, number)
+  return f"{word} '{name}'" if name else f"{word} {number}"

@@ -1,0 +1,1 @@
+"""MuJoCo batch engine behind the engine protocol."""

@@ -1,0 +1,253 @@
+"""MuJoCo's own engine: every world on all cores of a CPU, in float64, with nothing to compile."""
+
+import copy
+import ctypes
+import functools
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import torch
+from mjlab_core import Contacts, MjlabError
+from mujoco import batch
+
+from mjlab_sim.config import SimulationCfg
+from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.native.contacts import NativeContacts
+from mjlab_sim.native.rays import NativeRayCaster, ground_geoms, ground_model
+from mjlab_sim.rays import EngineRays, RayTargets
+from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.tensors import TorchArray, version_of
+
+if TYPE_CHECKING:
+  from mjlab_sim.warp.rendering import Stage
+
+_NONE = mujoco.mjtStage.mjSTAGE_NONE.value
+_VEL = mujoco.mjtStage.mjSTAGE_VEL.value
+_BUFFERS = {
+  "contacts": mujoco.mjtWarning.mjWARN_CONTACTFULL.value,
+  "constraints": mujoco.mjtWarning.mjWARN_CNSTRFULL.value,
+}
+"""The warning of each buffer that can be too small."""
+_DIVERGED = "Nan, Inf or huge value"
+
+
+@functools.cache
+def _print_once(warning: str) -> None:
+  print(f"MuJoCo: {warning}")
+
+
+def _quiet(message: str) -> None:
+  # A diverged world is reset and counted by its owner; MuJoCo would add a file to the working directory. All other
+  # warnings come from every world, and again after each reset: the part before the numbers is printed once.
+  if not message.startswith(_DIVERGED):
+    _print_once(message.split(". ")[0])
+
+
+def _writable(array: np.ndarray) -> np.ndarray:
+  """Return an alias of an array that the batch marks read-only: torch has no read-only tensors."""
+  memory: Any = (ctypes.c_byte * array.nbytes).from_address(array.ctypes.data)
+  return np.frombuffer(memory, dtype=array.dtype).reshape(array.shape)
+
+
+def _shaped(array: np.ndarray, name: str) -> np.ndarray:
+  """MuJoCo's flat rows as matrices, and bounding boxes as centre and half sizes."""
+  if name == "geom_aabb":
+    return array.reshape(*array.shape[:-1], 2, 3)
+  if name.endswith(("mat", "mat0")) and array.shape[-1] == 9:
+    return array.reshape(*array.shape[:-1], 3, 3)
+  return array
+
+
+class NativeEngine:
+  """`mujoco.batch.Batch` behind the engine protocol."""
+
+  dtype = torch.float64
+
+  def __init__(self, model: mujoco.MjModel, num_envs: int, cfg: SimulationCfg) -> None:
+    model = copy.copy(model)
+    # MuJoCo C would silently restart a diverged world; termination terms must see it instead.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    if mujoco.get_mju_user_warning() is None:
+      mujoco.set_mju_user_warning(_quiet)
+    self._model = model
+    self._num_envs = num_envs
+    self._batch = batch.Batch(model, num_envs, cfg.num_threads, persistent=True)
+    self._data: dict[str, TorchArray] = {}
+    self._per_world: dict[str, TorchArray] = {}
+    # What these held when worlds were last computed, and the version that this was.
+    self._known: dict[str, tuple[np.ndarray, int]] = {}
+    self._shared: dict[str, tuple[TorchArray, int]] = {}
+    self._grounds: dict[bytes, batch.Batch] = {}
+    self._stage: Stage | None = None
+    self._contacts: NativeContacts | None = None
+    self._batch.reset(stage=_VEL)
+    self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
+    self._seen = [array.copy() for array in self._kinematic]
+    self._stale = np.zeros(num_envs, dtype=bool)
+    self._warnings = self._count_warnings()
+    self._overflowed = np.zeros((num_envs, len(_BUFFERS)), dtype=bool)
+    self._is_reported = False
+
+  def data_field(self, name: str) -> TorchArray:
+    if name not in self._data:
+      if name not in batch.DATA_FIELDS:
+        raise KeyError(name)
+      array = self._batch.bind(name)
+      if name not in STATE:
+        array = _writable(array)
+        # An output bound between calls holds nothing until the next one.
+        self._batch.forward(stage=_VEL)
+      self._data[name] = TorchArray.over(lambda: torch.from_numpy(_shaped(array, name)))
+    return self._data[name]
+
+  def model_field(self, name: str) -> TorchArray:
+    if name in self._per_world:
+      return self._per_world[name]
+    if name not in self._shared:
+      if name not in PER_WORLD:
+        raise KeyError(name)
+      source: Any = self._model.opt if name.startswith("opt.") else self._model
+      rows = self._batch.expanded(name)
+      # The batch derives constants for each world; while their sources are shared, all worlds have the same.
+      value = np.array(getattr(source, name.removeprefix("opt.")))[None] if rows is None else rows[:1].copy()
+      field = TorchArray.over(lambda: torch.from_numpy(_shaped(value, name)))
+      self._shared[name] = (field, version_of(field))
+    return self._shared[name][0]
+
+  def expand(self, name: str) -> None:
+    shared = self.model_field(name)
+    rows = _shaped(self._batch.expand(name), name)
+    field = TorchArray.over(lambda: torch.from_numpy(rows))
+    field.copy_(shared)
+    self._shared.pop(name, None)
+    self._per_world[name] = field
+    self._known[name] = (rows.copy(), version_of(field))
+    # A write to the shared field may not have been seen.
+    self._stale[:] = True
+
+  def step(self) -> None:
+    self._push_shared()
+    if self._contacts is not None:
+      self._contacts.remember()
+    self._batch.step(stage=_VEL)
+    self._remember()
+
+  def forward(self, model_changed: bool) -> None:
+    self._push_shared()
+    if model_changed:
+      self._find_changed_models()
+    for array, seen in zip(self._kinematic, self._seen, strict=True):
+      # NaN compares unequal to itself, so a world that holds one always counts as written.
+      self._stale |= (array != seen).reshape(self._num_envs, -1).any(axis=1)
+    if self._stale.any():
+      self._batch.forward(self._stale, stage=_VEL)
+      self._remember()
+
+  def _find_changed_models(self) -> None:
+    """Mark worlds whose own fields were written: most resets are of few worlds, and so are their draws."""
+    for name, (seen, version) in self._known.items():
+      field = self._per_world[name]
+      if version_of(field) != version:
+        rows = field.numpy()
+        self._stale |= (rows != seen).reshape(self._num_envs, -1).any(axis=1)
+        np.copyto(seen, rows)
+        self._known[name] = (seen, version_of(field))
+
+  def _remember(self) -> None:
+    for array, seen in zip(self._kinematic, self._seen, strict=True):
+      np.copyto(seen, array)
+    self._stale[:] = False
+
+  def _push_shared(self) -> None:
+    # The batch runs on its own copy of the model: a write to a shared field reaches it as equal values for all worlds.
+    for name, (field, version) in self._shared.items():
+      if version_of(field) != version:
+        _shaped(self._batch.expand(name), name)[:] = field.numpy()
+        self._shared[name] = (field, version_of(field))
+        self._stale[:] = True
+
+  def reset(self, mask: torch.Tensor) -> None:
+    worlds = mask.numpy()
+    if worlds.any():
+      self._count_overflow()
+      self._batch.reset(worlds, stage=_NONE)
+      self._warnings[worlds] = 0
+      self._stale |= worlds
+      if self._contacts is not None:
+        self._contacts.forget(worlds)
+
+  def recompute_constants(self, mask: torch.Tensor | None) -> None:
+    self._push_shared()
+    worlds = None if mask is None else mask.numpy()
+    if worlds is not None and not worlds.any():
+      return
+    try:
+      self._batch.set_const(worlds)
+    except batch.SimulationError as error:
+      raise MjlabError(f"recompute_constants: {error}") from error
+    self._stale |= True if worlds is None else worlds
+    one = 0 if worlds is None else int(worlds.argmax())
+    for name, (field, _) in self._shared.items():
+      rows = self._batch.expanded(name)
+      if rows is not None:
+        field.numpy()[0] = _shaped(rows, name)[one]
+
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
+    ground = None if geomid else self._ground(targets)
+    return NativeRayCaster(self._batch, targets, max_distance, ground, geomid=geomid).rays()
+
+  def _ground(self, targets: RayTargets) -> batch.Batch | None:
+    """Return the fixed geoms by themselves, where that is faster; casters that see the same ones share them."""
+    key = ground_geoms(self._model, targets)[0].tobytes()
+    if key not in self._grounds:
+      ground = ground_model(self._model, targets)
+      if ground is None:
+        return None
+      self._grounds[key] = batch.Batch(ground, self._num_envs, self._batch.nthread, persistent=True)
+    return self._grounds[key]
+
+  def renderer(self, view: View) -> EngineImages:
+    if self._stage is None:
+      # Warp is loaded when the first image is asked for.
+      from mjlab_sim.native.rendering import native_stage
+
+      self._stage = native_stage(self._model, self._batch, self.data_field)
+    return self._stage.renderer(view)
+
+  def contacts(self, world: int) -> Contacts[torch.Tensor]:
+    if self._contacts is None:
+      self._contacts = NativeContacts(self._batch)
+    return self._contacts.of(world)
+
+  def _count_warnings(self) -> np.ndarray:
+    return self._batch.warning[:, list(_BUFFERS.values()), 1]
+
+  def _count_overflow(self) -> None:
+    # The batch counts warnings itself, but a reset forgets them.
+    warnings = self._count_warnings()
+    self._overflowed |= warnings > self._warnings
+    self._warnings = warnings
+
+  def overflow_report(self) -> list[str]:
+    self._count_overflow()
+    dropped = [what for what, worlds in zip(_BUFFERS, self._overflowed.T, strict=True) if worlds.any()]
+    if not dropped or self._is_reported:
+      return []
+    self._is_reported = True
+    worlds = np.count_nonzero(self._overflowed.any(axis=1))
+    return [
+      f"{worlds} of {self._num_envs} worlds ran out of MuJoCo's memory and dropped {' and '.join(dropped)}."
+      f' Set <size memory="{max(4 * self._model.narena, 2**20)}"/> in the model.'
+    ]
+
+  def close(self) -> None:
+    self._data.clear()
+    self._per_world.clear()
+    self._known.clear()
+    self._shared.clear()
+    self._kinematic.clear()
+    self._grounds.clear()
+    self._stage = None
+    self._contacts = None
+    del self._batch

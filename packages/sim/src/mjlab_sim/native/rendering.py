@@ -1,0 +1,81 @@
+"""The batch renderer on a CPU, fed with what MuJoCo's own engine computes."""
+
+import copy
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mjlab_core import MjlabError
+from mujoco import batch
+from numpy.typing import NDArray
+
+from mjlab_sim.warp.rendering import POSES, Stage
+
+wp.config.log_level = wp.LOG_WARNING
+
+_DRAWN = """geom_dataid geom_matid geom_size geom_rgba cam_fovy cam_intrinsic light_type light_castshadow light_active
+light_attenuation light_cutoff light_exponent light_ambient light_diffuse light_specular mat_texid mat_texuniform
+mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
+"""Per-world fields of the model that an image depends on, beside those that it sees as poses."""
+
+_OPTIONS = ("solver", "integrator", "jacobian", "disableflags", "enableflags")
+
+
+def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callable[[str], torch.Tensor]) -> Stage:
+  """Return the worlds of a batch as MuJoCo Warp's renderer takes them, copied before each image.
+
+  Args:
+    model: The compiled model.
+    batched: All worlds.
+    data_field: Gives a field of MjData, (num_envs, ...).
+
+  Raises:
+    MjlabError: MuJoCo Warp does not know something that the model contains.
+  """
+  wp.init()
+  device, worlds, model = wp.get_device("cpu"), batched.nsim, copy.copy(model)
+  # Nothing is stepped here: how it would be must not keep a model from being drawn.
+  for name in _OPTIONS:
+    setattr(model.opt, name, getattr(mujoco.MjOption(), name))
+  with wp.ScopedDevice(device):
+    try:
+      m = mjw.put_model(model)
+    except (NotImplementedError, ValueError) as error:
+      raise MjlabError(f"MuJoCo Warp, which draws images on a CPU too, cannot take this model: {error}") from error
+    kinds = {"xmat": wp.mat33}
+    d = SimpleNamespace(nworld=worlds)
+    copies: list[tuple[NDArray, NDArray]] = []
+    for name in POSES:
+      source = data_field(name)
+      array: Any = wp.zeros((worlds, source.shape[1]), dtype=kinds.get(name.split("_")[1], wp.vec3))
+      setattr(d, name, array)
+      copies.append((array.numpy(), source.numpy()))
+
+  def refresh() -> None:
+    for target, source in copies:
+      np.copyto(target, source, casting="same_kind")
+    for name in _DRAWN:
+      rows = batched.expanded(name)
+      if rows is None:
+        continue
+      array = getattr(m, name)
+      if array.shape[0] != worlds:
+        array = wp.zeros((worlds, *array.shape[1:]), dtype=array.dtype, device=device)
+        setattr(m, name, array)
+      np.copyto(array.numpy(), rows, casting="same_kind")
+
+  return Stage(model, worlds, m, d, device, _run(device), refresh)
+
+
+def _run(device: Any) -> Callable[[str, Callable[[], None]], None]:
+  def run(name: str, launches: Callable[[], None]) -> None:
+    del name
+    with wp.ScopedDevice(device):
+      launches()
+
+  return run

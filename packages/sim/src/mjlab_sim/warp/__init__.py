@@ -1,0 +1,1 @@
+"""MuJoCo Warp behind the engine protocol."""

@@ -1,0 +1,283 @@
+"""MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
+
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mjlab_core import Contacts, MjlabError, where_
+
+from mjlab_sim.config import RK4_REFUSED, SimulationCfg
+from mjlab_sim.fields import CONSTANTS, PER_WORLD
+from mjlab_sim.rays import EngineRays, RayTargets
+from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.tensors import TorchArray, version_of
+from mjlab_sim.warp import engine_kernels as kernels
+from mjlab_sim.warp import internals
+from mjlab_sim.warp.contacts import WarpContacts
+from mjlab_sim.warp.inverse_weights import InverseWeights
+from mjlab_sim.warp.kernel_loading import load_kernels
+from mjlab_sim.warp.launching import Launcher, check_capture
+from mjlab_sim.warp.overflow import Overflow, check_sizes
+from mjlab_sim.warp.rays import RayScene
+from mjlab_sim.warp.rendering import Stage
+
+wp.config.log_level = wp.LOG_WARNING
+
+_PLACES = ("geom_pos", "geom_quat", "body_pos", "body_quat")
+
+_ACCELERATION_STAGE = """actuator_force qfrc_actuator qfrc_smooth qfrc_constraint qfrc_inverse qacc_smooth cacc cfrc_int
+cfrc_ext""".split()
+
+
+class WarpEngine:
+  """MuJoCo Warp behind the engine protocol."""
+
+  dtype = torch.float32
+
+  def __init__(self, model: mujoco.MjModel, num_envs: int, cfg: SimulationCfg, device: torch.device) -> None:
+    wp.init()
+    self._device = device
+    self._wp_device = wp.device_from_torch(device)
+    self._num_envs = num_envs
+    self._mj_model = model
+    self._contacts: WarpContacts | None = None
+    self._data_views: dict[str, TorchArray] = {}
+    self._model_views: dict[str, TorchArray] = {}
+    self._expanded: set[str] = set()
+    # Memory for the values of derived fields before they are recomputed.
+    self._before: dict[str, torch.Tensor] = {}
+    self._shared_version = 0
+    if cfg.capture:
+      check_capture(self._wp_device)
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+      raise MjlabError("the model asks for integrator RK4; " + RK4_REFUSED)
+    # It would tell whether a frame is inside instead of how far a body reaches out.
+    enclosed = (model.sensor_type == mujoco.mjtSensor.mjSENS_INSIDESITE) & (model.sensor_intprm[:, 0] != 0)
+    for sensor in np.flatnonzero(enclosed):
+      raise MjlabError(
+        f"sensor '{model.sensor(sensor).name}': MuJoCo Warp knows no insidesite sensor with enclosed=\"true\";"
+        " use it without, or the native engine"
+      )
+    host = mujoco.MjData(model)
+    mujoco.mj_forward(model, host)
+    check_sizes(host, cfg)
+    with wp.ScopedDevice(self._wp_device):
+      try:
+        self._m = mjw.put_model(model)
+        self._d = mjw.put_data(model, host, nworld=num_envs, nconmax=cfg.nconmax, njmax=cfg.njmax)
+      except (NotImplementedError, ValueError) as error:
+        raise MjlabError(f"MuJoCo Warp cannot run this model: {error}") from error
+      self._m.opt.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
+      if cfg.broadphase is not None:
+        self._m.opt.broadphase = mjw.BroadphaseType[cfg.broadphase.upper()]
+      if cfg.broadphase_filter is not None:
+        tests = sum(mjw.BroadphaseFilter[name.upper()] for name in cfg.broadphase_filter)
+        self._m.opt.broadphase_filter = mjw.BroadphaseFilter(tests)
+      # Printing from the device is slow and floods the terminal; overflow is counted instead.
+      self._m.opt.warn_overflow = 0
+      self._mask = wp.zeros(num_envs, dtype=wp.bool)
+      columns = np.zeros(model.nsensordata, dtype=bool)
+      for adr, dim, stage in zip(model.sensor_adr, model.sensor_dim, model.sensor_needstage, strict=True):
+        columns[adr : adr + dim] = stage == mujoco.mjtStage.mjSTAGE_ACC
+      self._has_acceleration_sensors = bool(columns.any())
+      self._is_acceleration = wp.array(columns, dtype=wp.bool)
+      self._saved_sensors = wp.zeros((num_envs, model.nsensordata), dtype=wp.float32)
+      self._overflow = Overflow(self._d, cfg)
+    self._mask_torch = wp.to_torch(self._mask)
+    self._inverse_weights = InverseWeights(model, self._m, self._d)
+    self._launcher = Launcher(self._d, device, capture=cfg.capture)
+    self._run = self._launcher.run
+    self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
+    self._rays = RayScene(model, num_envs, self._m, self._d, self._wp_device, self._run)
+    stages = [self._forward, self._step, self._reset]
+    # Most environments change a constant at their first reset, and what is loaded beside the rest costs no time.
+    stages.append(lambda: self._recompute(list(CONSTANTS), places=True))
+    # Copies and fills are no kernels, and do happen meanwhile.
+    with self._launcher.stream(), self._launcher.preserved():
+      load_kernels(stages, self._wp_device)
+    self._run("forward", self._forward)
+
+  # Fields
+
+  def data_field(self, name: str) -> TorchArray:
+    if name not in self._data_views:
+      array = getattr(self._d, name, None)
+      if not isinstance(array, wp.array) or array.shape[0] != self._num_envs:
+        raise KeyError(name)
+      self._data_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
+    return self._data_views[name]
+
+  def _owner(self, name: str) -> tuple[Any, str]:
+    return (self._m.opt, name.removeprefix("opt.")) if name.startswith("opt.") else (self._m, name)
+
+  def model_field(self, name: str) -> TorchArray:
+    if name not in self._model_views:
+      if name not in PER_WORLD:
+        raise KeyError(name)
+      owner, attribute = self._owner(name)
+      array = getattr(owner, attribute)
+      self._model_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
+    return self._model_views[name]
+
+  def expand(self, name: str) -> None:
+    self._expanded.add(name)
+    owner, attribute = self._owner(name)
+    shared = getattr(owner, attribute)
+    if shared.shape[0] == self._num_envs:
+      return
+    with wp.ScopedDevice(self._wp_device):
+      rows = wp.zeros((self._num_envs, *shared.shape[1:]), dtype=shared.dtype)
+    view = TorchArray.over(lambda: wp.to_torch(rows, requires_grad=False))
+    view.copy_(self.model_field(name))
+    setattr(owner, attribute, rows)
+    self._model_views[name] = view
+    self._before.pop(name, None)
+    self._launcher.clear()
+
+  # Stages
+
+  def step(self) -> None:
+    self._run("step", self._step)
+
+  def forward(self, model_changed: bool) -> None:
+    # Every world is recomputed; one that nothing wrote to gets the values it had.
+    if model_changed and self._has_moved():
+      self._run("forward with places", self._forward_with_places)
+    else:
+      self._run("forward", self._forward)
+
+  def reset(self, mask: torch.Tensor) -> None:
+    self._mask_torch.copy_(mask)
+    self._run("reset", self._reset)
+
+  def recompute_constants(self, mask: torch.Tensor | None) -> None:
+    version = sum(version_of(view) for name, view in self._model_views.items() if name not in self._expanded)
+    is_shared = version != self._shared_version
+    groups = [name for name, fields in CONSTANTS.items() if is_shared or not fields.isdisjoint(self._expanded)]
+    if "INERT0" in groups and "KIN0" not in groups:
+      # Weights are those of the reference pose, where the other group puts everything.
+      groups.append("KIN0")
+    if not groups:
+      return
+    if mask is None or is_shared:
+      self._mask_torch.fill_(True)
+    else:
+      self._mask_torch.copy_(mask)
+    fields = sorted(name for group in groups for name in CONSTANTS[group])
+    # Most are derived for all worlds, in single precision: fields without a change must not change by a rounding.
+    for name in fields:
+      view = self.model_field(name)
+      if name not in self._before:
+        self._before[name] = torch.empty_like(view)
+      self._before[name].copy_(view)
+    others = None if mask is None else ~mask
+    places = self._has_moved()
+    self._run(f"constants {groups} {places}", lambda: self._recompute(groups, places))
+    for name in fields:
+      view, before = self.model_field(name), self._before[name]
+      if name not in self._expanded and not is_shared:
+        view.copy_(before)
+      elif name in self._expanded and others is not None:
+        where_(view, others, before)
+    self._shared_version = sum(version_of(v) for name, v in self._model_views.items() if name not in self._expanded)
+
+  def _has_moved(self) -> bool:
+    """Return True if geoms that never move by themselves may have been moved."""
+    return any(name in self._model_views and version_of(self._model_views[name]) for name in _PLACES)
+
+  def _step(self) -> None:
+    # Touch is added up, and forces of limits are written where there are any: both count on columns that are zero.
+    if self._has_acceleration_sensors:
+      wp.launch(
+        kernels.clear_acceleration_sensors,
+        dim=self._saved_sensors.shape,
+        inputs=[self._is_acceleration],
+        outputs=[self._d.sensordata],
+        device=self._wp_device,
+      )
+    mjw.step2(self._m, self._d)
+    self._overflow.count()
+    if self._contacts is not None:
+      self._contacts.record()
+    self._forward()
+
+  def _forward(self) -> None:
+    # step1 clears all of sensordata and fills in only what follows from positions and velocities. The rest belongs
+    # to the substep just done: it is put aside and written back.
+    if self._has_acceleration_sensors:
+      wp.copy(self._saved_sensors, self._d.sensordata)
+    mjw.step1(self._m, self._d)
+    if self._has_acceleration_sensors:
+      wp.launch(
+        kernels.restore_acceleration_sensors,
+        dim=self._saved_sensors.shape,
+        inputs=[self._saved_sensors, self._is_acceleration],
+        outputs=[self._d.sensordata],
+        device=self._wp_device,
+      )
+
+  def _reset(self) -> None:
+    mjw.reset_data(self._m, self._d, self._mask)
+    # MuJoCo C clears these too. They belong to the substep before, and forward does not recompute them.
+    for name in _ACCELERATION_STAGE:
+      array = getattr(self._d, name)
+      if array.size:
+        shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
+        flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
+        wp.launch(kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat], device=device)
+    if self._contacts is not None:
+      self._contacts.forget(self._mask)
+
+  def _recompute(self, groups: list[str], places: bool) -> None:
+    if places:
+      self._place()
+    # What it leaves of kinematics at qpos0 is recomputed by the forward pass that follows.
+    is_ours = internals.IS_TESTED and "INERT0" in groups
+    bits = sum(int(mjw.SetConstGroup[name]) for name in groups if not (is_ours and name == "INERT0"))
+    mjw.set_const(self._m, self._d, groups=bits, restore=False)
+    if is_ours:
+      self._inverse_weights.compute(self._mask)
+
+  def _forward_with_places(self) -> None:
+    self._place()
+    self._forward()
+
+  def _place(self) -> None:
+    """Put every geom where its body is; MuJoCo Warp leaves those of bodies that never move where they were compiled."""
+    m, d = self._m, self._d
+    mjw.kinematics(m, d)
+    wp.launch(
+      kernels.place_fixed_geoms,
+      dim=(self._num_envs, m.ngeom),
+      inputs=[
+        *(m.body_weldid, m.body_rootid, m.body_mocapid, m.geom_bodyid, m.geom_pos, m.geom_quat),
+        *(d.xpos, d.xquat),
+      ],
+      outputs=[d.geom_xpos, d.geom_xmat],
+      device=self._wp_device,
+    )
+
+  def overflow_report(self) -> list[str]:
+    return self._overflow.report()
+
+  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
+    return self._rays.caster(targets, max_distance, geomid=geomid)
+
+  def renderer(self, view: View) -> EngineImages:
+    return self._stage.renderer(view)
+
+  def contacts(self, world: int) -> Contacts[torch.Tensor]:
+    if self._contacts is None:
+      self._contacts = WarpContacts(self._m, self._d, self._num_envs, self._wp_device)
+      self._launcher.clear()
+    return self._contacts.of(world)
+
+  def close(self) -> None:
+    self._launcher.clear()
+    self._rays.clear()
+    self._contacts = None
+    self._data_views.clear()
+    self._model_views.clear()

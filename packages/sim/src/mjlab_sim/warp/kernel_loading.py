@@ -1,0 +1,73 @@
+"""Kernels of MuJoCo Warp, compiled several at once: one after another they take a minute on a GPU's first run."""
+
+import os
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import warp as wp
+
+from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
+
+_Variants = dict[Any, dict[int | None, None]]
+
+
+def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
+  """Compile and load, in parallel, the kernels that `stages` launch on a Warp device.
+
+  The stages run once with launches that do nothing, to learn which kernels they need. Copies and fills do happen: the
+  caller puts back what they change.
+  """
+  variants: _Variants = {}
+  with _launching_nothing(variants):
+    for stage in stages:
+      stage()
+  cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+  with made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
+    # What ends last is to begin first.
+    modules = sorted(variants, key=_work, reverse=True)
+    made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
+    for future in made:
+      future.result()
+
+
+def _work(module: Any) -> tuple[bool, int]:
+  """Grows with the time that a module takes: modules with tiles wait for solvers, in others code counts."""
+  sources = [kernel.adj.source for kernel in module.kernels.values()]
+  return any("tile_" in source for source in sources), sum(map(len, sources))
+
+
+def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
+  # A module notes the block size that it loads for, so that two of one module take turns.
+  for block_dim in block_dims:
+    module.load(device, block_dim)
+
+
+@contextmanager
+def _launching_nothing(variants: _Variants) -> Generator[None]:
+  def note(module: Any, device: Any, block_dim: int | None = None) -> None:
+    # A launch whose module does not load returns at once.
+    variants.setdefault(module, {})[block_dim] = None
+
+  def suggest(kernel: Any, device: Any = None) -> tuple[int, int]:
+    # A GPU has to have loaded a kernel to tell; whatever is said, nothing is launched.
+    if wp.get_device(device).is_cuda:
+      note(kernel.module, device)
+    return 1, 1
+
+  def once(condition: Any, while_body: Callable[..., None], stream: Any = None, **arguments: Any) -> None:
+    while_body(**arguments)
+
+  def both(condition: Any, on_true: Any = None, on_false: Any = None, stream: Any = None, **arguments: Any) -> None:
+    for branch in (on_true, on_false):
+      if branch is not None:
+        branch(**arguments)
+
+  with (
+    replaced(wp.Module, "load", note),
+    replaced(wp, "get_suggested_block_size", suggest),
+    replaced(wp, "capture_while", once),
+    replaced(wp, "capture_if", both),
+  ):
+    yield

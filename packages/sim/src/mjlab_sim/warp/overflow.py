@@ -1,0 +1,111 @@
+"""Demand for MuJoCo Warp's fixed buffers: high-water marks on the device, and the advice that follows from them."""
+
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mjlab_core import MjlabError
+
+from mjlab_sim.config import SimulationCfg
+from mjlab_sim.warp import engine_kernels as kernels
+
+_Kind = mjw.OverflowType
+_DROPPED = _Kind.BROADPHASE | _Kind.NARROWPHASE | _Kind.CCD
+_BUFFERS = {
+  "nconmax": (_DROPPED, "contacts on average"),
+  "njmax": (_Kind.NEFC | _Kind.NJMAX_NNZ, "constraint rows"),
+  "contact_sensor_maxmatch": (_Kind.CONTACT_MATCH, "contacts of one sensor"),
+}
+"""The overflow bits of each setting, and the unit of the setting."""
+_LIMITS = {
+  _Kind.HFIELD: "a geom covers more height-field cells than MuJoCo Warp looks at; use coarser cells",
+  _Kind.EPA_HORIZON: "convex collision gave up on a deep contact",
+  _Kind.TACTILE: "a tactile sensor touches more geoms than MuJoCo Warp looks at",
+}
+"""Limits of MuJoCo Warp that no setting raises."""
+
+
+class Overflow:
+  """High-water marks since the simulation was made.
+
+  Each line of advice is twice the high-water mark. The next line follows only when the mark has outgrown it.
+  """
+
+  def __init__(self, d: mjw.Data, cfg: SimulationCfg) -> None:
+    self._d: Any = d
+    device = d.qpos.device
+    self._seen: Any = wp.zeros(d.nworld, dtype=wp.int32, device=device)
+    self._most: Any = wp.zeros(3, dtype=wp.int32, device=device)
+    self._fits = {
+      "nconmax": d.naconmax // d.nworld,
+      "njmax": d.njmax,
+      "contact_sensor_maxmatch": cfg.contact_sensor_maxmatch,
+    }
+    self._advised = dict(self._fits)
+    self._said: set[int] = set()
+
+  def count(self) -> None:
+    """Note what the physics step just done wanted."""
+    d = self._d
+    wp.launch(
+      kernels.count_overflow,
+      dim=d.nworld,
+      inputs=[d.overflow, d.nefc, d.nacon, d.ncollision],
+      outputs=[self._seen, self._most],
+      device=d.qpos.device,
+    )
+
+  def report(self) -> list[str]:
+    """Return the lines that are new since the last call. Reads the device."""
+    d, fits, seen = self._d, self._fits, self._seen.numpy()
+    rows, contacts, pairs = (int(count) for count in self._most.numpy())
+    if pairs > d.naconmax:
+      # Pairs that did not fit were not searched; they would have as many contacts as the others.
+      contacts = contacts * pairs // d.naconmax
+    counted = {"nconmax": -(-max(contacts, pairs) // d.nworld), "njmax": rows, "contact_sensor_maxmatch": 0}
+    worlds = {name: _count(seen, bits) for name, (bits, _) in _BUFFERS.items()}
+    # The buffers of convex collision, of sparse matrices and of sensors overflow without a count.
+    wanted = {name: max(counted[name], fits[name] + 1) for name, count in worlds.items() if count}
+    if "nconmax" in wanted and 2 * rows > fits["njmax"]:
+      # Contacts were dropped before their rows were counted.
+      wanted.setdefault("njmax", rows)
+    lines = []
+    if any(count > self._advised[name] for name, count in wanted.items()):
+      self._advised |= {name: max(self._advised[name], _round_up(2 * count)) for name, count in wanted.items()}
+      needs = []
+      for name, count in worlds.items():
+        if count:
+          most = f"up to {counted[name]}" if counted[name] > fits[name] else f"more than {fits[name]}"
+          needs.append(f"{count} of {d.nworld} worlds needed {most} {_BUFFERS[name][1]} ({name} is {fits[name]})")
+      settings = " ".join(f"--env.sim.{name.replace('_', '-')} {self._advised[name]}" for name in wanted)
+      lines.append(f"buffers overflowed and contacts were dropped: {'; '.join(needs)}. Set {settings}.")
+    for bit, what in _LIMITS.items():
+      count = _count(seen, bit)
+      if count and bit not in self._said:
+        self._said.add(bit)
+        lines.append(f"{what}: {count} of {d.nworld} worlds.")
+    return lines
+
+
+def check_sizes(host: mujoco.MjData, cfg: SimulationCfg) -> None:
+  """Refuse buffers that are too small for the initial state.
+
+  Raises:
+    MjlabError: Naming each setting that is too small, and a value with room to move.
+  """
+  wanted = {"nconmax": (host.ncon, "contacts"), "njmax": (host.nefc, "constraint rows")}
+  short = {name: (count, unit) for name, (count, unit) in wanted.items() if count > (getattr(cfg, name) or np.inf)}
+  if short:
+    found = " and ".join(f"{count} {unit}, {name} is {getattr(cfg, name)}" for name, (count, unit) in short.items())
+    settings = " ".join(f"--env.sim.{name} {_round_up(2 * count)}" for name, (count, _) in short.items())
+    raise MjlabError(f"the initial state alone has {found}. Set {settings}.")
+
+
+def _count(seen: np.ndarray, bits: int) -> int:
+  return int(np.count_nonzero(seen & int(bits)))
+
+
+def _round_up(count: int) -> int:
+  return -(-count // 8) * 8

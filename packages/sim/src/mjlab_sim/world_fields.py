@@ -1,0 +1,136 @@
+"""Model fields with one value per world, their defaults, and the saved state of a simulation."""
+
+from collections.abc import Iterable
+
+import mujoco
+import torch
+from mjlab_core import MjlabError, StateError, unknown
+
+from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure
+from mjlab_sim.freshness import Freshness, ModelView
+from mjlab_sim.tensors import plain
+
+State = dict[str, dict[str, torch.Tensor]]
+
+
+class WorldFields:
+  """Model fields of all worlds.
+
+  Args:
+    fresh: The worlds.
+    model: The compiled model.
+    num_envs: Number of worlds.
+    device: Their device.
+  """
+
+  def __init__(self, fresh: Freshness, model: mujoco.MjModel, num_envs: int, device: torch.device) -> None:
+    self._fresh, self._engine, self._mj_model = fresh, fresh.engine, model
+    self._num_envs, self._device = num_envs, device
+    self._view = ModelView(fresh)
+    self.expanded: dict[str, None] = {}
+    """Fields with one value per world, in the order in which they were expanded."""
+    self._defaults: dict[str, torch.Tensor] = {}
+
+  def missing(self, names: Iterable[str]) -> list[str]:
+    """Return those of `names`, and of the fields that follow from them, that worlds still share.
+
+    Raises:
+      UnknownNameError: A name that cannot differ per world.
+    """
+    field_of = self._engine.model_field
+    found = closure(list(names), self._mj_model)
+    return [name for name in found if name not in self.expanded and field_of(name).numel() > 0]
+
+  def expand(self, names: list[str]) -> None:
+    """Give shared fields one value per world."""
+    self._fresh.expand(names)
+    self.expanded |= dict.fromkeys(names)
+
+  def default(self, name: str) -> torch.Tensor:
+    """Return the compiled value, (1, ...), as a fresh tensor, or that of each world where it was rebased."""
+    if name in self._defaults:
+      return self._defaults[name]
+    view = self._view[name]
+    owner = self._mj_model.opt if name.startswith("opt.") else self._mj_model
+    value = torch.as_tensor(getattr(owner, name.removeprefix("opt.")), dtype=view.dtype, device=self._device)
+    return value.reshape(1, *view.shape[1:]).clone()
+
+  def rebase_default(self, name: str) -> None:
+    """Make the present values of an expanded field the default of each world.
+
+    Raises:
+      MjlabError: All worlds share the field.
+    """
+    if name not in self.expanded:
+      raise MjlabError(f"model field '{name}' is shared by all worlds; expand it first")
+    now = self._view[name].detach()
+    if name in self._defaults:
+      self._defaults[name].copy_(now)
+    else:
+      self._defaults[name] = now.clone()
+
+  def state_dict(self) -> State:
+    """Return all that the next step depends on, as fresh tensors.
+
+    Model fields that all worlds share are in it where they are not as compiled.
+    """
+    data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
+    shared = closure(self._written_shared(), self._mj_model)
+    return {
+      "data": {name: field for name, field in data.items() if field.numel()},
+      "model": self._values(self.expanded),
+      "shared": self._values(name for name in shared if name not in self.expanded),
+      "default": {name: field.clone() for name, field in self._defaults.items()},
+    }
+
+  def check(self, state: State) -> State:
+    """Return a state with the parts that it may lack; raise StateError where it does not fit."""
+    for kind in ("data", "model"):
+      if kind not in state:
+        raise StateError(f"saved state lacks '{kind}', it has: {', '.join(state) or 'nothing'}")
+    engine, view = self._engine, self._view
+    data = {name: field for name in STATE if (field := engine.data_field(name)).numel()}
+    model = {name: view[name] for name in state["model"] if name in PER_WORLD}
+    model |= {name: engine.model_field(name) for name in self.expanded}
+    state = {"default": {}, "shared": {}, **state}
+    as_compiled = {name: self.default(name) for name in self._written_shared() if name not in state["model"]}
+    state["shared"] = as_compiled | state["shared"]
+    shared = {name: view[name] for name in state["shared"] if name in PER_WORLD and name not in self.expanded}
+    for kind, fields in (("data", data), ("model", model), ("shared", shared), ("default", self._defaults)):
+      for name, value in state[kind].items():
+        if name not in fields:
+          raise StateError(unknown(f"saved {kind} field", name, list(fields)))
+        shape = (1 if kind == "shared" else self._num_envs, *fields[name].shape[1:])
+        if shape != value.shape:
+          raise StateError(f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}")
+      if absent := [name for name in fields if name not in state[kind]]:
+        raise StateError(f"saved {kind} fields lack: {', '.join(absent)}")
+    return state
+
+  def load(self, state: State) -> bool:
+    """Write a checked state; return True if a field was written that others follow from."""
+    for name, value in state["data"].items():
+      self._engine.data_field(name).copy_(value)
+    for name, value in state["default"].items():
+      self._defaults[name].copy_(value)
+    self.load_model(state)
+    self._fresh.note_write()
+    return not SOURCES.isdisjoint(state["shared"] | state["model"])
+
+  def load_model(self, state: State) -> None:
+    """Write the model fields of a checked state."""
+    for name, value in (state["shared"] | state["model"]).items():
+      self._engine.model_field(name).copy_(value)
+
+  def _written_shared(self) -> list[str]:
+    """Return the fields that all worlds share and that are not as compiled; reads the device."""
+    asked_for = self._fresh.model_fields.items()
+    return [
+      name
+      for name, field in asked_for
+      if name not in self.expanded and not torch.equal(plain(field), self.default(name))
+    ]
+
+  def _values(self, names: Iterable[str]) -> dict[str, torch.Tensor]:
+    fields = {name: self._engine.model_field(name).detach().clone() for name in names}
+    return {name: field for name, field in fields.items() if field.numel()}

@@ -1,0 +1,1 @@
+"""Types of tile, by the solids that they are made of."""

@@ -1,0 +1,202 @@
+"""Level ground, columns and scattered boxes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjlab_terrain.checked_fields import count, drawn, number, scaled
+from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg
+
+
+@dataclass(kw_only=True)
+class FlatCfg(TileCfg):
+  """Level ground. Difficulty has no effect."""
+
+  def build(self, tile: Tile) -> None:
+    tile.slab()
+
+
+def lattice(extent: float, pitch: float) -> NDArray[np.float64]:
+  """Return the edges of as many equal cells as fit into `extent`, each at least `pitch` wide, centred, (n + 1,) [m]."""
+  return np.linspace(-0.5 * extent, 0.5 * extent, int(extent / pitch + 1e-9) + 1)
+
+
+def in_platform(x: NDArray[np.float64], y: NDArray[np.float64], platform: float) -> NDArray[np.bool_]:
+  """Return a mask of the cells whose centre is on a central square of edge `platform`, (cells_x, cells_y).
+
+  Along each axis there is at least one, or two if the number of cells is even, unless `platform` is 0.
+  """
+  inside = [
+    (np.abs(0.5 * (e[:-1] + e[1:])) <= 0.5 * max(platform, e[1] - e[0]) + 1e-9) & (platform > 0.0) for e in (x, y)
+  ]
+  return inside[0][:, None] & inside[1][None, :]
+
+
+@dataclass(kw_only=True)
+class RandomGridCfg(TileCfg):
+  """Square columns of random heights around a level platform. Harder: larger differences."""
+
+  height: tuple[float, float] = scaled((0.0, 0.3), harder="more")
+  """Columns are up to this much higher or lower than the rim [m]."""
+  cell: float = number(0.4, least=MIN_THICKNESS)
+  """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
+  levels: int | None = count(None, least=2)
+  """Number of different heights; neighbours of equal height become one geom. None draws from all heights."""
+  platform: float = number(1.0)
+  """Edge of the level platform [m], in whole columns."""
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+  holes: bool = False
+  """True leaves only a cross as wide as the platform, with a pit between its arms."""
+  pit_depth: float = number(2.0, least=MIN_THICKNESS)
+  """Depth of the pit below the rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    room = min(size) - 2.0 * self.border
+    if self.cell > room:
+      self.refuse(name, f"cell {self.cell:g} m does not fit inside the border; at most {room:g} m would work")
+    if self.holes and self.pit_depth < self.height[1] + MIN_THICKNESS:
+      self.refuse(name, f"pit_depth {self.pit_depth:g} m must be at least {self.height[1] + MIN_THICKNESS:g} m")
+
+  def build(self, tile: Tile) -> None:
+    height = tile.scaled(self.height)
+    inner = tile.inner(self.border)
+    x, y = (lattice(extent, self.cell) for extent in inner)
+    shape = len(x) - 1, len(y) - 1
+    if self.levels is None:
+      unit = tile.rng.uniform(-1.0, 1.0, shape)
+    else:
+      unit = np.linspace(-1.0, 1.0, self.levels)[tile.rng.integers(self.levels, size=shape)]
+    unit[in_platform(x, y, self.platform)] = 0.0
+    if height < FLAT and not self.holes:
+      tile.slab()
+      return
+    bottom = -self.pit_depth if self.holes else -height - GROUND_DEPTH
+    if self.holes:
+      tile.slab(bottom)
+    tile.frame(tile.size, inner, (bottom, 0.0))
+    # Of a tile with holes only rows and columns of the platform remain, at least those of one cell each.
+    reach = max(self.platform, self.cell)
+    middle = in_platform(x, y, reach)
+    cross = np.any(middle, axis=1, keepdims=True) | np.any(middle, axis=0, keepdims=True)
+    xs, ys, tops = x.tolist(), y.tolist(), (height * unit).tolist()
+    for i, j in np.argwhere(cross if self.holes else np.ones(shape, dtype=bool)).tolist():
+      tile.box((xs[i], xs[i + 1]), (ys[j], ys[j + 1]), (bottom, tops[i][j]))
+
+
+@dataclass(kw_only=True)
+class RandomBoxesCfg(TileCfg):
+  """Boxes of random size scattered over level ground, turned at random. Harder: more and higher boxes."""
+
+  num_boxes: tuple[int, int] = scaled((40, 80), harder="more")
+  """Number of boxes; those that would lie on the platform are left out."""
+  width: tuple[float, float] = drawn((0.1, 1.0), least=MIN_THICKNESS)
+  """Width of a box [m]."""
+  length: tuple[float, float] = drawn((0.1, 2.0), least=MIN_THICKNESS)
+  """Length of a box [m]."""
+  height: tuple[float, float] = drawn((0.05, 0.3))
+  """Height of a box above the ground [m], before it is scaled."""
+  scale: tuple[float, float] = scaled((0.2, 1.0), harder="more")
+  """Factor on the height of all boxes."""
+  yaw: tuple[float, float] = drawn((0.0, 360.0), least=-360.0, most=360.0)
+  """Angle about the vertical [deg]."""
+  platform: float = number(1.0)
+  """Edge of the square in the middle that stays free [m]."""
+  border: float = number(0.25)
+  """Width of the rim that stays free [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    room = min(size) - 2.0 * self.border
+    diagonal = math.hypot(self.width[1], self.length[1])
+    if diagonal > room:
+      most = math.floor(100.0 * room / math.sqrt(2.0)) / 100.0
+      self.refuse(
+        name,
+        f"the largest box has a diagonal of {diagonal:.3g} m, but there are {room:g} m inside the border; "
+        f"width and length of at most {most:g} m would work",
+      )
+
+  def build(self, tile: Tile) -> None:
+    # All are drawn, so that an easier tile has the same boxes, only fewer and lower ones.
+    most = max(self.num_boxes)
+    half = 0.5 * np.stack([tile.rng.uniform(*ends, most) for ends in (self.width, self.length)], axis=-1)
+    tops = tile.rng.uniform(*self.height, most) * tile.scaled(self.scale)
+    yaw = np.radians(tile.rng.uniform(*self.yaw, most))
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    reach = np.stack(
+      (np.abs(cos) * half[:, 0] + np.abs(sin) * half[:, 1], np.abs(sin) * half[:, 0] + np.abs(cos) * half[:, 1]), -1
+    )
+    at = tile.rng.uniform(-1.0, 1.0, (most, 2)) * (0.5 * np.array(tile.inner(self.border)) - reach)
+    tile.slab()
+    for k in range(round(tile.scaled(self.num_boxes))):
+      free = overlap_free(at[k], half[k], float(yaw[k]), 0.5 * self.platform)
+      if free and tops[k] >= FLAT:
+        rotation = np.array([[cos[k], -sin[k], 0.0], [sin[k], cos[k], 0.0], [0.0, 0.0, 1.0]])
+        z = (-MIN_THICKNESS, tops[k])
+        tile.turned_box((*at[k], 0.5 * (z[0] + z[1])), (*half[k], 0.5 * (z[1] - z[0])), rotation)
+
+
+def overlap_free(center: NDArray[np.float64], half: NDArray[np.float64], yaw: float, square: float) -> bool:
+  """Return True if a rectangle turned by `yaw` [rad] stays clear of a square of half edge `square` [m] around zero.
+
+  The separating axes are those of the square and those of the rectangle.
+  """
+  axes = np.array([[1.0, 0.0], [0.0, 1.0], [np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+  reach = np.abs(axes @ axes[2]) * half[0] + np.abs(axes @ axes[3]) * half[1] + np.abs(axes).sum(1) * square
+  return bool((np.abs(axes @ center) >= reach).any())
+
+
+@dataclass(kw_only=True)
+class TiltedGridCfg(TileCfg):
+  """Square columns with sloping tops around a level platform. Harder: steeper and more uneven.
+
+  Their sides are vertical, so that nothing can get under a neighbour's edge.
+  """
+
+  tilt: tuple[float, float] = scaled((0.0, 15.0), harder="more", most=40.0)
+  """Tops slope by up to this along x and along y, either way [deg]."""
+  height: tuple[float, float] = scaled((0.0, 0.1), harder="more")
+  """Middles of tops differ by up to this much [m]."""
+  cell: float = number(1.0, least=0.2)
+  """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
+  platform: float = number(1.0)
+  """Edge of the level platform [m], in whole columns."""
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    room = min(size) - 2.0 * self.border
+    if self.cell > room:
+      self.refuse(name, f"cell {self.cell:g} m does not fit inside the border; at most {room:g} m would work")
+
+  def build(self, tile: Tile) -> None:
+    tilt, height = math.radians(tile.scaled(self.tilt)), tile.scaled(self.height)
+    inner = tile.inner(self.border)
+    x, y = (lattice(extent, self.cell) for extent in inner)
+    shape = len(x) - 1, len(y) - 1
+    slopes = np.tan(tile.rng.uniform(-1.0, 1.0, (*shape, 2)) * tilt)
+    tops = tile.rng.uniform(-0.5, 0.5, shape) * height
+    if height < FLAT and tilt < FLAT:
+      tile.slab()
+      return
+    on_platform = in_platform(x, y, self.platform)
+    slopes[on_platform], tops[on_platform] = 0.0, 0.0
+    fall = 0.5 * (np.abs(slopes) @ (x[1] - x[0], y[1] - y[0]))
+    bottom = float((tops - fall).min()) - GROUND_DEPTH
+    tile.frame(tile.size, inner, (bottom, 0.0))
+    xs, ys = x.tolist(), y.tolist()
+    for i, j in np.ndindex(*shape):
+      cell = (xs[i], xs[i + 1]), (ys[j], ys[j + 1])
+      if slopes[i, j].any():
+        tile.prism(*cell, bottom, float(tops[i, j]), tuple(slopes[i, j].tolist()))
+      else:
+        tile.box(*cell, (bottom, float(tops[i, j])))

@@ -1,0 +1,173 @@
+"""Footholds over a pit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjlab_terrain.checked_fields import number, scaled
+from mjlab_terrain.solids import FLAT, MIN_THICKNESS
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg
+
+
+@dataclass(kw_only=True)
+class SteppingStonesCfg(TileCfg):
+  """Stones on a lattice over a pit, around a platform. Harder: smaller, farther apart and more irregular stones."""
+
+  stone_size: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=0.1)
+  """Edge of a stone [m]."""
+  stone_distance: float = number(0.2)
+  """Least gap between the largest stones [m]; the lattice never changes, so gaps grow as stones shrink."""
+  height_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
+  """Stones are up to this much higher or lower than the rim [m]."""
+  size_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
+  """Edges are up to this much longer or shorter [m]."""
+  displacement: tuple[float, float] = scaled((0.0, 0.1), harder="more")
+  """Stones are up to this far from their place on the lattice, along x and along y [m]."""
+  pit_depth: float = number(2.0, least=0.5)
+  """Depth of the pit below the rim [m]."""
+  platform: float = number(1.0, least=MIN_THICKNESS)
+  """Least edge of the platform [m]; it grows towards the nearest whole stones."""
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    least = self.height_variation[1] + MIN_THICKNESS
+    if self.pit_depth < least:
+      self.refuse(
+        name, f"pit_depth {self.pit_depth:g} m is no deeper than stones vary; at least {least:g} m would work"
+      )
+
+  def build(self, tile: Tile) -> None:
+    side = tile.scaled(self.stone_size)
+    inner = 0.5 * np.array(tile.inner(self.border))
+    lattices, platform = [], np.zeros(2)
+    for axis in range(2):
+      count = max(int(2.0 * inner[axis] / (self.stone_size[0] + self.stone_distance) + 1e-9) + 1, 2)
+      places = np.linspace(-inner[axis], inner[axis], count)
+      gap = max(places[1] - places[0] - side, 0.0)
+      lattices.append(places)
+      # The platform ends one gap before the first stone that stays whole.
+      ends = places - 0.5 * side - gap
+      platform[axis] = min(ends[ends >= 0.5 * self.platform - 1e-9], default=0.5 * self.platform)
+    tile.pit(self.pit_depth, self.border)
+    tile.block((2.0 * platform[0], 2.0 * platform[1]), (-self.pit_depth, 0.0))
+    x, y = np.meshgrid(*lattices, indexing="ij")
+    center = np.stack((x, y), -1)
+    center = center + tile.rng.uniform(-1.0, 1.0, center.shape) * tile.scaled(self.displacement)
+    half = 0.5 * (side + tile.rng.uniform(-1.0, 1.0, center.shape) * tile.scaled(self.size_variation))
+    tops = tile.rng.uniform(-1.0, 1.0, x.shape) * tile.scaled(self.height_variation)
+    low, high = np.maximum(center - half, -inner), np.minimum(center + half, inner)
+    under = (np.abs(center) < platform).all(-1)
+    for i, j in np.argwhere(~under & ((high - low) >= MIN_THICKNESS).all(-1)):
+      x0, y0, x1, y1 = (float(edge) for edge in (*low[i, j], *high[i, j]))
+      tile.box((x0, x1), (y0, y1), (-self.pit_depth, float(tops[i, j])))
+
+
+@dataclass(kw_only=True)
+class NarrowBeamsCfg(TileCfg):
+  """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams.
+
+  Their tops are 1 mm below the platform and the rim, so that a foot where they meet touches only one of them.
+  """
+
+  num_beams: int = number(12, least=1)
+  """Number of beams, at equal angles."""
+  beam_width: tuple[float, float] = scaled((0.8, 0.2), harder="less", least=MIN_THICKNESS)
+  """Width of a beam [m]."""
+  pit_depth: float = number(2.0, least=0.5)
+  """Depth of the pit below the rim [m]."""
+  platform: float = number(1.0, least=0.2)
+  """Least edge of the platform [m]; it grows until beams are apart where they leave it."""
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    if self.beam_width[0] > self.platform:
+      self.refuse(
+        name, f"beam_width {self.beam_width[0]:g} m is wider than the platform; at most {self.platform:g} m would work"
+      )
+    # Where even the narrowest beams touch one another all the way, difficulty would have no effect.
+    room, half = 0.5 * min(size) - self.border - MIN_THICKNESS, 0.5 * self.beam_width[1]
+    most = int(math.pi / math.asin(half / room)) if half < room else 2
+    if self.num_beams > max(most, 2):
+      self.refuse(name, f"num_beams {self.num_beams} leaves no gaps between beams; at most {most} would work")
+
+  def build(self, tile: Tile) -> None:
+    half = 0.5 * tile.scaled(self.beam_width)
+    inner, outer = 0.5 * np.array(tile.inner(self.border)), 0.5 * np.array(tile.size)
+    # Neighbouring beams part at this distance from the centre.
+    apart = half / math.sin(math.pi / self.num_beams) if self.num_beams > 2 else 0.0
+    platform = max(0.5 * self.platform, apart)
+    if platform > inner.min() - MIN_THICKNESS:
+      tile.slab()
+      return
+    tile.pit(self.pit_depth, self.border)
+    tile.block((2.0 * platform, 2.0 * platform), (-self.pit_depth, 0.0))
+    # Both corners of the near end lie on the platform.
+    start = math.sqrt(platform**2 - half**2)
+    for k in range(self.num_beams):
+      angle = 2.0 * math.pi * k / self.num_beams
+      along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+      along[np.abs(along) < 1e-12] = 1e-12
+      corners = np.array([[-half], [half]]) * across
+      # Both corners of the far end reach the rim, and none leaves the tile.
+      reach = ((np.sign(along) * inner - corners) / along).min(-1).max()
+      inside = ((np.sign(along) * outer - corners) / along).min()
+      end = min(reach, inside)
+      center = 0.5 * (start + end) * along
+      rotation = np.array([[along[0], across[0], 0.0], [along[1], across[1], 0.0], [0.0, 0.0, 1.0]])
+      height = self.pit_depth - FLAT
+      size = 0.5 * np.array([end - start, 2.0 * half, height])
+      tile.turned_box((*center, 0.5 * height - self.pit_depth), size, rotation)
+
+
+@dataclass(kw_only=True)
+class NestedRingsCfg(TileCfg):
+  """Square rings over a pit, around a platform. Harder: narrower rings and wider gaps."""
+
+  num_rings: int = number(8, least=1)
+  """Greatest number of rings; fewer where the tile has no room for them at some difficulty."""
+  ring_width: tuple[float, float] = scaled((0.6, 0.3), harder="less", least=MIN_THICKNESS)
+  """Width of a ring [m]."""
+  gap: tuple[float, float] = scaled((0.1, 0.4), harder="more")
+  """Width of the gaps [m]."""
+  pit_depth: float = number(2.0, least=0.5)
+  """Depth of the pit below the rim [m]."""
+  platform: float = number(1.0, least=MIN_THICKNESS)
+  """Least edge of the platform, which fills what the rings leave [m]."""
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    room = 0.5 * (min(size) - 2.0 * self.border - self.platform)
+    if self._num_rings(size) < 1:
+      need = max(w + 2.0 * g for w, g in zip(self.ring_width, self.gap, strict=True))
+      self.refuse(
+        name,
+        f"a ring and two gaps need {need:g} m, but there are {room:g} m between border and platform; "
+        f"make the tile at least {min(size) + 2.0 * (need - room):g} m",
+      )
+
+  def _num_rings(self, size: tuple[float, float]) -> int:
+    room = 0.5 * (min(size) - 2.0 * self.border - self.platform)
+    ends = zip(self.ring_width, self.gap, strict=True)
+    return min(self.num_rings, *(int((room - gap) / (width + gap) + 1e-9) for width, gap in ends))
+
+  def build(self, tile: Tile) -> None:
+    width, gap = tile.scaled(self.ring_width), tile.scaled(self.gap)
+    if gap < FLAT:
+      tile.slab()
+      return
+    tile.pit(self.pit_depth, self.border)
+    extent = np.array(tile.inner(self.border)) - 2.0 * gap
+    for _ in range(self._num_rings(tile.size)):
+      tile.frame(tuple(extent), tuple(extent - 2.0 * width), (-self.pit_depth, 0.0))
+      extent = extent - 2.0 * (width + gap)
+    tile.block(tuple(extent), (-self.pit_depth, 0.0))

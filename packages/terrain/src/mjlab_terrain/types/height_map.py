@@ -1,0 +1,73 @@
+"""Ground from a height map: an array or a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjlab_terrain.checked_fields import number, scaled
+from mjlab_terrain.solids import Floats
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg
+
+
+@dataclass(kw_only=True)
+class HeightMapCfg(TileCfg):
+  """Height map, stretched over the tile. Harder: higher, if `height` says so; by default, difficulty has no effect."""
+
+  source: ArrayLike | str | Path
+  """Heights at the vertices of a regular grid, first index along x, second along y, (nx, ny); or the file of a picture,
+  seen with x to the right and y up, whose grey is from 0, black, to 1, white."""
+  height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
+  """Height of the value 1 of `source` [m]."""
+  border: float = number(0.0)
+  """Width of the level rim at height 0 [m]."""
+  blend: float = number(0.0)
+  """Width over which the heights grow from the border inwards [m]; without border and blend they are left alone."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    try:
+      shape = self._heights().shape
+      good = len(shape) == 2 and min(shape) >= 2 and np.isfinite(self._heights()).all()
+    except (OSError, ValueError, TypeError, ImportError) as error:
+      self.refuse(name, f"the height map {source_name(self.source)} cannot be read: {error}")
+    if not good:
+      self.refuse(name, f"a height map must be (nx, ny), at least (2, 2), and finite; got {shape}")
+
+  def _heights(self) -> Floats:
+    if isinstance(self.source, str | Path):
+      return _read_picture(Path(self.source))
+    heights = np.asarray(self.source)
+    if heights.dtype.kind not in "biuf":
+      raise ValueError(f"heights must be real numbers, got {heights.dtype}")
+    return heights.astype(np.float64)
+
+  def build(self, tile: Tile) -> None:
+    z = self._heights() * tile.scaled(self.height)
+    if self.border > 0.0 or self.blend > 0.0:
+      x, y = (np.linspace(-0.5 * s, 0.5 * s, n) for s, n in zip(tile.size, z.shape, strict=True))
+      z = z * tile.fade(x[:, None], y[None, :], self.border, self.blend)
+    tile.heights(z)
+    tile.spawn_on_top()
+
+
+def source_name(source: object) -> str:
+  """Return a short name of a source of ground, for messages."""
+  return f"'{source}'" if isinstance(source, str | Path) else f"of type {type(source).__name__}"
+
+
+def _read_picture(path: Path) -> Floats:
+  try:
+    from PIL import Image
+  except ImportError as error:
+    raise ImportError("pictures need Pillow: pip install 'mjlab-terrain[mesh]'") from error
+  with Image.open(path) as image:
+    # 16-bit pictures keep their depth; all others become 8-bit grey.
+    deep = image.mode.startswith("I") or image.mode == "F"
+    values = np.asarray(image if deep else image.convert("L"), dtype=np.float64)
+    full = 1.0 if image.mode == "F" else 65535.0 if deep else 255.0
+  return values[::-1].T / full

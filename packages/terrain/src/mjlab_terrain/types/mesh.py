@@ -1,0 +1,132 @@
+"""Ground from a mesh."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjlab_terrain.checked_fields import number, scaled
+from mjlab_terrain.solids import Floats
+from mjlab_terrain.tile import Tile
+from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.types.height_map import source_name
+
+
+@dataclass(kw_only=True)
+class MeshCfg(TileCfg):
+  """Mesh, whose surface as seen from above becomes ground; space below an overhang is filled.
+
+  Harder: higher, if `height` says so; by default, difficulty has no effect. MuJoCo would collide with the convex hull
+  of a mesh, so a height field carries it, with sides as steep as one cell allows.
+  """
+
+  source: str | Path | tuple[ArrayLike, ArrayLike]
+  """A file of any format that `trimesh` reads; or vertices, (n, 3) [m], and triangles, (m, 3), in indices. z is up; the
+  middle of the mesh, seen from above, becomes the middle of the tile."""
+  scale: float = number(1.0, least=1e-6)
+  """Factor on all lengths of the mesh."""
+  height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
+  """Factor on its heights besides."""
+  floor: float = number(0.0, least=-math.inf)
+  """Height of the ground where the mesh has nothing [m]."""
+  resolution: float = number(0.05, least=0.005)
+  """Distance between the vertices of the height field [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    extent = np.ptp(self._checked_mesh(name)[0], axis=0)[:2]
+    if (extent > np.array(size) + 1e-6).any():
+      scale = self.scale * np.floor(1e3 * np.min(np.array(size) / extent)) / 1e3
+      self.refuse(
+        name,
+        f"the mesh is {extent[0]:.3g} x {extent[1]:.3g} m, the tile {size[0]:g} x {size[1]:g} m; "
+        f"a scale of at most {scale:.3g}, or a tile of its size, would work",
+      )
+
+  def natural_size(self) -> tuple[float, float]:
+    x, y, _ = np.ptp(self._checked_mesh("terrain")[0], axis=0)
+    return float(x), float(y)
+
+  def _checked_mesh(self, name: str) -> tuple[Floats, NDArray[np.int64]]:
+    try:
+      return self._mesh()
+    except Exception as error:  # Readers of many formats fail in many ways.
+      self.refuse(name, f"the mesh {source_name(self.source)} cannot be read: {error}")
+
+  def _mesh(self) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices, centred and scaled, (n, 3) [m], and triangles, (m, 3)."""
+    if isinstance(self.source, str | Path):
+      path = Path(self.source)
+      vertices, faces = _read_mesh(path, path.stat().st_mtime_ns)
+    else:
+      vertices, faces = (np.asarray(part) for part in self.source)
+    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, _whole(np.asarray(faces))
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+      raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
+    if not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
+      raise ValueError("vertices must be finite, and triangles name vertices")
+    # Vertices that no triangle uses do not count.
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], faces.reshape(-1, 3)
+    vertices[:, :2] -= 0.5 * (vertices.min(0) + vertices.max(0))[:2]
+    return vertices, faces
+
+  def build(self, tile: Tile) -> None:
+    vertices, faces = self._mesh()
+    x, y = tile.grid(self.resolution)
+    z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
+    tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
+    tile.spawn_on_top()
+
+
+def _whole(indices: NDArray[Any]) -> NDArray[np.int64]:
+  whole = indices.astype(np.int64)
+  if not np.array_equal(whole, indices):
+    raise ValueError("triangles must be whole numbers")
+  return whole
+
+
+@lru_cache(maxsize=8)
+def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
+  """Return vertices and triangles of a file; `changed` is its time of writing, so that a new file is read again."""
+  try:
+    trimesh: Any = import_module("trimesh")
+  except ImportError as error:
+    raise ImportError("meshes need trimesh: pip install 'mjlab-terrain[mesh]'") from error
+  mesh = trimesh.load(path, force="mesh")
+  return mesh.vertices, mesh.faces
+
+
+def seen_from_above(vertices: Floats, faces: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
+  """Return the height of the highest triangle at the points of a regular grid, (nx, ny) [m]; -inf without one."""
+  top = np.full((len(x), len(y)), -np.inf)
+  dx, dy = x[1] - x[0], y[1] - y[0]
+  a, b, c = (vertices[faces[:, k]] for k in range(3))
+  area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+  corners = np.stack((a, b, c))
+  low = np.ceil((corners.min(0)[:, :2] - (x[0], y[0])) / (dx, dy) - 1e-6).astype(np.int64)
+  high = np.floor((corners.max(0)[:, :2] - (x[0], y[0])) / (dx, dy) + 1e-6).astype(np.int64)
+  low, high = np.maximum(low, 0), np.minimum(high, (len(x) - 1, len(y) - 1))
+  counts = np.prod(np.maximum(high - low + 1, 0), axis=1)
+  # A vertical triangle is seen from the side only; its edges belong to its neighbours.
+  seen = np.flatnonzero((counts > 0) & (np.abs(area) > 1e-12))
+  # Every candidate, a triangle and a point in its bounding box, is one element; a few million at a time.
+  for chunk in np.array_split(seen, max(int(counts[seen].sum() // 2_000_000), 1)):
+    t = np.repeat(chunk, counts[chunk])
+    nth = np.arange(len(t)) - np.repeat(np.cumsum(counts[chunk]) - counts[chunk], counts[chunk])
+    width = (high - low + 1)[t, 1]
+    i, j = low[t, 0] + nth // width, low[t, 1] + nth % width
+    px, py = x[i], y[j]
+    u = ((px - a[t, 0]) * (c[t, 1] - a[t, 1]) - (c[t, 0] - a[t, 0]) * (py - a[t, 1])) / area[t]
+    v = ((b[t, 0] - a[t, 0]) * (py - a[t, 1]) - (px - a[t, 0]) * (b[t, 1] - a[t, 1])) / area[t]
+    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+    z = a[t, 2] + u * (b[t, 2] - a[t, 2]) + v * (c[t, 2] - a[t, 2])
+    np.maximum.at(top, (i[inside], j[inside]), z[inside])
+  return top

@@ -1,0 +1,120 @@
+"""Pictures of a terrain, with OpenGL and without."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjlab_terrain.colors import coloring_of
+from mjlab_terrain.grid import TerrainGridCfg
+from mjlab_terrain.surface import surface
+
+Pixels = NDArray[np.uint8]
+"""Red, green and blue, first line at the top, (height, width, 3)."""
+
+PAPER = (246, 247, 248)
+"""Color around the terrain, red, green and blue in [0, 255]."""
+
+_FOVY = 30.0
+# Rendered larger and averaged: smoother edges than the renderer's own multisampling.
+_OVERSAMPLING = 2
+
+
+def render(cfg: TerrainGridCfg, size: tuple[int, int], *, azimuth: float = 0.0, elevation: float = -45.0) -> Pixels:
+  """Return a picture of the whole terrain under a pale sky, (height, width, 3).
+
+  Args:
+    cfg: Its light is left out.
+    size: Width and height [pixels].
+    azimuth: Direction of view, from x [deg].
+    elevation: Direction of view, from the horizontal [deg].
+
+  Raises:
+    Exception: there is no OpenGL; the kind of the exception depends on the system.
+  """
+  model, extent = _stage(cfg, size)
+  data = mujoco.MjData(model)
+  mujoco.mj_forward(model, data)
+  camera = mujoco.MjvCamera()
+  camera.azimuth, camera.elevation = azimuth, elevation
+  camera.distance = _distance(extent, size[0] / size[1], math.radians(azimuth), math.radians(elevation))
+  camera.lookat[:] = (0.0, 0.0, -0.035 * camera.distance)
+  width, height = (_OVERSAMPLING * s for s in size)
+  with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 100) as renderer:
+    renderer.update_scene(data, camera)
+    pixels = np.asarray(renderer.render(), dtype=np.float64)
+  blocks = pixels.reshape(size[1], _OVERSAMPLING, size[0], _OVERSAMPLING, 3)
+  return np.round(blocks.mean((1, 3))).astype(np.uint8)
+
+
+def _stage(cfg: TerrainGridCfg, size: tuple[int, int]) -> tuple[mujoco.MjModel, tuple[float, float]]:
+  """Return the terrain in two lights, of which the first casts shadows, and its extent along x and y [m]."""
+  spec = mujoco.MjSpec()
+  terrain = cfg.add_to(spec)
+  for light in list(spec.lights):
+    spec.delete(light)
+  rows, columns = terrain.difficulty.shape
+  extent = (
+    rows * cfg.tile_size[0] + 2.0 * cfg.border_width,
+    columns * cfg.tile_size[1] + 2.0 * cfg.border_width,
+  )
+  reach = 0.6 * math.hypot(*extent)
+  spec.add_texture(
+    name="sky",
+    type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+    builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+    rgb1=np.array(PAPER) / 255.0,
+    rgb2=np.array(PAPER) / 255.0,
+    width=8,
+    height=48,
+  )
+  sun, main, fill = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, np.array([-0.4, 0.3, -1.0]), np.array([0.7, -0.2, -0.6])
+  # Shadows are sharpest when the light stands over what casts them.
+  spec.worldbody.add_light(type=sun, pos=-reach * main, dir=main, diffuse=(0.62, 0.6, 0.56), specular=(0, 0, 0))
+  spec.worldbody.add_light(
+    type=sun, pos=-reach * fill, dir=fill, castshadow=False, diffuse=(0.16, 0.18, 0.2), specular=(0, 0, 0)
+  )
+  spec.visual.headlight.ambient = (0.38, 0.38, 0.4)
+  spec.visual.headlight.diffuse = (0.1, 0.1, 0.1)
+  spec.visual.headlight.specular = (0, 0, 0)
+  spec.visual.quality.shadowsize = 8192
+  spec.stat.extent, spec.stat.center = reach, (0, 0, 0)
+  spec.visual.map.shadowclip = 1.0
+  # No farther than needed: the depth of shadows shares the range.
+  spec.visual.map.znear, spec.visual.map.zfar = 0.1, 10.0
+  spec.visual.global_.offwidth, spec.visual.global_.offheight = (_OVERSAMPLING * s for s in size)
+  spec.visual.global_.fovy = _FOVY
+  return spec.compile(), extent
+
+
+def _distance(extent: tuple[float, float], aspect: float, azimuth: float, elevation: float) -> float:
+  """Return the distance of a camera that sees all of the ground from the middle of it [m]."""
+  x, y = 0.5 * extent[0], 0.5 * extent[1]
+  across = abs(math.sin(azimuth)) * x + abs(math.cos(azimuth)) * y
+  along = abs(math.cos(azimuth)) * x + abs(math.sin(azimuth)) * y
+  slope = math.tan(math.radians(0.5 * _FOVY))
+  needed = max(across / aspect, along * abs(math.sin(elevation)) + 1.0) / slope
+  return 1.12 * needed + 0.8 * along * math.cos(elevation)
+
+
+def plot(cfg: TerrainGridCfg, size: tuple[int, int]) -> Pixels:
+  """Return a map of heights, shaded by slope, x up and y to the left, at most `size` pixels, (height, width, 3)."""
+  placed = cfg.tiles()
+  rows, columns = placed[-1].row + 1, placed[-1].column + 1
+  scale = min(size[1] / (rows * cfg.tile_size[0]), size[0] / (columns * cfg.tile_size[1]))
+  shape = tuple(max(int(s * scale), 2) for s in cfg.tile_size)
+  x, y = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(cfg.tile_size, shape, strict=True))
+  heights = np.zeros((rows * shape[0], columns * shape[1]))
+  colors = np.zeros((*heights.shape, 3))
+  coloring = coloring_of(cfg.color)
+  for p in placed:
+    here = slice(p.row * shape[0], (p.row + 1) * shape[0]), slice(p.column * shape[1], (p.column + 1) * shape[1])
+    heights[here] = surface(p.tile.solids, x, y)
+    colors[here] = coloring(p.kind, heights[here])
+  # Light from the upper left, as on a map.
+  slope = np.gradient(heights, x[1] - x[0], y[1] - y[0])
+  shade = np.clip(1.0 - 0.35 * (slope[0] + slope[1]) / np.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), 0.3, 1.3)
+  return np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]

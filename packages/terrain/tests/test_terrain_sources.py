@@ -1,0 +1,142 @@
+"""Ground from a user's own heights and meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mjlab_terrain import FlatCfg, HeightMapCfg, MeshCfg, TerrainGridCfg
+from mjlab_terrain.types.mesh import seen_from_above
+
+# A wedge of 2 x 1 m that rises along x from 0 to 1 m, closed below.
+WEDGE_VERTICES = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [2, 0, 1], [2, 1, 1]], dtype=float)
+WEDGE_FACES = np.array([[0, 4, 5], [0, 5, 3], [0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 5], [1, 5, 4], [2, 3, 5]])
+WEDGE = (WEDGE_VERTICES, WEDGE_FACES)
+
+
+def model_of(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+  model = spec.compile()
+  data = mujoco.MjData(model)
+  mujoco.mj_forward(model, data)
+  return model, data
+
+
+def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> float:
+  geom = np.zeros(1, dtype=np.int32)
+  return 9.0 - mujoco.mj_ray(model, data, np.array([x, y, 9.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
+
+
+def test_a_mesh_is_a_terrain_of_its_own_size() -> None:
+  spec = mujoco.MjSpec()
+  terrain = MeshCfg(source=WEDGE).add_to(spec)
+  assert terrain.tile_size == pytest.approx((2.0, 1.0))
+  model, data = model_of(spec)
+  for x, y in ((-0.9, 0.1), (0.0, -0.3), (0.77, 0.4)):
+    assert ground(model, data, x, y) == pytest.approx(0.5 * (x + 1.0), abs=1e-6)
+
+
+def test_a_mesh_is_a_tile_with_a_floor_around_it() -> None:
+  spec = mujoco.MjSpec()
+  cfg = TerrainGridCfg(
+    types={"mesh": MeshCfg(source=WEDGE, scale=2.0, floor=-0.1), "flat": FlatCfg()}, rows=1, tile_size=(8.0, 6.0)
+  )
+  terrain = cfg.add_to(spec)
+  model, data = model_of(spec)
+  assert ground(model, data, 1.0, -3.0) == pytest.approx(1.5, abs=1e-6)
+  assert ground(model, data, -2.5, -3.0) == pytest.approx(-0.1, abs=1e-6)
+  origin = terrain.origins[0, 0]
+  assert ground(model, data, origin[0], origin[1]) == pytest.approx(origin[2], abs=1e-6)
+
+
+def test_difficulty_scales_a_mesh_only_if_told_to() -> None:
+  for height, expected in (((1.0, 1.0), 0.5), ((0.0, 1.0), 0.125)):
+    spec = mujoco.MjSpec()
+    MeshCfg(source=WEDGE, height=height).add_to(spec, difficulty=0.25)
+    model, data = model_of(spec)
+    assert ground(model, data, 0.0, 0.1) == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_is_seen_from_above_is_the_highest_triangle() -> None:
+  rng = np.random.default_rng(0)
+  vertices, faces = rng.uniform(-1.0, 1.0, (30, 3)), rng.integers(30, size=(20, 3))
+  x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.0, 1.0, 31)
+  seen = seen_from_above(vertices, faces, x, y)
+  # The same by solving for barycentric coordinates, point by point.
+  for i, j in np.ndindex(len(x), len(y)):
+    best = -np.inf
+    for face in faces:
+      matrix = np.vstack((vertices[face, :2].T, np.ones(3)))
+      if abs(np.linalg.det(matrix)) > 1e-9:
+        weights = np.linalg.solve(matrix, np.array((x[i], y[j], 1.0)))
+        if weights.min() >= -1e-9:
+          best = max(best, float(weights @ vertices[face, 2]))
+    assert seen[i, j] == pytest.approx(best, abs=1e-9)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb"])
+def test_files_of_many_formats_are_read(tmp_path: Path, suffix: str) -> None:
+  trimesh = pytest.importorskip("trimesh")
+  path = tmp_path / f"wedge.{suffix}"
+  trimesh.Trimesh(*WEDGE).export(path)
+  spec = mujoco.MjSpec()
+  MeshCfg(source=path).add_to(spec)
+  model, data = model_of(spec)
+  assert ground(model, data, 0.5, 0.1) == pytest.approx(0.75, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+  ("cfg", "message"),
+  [
+    (MeshCfg(source="nowhere.obj"), "MeshCfg 'it': the mesh 'nowhere.obj' cannot be read: .*No such file"),
+    (MeshCfg(source=(np.zeros((3, 2)), [[0, 1, 2]])), r"vertices must be \(n, 3\)"),
+    (MeshCfg(source=(np.zeros((3, 3)), [[0, 1, 3]])), "triangles name vertices"),
+    (MeshCfg(source=([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1.5, 2]])), "triangles must be whole numbers"),
+    (MeshCfg(source=WEDGE, floor=float("nan")), "floor must be finite"),
+    (MeshCfg(source=WEDGE, scale=10.0), "the mesh is 20 x 10 m, the tile 8 x 8 m; a scale of at most 4"),
+    (MeshCfg(source=WEDGE, scale=-1.0), "scale -1.0 must be at least"),
+  ],
+)
+def test_a_bad_mesh_is_refused_by_name(cfg: MeshCfg, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    TerrainGridCfg(types={"it": cfg}).add_to(mujoco.MjSpec())
+
+
+def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path) -> None:
+  pytest.importorskip("trimesh")
+  path = tmp_path / "not_a_mesh.obj"
+  path.write_text("nothing of the kind")
+  with pytest.raises(ValueError, match=r"MeshCfg 'it': the mesh '.*not_a_mesh.obj' cannot be read"):
+    TerrainGridCfg(types={"it": MeshCfg(source=path)}).add_to(mujoco.MjSpec())
+
+
+def test_a_picture_is_seen_with_x_to_the_right_and_y_up(tmp_path: Path) -> None:
+  image = pytest.importorskip("PIL.Image")
+  pixels = np.zeros((20, 40, 3), dtype=np.uint8)
+  # White in the upper right corner.
+  pixels[:8, 30:] = 255
+  path = tmp_path / "heights.png"
+  image.fromarray(pixels).save(path)
+  spec = mujoco.MjSpec()
+  HeightMapCfg(source=path, height=(0.5, 0.5)).add_to(spec, tile_size=(4.0, 2.0))
+  model, data = model_of(spec)
+  assert ground(model, data, 1.7, 0.7) == pytest.approx(0.5, abs=1e-6)
+  for x, y in ((-1.7, 0.7), (1.7, -0.7), (-1.7, -0.7)):
+    assert ground(model, data, x, y) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pictures_with_sixteen_bits_keep_them(tmp_path: Path) -> None:
+  image = pytest.importorskip("PIL.Image")
+  heights = np.arange(64 * 64, dtype=np.uint16).reshape(64, 64) * 16
+  path = tmp_path / "deep.png"
+  image.fromarray(heights).save(path)
+  assert len(np.unique(HeightMapCfg(source=path)._heights())) == 64 * 64
+
+
+def test_a_border_brings_a_height_map_to_the_rim() -> None:
+  spec = mujoco.MjSpec()
+  HeightMapCfg(source=np.ones((81, 81)), border=0.5, blend=0.5).add_to(spec, tile_size=(8.0, 8.0))
+  model, data = model_of(spec)
+  assert ground(model, data, 3.7, 0.3) == pytest.approx(0.0, abs=1e-6)
+  assert ground(model, data, 2.0, 0.3) == pytest.approx(1.0, abs=1e-6)
