@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import torch
 from mjlab_actuators import NativePositionActuatorCfg
-from mjlab_core.masking import where_
+from mjlab_core.indexing import where_
 from mjlab_core.rotations import quat_apply_inverse
 from mjlab_core.sampling import uniform
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
@@ -73,7 +73,7 @@ class SpeedCommand(CommandTerm):
 
   def __init__(self, cfg: SpeedCommandCfg, env: ManagerBasedRlEnv) -> None:
     super().__init__(cfg, env)
-    self._command = torch.zeros(env.num_envs, 1, device=env.device)
+    self._command = self.state((1,))
     self.metrics["error"] = torch.zeros(env.num_envs, device=env.device)
 
   @property
@@ -95,12 +95,15 @@ class SpeedCommand(CommandTerm):
 class Ended(ManagerTermBase):
   """Ends the episodes of the worlds in `worlds`, bool (num_envs,), which a test writes."""
 
-  def __init__(self, cfg: TerminationTermCfg, env: ManagerBasedRlEnv) -> None:
-    super().__init__(cfg, env)
-    self.worlds = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+  def __init__(self, env: ManagerBasedRlEnv) -> None:
+    super().__init__(env)
+    self.worlds = self.state(dtype=torch.bool)
 
-  def __call__(self, env: ManagerBasedRlEnv) -> torch.Tensor:
+  def __call__(self) -> torch.Tensor:
     return self.worlds.clone()
+
+  def reset(self, mask: torch.Tensor) -> None:
+    """Leave it to the test."""
 
 
 def end(env: Any, *worlds: int) -> None:

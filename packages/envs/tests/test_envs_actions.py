@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from envs_hopper import actions, hopper_cfg
+from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
-from mjlab_managers import ConfigError
 
 # An environment, of which tests also touch what is not public.
 Make = Callable[..., Any]
@@ -181,8 +181,8 @@ def test_a_binary_action_opens_for_zero_or_more_and_closes_below(make: Make) -> 
       "relative_to must be 'position' or 'target', got 'goal'",
     ),
     ({"grip": mdp.BinaryJointPositionActionCfg(open={"hip": 1.0}, close={".*": 0.0})}, "open.*joint knee"),
-    ({"legs": mdp.JointPositionActionCfg(offset=5.0)}, "offset is given, and use_default_offset is on"),
-    ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "Set use_default_offset=False to use 5.0"),
+    ({"legs": mdp.JointPositionActionCfg(offset=5.0)}, "offset requires use_default_offset=False"),
+    ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "offset requires use_default_offset=False; got offset=5.0"),
     ({"legs": mdp.JointPositionActionCfg(clip=(1.0, -1.0))}, "clip"),
     ({"legs": mdp.JointPositionActionCfg(clip={"hip": (1.0, -1.0)})}, r"clip\['hip'\]"),
     ({"legs": mdp.JointPositionActionCfg(scale=float("nan"))}, "scale must be finite, got nan"),

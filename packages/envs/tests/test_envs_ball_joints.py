@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 from mjlab_actuators import NativePositionActuatorCfg
+from mjlab_core.errors import ConfigError
 from mjlab_dr import encoder_bias
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import ConfigError, EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
+from mjlab_managers import EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
@@ -55,3 +56,21 @@ def test_actions_and_encoder_bias_find_the_columns_of_their_joint(make: Callable
 def test_ids_of_some_joints_are_refused_where_they_are_no_columns(make: Callable[..., Any]) -> None:
   with pytest.raises(ConfigError, match=r"entity 'robot': joint 'neck' has several columns.*elbow"):
     make(robot_cfg("elbow"))
+
+
+def test_a_ball_joint_is_observed_as_the_rotation_from_its_default(make: Callable[..., Any]) -> None:
+  cfg = robot_cfg(None)
+  default = np.array([np.cos(0.2), 0.0, np.sin(0.2), 0.0])
+  cfg.scene.entities["robot"].init_state.joint_pos = {"neck": tuple(default), "elbow": 0.4}
+  env = make(cfg)
+  env.reset()
+  rng = np.random.default_rng(2)
+  quats = rng.normal(size=(2, 4))
+  quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+  env.sim.data.qpos[:, :4] = torch.tensor(quats)
+  env.sim.data.qpos[:, 4] = torch.tensor([0.1, 0.9])
+  seen = env.observation_manager.compute()["actor"].double().numpy()
+  for world in range(2):
+    expected = np.zeros(3)
+    mujoco.mju_subQuat(expected, quats[world], default)
+    np.testing.assert_allclose(seen[world], [*expected, env.sim.data.qpos[world, 4] - 0.4], atol=1e-5)

@@ -7,16 +7,10 @@ import mujoco
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
+from mjlab_core.errors import ConfigError
 from mjlab_dr import Categorical, body_mass, encoder_bias, geom_friction, pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_managers import (
-  ConfigError,
-  CurriculumTermCfg,
-  EventTermCfg,
-  ObservationGroupCfg,
-  ObservationTermCfg,
-  SceneEntityCfg,
-)
+from mjlab_managers import CurriculumTermCfg, EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
 from mjlab_scene import EntityCfg, InitialStateCfg, VariantEntityCfg
 
 Make = Callable[..., ManagerBasedRlEnv]
@@ -225,10 +219,10 @@ THING = '<mujoco><worldbody><body name="thing"><freejoint/><geom name="hull" {}/
   ("params", "message"),
   [
     ({"event": "frction", "steps": (0, 10)}, "Nearest: friction"),
-    ({"event": "push", "steps": (0, 10)}, "event 'push' randomises no field or gain"),
+    ({"event": "push", "steps": (0, 10)}, "event 'push' has no strength to widen"),
     ({"event": "friction", "steps": (10, 10)}, r"must grow from 0 or more, got \(10, 10\)"),
     ({"event": "light", "steps": (0, 10)}, "a choice, which cannot be widened"),
-    ({"event": "once", "steps": (0, 10)}, "event 'once' fires once, at startup, before anything has grown"),
+    ({"event": "once", "steps": (0, 10)}, "event 'once' fires once, at startup, before its strength grows"),
   ],
 )
 def test_a_curriculum_of_nothing_is_refused_at_build(make: Make, params: dict[str, Any], message: str) -> None:

@@ -19,9 +19,10 @@ from mjlab_actuators import (
   TorqueSpeedEnvelope,
   XmlActuatorCfg,
 )
-from mjlab_dr import LogUniform, randomize_field
+from mjlab_core.errors import ConfigError
+from mjlab_dr import Categorical, LogUniform, randomize_field
 from mjlab_envs import mdp
-from mjlab_managers import ConfigError, CurriculumTermCfg, EventTermCfg
+from mjlab_managers import CurriculumTermCfg, EventTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 
 # An environment, of which tests also touch what is not public.
@@ -199,12 +200,12 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
 def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
   names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
   env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)))
-  parameter = env.event_manager.get_term_cfg("kp").func.parameter
+  parameter = env.event_manager.get_term_cfg("kp").func.field._target
   assert torch.equal(parameter.factors(), torch.ones(WORLDS, len(names)))
   factor = torch.linspace(0.5, 2.0, WORLDS * len(names)).view(WORLDS, -1)
   parameter.scale(factor, torch.tensor([True, True, False, True]))
   factor[2] = 1.0
-  torch.testing.assert_close(parameter.factors(), factor.to(parameter.nominal.dtype))
+  torch.testing.assert_close(parameter.factors(), factor.to(parameter.default.dtype))
 
 
 def test_a_curriculum_widens_the_range_of_a_gain(make: Make) -> None:
@@ -306,8 +307,8 @@ def delays(**params: Any) -> EventTermCfg:
     ({"a": drawn("stifness", (0.8, 1.2))}, "actuator parameter 'stifness' does not exist. Nearest: stiffness"),
     ({"a": drawn("stiffness", (1.2, 0.8))}, "stiffness.* 1.2"),
     ({"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
-    ({"a": drawn("stiffness", (-0.1, 0.8))}, "values from -0.1 up; none may be negative"),
-    ({"a": drawn("stiffness", (0.8, 1.2), operation="add")}, "operation 'add' does not exist. .*scale"),
+    ({"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
+    ({"a": drawn("stiffness", (0.8, 1.2), operation="multiply")}, "operation 'multiply' does not exist. .*scale"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="motor")}, "stiffness of joint 'motor': its actuator has none"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),
@@ -336,8 +337,40 @@ def test_two_events_for_one_number_are_refused(make: Make) -> None:
     "a": drawn("stiffness", (0.8, 1.2), targets="pd"),
     "b": drawn("stiffness", (0.8, 1.2), targets=("pd", "dc")),
   }
-  with pytest.raises(ConfigError, match="stiffness of joint 'pd' is written by another event already"):
+  with pytest.raises(ConfigError, match="stiffness of joint 'pd' is written by event"):
     make(arm_cfg(*LAWS.values(), **events))
+
+
+def test_one_event_serves_rows_of_models_and_of_actuators(make: Make) -> None:
+  def generic(randomizer: Any) -> EventTermCfg:
+    return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
+
+  env = make(
+    arm_cfg(
+      LAWS["pd"],
+      late("motor", (0, 5)),
+      kp=generic(randomize_field("stiffness", "pd", (1.0, 3.0), operation="add")),
+      late=generic(randomize_field("delay", ("motor", "dc"), Categorical((3,)))),
+      damping=generic(randomize_field("dof_damping", "pd", (0.1, 0.2))),
+    )
+  )
+  pd, motor = env.scene["robot"].actuators.groups
+  assert ((pd.stiffness >= 21.0) & (pd.stiffness <= 23.0)).all()
+  assert pd.stiffness.unique().numel() == WORLDS
+  assert (motor.delay.lag == 3).all()
+
+
+def test_claims_follow_the_parameters_of_an_event(make: Make) -> None:
+  a, b = (drawn("stiffness", (2.0, 2.0), "reset", targets=target) for target in ("pd", "dc"))
+  env = make(arm_cfg(LAWS["pd"], LAWS["dc"], LAWS["envelope"], a=a, b=b))
+  with pytest.raises(ConfigError, match="term 'b': stiffness of joint 'pd' is written by event 'a' too"):
+    env.event_manager.set_params("b", targets="pd")
+  env.event_manager.set_params("a", targets="envelope")
+  env.event_manager.set_params("b", targets="pd", values=(4.0, 4.0))
+  env.event_manager.apply("reset", torch.ones(WORLDS, dtype=torch.bool))
+  pd, _, envelope = env.scene["robot"].actuators.groups
+  assert (pd.stiffness == 80.0).all()
+  assert (envelope.stiffness == 40.0).all()
 
 
 def test_an_event_on_the_raw_field_of_a_gain_is_refused_beside_one_on_the_gain(make: Make) -> None:

@@ -195,8 +195,8 @@ class Book(RecorderTerm):
 
   pages: list[tuple[int, list[float], float, bool, bool]]
 
-  def __init__(self, cfg: RecorderTermCfg, env: ManagerBasedRlEnv) -> None:
-    super().__init__(cfg, env)
+  def __init__(self, env: ManagerBasedRlEnv) -> None:
+    super().__init__(env)
     self.pages, self.closed = [], 0
     self.fresh: list[list[int]] = []
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
-from mjlab_core.state import StateError
+from mjlab_core import MjlabError
+from mjlab_core.errors import ConfigError, StateError
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
-  ConfigError,
   EventTermCfg,
   ObservationTermCfg,
   RecorderTerm,
@@ -23,7 +23,6 @@ from mjlab_managers import (
   RewardTermCfg,
   TerminationTermCfg,
 )
-from mjlab_sim import SimulationError
 
 # An environment, of which tests also touch what is not public.
 Make = Callable[..., Any]
@@ -298,7 +297,7 @@ def test_a_recorder_that_fails_to_close_leaves_nothing_open(make: Make) -> None:
   with pytest.raises(OSError, match="disk full"):
     env.close()
   assert closed == ["first", "second"]
-  with pytest.raises(SimulationError, match="closed"):
+  with pytest.raises(MjlabError, match="closed"):
     env.sim.step()
 
 
@@ -322,8 +321,8 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
     ({"episode_length_s": 0.0}, "termination 'time_out' is a time-out, so episode_length_s must be positive"),
     ({"episode_length_s": -1.0}, "episode_length_s must not be negative, got -1.0"),
     ({"decimation": 0}, "decimation must be at least 1, got 0"),
-    ({"num_envs": 0}, "scene.num_envs must be at least 1, got 0"),
-    ({"num_envs": 2.5}, "scene.num_envs must be a whole number, got 2.5"),
+    ({"num_envs": 0}, "scene: num_envs must be at least 1, got 0"),
+    ({"num_envs": 2.5}, "scene: num_envs must be a whole number, got 2.5"),
     ({"decimation": True}, "decimation must be a whole number, got True"),
     ({"episode_length_s": float("inf")}, "episode_length_s must be finite, got inf; 0 is without end"),
     ({"seed": 1.5}, "seed must be a whole number, got 1.5"),

@@ -9,8 +9,9 @@ import pytest
 import torch
 from envs_hopper import actions
 from mjlab_actuators import NativeMotorActuatorCfg, NativePositionActuatorCfg, NativeVelocityActuatorCfg
+from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import ActionTermCfg, ConfigError
+from mjlab_managers import ActionTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 

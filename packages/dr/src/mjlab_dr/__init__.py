@@ -1,8 +1,8 @@
 """Domain randomisation of MuJoCo models: one model, tensors for any engine, or a running simulation."""
 
-from mjlab_dr.apply import ModelFields, RandomizeField, apply_all
+from mjlab_dr.apply import ModelFields, Quantity, RandomizeField, apply_all
 from mjlab_dr.binding import Component
-from mjlab_dr.catalogue import FIELDS, LEFT_OUT, Field, element_names
+from mjlab_dr.catalogue import FIELDS, LEFT_OUT, followers_of, needs_constants
 from mjlab_dr.distributions import (
   Categorical,
   Custom,
@@ -14,6 +14,7 @@ from mjlab_dr.distributions import (
   check_distribution,
 )
 from mjlab_dr.draws import agreement, drawn_values
+from mjlab_dr.fields import Field, Operation, element_names
 from mjlab_dr.inertia import inertia_perturbation, perturb_inertia, pseudo_inertia_matrix
 from mjlab_dr.randomizers import (
   FieldRandomizer,
@@ -39,6 +40,8 @@ __all__ = [
   "Gaussian",
   "LogUniform",
   "ModelFields",
+  "Operation",
+  "Quantity",
   "Randomization",
   "RandomizeField",
   "RandomizedTensors",
@@ -52,8 +55,10 @@ __all__ = [
   "drawn_values",
   "element_names",
   "encoder_bias",
+  "followers_of",
   "geom_friction",
   "inertia_perturbation",
+  "needs_constants",
   "perturb_inertia",
   "pseudo_inertia",
   "pseudo_inertia_matrix",

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Hashable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import normalize, quat_from_euler_xyz, quat_mul, where_
+from mjlab_core import as_slice, normalize, quat_from_euler_xyz, quat_mul, where_
+from mjlab_core.errors import MjlabError
 from torch import Tensor
 
-from mjlab_dr.binding import bind, check_results, with_ids
+from mjlab_dr.binding import Binding, Component, bind, result_problems, with_ids
 from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import joint_sampler, try_out
 from mjlab_dr.inertia import perturb_inertia
@@ -19,7 +20,7 @@ from mjlab_dr.randomizers import FieldRandomizer
 
 
 class ModelFields(Protocol):
-  """What randomisers ask of a simulation of `num_envs` worlds."""
+  """Model fields of a simulation of `num_envs` worlds."""
 
   @property
   def num_envs(self) -> int:
@@ -28,7 +29,7 @@ class ModelFields(Protocol):
 
   @property
   def device(self) -> torch.device:
-    """Where the fields live."""
+    """Device of the fields."""
     ...
 
   @property
@@ -42,38 +43,65 @@ class ModelFields(Protocol):
     ...
 
   def expand_model_fields(self, names: Iterable[str], /) -> None:
-    """Gives these fields, and what derives from them, one value per world."""
+    """Give these fields, and those that derive from them, one value per world."""
     ...
 
   def default_field(self, name: str, /) -> Tensor:
-    """The value to start from: the compiled one, (1, ...), or one for each world, (num_envs, ...), in fixed memory."""
+    """Return the compiled value, (1, ...), or one for each world, (num_envs, ...), in fixed memory."""
     ...
 
   def recompute_constants(self, mask: Tensor | None = None, /) -> None:
-    """Recomputes the derived fields of the masked worlds, bool (num_envs,)."""
+    """Recompute the derived fields of the masked worlds, bool (num_envs,)."""
+    ...
+
+
+class Quantity(Protocol):
+  """Values of elements outside MjModel, one column each, that a randomiser can write."""
+
+  @property
+  def names(self) -> Sequence[str]:
+    """Names of the elements."""
+    ...
+
+  @property
+  def default(self) -> Tensor:
+    """Values to start from, (1 or num_envs, number of elements)."""
+    ...
+
+  @property
+  def claims(self) -> Mapping[tuple[str, Hashable], str]:
+    """Descriptions of the numbers that a write changes, by field and element or column."""
+    ...
+
+  def values(self) -> Tensor:
+    """Return the present values, (num_envs, number of elements), in new memory."""
+    ...
+
+  def write(self, values: Tensor, mask: Tensor) -> None:
+    """Write values, (num_envs, number of elements), into the worlds of `mask`, bool (num_envs,)."""
     ...
 
 
 class RandomizeField:
-  """Writes draws of one randomiser into the worlds of a mask.
+  """A randomiser bound to the fields of many worlds, which writes its draws into the worlds of a mask.
 
-  Construction resolves names, checks the outcome against what is physical and expands the field; `apply` then runs
-  inside a captured step.
+  Construction resolves names, refuses unphysical results and expands the field; `apply` then runs inside a captured
+  step.
 
   Args:
     cfg: the randomiser.
-    sim: where the fields are.
+    sim: the fields.
     generator: source of the draws, on the device of `sim`; None is torch's global one.
     names: names that the pattern is matched against; None is all of the model that the field makes sense for.
     ids: the element of the model, or the column of `target`, behind each of `names`; None counts from 0.
-    target: for fields that MjModel does not have, the tensor (num_envs, ...) to be written, in fixed memory.
-    prefix: what names of materials and textures may lack.
-    upon: fields and columns that another one has written whenever this one is applied: of those it starts from what
-      that one made, instead of from the default.
-    owner: whose randomiser it is, as error messages should say it.
+    target: for fields that MjModel does not have, the tensor (num_envs, ...) to be written, in fixed memory, or the
+      quantity, whose elements are then all drawn.
+    prefix: prefix that names of materials and textures may lack.
+    upon: fields and columns that an earlier randomiser writes; draws start from its result instead of the default.
+    owner: name of the owner in error messages.
 
   Raises:
-    ValueError: the pattern matches nothing, a result may be unphysical, or a change could have no effect.
+    MjlabError: the pattern matches nothing, a result may be unphysical, or a change could have no effect.
   """
 
   def __init__(
@@ -84,7 +112,7 @@ class RandomizeField:
     generator: torch.Generator | None = None,
     names: Sequence[str] | None = None,
     ids: Sequence[int] | None = None,
-    target: Tensor | None = None,
+    target: Tensor | Quantity | None = None,
     prefix: str = "",
     upon: Container[tuple[str, int]] = (),
     owner: str = "",
@@ -94,13 +122,21 @@ class RandomizeField:
     self._form, self._sim, self._generator, self._target = field.form, sim, generator, target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
     if field.in_model == (target is not None):
-      raise ValueError(f"{owner}: a target is for fields outside of MjModel, and only for those.")
+      raise MjlabError(f"{owner}: a target is for fields outside of MjModel, and only for those.")
     model = sim.mj_model
-    binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)
+    if target is None or isinstance(target, Tensor):
+      binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)
+    else:
+      elements = tuple(target.names)
+      columns = [
+        Component(field=cfg.field, element=name, axis="", row=i, columns=(i,), source=i)
+        for i, name in enumerate(elements)
+      ]
+      binding = Binding(elements, tuple(columns))
     self.element_names, self.components = binding.elements, binding.components
     distributions = with_ids(cfg, model, owner, prefix)
     self.distributions = dict(zip(cfg.values, distributions, strict=True))
-    """What each axis is drawn from, with the ids of this model in place of names."""
+    """Distribution of each axis, with the ids of this model in place of names."""
 
     fields = list(dict.fromkeys(component.field for component in self.components))
     if target is None:
@@ -109,14 +145,18 @@ class RandomizeField:
     self._writes: list[_Columns] = []
     for name in fields:
       components = [component for component in self.components if component.field == name]
-      default = _flat_default(sim, name) if target is None else torch.zeros_like(target[:1]).flatten(1)
+      if target is None:
+        default = _flat_default(sim, name)
+      else:
+        default = torch.zeros_like(target[:1]).flatten(1) if isinstance(target, Tensor) else target.default
       write = _Columns(name, [component.columns for component in components], default, sim.num_envs)
       write.start_from(upon)
       defaults.append(write.default[:, write.first].double().cpu().numpy())
       self._writes.append(write)
     worlds = max(len(default) for default in defaults)
     table = np.concatenate([np.broadcast_to(x, (worlds, x.shape[1])) for x in defaults], axis=1)
-    check_results(cfg, binding, table, model, owner)
+    for problem in result_problems(cfg, binding, table, model):
+      raise MjlabError(f"{owner}: {problem}")
     self._follower: _Columns | None = None
     if field.moves_with:
       columns, default = [component.columns for component in self.components], _flat_default(sim, field.moves_with)
@@ -133,7 +173,7 @@ class RandomizeField:
     axes, every = list(cfg.values), range(len(field.axes))
     places = [axes.index(axis) if axis in axes else len(axes) + axis for axis in every]
     self._places = None if places == list(every) else torch.tensor(places, device=sim.device)
-    """Where each axis is among those drawn, followed by all; None if all are drawn, in order."""
+    """Index of each axis among those drawn, followed by all; None if all are drawn, in order."""
     self._shape = (sim.num_envs, 1 if cfg.shared else len(self.element_names))
     self._full = (sim.num_envs, len(self.element_names), len(axes))
     sources = [component.source for component in self.components for _ in component.columns]
@@ -146,63 +186,76 @@ class RandomizeField:
 
   @property
   def default(self) -> Tensor:
-    """What it starts from: a value of each of `components`, (1 or num_envs, number of components)."""
+    """Value of each of `components` to start from, (1 or num_envs, number of components)."""
     parts = [write.default[:, write.first] for write in self._writes]
     worlds = max(len(part) for part in parts)
     return torch.cat([part.expand(worlds, -1) for part in parts], -1)
 
   @property
   def strength(self) -> Tensor:
-    """How far from the default what is written lies, from 0 for the default itself to 1 for the draw as asked for, ().
+    """Share of the way from the default, 0, to the draw, 1, that is written, ().
 
     For curricula: written in place it widens every range. Ask for it before the first step is recorded.
 
     Raises:
-      ValueError: the field is a choice, of which there is no part.
+      MjlabError: the field is a choice, of which there is no part.
     """
     if FIELDS[self.cfg.field].integer:
-      raise ValueError(f"{self.cfg.label}: it is a choice, which cannot be widened.")
+      raise MjlabError(f"{self.cfg.label}: it is a choice, which cannot be widened.")
     if self._strength is None:
       self._strength = torch.ones((), device=self._sim.device, dtype=self._dtype)
     return self._strength
 
   def apply(self, mask: Tensor, *, recompute: bool = True) -> None:
-    """Draws for all worlds and writes those of `mask`, bool (num_envs,); the others stay bit-identical.
+    """Draw for all worlds and write those of `mask`, bool (num_envs,); the others stay bit-identical.
 
-    With `recompute` the derived fields follow at once; without, the caller does that after several randomisers.
+    With `recompute` the derived fields follow at once; otherwise the caller recomputes them after several randomisers.
     """
     draw = self._sample(self._shape, self._generator).expand(self._full)
-    # Looking is free on a CPU, where most steps reset nobody; what was drawn is spent all the same.
+    # On a CPU a look at the mask is free, and most steps reset no world. The draw is made all the same.
     if mask.device.type == "cpu" and not mask.numpy().any():
       return
     results = self._results(draw)
     if self._follower is not None:
       led, flat = self._writes[0], self._flat(self._follower.field)
       self._follower.store(flat, mask, self._follower.start(flat) + (results[0] - led.start(self._flat(led.field))))
-    for write, value in zip(self._writes, results, strict=True):
-      write.store(self._flat(write.field), mask, value)
+    if self._target is not None and not isinstance(self._target, Tensor):
+      self._target.write(results[0], mask)
+    else:
+      for write, value in zip(self._writes, results, strict=True):
+        write.store(self._flat(write.field), mask, value)
     if recompute and self.needs_constants:
       self._sim.recompute_constants(mask)
 
   def values(self) -> Tensor:
-    """What the worlds have now, (num_envs, number of `components`), in new memory."""
+    """Return the present values, (num_envs, number of `components`), in new memory."""
     parts = [self._flat(write.field).index_select(1, write.all)[:, write.first] for write in self._writes]
     return torch.cat([part.to(self._dtype) for part in parts], -1)
 
   def written(self) -> dict[tuple[str, int], str]:
-    """The element behind everything that it writes, by field and column."""
+    """Return the element of every number that it writes, by field and column."""
     out = {(c.field, column): c.element for c in self.components for column in c.columns}
     if self._follower is not None:
       out |= {(self._follower.field, column): c.element for c in self.components for column in c.columns}
     return out
 
+  @property
+  def claims(self) -> dict[tuple[str, Hashable], str]:
+    """Descriptions of the numbers that it writes, by field and column or element."""
+    if self._target is not None and not isinstance(self._target, Tensor):
+      return dict(self._target.claims)
+    kind = FIELDS[self.cfg.field].kind
+    return {key: f"{key[0]} of {kind} '{element}'" for key, element in self.written().items()}
+
   def _flat(self, name: str) -> Tensor:
-    # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
+    # Looked up each time: another expansion may have replaced the array. A view, never a copy.
+    if self._target is not None and not isinstance(self._target, Tensor):
+      return self._target.values()
     tensor = getattr(self._sim.model, name) if self._target is None else self._target
     return tensor.view(self._sim.num_envs, -1)
 
   def _results(self, draw: Tensor) -> list[Tensor]:
-    """What to write to each field, in the order of its columns."""
+    """Return the values to write to each field, in the order of its columns."""
     starts = [write.start(self._flat(write.field)) for write in self._writes]
     if self._form == "plain":
       default = starts[0]
@@ -233,7 +286,7 @@ class RandomizeField:
     return [x.flatten(1) for x in perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)]
 
   def _combined(self, draw: Tensor, default: Tensor) -> Tensor:
-    """Draws on the axes that are drawn and the default on the others, (num_envs, elements, all axes)."""
+    """Return draws on the axes that are drawn and the default on the others, (num_envs, elements, all axes)."""
     if self.cfg.operation == "absolute":
       value = self._on_all_axes(draw, default)
     elif self.cfg.operation == "add":
@@ -243,7 +296,7 @@ class RandomizeField:
     return value if self._strength is None else torch.lerp(default.expand_as(value), value, self._strength)
 
   def _on_all_axes(self, draw: Tensor, otherwise: Tensor | float) -> Tensor:
-    """Draws on the axes that are drawn, and on the others what is given, (num_envs, elements, all axes)."""
+    """Return draws on the axes that are drawn, and `otherwise` on the others, (num_envs, elements, all axes)."""
     if self._places is None:
       return draw
     if not isinstance(otherwise, Tensor):
@@ -262,10 +315,10 @@ class _Columns:
     """Every column, with repetitions where several belong to one component."""
     starts = np.cumsum([0, *(len(group) for group in columns)])[:-1]
     self.first = torch.tensor(starts, device=device)
-    """Where among `all` each component has its first column."""
-    self._slice = _as_slice(flat)
+    """Index in `all` of the first column of each component."""
+    self._slice = as_slice(flat, spaced=True)
     self._is_written: Tensor | None = None
-    # What each world has of its own changes where a state of other worlds is loaded, and is looked up every time.
+    # Values per world change when a state of other worlds is loaded, so they are looked up every time.
     self._rows = default
     self._constant = None if len(default) == num_envs else default.index_select(1, self.all)
 
@@ -277,19 +330,19 @@ class _Columns:
     return self._rows.index_select(1, self.all) if self._slice is None else self._rows[:, self._slice]
 
   def start_from(self, upon: Container[tuple[str, int]]) -> None:
-    """Notes which columns another randomiser has written before."""
+    """Note the columns that another randomiser has written before."""
     written = [(self.field, column) in upon for column in self.all.tolist()]
     if any(written):
       self._is_written = torch.tensor(written, device=self.all.device)
 
   def start(self, flat: Tensor) -> Tensor:
-    """What to start from, (1 or num_envs, number of columns), of the field's rows `flat`."""
+    """Return the values to start from, (1 or num_envs, number of columns), of the field's rows `flat`."""
     if self._is_written is None:
       return self.default
     return torch.where(self._is_written, flat.index_select(1, self.all), self.default)
 
   def store(self, flat: Tensor, mask: Tensor, value: Tensor) -> None:
-    """Writes (num_envs, number of columns) into the masked rows."""
+    """Write (num_envs, number of columns) into the masked rows."""
     if self._slice is not None:
       where_(flat[:, self._slice], mask, value)
     else:
@@ -304,17 +357,8 @@ def _flat_default(sim: ModelFields, name: str) -> Tensor:
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:
-  """Applies several randomisers to the worlds of `mask`, bool (num_envs,), and recomputes derived fields once."""
+  """Apply several randomisers to the worlds of `mask`, bool (num_envs,), and recompute derived fields once."""
   for term in terms:
     term.apply(mask, recompute=False)
   if any(term.needs_constants for term in terms):
     sim.recompute_constants(mask)
-
-
-def _as_slice(columns: Sequence[int]) -> slice | None:
-  """A slice, which is a view to write through, if the columns are evenly spaced."""
-  steps = np.diff(columns)
-  if len(columns) == 1 or (steps[0] > 0 and (steps == steps[0]).all()):
-    step = int(steps[0]) if len(steps) else 1
-    return slice(columns[0], columns[-1] + 1, step)
-  return None

@@ -1,18 +1,21 @@
-"""Which numbers of a model a randomiser writes, and whether all that may come out is physical and counts."""
+"""Numbers of a model that a randomiser writes, and checks that they are physical and have an effect."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mjlab_core import NameMatchError, match_names, unknown
+from mjlab_core import UnknownNameError, match_names, unknown
+from mjlab_core.errors import MjlabError
 
-from mjlab_dr.catalogue import FIELDS, Field, count, element_names, rows
+from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import Categorical, Distribution
-from mjlab_dr.effect import why_axis_idle, why_element_idle
+from mjlab_dr.effect import idle_elements, idle_on_axis
+from mjlab_dr.fields import Field, count, element_names, rows
 from mjlab_dr.randomizers import FieldRandomizer
 
 _COMPONENTS = {"rotation": ("w", "x", "y", "z")}
@@ -31,14 +34,14 @@ class Component:
   row: int
   """Its element's row in the field, the first of several."""
   columns: tuple[int, ...]
-  """Where it is among the values of one world, more than once where degrees of freedom share it."""
+  """Its columns in the values of one world, several if degrees of freedom share it."""
   source: int
-  """Which draw it comes from, element by element and axis by axis; -1 if it follows from several."""
+  """Index of its draw, element by element and axis by axis; -1 if it follows from several."""
 
 
 @dataclass(frozen=True)
 class Binding:
-  """A randomiser's place in a model."""
+  """Elements and numbers of a model that a randomiser writes."""
 
   elements: tuple[str, ...]
   """Names of the elements that it changes."""
@@ -55,18 +58,18 @@ def bind(
   is_target: bool,
   owner: str,
 ) -> Binding:
-  """Resolves a randomiser in a model.
+  """Resolve a randomiser in a model.
 
   Args:
     cfg: the randomiser.
     model: the compiled model.
     names: names that the pattern is matched against; None is all of the model.
     ids: the element of the model, or the column of the target, behind each of `names`.
-    is_target: whether what is written is outside of the model.
-    owner: whose randomiser it is, as messages begin.
+    is_target: True if a tensor outside the model is written.
+    owner: name of the owner in messages.
 
   Raises:
-    ValueError: nothing matches, or nothing that matches counts.
+    MjlabError: nothing matches, or nothing that matches has an effect.
   """
   field = FIELDS[cfg.field]
   in_model = not is_target or names is None
@@ -77,14 +80,22 @@ def bind(
   elif ids is None:
     ids = range(len(names))
   picked, _ = match_names(cfg.pattern, names, what=field.kind, owner=owner)
-  idle = {i: why for i in picked if in_model and (why := why_element_idle(model, cfg.field, int(ids[i])))}
+  idle: dict[int, str] = {}
+  fixed: list[str] = []
+  for i in picked if in_model else ():
+    if (body := simple_body(cfg, model, int(ids[i]))) is not None:
+      idle[i] = f"{body} {SIMPLE}"
+      fixed.append(body)
+  reasons = idle_elements(model, cfg.field, [int(ids[i]) for i in picked if i not in idle]) if in_model else {}
+  for i in picked:
+    if why := reasons.get(int(ids[i])):
+      idle[i] = f"a change of {field.kind} {names[i]!r} would do nothing, for it {why}."
   for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
     matched = [i for i in picked if re.fullmatch(pattern, names[i])]
     if all(i in idle for i in matched):
-      raise NameMatchError(
-        f"{owner}: a change of {field.kind} {names[matched[0]]!r} would do nothing, for it {idle[matched[0]]}."
-        + (f" Nor would one of the {len(matched) - 1} others that match {pattern!r}." if len(matched) > 1 else "")
-      )
+      raise UnknownNameError(f"{owner}: {idle[matched[0]]}{_others(matched, pattern)}")
+  if fixed:
+    warnings.warn(f"{owner}: left out, because {', '.join(dict.fromkeys(fixed))} {SIMPLE}", stacklevel=4)
   elements = [(names[i], int(ids[i])) for i in picked if i not in idle]
   if is_target:
     return Binding(
@@ -103,19 +114,48 @@ def bind(
   return Binding(tuple(name for name, _ in elements), tuple(components))
 
 
+SIMPLE = (
+  "was compiled as simple: MuJoCo keeps its inertia matrix diagonal, whatever this field says. Scenes of mjlab compile "
+  'no body so; elsewhere set simple="false" on it before compiling (`MjSpec.body(name).simple = False`).'
+)
+
+
+def simple_body(cfg: FieldRandomizer, model: mujoco.MjModel, i: int) -> str | None:
+  """Return the body of element `i` if it was compiled as simple and the draw would not leave it so; None otherwise.
+
+  The compiler finds bodies whose part of the inertia matrix is diagonal and constant, and both engines store no more
+  than the diagonal of it. It stays diagonal while the centre of mass is the origin of the body, the principal axes are
+  its axes, and its several degrees of freedom act along these and through the origin.
+  """
+  form = FIELDS[cfg.field].form
+  if cfg.field in ("jnt_pos", "jnt_axis"):
+    body = int(model.jnt_bodyid[i])
+    # The matrix of a single degree of freedom is its diagonal.
+    stays = model.body_dofnum[body] == 1
+  else:
+    body = i
+    # What scales or stretches a body moves no centre of mass that is the origin.
+    drawn = {FIELDS[cfg.field].axes[axis] for axis in cfg.values}
+    stays = cfg.field not in ("body_ipos", "body_iquat") and form != "pseudo_inertia"
+    stays = stays or (form == "pseudo_inertia" and drawn <= {"alpha", "d1", "d2", "d3"})
+  if stays or FIELDS[cfg.field].kind not in ("body", "joint") or not model.body_simple[body]:
+    return None
+  return f"body {element_names(model, 'body')[body]!r}"
+
+
 def _single(
   cfg: FieldRandomizer, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]], owner: str
 ) -> list[Component]:
-  """A component for every axis of every element that counts."""
+  """Return a component for every axis of every element that has an effect."""
   components: list[Component] = []
   axes = list(cfg.values)
   for j, axis in enumerate(axes):
-    reasons = [why_axis_idle(model, cfg.field, i, axis) for _, i in elements]
-    if all(reasons) and not cfg.every_axis:
+    idle = idle_on_axis(model, cfg.field, [i for _, i in elements], axis)
+    if len(idle) == len(elements) and not cfg.every_axis:
       which = f"{field.axes[axis]} of {field.kind} {elements[0][0]!r}"
-      raise ValueError(f"{owner}: a change of {which} would do nothing, for it {reasons[0]}.")
-    for e, ((name, i), reason) in enumerate(zip(elements, reasons, strict=True)):
-      if not reason:
+      raise MjlabError(f"{owner}: a change of {which} would do nothing, for it {idle[elements[0][1]]}.")
+    for e, (name, i) in enumerate(elements):
+      if i not in idle:
         at = rows(model, field, i)
         where = tuple(row * field.width + axis for row in at)
         source = e * len(axes) + j
@@ -123,13 +163,13 @@ def _single(
           Component(field=cfg.field, element=name, axis=field.axes[axis], row=at[0], columns=where, source=source)
         )
   if not components:
-    reason = why_axis_idle(model, cfg.field, elements[0][1], axes[0])
-    raise ValueError(f"{owner}: a change of {field.kind} {elements[0][0]!r} would do nothing, for it {reason}.")
+    reason = idle_on_axis(model, cfg.field, [elements[0][1]], axes[0])[elements[0][1]]
+    raise MjlabError(f"{owner}: a change of {field.kind} {elements[0][0]!r} would do nothing, for it {reason}.")
   return sorted(components, key=lambda component: component.source)
 
 
 def _servo(elements: list[tuple[str, int]]) -> list[Component]:
-  """Gain and feedback of position actuators."""
+  """Return gain and feedback of position actuators."""
   return [
     Component(field=written, element=element, axis="kp", row=i, columns=(i * FIELDS[written].width + k,), source=e)
     for written, k in (("actuator_gainprm", 0), ("actuator_biasprm", 1))
@@ -138,7 +178,7 @@ def _servo(elements: list[tuple[str, int]]) -> list[Component]:
 
 
 def _whole(name: str, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]]) -> list[Component]:
-  """All components of every element, where they are written together."""
+  """Return all components of every element, which are written together."""
   return [
     Component(field=written, element=element, axis=axis, row=i, columns=(i * len(axes) + k,), source=-1)
     for written in field.fields or (name,)
@@ -149,56 +189,54 @@ def _whole(name: str, field: Field, model: mujoco.MjModel, elements: list[tuple[
 
 
 def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: str) -> list[Distribution]:
-  """The distributions of a randomiser, with ids in place of names, which may lack `prefix`.
+  """Return the distributions of a randomiser, with ids in place of names, which may lack `prefix`.
 
   Raises:
-    ValueError: a name that does not exist, or a number that is no id.
+    MjlabError: a name that does not exist, or a number that is no id.
   """
   field = FIELDS[cfg.field]
   if not field.integer:
     return list(cfg.values.values())
-  known = element_names(model, field.names) if field.names else ["0", "1"]
+  known = element_names(model, field.names) if field.names else []
 
   def find(name: str) -> int:
     for candidate in (name, prefix + name):
       if candidate in known:
         return known.index(candidate)
-    raise ValueError(unknown(field.names or "value", name, known, owner=owner))
+    raise UnknownNameError(unknown(field.names or "value", name, known, owner=owner))
 
   out: list[Distribution] = []
   for distribution in cfg.values.values():
     assert isinstance(distribution, Categorical)
     chosen = distribution.named(find)
     for value in chosen.values:
-      if value not in range(len(known)):
-        raise ValueError(f"{owner}: {value!r} is no {field.names or 'choice'}; there are {len(known)}, from 0.")
+      if field.names and value not in range(len(known)):
+        raise MjlabError(f"{owner}: {value!r} is no {field.names}; there are {len(known)}, from 0.")
+      if value != int(value):
+        raise MjlabError(f"{owner}: {value!r} must be a whole number.")
     out.append(chosen)
   return out
 
 
-def check_results(
-  cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel, owner: str
-) -> None:
-  """Checks everything that may come out against what is physical; `defaults` has a row for each
-  world, or one for all, and a number for each component.
+def result_problems(
+  cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel
+) -> Iterator[str]:
+  """Yield why a possible result is not physical, with the element, the result, and the admissible values.
 
-  Raises:
-    ValueError: naming the element, what it may get, and what is allowed.
+  `defaults` has a row for each world, or one for all, and a number for each component.
   """
   field = FIELDS[cfg.field]
   if cfg.operation == "scale":
-    _check_multiples(cfg, binding, defaults, owner)
+    yield from _zero_multiples(cfg, binding, defaults)
   if field.form == "direction" and cfg.operation == "absolute":
-    _check_length(cfg, binding, defaults, owner)
-  # What scales or stretches a body leaves its centre of mass where it is, if that is the origin.
-  drawn = {field.axes[axis] for axis in cfg.values}
-  if cfg.field in ("body_ipos", "body_iquat") or (
-    field.form == "pseudo_inertia" and not drawn <= {"alpha", "d1", "d2", "d3"}
-  ):
-    _check_simple(binding, model, owner)
-  if field.form not in ("plain", "servo") or field.integer:
-    return
-  distributions = list(cfg.values.values())
+    yield from _zero_lengths(cfg, binding, defaults)
+  if field.form in ("plain", "servo") and not field.integer:
+    yield from _unphysical(cfg, binding, defaults, model)
+
+
+def _unphysical(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel) -> Iterator[str]:
+  """Yield results outside of the bounds of their axis, or impossible beside those of other axes."""
+  field, distributions = FIELDS[cfg.field], list(cfg.values.values())
   # Lowest and highest of each axis of each element, drawn or not.
   spans: dict[str, Spans] = {}
   for i, component in enumerate(binding.components):
@@ -218,30 +256,48 @@ def check_results(
     spans.setdefault(component.element, {})[component.axis] = float(lo), float(hi)
     # A scaled zero stays one, as compiled.
     is_kept = cfg.operation == "scale" and start.min() == 0.0
-    what = f"{owner}: {field.kind} {component.element!r} may get {component.axis or cfg.field}"
+    what = f"{field.kind} {component.element!r} may get {component.axis or cfg.field}"
     if lo < minimum or (field.positive and lo == minimum and not is_kept):
-      raise ValueError(f"{what} {lo:g}, below the physical minimum {minimum:g}.")
+      yield f"{what} {lo:g}, below the physical minimum {minimum:g}."
     if hi > maximum:
-      raise ValueError(f"{what} {hi:g}, above the physical maximum {maximum:g}.")
+      yield f"{what} {hi:g}, above the physical maximum {maximum:g}."
   if not (field.ordered or cfg.field in ("body_inertia", "actuator_delay") or "timeconst" in field.axes):
     return
   row_of = {component.element: component.row for component in binding.components}
   for element, span in spans.items():
-    what = f"{owner}: {field.kind} {element!r}"
     compiled = np.asarray(getattr(model, cfg.field)).reshape(-1, field.width)[row_of[element]].tolist()
     both = {axis: (x, x) for axis, x in zip(field.axes, compiled, strict=True)} | span
-    if field.ordered and not cfg.isotropic:
-      _check_order(what, both)
-    elif cfg.field == "body_inertia" and not (cfg.isotropic and cfg.operation == "scale"):
-      _check_triangle(what, both)
-    elif "timeconst" in field.axes:
-      _check_signs(what, both)
-    elif cfg.field == "actuator_delay":
-      _check_delay(what, both[""][1], model, row_of[element])
+    for problem in _impossible_together(cfg, both, model, row_of[element]):
+      yield f"{field.kind} {element!r} may get {problem}"
 
 
-def _check_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, owner: str) -> None:
-  """Refuses patterns, and axes that were asked for by themselves, of which all that is multiplied is zero."""
+def _impossible_together(cfg: FieldRandomizer, spans: Spans, model: mujoco.MjModel, row: int) -> Iterator[str]:
+  """Yield why the numbers of one element do not fit together."""
+  field = FIELDS[cfg.field]
+  if field.ordered and not cfg.isotropic and spans["lower"][1] > spans["upper"][0]:
+    yield (
+      f"a lower bound of {spans['lower'][1]:g} with an upper bound of {spans['upper'][0]:g}. "
+      "Narrow the ranges, or move both by one draw with isotropic=True."
+    )
+  if cfg.field == "body_inertia" and not (cfg.isotropic and cfg.operation == "scale"):
+    for axis, (_, hi) in spans.items():
+      others = sum(spans[other][0] for other in spans if other != axis)
+      if hi > others * (1.0 + 1e-9):
+        yield (
+          f"{axis} {hi:g} where the other two moments sum to {others:g}, which no body has. "
+          "Narrow the ranges, scale all with isotropic=True, or use pseudo_inertia."
+        )
+  if "timeconst" in field.axes and len({*np.sign([bound for span in spans.values() for bound in span])} | {0.0}) != 2:
+    listed = ", ".join(f"{axis} in [{lo:g}, {hi:g}]" for axis, (lo, hi) in spans.items())
+    yield f"{listed}; both must be positive, or both negative."
+  if cfg.field == "actuator_delay":
+    longest, delay = float(model.actuator_history[row, 0]) * model.opt.timestep, spans[""][1]
+    if delay > longest * (1.0 + 1e-9):
+      yield f"a delay of {delay:g} s, but its buffer was compiled for {longest:g} s. Raise its nsample."
+
+
+def _zero_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray) -> Iterator[str]:
+  """Yield patterns, and axes given by themselves, of which all defaults to be multiplied are zero."""
   field = FIELDS[cfg.field]
   is_zero = (defaults == 0.0).all(0)
   drawn = [field.axes[axis] for axis in cfg.values]
@@ -257,62 +313,22 @@ def _check_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarra
       if zeros and all(zeros):
         which = "" if cfg.every_axis else axes[0]
         what = f"{which} of {field.kind} {matched[0]!r}".removeprefix(" of ")
-        raise ValueError(
-          f"{owner}: a change of {what} would do nothing, for it is zero, as is every multiple."
-          + (f" Nor would one of the {len(matched) - 1} others that match {pattern!r}." if len(matched) > 1 else "")
-        )
+        yield f"a change of {what} would do nothing, for it is zero, as is every multiple.{_others(matched, pattern)}"
 
 
-def _check_length(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, owner: str) -> None:
-  """Refuses directions that become zero whatever is drawn."""
+def _others(matched: Sequence[object], pattern: str) -> str:
+  return f" Nor would one of the {len(matched) - 1} others that match {pattern!r}." if len(matched) > 1 else ""
+
+
+def _zero_lengths(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray) -> Iterator[str]:
+  """Yield elements whose direction becomes zero for every draw."""
   field = FIELDS[cfg.field]
   is_zero = {field.axes[axis]: not any(values.support()) for axis, values in cfg.values.items()}
   for name in binding.elements:
     columns = [i for i, component in enumerate(binding.components) if component.element == name]
     if all(is_zero.get(binding.components[i].axis, not defaults[:, i].any()) for i in columns):
-      raise ValueError(f"{owner}: {field.kind} {name!r} may get {cfg.field} of length zero.")
+      yield f"{field.kind} {name!r} may get {cfg.field} of length zero."
 
 
 Spans = dict[str, tuple[float, float]]
 """Lowest and highest value by axis."""
-
-
-def _check_order(what: str, spans: Spans) -> None:
-  if spans["lower"][1] > spans["upper"][0]:
-    raise ValueError(
-      f"{what} may get a lower bound of {spans['lower'][1]:g} with an upper bound of {spans['upper'][0]:g}. "
-      "Narrow the ranges, or move both by one draw with isotropic=True."
-    )
-
-
-def _check_triangle(what: str, spans: Spans) -> None:
-  for axis in spans:
-    others = sum(spans[other][0] for other in spans if other != axis)
-    if spans[axis][1] > others * (1.0 + 1e-9):
-      raise ValueError(
-        f"{what} may get {axis} {spans[axis][1]:g} where the other two moments sum to {others:g}, which no body has. "
-        "Narrow the ranges, scale all with isotropic=True, or use pseudo_inertia."
-      )
-
-
-def _check_signs(what: str, spans: Spans) -> None:
-  if not (all(lo > 0.0 for lo, _ in spans.values()) or all(hi < 0.0 for _, hi in spans.values())):
-    listed = ", ".join(f"{axis} in [{lo:g}, {hi:g}]" for axis, (lo, hi) in spans.items())
-    raise ValueError(f"{what} may get {listed}; both must be positive, or both negative.")
-
-
-def _check_delay(what: str, delay: float, model: mujoco.MjModel, actuator: int) -> None:
-  longest = float(model.actuator_history[actuator, 0]) * model.opt.timestep
-  if delay > longest * (1.0 + 1e-9):
-    raise ValueError(
-      f"{what} may get a delay of {delay:g} s, but its buffer was compiled for {longest:g} s. Raise its nsample."
-    )
-
-
-def _check_simple(binding: Binding, model: mujoco.MjModel, owner: str) -> None:
-  for component in binding.components:
-    if model.body_simple[component.row]:
-      raise ValueError(
-        f"{owner}: body {component.element!r} was compiled as simple, with its centre of mass fixed at its origin. "
-        'Set simple="false" on it before compiling (`MjSpec.body(name).simple = False`).'
-      )

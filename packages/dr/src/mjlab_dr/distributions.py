@@ -7,38 +7,40 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import accumulate
 from numbers import Real
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import torch
 from mjlab_core import check_range, log_uniform, truncated_normal, uniform
+from mjlab_core.constraints import Finite, Limits, NonNegative, field_problems
+from mjlab_core.errors import ConfigError, MjlabError
 from torch import Tensor
 
 
 class SampleFunction(Protocol):
-  """Independent draws of a shape, without a host sync, always consuming the same amount of randomness."""
+  """Function that returns independent draws, without a host sync, from the same amount of randomness every time."""
 
   def __call__(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
-    """A tensor of `shape`."""
+    """Return a tensor of `shape`."""
     ...
 
 
 class Distribution(Protocol):
-  """What a randomiser asks of a distribution. Any object with these three methods is one."""
+  """Distribution of a randomised value. Any object with these three methods is one."""
 
   def check(self, name: str) -> None:
-    """Raises ValueError, beginning with `name`, if the parameters are impossible."""
+    """Raise MjlabError, beginning with `name`, if the parameters are impossible."""
     ...
 
   def support(self) -> tuple[float, float]:
-    """Smallest and largest value that may be drawn."""
+    """Return the smallest and largest value that may be drawn."""
     ...
 
   def sample(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
-    """Independent draws of this shape, without a host sync, always consuming the same amount of randomness."""
+    """Return independent draws of this shape, without a host sync, from the same amount of randomness every time."""
     ...
 
 
@@ -54,7 +56,7 @@ class _Parametric:
   def sample(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
-    """Independent draws of this shape."""
+    """Return independent draws of this shape."""
     return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
 
 
@@ -62,17 +64,17 @@ class _Parametric:
 class Uniform(_Parametric):
   """Every value of [lo, hi] equally likely."""
 
-  lo: float
-  hi: float
+  lo: Finite
+  hi: Finite
   _draw = staticmethod(uniform)
 
   def check(self, name: str) -> None:
-    """Raises ValueError if the range is inverted or not finite."""
+    """Raise MjlabError if the range is inverted or not finite."""
     check_range(name, self.lo, self.hi)
-    _check_finite(name, self.lo, self.hi)
+    _check_fields(self, name)
 
   def support(self) -> tuple[float, float]:
-    """(lo, hi)."""
+    """Return (lo, hi)."""
     return self.lo, self.hi
 
 
@@ -80,17 +82,17 @@ class Uniform(_Parametric):
 class LogUniform(_Parametric):
   """Every ratio within [lo, hi] equally likely; for quantities that range over orders of magnitude."""
 
-  lo: float
-  hi: float
+  lo: Finite
+  hi: Finite
   _draw = staticmethod(log_uniform)
 
   def check(self, name: str) -> None:
-    """Raises ValueError if the range is inverted, not finite, or not above zero."""
+    """Raise MjlabError if the range is inverted, not finite, or not above zero."""
     check_range(f"{name}, log-uniform", self.lo, self.hi, minimum=0.0, open_minimum=True)
-    _check_finite(name, self.lo, self.hi)
+    _check_fields(self, name)
 
   def support(self) -> tuple[float, float]:
-    """(lo, hi)."""
+    """Return (lo, hi)."""
     return self.lo, self.hi
 
 
@@ -98,25 +100,23 @@ class LogUniform(_Parametric):
 class Gaussian(_Parametric):
   """Normal with this mean and standard deviation, conditioned on [lo, hi]."""
 
-  mean: float
-  std: float
+  mean: Finite
+  std: NonNegative
   lo: float = -math.inf
   hi: float = math.inf
   _draw = staticmethod(truncated_normal)
 
   def check(self, name: str) -> None:
-    """Raises ValueError if `std` is negative, or [lo, hi] is inverted or more than 5 std away from the mean."""
+    """Raise MjlabError if `std` is negative, or [lo, hi] is inverted or more than 5 std away from the mean."""
     check_range(f"{name}, Gaussian", self.lo, self.hi)
-    _check_finite(name, self.mean, self.std)
-    if self.std < 0.0:
-      raise ValueError(f"{name}: standard deviation must not be negative, got {self.std}.")
+    _check_fields(self, name)
     if not self.lo - 5.0 * self.std <= self.mean <= self.hi + 5.0 * self.std:
-      raise ValueError(
+      raise MjlabError(
         f"{name}: mean {self.mean} is more than five standard deviations ({self.std}) outside [{self.lo}, {self.hi}]."
       )
 
   def support(self) -> tuple[float, float]:
-    """(lo, hi)."""
+    """Return (lo, hi)."""
     return self.lo, self.hi
 
 
@@ -124,44 +124,38 @@ class Gaussian(_Parametric):
 class Categorical:
   """One of these values, as likely as its weight says; or of these names, where a field refers to named things."""
 
-  values: tuple[float | str, ...]
-  weights: tuple[float, ...] | None = None
+  values: Annotated[tuple[float | str, ...], Limits()]
+  weights: Annotated[tuple[float, ...] | None, Limits(ge=0)] = None
 
   def check(self, name: str) -> None:
-    """Raises ValueError if there is nothing to choose from, or weights do not fit it."""
-    if not self.values:
-      raise ValueError(f"{name}: there is nothing to choose from.")
-    _check_finite(name, *(x for x in self.values if not isinstance(x, str)))
-    if self.weights is None:
-      return
-    if len(self.weights) != len(self.values):
-      raise ValueError(f"{name}: {len(self.values)} values have {len(self.weights)} weights.")
-    _check_finite(name, *self.weights)
-    if min(self.weights) < 0.0 or not sum(self.weights):
-      raise ValueError(f"{name}: weights must not be negative, nor all zero, got {self.weights}.")
+    """Raise MjlabError if there is nothing to choose from, or weights do not fit it."""
+    _check_fields(self, name)
+    weights = (1.0,) * len(self.values) if self.weights is None else self.weights
+    if len(weights) != len(self.values) or not sum(weights):
+      raise MjlabError(f"{name}: needs values, and as many weights, not all zero; got {self.values} and {weights}.")
 
   @property
   def has_names(self) -> bool:
-    """Whether some are given by name."""
+    """True if some are given by name."""
     return any(isinstance(x, str) for x in self.values)
 
   def support(self) -> tuple[float, float]:
-    """Smallest and largest value; those given by name are not known yet, and count as 0."""
+    """Return the smallest and largest value; values given by name count as 0."""
     numbers = [0.0 if isinstance(x, str) else x for x in self.values]
     return min(numbers), max(numbers)
 
   def named(self, ids: Callable[[str], int]) -> Categorical:
-    """The same with ids instead of names."""
+    """Return the same distribution with ids instead of names."""
     return replace(self, values=tuple(ids(x) if isinstance(x, str) else x for x in self.values))
 
   def sample(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
-    """Independent draws of this shape."""
+    """Return independent draws of this shape."""
     return self.prepared(device=device, dtype=dtype)(shape, generator=generator, device=device, dtype=dtype)
 
   def prepared(self, *, device: torch.device, dtype: torch.dtype) -> SampleFunction:
-    """`sample` with its table on the device already."""
+    """Return `sample` with its table on the device."""
     weights = self.weights or (1.0,) * len(self.values)
     table = torch.tensor(self.values, device=device, dtype=dtype)
     # The last edge is left out, so that rounding cannot reach beyond the table.
@@ -179,77 +173,77 @@ class Categorical:
 
 @dataclass(frozen=True)
 class Custom:
-  """Whatever a function draws, which must stay within [lo, hi].
+  """Draws of a function, which must stay within [lo, hi].
 
   It runs inside a captured step: it must draw from the generator it is given, and not wait for the device.
   """
 
   function: SampleFunction
-  lo: float
-  hi: float
+  lo: Finite
+  hi: Finite
 
   def check(self, name: str) -> None:
-    """Raises ValueError if the range is inverted or not finite."""
+    """Raise MjlabError if the range is inverted or not finite."""
     check_range(name, self.lo, self.hi)
-    _check_finite(name, self.lo, self.hi)
+    _check_fields(self, name)
 
   def support(self) -> tuple[float, float]:
-    """(lo, hi)."""
+    """Return (lo, hi)."""
     return self.lo, self.hi
 
   def sample(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
-    """What the function draws, held within [lo, hi]."""
+    """Return the draws of the function, clamped to [lo, hi]."""
     drawn = self.function(shape, generator=generator, device=device, dtype=dtype)
     if not isinstance(drawn, Tensor):
-      raise ValueError(f"a custom distribution returned {drawn!r} where a tensor was asked for.")
+      raise MjlabError(f"a custom distribution returned {drawn!r} where a tensor was asked for.")
     if drawn.shape != tuple(shape):
-      raise ValueError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
+      raise MjlabError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
     return drawn.to(dtype).clamp(self.lo, self.hi)
 
 
-def _check_finite(name: str, *numbers: float) -> None:
-  if not all(math.isfinite(x) for x in numbers):
-    raise ValueError(f"{name}: needs finite numbers, got {numbers}.")
+def _check_fields(distribution: Any, name: str) -> None:
+  if problems := field_problems(distribution):
+    raise ConfigError(*(f"{name}: {problem}" for problem in problems))
 
 
 def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) -> Any:
-  """The distribution that a pair of numbers means, or whatever else was given; `check_distribution` judges that."""
+  """Return the distribution of a pair of numbers; anything else is returned as it is, for `check_distribution`."""
   # A list is what comes from files.
   is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
   return kind(*values) if is_pair else values
 
 
 def check_distribution(distribution: Distribution, name: str) -> None:
-  """Raises ValueError, beginning with `name`, if something is no distribution, or one with impossible parameters."""
+  """Raise MjlabError, beginning with `name`, if it is not a distribution, or has impossible parameters."""
   methods = [getattr(distribution, method, None) for method in ("check", "support", "sample")]
   if isinstance(distribution, type) or not all(map(callable, methods)):
-    raise ValueError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
+    raise MjlabError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
   distribution.check(name)
 
 
 def try_out(distribution: Distribution, name: str, *, device: torch.device, dtype: torch.dtype) -> None:
-  """Draws from a distribution that somebody else wrote, with a generator of its own.
+  """Draw from a distribution that is not from this package, with a generator of its own.
 
   Raises:
-    ValueError: beginning with `name`, the draws are no numbers, or outside of what it says is their support.
+    MjlabError: beginning with `name`, draws are not numbers, or are outside of the support.
   """
   if isinstance(distribution, _Parametric | Categorical):
     return
   generator = torch.Generator(device).manual_seed(0)
   drawn = distribution.sample((256,), generator=generator, device=device, dtype=dtype)
-  # What rounds to a bound is within it.
+  # Values that round to a bound are within it.
   lo, hi = torch.tensor(distribution.support(), device=device, dtype=dtype)
   outside = drawn[~((drawn >= lo) & (drawn <= hi))].tolist()
   if outside:
-    raise ValueError(f"{name}: {distribution!r} drew {outside[0]}, outside of its support [{lo:.6g}, {hi:.6g}].")
+    raise MjlabError(f"{name}: {distribution!r} drew {outside[0]}, outside of its support [{lo:.6g}, {hi:.6g}].")
 
 
 def joint_sampler(
   distributions: Sequence[Distribution], *, device: torch.device, dtype: torch.dtype
 ) -> Callable[[tuple[int, ...], torch.Generator | None], Tensor]:
-  """A function (shape, generator) -> (*shape, k) that draws one column from each of k distributions.
+  """Return a function (shape, generator) -> (*shape, k) that draws one column from each of k distributions.
 
   Columns of one parametric kind are drawn in one go.
   """

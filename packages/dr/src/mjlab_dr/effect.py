@@ -1,180 +1,134 @@
-"""Which elements and axes of a field count in a model: what would change nothing is found before it is trained on."""
+"""Check that a change of a model field has an effect, by MuJoCo itself where it can tell."""
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from mjlab_dr.catalogue import FIELDS, rows
+from mjlab_dr.catalogue import FIELDS, needs_constants
+from mjlab_dr.fields import rows
 
-_SIZES = {
-  int(mujoco.mjtGeom.mjGEOM_SPHERE): 1,
-  int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2,
-  int(mujoco.mjtGeom.mjGEOM_CYLINDER): 2,
-  int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): 3,
-  int(mujoco.mjtGeom.mjGEOM_BOX): 3,
-}
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 _NO_COLOR = (0.5, 0.5, 0.5, 1.0)
-_CONTACT = {
-  "geom_friction",
-  "geom_solref",
-  "geom_solimp",
-  "geom_solmix",
-  "geom_margin",
-  "geom_gap",
-  "geom_surfacevel",
-  "geom_adhesion",
-}
-_BY_PRIORITY = {"geom_friction", "geom_solref", "geom_solimp", "geom_solmix"}
 _CONDIM = {"geom_friction": (3, 4, 6), "pair_friction": (3, 3, 4, 6, 6)}
-
-
-def why_element_idle(model: mujoco.MjModel, name: str, i: int) -> str:
-  """Why changing field `name` of element `i` would change nothing, as the end of a sentence; "" if it counts."""
-  field = FIELDS[name]
-  reason = _REASONS[field.kind](model, name, i)
-  if not reason and not field.from_zero:
-    value = np.asarray(getattr(model.opt, name[4:]) if field.kind == "option" else getattr(model, name))
-    at = value if field.kind == "option" else value[list(rows(model, field, i))]
-    if not at.any():
-      return "was compiled as zero, and engines leave out what is off"
-  return reason
-
-
-def why_axis_idle(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
-  """Why changing one axis of an element that counts would change nothing; "" if it counts."""
-  if name == "geom_size":
-    used = _SIZES[int(model.geom_type[i])]
-    if axis >= used:
-      return f"has only {used} size{'s' if used > 1 else ''}"
-  elif name in _CONDIM:
-    condim = _condim(model, i) if name == "geom_friction" else int(model.pair_dim[i])
-    needed = _CONDIM[name][axis]
-    if condim < needed:
-      return f"needs condim {needed}, which none of its contacts has: it is {condim}"
-  elif name == "eq_data":
-    kind = mujoco.mjtEq(int(model.eq_type[i]))
-    if kind == mujoco.mjtEq.mjEQ_CONNECT and axis >= 3:
-      return "is a connection of bodies, whose other numbers follow"
-    if kind == mujoco.mjtEq.mjEQ_WELD and axis not in (0, 1, 2, 10):
-      return "is a weld, whose relative pose follows"
-    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD) and axis >= 5:
-      return "has a polynomial of five numbers"
-  elif name == "mat_texid" and model.mat_texid[i, axis] < 0:
-    return "was compiled without a texture for it"
-  elif name == "actuator_gear" and axis > 0 and int(model.actuator_trntype[i]) in _SCALAR_TRANSMISSIONS:
-    joint = int(model.actuator_trnid[i, 0])
-    if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_TENDON) or model.jnt_type[joint] in _SCALAR_JOINTS:
-      return "has one gear"
-  elif name in _PARAMETERS:
-    types, used_by = _PARAMETERS[name]
-    used = used_by.get(int(getattr(model, types)[i]), len(FIELDS[name].axes))
-    if axis >= used:
-      return f"reads {used} of these numbers"
-    is_motor = int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_DCMOTOR)
-    if is_motor and (name, axis) in _MOTOR_STATES and not getattr(model, name)[i, axis]:
-      return "was compiled without the state that it would have then"
-  return ""
-
-
-_PARAMETERS: dict[str, tuple[str, dict[int, int]]] = {
-  "actuator_gainprm": (
-    "actuator_gaintype",
-    {
-      int(mujoco.mjtGain.mjGAIN_FIXED): 1,
-      int(mujoco.mjtGain.mjGAIN_AFFINE): 3,
-      int(mujoco.mjtGain.mjGAIN_MUSCLE): 9,
-    },
-  ),
-  "actuator_biasprm": (
-    "actuator_biastype",
-    {
-      int(mujoco.mjtBias.mjBIAS_NONE): 0,
-      int(mujoco.mjtBias.mjBIAS_AFFINE): 3,
-      int(mujoco.mjtBias.mjBIAS_MUSCLE): 9,
-    },
-  ),
-  "actuator_dynprm": (
-    "actuator_dyntype",
-    {
-      int(mujoco.mjtDyn.mjDYN_INTEGRATOR): 0,
-      int(mujoco.mjtDyn.mjDYN_FILTER): 1,
-      int(mujoco.mjtDyn.mjDYN_FILTEREXACT): 1,
-      int(mujoco.mjtDyn.mjDYN_MUSCLE): 3,
-    },
-  ),
-}
-"""Of parameters of actuators, the field that says of which type it is, and how many numbers that type reads."""
-
+_BY_PRIORITY = {"geom_friction", "geom_solref", "geom_solimp", "geom_solmix"}
+_CONTACT = _BY_PRIORITY | {"geom_margin", "geom_gap", "geom_surfacevel", "geom_adhesion"}
 _MOTOR_STATES = {*(("actuator_dynprm", axis) for axis in (0, 2, 5, 7)), ("actuator_gainprm", 5)}
-"""Parameters of which a DC motor has an activation where they are not zero: they lay out memory."""
+"""Parameters of which a DC motor has an activation if they are not zero: a change would move memory."""
+
+_INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "pseudo_inertia"}
+_PROBED = {"body", "joint", "tendon", "actuator", "equality"}
+# Plastic springs yield over time; the others have a reason of their own.
+_UNPROBED = _INERTIAL | {"jnt_springyield", "tendon_springyield", "actuator_delay", "actuator_kp"}
+_PROBED_AXES = {"geom_size", "eq_data", "actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm"}
+_USUAL = {
+  **dict.fromkeys(("jnt_range", "jnt_margin", "jnt_solref", "jnt_solimp"), "has no limits"),
+  **dict.fromkeys(("tendon_range", "tendon_margin", "tendon_solref_lim", "tendon_solimp_lim"), "has no limits"),
+  **dict.fromkeys(("jnt_actfrcrange", "tendon_actfrcrange"), "has no limit of actuator force, or no actuator"),
+  **dict.fromkeys(("dof_solref", "dof_solimp", "tendon_solref_fri", "tendon_solimp_fri"), "has no dry friction"),
+  **dict.fromkeys(("qpos_spring", "tendon_lengthspring"), "has no spring"),
+  **dict.fromkeys(("body_pos", "body_quat"), "floats: its pose is state, which resets write"),
+  "jnt_axis": "turns about any axis",
+  "jnt_pos": "has no anchor",
+  "geom_size": "is no primitive with that size",
+  "actuator_forcerange": "has no limit of force",
+  "actuator_actrange": "has no limit of activation",
+  "actuator_ctrlrange": "has no limit of control",
+  "actuator_dynprm": "has no dynamics that read it",
+  "actuator_lengthrange": "is no muscle",
+  "actuator_cranklength": "is no slider-crank",
+  "actuator_gear": "has one gear",
+  "eq_data": "follows from its other numbers",
+}
+"""Usual reason why MuJoCo does not read a field, to follow "it"."""
 
 
-_SCALAR_TRANSMISSIONS = (
-  int(mujoco.mjtTrn.mjTRN_JOINT),
-  int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-  int(mujoco.mjtTrn.mjTRN_TENDON),
-)
+def idle_elements(model: mujoco.MjModel, name: str, ids: Sequence[int]) -> dict[int, str]:
+  """Return the elements in which a change of the field `name` has no effect, with the reason to follow "it"."""
+  field = FIELDS[name]
+  found = {i: reason for i in ids if (reason := _element_reason(model, name, i))}
+  if (field.kind in _PROBED and field.in_model and name not in _UNPROBED) or name == "geom_size":
+    axes = range(field.width)
+    places = {
+      i: [(row, axis) for row in rows(model, field, i) for axis in axes]
+      for i in ids
+      if i not in found and not any(_axis_reason(model, name, i, axis) for axis in axes)
+    }
+    found |= dict.fromkeys(_Probe(model, name).idle(places), _reason(name))
+  return found
 
 
-def _option(model: mujoco.MjModel, name: str, i: int) -> str:
-  del i
+def idle_on_axis(model: mujoco.MjModel, name: str, ids: Sequence[int], axis: int) -> dict[int, str]:
+  """Return the elements in which a change of one axis of a field has no effect, among those in which others have."""
+  found = {i: reason for i in ids if (reason := _axis_reason(model, name, i, axis))}
+  if name in _PROBED_AXES:
+    places = {i: [(row, axis) for row in rows(model, FIELDS[name], i)] for i in ids if i not in found}
+    found |= dict.fromkeys(_Probe(model, name).idle(places), _reason(name))
+  return found
+
+
+def _reason(name: str) -> str:
+  return _USUAL.get(name, "is not read by MuJoCo")
+
+
+def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
+  """Return why a change of an element has no effect where a step of MuJoCo cannot tell; "" if there is no reason."""
+  field = FIELDS[name]
   if name == "opt.wind" and not (model.opt.density or model.opt.viscosity):
     return "needs a density or a viscosity of the medium"
-  return ""
-
-
-def _body(model: mujoco.MjModel, name: str, i: int) -> str:
-  if name in ("body_pos", "body_quat"):
-    first = int(model.body_jntadr[i])
-    if model.body_mocapid[i] >= 0 or (first >= 0 and model.jnt_type[first] == _FREE):
-      return "floats: its pose is state, which resets write"
-    return ""
-  if model.body_mass[i] == 0.0:
-    return "has no mass"
-  if model.body_weldid[i] == 0:
-    return "never moves"
-  return ""
-
-
-def _joint(model: mujoco.MjModel, name: str, i: int) -> str:
-  kind = int(model.jnt_type[i])
-  if name in ("qpos0", "qpos_spring", "encoder_bias") and kind not in _SCALAR_JOINTS:
+  if name in ("qpos0", "qpos_spring", "encoder_bias") and model.jnt_type[i] not in _SCALAR_JOINTS:
     return "has more than one coordinate"
-  if name == "qpos_spring" and not (model.jnt_stiffness[i] or model.jnt_stiffnesspoly[i].any()):
-    return "has no spring"
-  if name in ("jnt_range", "jnt_margin", "jnt_solref", "jnt_solimp") and not model.jnt_limited[i]:
-    return "has no limits"
-  if name == "jnt_actfrcrange" and not model.jnt_actfrclimited[i]:
-    return "has no limit of actuator force"
-  if name == "jnt_axis" and kind not in _SCALAR_JOINTS:
-    return "turns about any axis"
-  if name == "jnt_pos" and kind == _FREE:
-    return "has no anchor"
-  if name in ("dof_solref", "dof_solimp") and not model.dof_frictionloss[model.jnt_dofadr[i]]:
-    return "has no dry friction"
-  return ""
-
-
-def _geom(model: mujoco.MjModel, name: str, i: int) -> str:
+  if name in _INERTIAL and not (model.body_mass[i] and model.body_weldid[i]):
+    return "never moves" if model.body_mass[i] else "has no mass"
+  if name in ("body_pos", "body_quat") and model.body_mocapid[i] >= 0:
+    return _reason(name)
+  if name == "actuator_kp" and not _is_servo(model, i):
+    return "is no position actuator"
+  if name == "actuator_delay" and model.actuator_historyadr[i] < 0:
+    return "was compiled without a delay"
+  if name in ("light_cutoff", "light_exponent") and model.light_type[i] != int(mujoco.mjtLightType.mjLIGHT_SPOT):
+    return "is no spot light"
+  if field.kind == "camera" and name in ("cam_fovy", "cam_intrinsic"):
+    has_sensor = bool(model.cam_sensorsize[i].any())
+    if has_sensor != (name == "cam_intrinsic"):
+      return "has a sensor size, from which its field of view follows" if has_sensor else "has no sensor size"
+  # A geom has the colour of its material only as long as its own is the one of geoms without colour.
+  of_geoms = model.geom_rgba[model.geom_matid == i]
+  if name == "mat_rgba" and len(of_geoms) and (of_geoms != _NO_COLOR).any(1).all():
+    return "belongs to geoms that have a colour of their own, geom_rgba, instead"
   if name in _CONTACT and not (model.geom_contype[i] or model.geom_conaffinity[i]):
     return "collides with nothing"
-  if name == "geom_size" and int(model.geom_type[i]) not in _SIZES:
-    return "is no primitive with a size"
-  if name in _BY_PRIORITY:
-    touched = _touched(model, i)
-    if len(touched) and (model.geom_priority[touched] > model.geom_priority[i]).all():
-      return "has a lower priority than all that it can touch"
+  touched = _touched(model, i) if name in _BY_PRIORITY else np.empty(0, int)
+  if len(touched) and (model.geom_priority[touched] > model.geom_priority[i]).all():
+    return "has a lower priority than all that it can touch"
+  if not field.from_zero:
+    value = np.asarray(getattr(model.opt, name[4:]) if field.kind == "option" else getattr(model, name))
+    if not (value if field.kind == "option" else value[list(rows(model, field, i))]).any():
+      return "was compiled as zero, and engines leave out what is off"
+  return ""
+
+
+def _axis_reason(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
+  """Return why a change of one axis has no effect, or is not allowed, where a step of MuJoCo cannot tell."""
+  if name in _CONDIM:
+    condim = _condim(model, i) if name == "geom_friction" else int(model.pair_dim[i])
+    if condim < (needed := _CONDIM[name][axis]):
+      return f"needs condim {needed}, which none of its contacts has: it is {condim}"
+  if name == "mat_texid" and model.mat_texid[i, axis] < 0:
+    return "was compiled without a texture for it"
+  if (name, axis) in _MOTOR_STATES and model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_DCMOTOR):
+    return "" if getattr(model, name)[i, axis] else "was compiled without the state that it would have then"
   return ""
 
 
 def _condim(model: mujoco.MjModel, i: int) -> int:
-  """Largest condim of contacts of a geom that would take its friction."""
+  """Return the largest condim of contacts of a geom that would take its friction."""
   touched = _touched(model, i)
   if not len(touched):
-    # What it is to touch may be elsewhere.
+    # Geoms that it is to touch may be elsewhere.
     return int(model.geom_condim.max())
   # Of two geoms the one with the higher priority decides, and of equals the larger condim.
   equal = touched[model.geom_priority[touched] == model.geom_priority[i]]
@@ -182,67 +136,10 @@ def _condim(model: mujoco.MjModel, i: int) -> int:
 
 
 def _touched(model: mujoco.MjModel, i: int) -> np.ndarray:
-  """Geoms of other bodies that one may collide with."""
+  """Return the geoms of other bodies that one may collide with."""
   fits = (model.geom_contype & model.geom_conaffinity[i]) | (model.geom_contype[i] & model.geom_conaffinity)
   welded = model.body_weldid[model.geom_bodyid]
   return np.flatnonzero((fits != 0) & (welded != welded[i]))
-
-
-def _camera(model: mujoco.MjModel, name: str, i: int) -> str:
-  has_sensor = bool(model.cam_sensorsize[i].any())
-  if name == "cam_fovy" and has_sensor:
-    return "has a sensor size, from which its field of view follows"
-  if name == "cam_intrinsic" and not has_sensor:
-    return "has no sensor size"
-  return ""
-
-
-def _light(model: mujoco.MjModel, name: str, i: int) -> str:
-  if name in ("light_cutoff", "light_exponent") and model.light_type[i] != int(mujoco.mjtLightType.mjLIGHT_SPOT):
-    return "is no spot light"
-  return ""
-
-
-def _material(model: mujoco.MjModel, name: str, i: int) -> str:
-  # A geom has the colour of its material only as long as its own is what MuJoCo gives to those without.
-  of_geoms = model.geom_rgba[model.geom_matid == i]
-  if name == "mat_rgba" and len(of_geoms) and (of_geoms != _NO_COLOR).any(1).all():
-    return "belongs to geoms that have a colour of their own, geom_rgba, instead"
-  return ""
-
-
-def _tendon(model: mujoco.MjModel, name: str, i: int) -> str:
-  if (
-    name in ("tendon_range", "tendon_margin", "tendon_solref_lim", "tendon_solimp_lim") and not model.tendon_limited[i]
-  ):
-    return "has no limits"
-  if name == "tendon_actfrcrange" and not model.tendon_actfrclimited[i]:
-    return "has no limit of actuator force"
-  if name in ("tendon_solref_fri", "tendon_solimp_fri") and not model.tendon_frictionloss[i]:
-    return "has no dry friction"
-  if name == "tendon_lengthspring" and not (model.tendon_stiffness[i] or model.tendon_stiffnesspoly[i].any()):
-    return "has no spring"
-  return ""
-
-
-def _actuator(model: mujoco.MjModel, name: str, i: int) -> str:
-  if name == "actuator_kp" and not _is_servo(model, i):
-    return "is no position actuator"
-  if name == "actuator_forcerange" and not model.actuator_forcelimited[i]:
-    return "has no limit of force"
-  if name == "actuator_actrange" and not model.actuator_actlimited[i]:
-    return "has no limit of activation"
-  if name == "actuator_ctrlrange" and not model.actuator_ctrllimited[model.actuator_ctrladr[i]]:
-    return "has no limit of control"
-  if name == "actuator_dynprm" and model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_NONE):
-    return "has no dynamics"
-  if name == "actuator_lengthrange" and model.actuator_gaintype[i] != int(mujoco.mjtGain.mjGAIN_MUSCLE):
-    return "is no muscle"
-  if name == "actuator_cranklength" and model.actuator_trntype[i] != int(mujoco.mjtTrn.mjTRN_SLIDERCRANK):
-    return "is no slider-crank"
-  if name == "actuator_delay" and model.actuator_historyadr[i] < 0:
-    return "was compiled without a delay"
-  return ""
 
 
 def _is_servo(model: mujoco.MjModel, i: int) -> bool:
@@ -251,22 +148,84 @@ def _is_servo(model: mujoco.MjModel, i: int) -> bool:
   return is_servo and bool(model.actuator_gainprm[i, 0] == -model.actuator_biasprm[i, 1] != 0.0)
 
 
-def _always(model: mujoco.MjModel, name: str, i: int) -> str:
-  del model, name, i
-  return ""
+Place = tuple[int, int]
+"""Row and column of a number in its field."""
 
 
-_REASONS = {
-  "option": _option,
-  "body": _body,
-  "joint": _joint,
-  "geom": _geom,
-  "site": _always,
-  "camera": _camera,
-  "light": _light,
-  "material": _material,
-  "tendon": _tendon,
-  "pair": _always,
-  "equality": _always,
-  "actuator": _actuator,
-}
+class _Probe:
+  """Copy of a model in states in which all that may act does: beyond limits, driven, and with active equalities.
+
+  A number that MuJoCo does not read in any of them has no effect.
+  """
+
+  _OUTPUTS = (
+    "xpos xquat ten_length efc_J efc_pos efc_margin efc_frictionloss efc_R efc_aref qfrc_bias qfrc_passive "
+    "qfrc_actuator actuator_force act_dot qacc_smooth act"
+  ).split()
+
+  def __init__(self, model: mujoco.MjModel, name: str) -> None:
+    self._name, self._model = name, copy.copy(model)
+    self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    self._model.actuator_delay[:] = 0.0
+    for margin in ("jnt_margin", "tendon_margin"):
+      getattr(self._model, margin)[:] = 0.0 if margin == name else 1e6
+    self._data = mujoco.MjData(self._model)
+    rng = np.random.default_rng(0)
+    self._states: list[tuple[np.ndarray, ...]] = []
+    for scale in (0.0, 0.1, 0.3, 1.0, 3.0, 100.0) * 2:
+      qpos, qvel, ctrl = (rng.uniform(-1.0, 1.0, size) for size in (model.nq, model.nv, model.nu))
+      self._states.append((model.qpos0 + scale * qpos, 9.0 * qvel, 9.0 * ctrl))
+    self._derive()
+    self._before = [self._outputs(state) for state in self._states]
+
+  def idle(self, elements: dict[int, list[Place]]) -> list[int]:
+    """Return the elements of whose numbers, listed by element, a change has no effect."""
+    if not self._change([place for places in elements.values() for place in places]):
+      return list(elements)
+    if len(elements) == 1:
+      return []
+    items, half = list(elements.items()), len(elements) // 2
+    return self.idle(dict(items[:half])) + self.idle(dict(items[half:]))
+
+  def _change(self, places: list[Place]) -> bool:
+    """Return True if other values in these places have an effect; the old ones are put back."""
+    field = FIELDS[self._name]
+    array = getattr(self._model, self._name).reshape(-1, field.width)
+    for value in (None, 1e3, -1e3):
+      before = array.copy()
+      for row, axis in places:
+        lo, hi = field.bounds(axis)
+        array[row, axis] = np.clip(2.0 * array[row, axis] + 1.0 if value is None else value, lo, hi)
+      changed = self._differs()
+      array[:] = before
+      self._derive()
+      if changed or "timeconst" in field.axes:
+        return changed
+    return False
+
+  def _differs(self) -> bool:
+    try:
+      self._derive()
+      pairs = zip(map(self._outputs, self._states), self._before, strict=True)
+      return any(not np.array_equal(a, b) for now, before in pairs for a, b in zip(now, before, strict=True))
+    except mujoco.FatalError:
+      # MuJoCo objects to a number that it reads.
+      return True
+
+  def _derive(self) -> None:
+    if needs_constants(self._name):
+      mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+  def _outputs(self, state: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+    model, data = self._model, self._data
+    mujoco.mj_resetData(model, data)
+    data.qpos, data.qvel, data.ctrl = state
+    data.act[:], data.eq_active[:], data.mocap_pos[:], data.mocap_quat[:] = 0.5, 1, 0.0, (1.0, 0.0, 0.0, 0.0)
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    mujoco.mj_fwdActuation(model, data)
+    mujoco.mj_fwdAcceleration(model, data)
+    data.qacc[:] = 0.0
+    mujoco.mj_Euler(model, data)
+    found = [getattr(data, name).copy() for name in self._OUTPUTS]
+    return [*found, model.geom_rbound.copy(), model.geom_aabb.copy()]

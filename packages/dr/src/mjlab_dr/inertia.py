@@ -28,7 +28,7 @@ _UPPER = ((0, 1), (0, 2), (1, 2))
 def perturb_inertia(
   mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor, parameters: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-  """Inertial parameters after J' = U J U^T, exactly those given where all parameters are zero.
+  """Return the inertial parameters after J' = U J U^T, exactly those given where all parameters are zero.
 
   Computed in float64, without a host sync, and on a GPU in one launch where Warp is installed. Principal axes turn as
   little as they can: nothing is reordered for small perturbations, and equal moments are no special case. A body
@@ -90,7 +90,7 @@ def inertia_perturbation(
   to_inertia: Tensor,
   to_quat: Tensor,
 ) -> Tensor:
-  """The ten parameters that turn the first four inertial parameters into the last four, (..., 10), in float64.
+  """Return the ten parameters that turn the first four inertial parameters into the last four, (..., 10), in float64.
 
   The inverse of `perturb_inertia`. NaN unless both have mass and volume: for a planar body there is no one answer.
   """
@@ -106,7 +106,7 @@ def inertia_perturbation(
 
 
 def pseudo_inertia_matrix(mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor) -> Tensor:
-  """J of inertial parameters, (..., 4, 4), in float64: positive definite if and only if they are physical."""
+  """Return J of inertial parameters, (..., 4, 4), in float64: positive definite if and only if they are physical."""
   m, c = mass.double()[..., None, None], com.double().unsqueeze(-1)
   top = torch.cat((_second_moments(inertia, quat) + m * c @ c.mT, m * c), -1)
   return torch.cat((top, torch.cat((m * c.mT, m), -1)), -2)
@@ -118,7 +118,7 @@ def _has_kernel(device: torch.device) -> bool:
 
 
 def rounded_moments(inertia: Tensor) -> Tensor:
-  """Moments in float32, (..., 3), in which no moment is above the sum of the other two either."""
+  """Return moments in float32, (..., 3), of which none is above the sum of the other two either."""
   rounded = inertia.float()
   # Rounding may lift one above by half a unit in its last place. Sums of two are exact in float64.
   others = rounded.sum(-1, dtype=torch.float64, keepdim=True) - rounded
@@ -127,13 +127,13 @@ def rounded_moments(inertia: Tensor) -> Tensor:
 
 
 def _second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
-  """tr(I)/2 - I about the centre of mass in the body frame, (..., 3, 3)."""
+  """Return tr(I)/2 - I about the centre of mass in the body frame, (..., 3, 3)."""
   inertia, axes = inertia.double(), matrix_from_quat(quat.double())
   return (axes * (0.5 * inertia.sum(-1, keepdim=True) - inertia).unsqueeze(-2)) @ axes.mT
 
 
 def _upper_factor(matrix: Tensor) -> Tensor:
-  """Upper triangular F with F F^T = `matrix`; NaN unless that is positive definite beyond rounding."""
+  """Return the upper triangular F with F F^T = `matrix`; NaN unless that is positive definite beyond rounding."""
   factor, info = torch.linalg.cholesky_ex(matrix.flip(-1, -2))
   pivots = factor.diagonal(dim1=-2, dim2=-1)
   is_solid = (info == 0) & (pivots.amin(-1) > 1e-7 * pivots.amax(-1))
@@ -141,7 +141,7 @@ def _upper_factor(matrix: Tensor) -> Tensor:
 
 
 def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
-  """Eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors as a quaternion, (..., 4).
+  """Return the eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors, (..., 4).
 
   Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Written for few
   operations rather than for few numbers.

@@ -11,7 +11,7 @@ from torch import Tensor
 
 @wp.func
 def diagonalize(matrix: wp.mat33d, sweeps: int):
-  """The rotations of `mjlab_dr.inertia.diagonalize`, of one matrix."""
+  """Run `mjlab_dr.inertia.diagonalize` on one matrix."""
   m = wp.mat33d(matrix)
   q = wp.vec4d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
   one = wp.float64(1.0)
@@ -57,12 +57,13 @@ def diagonalize(matrix: wp.mat33d, sweeps: int):
 
 @wp.func
 def vector(x: wp.array3d[Any], i: int, j: int, first: int):
+  """Return three numbers of a row in float64."""
   return wp.vec3d(wp.float64(x[i, j, first]), wp.float64(x[i, j, first + 1]), wp.float64(x[i, j, first + 2]))
 
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-  """The kernel for arrays of wp.float32 or wp.float64, each in a module of its own: loading one unloads no other."""
+  """Return the kernel for wp.float32 or wp.float64, each in a module of its own: loading one unloads no other."""
 
   @wp.kernel(enable_backward=False, module="unique")
   def perturb_inertia(
@@ -77,7 +78,7 @@ def kernel(real: type) -> wp.Kernel:
     inertia_out: wp.array3d[real],
     quat_out: wp.array3d[real],
   ):
-    """The steps of `mjlab_dr.inertia.perturb_inertia`, one body a thread."""
+    """Run `mjlab_dr.inertia.perturb_inertia`, one body per thread."""
     i, j = wp.tid()
     one = wp.float64(1.0)
     two = wp.float64(2.0)
@@ -141,7 +142,7 @@ def launch(
   *,
   sweeps: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-  """Runs it on torch's current stream: tensors of one type, float32 or float64, that broadcast to `batch`."""
+  """Launch it on torch's current stream: tensors of one type, float32 or float64, that broadcast to `batch`."""
   wp.init()
   grid = (math.prod(batch[:-1]), math.prod(batch[-1:]))
   tails = ((), (3,), (3,), (4,), (10,))

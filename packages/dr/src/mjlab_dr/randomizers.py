@@ -1,15 +1,16 @@
-"""What to randomise, and how: plain configs that are checked when they are made."""
+"""Randomisers: plain configs of a field, its elements and their distributions, checked when they are made."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 from mjlab_core import unknown
+from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError
 
-from mjlab_dr.catalogue import FIELDS, Operation
+from mjlab_dr.catalogue import FIELDS, needs_constants
 from mjlab_dr.distributions import (
   Categorical,
   Distribution,
@@ -19,6 +20,7 @@ from mjlab_dr.distributions import (
   as_distribution,
   check_distribution,
 )
+from mjlab_dr.fields import Operation
 
 DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
@@ -33,92 +35,101 @@ _BY_NAME: dict[str, type[Uniform] | type[LogUniform] | type[Gaussian]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class FieldRandomizer:
-  """Draws new values of one field for the elements that a pattern selects, from the compiled default every time.
+  """Draw of new values of one field for the elements that a pattern selects, from the compiled default every time.
 
   Raises:
-    ValueError: an unknown field, operation or axis, or values outside of what is physical; the message names all.
+    MjlabError: an unknown field, operation or axis, or values outside of what is physical; the message names all.
   """
 
   field: str
   """Name of a row of the catalogue."""
 
   pattern: str | tuple[str, ...]
-  """Which elements: regular expressions, each to match whole names."""
+  """Regular expressions that select elements by their whole name."""
 
   values: Mapping[int, Distribution]
   """Distribution of each axis that is written; the other axes keep their values."""
 
   operation: Operation = "absolute"
-  """Whether a draw replaces the default, is added to it, or multiplies it."""
+  """Effect of a draw: it replaces the default, is added to it, or multiplies it."""
 
   shared: bool = False
-  """Whether all elements of a world get one draw instead of each its own."""
+  """True if all elements of a world share one draw."""
 
   isotropic: bool = False
-  """Whether all axes of an element get one draw instead of each its own; all have the same distribution then."""
+  """True if all axes of an element share one draw; their distributions must be equal."""
 
   every_axis: bool = False
-  """Whether the axes are all that there are, so that one without effect is left out rather than refused."""
+  """True if no axes were chosen: all are drawn, and those without effect are left out rather than refused."""
 
   def __post_init__(self) -> None:
+    if problems := list(self._problems()):
+      raise ConfigError(*problems)
+
+  def _problems(self) -> Iterator[str]:
+    label, operation = self.label, self.operation
     if self.field not in FIELDS:
-      raise ValueError(unknown("field", self.field, FIELDS, owner="randomizer"))
+      yield unknown("field", self.field, FIELDS, owner="randomizer")
+      return
     field = FIELDS[self.field]
-    if self.operation not in get_args(Operation):
-      raise ValueError(unknown("operation", self.operation, get_args(Operation), owner=self.label))
-    only = "add" if field.form in ("rotation", "pseudo_inertia") else "absolute" if field.integer else self.operation
-    if self.operation != only:
-      raise ValueError(f"{self.label}: operation {self.operation!r} makes no sense for it; there is only {only!r}.")
-    if field.form == "intrinsics" and self.operation == "add":
-      raise ValueError(f"{self.label}: a sum might turn a focal length negative; scale it, or give it absolute.")
+    only = "add" if field.form in ("rotation", "pseudo_inertia") else "absolute" if field.integer else operation
+    if operation not in get_args(Operation):
+      yield unknown("operation", operation, get_args(Operation), owner=label)
+    elif operation != only:
+      yield f"{label}: operation {operation!r} makes no sense for it; there is only {only!r}."
+    elif field.form == "intrinsics" and operation == "add":
+      yield f"{label}: a sum might turn a focal length negative; scale it, or give it absolute."
     if not self.pattern:
-      raise ValueError(f"{self.label}: no pattern is given.")
+      yield f"{label}: no pattern is given."
     if not self.values:
-      raise ValueError(f"{self.label}: no axis is given values. Axes: {', '.join(field.axes)}.")
+      yield f"{label}: no axis is given values. Axes: {', '.join(field.axes)}."
     for axis, distribution in self.values.items():
       if axis not in range(len(field.axes)):
-        raise ValueError(f"{self.label}: axis {axis} does not exist; there are {len(field.axes)}, from 0.")
-      name = f"{self.label} {field.axes[axis]}".rstrip()
-      check_distribution(distribution, name)
-      if isinstance(distribution, Categorical) and distribution.has_names and not field.integer:
-        raise ValueError(f"{name}: names are for what is chosen among named things, got {distribution.values}.")
-      if field.integer and not isinstance(distribution, Categorical):
-        raise ValueError(f"{name} is a choice: give a Categorical.")
-      self._check_bounds(name, distribution, *field.bounds(axis))
+        yield f"{label}: axis {axis} does not exist; there are {len(field.axes)}, from 0."
+      else:
+        yield from self._axis_problems(f"{label} {field.axes[axis]}".rstrip(), distribution, *field.bounds(axis))
     if self.isotropic and len(set(map(repr, self.values.values()))) > 1:
-      raise ValueError(f"{self.label}: isotropic means one draw for all axes, but they have different distributions.")
+      yield f"{label}: isotropic means one draw for all axes, but they have different distributions."
 
-  def _check_bounds(self, name: str, distribution: Distribution, minimum: float, maximum: float) -> None:
-    lo, hi = distribution.support()
-    strict = FIELDS[self.field].positive
+  def _axis_problems(self, name: str, distribution: Distribution, minimum: float, maximum: float) -> Iterator[str]:
+    field = FIELDS[self.field]
+    try:
+      check_distribution(distribution, name)
+    except ValueError as error:
+      yield str(error)
+      return
+    if isinstance(distribution, Categorical) and distribution.has_names and not field.integer:
+      yield f"{name}: names are for what is chosen among named things, got {distribution.values}."
+    if field.integer and not isinstance(distribution, Categorical):
+      yield f"{name} is a choice: give a Categorical."
     # A sum, and a product that has an upper bound, can only be judged against the defaults.
-    if self.operation == "scale":
-      minimum, maximum = (0.0 if minimum >= 0.0 else minimum), float("inf")
     if self.operation == "add":
       return
+    if self.operation == "scale":
+      minimum, maximum = (0.0 if minimum >= 0.0 else minimum), math.inf
+    lo, hi = distribution.support()
     hint = ""
     if isinstance(distribution, Gaussian):
       hint = f" Truncate it, as in Gaussian(mean, std, lo={minimum:g}{f', hi={maximum:g}' if maximum < 1e9 else ''})."
     values = f"{name}: {self.operation} values in [{lo:g}, {hi:g}] may"
-    if lo < minimum or (strict and lo == minimum):
-      what = "reach" if lo == minimum else "fall below"
-      raise ValueError(f"{values} {what} the physical minimum {minimum:g}.{hint}")
+    if lo < minimum or (field.positive and lo == minimum):
+      yield f"{values} {'reach' if lo == minimum else 'fall below'} the physical minimum {minimum:g}.{hint}"
     if hi > maximum:
-      raise ValueError(f"{values} exceed the physical maximum {maximum:g}.{hint}")
+      yield f"{values} exceed the physical maximum {maximum:g}.{hint}"
 
   @property
   def label(self) -> str:
-    """How messages call it."""
+    """Name in messages."""
     return f"{self.field} {self.pattern!r}"
 
   @property
   def shown_in(self) -> str:
-    """Of the fields that are written, the one in which a draw is read as it was made."""
+    """Field in which a draw can be read as it was made."""
     return (FIELDS[self.field].fields or (self.field,))[0]
 
   @property
   def composes(self) -> bool:
-    """Whether it may start from what another one made, physical whatever that was."""
+    """True if it may start from the result of another randomiser."""
     field = FIELDS[self.field]
     if field.form != "plain":
       return field.form == "pseudo_inertia"
@@ -131,8 +142,8 @@ class FieldRandomizer:
 
   @property
   def needs_constants(self) -> bool:
-    """Whether derived fields must be recomputed after it was applied."""
-    return FIELDS[self.field].needs_constants
+    """True if derived fields must be recomputed after it was applied."""
+    return needs_constants(self.field)
 
 
 def randomize_field(
@@ -146,7 +157,7 @@ def randomize_field(
   shared: bool = False,
   isotropic: bool = False,
 ) -> FieldRandomizer:
-  """A randomiser of any field of the catalogue.
+  """Return a randomiser of any field of the catalogue.
 
   Args:
     field: name of the field.
@@ -154,24 +165,24 @@ def randomize_field(
     values: a pair, a `Distribution`, or a mapping from axes, by number or name, to these. A pair is (lo, hi), or
       (mean, std) for "gaussian".
     axes: the axes that unmapped `values` apply to; None is all.
-    operation: what a draw does to the compiled default; None is what the catalogue says for the field.
+    operation: what a draw does to the compiled default; None is the default of the field.
     distribution: how pairs are read.
     shared: one draw for all elements of a world.
     isotropic: one draw for all axes of an element.
 
   Raises:
-    ValueError: a name that does not exist, an impossible range, or values outside of what is physical.
+    MjlabError: a name that does not exist, an impossible range, or values outside of what is physical.
   """
   pattern = pattern if isinstance(pattern, str) else tuple(pattern)
   label = f"{field} {pattern!r}"
   if field not in FIELDS:
-    raise ValueError(unknown("field", field, FIELDS, owner="randomizer"))
+    raise UnknownNameError(unknown("field", field, FIELDS, owner="randomizer"))
   if distribution not in _BY_NAME:
-    raise ValueError(unknown("distribution", distribution, _BY_NAME, owner=label))
+    raise UnknownNameError(unknown("distribution", distribution, _BY_NAME, owner=label))
   names = FIELDS[field].axes
   if isinstance(values, Mapping):
     if axes is not None:
-      raise ValueError(f"{label}: give either axes or values by axis, not both.")
+      raise MjlabError(f"{label}: give either axes or values by axis, not both.")
     pairs: list[tuple[int | str, Values]] = list(values.items())
   else:
     axes = (axes,) if isinstance(axes, int | str) else axes
@@ -180,7 +191,7 @@ def randomize_field(
   for given, value in pairs:
     axis = _axis(given, names, label)
     if axis in by_axis:
-      raise ValueError(f"{label}: axis {given!r} is given values twice.")
+      raise MjlabError(f"{label}: axis {given!r} is given values twice.")
     by_axis[axis] = as_distribution(value, _BY_NAME[distribution])
   return FieldRandomizer(
     field=field,
@@ -197,7 +208,7 @@ def _axis(axis: int | str, names: tuple[str, ...], label: str) -> int:
   if isinstance(axis, int):
     return axis
   if axis not in names:
-    raise ValueError(unknown("axis", str(axis), names, owner=label))
+    raise UnknownNameError(unknown("axis", str(axis), names, owner=label))
   return names.index(axis)
 
 
@@ -210,7 +221,7 @@ def geom_friction(
   distribution: DistributionName = "uniform",
   shared: bool = False,
 ) -> FieldRandomizer:
-  """Friction of geoms: axes 0 sliding [1], 1 torsional [m], 2 rolling [m]; sliding alone unless told otherwise.
+  """Return a randomiser of the friction of geoms: sliding [1] by default, or also torsional and rolling [m].
 
   Of two geoms in contact MuJoCo takes the one with the higher priority, or else the larger friction of both.
   """
@@ -229,7 +240,7 @@ def body_mass(
   distribution: DistributionName = "uniform",
   shared: bool = False,
 ) -> FieldRandomizer:
-  """Mass of bodies [kg], with the inertia about the centre of mass as it is; `pseudo_inertia` changes both as one."""
+  """Return a randomiser of the mass of bodies [kg]; inertia stays, which `pseudo_inertia` changes along."""
   return randomize_field("body_mass", pattern, values, operation=operation, distribution=distribution, shared=shared)
 
 
@@ -240,7 +251,7 @@ def body_com_offset(
   distribution: DistributionName = "uniform",
   shared: bool = False,
 ) -> FieldRandomizer:
-  """Shift of the centre of mass of bodies in the body frame, axes x, y, z [m].
+  """Return a randomiser that shifts the centre of mass of bodies in the body frame, axes x, y, z [m].
 
   Mass, and inertia about the centre of mass, stay as they are.
   """
@@ -258,7 +269,7 @@ def pseudo_inertia(
   distribution: DistributionName = "uniform",
   shared: bool = False,
 ) -> FieldRandomizer:
-  """Mass, centre of mass and inertia of bodies at once, physically consistent whatever is drawn; see `perturb_inertia`.
+  """Return a randomiser of mass, centre of mass and inertia of bodies, always physical; see `perturb_inertia`.
 
   Args:
     pattern: regular expressions that select bodies by their whole name.
@@ -271,7 +282,7 @@ def pseudo_inertia(
     shared: one draw for all bodies of a world.
 
   Raises:
-    ValueError: nothing is given, or an impossible range.
+    MjlabError: nothing is given, or an impossible range.
   """
   around = None if scale is None else Uniform(-scale, scale)
   groups = {"alpha": alpha or around, "d": d or around, "s": s or around, "t": t}
@@ -287,5 +298,5 @@ def encoder_bias(
   distribution: DistributionName = "uniform",
   shared: bool = False,
 ) -> FieldRandomizer:
-  """Constant error of joint encoders, reading minus truth [rad or m], for joints with one coordinate."""
+  """Return a randomiser of the encoder error of joints with one coordinate, reading minus truth [rad or m]."""
   return randomize_field("encoder_bias", pattern, values, distribution=distribution, shared=shared)

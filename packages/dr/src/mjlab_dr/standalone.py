@@ -12,11 +12,15 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import draw_seed, make_generator, unknown, why_no_count
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.model_fields import followers
+from mjlab_core.tables import table
 from numpy.typing import NDArray
 from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField, apply_all
-from mjlab_dr.catalogue import FIELDS, count
+from mjlab_dr.catalogue import FIELDS, followers_of
+from mjlab_dr.fields import count
 from mjlab_dr.randomizers import FieldRandomizer
 
 
@@ -33,11 +37,11 @@ class Change:
   before: float
   """Compiled default."""
   after: float
-  """What was drawn."""
+  """Value that was drawn."""
 
 
 class Randomization:
-  """The randomised state of one plain model, which remembers the defaults."""
+  """Randomised state of one plain model, with its defaults."""
 
   def __init__(self, model: mujoco.MjModel, randomizers: Sequence[FieldRandomizer], seed: int) -> None:
     self.model, self.seed = model, seed
@@ -51,7 +55,7 @@ class Randomization:
     self.resample(seed)
 
   def resample(self, seed: int | None = None) -> None:
-    """Draws everything anew from the defaults: from a seed, or going on with the stream of random numbers."""
+    """Draw everything again from the defaults: from a seed, or from the running stream of random numbers."""
     if seed is not None:
       self.seed = seed
       self._generator.manual_seed(seed)
@@ -59,19 +63,19 @@ class Randomization:
     self._write({name: tensor[0].numpy() for name, tensor in vars(self._fields.model).items()})
 
   def restore(self) -> None:
-    """Gives the model its compiled values back."""
+    """Restore the compiled values of the model."""
     self._write({name: self._fields.default_field(name)[0].numpy() for name in vars(self._fields.model)})
 
   def values(self, field: str) -> NDArray[np.float64]:
-    """A randomised field as last drawn, all elements; the way to those that MjModel does not have."""
+    """Return a randomised field as last drawn, all elements, also one that MjModel does not have."""
     return getattr(self._fields.model, field)[0].numpy().copy()
 
   def written(self) -> dict[tuple[str, int], str]:
-    """The element behind every number that is randomised, by field and place in the flat array."""
+    """Return the element of every randomised number, by field and place in the flat array."""
     return {key: element for term in self._terms for key, element in term.written().items()}
 
   def changes(self) -> list[Change]:
-    """All numbers that were written, each once, in the order of the randomisers."""
+    """Return all numbers that were written, each once, in the order of the randomisers."""
     out: list[Change] = []
     seen: set[tuple[str, tuple[int, ...]]] = set()
     for term in self._terms:
@@ -85,12 +89,9 @@ class Randomization:
     return out
 
   def report(self) -> str:
-    """A table of what changed, from what to what."""
-    rows = [("field", "element", "axis", "before", "after")]
-    rows += [(c.field, c.element, c.axis, f"{c.before:.6g}", f"{c.after:.6g}") for c in self.changes()]
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)
+    """Return a table of the changes, with values before and after."""
+    rows = [(c.field, c.element, c.axis, f"{c.before:.6g}", f"{c.after:.6g}") for c in self.changes()]
+    return table(("field", "element", "axis", "before", "after"), rows)
 
   def _write(self, fields: dict[str, np.ndarray]) -> None:
     for name, value in fields.items():
@@ -112,7 +113,7 @@ class RandomizedTensors(dict[str, Tensor]):
     super().__init__(vars(fields.model))
 
   def resample(self, mask: Tensor | None = None, *, seed: int | None = None) -> None:
-    """Draws anew, from the defaults and in place, for the worlds of `mask`, bool (num_worlds,), or for all."""
+    """Draw again, from the defaults and in place, for the worlds of `mask`, bool (num_worlds,), or for all."""
     if seed is not None:
       self._generator.manual_seed(seed)
     everyone = torch.ones(self._fields.num_envs, dtype=torch.bool, device=self._fields.device)
@@ -157,16 +158,16 @@ def randomize(
   dtype: torch.dtype = torch.float32,
   seed: int | None = None,
 ) -> Randomization | RandomizedTensors:
-  """Randomises one plain model in place, or draws tensors for many worlds and leaves the model alone.
+  """Randomise one plain model in place, or draw tensors for many worlds and leave the model alone.
 
   Args:
     model: any compiled model.
-    randomizers: what to randomise, one after the other: where two write the same number, the second one starts from
-      what the first one made, or is refused if that might become unphysical.
+    randomizers: randomisers in their order. If two write the same number, the second one starts from the result of
+      the first one, or is refused if that might become unphysical.
     num_worlds: None writes `model`; a number returns tensors for so many worlds.
-    tensors: fields of one's own by their MjModel name, (num_worlds, ...), which are written in place; what is missing
-      is made like them.
-    device: where the tensors live.
+    tensors: your own fields by their MjModel name, (num_worlds, ...), which are written in place; missing ones are
+      made like them.
+    device: device of the tensors.
     dtype: their type.
     seed: of the draws; None takes one from the operating system.
 
@@ -175,25 +176,25 @@ def randomize(
     and the derived fields by their MjModel name, (num_worlds, ...), which draws again for those of a mask.
 
   Raises:
-    ValueError: a pattern matches nothing, a value is written twice, or a result may be unphysical; by name.
+    MjlabError: a pattern matches nothing, a value is written twice, or a result may be unphysical; by name.
   """
   seed = draw_seed() if seed is None else seed
   if tensors is not None:
     if not tensors:
-      raise ValueError("randomize: tensors: none is given.")
+      raise MjlabError("randomize: tensors: none is given.")
     if num_worlds is not None:
-      raise ValueError("randomize: give either num_worlds or tensors, which say how many worlds there are.")
-    known = {*FIELDS, *(name for field in FIELDS.values() for name in field.derived)}
+      raise MjlabError("randomize: give either num_worlds or tensors, which say how many worlds there are.")
+    known = {*FIELDS, *(name for field in FIELDS for name in followers_of(field))}
     for name in tensors:
       if name not in known:
-        raise ValueError(unknown("field", name, sorted(known), owner="randomize: tensors"))
+        raise UnknownNameError(unknown("field", name, sorted(known), owner="randomize: tensors"))
     first = next(iter(tensors.values()))
     num_worlds, device = len(first), first.device
     dtype = next((x.dtype for x in tensors.values() if x.is_floating_point()), dtype)
   if num_worlds is None:
     return Randomization(model, randomizers, seed)
   if wrong := why_no_count(num_worlds, 1):
-    raise ValueError(f"randomize: num_worlds {wrong}.")
+    raise MjlabError(f"randomize: num_worlds {wrong}.")
   fields = _BatchedFields(copy.copy(model), num_worlds, torch.device(device), dtype, tensors or {})
   return RandomizedTensors(randomizers, fields, seed)
 
@@ -205,6 +206,8 @@ def _bind(
   writer: dict[tuple[str, int], FieldRandomizer] = {}
   for cfg in randomizers:
     target = None
+    if FIELDS[cfg.field].kind == "target":
+      raise MjlabError(f"{cfg.label}: it belongs to actuator models, which a model alone does not have.")
     if not FIELDS[cfg.field].in_model:
       fields.expand_model_fields((cfg.field,))
       target = getattr(fields.model, cfg.field)
@@ -212,7 +215,7 @@ def _bind(
     for key, element in term.written().items():
       if key in writer and not cfg.composes:
         kind = FIELDS[cfg.field].kind
-        raise ValueError(
+        raise MjlabError(
           f"{kind} {element!r} is written by two randomizers, {writer[key].label} and {cfg.label}, and the second one "
           "does not compose: only what scales, shifts what has no bounds, or is a pseudo-inertia does."
         )
@@ -252,18 +255,18 @@ class _BatchedFields:
     """Fields of MjModel that randomisers write; the other tensors are derived from them."""
 
   def default_field(self, name: str) -> Tensor:
-    """The compiled value, (1, ...); zero for a field that MjModel does not have."""
+    """Return the compiled value, (1, ...); zero for a field that MjModel does not have."""
     if name in FIELDS and not FIELDS[name].in_model:
       return torch.zeros(1, count(self.mj_model, FIELDS[name].kind), device=self.device, dtype=self.dtype)
     value = torch.tensor(_get(self.mj_model, name), device=self.device)
     return (value.to(self.dtype) if value.is_floating_point() else value).unsqueeze(0)
 
   def expand_model_fields(self, names: Iterable[str]) -> None:
-    """Gives these fields, and what derives from them, one value per world."""
+    """Give these fields, and those that derive from them, one value per world."""
     for name in names:
       if name not in FIELDS or FIELDS[name].in_model:
         self.written[name] = None
-      for field in (name, *FIELDS[name].derived):
+      for field in (name, *followers(name)):
         default = self.default_field(field)
         if not hasattr(self.model, field) and default.numel() > 0:
           setattr(self.model, field, self._given_or_new(field, default))
@@ -273,14 +276,14 @@ class _BatchedFields:
     given = self._given.get(name, new)
     if (given.shape, given.dtype, given.device) != (new.shape, new.dtype, new.device) or not given.is_contiguous():
       is_, must = (f"{tuple(x.shape)}, {x.dtype} on {x.device}" for x in (given, new))
-      raise ValueError(f"randomize: tensor '{name}' is {is_}; it must be {must}, and contiguous.")
+      raise MjlabError(f"randomize: tensor '{name}' is {is_}; it must be {must}, and contiguous.")
     return given
 
   def recompute_constants(self, mask: Tensor | None = None) -> None:
-    """Runs `mj_setConst` on the host for the masked worlds, one after the other."""
+    """Run `mj_setConst` on the host for the masked worlds, one after the other."""
     worlds = range(self.num_envs) if mask is None else mask.nonzero().flatten().tolist()
     fields: dict[str, Tensor] = vars(self.model)
-    derived = [name for source in self.written for name in FIELDS[source].derived if name in fields]
+    derived = [name for source in self.written for name in followers(source) if name in fields]
     host = {name: fields[name].cpu().numpy() for name in self.written}
     found = {name: fields[name].cpu().numpy().copy() for name in derived}
     scratch = copy.copy(self.mj_model)

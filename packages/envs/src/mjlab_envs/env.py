@@ -1,25 +1,20 @@
 """The manager-based environment and its step."""
 
-import contextlib
 import copy
-import logging
 import math
-from collections.abc import Callable, Generator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.seeding import draw_seed, make_generator
-from mjlab_core.state import StateError, Stateful
+from mjlab_core.errors import ConfigError, MjlabError
+from mjlab_core.sampling import draw_seed, make_generator
 from mjlab_managers import (
   ActionManager,
   CommandManager,
-  ConfigError,
   CurriculumManager,
   EventManager,
-  ManagerBase,
   MetricsManager,
   ObservationManager,
   RecorderManager,
@@ -30,29 +25,25 @@ from mjlab_managers import (
 from mjlab_scene import Scene
 from mjlab_sim import NanGuard, Simulation
 
-from mjlab_envs import viewing
+from mjlab_envs import rehearsal, viewing
+from mjlab_envs.base_env import MANAGERS, ManagerBasedEnv, Observations, cloned, select_worlds
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
-from mjlab_envs.worlds import select_worlds
-
-Observations = dict[str, torch.Tensor | dict[str, torch.Tensor]]
-
-_log = logging.getLogger("mjlab")
 
 
-class ManagerBasedRlEnv:
+class ManagerBasedRlEnv(ManagerBasedEnv):
   """Many worlds of one task behind Gymnasium's vector interface.
 
   A step is eight stages in a fixed order, `_step_stages`. On a GPU they are recorded once as one graph and replayed;
-  on a CPU the same code runs eagerly. What a step returns are fresh tensors.
+  on a CPU the same code runs eagerly. A step returns fresh tensors.
 
   Args:
-    cfg: What the environment is made of; copied.
+    cfg: Parts of the environment; copied.
     device: "cpu", "cuda[:i]", or "auto" for a GPU if there is one.
     render_mode: "rgb_array", for `render`, or None. It may be set later, too.
 
   Raises:
-    ConfigError: everything that is wrong with `cfg`, by name.
+    ConfigError: the config has mistakes; the message lists all of them by name.
   """
 
   is_vector_env = True
@@ -61,13 +52,37 @@ class ManagerBasedRlEnv:
     self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto", render_mode: str | None = None
   ) -> None:
     self.cfg = copy.deepcopy(cfg)
-    if problems := self.cfg.problems():
-      raise ConfigError("env", problems)
     self.render_mode = render_mode
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
-    self.seed: int = draw_seed() if self.cfg.seed is None else self.cfg.seed
-    self.scene = Scene(self.cfg.scene, self.cfg.decimation)
+    self._closed = False
+    problems = [f"env: {problem}" for problem in self.cfg.problems()]
+    try:
+      self._build(device, problems)
+    except Exception as error:
+      self._abandon()
+      unread = [line for part, (_, kind) in MANAGERS.items() for line in kind.check(getattr(cfg, part))]
+      if not (problems or unread):
+        raise
+      if isinstance(error, MjlabError):
+        problems.append(str(error))
+      raise ConfigError(*problems, *(line for line in unread if line not in problems)) from error
+    if problems:
+      self._abandon()
+      raise ConfigError(*problems)
+    self.event_manager.apply("startup")
+
+  def _abandon(self) -> None:
+    """Release the resources of a failed build."""
+    self._closed = True
+    for part in ("recorder_manager", "sim"):
+      if part in vars(self):
+        vars(self)[part].close()
+
+  def _build(self, device: str | torch.device, problems: list[str]) -> None:
+    """Build all parts; add a line to `problems` for each mistake that does not prevent building the rest."""
+    self.seed = draw_seed() if self.cfg.seed is None else self.cfg.seed
+    self.scene = Scene(self.cfg.scene, self.cfg.decimation, problems=problems)
     self.sim = Simulation(self.cfg.scene.num_envs, self.scene.spec, self.cfg.sim, device)
     self.device = self.sim.device
     self.num_envs = self.sim.num_envs
@@ -93,67 +108,77 @@ class ManagerBasedRlEnv:
     self.reset_buf = torch.zeros(n, dtype=torch.bool, device=device)
     self._everybody = torch.ones(n, dtype=torch.bool, device=device)
     self._pending = torch.zeros(n, dtype=torch.bool, device=device)
-    self._announced: set[str] = set()
-    self._closed = False
-    self.output_dir: Path | None = None
-    """Folder of a training run, which sets it: dumps of diverged worlds go to `nan_dumps` in it."""
+    self._announced = set()
 
     self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
 
-    self._load_managers()
+    self._load_managers(problems)
     self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
-    self.event_manager.apply("startup")
+    self._rehearse(problems)
+    if self.cfg.capture_terminal_observations:
+      # Their memory is made here, not inside a recording.
+      _ = self.observation_manager.terminal_buffers
 
-  def _load_managers(self) -> None:
+  def _load_managers(self, problems: list[str]) -> None:
     terminations = dict(self.cfg.terminations)
     detectors = [name for name, term in terminations.items() if term is not None and term.func is nan_detection]
     if not detectors and "nan_detection" not in terminations:
-      # A world that diverged must be ended by somebody, or it stays so for good.
+      # Without a termination, a world that diverged would never be reset.
       terminations["nan_detection"] = TerminationTermCfg(nan_detection)
       detectors = ["nan_detection"]
     guard = self.cfg.sim.nan_guard
     self.nan_guard = NanGuard(self.sim, self.cfg.decimation, guard) if guard.enabled and detectors else None
-    """Remembers the last states of every world; None where that is off, or nothing detects a divergence."""
     self._nan_detector = detectors[0] if detectors else ""
-    self.event_manager = EventManager(self.cfg.events, self)
+    cfg = self.cfg
+    self.event_manager = EventManager(cfg.events, self, problems=problems)
     self.sim.expand_model_fields(self.event_manager.model_fields)
-    self.command_manager = CommandManager(self.cfg.commands, self)
-    self.action_manager = ActionManager(self.cfg.actions, self)
-    self.termination_manager = TerminationManager(terminations, self)
-    self.metrics_manager = MetricsManager(self.cfg.metrics, self)
-    self.reward_manager = RewardManager(self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt)
-    self.curriculum_manager = CurriculumManager(self.cfg.curriculum, self)
-    self.observation_manager = ObservationManager(self.cfg.observations, self)
-    self.recorder_manager = RecorderManager(self.cfg.recorders, self)
+    self.command_manager = CommandManager(cfg.commands, self, problems=problems)
+    self.action_manager = ActionManager(cfg.actions, self, problems=problems)
+    self.termination_manager = TerminationManager(terminations, self, problems=problems)
+    self.metrics_manager = MetricsManager(cfg.metrics, self, problems=problems)
+    self.reward_manager = RewardManager(cfg.rewards, self, scale_by_dt=cfg.scale_rewards_by_dt, problems=problems)
+    self.observation_manager = ObservationManager(cfg.observations, self, problems=problems)
+    others = (
+      self.event_manager,
+      self.command_manager,
+      self.termination_manager,
+      self.metrics_manager,
+      self.reward_manager,
+      self.observation_manager,
+    )
+    self.curriculum_manager = CurriculumManager(cfg.curriculum, self, others=others, problems=problems)
+    self.recorder_manager = RecorderManager(cfg.recorders, self, problems=problems)
     self._managers = tuple(self.managers.values())
 
-  @property
-  def managers(self) -> dict[str, ManagerBase[Any]]:
-    """All managers by the name of their part of the config."""
-    return {
-      "events": self.event_manager,
-      "commands": self.command_manager,
-      "actions": self.action_manager,
-      "observations": self.observation_manager,
-      "terminations": self.termination_manager,
-      "rewards": self.reward_manager,
-      "curriculum": self.curriculum_manager,
-      "metrics": self.metrics_manager,
-      "recorders": self.recorder_manager,
-    }
+  def _rehearse(self, problems: list[str]) -> None:
+    """Call the parts that no manager has called yet, add failures to `problems`, and restore all state."""
+    state = self.state_dict()
+    undo = [manager.remember() for manager in self._managers]
+    problems += rehearsal.rehearse(self.managers, self.drawers())
+    if problems:
+      return
+    for put_back in undo:
+      put_back()
+    rehearsal.complete(state["sim"], self.sim)
+    self.load_state_dict(state)
 
   # The step
 
   def _step_stages(self) -> None:
-    """One environment step. This order is the contract of every term."""
+    """Run one environment step. Terms may rely on this order."""
     self._act()  # the action becomes targets
     self._simulate()  # `decimation` physics steps; sensors follow each
-    self._terminate()  # whose episode ends, seen on the fresh terminal state
-    self._reward()  # what the transition was worth, for the command it was made under
-    self._reset(self.reset_buf)  # ended worlds begin anew
+    self._terminate()  # episodes end, judged on the fresh terminal state
+    self._reward()  # rewards of the transition, for the command it was made under
+    self._keep_terminal_observations()  # last observations of ended worlds, if configured
+    self._reset(self.reset_buf)  # ended worlds begin a new episode
     self._command()  # timers run, commands are drawn and followed up
     self._event()  # pushes and other interval events
-    self._observe()  # what the policy sees next
+    self._observe()  # the next input of the policy
+
+  def _keep_terminal_observations(self) -> None:
+    if self.cfg.capture_terminal_observations:
+      self.observation_manager.keep_terminal(self.reset_buf)
 
   def _act(self) -> None:
     self.action_manager.process_action(self._action)
@@ -167,7 +192,6 @@ class ManagerBasedRlEnv:
       self.sim.step()
       self.scene.update(self.physics_dt)
       self.metrics_manager.compute_substep()
-    self.sim.count_overflow()
     self.episode_length_buf += 1
     self.common_step_counter += 1
 
@@ -221,15 +245,18 @@ class ManagerBasedRlEnv:
     """Advance every world by one step.
 
     Args:
-      action: Raw policy output, (num_envs, action dim). Numbers that are not finite count as zero.
+      action: Raw policy output, (num_envs, action dim). Infinite numbers and NaN count as zero.
 
     Returns:
-      Observations by group, reward (num_envs,), terminated and truncated, bool (num_envs,), and an empty dict of
-      extras; all fresh tensors. Observations of worlds that ended are the first of their next episode.
+      Observations by group, reward (num_envs,), terminated and truncated, bool (num_envs,), and a dict of extras; all
+      fresh tensors. Observations of worlds that ended are the first of their next episode. With
+      `capture_terminal_observations`, extras have the last of the one that ended: "final_obs" by group, as Gymnasium
+      names it, valid where "_final_obs", bool (num_envs,), is true.
 
     Raises:
-      TypeError, ValueError: what is no tensor, or has the wrong shape.
-      RuntimeError: without auto-reset, a world whose episode ended was not reset; it is named.
+      TypeError: `action` is not a tensor.
+      ValueError: `action` has the wrong shape.
+      RuntimeError: without auto-reset, the episode of a world ended and the world was not reset.
     """
     self._check_open()
     if not isinstance(action, torch.Tensor):
@@ -239,7 +266,7 @@ class ManagerBasedRlEnv:
     if not self.cfg.auto_reset and bool(self._pending.any()):
       worlds = self._pending.nonzero().flatten().tolist()
       raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
-    # Nothing here is differentiable, and a policy called outside torch.no_grad() is no mistake.
+    # A step is not differentiable; a policy may be called outside torch.no_grad().
     self._action.copy_(action.detach())
     with self._one_torch_thread():
       for manager in self._managers:
@@ -250,8 +277,14 @@ class ManagerBasedRlEnv:
       self.reward_manager.reward.clone(),
       self.termination_manager.terminated.clone(),
       self.termination_manager.time_outs.clone(),
-      {},
+      self._extras(),
     )
+
+  def _extras(self) -> dict[str, Any]:
+    if not self.cfg.capture_terminal_observations:
+      return {}
+    final = self.observation_manager.terminal_buffers
+    return {"final_obs": cloned(final), "_final_obs": self.termination_manager.dones.clone()}
 
   def reset(
     self,
@@ -264,15 +297,15 @@ class ManagerBasedRlEnv:
 
     Args:
       seed: Restart the environment's generator from this seed.
-      env_ids: Which worlds: a bool mask (num_envs,), or world numbers as a tensor or sequence; all by default.
-      options: Must be empty; there are none.
+      env_ids: Worlds to reset: a bool mask (num_envs,), or world numbers as a tensor or sequence; all by default.
+      options: Must be empty or None; it exists for Gymnasium.
 
     Returns:
-      Observations of all worlds by group, fresh tensors, and an empty dict. Worlds that were not asked for keep their
-      observations, bit for bit.
+      Observations of all worlds by group, fresh tensors, and an empty dict. Observations of the other worlds stay
+      bit-identical.
 
     Raises:
-      ValueError: a world number or mask that does not fit; nothing was changed.
+      ValueError: `env_ids` does not fit the number of worlds; nothing was changed.
     """
     self._check_open()
     if options:
@@ -291,13 +324,6 @@ class ManagerBasedRlEnv:
       self.sim.forward()
     return self.get_observations(), {}
 
-  def get_observations(self) -> Observations:
-    """The current observations by group, as fresh tensors. Asking again changes nothing."""
-    return {
-      group: value.clone() if isinstance(value, torch.Tensor) else {name: term.clone() for name, term in value.items()}
-      for group, value in self.observation_manager.get().items()
-    }
-
   def close(self) -> None:
     """Release recorders, threads and graphs. Calling it again does nothing."""
     if not self._closed:
@@ -312,7 +338,7 @@ class ManagerBasedRlEnv:
 
   @property
   def render_mode(self) -> str | None:
-    """What `render` returns: "rgb_array", or nothing."""
+    """Kind of picture that `render` returns: "rgb_array", or None for no picture."""
     return self._render_mode
 
   @render_mode.setter
@@ -322,9 +348,9 @@ class ManagerBasedRlEnv:
     self._render_mode = mode
 
   def render(self) -> np.ndarray | None:
-    """A picture of the first worlds, side by side, each followed by its camera: (height, width, 3) uint8.
+    """Return a picture of the first worlds side by side, (height, width, 3) uint8; None if `render_mode` is None.
 
-    None where `render_mode` is None. Nothing of the simulation is changed.
+    The camera follows each world. The simulation does not change.
 
     Raises:
       RuntimeError: mjlab-viewer is not installed, or OpenGL does not work here; the message says what is missing.
@@ -333,25 +359,23 @@ class ManagerBasedRlEnv:
     if self.render_mode is None:
       return None
     if self._camera is None:
-      self._camera = viewing.Camera(self)
+      self._camera = viewing.Camera(self, self.cfg.viewer)
     return self._camera.picture()
 
-  # What viewers ask for
-
   def signals(self) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
-    """Names and live values, (num_envs, k), of what can be plotted, by group: "rewards", observations, commands."""
+    """Return the numbers to plot by group, for example "rewards": names and live values, (num_envs, k)."""
     return viewing.signals(self)
 
   def drawers(self) -> dict[str, Callable[[DebugDraw], None]]:
-    """Who draws over pictures: the `debug_draw` of commands and sensors that have one, by name."""
+    """Return the functions that draw over pictures by name: `debug_draw` of commands, events and sensors."""
     return viewing.drawers(self)
 
-  def drawn_at_first(self) -> tuple[str, ...]:
-    """Names of the commands and sensors whose configuration wants them drawn (`debug_vis`)."""
-    return viewing.drawn_at_first(self)
+  def default_drawers(self) -> tuple[str, ...]:
+    """Return the names of the commands and sensors with `debug_vis` in their configuration."""
+    return viewing.default_drawers(self)
 
   def steering(self) -> dict[str, Any]:
-    """Commands that can be given by hand, by name: those that have `axes`."""
+    """Return the commands that a user can steer, by name: those that have `axes`."""
     return viewing.steering(self)
 
   def __enter__(self) -> "ManagerBasedRlEnv":
@@ -363,166 +387,6 @@ class ManagerBasedRlEnv:
   @property
   def unwrapped(self) -> "ManagerBasedRlEnv":
     return self
-
-  @property
-  def single_observation_space(self) -> Any:
-    """Gymnasium Dict of unbounded boxes, one per observation group."""
-    from mjlab_envs.spaces import observation_space
-
-    return observation_space(self.observation_manager)
-
-  @property
-  def single_action_space(self) -> Any:
-    """Unbounded Gymnasium box of the raw action."""
-    from mjlab_envs.spaces import box
-
-    return box((self.action_manager.total_action_dim,))
-
-  @property
-  def observation_space(self) -> Any:
-    """The spaces of all worlds' observations."""
-    from mjlab_envs.spaces import batched
-
-    return batched(self.single_observation_space, self.num_envs)
-
-  @property
-  def action_space(self) -> Any:
-    """The space of all worlds' actions."""
-    from mjlab_envs.spaces import batched
-
-    return batched(self.single_action_space, self.num_envs)
-
-  @property
-  def is_captured(self) -> bool:
-    """Whether steps are replays of a recording."""
-    return self._step_graph.recorded
-
-  @property
-  def num_graphs(self) -> int:
-    """Graphs that a step consists of, once recorded: one, unless something in it cannot be recorded."""
-    return self._step_graph.num_graphs
-
-  # What terms and managers may ask for
-
-  def run_eagerly(self, fn: Callable[[], None], name: str) -> None:
-    """Run code that cannot be recorded: the step graph is split around it. Says so once for each name."""
-    if self.sim.is_capturing and name not in self._announced:
-      self._announced.add(name)
-      _log.warning("%s cannot be recorded: the step graph is split around it and it runs eagerly.", name)
-    self.sim.graph_break(fn)
-
-  def request_recapture(self, reason: str) -> None:
-    """Record the step anew before the next one, because what it does has changed."""
-    if self.num_graphs > 0:
-      _log.info("recording the step anew: %s", reason)
-    self._step_graph.invalidate()
-
-  def recompute_constants(self, mask: torch.Tensor) -> None:
-    """Recompute the model's derived fields of masked worlds."""
-    self.sim.recompute_constants(mask)
-
-  # Logging and state
-
-  def drain_log(self) -> dict[str, float]:
-    """Averages since the last call over the episodes that ended since, by name; one transfer from the device.
-
-    Buffers that overflowed are reported through the logger "mjlab" with the setting to raise, and worlds that diverged
-    with what was first.
-    """
-    names: list[str] = []
-    values: list[torch.Tensor] = []
-    for manager in self._managers:
-      manager_names, manager_values = manager.log_tensors()
-      names += manager_names
-      values.append(manager_values)
-    numbers = torch.cat(values).tolist() if names else []
-    for manager in self._managers:
-      manager.clear_log()
-    self._warn(self.sim.overflow_report())
-    self._warn_of_divergence()
-    return {name: number for name, number in zip(names, numbers, strict=True) if not math.isnan(number)}
-
-  def _warn_of_divergence(self) -> None:
-    if self.nan_guard is not None:
-      self._warn(self.nan_guard.report(self.output_dir))
-
-  def _warn(self, lines: list[str]) -> None:
-    for line in lines:
-      _log.warning("%s", line)
-
-  def state_dict(self) -> dict[str, Any]:
-    """Everything that the next step depends on, as fresh tensors."""
-    return {
-      **{name: tensor.clone() for name, tensor in self._own_state().items()},
-      "rng": self.rng.get_state(),
-      "sim": self.sim.state_dict(),
-      **{name: part.state_dict() for name, part in self._stateful_parts().items()},
-    }
-
-  def load_state_dict(self, state: dict[str, Any]) -> None:
-    """Go on from a `state_dict` of an environment with the same config.
-
-    Raises:
-      StateError, SimulationError: the state belongs to another task, another number of worlds or another kind of
-        device; nothing was changed.
-    """
-    own, parts = self._own_state(), self._stateful_parts()
-    for name in (*own, *parts, "sim", "rng"):
-      if name not in state:
-        raise StateError(f"{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
-    for name, tensor in own.items():
-      if state[name].shape != tensor.shape:
-        raise StateError(f"{name}: saved shape {tuple(state[name].shape)}, here {tuple(tensor.shape)}.")
-    if state["rng"].shape != self.rng.get_state().shape:
-      raise StateError(f"rng: saved on another kind of device, here it is {self.device}.")
-    for name, part in parts.items():
-      part.check_state_dict(state[name])
-    self.sim.load_state_dict(state["sim"])
-    for name, part in parts.items():
-      part.load_state_dict(state[name])
-    for name, tensor in own.items():
-      tensor.copy_(state[name])
-    self.rng.set_state(state["rng"].cpu())
-
-  def _own_state(self) -> dict[str, torch.Tensor]:
-    return {
-      "episode_length": self.episode_length_buf,
-      "pending": self._pending,
-      "step_counter": self.common_step_counter,
-    }
-
-  def _stateful_parts(self) -> dict[str, Stateful]:
-    return {"scene": self.scene, **self.managers}
-
-  def load_progress(self, state: dict[str, Any]) -> None:
-    """Take over only how far training had come: what a run with another number of worlds can use.
-
-    Draws go on from elsewhere, so that nobody sees the noise of the beginning again.
-    """
-    self.common_step_counter.copy_(state["step_counter"])
-    self.rng.manual_seed(self.seed + int(self.common_step_counter))
-    self.command_manager.load_progress(state["commands"])
-
-  def describe(self) -> str:
-    """The environment's parts as tables."""
-    head = (
-      f"{self.num_envs} worlds on {self.device} ({self.sim.engine} engine), physics {self.physics_dt:g} s,"
-      f" step {self.step_dt:g} s, episode {self.max_episode_length} steps, seed {self.seed}"
-    )
-    return "\n".join([head, *(text for manager in self._managers if (text := manager.describe()))])
-
-  @contextlib.contextmanager
-  def _one_torch_thread(self) -> Generator[None, None, None]:
-    """On a CPU a second thread of torch only waits, on a core that physics wants: 64 worlds took four times as long."""
-    before = torch.get_num_threads()
-    if self.device.type == "cuda" or before == 1:
-      yield
-      return
-    torch.set_num_threads(1)
-    try:
-      yield
-    finally:
-      torch.set_num_threads(before)
 
   def _check_open(self) -> None:
     if self._closed:

@@ -1,9 +1,11 @@
-"""What a manager-based environment is made of."""
+"""Configuration of a manager-based environment."""
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from mjlab_core.counts import why_no_count
+from mjlab_core.config import Config
+from mjlab_core.constraints import why_no_count
 from mjlab_managers import (
   ActionTermCfg,
   CommandTermCfg,
@@ -20,14 +22,52 @@ from mjlab_sim import SimulationCfg
 
 from mjlab_envs.mdp.events import reset_scene_to_default
 
+if TYPE_CHECKING:
+  from mjlab_viewer import CameraCfg, PictureCfg
+
 
 def _default_events() -> dict[str, EventTermCfg | None]:
   return {"reset_scene_to_default": EventTermCfg(reset_scene_to_default, mode="reset")}
 
 
 @dataclass(kw_only=True)
-class ManagerBasedRlEnvCfg:
-  """An environment as plain instances; a variant is a changed copy. A term set to None is left out."""
+class ViewerCfg(Config):
+  """Camera and size of pictures; None takes the viewer's default."""
+
+  body: str | None = None
+  """Full name of the body that the camera follows."""
+  lookat: tuple[float, float, float] | None = None
+  """Fixed point of the world to look at instead [m]."""
+  distance: float | None = None
+  """Distance of the camera [m]."""
+  azimuth: float | None = None
+  """Direction of view about the vertical [deg]; 0 looks along +x."""
+  elevation: float | None = None
+  """Direction of view above the horizon [deg]; negative values look down."""
+  width: int | None = None
+  """Width of a picture [px]."""
+  height: int | None = None
+  """Height of a picture [px]."""
+
+  def camera(self) -> "CameraCfg":
+    """Return the camera; needs mjlab-viewer."""
+    from mjlab_viewer import CameraCfg
+
+    return CameraCfg(**self._given("body", "lookat", "distance", "azimuth", "elevation"))
+
+  def picture(self) -> "PictureCfg":
+    """Return size and camera of a picture; needs mjlab-viewer."""
+    from mjlab_viewer import PictureCfg
+
+    return PictureCfg(camera=self.camera(), **self._given("width", "height"))
+
+  def _given(self, *names: str) -> dict[str, Any]:
+    return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+@dataclass(kw_only=True)
+class ManagerBasedRlEnvCfg(Config):
+  """Configuration of an environment. A term set to None is left out."""
 
   decimation: int
   """Physics steps per environment step."""
@@ -46,20 +86,26 @@ class ManagerBasedRlEnvCfg:
   metrics: dict[str, MetricsTermCfg | None] = field(default_factory=dict)
   recorders: dict[str, RecorderTermCfg | None] = field(default_factory=dict)
   seed: int | None = None
-  """Seed of the environment's generator; None draws one, which `ManagerBasedRlEnv.seed` tells."""
+  """Seed of the environment's generator; None draws one, see `ManagerBasedRlEnv.seed`."""
   auto_reset: bool = True
   """Reset worlds whose episode ended within the step that ended it."""
+  capture_terminal_observations: bool = False
+  """Observe ended worlds once more before they are reset, for `extras["final_obs"]` of a step; needs auto_reset.
+
+  Costs a second evaluation of all observations. Commands and events of the step are not yet in them."""
   scale_rewards_by_dt: bool = True
   """Multiply rewards by the duration of a step, so that weights are rates."""
   is_finite_horizon: bool = False
-  """Whether the end of time is part of the task, so that nothing is bootstrapped from it."""
+  """True if the time limit is part of the task; values are then not bootstrapped at a time-out."""
+
+  viewer: ViewerCfg = field(default_factory=ViewerCfg)
+  """Camera and size of pictures of this environment."""
 
   def problems(self) -> list[str]:
-    """What is wrong with these numbers, one sentence each."""
+    """Return the mistakes in these values, one sentence each."""
     found: list[str] = []
-    for name, count in (("decimation", self.decimation), ("scene.num_envs", self.scene.num_envs)):
-      if wrong := why_no_count(count, 1):
-        found.append(f"{name} {wrong}")
+    if wrong := why_no_count(self.decimation, 1):
+      found.append(f"decimation {wrong}")
     if self.episode_length_s < 0:
       found.append(f"episode_length_s must not be negative, got {self.episode_length_s}")
     elif not math.isfinite(self.episode_length_s):
@@ -68,6 +114,8 @@ class ManagerBasedRlEnvCfg:
       found.append(f"seed {wrong}")
     elif self.seed is not None and self.seed >= 2**64:
       found.append(f"seed must fit into 64 bits, got {self.seed}")
+    if self.capture_terminal_observations and not self.auto_reset:
+      found.append("capture_terminal_observations is for auto_reset; without it, steps return terminal observations")
     timed = [name for name, term in self.terminations.items() if term is not None and term.time_out]
     if timed and not self.episode_length_s > 0:
       found.append(f"termination '{timed[0]}' is a time-out, so episode_length_s must be positive")

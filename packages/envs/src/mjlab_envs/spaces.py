@@ -8,12 +8,12 @@ from mjlab_managers import ObservationManager
 
 
 def box(shape: Sequence[int]) -> gymnasium.spaces.Box:
-  """An unbounded float32 box."""
+  """Return an unbounded float32 box."""
   return gymnasium.spaces.Box(-np.inf, np.inf, tuple(shape), np.float32)
 
 
 def observation_space(manager: ObservationManager) -> gymnasium.spaces.Dict:
-  """One world's observations: a box per group, or a dict of boxes for a group that is not concatenated."""
+  """Return the space of one world: a box per group, or a dict of boxes for a group that is not concatenated."""
   spaces: dict[str, gymnasium.Space] = {}
   for group, observation in manager.buffers.items():
     if isinstance(observation, dict):
@@ -24,7 +24,7 @@ def observation_space(manager: ObservationManager) -> gymnasium.spaces.Dict:
 
 
 def batched(space: gymnasium.Space, num_envs: int) -> gymnasium.Space:
-  """The same space with a row for every world."""
+  """Return the same space with a row for every world."""
   if isinstance(space, gymnasium.spaces.Dict):
     return gymnasium.spaces.Dict({name: batched(part, num_envs) for name, part in space.spaces.items()})
   assert space.shape is not None

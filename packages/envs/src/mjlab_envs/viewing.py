@@ -1,4 +1,4 @@
-"""What an environment shows of itself to viewers."""
+"""Signals, drawings and pictures of an environment for viewers."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import torch
 from mjlab_core import DebugDraw
 
 if TYPE_CHECKING:
-  from mjlab_envs.env import ManagerBasedRlEnv
+  from mjlab_viewer import ViewedEnv
+
+  from mjlab_envs.base_env import ManagerBasedEnv
+  from mjlab_envs.env_cfg import ViewerCfg
 
 RENDER_MODES = ("rgb_array",)
 MOST_TILES = 4
 
 
-def signals(env: ManagerBasedRlEnv) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
-  """Names and values, (num_envs, k), of what can be plotted: weighted rewards, commands, observations, terminations."""
+def signals(env: ManagerBasedEnv) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
+  """Return the numbers to plot by group, names and values (num_envs, k): weighted rewards, commands and so on."""
   found: dict[str, tuple[Sequence[str], torch.Tensor]] = {}
   if env.reward_manager.active_terms:
     found["rewards"] = (env.reward_manager.active_terms, env.reward_manager.step_reward)
@@ -43,46 +46,47 @@ def signals(env: ManagerBasedRlEnv) -> dict[str, tuple[Sequence[str], torch.Tens
   return found
 
 
-def drawers(env: ManagerBasedRlEnv) -> dict[str, Callable[[DebugDraw], None]]:
-  """Commands and sensors that draw, by name."""
+def drawers(env: ManagerBasedEnv) -> dict[str, Callable[[DebugDraw], None]]:
+  """Return the `debug_draw` of the commands, events and sensors that have one, by name."""
   parts: dict[str, Any] = {
     f"command {name}": env.command_manager.get_term(name) for name in env.command_manager.active_terms
   }
+  parts |= {f"event {name}": env.event_manager.term(name).func for name in env.event_manager.active_terms}
   parts |= {f"sensor {name}": sensor for name, sensor in env.scene.sensors.items()}
   return {name: part.debug_draw for name, part in parts.items() if hasattr(part, "debug_draw")}
 
 
-def drawn_at_first(env: ManagerBasedRlEnv) -> tuple[str, ...]:
-  """Names of the commands and sensors whose configuration wants them drawn."""
+def default_drawers(env: ManagerBasedEnv) -> tuple[str, ...]:
+  """Return the names of the commands and sensors with `debug_vis` in their configuration."""
   owners = ((name, getattr(draw, "__self__", None)) for name, draw in drawers(env).items())
   return tuple(name for name, owner in owners if getattr(getattr(owner, "cfg", None), "debug_vis", False))
 
 
-def steering(env: ManagerBasedRlEnv) -> dict[str, Any]:
-  """Commands that can be given by hand: those that have `axes`."""
+def steering(env: ManagerBasedEnv) -> dict[str, Any]:
+  """Return the commands that a user can steer, by name: those that have `axes`."""
   terms = {name: env.command_manager.get_term(name) for name in env.command_manager.active_terms}
   return {name: term for name, term in terms.items() if term.axes}
 
 
 class Camera:
-  """Renders an environment; made at the first picture."""
+  """Camera of an environment, made at the first picture."""
 
-  def __init__(self, env: ManagerBasedRlEnv) -> None:
+  def __init__(self, env: ViewedEnv, viewer: ViewerCfg) -> None:
     try:
       from mjlab_viewer import OffscreenRenderer, SnapshotTaker
     except ImportError as error:
       raise RuntimeError(f"render_mode='rgb_array' needs the package mjlab-viewer ({error})") from error
     self._taker = SnapshotTaker(env)
-    self._renderer = OffscreenRenderer(env.sim.mj_model)
+    self._renderer = OffscreenRenderer(env.sim.mj_model, viewer.picture())
     self._worlds = tuple(range(min(env.num_envs, MOST_TILES)))
-    self._drawers = drawn_at_first(env)
+    self._drawers = env.default_drawers()
 
   def picture(self) -> np.ndarray:
-    """The first worlds as tiles, (height, width, 3) uint8."""
+    """Return a picture of the first worlds as tiles, (height, width, 3) uint8."""
     return self._renderer.render(self._taker.take(self._worlds, drawers=self._drawers, apart=True))
 
   def close(self) -> None:
-    """Free what OpenGL holds."""
+    """Free the memory of OpenGL."""
     self._renderer.close()
 
 

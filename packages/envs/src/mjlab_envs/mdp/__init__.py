@@ -1,13 +1,10 @@
-"""The term library: what observations, rewards, events and the like any task can use."""
+"""Library of terms for any task: actions, observations, rewards, terminations, events, curricula and metrics."""
 
 from mjlab_envs.mdp.actions import (
   AffineAction,
   AffineActionCfg,
   BinaryJointPositionAction,
   BinaryJointPositionActionCfg,
-  DrivenJoints,
-  DrivenTargets,
-  DrivenTargetsCfg,
   JointEffortAction,
   JointEffortActionCfg,
   JointPositionAction,
@@ -28,7 +25,9 @@ from mjlab_envs.mdp.actions import (
   TendonVelocityActionCfg,
 )
 from mjlab_envs.mdp.contacts import contact_count, illegal_contact
+from mjlab_envs.mdp.curricula import Stage, reward_curriculum, termination_curriculum
 from mjlab_envs.mdp.differential_ik import DifferentialIKAction, DifferentialIKActionCfg
+from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargets, DrivenTargetsCfg
 from mjlab_envs.mdp.events import (
   push_by_setting_velocity,
   reset_joints_by_offset,
@@ -49,6 +48,7 @@ from mjlab_envs.mdp.observations import (
   joint_vel_rel,
   last_action,
   projected_gravity,
+  projected_gravity_from_sensor,
 )
 from mjlab_envs.mdp.randomize import (
   randomize,
@@ -61,6 +61,7 @@ from mjlab_envs.mdp.randomize_actuators import randomize_actuator, randomize_act
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
   action_rate_l2,
+  electrical_power_cost,
   flat_orientation_l2,
   is_alive,
   is_terminated,
@@ -71,6 +72,8 @@ from mjlab_envs.mdp.rewards import (
   posture,
 )
 from mjlab_envs.mdp.terminations import bad_orientation, nan_detection, root_height_below_minimum, time_out
+from mjlab_envs.mdp.terrain import reset_root_state_from_flat_patches, terrain_edge_reached
+from mjlab_envs.mdp.wrenches import apply_body_impulse, apply_external_force_torque
 
 __all__ = [
   "AffineAction",
@@ -94,6 +97,7 @@ __all__ = [
   "SiteEffortActionCfg",
   "SmoothedJointPositionAction",
   "SmoothedJointPositionActionCfg",
+  "Stage",
   "TendonEffortAction",
   "TendonEffortActionCfg",
   "TendonLengthAction",
@@ -102,6 +106,8 @@ __all__ = [
   "TendonVelocityActionCfg",
   "action_acc_l2",
   "action_rate_l2",
+  "apply_body_impulse",
+  "apply_external_force_torque",
   "bad_orientation",
   "base_ang_vel",
   "base_lin_vel",
@@ -110,6 +116,7 @@ __all__ = [
   "camera_mask",
   "camera_rgb",
   "contact_count",
+  "electrical_power_cost",
   "flat_orientation_l2",
   "generated_commands",
   "height_scan",
@@ -127,6 +134,7 @@ __all__ = [
   "nan_detection",
   "posture",
   "projected_gravity",
+  "projected_gravity_from_sensor",
   "push_by_setting_velocity",
   "randomize",
   "randomize_actuator",
@@ -135,9 +143,13 @@ __all__ = [
   "randomized_values",
   "randomizer_of",
   "reset_joints_by_offset",
+  "reset_root_state_from_flat_patches",
   "reset_root_state_uniform",
   "reset_scene_to_default",
+  "reward_curriculum",
   "root_height_below_minimum",
+  "termination_curriculum",
+  "terrain_edge_reached",
   "time_out",
   "widen_randomization",
 ]

@@ -1,51 +1,36 @@
-"""From the policy's output to set-points of joints, tendons and sites."""
+"""Actions: the policy's output becomes targets of joints, tendons and sites."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-from mjlab_actuators import Transmission
-from mjlab_core.masking import where_
-from mjlab_core.names import match_names, match_values_full
-from mjlab_core.sampling import check_bounds
-from mjlab_managers import ActionTerm, ActionTermCfg
-from mjlab_scene.indexing import as_index
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import where_
+from mjlab_managers import ActionTargets
+
+from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargets, DrivenTargetsCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 
 @dataclass(kw_only=True)
-class DrivenTargetsCfg(ActionTermCfg):
-  """Base of what gives set-points to joints, tendons or sites, here called targets."""
-
-  entity: str = "robot"
-  actuators: str | tuple[str, ...] = ".*"
-  """Patterns of the targets, among those that have an actuator."""
-  clip: tuple[float, float] | dict[str, tuple[float, float]] | None = None
-  """Bounds of the set-point, or bounds by pattern; targets left out are not bounded."""
-  preserve_order: bool = False
-  """Order of the targets: of the patterns, or of the model."""
-
-
-@dataclass(kw_only=True)
 class AffineActionCfg(DrivenTargetsCfg):
-  """Base of actions with one column for each target: set-point = clip(scale * action + offset)."""
+  """Base of actions with one column for each target: target = clip(scale * action + offset)."""
 
   scale: float | dict[str, float] = 1.0
   """One factor, or one per target by pattern."""
   offset: float | dict[str, float] | None = None
-  """One offset, or one per target by pattern; None takes that of `use_default_offset`, where there is one, or 0."""
+  """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
 
 
 @dataclass(kw_only=True)
 class JointPositionActionCfg(AffineActionCfg):
-  """Joint position set-points [rad, m]; the encoders' bias is subtracted, as on a robot whose encoders have it."""
+  """Joint position targets [rad, m]; the encoders' bias is subtracted, as on a robot whose encoders have it."""
 
   use_default_offset: bool = True
-  """Offset by the default pose. An `offset` of one's own must be given with False."""
+  """Offset by the default pose; must be False if `offset` is given."""
 
   def build(self, env: Any) -> "JointPositionAction":
     return JointPositionAction(self, env)
@@ -53,10 +38,10 @@ class JointPositionActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class JointVelocityActionCfg(AffineActionCfg):
-  """Joint velocity set-points [rad/s, m/s]."""
+  """Joint velocity targets [rad/s, m/s]."""
 
   use_default_offset: bool = True
-  """Offset by the default velocities. An `offset` of one's own must be given with False."""
+  """Offset by the default velocities; must be False if `offset` is given."""
 
   def build(self, env: Any) -> "JointVelocityAction":
     return JointVelocityAction(self, env)
@@ -64,7 +49,7 @@ class JointVelocityActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class JointEffortActionCfg(AffineActionCfg):
-  """Joint efforts [N m, N]."""
+  """Joint effort targets [N m, N]."""
 
   def build(self, env: Any) -> "JointEffortAction":
     return JointEffortAction(self, env)
@@ -72,14 +57,14 @@ class JointEffortActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class SmoothedJointPositionActionCfg(JointPositionActionCfg):
-  """Joint position set-points that follow the policy's through an exponential moving average.
+  """Joint position targets that follow the policy's through an exponential moving average.
 
-  target_t = smoothing * target_{t-1} + (1 - smoothing) * clip(scale * action + offset), from where the joints are when
-  an episode begins.
+  target_t = smoothing * target_{t-1} + (1 - smoothing) * clip(scale * action + offset), from the joint positions at
+  the beginning of an episode.
   """
 
   smoothing: float = 0.5
-  """Share of the old set-point in the new one, in [0, 1)."""
+  """Share of the previous target in the new one, in [0, 1)."""
 
   def build(self, env: Any) -> "SmoothedJointPositionAction":
     return SmoothedJointPositionAction(self, env)
@@ -87,13 +72,13 @@ class SmoothedJointPositionActionCfg(JointPositionActionCfg):
 
 @dataclass(kw_only=True)
 class RelativeJointPositionActionCfg(AffineActionCfg):
-  """Joint position set-points [rad, m] as differences: set-point = clip(base + scale * action + offset).
+  """Joint position targets [rad, m] as differences: target = clip(base + scale * action + offset).
 
-  It is fixed once for each environment step, so that it does not run ahead within one.
+  The target is fixed once for each environment step.
   """
 
   relative_to: Literal["position", "target"] = "position"
-  """Base: where the joints are at the start of the step, or where they were to be in the step before."""
+  """Base: the joint positions at the start of the step, or the targets of the previous step."""
 
   def build(self, env: Any) -> "RelativeJointPositionAction":
     return RelativeJointPositionAction(self, env)
@@ -101,12 +86,12 @@ class RelativeJointPositionActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class BinaryJointPositionActionCfg(DrivenTargetsCfg):
-  """Two positions and one column between them: a gripper that opens for an action of 0 or more, and closes below."""
+  """Gripper with one column: it opens for an action of 0 or more, and closes for a negative one."""
 
   open: dict[str, float]
-  """Set-points of the open gripper by joint pattern [rad, m]; each driven joint must have one."""
+  """Targets of the open gripper by joint pattern [rad, m]; each driven joint must have one."""
   close: dict[str, float]
-  """Those of the closed one."""
+  """Targets of the closed gripper, likewise."""
 
   def build(self, env: Any) -> "BinaryJointPositionAction":
     return BinaryJointPositionAction(self, env)
@@ -114,7 +99,7 @@ class BinaryJointPositionActionCfg(DrivenTargetsCfg):
 
 @dataclass(kw_only=True)
 class TendonLengthActionCfg(AffineActionCfg):
-  """Tendon length set-points [m, rad]."""
+  """Tendon length targets [m, rad]."""
 
   def build(self, env: Any) -> "TendonLengthAction":
     return TendonLengthAction(self, env)
@@ -122,7 +107,7 @@ class TendonLengthActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class TendonVelocityActionCfg(AffineActionCfg):
-  """Set-points of how fast tendons grow longer [m/s, rad/s]."""
+  """Targets of the rate of change of tendon lengths [m/s, rad/s]."""
 
   def build(self, env: Any) -> "TendonVelocityAction":
     return TendonVelocityAction(self, env)
@@ -130,7 +115,7 @@ class TendonVelocityActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class TendonEffortActionCfg(AffineActionCfg):
-  """Efforts along tendons [N, N m]; positive ones push."""
+  """Effort targets along tendons [N, N m]; positive ones push."""
 
   def build(self, env: Any) -> "TendonEffortAction":
     return TendonEffortAction(self, env)
@@ -138,102 +123,14 @@ class TendonEffortActionCfg(AffineActionCfg):
 
 @dataclass(kw_only=True)
 class SiteEffortActionCfg(AffineActionCfg):
-  """Efforts at sites [N, N m]: times the gear of the actuator they are the wrench."""
+  """Effort targets at sites [N, N m]; the wrench is the effort times the gear of the actuator."""
 
   def build(self, env: Any) -> "SiteEffortAction":
     return SiteEffortAction(self, env)
 
 
-class DrivenTargets(ActionTerm):
-  """Base of what gives set-points to joints, tendons or sites: which, and between what bounds, (1, targets)."""
-
-  transmission: ClassVar[Transmission] = "joint"
-  _constants = frozenset({"_ids", "_lo", "_hi"})
-
-  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    kind = self.transmission
-    self._entity = env.scene[cfg.entity]
-    self._owner = f"entity '{cfg.entity}'"
-    driven = () if self._entity.actuators is None else self._entity.actuators.driven(kind)
-    names: tuple[str, ...] = getattr(self._entity, f"{kind}_names")
-    _, self.target_names = match_names(
-      cfg.actuators,
-      [name for name in names if name in driven],
-      what=f"actuated {kind}",
-      owner=self._owner,
-      preserve_order=cfg.preserve_order,
-    )
-    self._columns = [names.index(name) for name in self.target_names]
-    self._ids = as_index(self._columns, env.device)
-    self._constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
-    self._lo, self._hi = self._bounds(cfg)
-
-  def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
-    owner = f"{self._owner}: {what}"
-    numbers = match_values_full(values, self.target_names, what=self.transmission, owner=owner)
-    if not all(map(math.isfinite, numbers)):
-      raise ValueError(f"{owner} must be finite, got {values}")
-    return torch.tensor([numbers], **self._constant)
-
-  def _bounds(self, cfg: DrivenTargetsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-    if cfg.clip is None:
-      return None, None
-    endless = (-float("inf"), float("inf"))
-    by_pattern = {".*": cfg.clip} if isinstance(cfg.clip, tuple) else cfg.clip
-    for pattern, bounds in by_pattern.items():
-      check_bounds(f"clip['{pattern}']", bounds)
-    owner = f"{self._owner}: clip"
-    bounds = match_values_full(by_pattern, self.target_names, what=self.transmission, owner=owner, default=endless)
-    table = torch.tensor([bounds], **self._constant)
-    return table[..., 0], table[..., 1]
-
-  @property
-  def driven(self) -> frozenset[str]:
-    # A tendon may be called like a joint.
-    kind = "" if self.transmission == "joint" else f"{self.transmission} "
-    return frozenset(f"{self.cfg.entity}/{kind}{name}" for name in self.target_names)
-
-  def clipped(self, target: torch.Tensor) -> torch.Tensor:
-    """Set-points within the bounds of `clip`, (num_envs, targets)."""
-    return target if self._lo is None else target.clamp(self._lo, self._hi)
-
-  def apply_actions(self) -> None:
-    """Nothing: a set-point holds until the next one."""
-
-
-class DrivenJoints(DrivenTargets):
-  """Base of what gives set-points to joints, by their positions and velocities."""
-
-  _constants = frozenset({"_q", "_v"})
-
-  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    # The same joints as columns of positions and of velocities; what is actuated has one of each.
-    ix = self._entity.indexing
-    self._q, self._v = (
-      as_index([of[joint][0] for joint in self._columns], env.device) for of in (ix.q_of_joint, ix.v_of_joint)
-    )
-
-  @property
-  def joint_names(self) -> list[str]:
-    """Names of the joints, in the order of the set-points."""
-    return self.target_names
-
-  def set_positions(self, target: torch.Tensor) -> None:
-    """Set-points (num_envs, joints) as the encoders would read them, so without their bias."""
-    bias = self._entity.data.encoder_bias[:, self._q]
-    self._entity.set_joint_position_target(target - bias, joint_ids=self._ids)
-
-  def measured_positions(self) -> torch.Tensor:
-    """Joint positions as the encoders read them, (num_envs, joints) [rad, m]."""
-    return self._entity.data.joint_pos_biased[:, self._q]
-
-
 class AffineAction(DrivenTargets):
-  """Base of actions with one column for each target: the affine map and its constants, (1, targets)."""
-
-  _constants = frozenset({"_scale", "_offset"})
+  """Base of actions with one column for each target: target = clip(scale * action + offset)."""
 
   def __init__(self, cfg: AffineActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -241,15 +138,13 @@ class AffineAction(DrivenTargets):
     default = self._default_offset()
     if default is not None and getattr(cfg, "use_default_offset", False):
       if cfg.offset is not None:
-        raise ValueError(
-          f"offset is given, and use_default_offset is on: which one? Set use_default_offset=False to use {cfg.offset}"
-        )
+        raise MjlabError(f"offset requires use_default_offset=False; got offset={cfg.offset}")
       self._offset = default
     else:
       self._offset = self._per_target(0.0 if cfg.offset is None else cfg.offset, "offset")
 
   def _default_offset(self) -> torch.Tensor | None:
-    """What `use_default_offset` means for this action, (1, targets); None if nothing."""
+    """Return what `use_default_offset` means for this action, (1, targets); None if nothing."""
     return None
 
   @property
@@ -267,8 +162,23 @@ class AffineAction(DrivenTargets):
     return self._offset
 
   def target(self, actions: torch.Tensor) -> torch.Tensor:
-    """Set-points of raw actions, (num_envs, targets)."""
-    return self.clipped(torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale))
+    """Return the targets of raw actions, (num_envs, targets)."""
+    target = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
+    return target if self._lo is None else target.clamp(self._lo, self._hi)
+
+  def process_actions(self, actions: torch.Tensor) -> None:
+    self._target.write(self.target(actions))
+
+  def exported(self) -> ActionTargets | None:
+    if self.transmission != "joint":
+      return None
+    return ActionTargets(quantity=self.quantity, joints=tuple(self.target_names), compute=self._traceable())
+
+  def _traceable(self) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return `target` with constants in float32 on the CPU."""
+    scale, offset = self._scale.cpu().float(), self._offset[:1].cpu().float()
+    bound = self._traceable_bounds()
+    return lambda action: bound(offset + action * scale)
 
 
 class JointPositionAction(AffineAction, DrivenJoints):
@@ -278,7 +188,11 @@ class JointPositionAction(AffineAction, DrivenJoints):
     return self._entity.data.default_joint_pos[:, self._q].clone()
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    self.set_positions(self.target(actions))
+    # The action of most tasks: `target` and `set_positions` in one call.
+    target = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
+    if self._lo is not None:
+      target = target.clamp(self._lo, self._hi)
+    self._target.write(target - self._entity.data.encoder_bias[:, self._q])
 
 
 class SmoothedJointPositionAction(JointPositionAction):
@@ -287,9 +201,20 @@ class SmoothedJointPositionAction(JointPositionAction):
   def __init__(self, cfg: SmoothedJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     if not 0.0 <= cfg.smoothing < 1.0:
-      raise ValueError(f"smoothing must be in [0, 1), got {cfg.smoothing}")
+      raise MjlabError(f"smoothing must be in [0, 1), got {cfg.smoothing}")
     self._weight = 1.0 - cfg.smoothing
-    self._smoothed = self.measured_positions().clone()
+    self._smoothed = self.state_of(self.measured_positions().clone())
+
+  def exported(self) -> ActionTargets:
+    reading, driven = self._position_reading()
+    target, weight = self._traceable(), self._weight
+    return ActionTargets(
+      quantity=self.quantity,
+      joints=tuple(self.target_names),
+      compute=lambda action, last, _: torch.lerp(last, target(action), weight),
+      readings=(reading,),
+      start=driven,
+    )
 
   def process_actions(self, actions: torch.Tensor) -> None:
     self._smoothed.lerp_(self.target(actions), self._weight)
@@ -305,24 +230,34 @@ class RelativeJointPositionAction(AffineAction, DrivenJoints):
   def __init__(self, cfg: RelativeJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     if cfg.relative_to not in ("position", "target"):
-      raise ValueError(f"relative_to must be 'position' or 'target', got {cfg.relative_to!r}")
+      raise MjlabError(f"relative_to must be 'position' or 'target', got {cfg.relative_to!r}")
     self._from_target = cfg.relative_to == "target"
-    self._target = self.measured_positions().clone()
+    self._previous = self.state_of(self.measured_positions().clone())
+
+  def exported(self) -> ActionTargets:
+    reading, driven = self._position_reading()
+    scale, offset = self._scale.cpu().float(), self._offset[:1].cpu().float()
+    bound, from_target = self._traceable_bounds(), self._from_target
+    return ActionTargets(
+      quantity=self.quantity,
+      joints=tuple(self.target_names),
+      compute=lambda action, last, q: bound((last if from_target else driven(q)) + offset + action * scale),
+      readings=(reading,),
+      start=driven,
+    )
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    base = self._target if self._from_target else self.measured_positions()
+    base = self._previous if self._from_target else self.measured_positions()
     change = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
-    self._target.copy_(self.clipped(base + change))
-    self.set_positions(self._target)
+    self._previous.copy_(self.clipped(base + change))
+    self.set_positions(self._previous)
 
   def reset(self, mask: torch.Tensor) -> None:
-    where_(self._target, mask, self.measured_positions())
+    where_(self._previous, mask, self.measured_positions())
 
 
 class BinaryJointPositionAction(DrivenJoints):
   """See `BinaryJointPositionActionCfg`."""
-
-  _constants = frozenset({"_open", "_close"})
 
   def __init__(self, cfg: BinaryJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -333,6 +268,14 @@ class BinaryJointPositionAction(DrivenJoints):
   def action_dim(self) -> int:
     return 1
 
+  def exported(self) -> ActionTargets:
+    opened, closed = self._open.cpu().float(), self._close.cpu().float()
+    return ActionTargets(
+      quantity=self.quantity,
+      joints=tuple(self.target_names),
+      compute=lambda action: torch.where(action < 0.0, closed, opened),
+    )
+
   def process_actions(self, actions: torch.Tensor) -> None:
     self.set_positions(torch.where(actions < 0.0, self._close, self._open))
 
@@ -340,18 +283,16 @@ class BinaryJointPositionAction(DrivenJoints):
 class JointVelocityAction(AffineAction, DrivenJoints):
   """See `JointVelocityActionCfg`."""
 
+  quantity = "velocity"
+
   def _default_offset(self) -> torch.Tensor:
     return self._entity.data.default_joint_vel[:, self._v].clone()
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_joint_velocity_target(self.target(actions), joint_ids=self._ids)
 
 
 class JointEffortAction(AffineAction, DrivenJoints):
   """See `JointEffortActionCfg`."""
 
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_joint_effort_target(self.target(actions), joint_ids=self._ids)
+  quantity = "effort"
 
 
 class TendonLengthAction(AffineAction):
@@ -359,32 +300,23 @@ class TendonLengthAction(AffineAction):
 
   transmission = "tendon"
 
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_tendon_len_target(self.target(actions), tendon_ids=self._ids)
-
 
 class TendonVelocityAction(AffineAction):
   """See `TendonVelocityActionCfg`."""
 
   transmission = "tendon"
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_tendon_vel_target(self.target(actions), tendon_ids=self._ids)
+  quantity = "velocity"
 
 
 class TendonEffortAction(AffineAction):
   """See `TendonEffortActionCfg`."""
 
   transmission = "tendon"
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_tendon_effort_target(self.target(actions), tendon_ids=self._ids)
+  quantity = "effort"
 
 
 class SiteEffortAction(AffineAction):
   """See `SiteEffortActionCfg`."""
 
   transmission = "site"
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._entity.set_site_effort_target(self.target(actions), site_ids=self._ids)
+  quantity = "effort"

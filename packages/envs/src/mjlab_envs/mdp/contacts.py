@@ -1,23 +1,52 @@
-"""Terms of contacts that should not be."""
+"""Terms about unwanted contacts."""
 
 from typing import TYPE_CHECKING
 
 import torch
+from mjlab_core.errors import MjlabError
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 
-def contact_count(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
-  """Number of the last substeps with any contact stronger than `threshold` [N], (num_envs,)."""
+def contact_count(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float | None = 10.0) -> torch.Tensor:
+  """Return the number of the last substeps with any contact stronger than `threshold` [N], (num_envs,).
+
+  Without a threshold any contact counts, of the last substep alone, and the sensor needs no history.
+  """
+  if threshold is None:
+    return _touches(env, sensor).float()
   return _strong(env, sensor, threshold).any(1).sum(-1, dtype=torch.float32)
 
 
-def illegal_contact(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float = 10.0) -> torch.Tensor:
-  """Whether any contact in the last substeps was stronger than `threshold` [N], (num_envs,)."""
+def illegal_contact(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float | None = 10.0) -> torch.Tensor:
+  """Return True where any contact in the last substeps was stronger than `threshold` [N], (num_envs,).
+
+  Without a threshold any contact counts, of the last substep alone, and the sensor needs no history.
+  """
+  if threshold is None:
+    return _touches(env, sensor)
   return _strong(env, sensor, threshold).flatten(1).any(-1)
 
 
+def _touches(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
+  """Return True where there is any contact, (num_envs,)."""
+  found = env.scene[sensor].data.found
+  if found is None:
+    raise MjlabError(f"contact sensor '{sensor}' does not count contacts; add 'found' to its fields")
+  return (found > 0).any(-1)
+
+
 def _strong(env: "ManagerBasedRlEnv", sensor: str, threshold: float) -> torch.Tensor:
-  """Which contacts were stronger than `threshold` [N] in which of the last substeps, (num_envs, contacts, substeps)."""
-  return env.scene[sensor].data.force_history.square().sum(-1) > threshold**2
+  """Return True for contacts stronger than `threshold` [N], by substep, (num_envs, contacts, substeps).
+
+  Raises:
+    MjlabError: the sensor keeps no history of forces.
+  """
+  history = env.scene[sensor].data.force_history
+  if history is None:
+    raise MjlabError(
+      f"contact sensor '{sensor}' has no history; set history_length=1 or more in its config, or threshold=None "
+      "for any contact"
+    )
+  return history.square().sum(-1) > threshold**2

@@ -1,15 +1,15 @@
-"""Differential inverse kinematics: the policy moves a hand, damped least squares moves the joints."""
+"""Differential inverse kinematics: the policy sets the goal of a frame, damped least squares the joint positions."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
-from mjlab_core.masking import fill_
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.indexing import as_index, fill_, select
 from mjlab_core.names import match_names, match_values_full, unknown
 from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
-from mjlab_scene.indexing import as_index, select
 
-from mjlab_envs.mdp.actions import DrivenJoints, DrivenTargetsCfg
+from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargetsCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -21,7 +21,7 @@ _WEIGHTS = ("position_weight", "orientation_weight", "joint_limit_weight", "post
 
 @dataclass(kw_only=True)
 class DifferentialIKActionCfg(DrivenTargetsCfg):
-  """Moves a frame of the robot by setting positions of the joints that carry it.
+  """Action that moves a frame of the robot by position targets of the joints that carry it.
 
   The goal of the frame is fixed once for each environment step; towards it, before every physics substep, dq of
 
@@ -42,17 +42,17 @@ class DifferentialIKActionCfg(DrivenTargetsCfg):
   """Pattern of the frame; it must match exactly one."""
   frame_type: FrameType = "body"
   use_relative_mode: bool = True
-  """Actions are changes, or poses."""
+  """True: actions are changes; False: actions are poses."""
   relative_to: Literal["pose", "goal"] = "pose"
-  """Changes are of where the frame is, which lets an arm sink under its weight, or of the goal of the step before."""
+  """Base of changes: the frame's pose, which lets an arm sink under its weight, or the goal of the previous step."""
   max_lead: tuple[float, float] = (0.1, 0.5)
-  """How far a goal that changes add up to may be ahead of the frame [m, rad]."""
+  """Greatest distance of the goal from the frame with relative_to="goal" [m, rad]."""
   delta_pos_scale: float = 1.0
   """Metres per unit of action, relative mode."""
   delta_ori_scale: float = 1.0
   """Radians per unit of action, relative mode."""
   damping: float = 0.05
-  """Keeps dq small near singular poses, at the price of slower ways there; at least 1e-6."""
+  """Damping factor; larger values keep dq small near singular poses and slow the frame down; at least 1e-6."""
   max_dq: float = 0.5
   """Largest dq of a joint [rad, m]."""
   position_weight: float = 1.0
@@ -70,10 +70,9 @@ class DifferentialIKAction(DrivenJoints):
   """See `DifferentialIKActionCfg`.
 
   Raises:
-    ValueError: no frame or several match, a driven joint does not move the frame, or a number is out of its range.
+    MjlabError: no frame or several match, a driven joint does not move the frame, or a number is out of its range.
   """
 
-  _constants = frozenset({"_dofs", "_posture"})
   cfg: DifferentialIKActionCfg
 
   def __init__(self, cfg: DifferentialIKActionCfg, env: "ManagerBasedRlEnv") -> None:
@@ -85,27 +84,27 @@ class DifferentialIKAction(DrivenJoints):
     self._dofs = as_index(self._moving_dofs(cfg), env.device)
     self._posture = self._posture_target(cfg)
     self._adds_up = cfg.relative_to == "goal"
-    self.goal_pos_w = torch.zeros(env.num_envs, 3, device=env.device, dtype=env.sim.dtype)
+    self.goal_pos_w = self.state((3,), dtype=env.sim.dtype)
     """Goal of the frame, world frame, (num_envs, 3) [m]."""
-    self.goal_quat_w = torch.zeros(env.num_envs, 4, device=env.device, dtype=env.sim.dtype)
+    self.goal_quat_w = self.state((4,), dtype=env.sim.dtype)
     """Goal of the frame's orientation in the world, (num_envs, 4)."""
-    self._has_goal = torch.zeros(env.num_envs, 1, device=env.device, dtype=torch.bool)
+    self._has_goal = self.state((1,), dtype=torch.bool)
 
   def _find_frame(self, cfg: DifferentialIKActionCfg) -> tuple[int, int]:
-    """Ids of the frame and of its body in the model."""
+    """Return the ids of the frame and of its body in the model."""
     if cfg.frame_type not in get_args(FrameType):
-      raise ValueError(unknown("frame_type", str(cfg.frame_type), get_args(FrameType)))
+      raise UnknownNameError(unknown("frame_type", str(cfg.frame_type), get_args(FrameType)))
     ix, model = self._entity.indexing, self._sim.mj_model
     found, names = match_names(cfg.frame_name, ix.names[cfg.frame_type], what=cfg.frame_type, owner=self._owner)
     if len(found) > 1:
       many = ", ".join(names)
-      raise ValueError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {many}")
+      raise MjlabError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {many}")
     frame = int(ix.ids[cfg.frame_type][found[0]])
     owner = {"body": range(model.nbody), "site": model.site_bodyid, "geom": model.geom_bodyid}[cfg.frame_type]
     return frame, int(owner[frame])
 
   def _moving_dofs(self, cfg: DifferentialIKActionCfg) -> list[int]:
-    """Degrees of freedom of the driven joints, every one of which must move the frame."""
+    """Return the degrees of freedom of the driven joints; each joint must move the frame."""
     model = self._sim.mj_model
     carriers, body = set[int](), self._body
     while body:
@@ -116,7 +115,7 @@ class DifferentialIKAction(DrivenJoints):
       name for name, joint in zip(self.joint_names, joints, strict=True) if model.jnt_bodyid[joint] not in carriers
     ]
     if idle:
-      raise ValueError(
+      raise MjlabError(
         f"{self._owner}: {cfg.frame_type} '{cfg.frame_name}' is not moved by {', '.join(idle)}; leave out of actuators "
         "what does not move it"
       )
@@ -126,7 +125,7 @@ class DifferentialIKAction(DrivenJoints):
     if cfg.posture_target is None:
       return self._entity.data.default_joint_pos[:, self._q].clone()
     if not cfg.posture_weight:
-      raise ValueError("posture_target is given, but posture_weight is 0")
+      raise MjlabError("posture_target is given, but posture_weight is 0")
     owner = f"{self._owner}: posture_target"
     numbers = match_values_full(cfg.posture_target, self.joint_names, what="joint", owner=owner)
     return torch.tensor([numbers], **self._constant)
@@ -144,7 +143,7 @@ class DifferentialIKAction(DrivenJoints):
     if not cfg.use_relative_mode:
       self.goal_pos_w.copy_(self._entity.data.root_link_pos_w + move)
       if cfg.orientation_weight:
-        # Zero, an action nobody has given yet, is no orientation.
+        # Zero, the action before the first step, is not an orientation.
         given = torch.linalg.vector_norm(turn, dim=-1, keepdim=True) > 1e-6
         self.goal_quat_w.copy_(torch.where(given, quat_mul(root, normalize(turn)), quat))
       return
@@ -169,12 +168,12 @@ class DifferentialIKAction(DrivenJoints):
     self.set_positions(self.clipped(self.measured_positions() + self.solve()))
 
   def frame_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
-    """Position (num_envs, 3) [m] and orientation (num_envs, 4) of the frame in the world, as the encoders have it."""
+    """Return position (num_envs, 3) [m] and orientation (num_envs, 4) of the frame in the world, by the encoders."""
     pos, quat, _ = self._believed()
     return pos, quat
 
   def jacobian(self) -> torch.Tensor:
-    """Linear, then angular velocity of the frame per velocity of each driven joint, world axes, (num_envs, 6, joints).
+    """Return the Jacobian of the frame for the driven joints, linear rows first, world axes, (num_envs, 6, joints).
 
     As `mj_jac`, from MuJoCo's motion axes: those are given about the centre of mass of the kinematic tree.
     """
@@ -202,7 +201,7 @@ class DifferentialIKAction(DrivenJoints):
     return torch.cat((slide + torch.linalg.cross(spin, arm.expand_as(spin)), spin), dim=-1).mT
 
   def solve(self) -> torch.Tensor:
-    """dq towards the goal from the state that is, (num_envs, joints) [rad, m]."""
+    """Return dq towards the goal from the present state, (num_envs, joints) [rad, m]."""
     cfg = self.cfg
     pos, quat, jacobian = self._believed()
     rows, errors = [cfg.position_weight * jacobian[:, :3]], [cfg.position_weight * (self.goal_pos_w - pos)]
@@ -227,10 +226,10 @@ class DifferentialIKAction(DrivenJoints):
 
 
 def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-  """x of matrix x = right, (n, k), for symmetric positive definite matrices (n, k, k), k small.
+  """Return the solution x of matrix x = right, (n, k), for symmetric positive definite matrices (n, k, k), k small.
 
-  Gauss-Jordan elimination without pivoting, which these need not: a few operations on all worlds per column, on either
-  device, where torch's solvers launch libraries and some of them wait.
+  Uses Gauss-Jordan elimination; definite matrices need no pivoting. A column takes a few operations on all
+  worlds; torch's solvers launch libraries, and some of them wait for the device.
   """
   table = torch.cat((matrix, right.unsqueeze(-1)), dim=-1)
   for k in range(matrix.shape[-1]):
@@ -242,23 +241,23 @@ def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
 
 
 def _limited(vector: torch.Tensor, length: float) -> torch.Tensor:
-  """`vector`, (num_envs, 3), no longer than `length`."""
+  """Return `vector`, (num_envs, 3), shortened to `length` where it is longer."""
   return vector * (length / torch.linalg.vector_norm(vector, dim=-1, keepdim=True).clamp(min=1e-9)).clamp(max=1.0)
 
 
 def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
   for name in _WEIGHTS:
     if not 0.0 <= getattr(cfg, name) < float("inf"):
-      raise ValueError(f"{name} must be at least 0 and finite, got {getattr(cfg, name)}")
+      raise MjlabError(f"{name} must be at least 0 and finite, got {getattr(cfg, name)}")
   if not cfg.position_weight and not cfg.orientation_weight:
-    raise ValueError("position_weight and orientation_weight are both 0: there is nothing to reach")
+    raise MjlabError("position_weight and orientation_weight are both 0: there is nothing to reach")
   if not cfg.damping >= 1e-6:
-    raise ValueError(f"damping must be at least 1e-6, got {cfg.damping}")
+    raise MjlabError(f"damping must be at least 1e-6, got {cfg.damping}")
   if cfg.relative_to not in ("pose", "goal"):
-    raise ValueError(f"relative_to must be 'pose' or 'goal', got {cfg.relative_to!r}")
+    raise MjlabError(f"relative_to must be 'pose' or 'goal', got {cfg.relative_to!r}")
   if cfg.relative_to == "goal" and not cfg.use_relative_mode:
-    raise ValueError("relative_to='goal' says what changes are of, but use_relative_mode is off: actions are poses")
+    raise MjlabError("relative_to='goal' says what changes are of, but use_relative_mode is off: actions are poses")
   if not min(cfg.max_lead) > 0.0:
-    raise ValueError(f"max_lead must be positive, got {cfg.max_lead}")
+    raise MjlabError(f"max_lead must be positive, got {cfg.max_lead}")
   if not cfg.max_dq > 0.0:
-    raise ValueError(f"max_dq must be positive, got {cfg.max_dq}")
+    raise MjlabError(f"max_dq must be positive, got {cfg.max_dq}")

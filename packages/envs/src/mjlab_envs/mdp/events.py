@@ -3,20 +3,21 @@
 from typing import TYPE_CHECKING
 
 import torch
+from mjlab_core.errors import MjlabError
 from mjlab_core.names import unknown
 from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul
 from mjlab_core.sampling import check_range, uniform
-from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
+from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
-  from mjlab_envs.env import ManagerBasedRlEnv
+  from mjlab_envs.base_env import ManagerBasedEnv
 
 Range = tuple[float, float]
 _ROBOT = SceneEntityCfg("robot")
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def reset_scene_to_default(env: "ManagerBasedRlEnv", mask: torch.Tensor) -> None:
+def reset_scene_to_default(env: "ManagerBasedEnv", mask: torch.Tensor) -> None:
   """Put every entity into its default state at the origin of its world."""
   for entity in env.scene.entities.values():
     entity.write_default_state(env.scene.env_origins, mask)
@@ -29,28 +30,27 @@ class reset_root_state_uniform(ManagerTermBase):
   zero. The sampled rotation is applied in the body frame.
   """
 
-  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi"})
+  env: "ManagerBasedEnv"
 
-  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._pose_lo, self._pose_hi = axis_bounds(cfg.params["pose_range"], "pose_range", env)
-    self._vel_lo, self._vel_hi = axis_bounds(cfg.params["velocity_range"], "velocity_range", env)
-
-  def __call__(
+  def __init__(
     self,
-    env: "ManagerBasedRlEnv",
-    mask: torch.Tensor,
+    env: "ManagerBasedEnv",
     *,
     pose_range: dict[str, Range],
     velocity_range: dict[str, Range] | None = None,
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
-    del pose_range, velocity_range  # Resolved at build.
-    entity = env.scene[asset.name]
+    super().__init__(env)
+    self._pose_lo, self._pose_hi = axis_bounds(pose_range, "pose_range", env)
+    self._vel_lo, self._vel_hi = axis_bounds(velocity_range, "velocity_range", env)
+    self._entity = env.scene[asset.name]
+
+  def __call__(self, mask: torch.Tensor) -> None:
+    env, entity = self.env, self._entity
     default = entity.data.default_root_state
     draw = {"generator": env.rng, "device": env.device, "dtype": env.sim.dtype}
     offset = uniform(self._pose_lo, self._pose_hi, (env.num_envs, 6), **draw)
-    position = default[:, :3] + offset[:, :3] + env.scene.env_origins
+    position = default[:, :3] + offset[:, :3] + self.origins()
     orientation = quat_mul(default[:, 3:7], quat_from_euler_xyz(offset[:, 3], offset[:, 4], offset[:, 5]))
     if entity.is_fixed_base:
       entity.write_root_pose(torch.cat([position, orientation], -1), mask)
@@ -58,32 +58,39 @@ class reset_root_state_uniform(ManagerTermBase):
     velocity = default[:, 7:] + uniform(self._vel_lo, self._vel_hi, (env.num_envs, 6), **draw)
     entity.write_root_state(torch.cat([position, orientation, velocity], -1), mask)
 
+  def origins(self) -> torch.Tensor:
+    """Return the points from which default states are counted, (num_envs, 3) [m]."""
+    return self.env.scene.env_origins
+
 
 class reset_joints_by_offset(ManagerTermBase):
   """Put joints at their default state plus uniform offsets [rad, m] and [rad/s, m/s], inside their soft limits."""
 
-  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    for name in ("position_range", "velocity_range"):
-      check_range(name, *cfg.params[name])
+  env: "ManagerBasedEnv"
 
-  def __call__(
+  def __init__(
     self,
-    env: "ManagerBasedRlEnv",
-    mask: torch.Tensor,
+    env: "ManagerBasedEnv",
     *,
     position_range: Range,
     velocity_range: Range,
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
-    entity = env.scene[asset.name]
-    data, ids = entity.data, asset.joint_ids
+    super().__init__(env)
+    check_range("position_range", *position_range)
+    check_range("velocity_range", *velocity_range)
+    self._position_range, self._velocity_range, self._asset = position_range, velocity_range, asset
+    self._entity = env.scene[asset.name]
+
+  def __call__(self, mask: torch.Tensor) -> None:
+    env, entity = self.env, self._entity
+    data, ids = entity.data, self._asset.joint_ids
     draw = {"generator": env.rng, "device": env.device, "dtype": env.sim.dtype}
     position = data.default_joint_pos[:, ids]
     shape = (env.num_envs, position.shape[1])
     limits = data.soft_joint_pos_limits[:, ids]
-    position = (position + uniform(*position_range, shape, **draw)).clamp(limits[..., 0], limits[..., 1])
-    velocity = data.default_joint_vel[:, ids] + uniform(*velocity_range, shape, **draw)
+    position = (position + uniform(*self._position_range, shape, **draw)).clamp(limits[..., 0], limits[..., 1])
+    velocity = data.default_joint_vel[:, ids] + uniform(*self._velocity_range, shape, **draw)
     entity.write_joint_state(position, velocity, mask=mask, joint_ids=ids)
 
 
@@ -93,25 +100,19 @@ class push_by_setting_velocity(ManagerTermBase):
   Works on state alone, so that a push costs no forward pass of its own.
   """
 
-  _constants = frozenset({"_lo", "_hi"})
+  env: "ManagerBasedEnv"
 
-  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._lo, self._hi = axis_bounds(cfg.params["velocity_range"], "velocity_range", env)
-    entity = env.scene[cfg.params["asset"].name]
-    if entity.is_fixed_base:
-      raise ValueError(f"entity '{entity.name}': its base does not float, so it has no velocity to push")
-
-  def __call__(
-    self,
-    env: "ManagerBasedRlEnv",
-    mask: torch.Tensor,
-    *,
-    velocity_range: dict[str, Range],
-    asset: SceneEntityCfg = _ROBOT,
+  def __init__(
+    self, env: "ManagerBasedEnv", *, velocity_range: dict[str, Range], asset: SceneEntityCfg = _ROBOT
   ) -> None:
-    del velocity_range  # Resolved at build.
-    entity = env.scene[asset.name]
+    super().__init__(env)
+    self._lo, self._hi = axis_bounds(velocity_range, "velocity_range", env)
+    self._entity = env.scene[asset.name]
+    if self._entity.is_fixed_base:
+      raise MjlabError(f"entity '{self._entity.name}': its base does not float, so it has no velocity to push")
+
+  def __call__(self, mask: torch.Tensor) -> None:
+    env, entity = self.env, self._entity
     twist = uniform(self._lo, self._hi, (env.num_envs, 6), generator=env.rng, device=env.device, dtype=env.sim.dtype)
     data = entity.data
     spin = quat_apply(data.root_link_quat_w, data.root_link_ang_vel_b)
@@ -119,17 +120,17 @@ class push_by_setting_velocity(ManagerTermBase):
 
 
 def axis_bounds(
-  ranges: dict[str, Range] | None, name: str, env: "ManagerBasedRlEnv"
+  ranges: dict[str, Range] | None, name: str, env: "ManagerBasedEnv"
 ) -> tuple[torch.Tensor, torch.Tensor]:
-  """Lower and upper bounds (1, 6) of ranges by axis; axes left out are (0, 0).
+  """Return lower and upper bounds (1, 6) of ranges by axis; axes left out are (0, 0).
 
   Raises:
-    ValueError: an axis that does not exist, or an inverted range.
+    MjlabError: an axis that does not exist, or an inverted range.
   """
   ranges = ranges or {}
   for axis, (lo, hi) in ranges.items():
     if axis not in _AXES:
-      raise ValueError(unknown("axis", axis, _AXES, owner=name))
+      raise MjlabError(unknown("axis", axis, _AXES, owner=name))
     check_range(f"{name}['{axis}']", lo, hi)
   bounds = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in _AXES], device=env.device, dtype=env.sim.dtype)
   return bounds[None, :, 0], bounds[None, :, 1]

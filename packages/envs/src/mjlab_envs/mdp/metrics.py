@@ -9,6 +9,6 @@ if TYPE_CHECKING:
 
 
 def mean_action_acc(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """mean_j |a_t - 2 a_{t-1} + a_{t-2}| of raw actions, (num_envs,)."""
+  """Return mean_j |a_t - 2 a_{t-1} + a_{t-2}| of raw actions, (num_envs,)."""
   manager = env.action_manager
   return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).abs().mean(-1)

@@ -1,10 +1,16 @@
 """Observations that any task can use."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 import mujoco
 import torch
-from mjlab_managers import ManagerTermBase, ObservationTermCfg, SceneEntityCfg
+from mjlab_core.errors import MjlabError
+from mjlab_core.rotations import quat_conjugate, quat_mul, rotvec_from_quat
+from mjlab_managers import ManagerTermBase, Reading, SceneEntityCfg, TermSource, sourced
+from mjlab_sensors import BuiltinSensor, ImuSensor
+
+from mjlab_envs.mdp.readings import joint_positions, joint_velocities, of_root, selected, sensor_reading
 
 if TYPE_CHECKING:
   from mjlab_sensors import CameraSensor, RayCastSensor
@@ -13,54 +19,181 @@ if TYPE_CHECKING:
 
 _ROBOT = SceneEntityCfg("robot")
 
+# Sources, for the export of policies
 
+
+def _base_lin_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
+  return TermSource(
+    readings=(of_root(env, asset.name, "estimate/linear_velocity", "m/s", "root_link_lin_vel_b", "linear_velocity"),)
+  )
+
+
+def _base_ang_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
+  return TermSource(
+    readings=(of_root(env, asset.name, "imu/gyro", "rad/s", "root_link_ang_vel_b", "angular_velocity"),)
+  )
+
+
+def _projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
+  return TermSource(
+    readings=(of_root(env, asset.name, "imu/projected_gravity", "", "projected_gravity_b", "projected_gravity"),)
+  )
+
+
+def _joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool, asset: SceneEntityCfg) -> TermSource:
+  del biased  # Encoders of a robot have their own bias.
+  if ball := env.scene[asset.name].wide_joints:
+    raise MjlabError(f"joint_pos_rel of ball joint '{ball[0]}' has no reading of an encoder, so it cannot be exported")
+  default = env.scene[asset.name].data.default_joint_pos[:1]
+  return TermSource(readings=(joint_positions(env, asset.name),), compute=selected(asset.joint_ids, default))
+
+
+def _joint_vel_rel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
+  default = env.scene[asset.name].data.default_joint_vel[:1]
+  return TermSource(readings=(joint_velocities(env, asset.name),), compute=selected(asset.joint_ids, default))
+
+
+def _last_action(env: "ManagerBasedRlEnv", *, term: str | None) -> TermSource:
+  manager = env.action_manager
+  columns = slice(None) if term is None else manager.term_slices()[term]
+  return TermSource(
+    readings=(Reading(name="last_action", read=lambda: manager.action),), compute=lambda action: action[:, columns]
+  )
+
+
+def _generated_commands(env: "ManagerBasedRlEnv", *, command: str) -> TermSource:
+  return env.command_manager.get_term(command).source()
+
+
+def _builtin_sensor(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
+  return TermSource(readings=(sensor_reading(env, sensor),))
+
+
+def _height_scan(env: "ManagerBasedRlEnv", *, sensor: str, offset: float, miss_value: float | None) -> TermSource:
+  def read() -> torch.Tensor:
+    return height_scan(env, sensor=sensor, offset=offset, miss_value=miss_value)
+
+  return TermSource(readings=(Reading(name=f"terrain/{sensor}", read=read, unit="m"),))
+
+
+def _camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
+  return TermSource(readings=(Reading(name=f"camera/{sensor}/rgb", read=lambda: camera_rgb(env, sensor=sensor)),))
+
+
+def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None) -> TermSource:
+  def compute(depth: torch.Tensor) -> torch.Tensor:
+    miss = max_depth if miss_value is None else miss_value
+    return torch.where(depth < 0.0, miss, depth.clamp(max=max_depth))
+
+  reading = Reading(name=f"camera/{sensor}/depth", read=lambda: _drawn(env, sensor, "depth"), unit="m")
+  return TermSource(readings=(reading,), compute=compute)
+
+
+@sourced(_base_lin_vel)
 def base_lin_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Linear velocity of the root, in the root frame, (num_envs, 3) [m/s]."""
+  """Return the linear velocity of the root, in the root frame, (num_envs, 3) [m/s]."""
   return env.scene[asset.name].data.root_link_lin_vel_b
 
 
+@sourced(_base_ang_vel)
 def base_ang_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Angular velocity of the root, in the root frame, (num_envs, 3) [rad/s]."""
+  """Return the angular velocity of the root, in the root frame, (num_envs, 3) [rad/s]."""
   return env.scene[asset.name].data.root_link_ang_vel_b
 
 
+@sourced(_projected_gravity)
 def projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Unit direction of gravity in the root frame, (num_envs, 3)."""
+  """Return the unit direction of gravity in the root frame, (num_envs, 3)."""
   return env.scene[asset.name].data.projected_gravity_b
 
 
+class projected_gravity_from_sensor(ManagerTermBase):
+  """Return the unit direction of gravity in the axes of a sensor's site, (num_envs, 3).
+
+  The sensor is an IMU, or a native "framezaxis" sensor of the world in the frame of the site.
+
+  Raises:
+    MjlabError: the sensor is of another kind.
+  """
+
+  env: "ManagerBasedRlEnv"
+
+  def __init__(self, env: "ManagerBasedRlEnv", *, sensor: str) -> None:
+    super().__init__(env)
+    found = env.scene[sensor]
+    self._sensor, self._is_imu = sensor, isinstance(found, ImuSensor)
+    if self._is_imu:
+      return
+    if isinstance(found, BuiltinSensor):
+      native = env.sim.mj_model.sensor(found.cfg.element or sensor)
+      is_up = native.type[0] == mujoco.mjtSensor.mjSENS_FRAMEZAXIS and native.objid[0] == 0 and native.refid[0] >= 0
+      if is_up:
+        return
+    raise MjlabError(
+      f"sensor '{sensor}' does not tell the vertical; give an ImuSensorCfg, or BuiltinSensorCfg(sensor_type="
+      "'framezaxis', obj=ObjRef(type='xbody', name='world'), ref=ObjRef(type='site', ...))"
+    )
+
+  def __call__(self) -> torch.Tensor:
+    data = self.env.scene[self._sensor].data
+    return data.projected_gravity if self._is_imu else -data
+
+
+@sourced(_joint_pos_rel)
 def joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool = False, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Joint positions relative to the default pose, with the encoders' bias if `biased`, (num_envs, joints) [rad, m]."""
-  data = env.scene[asset.name].data
+  """Return joint positions relative to the default pose, with the encoders' bias if `biased`.
+
+  Shape (num_envs, joints) [rad, m]. A ball joint has three columns, the rotation vector from its default orientation in
+  the frame of its child body, as its velocity is.
+  """
+  entity = env.scene[asset.name]
+  data = entity.data
   position = data.joint_pos_biased if biased else data.joint_pos
+  if entity.wide_joints:
+    return _with_rotations(position, data.default_joint_pos, entity.indexing.q_of_joint)
   return position[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
 
 
+def _with_rotations(position: torch.Tensor, default: torch.Tensor, joints: Sequence[range]) -> torch.Tensor:
+  """Return differences of joint positions: of a quaternion, of four columns, the rotation vector."""
+  parts = []
+  for columns in joints:
+    now, before = position[:, columns.start : columns.stop], default[:, columns.start : columns.stop]
+    is_ball = len(columns) == 4
+    parts.append(rotvec_from_quat(quat_mul(quat_conjugate(before), now)) if is_ball else now - before)
+  return torch.cat(parts, -1)
+
+
+@sourced(_joint_vel_rel)
 def joint_vel_rel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Joint velocities relative to the default ones, (num_envs, joints) [rad/s, m/s]."""
+  """Return joint velocities relative to the default ones, (num_envs, joints) [rad/s, m/s]."""
   data = env.scene[asset.name].data
   return data.joint_vel[:, asset.joint_ids] - data.default_joint_vel[:, asset.joint_ids]
 
 
+@sourced(_last_action)
 def last_action(env: "ManagerBasedRlEnv", *, term: str | None = None) -> torch.Tensor:
-  """Raw action of the last step, of all terms or of one, (num_envs, action dim)."""
+  """Return the raw action of the last step, of all terms or of one, (num_envs, action dim)."""
   return env.action_manager.action if term is None else env.action_manager.get_term(term).raw_action
 
 
+@sourced(_generated_commands)
 def generated_commands(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
-  """A command, (num_envs, command dim)."""
+  """Return a command, (num_envs, command dim)."""
   return env.command_manager.get_command(command)
 
 
+@sourced(_builtin_sensor)
 def builtin_sensor(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """Reading of a native MuJoCo sensor, (num_envs, sensor dim)."""
+  """Return the reading of a native MuJoCo sensor, (num_envs, sensor dim)."""
   return env.scene[sensor].data
 
 
+@sourced(_height_scan)
 def height_scan(
   env: "ManagerBasedRlEnv", *, sensor: str, offset: float = 0.0, miss_value: float | None = None
 ) -> torch.Tensor:
-  """Height of its frame above what each ray of a ray-cast sensor hits, less `offset`, (num_envs, num_rays) [m].
+  """Return the height of the frame above the hit point of each ray, less `offset`, (num_envs, num_rays) [m].
 
   A ray that hits nothing reads `miss_value`, by default the sensor's `max_distance`. Rays are ordered frame by frame.
   """
@@ -71,40 +204,41 @@ def height_scan(
   return (below.flatten(1) - offset).masked_fill_(~data.valid, miss)
 
 
+@sourced(_camera_rgb)
 def camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """Colours that a camera sensor sees, from 0 to 1, (num_envs, 3, height, width)."""
+  """Return the colours of a camera image, from 0 to 1, (num_envs, 3, height, width)."""
   return _drawn(env, sensor, "rgb") / 255.0
 
 
+@sourced(_camera_depth)
 def camera_depth(
   env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None = None
 ) -> torch.Tensor:
-  """Depth that a camera sensor sees, along its optical axis, (num_envs, 1, height, width) [m].
+  """Return the depth of a camera image along the optical axis, (num_envs, 1, height, width) [m].
 
-  What is farther than `max_depth` reads that; where nothing is seen it is `miss_value`, by default `max_depth` too.
+  Depths above `max_depth` read `max_depth`. Pixels that see nothing read `miss_value`, by default `max_depth`.
   """
   depth = _drawn(env, sensor, "depth")
   return depth.clamp(max=max_depth).masked_fill_(depth < 0.0, max_depth if miss_value is None else miss_value)
 
 
 class camera_mask(ManagerTermBase):
-  """1 where a camera sensor sees a selected geom of the entity and 0 elsewhere, (num_envs, 1, height, width)."""
+  """Return 1 where a camera sensor sees a selected geom of the entity and 0 elsewhere, (num_envs, 1, height, width)."""
 
-  _constants = frozenset({"_is_selected"})
+  env: "ManagerBasedRlEnv"
 
-  def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    asset: SceneEntityCfg = cfg.params["asset"]
+  def __init__(self, env: "ManagerBasedRlEnv", *, sensor: str, asset: SceneEntityCfg) -> None:
+    super().__init__(env)
+    self._sensor = sensor
     model, prefix = env.sim.mj_model, env.scene[asset.name].prefix
     # A resolved selection holds the selected names.
     names = cast("tuple[str, ...]", asset.geom_names)
-    # What is not seen is number -1: the last entry.
+    # Pixels that see nothing have number -1: the last entry.
     self._is_selected = torch.zeros(model.ngeom + 1, device=env.device)
     self._is_selected[[model.geom(prefix + name).id for name in names]] = 1.0
 
-  def __call__(self, env: "ManagerBasedRlEnv", *, sensor: str, asset: SceneEntityCfg) -> torch.Tensor:
-    del asset  # Resolved at build.
-    number, kind = _drawn(env, sensor, "segmentation").split(1, dim=1)
+  def __call__(self) -> torch.Tensor:
+    number, kind = _drawn(self.env, self._sensor, "segmentation").split(1, dim=1)
     number = number.masked_fill(kind != mujoco.mjtObj.mjOBJ_GEOM.value, -1)
     return self._is_selected[number.long()]
 

@@ -1,11 +1,21 @@
-"""Domain randomisation as an event."""
+"""Domain randomisation: one event for model fields, parameters of actuator models, and tensors of an entity."""
 
-from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from collections.abc import Hashable, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
-from mjlab_dr import FIELDS, Field, FieldRandomizer, RandomizeField, element_names
-from mjlab_managers import CurriculumTermCfg, EventTermCfg, ManagerTermBase, ObservationTermCfg, SceneEntityCfg
+from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Transmission
+from mjlab_core.errors import MjlabError
+from mjlab_dr import (
+  FIELDS,
+  Distribution,
+  Field,
+  FieldRandomizer,
+  Quantity,
+  RandomizeField,
+  element_names,
+)
+from mjlab_managers import EventTermCfg, ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_scene import Entity
@@ -14,135 +24,145 @@ if TYPE_CHECKING:
 
 _ROBOT = SceneEntityCfg("robot")
 
-
-# Who writes what in each simulation: two randomisers of one number would undo each other's work in silence.
-_writers: WeakKeyDictionary[object, dict[tuple[str, object], str]] = WeakKeyDictionary()
+Patterns = str | Sequence[str]
+Values = tuple[float, float] | Distribution
 
 
 class randomize(ManagerTermBase):
-  """Draw new values of a field of an entity in masked worlds, always from the compiled default.
+  """Draw new values of a row of `mjlab_dr.FIELDS` in masked worlds, relative to the compiled or configured default.
 
-  The randomiser's pattern is matched against the names of the entity's own elements; `asset=None` is what belongs to no
-  entity: the ground with its material and light, and what the scene's `spec_fn` added. Fields of MjModel become
-  per-world by themselves; "encoder_bias" is the entity's own; options belong to no entity.
+  The randomiser's pattern is matched against the names of the entity's own elements; `asset=None` takes the elements
+  outside all entities: the ground with its material and light, and elements that the scene's `spec_fn` adds. Fields of
+  MjModel become per-world automatically. "encoder_bias" needs an entity, options need `asset=None`. For "stiffness",
+  "damping", "effort_limit" and "delay" of actuator models, the pattern matches driven targets of `transmission_type`.
   """
 
-  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    randomizer: FieldRandomizer = cfg.params["randomizer"]
-    asset: SceneEntityCfg | None = cfg.params["asset"]
+  def __init__(
+    self,
+    env: "ManagerBasedRlEnv",
+    *,
+    randomizer: FieldRandomizer,
+    asset: SceneEntityCfg | None = _ROBOT,
+    transmission_type: Transmission = "joint",
+  ) -> None:
+    super().__init__(env)
     entity = None if asset is None else env.scene[asset.name]
     field = FIELDS[randomizer.field]
-    if entity is None and not field.in_model:
-      raise ValueError(f"{randomizer.label} belongs to an entity, which asset=None is not")
-    owner = "scene" if entity is None else f"entity '{entity.name}'"
-    prefix = "" if entity is None else entity.prefix
-    names, ids = _of_the_scene(env, field) if entity is None else _elements(env, entity, field)
+    if transmission_type != "joint" and field.kind != "target":
+      raise MjlabError(f"transmission_type is for quantities of actuator models; {randomizer.label} is not one")
+    names, ids, target, prefix, owner = None, None, None, "", "scene"
+    if entity is not None:
+      prefix, owner = entity.prefix, f"entity '{entity.name}'"
+      if field.kind == "target":
+        target = _actuator_quantity(env, entity, randomizer, transmission_type)
+      elif not field.in_model:
+        target = getattr(entity.data, randomizer.field)
+    elif not field.in_model:
+      raise MjlabError(f"{randomizer.label} belongs to an entity, which asset=None is not")
+    if field.kind not in ("option", "target"):
+      names, ids = _of_the_scene(env, field) if entity is None else _elements(env, entity, field)
     self.field = RandomizeField(
-      randomizer,
-      env.sim,
-      generator=env.rng,
-      names=names,
-      ids=ids,
-      target=None if entity is None or field.in_model else getattr(entity.data, randomizer.field),
-      prefix=prefix,
-      owner=owner,
+      randomizer, env.sim, generator=env.rng, names=names, ids=ids, target=target, prefix=prefix, owner=owner
     )
     """The randomiser in the worlds of this environment."""
-    written = _writers.setdefault(env.sim, {})
-    whose = "" if field.in_model else prefix
-    for (name, column), element in self.field.written().items():
-      key = whose + name, column
-      if key in written:
-        raise ValueError(
-          f"{owner}: {name} of {field.kind} '{element}' is written by two randomisers, {written[key]} "
-          f"and {randomizer.label}; only one of them would count."
-        )
-      written[key] = randomizer.label
+    self.claims: dict[Hashable, str] = {
+      (name if name in FIELDS and FIELDS[name].in_model else prefix + name, element): description
+      for (name, element), description in self.field.claims.items()
+    }
+    """Descriptions of the numbers that it writes; the event manager refuses a second writer."""
     self.needs_constants = randomizer.needs_constants
 
   @property
   def strength(self) -> torch.Tensor:
-    """How far from the default what is written lies, as `RandomizeField.strength`, ()."""
+    """Share of the way from the default, 0, to the drawn values, 1, as `RandomizeField.strength`, ()."""
     return self.field.strength
 
-  def __call__(
-    self,
-    env: "ManagerBasedRlEnv",
-    mask: torch.Tensor,
-    *,
-    randomizer: FieldRandomizer,
-    asset: SceneEntityCfg | None = _ROBOT,
-  ) -> None:
-    del env, randomizer, asset  # Resolved at build.
+  def __call__(self, mask: torch.Tensor) -> None:
     # The event manager recomputes derived fields once for all randomisers that fired.
     self.field.apply(mask, recompute=False)
 
 
 class widen_randomization(ManagerTermBase):
-  """Curriculum: what the event `event`, `randomize` or `randomize_actuator`, does grows from nothing to its ranges.
+  """Widen the ranges of an event, `randomize` or `randomize_actuator`, from the default to their full size.
 
-  The strength goes from 0 to 1 between two counts of environment steps, `steps`; it is what is logged, ().
+  The strength grows from 0 to 1 between two numbers of environment steps, `steps`. It is logged, ().
   """
 
-  def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    begin, end = cfg.params["steps"]
-    if not 0 <= begin < end:
-      raise ValueError(f"steps: must grow from 0 or more, got ({begin}, {end})")
-    event = cfg.params["event"]
-    term: Any = env.event_manager.get_term_cfg(event).func
-    if not hasattr(type(term), "strength"):
-      raise ValueError(f"event '{event}' randomises no field or gain: its function has no strength to be widened")
-    self.strength: torch.Tensor = term.strength
+  def __init__(self, env: "ManagerBasedRlEnv", *, event: str, steps: tuple[int, int]) -> None:
+    super().__init__(env)
+    self._begin, self._end = steps
+    if not 0 <= self._begin < self._end:
+      raise MjlabError(f"steps must grow from 0 or more, got {steps}")
+    # The term, whose parts are made again when its parameters change.
+    self._event: Any = env.event_manager.get_term_cfg(event).func
+    if not isinstance(self._event, randomize):
+      raise MjlabError(f"event '{event}' has no strength to widen; only randomize and randomize_actuator have one")
+    self.strength  # noqa: B018  # Some draws have no strength.
     if env.event_manager.get_term_cfg(event).mode == "startup":
-      raise ValueError(f"event '{event}' fires once, at startup, before anything has grown; give it another mode")
-    self(env, env.reset_buf, **cfg.params)
+      raise MjlabError(f"event '{event}' fires once, at startup, before its strength grows; give it another mode")
+    self(env.reset_buf)
 
-  def __call__(
-    self, env: "ManagerBasedRlEnv", mask: torch.Tensor, *, event: str, steps: tuple[int, int]
-  ) -> torch.Tensor:
-    del mask, event
-    begin, end = steps
-    return self.strength.copy_(((env.common_step_counter - begin) / (end - begin)).clamp(0.0, 1.0)).clone()
+  @property
+  def strength(self) -> torch.Tensor:
+    """Present strength, ()."""
+    return self._event.strength
+
+  def __call__(self, mask: torch.Tensor) -> torch.Tensor:
+    del mask  # All worlds share the strength.
+    share = (self.env.common_step_counter - self._begin) / (self._end - self._begin)
+    return self.strength.copy_(share.clamp(0.0, 1.0)).clone()
 
 
 class randomized_values(ManagerTermBase):
-  """What the `randomize` event `event` has written in each world, minus what was compiled, (num_envs, numbers written).
+  """Return the values that a `randomize` event wrote, minus the compiled ones, (num_envs, number of values).
 
-  For critics that may know what the policy has to feel.
+  For critics that observe parameters which the policy does not.
   """
 
-  def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._field = randomizer_of(env, cfg.params["event"])
+  def __init__(self, env: "ManagerBasedRlEnv", *, event: str) -> None:
+    super().__init__(env)
+    self._event = _randomize_event(env, event)
 
-  def __call__(self, env: "ManagerBasedRlEnv", *, event: str) -> torch.Tensor:
-    del env, event
-    return (self._field.values() - self._field.default).float()
+  def __call__(self) -> torch.Tensor:
+    field = self._event.field
+    return (field.values() - field.default).float()
 
 
 def randomize_at_startup(randomizer: FieldRandomizer) -> EventTermCfg:
-  """The event that draws a field of the robot once, when the environment is built."""
+  """Return an event that draws a field of the robot once, when the environment is built."""
   return EventTermCfg(randomize, mode="startup", params={"randomizer": randomizer})
 
 
 def randomizer_of(env: "ManagerBasedRlEnv", event: str) -> RandomizeField:
-  """The randomiser of the `randomize` event of that name, for curricula and observations of one's own.
+  """Return the randomiser of a `randomize` event, for your own curricula and observations.
 
   Raises:
     ValueError: there is no such event, or it is of another kind.
   """
+  return _randomize_event(env, event).field
+
+
+def _randomize_event(env: "ManagerBasedRlEnv", event: str) -> randomize:
   term = env.event_manager.get_term_cfg(event).func
   if not isinstance(term, randomize):
-    raise ValueError(f"event '{event}' randomises no field: its function is no mdp.randomize")
-  return term.field
+    raise MjlabError(f"event '{event}' is not an mdp.randomize, so it has no field")
+  return term
 
 
-def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple[list[str] | None, list[int] | None]:
-  """Names of an entity's elements that a field is about, and their ids, or columns of the entity's own tensor."""
-  if field.kind == "option":
-    return None, None
+def _actuator_quantity(
+  env: "ManagerBasedRlEnv", entity: "Entity", randomizer: FieldRandomizer, transmission: Transmission
+) -> Quantity:
+  if entity.actuators is None:
+    raise MjlabError(f"entity '{entity.name}': {randomizer.label}: no actuators are configured for it")
+  if randomizer.field == "delay":
+    lo, hi = randomizer.values[0].support()
+    return ActuatorDelay(entity.actuators, (int(lo), int(hi)), randomizer.pattern, transmission)
+  name = cast("ParameterName", randomizer.field)
+  return ActuatorParameter(entity.actuators, env.sim, name, randomizer.pattern, transmission)
+
+
+def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple[list[str], list[int]]:
+  """Return names and ids of an entity's elements that have a field; for its own tensors, columns instead of ids."""
   ix = entity.indexing
   if not field.in_model:
     # Joints with one column, and where it is among the entity's.
@@ -156,10 +176,8 @@ def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple
   return [name.removeprefix(entity.prefix) for _, name in found], [i for i, _ in found]
 
 
-def _of_the_scene(env: "ManagerBasedRlEnv", field: Field) -> tuple[list[str] | None, list[int] | None]:
-  """Names of the elements that a field is about and that belong to no entity, and their ids."""
-  if field.kind == "option":
-    return None, None
+def _of_the_scene(env: "ManagerBasedRlEnv", field: Field) -> tuple[list[str], list[int]]:
+  """Return names and ids of the elements that have a field and do not belong to an entity."""
   prefixes = tuple(entity.prefix for entity in env.scene.entities.values())
   names = element_names(env.sim.mj_model, field.kind)
   ids = [i for i, name in enumerate(names) if not name.startswith(prefixes) and (field.kind, i) != ("body", 0)]

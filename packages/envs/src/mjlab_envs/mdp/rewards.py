@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from mjlab_core.names import match_values_full
-from mjlab_managers import ManagerTermBase, RewardTermCfg, SceneEntityCfg
+from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -13,43 +13,50 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 def is_alive(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """1 while the episode did not end in failure, (num_envs,)."""
+  """Return 1 while the episode did not end in failure, (num_envs,)."""
   return (~env.termination_manager.terminated).float()
 
 
 def is_terminated(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """1 where the episode ended in failure, (num_envs,)."""
+  """Return 1 where the episode ended in failure, (num_envs,)."""
   return env.termination_manager.terminated.float()
 
 
 def action_rate_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """|a_t - a_{t-1}|^2 of raw actions, (num_envs,)."""
+  """Return |a_t - a_{t-1}|^2 of raw actions, (num_envs,)."""
   return (env.action_manager.action - env.action_manager.prev_action).square().sum(-1)
 
 
 def action_acc_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """|a_t - 2 a_{t-1} + a_{t-2}|^2 of raw actions, (num_envs,)."""
+  """Return |a_t - 2 a_{t-1} + a_{t-2}|^2 of raw actions, (num_envs,)."""
   manager = env.action_manager
   return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).square().sum(-1)
 
 
 def joint_torques_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Squared actuator forces, summed over actuators, (num_envs,) [N^2 m^2]."""
+  """Return squared actuator forces, summed over actuators, (num_envs,) [N^2 m^2]."""
   return env.scene[asset.name].data.actuator_force[:, asset.actuator_ids].square().sum(-1)
 
 
 def joint_vel_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Squared joint velocities, summed over joints, (num_envs,) [rad^2/s^2]."""
+  """Return squared joint velocities, summed over joints, (num_envs,) [rad^2/s^2]."""
   return env.scene[asset.name].data.joint_vel[:, asset.joint_ids].square().sum(-1)
 
 
 def joint_acc_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Squared joint accelerations, summed over joints, (num_envs,) [rad^2/s^4]."""
+  """Return squared joint accelerations, summed over joints, (num_envs,) [rad^2/s^4]."""
   return env.scene[asset.name].data.joint_acc[:, asset.joint_ids].square().sum(-1)
 
 
+def electrical_power_cost(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+  """Return sum_j max(force_j velocity_j, 0) of the actuators at the joints, (num_envs,) [W]; braking counts 0."""
+  data = env.scene[asset.name].data
+  power = data.qfrc_actuator[:, asset.joint_ids] * data.joint_vel[:, asset.joint_ids]
+  return power.clamp(min=0.0).sum(-1)
+
+
 def joint_pos_limits(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Distance of joint positions beyond their soft limits, summed over joints, (num_envs,) [rad, m]."""
+  """Return the distance of joint positions beyond their soft limits, summed over joints, (num_envs,) [rad, m]."""
   data = env.scene[asset.name].data
   position = data.joint_pos[:, asset.joint_ids]
   limits = data.soft_joint_pos_limits[:, asset.joint_ids]
@@ -57,30 +64,31 @@ def joint_pos_limits(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT
 
 
 def flat_orientation_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-  """Squared horizontal part of the gravity direction in the root frame, (num_envs,)."""
+  """Return the squared horizontal part of the gravity direction in the root frame, (num_envs,)."""
   return env.scene[asset.name].data.projected_gravity_b[:, :2].square().sum(-1)
 
 
 class posture(ManagerTermBase):
-  """exp(-mean_j((q_j - q_default_j)^2 / std_j^2)), (num_envs,); `std` is a number or one per joint by pattern [rad]."""
+  """Return exp(-mean_j((q_j - q_default_j)^2 / std_j^2)), (num_envs,).
 
-  _constants = frozenset({"_inverse_variance"})
+  `std` is one number, or one per joint by pattern [rad].
+  """
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._inverse_variance = inverse_variance(cfg.params["std"], cfg.params["asset"], env)
-
-  def __call__(
+  def __init__(
     self, env: "ManagerBasedRlEnv", *, std: float | dict[str, float], asset: SceneEntityCfg = _ROBOT
-  ) -> torch.Tensor:
-    del std  # Resolved at build.
-    data = env.scene[asset.name].data
-    error = data.joint_pos[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
+  ) -> None:
+    super().__init__(env)
+    self._inverse_variance = inverse_variance(std, asset, env)
+    self._entity, self._joints = env.scene[asset.name], asset.joint_ids
+
+  def __call__(self) -> torch.Tensor:
+    data = self._entity.data
+    error = data.joint_pos[:, self._joints] - data.default_joint_pos[:, self._joints]
     return torch.exp(-(error.square() * self._inverse_variance).mean(-1))
 
 
 def inverse_variance(std: float | dict[str, float], asset: SceneEntityCfg, env: Any) -> torch.Tensor:
-  """1 / std^2 of the selected joints, (1, joints)."""
+  """Return 1 / std^2 of the selected joints, (1, joints)."""
   # A resolved selection holds the selected names.
   names = cast("tuple[str, ...]", asset.joint_names)
   values = match_values_full(std, names, what="joint", owner=f"entity '{asset.name}'")

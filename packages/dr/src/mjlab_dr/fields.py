@@ -1,0 +1,155 @@
+"""Row type of the catalogue, and the elements of a model that a row may select."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+
+Kind = Literal[
+  "option",
+  "body",
+  "joint",
+  "geom",
+  "site",
+  "camera",
+  "light",
+  "material",
+  "tendon",
+  "pair",
+  "equality",
+  "actuator",
+  "target",
+]
+Operation = Literal["absolute", "add", "scale"]
+Form = Literal["plain", "direction", "rotation", "intrinsics", "servo", "pseudo_inertia"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+  """One randomisable field."""
+
+  kind: Kind
+  """Kind of its elements: patterns select among the names of this kind."""
+
+  axes: tuple[str, ...] = ("",)
+  """Names of the numbers drawn for one element; a single empty name for a scalar."""
+
+  unit: str = "1"
+  """Unit of every axis, one for all or separated by commas."""
+
+  minimum: tuple[float, ...] = (-math.inf,)
+  """Smallest admissible value, one for all axes or one each."""
+
+  maximum: tuple[float, ...] = (math.inf,)
+  """Largest admissible value, likewise."""
+
+  positive: bool = False
+  """True if the minimum itself is not admissible."""
+
+  ordered: bool = False
+  """True if the first axis must not exceed the second."""
+
+  integer: bool = False
+  """True for a choice rather than a quantity: it is only replaced, and only by whole numbers."""
+
+  names: Kind | Literal["texture"] | None = None
+  """Of a choice: kind of the elements that its numbers are ids of, so that names can be given."""
+
+  form: Form = "plain"
+  """`direction`: written with unit length. `rotation`: axes are angles about the parent's x, y and z, written as a
+  quaternion. `intrinsics`: written with the field of view that follows. `servo`: written as gain and, negated, as the
+  feedback on position. `pseudo_inertia`: the ten log-Cholesky parameters, written as the `fields` of a body."""
+
+  fields: tuple[str, ...] = ()
+  """Fields of MjModel that it writes, if other than the one of its own name."""
+
+  moves_with: str = ""
+  """A field that is moved by as much, so that one stays where it was relative to the other."""
+
+  at: Literal["element", "dof", "qpos", "ctrl", "out"] = "element"
+  """Rows of an element: its own, or those of its degrees of freedom, coordinates, controls or outputs, which share a
+  draw."""
+
+  from_zero: bool = True
+  """True if an element that was compiled with zeros alone can be given a value; engines leave out what is off."""
+
+  operation: Operation = "absolute"
+  """Default operation of a draw."""
+
+  in_model: bool = True
+  """True if MjModel has it. Others are (number of elements,)."""
+
+  note: str = ""
+  """Note for users."""
+
+  @property
+  def width(self) -> int:
+    """Number of values of one element in its field."""
+    return 4 if self.form == "rotation" else len(self.axes)
+
+  def bounds(self, axis: int) -> tuple[float, float]:
+    """Return the smallest and largest admissible value of an axis."""
+    return self.minimum[axis % len(self.minimum)], self.maximum[axis % len(self.maximum)]
+
+  def unit_of(self, axis: int) -> str:
+    """Return the unit of an axis."""
+    units = self.unit.split(", ")
+    return units[axis % len(units)]
+
+
+_OBJECTS: dict[str, tuple[mujoco.mjtObj, str]] = {
+  "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+  "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+  "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
+  "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
+  "camera": (mujoco.mjtObj.mjOBJ_CAMERA, "ncam"),
+  "light": (mujoco.mjtObj.mjOBJ_LIGHT, "nlight"),
+  "material": (mujoco.mjtObj.mjOBJ_MATERIAL, "nmat"),
+  "texture": (mujoco.mjtObj.mjOBJ_TEXTURE, "ntex"),
+  "tendon": (mujoco.mjtObj.mjOBJ_TENDON, "ntendon"),
+  "pair": (mujoco.mjtObj.mjOBJ_PAIR, "npair"),
+  "equality": (mujoco.mjtObj.mjOBJ_EQUALITY, "neq"),
+  "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
+}
+
+
+def count(model: mujoco.MjModel, kind: str) -> int:
+  """Return the number of elements of a kind; the options are one."""
+  return 1 if kind == "option" else getattr(model, _OBJECTS[kind][1])
+
+
+def element_names(model: mujoco.MjModel, kind: str) -> list[str]:
+  """Return the names of all elements of a kind, in the order of the model; without a name it is "(geom 3)"."""
+  if kind == "option":
+    return ["option"]
+  return [
+    mujoco.mj_id2name(model, _OBJECTS[kind][0], i) or ("world" if kind == "body" and i == 0 else f"({kind} {i})")
+    for i in range(count(model, kind))
+  ]
+
+
+def rows(model: mujoco.MjModel, field: Field, element: int) -> range:
+  """Return the rows of an element in its field, as `Field.at` says."""
+  if field.at == "element":
+    return range(element, element + 1)
+  if field.at == "dof":
+    first, number = model.jnt_dofadr[element], _VELOCITIES[int(model.jnt_type[element])]
+  elif field.at == "qpos":
+    # Only joints of one coordinate have a value that can be moved along a line.
+    first, number = model.jnt_qposadr[element], 1
+  elif field.at == "ctrl":
+    first, number = model.actuator_ctrladr[element], model.actuator_ctrlnum[element]
+  else:
+    first, number = model.actuator_outadr[element], model.actuator_outnum[element]
+  return range(int(first), int(first) + int(number))
+
+
+_VELOCITIES = {
+  int(mujoco.mjtJoint.mjJNT_FREE): 6,
+  int(mujoco.mjtJoint.mjJNT_BALL): 3,
+  int(mujoco.mjtJoint.mjJNT_SLIDE): 1,
+  int(mujoco.mjtJoint.mjJNT_HINGE): 1,
+}

@@ -1,0 +1,126 @@
+"""Bases of actions that set targets of joints, tendons or sites."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import torch
+from mjlab_actuators import Transmission
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import as_index
+from mjlab_core.names import match_names, match_values_full
+from mjlab_core.sampling import check_bounds
+from mjlab_managers import ActionTerm, ActionTermCfg, Reading
+from mjlab_scene import Quantity
+
+from mjlab_envs.mdp.readings import joint_positions, selected
+
+if TYPE_CHECKING:
+  from mjlab_envs.env import ManagerBasedRlEnv
+
+
+@dataclass(kw_only=True)
+class DrivenTargetsCfg(ActionTermCfg):
+  """Base of actions that set targets of joints, tendons or sites."""
+
+  entity: str = "robot"
+  actuators: str | tuple[str, ...] = ".*"
+  """Patterns of the joints, tendons or sites, among those that have an actuator."""
+  clip: tuple[float, float] | dict[str, tuple[float, float]] | None = None
+  """Bounds of the targets, or bounds by pattern; those that no pattern names are not bounded."""
+  preserve_order: bool = False
+  """True: columns in the order of the patterns; False: in the order of the model."""
+
+
+class DrivenTargets(ActionTerm):
+  """Base of actions that set targets of joints, tendons or sites, with the selection and bounds of the targets."""
+
+  transmission: ClassVar[Transmission] = "joint"
+  quantity: ClassVar[Quantity] = "position"
+  """Kind of target that the action sets."""
+
+  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    kind = self.transmission
+    self._entity = env.scene[cfg.entity]
+    self._owner = f"entity '{cfg.entity}'"
+    driven = () if self._entity.actuators is None else self._entity.actuators.driven(kind)
+    names: tuple[str, ...] = getattr(self._entity, f"{kind}_names")
+    _, self.target_names = match_names(
+      cfg.actuators,
+      [name for name in names if name in driven],
+      what=f"actuated {kind}",
+      owner=self._owner,
+      preserve_order=cfg.preserve_order,
+    )
+    self._ids = [names.index(name) for name in self.target_names]
+    self._target = self._entity.target_view(kind, self.quantity, self._ids)
+    self._constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
+    self._lo, self._hi = self._bounds(cfg)
+
+  def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
+    owner = f"{self._owner}: {what}"
+    numbers = match_values_full(values, self.target_names, what=self.transmission, owner=owner)
+    if not all(map(math.isfinite, numbers)):
+      raise MjlabError(f"{owner} must be finite, got {values}")
+    return torch.tensor([numbers], **self._constant)
+
+  def _bounds(self, cfg: DrivenTargetsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+    if cfg.clip is None:
+      return None, None
+    unbounded = (-float("inf"), float("inf"))
+    by_pattern = {".*": cfg.clip} if isinstance(cfg.clip, tuple) else cfg.clip
+    for pattern, bounds in by_pattern.items():
+      check_bounds(f"clip['{pattern}']", bounds)
+    owner = f"{self._owner}: clip"
+    bounds = match_values_full(by_pattern, self.target_names, what=self.transmission, owner=owner, default=unbounded)
+    table = torch.tensor([bounds], **self._constant)
+    return table[..., 0], table[..., 1]
+
+  @property
+  def driven(self) -> frozenset[str]:
+    # A tendon may have the name of a joint.
+    kind = "" if self.transmission == "joint" else f"{self.transmission} "
+    return frozenset(f"{self.cfg.entity}/{kind}{name}" for name in self.target_names)
+
+  def _traceable_bounds(self) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return `clipped` with constants in float32 on the CPU."""
+    if self._lo is None or self._hi is None:
+      return lambda target: target
+    lo, hi = self._lo.cpu().float(), self._hi.cpu().float()
+    return lambda target: torch.minimum(torch.maximum(target, lo), hi)
+
+  def clipped(self, target: torch.Tensor) -> torch.Tensor:
+    """Return targets within the bounds of `clip`, (num_envs, targets)."""
+    return target if self._lo is None else target.clamp(self._lo, self._hi)
+
+
+class DrivenJoints(DrivenTargets):
+  """Base of actions that set targets of joints and read their positions and velocities."""
+
+  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
+    super().__init__(cfg, env)
+    # The same joints as columns of positions and of velocities; an actuated joint has one of each.
+    ix = self._entity.indexing
+    self._q, self._v = (
+      as_index([of[joint][0] for joint in self._ids], env.device) for of in (ix.q_of_joint, ix.v_of_joint)
+    )
+
+  @property
+  def joint_names(self) -> list[str]:
+    """Names of the joints in the order of the targets."""
+    return self.target_names
+
+  def set_positions(self, target: torch.Tensor) -> None:
+    """Set position targets (num_envs, joints) as the encoders would read them, so without their bias."""
+    self._target.write(target - self._entity.data.encoder_bias[:, self._q])
+
+  def _position_reading(self) -> tuple[Reading, Callable[[torch.Tensor], torch.Tensor]]:
+    """Return the reading of joint positions, and the computation that takes those of the driven joints."""
+    reading = joint_positions(self.env, self.cfg.entity)
+    return reading, selected(self._ids, torch.zeros(1, len(reading.columns)))
+
+  def measured_positions(self) -> torch.Tensor:
+    """Return joint positions as the encoders read them, (num_envs, joints) [rad, m]."""
+    return self._entity.data.joint_pos_biased[:, self._q]

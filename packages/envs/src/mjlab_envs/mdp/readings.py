@@ -1,0 +1,101 @@
+"""Readings of a robot: joints, its root, native sensors."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import torch
+from mjlab_managers import Reading
+
+if TYPE_CHECKING:
+  from mjlab_envs.env import ManagerBasedRlEnv
+
+# Native sensors that robots have under another name than their own.
+_NAMES = {
+  "GYRO": ("imu/gyro", "rad/s"),
+  "ACCELEROMETER": ("imu/accelerometer", "m/s^2"),
+  "VELOCIMETER": ("estimate/linear_velocity", "m/s"),
+}
+
+
+def joint_positions(env: "ManagerBasedRlEnv", entity: str) -> Reading:
+  """Return the reading of all joint positions of an entity, as its encoders give them."""
+  robot = env.scene[entity]
+  return _joints(robot, entity, "position", "rad, m", lambda: robot.data.joint_pos_biased)
+
+
+def joint_velocities(env: "ManagerBasedRlEnv", entity: str) -> Reading:
+  """Return the reading of all joint velocities of an entity."""
+  robot = env.scene[entity]
+  return _joints(robot, entity, "velocity", "rad/s, m/s", lambda: robot.data.joint_vel)
+
+
+def _joints(robot: Any, entity: str, quantity: str, unit: str, read: Callable[[], torch.Tensor]) -> Reading:
+  names = tuple(robot.joint_names)
+  return Reading(
+    name=f"joint/{quantity}" if entity == "robot" else f"{entity}/joint/{quantity}",
+    read=read,
+    unit=unit,
+    columns=names,
+    origin={"quantity": f"joint_{quantity}", "name": robot.prefix} if read().shape[1] == len(names) else None,
+  )
+
+
+def of_root(env: "ManagerBasedRlEnv", entity: str, name: str, unit: str, attribute: str, quantity: str) -> Reading:
+  """Return the reading of a vector of an entity's root in its own frame."""
+  robot = env.scene[entity]
+  return Reading(
+    name=name,
+    read=lambda: getattr(robot.data, attribute),
+    unit=unit,
+    frame=robot.root_body_name,
+    columns=("x", "y", "z"),
+    origin={"quantity": quantity, "name": robot.prefix + robot.root_body_name, "object_type": "body"},
+  )
+
+
+def pose_of(
+  name: str, read: Callable[[], torch.Tensor], *, quantity: str, of: tuple[str, str], frame: str = ""
+) -> Reading:
+  """Return the reading of the position or orientation of a body or site in the frame of a body.
+
+  Args:
+    name: Name of the reading.
+    read: Returns its present value.
+    quantity: "position" or "orientation", a quaternion (w, x, y, z).
+    of: "body" or "site", and its name in the model.
+    frame: Body in whose frame it is, its name in the model; empty: the world.
+  """
+  return Reading(
+    name=name,
+    read=read,
+    unit="m" if quantity == "position" else "",
+    frame=frame or "world",
+    columns=("x", "y", "z") if quantity == "position" else ("w", "x", "y", "z"),
+    origin={"quantity": quantity, "object_type": of[0], "name": of[1], "relative_to": frame},
+  )
+
+
+def sensor_reading(env: "ManagerBasedRlEnv", sensor: str) -> Reading:
+  """Return the reading of a native sensor of MuJoCo."""
+  model = env.sim.mj_model
+  kind = mujoco.mjtSensor(model.sensor(sensor).type[0]).name.removeprefix("mjSENS_")
+  name, unit = _NAMES.get(kind, (f"sensor/{sensor.rpartition('/')[2]}", ""))
+  site = model.site(model.sensor(sensor).objid[0]).name if name.startswith(("imu/", "estimate/")) else ""
+  return Reading(
+    name=name,
+    read=lambda: env.scene[sensor].data,
+    unit=unit,
+    frame=site,
+    origin={"quantity": "sensor", "name": sensor, "object_type": "sensor"},
+  )
+
+
+def selected(joint_ids: Any, default: torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
+  """Return the computation that takes the columns of selected joints, less their defaults, (1, joints)."""
+  columns = torch.arange(default.shape[1])
+  chosen = columns[joint_ids if isinstance(joint_ids, slice) else torch.as_tensor(joint_ids).cpu()]
+  offset = default.detach().cpu().float()[:, chosen]
+  if torch.equal(chosen, columns):
+    return lambda reading: reading - offset
+  return lambda reading: reading.index_select(1, chosen) - offset
