@@ -1,5 +1,6 @@
 """A point on a line for every world: pushed by the action, drawn anew when it leaves or its time is over."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,30 @@ class PointSceneCfg:
 
 
 @dataclass(kw_only=True)
+class PointTermCfg:
+  func: Callable[..., Any]
+  params: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(kw_only=True)
+class PointEntityCfg:
+  spec_fn: Callable[[], PointSceneCfg]
+  edit_fn: Callable[[PointSceneCfg], None] | None = None
+
+
+def point_scene(num_envs: int = 4) -> PointSceneCfg:
+  return PointSceneCfg(num_envs=num_envs)
+
+
+def point_reward(env: "PointEnv", *, weight: float = 1.0) -> torch.Tensor:
+  return weight * env.state[:, 0]
+
+
+def play(cfg: "PointEnvCfg") -> "PointEnvCfg":
+  return cfg
+
+
+@dataclass(kw_only=True)
 class PointEnvCfg:
   scene: PointSceneCfg = field(default_factory=PointSceneCfg)
   episode_steps: int = 12
@@ -23,6 +48,9 @@ class PointEnvCfg:
   gains: tuple[float, float] = (1.0, 0.5)
   """Weights of position and velocity."""
   rewards: dict[str, Any] = field(default_factory=dict)
+  terms: dict[str, PointTermCfg] = field(default_factory=dict)
+  entities: dict[str, PointEntityCfg] = field(default_factory=dict)
+  output_dir: str | None = None
   seed: int | None = None
   is_finite_horizon: bool = False
 

@@ -12,10 +12,9 @@ from typing import Any
 import pytest
 import torch
 from mjlab_core import seed_everything
+from mjlab_core.errors import ConfigError, FileError
 from mjlab_rl import (
-  CheckpointError,
   CheckpointPolicy,
-  ConfigError,
   Console,
   MjlabDistillationRunner,
   MjlabOnPolicyRunner,
@@ -256,7 +255,7 @@ def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Pa
     # The exporter's own are not ours.
     warnings.simplefilter("ignore")
     policy._runner.export_policy_to_onnx(str(tmp_path))
-  exported = OnnxPolicy(tmp_path / "policy.onnx", agent, 1)
+  exported = OnnxPolicy(tmp_path / "policy.onnx", agent, env)
   with torch.no_grad():
     for step in range(4):
       seen = env.get_observations()
@@ -348,17 +347,15 @@ def test_what_cannot_begin_as_a_policy_is_refused_by_name(tmp_path: Path, teache
     ({"actor": replace(agent.student, hidden_dims=(9,))}, r"agent\.actor\.hidden_dims was 16 in its training and is 9"),
     ({"clip_actions": 0.5}, r"agent\.clip_actions was not there in its training and is 0\.5 here"),
   ):
-    with pytest.raises(CheckpointError, match=message):
+    with pytest.raises(FileError, match=message):
       run(by_itself(agent, **changes), tmp_path / "none", init_from=student)
   other = env_with(lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()))
-  with pytest.raises(
-    CheckpointError, match="order of terms was position, speed in its training and is speed, position"
-  ):
+  with pytest.raises(FileError, match="order of terms was position, speed in its training and is speed, position"):
     run(by_itself(agent), tmp_path / "none", other, init_from=student)
   log = {"class_name": "GaussianDistribution", "init_std": 0.1, "std_type": "log"}
-  with pytest.raises(CheckpointError, match=r"log_std_param is missing in the file"):
+  with pytest.raises(FileError, match=r"log_std_param is missing in the file"):
     run(by_itself(agent, actor=replace(agent.student, distribution_cfg=log)), tmp_path / "none", init_from=student)
-  with pytest.raises(ConfigError, match=r"a policy to begin as is given, .* has its own"):
+  with pytest.raises(ConfigError, match="a resumed run keeps its policy"):
     run(by_itself(agent), tmp_path / "none", init_from=student, resume=student)
   assert not (tmp_path / "none").exists()
 
@@ -419,7 +416,7 @@ def whole(cfg: ToldPointEnvCfg, **terms: TermCfg | None) -> None:
 def test_a_teacher_that_learned_something_else_is_refused_by_name(
   tmp_path: Path, teacher: Path, change: Callable[[ToldPointEnvCfg], object], message: str
 ) -> None:
-  with pytest.raises(CheckpointError, match=f"of Point does not fit: .*{message}"):
+  with pytest.raises(FileError, match=f"of Point does not fit: .*{message}"):
     run(student_agent(), tmp_path, env_with(change), teacher=teacher)
   assert list(tmp_path.iterdir()) == []
 
@@ -428,7 +425,7 @@ def test_a_distillation_that_is_resumed_holds_on_to_what_its_teacher_does(tmp_pa
   half = run(student_agent(), tmp_path, teacher=teacher).checkpoint
   assert half is not None
   other = env_with(lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)))
-  with pytest.raises(CheckpointError, match=r"actions\.push\.scale was 0\.1 in its training and is 0\.2 here"):
+  with pytest.raises(FileError, match=r"actions\.push\.scale was 0\.1 in its training and is 0\.2 here"):
     run(student_agent(max_iterations=9), tmp_path, other, resume=half)
   # Without its manifest only the network must be told.
   alone = tmp_path / "model_4.pt"
@@ -452,19 +449,19 @@ def test_other_networks_groups_and_limits_than_the_teachers_are_refused_by_name(
   with pytest.raises(ConfigError, match=r"agent\.teacher\.hidden_dims was 8 in its training and is 9 here"):
     run(student_agent(teacher=model), tmp_path, teacher=teacher)
   groups = {"student": ("whole",), "teacher": ("whole", "position")}
-  with pytest.raises(CheckpointError, match="number of observation groups was 1 in its training and is 2 here"):
+  with pytest.raises(FileError, match="number of observation groups was 1 in its training and is 2 here"):
     run(student_agent(obs_groups=groups), tmp_path, teacher=teacher)
-  with pytest.raises(CheckpointError, match=r"agent\.clip_actions was not there in its training and is 0\.5 here"):
+  with pytest.raises(FileError, match=r"agent\.clip_actions was not there in its training and is 0\.5 here"):
     run(student_agent(clip_actions=0.5), tmp_path, teacher=teacher)
 
 
 def test_a_checkpoint_alone_needs_a_description_and_is_checked_by_its_shapes(tmp_path: Path, teacher: Path) -> None:
   alone = tmp_path / "model_9.pt"
   alone.write_bytes(teacher.read_bytes())
-  with pytest.raises(ConfigError, match=r"has no manifest, so agent\.teacher must say what its network is"):
+  with pytest.raises(ConfigError, match=r"has no manifest; agent\.teacher must describe its network"):
     run(student_agent(), None, teacher=alone)
   wrong = replace(teacher_agent().actor, hidden_dims=(9,))
-  with pytest.raises(CheckpointError, match=r"teacher: mlp\.0\.weight is \(8, 2\) in the file and \(9, 2\) here"):
+  with pytest.raises(FileError, match=r"teacher: mlp\.0\.weight is \(8, 2\) in the file and \(9, 2\) here"):
     run(student_agent(teacher=wrong), None, teacher=alone)
   assert run(student_agent(teacher=teacher_agent().actor), None, teacher=alone).iterations == 4
 
@@ -472,29 +469,31 @@ def test_a_checkpoint_alone_needs_a_description_and_is_checked_by_its_shapes(tmp
 def test_a_teacher_with_code_in_it_is_not_run(tmp_path: Path) -> None:
   path = tmp_path / "model_1.pt"
   torch.save({"actor_state_dict": os.system}, path)
-  with pytest.raises(CheckpointError, match="not loaded"):
+  with pytest.raises(FileError, match="not loaded"):
     read_trained_policy(path)
 
 
-def test_whoever_needs_no_teacher_or_has_one_gets_none(tmp_path: Path, teacher: Path) -> None:
+def test_a_teacher_is_refused_where_none_is_needed(tmp_path: Path, teacher: Path) -> None:
   with pytest.raises(ConfigError, match="a distillation needs a teacher"):
     run(student_agent(), tmp_path)
-  with pytest.raises(ConfigError, match="the learner is no RslRlDistillationRunnerCfg"):
+  with pytest.raises(ConfigError, match="only a RslRlDistillationRunnerCfg has a teacher"):
     run(teacher_agent(), tmp_path, teacher=teacher)
-  with pytest.raises(ConfigError, match="has its own"):
+  with pytest.raises(ConfigError, match="a resumed run keeps its teacher"):
     run(student_agent(), tmp_path, teacher=teacher, resume=teacher)
-  with pytest.raises(CheckpointError, match=r"is of no distillation.*not resumed but given as the teacher"):
+  with pytest.raises(FileError, match=r"has no teacher, so it is not a distillation to resume"):
     run(student_agent(), tmp_path, resume=teacher)
   agent = student_agent(teacher=teacher_agent().actor)
   bare = MjlabDistillationRunner(RslRlVecEnvWrapper(ToldPointEnv(ToldPointEnvCfg())), agent, None, console=QUIET)
-  with pytest.raises(ConfigError, match="there is no teacher to learn from"):
+  with pytest.raises(ConfigError, match="the teacher is missing: call load_teacher"):
     bare.learn(1)
 
 
 def test_a_runner_of_another_learner_is_refused_by_name(teacher: Path) -> None:
   env = ToldPointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)
   task = TaskCfg(env=env, agent=student_agent(), runner=MjlabOnPolicyRunner)
-  with pytest.raises(ConfigError, match="runner is MjlabOnPolicyRunner, which is no MjlabDistillationRunner"):
+  with pytest.raises(
+    ConfigError, match="runner is MjlabOnPolicyRunner; a distillation needs a MjlabDistillationRunner"
+  ):
     train(task, name="Point", make_env=ToldPointEnv, log_root=None, console=QUIET, teacher=teacher)
 
 
@@ -512,11 +511,14 @@ def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher:
   ("change", "message"),
   [
     (lambda cfg: setattr(cfg.algorithm, "gradient_length", 4), "gradient_length is 4; it must divide .*, 6, or the"),
-    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 0), "gradient_length is 0; it must be at least 1"),
-    (lambda cfg: setattr(cfg.algorithm, "max_grad_norm", 0.0), "max_grad_norm is 0.0; it must be positive"),
-    (lambda cfg: setattr(cfg.student, "activation", "ellu"), "agent.student.activation: activation 'ellu'"),
+    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 0), "gradient_length must be at least 1, got 0"),
+    (lambda cfg: setattr(cfg.algorithm, "max_grad_norm", 0.0), "max_grad_norm must be positive, got 0.0"),
+    (lambda cfg: setattr(cfg.student, "activation", "ellu"), "agent.student.activation 'ellu' does not exist"),
     (lambda cfg: setattr(cfg.student, "distribution_cfg", None), r"agent\.student\.distribution_cfg is None"),
-    (lambda cfg: setattr(cfg, "teacher", RslRlModelCfg(hidden_dims=(0,))), "agent.teacher.hidden_dims is 0"),
+    (
+      lambda cfg: setattr(cfg, "teacher", RslRlModelCfg(hidden_dims=(0,))),
+      "agent.teacher.hidden_dims must be at least 1",
+    ),
   ],
 )
 def test_impossible_settings_of_a_distillation_are_named_as_flags_name_them(

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 import torch
+from mjlab_core.errors import ConfigError
 from mjlab_rl import (
   Episodes,
   Evaluation,
-  EvaluationError,
   Interval,
   Threshold,
   bootstrap,
@@ -144,7 +144,7 @@ def test_a_share_of_all_or_none_is_no_certainty() -> None:
   assert (none.mean, none.low, none.high) == (0.0, 0.0, pytest.approx(edge))
   assert (all_of_them.mean, all_of_them.low, all_of_them.high) == (1.0, pytest.approx(1.0 - edge), 1.0)
   assert wilson(torch.tensor([math.nan])).count == 0
-  with pytest.raises(ValueError, match="zeros and ones"):
+  with pytest.raises(ValueError, match="zeros and ones only"):
     wilson(torch.tensor([0.0, 0.5]))
 
 
@@ -232,6 +232,6 @@ def test_a_threshold_is_reached_or_not(text: str, reached: bool) -> None:
   ],
 )
 def test_a_threshold_that_means_nothing_is_refused(text: str, message: str) -> None:
-  with pytest.raises(EvaluationError) as caught:
+  with pytest.raises(ConfigError) as caught:
     Threshold.parse(text).check(evaluation())
   assert message in str(caught.value)

@@ -8,12 +8,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import pytest
-from mjlab_rl import ManifestError, RslRlOnPolicyRunnerCfg, RunManifest, RunNotFoundError, find_checkpoint, load_run
-from mjlab_rl.manifest import decode, encode, package_versions, write_manifest
+from mjlab_core.errors import ConfigError, FileError, UnknownNameError
+from mjlab_rl import RslRlOnPolicyRunnerCfg, RunManifest, find_checkpoint, load_run
+from mjlab_rl.encoding import decode, encode
+from mjlab_rl.manifest import package_versions, write_manifest
 from mjlab_rl.run_directory import create_run_directory
-from rl_point_env import PointEnvCfg
+from rl_point_env import PointEnvCfg, point_reward
 
 
 def roundtrip(value: Any) -> Any:
@@ -22,18 +25,6 @@ def roundtrip(value: Any) -> Any:
 
 class Colour(enum.Enum):
   RED = 1
-
-
-class Shape:
-  """An enum as compiled modules make them, MuJoCo's for one."""
-
-  BOX: "Shape"
-
-  def __init__(self, name: str):
-    self.name = name
-
-
-Shape.BOX = Shape("BOX")
 
 
 class Pair(NamedTuple):
@@ -70,10 +61,10 @@ class Frozen:
     Pair(0.1, 2.0),
     Frozen((0.1,)),
     Colour.RED,
-    PointEnvCfg(rewards={"f": math.sqrt, "kind": PointEnvCfg}),
-    Shape.BOX,
+    PointEnvCfg(rewards={"f": point_reward, "kind": PointEnvCfg}),
+    mujoco.mjtGeom.mjGEOM_BOX,
   ],
-  ids=repr,
+  ids=lambda value: type(value).__name__,
 )
 def test_values_come_back_equal_and_of_the_same_type(value: Any) -> None:
   back = roundtrip(value)
@@ -89,39 +80,59 @@ def test_nan_and_arrays_and_partials_come_back() -> None:
   assert back.dtype == array.dtype
   assert np.array_equal(back, array)
   assert roundtrip(np.float64(0.1)) == 0.1
-  partial = roundtrip(functools.partial(math.pow, 2.0))
-  assert partial.func is math.pow
-  assert partial(3.0) == 8.0
+  partial = roundtrip(functools.partial(point_reward, weight=2.0))
+  assert partial.func is point_reward
+  assert partial.keywords == {"weight": 2.0}
 
 
 @pytest.mark.parametrize("value", [(lambda env: env), functools.partial(lambda x: x, 1)])
 def test_a_lambda_is_refused_with_its_field(value: Any) -> None:
-  with pytest.raises(ManifestError, match=r"env.rewards.mine: a lambda has no importable name"):
+  with pytest.raises(ConfigError, match=r"env.rewards.mine: a lambda has no importable name"):
     encode(PointEnvCfg(rewards={"mine": value}), "env")
 
 
+def test_all_fields_with_lambdas_are_refused_at_once() -> None:
+  rewards = {"a": lambda env: env, "b": point_reward, "c": [1, lambda env: env]}
+  with pytest.raises(ConfigError) as caught:
+    encode(PointEnvCfg(rewards=rewards), "env")
+  assert [problem.partition(":")[0] for problem in caught.value.problems] == ["env.rewards.a", "env.rewards.c[1]"]
+  assert "Write `def` at the top of a module" in caught.value.problems[0]
+
+
 def test_an_object_that_cannot_be_rebuilt_is_refused_with_its_field() -> None:
-  with pytest.raises(ManifestError, match=r"env.rewards.a\[1\]: a _thread.lock cannot be written"):
+  with pytest.raises(ConfigError, match=r"env.rewards.a\[1\]: a _thread.lock cannot be written"):
     encode(PointEnvCfg(rewards={"a": [1, threading.Lock()]}), "env")
 
 
 def test_a_name_that_is_gone_is_named() -> None:
-  with pytest.raises(ManifestError, match="module 'math' has no 'cube_root_of_x'"):
-    decode({"f": {"$ref": "math:cube_root_of_x"}})
-  with pytest.raises(ManifestError, match="has no field 'colour' any more"):
+  with pytest.raises(FileError, match=r"'rl_point_env' has no 'point_rewards'\. Nearest: point_reward"):
+    decode({"f": {"$ref": "rl_point_env:point_rewards"}})
+  with pytest.raises(FileError, match="PointEnvCfg: field 'colour' does not exist"):
     decode({"$type": "rl_point_env:PointEnvCfg", "fields": {"colour": 1}})
-  with pytest.raises(ManifestError, match="is not a dataclass"):
-    decode({"$type": "os:system", "fields": {}})
-  with pytest.raises(ManifestError, match=r"has no 'Colour\.BLUE'"):
+  with pytest.raises(FileError, match="is not a dataclass"):
+    decode({"$type": "rl_point_env:point_reward", "fields": {}})
+  with pytest.raises(FileError, match=r"enum '.*:Colour' has no member 'BLUE'"):
     decode({"$enum": f"{__name__}:Colour", "name": "BLUE"})
-  with pytest.raises(ManifestError, match=r"env: Pair cannot be made .* 'high'"):
+  with pytest.raises(FileError, match=r"env: Pair: .* 'high'"):
     decode({"$type": f"{__name__}:Pair", "fields": {"low": 1.0}}, "env")
 
 
-@pytest.mark.parametrize("text", ["[]", "\udcff", '{"format": 1}', '{"format": 1, "colour": 2}'])
+@pytest.mark.parametrize(
+  "text",
+  [
+    "",
+    "[]",
+    "\udcff",
+    "[" * 100_000,
+    '{"format": 1}',
+    '{"format": 1, "colour": 2}',
+    '{"format": 1, "task": 3, "env": null, "agent": null}',
+  ],
+  ids=lambda text: text[:60],
+)
 def test_a_file_that_is_no_manifest_is_a_clear_error(tmp_path: Path, text: str) -> None:
   (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
-  with pytest.raises(ManifestError, match="manifest"):
+  with pytest.raises(FileError, match="manifest"):
     load_run(tmp_path)
 
 
@@ -163,11 +174,11 @@ def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
   newest = tmp_path / "exp" / "2026-01-01_00-00-00" / "model_10.pt"
   for run in ("latest", "2026-01-01_00-00-00", str(newest.parent), str(newest)):
     assert find_checkpoint(run, log_root=tmp_path, experiment="exp") == newest
-  with pytest.raises(RunNotFoundError, match="newest runs: 2026-01-02"):
+  with pytest.raises(UnknownNameError, match="newest runs: 2026-01-02"):
     find_checkpoint("2025", log_root=tmp_path, experiment="exp")
-  with pytest.raises(RunNotFoundError, match="no run with a checkpoint"):
+  with pytest.raises(UnknownNameError, match="no run with a checkpoint"):
     find_checkpoint("latest", log_root=tmp_path, experiment="other")
-  with pytest.raises(RunNotFoundError, match=r"exp has no checkpoint; the newest run in it .*2026-01-01_00-00-00$"):
+  with pytest.raises(UnknownNameError, match=r"exp has no checkpoint; the newest run in it .*2026-01-01_00-00-00$"):
     find_checkpoint(str(tmp_path / "exp"), log_root=tmp_path, experiment="exp")
 
 
@@ -180,7 +191,7 @@ def test_the_latest_run_of_a_task_is_no_other_tasks(tmp_path: Path) -> None:
   for task, day in (("Flat", "2026-01-01"), ("Rough", "2026-01-02"), (None, "2026-01-02")):
     found = find_checkpoint("latest", log_root=tmp_path, experiment="exp", task=task)
     assert found.parent.name.startswith(day)
-  with pytest.raises(RunNotFoundError, match=r"no run of Steep .*; 2026-01-02_00-00-00 is of another task, and taken"):
+  with pytest.raises(UnknownNameError, match=r"no run of Steep .*; 2026-01-02_00-00-00 is of another task, and must"):
     find_checkpoint("latest", log_root=tmp_path, experiment="exp", task="Steep")
 
 
@@ -193,5 +204,20 @@ def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> No
 
 def test_which_manifest_cannot_be_rebuilt_is_said(tmp_path: Path) -> None:
   (tmp_path / "manifest.json").write_text('{"format": 1, "colour": 1}')
-  with pytest.raises(ManifestError, match=r"manifest\.json: manifest: RunManifest has no field 'colour' any more"):
+  with pytest.raises(FileError, match=r"manifest\.json: field 'colour' does not exist"):
     load_run(tmp_path)
+
+
+# Class: a name that is read from a file (here a run's configuration) becomes part of a path.
+@pytest.mark.parametrize("name", ["../../outside", "ABSOLUTE", "..", "a/b", "\x1b[2J\nname", r"..\outside"])
+def test_names_of_runs_and_experiments_are_single_folders(tmp_path: Path, name: str) -> None:
+  root = tmp_path / "home" / "logs"
+  name = name.replace("ABSOLUTE", str(tmp_path / "outside"))
+  run = create_run_directory(root, name, name)
+  assert run.is_dir()
+  assert run.parent.parent == root
+  assert run.resolve().is_relative_to(root.resolve())
+  assert str(run).isprintable()
+  assert [path.name for path in tmp_path.iterdir()] == ["home"]
+  (run / "model_5.pt").write_bytes(b"")
+  assert find_checkpoint("latest", log_root=root, experiment=name) == run / "model_5.pt"

@@ -69,5 +69,5 @@ def test_an_exported_model_does_the_same() -> None:
 
 
 def test_an_encoder_that_nobody_describes_is_refused() -> None:
-  with pytest.raises(ValueError, match="cnn_cfg must say what the image encoders are made of"):
+  with pytest.raises(ValueError, match="image groups need cnn_cfg"):
     model(observations())

@@ -14,8 +14,8 @@ torch.set_num_threads(1)
 @pytest.fixture(scope="session")
 def opengl() -> None:
   """Skips where pictures cannot be made."""
-  from mjlab_viewer import RenderingError
-  from mjlab_viewer.opengl import make_context
+  from mjlab_core import RenderingError
+  from mjlab_viewer.pictures.opengl import make_context
 
   try:
     make_context(8, 8).free()

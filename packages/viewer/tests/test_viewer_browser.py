@@ -1,10 +1,13 @@
 """The page in a real browser: what is seen, what each control does, who comes and goes."""
 
+import importlib.metadata
 import io
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import av
 import msgspec
@@ -12,8 +15,10 @@ import numpy as np
 import pytest
 import torch
 import viser
-from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ViewerError, ZeroPolicy
-from mjlab_viewer.browser_controls import _ratio
+from mjlab_core import MjlabError
+from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ZeroPolicy
+from mjlab_viewer.browser.controls import _ratio
+from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
@@ -88,18 +93,18 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     choose(page, "Speed", "2")
     eventually(lambda: playback.speed == 2.0)
     slide(page, "World", 3)
-    eventually(lambda: viewer.drawn_worlds() == (3, 4, 5, 6, 0))
+    eventually(lambda: viewer.selection.worlds == (3, 4, 5, 6, 0))
     slide(page, "Shown", 2)
-    eventually(lambda: viewer.drawn_worlds() == (3, 4))
+    eventually(lambda: viewer.selection.worlds == (3, 4))
     eventually(lambda: len(viewer.history[-1].worlds) == 2)
 
-    page.get_by_label("By hand").check()
+    page.get_by_label("Manual").check()
     slide(page, "forward", 0.5)
-    eventually(lambda: env.command.by_hand.get(3) == (0.5, 0.0))
+    eventually(lambda: env.command.manual.get(3) == (0.5, 0.0))
     page.get_by_role("button", name="Stop", exact=True).click()
-    eventually(lambda: env.command.by_hand.get(3) == (0.0, 0.0))
-    page.get_by_label("By hand").uncheck()
-    eventually(lambda: 3 not in env.command.by_hand)
+    eventually(lambda: env.command.manual.get(3) == (0.0, 0.0))
+    page.get_by_label("Manual").uncheck()
+    eventually(lambda: 3 not in env.command.manual)
 
     page.get_by_text("Push").click()
     page.get_by_role("button", name="left").click()
@@ -134,7 +139,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     page.get_by_role("tab", name="Controls").click()
     page.get_by_role("button", name="Play", exact=True).click()
     eventually(lambda: playback.step_count > 20)
-    drawn = viewer.scene._drawing._handles
+    drawn = viewer.scene._shapes._handles
     for shape in ("ellipsoid", "head"):
       eventually(lambda shape=shape: shape in drawn and len(drawn[shape].batched_positions) >= 4, f"no {shape}")
 
@@ -157,7 +162,7 @@ def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: 
   env = BoxEnv(1)
   with running(env, tmp_path, slide=push(2.0, env)) as run:
     page = opened(chromium, run.viewer.url)
-    eventually(lambda: run.playback.step_count > 60)
+    eventually(lambda: run.playback.step_count > 60 and len(run.viewer.history) > 10)
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play", exact=True).wait_for()
     eventually(lambda: run.shown().step == run.playback.total_steps)
@@ -181,12 +186,12 @@ def test_a_film_has_a_frame_for_every_step_and_a_name_of_its_own(opengl: None, t
     playback.speed = 8.0
     films = []
     for _ in range(2):
-      films.append(viewer.start_recording())
+      films.append(viewer.recorder.start())
       begin = playback.total_steps
       while playback.total_steps < begin + 50:
         playback.tick()
         viewer.update()
-      assert viewer.stop_recording() == films[-1]
+      assert viewer.recorder.stop() == films[-1]
       with av.open(str(films[-1])) as film:
         assert sum(1 for _ in film.decode(video=0)) == playback.total_steps - begin
     assert len(set(films)) == 2
@@ -294,7 +299,7 @@ def test_a_world_that_diverged_stays_where_it_was_and_hides_no_other() -> None:
       assert page.is_finite == (step != 1)
 
 
-def dressed_env() -> BoxEnv:
+def colorful_env() -> BoxEnv:
   """Worlds 1 and 3 have blue boxes, world 2 a small red one with another ornament."""
   env = BoxEnv(4)
   model = env.sim.mj_model
@@ -307,39 +312,39 @@ def dressed_env() -> BoxEnv:
   return env
 
 
-def test_worlds_of_different_looks_are_shown_each_in_its_own() -> None:
-  env = dressed_env()
+def test_worlds_of_different_appearance_are_shown_each_in_its_own() -> None:
+  env = colorful_env()
   with BrowserViewer(env, port=8300) as viewer:
     taker = SnapshotTaker(env)
     for worlds in ((0, 1, 2, 3), (1, 2, 3, 0), (0, 1, 2, 3)):
       viewer.scene.show(taker.take(worlds))
-      wardrobe = viewer.scene.wardrobe.scenes
-      assert len(wardrobe) == 2
-      assert all(scene.root.visible for scene in wardrobe)
+      others = viewer.scene.others.scenes
+      assert len(others) == 2
+      assert all(scene.root.visible for scene in others)
       shown = {
         scene.scene.mj_model.geom_rgba[1].tobytes() + scene.scene.mj_model.geom_size[1].tobytes(): len(
           scene.scene._mesh_groups[0].handle.batched_positions
         )
-        for scene in (viewer.scene, *wardrobe)
+        for scene in (viewer.scene, *others)
       }
       assert sorted(shown.values()) == [1, 1, 2]
     for groups in ("geom_groups_visible", "site_groups_visible"):
       getattr(viewer.scene.scene, groups)[4] = True
     viewer.scene.show(taker.take((0, 1, 2, 3)))
-    for scene in viewer.scene.wardrobe.scenes:
+    for scene in viewer.scene.others.scenes:
       assert scene.scene.geom_groups_visible[4]
       assert scene.scene.site_groups_visible[4]
     viewer.scene.show(taker.take((0,)))
-    assert not any(scene.root.visible for scene in viewer.scene.wardrobe.scenes)
+    assert not any(scene.root.visible for scene in viewer.scene.others.scenes)
 
 
 def test_colours_of_each_world_are_seen(chromium: Browser, tmp_path: Path) -> None:
-  with running(dressed_env(), tmp_path) as run:
+  with running(colorful_env(), tmp_path) as run:
     page = opened(chromium, run.viewer.url)
     eventually(lambda: red(page).sum() > 20)
     eventually(lambda: blue(page).sum() > 20)
     slide(page, "Shown", 1)
-    eventually(lambda: run.viewer.num_drawn == 1, "the slider did not arrive")
+    eventually(lambda: run.viewer.selection.count == 1, "the slider did not arrive")
     eventually(lambda: blue(page).sum() == 0 and red(page).sum() > 20, "the blue box stays")
     page.close()
 
@@ -370,7 +375,7 @@ def test_the_page_says_why_the_last_episode_of_the_selected_world_ended() -> Non
   with BrowserViewer(env, playback=playback, port=8300) as viewer:
     assert viewer._controls is not None
     said = viewer._controls
-    viewer.selected = 2
+    viewer.selection.world = 2
     for step, expected in enumerate(("", "world 2 last ended by too_old", "world 2 last ended by too_old")):
       playback.step_once()
       said.show_status()
@@ -403,7 +408,7 @@ def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(ope
   playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
   playback.pause()
   viewer = BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path)
-  film = viewer.start_recording()
+  film = viewer.recorder.start()
   playback.step_once()
   assert viewer._controls is not None
   viewer._controls.show_status()
@@ -418,7 +423,7 @@ def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(ope
 
 
 def test_an_address_that_is_not_here_is_refused_by_name() -> None:
-  with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1: "):
+  with pytest.raises(MjlabError, match=r"cannot listen on 192\.0\.2\.1: "):
     BrowserViewer(BoxEnv(1), host="192.0.2.1", port=8300)
 
 
@@ -434,18 +439,18 @@ def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypat
     assert [kept.step for kept in viewer.history] == list(range(101, 701, 2))
 
 
-def test_the_hand_goes_with_the_selection_and_the_world_left_behind_gets_its_own_commands_again() -> None:
+def test_manual_commands_follow_the_selection_and_the_previous_world_gets_its_own_commands_again() -> None:
   env = BoxEnv(3)
   playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
   with BrowserViewer(env, playback=playback, port=8300) as viewer:
     inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
     steered = []
-    for label, value in (("forward", 0.5), ("By hand", True), ("World", 2), ("forward", -1.0), ("By hand", False)):
+    for label, value in (("forward", 0.5), ("Manual", True), ("World", 2), ("forward", -1.0), ("Manual", False)):
       inputs[label].value = value
       viewer._due["frame"] = 0.0
       viewer.update()
       playback.tick()
-      steered.append(dict(env.command.by_hand))
+      steered.append(dict(env.command.manual))
     assert steered == [{}, {0: (0.5, 0.0)}, {2: (0.5, 0.0)}, {2: (-1.0, 0.0)}, {}]
     assert playback.error is None
 
@@ -456,12 +461,12 @@ def test_an_axis_that_is_fixed_keeps_its_value_beside_those_that_are_moved() -> 
   playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
   with BrowserViewer(env, playback=playback, port=8300) as viewer:
     inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    inputs["By hand"].value, inputs["forward"].value = True, 0.5
+    inputs["Manual"].value, inputs["forward"].value = True, 0.5
     for expected in (0.5, 0.0):
       viewer._due["frame"] = 0.0
       viewer.update()
       playback.tick()
-      assert env.command.by_hand == {0: (expected, 0.25)}
+      assert env.command.manual == {0: (expected, 0.25)}
       inputs["forward"].value = 0.0
     assert inputs["left"].disabled
 
@@ -571,19 +576,19 @@ def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_co
 
     address = viewer.url.replace("http", "ws", 1)
     with connect(address, subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None) as page:
-      for label, value in (("World", 2), ("By hand", True), ("forward", 0.5), ("Speed", "2")):
+      for label, value in (("World", 2), ("Manual", True), ("forward", 0.5), ("Speed", "2")):
         message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
         page.send(msgspec.msgpack.encode(message))
-      eventually(lambda: is_so(lambda: env.command.by_hand == {2: (0.5, 0.0)}), "the command is not given by hand")
+      eventually(lambda: is_so(lambda: env.command.manual == {2: (0.5, 0.0)}), "the command is not manual")
       eventually(lambda: is_so(lambda: playback.speed == 2.0), "the speed stays")
-      assert viewer.selected == 2
+      assert viewer.selection.world == 2
       presses: tuple[tuple[str, object, Callable[[], bool]], ...] = (
         ("Pause", True, lambda: playback.paused),
         ("Reset", True, lambda: env.num_resets == 3),
         ("Direction", "up", lambda: env.sim.data.qvel[:, 2].tolist() == [0.0, 0.0, 1.0]),
         ("Step", True, lambda: playback.step_count == 1),
         ("Step", True, lambda: playback.step_count == 2),
-        ("Stop", True, lambda: env.command.by_hand == {2: (0.0, 0.0)}),
+        ("Stop", True, lambda: env.command.manual == {2: (0.0, 0.0)}),
         ("Pause", True, lambda: not playback.paused),
       )
       for label, value, holds in presses:
@@ -591,3 +596,26 @@ def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_co
         page.send(msgspec.msgpack.encode(message))
         eventually(lambda holds=holds: is_so(holds), f"{label} does nothing")
       assert not viewer.server.get_clients()
+
+
+def test_the_private_names_of_mjviser_are_those_of_the_tested_version() -> None:
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    assert importlib.metadata.version("mjviser") == TESTED_VERSION
+    assert all(hasattr(viewer.scene.scene, name) for name in PRIVATE_NAMES)
+
+
+def test_without_the_private_names_of_mjviser_worlds_are_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr(MujocoScene, "__getattribute__", without_private_names)
+  env = colorful_env()
+  with BrowserViewer(env, port=8300) as viewer:
+    viewer.scene.scene.geom_groups_visible[4] = True
+    viewer.scene.show(SnapshotTaker(env, contacts=True).take((0, 1, 2, 3)))
+    assert all(other.scene.geom_groups_visible[4] for other in viewer.scene.others.scenes)
+    assert not viewer.scene.scene.splits_contact_forces
+
+
+def without_private_names(scene: MujocoScene, name: str) -> Any:
+  # mjviser itself goes on using them.
+  if name in PRIVATE_NAMES and sys._getframe(1).f_globals["__name__"] == MujocoScene.__module__:
+    raise AttributeError(name)
+  return object.__getattribute__(scene, name)

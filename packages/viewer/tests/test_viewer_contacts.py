@@ -1,13 +1,12 @@
 """Contacts are drawn as the simulation tells of them, where and as long as MuJoCo would draw them."""
 
-from types import SimpleNamespace
-
 import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_core import Contacts, host_contacts
 from mjlab_viewer import BrowserViewer, OffscreenRenderer, PictureCfg, SnapshotTaker
-from mjlab_viewer.contacts import computed_contacts, contact_shapes
+from mjlab_viewer.drawing.contacts import contact_shapes
 from viewer_env import BoxEnv
 
 # A stack, and a tilted wall whose geom comes after that of the ball which leans on it.
@@ -45,7 +44,7 @@ def test_discs_and_arrows_are_those_that_mujoco_draws(split: bool) -> None:
   mujoco.mjv_updateScene(model, data, option, None, mujoco.MjvCamera(), decor, scene)
   geoms = list(scene.geoms[: scene.ngeom])
   theirs = [geom for geom in geoms if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER]
-  points, *forces = contact_shapes(computed_contacts(model, data), model, points=True, forces=True, split=split)
+  points, *forces = contact_shapes(host_contacts(model, data), model, points=True, forces=True, split=split)
   assert len(points) == len(theirs) == data.ncon > 9
   turned = np.zeros(9)
   for row, geom in enumerate(theirs):
@@ -71,7 +70,7 @@ def test_discs_and_arrows_are_those_that_mujoco_draws(split: bool) -> None:
 
 def test_an_arrow_is_the_force_on_what_can_move() -> None:
   model, data = settled(STACK)
-  contacts = computed_contacts(model, data)
+  contacts = host_contacts(model, data)
   (forces,) = contact_shapes(contacts, model, points=False, forces=True)
   wall = contacts.geom[:, 1] == model.geom("wall").id
   assert wall.sum() == 1
@@ -82,12 +81,13 @@ def test_an_arrow_is_the_force_on_what_can_move() -> None:
   assert (forces.direction[~wall, 2] > 0).all()
 
 
-def told(count: int, world: int, found: int | None = None) -> SimpleNamespace:
-  """Contacts that nobody would compute from the state, in a row; only the first `found` of them are there."""
+def told(count: int, world: int, found: int | None = None) -> Contacts[torch.Tensor]:
+  """Return contacts in a row that do not follow from the state; only the first `found` rows are contacts."""
   rows = torch.arange(count)
-  return SimpleNamespace(
+  return Contacts(
     found=rows < (count if found is None else found),
     geom=torch.tensor([[0, 1]]).repeat(count, 1),
+    dist=torch.zeros(count),
     pos=torch.stack([rows + 10.0 * world, rows * 0.0, rows * 0.0 + 2.0], dim=1),
     normal=torch.tensor([[0.0, 0.0, 1.0]]).repeat(count, 1),
     force=torch.tensor([[0.0, 0.0, 7.0]]).repeat(count, 1),
@@ -143,19 +143,19 @@ def test_the_page_shows_what_the_simulation_tells_of_the_selected_world(env: Box
         page.show(taker.take((world, 1)))
         expected = env.sim.told[world].pos.numpy()
         for name, shown in (("ellipsoid", points), ("shaft", forces), ("head", forces)):
-          handle = page._drawing._handles.get(name)
+          handle = page._shapes._handles.get(name)
           assert (handle is not None and handle.visible) == shown
           if handle is not None and shown and name != "head":
             middle = page.scene.fixed_bodies_frame.position
             np.testing.assert_allclose(handle.batched_positions, expected + middle, atol=1e-5)
         # mjviser draws none of its own.
         assert not any(handle.visible for handle in page.scene._decor_handles.values())
-    width = np.asarray(page._drawing._handles["shaft"].batched_scales)[0, 0]
+    width = np.asarray(page._shapes._handles["shaft"].batched_scales)[0, 0]
     assert width == pytest.approx(3 * env.sim.mj_model.vis.scale.forcewidth * env.sim.mj_model.stat.meansize)
     inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
     inputs["Split normal/friction"].value = True
     page.show(taker.take((0, 1)))
-    assert len(page._drawing._handles["shaft"].batched_positions) == 4
+    assert len(page._shapes._handles["shaft"].batched_positions) == 4
 
 
 def test_without_contacts_of_its_own_the_page_shows_those_of_the_state(env: BoxEnv) -> None:
@@ -165,7 +165,7 @@ def test_without_contacts_of_its_own_the_page_shows_those_of_the_state(env: BoxE
   with BrowserViewer(env, port=8300) as viewer:
     viewer.scene.scene.show_contact_forces = True
     viewer.scene.show(SnapshotTaker(env, contacts=True).take((1,)))
-    shafts = viewer.scene._drawing._handles["shaft"]
+    shafts = viewer.scene._shapes._handles["shaft"]
     # Beside the robot that is followed, wherever that is.
     expected = env.sim.datas[1].contact.pos - env.sim.datas[1].xpos[1]
     np.testing.assert_allclose(shafts.batched_positions, expected, atol=1e-5)

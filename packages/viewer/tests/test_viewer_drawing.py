@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab_core import DebugDraw
 from mjlab_viewer import CameraCfg, DrawList, OffscreenRenderer, PictureCfg, SnapshotTaker
-from mjlab_viewer.mjv_drawing import add_to_scene, count_geoms, thinned
+from mjlab_viewer.drawing.mjv import add_to_scene, count_geoms, thinned
 from viewer_env import BOX, BoxEnv
 
 MODEL = mujoco.MjModel.from_xml_string(BOX)

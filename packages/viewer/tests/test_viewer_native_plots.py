@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab_viewer import Snapshot
-from mjlab_viewer.native_plots import NativePlots
+from mjlab_viewer.native.plots import NativePlots
 
 WINDOW = mujoco.MjrRect(10, 20, 900, 600)
 

@@ -12,17 +12,16 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_core import MjlabError, RenderingError
 from mjlab_viewer import (
   BackgroundVideo,
   OffscreenRenderer,
   PictureCfg,
-  RenderingError,
   SnapshotTaker,
   TrainingVideo,
   VideoFile,
-  ViewerError,
 )
-from mjlab_viewer.offscreen import tiles
+from mjlab_viewer.pictures.offscreen import tiles
 from viewer_env import BoxEnv
 
 SMALL = PictureCfg(width=96, height=72, shadows=False)
@@ -142,7 +141,7 @@ def test_a_video_holds_the_frames_given_and_appears_only_when_whole(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["film.avi", "film"])
 def test_a_video_of_another_kind_is_refused(name: str, tmp_path: Path) -> None:
-  with pytest.raises(ViewerError, match=r"films are written as \.mp4"):
+  with pytest.raises(MjlabError, match=r"films are written as \.mp4"):
     VideoFile(tmp_path / name, 50)
 
 
@@ -229,9 +228,9 @@ def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() 
   code = (
     "import os, ctypes.util; os.environ.pop('MUJOCO_GL', None); os.environ.pop('DISPLAY', None)\n"
     "ctypes.util.find_library = lambda name: None\n"
-    "from mjlab_viewer.opengl import make_context\n"
+    "from mjlab_viewer.pictures.opengl import make_context\n"
     "try: make_context(8, 8)\n"
-    "except RuntimeError as error: print(error)"
+    "except ValueError as error: print(error)"
   )
   told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
   assert "neither EGL nor OSMesa is installed" in told

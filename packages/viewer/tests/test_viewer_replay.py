@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_core import MjlabError
 from mjlab_viewer import (
   BrowserViewer,
   OffscreenRenderer,
@@ -14,7 +15,6 @@ from mjlab_viewer import (
   Playback,
   Replay,
   SnapshotTaker,
-  ViewerError,
   ZeroPolicy,
 )
 from viewer_env import BOX
@@ -101,7 +101,7 @@ def test_a_film_shows_every_moment_once(opengl: None, tmp_path: Path) -> None:
 def test_a_film_that_fails_leaves_nothing(opengl: None, tmp_path: Path) -> None:
   renderer = OffscreenRenderer(MODEL, PictureCfg(width=96, height=48, shadows=False))
   renderer.close()
-  with pytest.raises(ViewerError, match="closed"):
+  with pytest.raises(MjlabError, match="closed"):
     rising().film(tmp_path / "film.mp4", renderer)
   assert list(tmp_path.iterdir()) == []
 

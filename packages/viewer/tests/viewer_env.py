@@ -68,18 +68,18 @@ class BoxSim:
 
 
 class SpeedCommand:
-  """A command of two numbers that can be given by hand and draws itself."""
+  """A command of two numbers that can be steered and draws itself."""
 
   axes = (("forward", -1.0, 1.0), ("left", -0.5, 0.5))
 
   def __init__(self, env: "BoxEnv") -> None:
     self.env = env
-    self.by_hand: dict[int, tuple[float, ...]] = {}
+    self.manual: dict[int, tuple[float, ...]] = {}
 
   def steer(self, world: int, values: Any) -> None:
-    self.by_hand.pop(world, None)
+    self.manual.pop(world, None)
     if values is not None:
-      self.by_hand[world] = tuple(values)
+      self.manual[world] = tuple(values)
 
   def debug_draw(self, draw: DebugDraw) -> None:
     start = self.env.sim.data.xpos[list(draw.worlds), 1]
@@ -113,7 +113,7 @@ class BoxEnv:
   def drawers(self) -> dict[str, Any]:
     return {"command speed": self.command.debug_draw}
 
-  def drawn_at_first(self) -> tuple[str, ...]:
+  def default_drawers(self) -> tuple[str, ...]:
     return ("command speed",) if self.draws_at_first else ()
 
   def steering(self) -> dict[str, Any]:

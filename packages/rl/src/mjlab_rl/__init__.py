@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
-  from mjlab_rl.checkpoint import CheckpointError
   from mjlab_rl.config import (
-    ConfigError,
     RslRlBaseRunnerCfg,
     RslRlDistillationAlgorithmCfg,
     RslRlDistillationRunnerCfg,
     RslRlModelCfg,
     RslRlOnPolicyRunnerCfg,
     RslRlPpoAlgorithmCfg,
+    TaskCfg,
   )
   from mjlab_rl.console import Console
   from mjlab_rl.distillation import MjlabDistillationRunner
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
   from mjlab_rl.evaluation import (
     Episodes,
     Evaluation,
-    EvaluationError,
     Evaluator,
     Interval,
     Policy,
@@ -34,29 +32,26 @@ if TYPE_CHECKING:
     summarize,
     wilson,
   )
-  from mjlab_rl.iteration_report import IterationReport
-  from mjlab_rl.manifest import ManifestError, PolicyRecord, RunManifest, load_run
-  from mjlab_rl.policies import CheckpointPolicy, OnnxPolicy
-  from mjlab_rl.run_directory import RunNotFoundError, checkpoints, create_run_directory, find_checkpoint
-  from mjlab_rl.runner import DivergedError, MjlabOnPolicyRunner
-  from mjlab_rl.task import TaskCfg
+  from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
+  from mjlab_rl.onnx_policy import OnnxPolicy
+  from mjlab_rl.policies import CheckpointPolicy, FinitePolicy
+  from mjlab_rl.references import trust_package
+  from mjlab_rl.run_directory import checkpoints, create_run_directory, find_checkpoint
+  from mjlab_rl.runner import MjlabOnPolicyRunner
+  from mjlab_rl.scalar_log import IterationReport
   from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
   from mjlab_rl.training import TrainingResult, train
   from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 __all__ = [
-  "CheckpointError",
   "CheckpointPolicy",
-  "ConfigError",
   "Console",
-  "DivergedError",
   "Episodes",
   "Evaluation",
-  "EvaluationError",
   "Evaluator",
+  "FinitePolicy",
   "Interval",
   "IterationReport",
-  "ManifestError",
   "MjlabDistillationRunner",
   "MjlabOnPolicyRunner",
   "OnnxPolicy",
@@ -73,7 +68,6 @@ __all__ = [
   "RslRlPpoAlgorithmCfg",
   "RslRlVecEnvWrapper",
   "RunManifest",
-  "RunNotFoundError",
   "TaskCfg",
   "Threshold",
   "TrainedPolicy",
@@ -87,6 +81,7 @@ __all__ = [
   "read_trained_policy",
   "summarize",
   "train",
+  "trust_package",
   "wilson",
 ]
 
@@ -97,24 +92,24 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
-    ".checkpoint": "CheckpointError",
     ".config": (
-      "ConfigError RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
-      "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg"
+      "RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
+      "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg"
     ),
     ".console": "Console",
     ".distillation": "MjlabDistillationRunner",
     ".env_protocol": "RlEnv",
     ".evaluation": (
-      "Episodes Evaluation EvaluationError Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
+      "Episodes Evaluation Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize wilson"
     ),
-    ".iteration_report": "IterationReport",
-    ".manifest": "ManifestError PolicyRecord RunManifest load_run",
-    ".policies": "CheckpointPolicy OnnxPolicy",
-    ".run_directory": "RunNotFoundError checkpoints create_run_directory find_checkpoint",
-    ".runner": "DivergedError MjlabOnPolicyRunner",
-    ".task": "TaskCfg",
+    ".manifest": "PolicyRecord RunManifest load_run",
+    ".onnx_policy": "OnnxPolicy",
+    ".policies": "CheckpointPolicy FinitePolicy",
+    ".references": "trust_package",
+    ".run_directory": "checkpoints create_run_directory find_checkpoint",
+    ".runner": "MjlabOnPolicyRunner",
+    ".scalar_log": "IterationReport",
     ".trained_policy": "TrainedPolicy read_trained_policy",
     ".training": "TrainingResult train",
     ".vec_env": "RslRlVecEnvWrapper",

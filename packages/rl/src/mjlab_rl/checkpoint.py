@@ -1,42 +1,88 @@
-"""Checkpoint files: written whole or not at all, read without running code."""
+"""Checkpoint files: complete on disk or absent, and read without running code."""
 
-import os
-import pickle
 import random
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 import torch
+from mjlab_core import printable
+from mjlab_core.errors import FileError, MjlabError
+from mjlab_core.files import AtomicWrite, reading
+from msgspec import Meta, Struct
+from torch import Tensor
 
 FORMAT = 1
+_MAX_BYTES = 8 * 2**30
 
 Shapes: TypeAlias = Sequence[Sequence[int]]
-"""Of each observation group that a network sees, the shape for one world."""
+"""Shapes of the observation groups that a network sees, for one world."""
+_Count = Annotated[int, Meta(ge=0)]
+_Tensors = dict[str, torch.Tensor]
 
 
-class CheckpointError(ValueError):
-  """A checkpoint that cannot be read or does not fit; the message says why."""
+class _Generators(Struct):
+  torch: Tensor
+  numpy: tuple[str, Tensor, int, int, float]
+  python: tuple[int, tuple[int, ...], float | None]
+  cuda: Tensor | None = None
+
+
+class _Worlds(Struct):
+  format: Literal[1]
+  num_envs: _Count
+  env: dict[str, Any]
+  statistics: _Tensors
+  hidden_states: list[Any]
+  rng: _Generators
+  elapsed: Annotated[float, Meta(ge=0)]
+  total_steps: _Count
+  shapes_seen: dict[str, list[list[_Count]]] = {}
+
+
+class _Optimizer(Struct):
+  state: dict[int, dict[str, Any]]
+  param_groups: Annotated[list[dict[str, Any]], Meta(min_length=1)]
+
+
+class _EnvState(Struct):
+  common_step_counter: _Count | None = None
+
+
+class _Infos(Struct):
+  env_state: _EnvState | None = None
+
+
+class _Checkpoint(Struct):
+  """Schema of a checkpoint of ours, or of one of rsl-rl, which has no `mjlab`. Other keys are allowed."""
+
+  iter: _Count
+  infos: _Infos | None = None
+  mjlab: _Worlds | None = None
+  actor_state_dict: _Tensors | None = None
+  critic_state_dict: _Tensors | None = None
+  student_state_dict: _Tensors | None = None
+  teacher_state_dict: _Tensors | None = None
+  optimizer_state_dict: _Optimizer | None = None
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-  """Write `state` to `path`: under another name first, so that no crash leaves half a file under this one.
+  """Write `state` to `path`, completely or not at all.
 
   Raises:
-    CheckpointError: It cannot be written, for lack of room for instance.
+    FileError: It cannot be written, for lack of room for instance.
   """
-  temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
   try:
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+    with AtomicWrite(path) as temporary:
+      torch.save(state, temporary)
   except (OSError, RuntimeError) as error:
-    # Torch tells of a full disk in riddles.
-    raise CheckpointError(
+    # Torch reports a full disk as a RuntimeError about positions in the archive.
+    raise FileError(
       f"checkpoint {path} could not be written ({_first_line(error)}); is there room on the disk?"
     ) from error
-  finally:
-    temporary.unlink(missing_ok=True)
 
 
 def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
@@ -47,40 +93,66 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     *policies: Names of networks of which it must have one; none: "actor".
 
   Raises:
-    CheckpointError: There is no such file, it is not a checkpoint, or one of another version.
+    FileError: There is no such file, or it is not a checkpoint that this version reads.
   """
-  if not path.is_file():
-    raise CheckpointError(f"checkpoint {path}: no such file")
-  try:
-    state = torch.load(path, map_location="cpu", weights_only=True)
-  except pickle.UnpicklingError as error:
-    raise CheckpointError(
-      f"checkpoint {path}: holds objects other than tensors and plain values, not loaded"
-    ) from error
-  except (OSError, RuntimeError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
-    raise CheckpointError(f"checkpoint {path}: damaged or not a checkpoint ({_first_line(error)})") from error
-  wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
-  if not isinstance(state, dict) or not any(name in state for name in wanted):
-    found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
-    raise CheckpointError(f"checkpoint {path}: no {' or '.join(map(repr, wanted))} in it; found {found}")
-  ours = state.get("mjlab", {"format": FORMAT})
-  if not isinstance(ours, dict) or ours.get("format") != FORMAT:
-    raise CheckpointError(f"checkpoint {path}: written by another version of mjlab-rl; this one reads format {FORMAT}")
-  return state
+  with reading("checkpoint", path, _MAX_BYTES):
+    _check_archive(path)
+    try:
+      state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+      reason = _first_line(error)
+      if "weights_only" in str(error) or "Unsupported" in reason:
+        reason = "holds objects other than tensors and plain values, not loaded"
+      raise FileError(reason if "not loaded" in reason else f"damaged or not a checkpoint ({reason})") from error
+    wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
+    if not isinstance(state, dict) or not any(name in state for name in wanted):
+      found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
+      raise FileError(f"no {' or '.join(map(repr, wanted))} in it; found {printable(found, 200)}")
+    ours = state.get("mjlab")
+    if isinstance(ours, dict) and ours.get("format") != FORMAT:
+      raise FileError(f"written by another version of mjlab-rl; this one reads format {FORMAT}")
+    msgspec.convert(state, _Checkpoint, dec_hook=_tensor)
+    for name in wanted:
+      if name in state and not state[name]:
+        raise FileError(f"{name!r} is empty")
+    return state
+
+
+def _check_archive(path: Path) -> None:
+  """Refuse records that would unpack to more than the file holds."""
+  if zipfile.is_zipfile(path):
+    with zipfile.ZipFile(path) as archive:
+      if any(record.compress_type != zipfile.ZIP_STORED for record in archive.infolist()):
+        raise FileError("holds compressed records, which torch does not write")
+
+
+def _tensor(kind: type, value: Any) -> Any:
+  if kind is not torch.Tensor or not isinstance(value, torch.Tensor) or value.layout != torch.strided:
+    raise TypeError(f"expected a dense {kind.__name__.lower()}, got {type(value).__name__}")
+  return value
+
+
+def restore_step_counter(state: Mapping[str, Any], env: Any) -> int | None:
+  """Give an environment the steps, on which curricula depend, of a checkpoint of mjlab 1.x; None if either has none."""
+  infos, counter = msgspec.convert(state.get("infos"), _Infos | None), getattr(env, "common_step_counter", None)
+  if infos is None or infos.env_state is None or infos.env_state.common_step_counter is None or counter is None:
+    return None
+  counter.fill_(infos.env_state.common_step_counter)
+  return infos.env_state.common_step_counter
 
 
 def read_policy(path: Path, policy: str) -> tuple[dict[str, Any], Shapes | None]:
-  """The weights of the policy in a checkpoint, of a run by reinforcement, "actor", or of a distillation, "student".
+  """Read the weights of the policy in a checkpoint, of a run by reinforcement, "actor", or distilled, "student".
 
   Args:
     path: The file.
     policy: Which of the two it is where there are both.
 
   Returns:
-    The weights, and what `shapes_seen` says.
+    The weights, and the result of `shapes_seen`.
 
   Raises:
-    CheckpointError: As `read_checkpoint`.
+    FileError: As `read_checkpoint`.
   """
   names = dict.fromkeys((policy, "actor", "student"))
   state = read_checkpoint(path, *names)
@@ -89,68 +161,102 @@ def read_policy(path: Path, policy: str) -> tuple[dict[str, Any], Shapes | None]
 
 
 def shapes_seen(state: Mapping[str, Any], network: str) -> Shapes | None:
-  """Shapes of one world's observation groups as a network of a checkpoint saw them; None where it does not say."""
-  return state.get("mjlab", {}).get("shapes_seen", {}).get(network)
+  """Return the shapes of one world's observation groups that a network saw; None where the file does not say."""
+  return (state.get("mjlab") or {}).get("shapes_seen", {}).get(network)
 
 
-def check_shapes_seen(path: Path, groups: Sequence[str], trained: Shapes | None, present: Shapes) -> None:
-  """Compare what a network saw in its training with what it is to see; an image of another size may fit all weights.
+def refuse(what: str, problems: Iterable[str], hint: str = "", error: type[MjlabError] = FileError) -> None:
+  """Raise `error` if there are problems.
+
+  Raises:
+    MjlabError: There are problems; the message names the first four.
+  """
+  if found := list(problems):
+    more = f"; and {len(found) - 4} more" if len(found) > 4 else ""
+    raise error(f"{what} does not fit: {'; '.join(found[:4])}{more}{hint}")
+
+
+def check_finite(path: Path, part: str, saved: Mapping[str, Any]) -> None:
+  """Refuse a network with weights that are NaN or infinite.
+
+  Raises:
+    FileError: Some are; the message names the first.
+  """
+  broken = [name for name, value in saved.items() if value.is_floating_point() and not bool(value.isfinite().all())]
+  if broken:
+    raise FileError(f"checkpoint {path}: the file has NaN or infinite weights in {part}: {', '.join(broken[:4])}")
+
+
+def shape_problems(groups: Sequence[str], trained: Shapes | None, present: Shapes) -> Iterator[str]:
+  """Yield a line for each observation group whose shape was another in training; other image sizes may fit all weights.
 
   Args:
-    path: File that it is from.
-    groups: Names of the observation groups that it is to see.
-    trained: Their shapes in its training; None: not known.
-    present: Their shapes now.
-
-  Raises:
-    CheckpointError: They differ; the message says in what.
+    groups: Names of the groups.
+    trained: Their shapes in training; None: not known.
+    present: Their current shapes.
   """
-  differences = [
-    f"observation group '{group}' was {_by(was)} in its training and is {_by(now)} here"
-    for group, was, now in zip(groups, trained or (), present, strict=False)
-    if list(was) != list(now)
-  ]
-  if differences:
-    raise CheckpointError(f"policy {path} does not fit: {'; '.join(differences)}")
+  for group, was, now in zip(groups, trained or (), present, strict=False):
+    if list(was) != list(now):
+      was, now = (" x ".join(map(str, shape)) for shape in (was, now))
+      yield f"observation group '{group}' was {was} in its training and is {now} here"
 
 
-def check_fit(path: Path, part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
-  """Compare a saved network with the one it is to fill.
-
-  Raises:
-    CheckpointError: Names or shapes differ; the message lists how.
-  """
-  differences = [
-    f"{name} is {_shape(saved[name])} in the file and {_shape(present[name])} here"
-    for name in present
-    if name in saved and _shape(saved[name]) != _shape(present[name])
-  ]
-  differences += [f"{name} is missing in the file" for name in present if name not in saved]
-  differences += [f"{name} is only in the file" for name in saved if name not in present]
-  if differences:
-    shown = "; ".join(differences[:4]) + (f"; and {len(differences) - 4} more" if len(differences) > 4 else "")
-    raise CheckpointError(
-      f"checkpoint {path} does not fit: {part}: {shown}. Observations, actions, agent.{part}.hidden_dims and "
-      f"agent.{part}.obs_normalization must be those it was trained with."
-    )
+def network_problems(part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> Iterator[str]:
+  """Yield a line for each weight whose name, shape or kind of number differs from the network that it is for."""
+  for name in dict.fromkeys((*present, *saved)):
+    theirs, ours = saved.get(name), present.get(name)
+    if theirs is None or ours is None:
+      yield f"{part}: {printable(name, 80)} is {'missing' if theirs is None else 'only'} in the file"
+    elif _shape(theirs) != _shape(ours):
+      yield f"{part}: {name} is {_shape(theirs)} in the file and {_shape(ours)} here"
+    elif theirs.is_complex() or theirs.is_floating_point() != ours.is_floating_point():
+      yield f"{part}: {name} is {theirs.dtype}, not {ours.dtype}"
 
 
-def check_optimizer(path: Path, saved: Mapping[str, Any], present: Mapping[str, Any]) -> None:
-  """Compare the state of a saved optimiser with that of the one it is to fill.
-
-  Raises:
-    CheckpointError: They are of different kinds: each would take the other's settings for its own.
-  """
-  kinds = [
-    (set(group), group.get("decoupled_weight_decay"))
-    for group in (saved["param_groups"][0], present["param_groups"][0])
-  ]
+def optimizer_problems(saved: Mapping[str, Any], present: torch.optim.Optimizer) -> Iterator[str]:
+  """Yield a line for each part of a saved optimiser that differs in kind or size; kinds share names of settings."""
+  theirs, ours = saved["param_groups"], present.state_dict()["param_groups"]
+  kinds = [(set(groups[0]), groups[0].get("decoupled_weight_decay")) for groups in (theirs, ours)]
   if kinds[0] != kinds[1]:
-    raise CheckpointError(f"checkpoint {path} does not fit: agent.algorithm.optimizer was another one in its training")
+    yield "agent.algorithm.optimizer was another one in its training"
+  elif [group["params"] for group in theirs] != [group["params"] for group in ours]:
+    yield "its optimiser has other parameters"
+  else:
+    shapes = [_shape(parameter) for group in present.param_groups for parameter in group["params"]]
+    for number, state in saved["state"].items():
+      shape = shapes[number] if number < len(shapes) else None
+      for name, value in state.items():
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point() or _shape(value) not in ((), shape):
+          yield f"optimiser: {printable(name, 60)} of parameter {number}"
+    for name, value in theirs[0].items():
+      if name != "params" and type(value) is not type(ours[0][name]):
+        yield f"optimiser: {printable(name, 60)} is a {type(value).__name__}"
+
+
+def hidden_state_problems(saved: Sequence[Any], networks: Mapping[str, Any], num_envs: int) -> Iterator[str]:
+  """Yield a line for each network that its saved hidden state does not fit."""
+  if len(saved) != len(networks):
+    yield f"{len(saved)} hidden states for {len(networks)} networks"
+    return
+  for hidden, (name, network) in zip(saved, networks.items(), strict=True):
+    rnn = getattr(getattr(network, "rnn", None), "rnn", None)
+    parts = hidden if isinstance(hidden, (tuple, list)) else (hidden,)
+    shape = None if rnn is None else (rnn.num_layers, num_envs, rnn.hidden_size)
+    count = 2 if isinstance(rnn, torch.nn.LSTM) else 1
+    if hidden is not None and (shape is None or len(parts) != count or any(_shape(part) != shape for part in parts)):
+      yield f"hidden state of {name}"
+
+
+def restore_hidden_states(saved: Sequence[Any], networks: Mapping[str, Any], device: torch.device) -> None:
+  """Set the hidden states of networks, which `hidden_state_problems` has compared."""
+  for hidden, network in zip(saved, networks.values(), strict=True):
+    if hidden is not None:
+      is_pair = isinstance(hidden, (tuple, list))
+      network.reset(hidden_state=tuple(part.to(device) for part in hidden) if is_pair else hidden.to(device))
 
 
 def rng_state(device: torch.device) -> dict[str, Any]:
-  """State of every generator of the process: torch on the host and on `device`, NumPy's and Python's global ones."""
+  """Return the state of every generator: torch on the host and on `device`, NumPy's and Python's global ones."""
   name, keys, position, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002
   state: dict[str, Any] = {
     "torch": torch.get_rng_state(),
@@ -163,7 +269,7 @@ def rng_state(device: torch.device) -> dict[str, Any]:
 
 
 def restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
-  """Put every generator back; on a device of another kind its own generator stays as it is."""
+  """Restore every generator; the generator of a device of another kind is left unchanged."""
   torch.set_rng_state(state["torch"])
   name, keys, position, has_gauss, cached = state["numpy"]
   np.random.set_state((name, keys.numpy().astype(np.uint32), position, has_gauss, cached))  # noqa: NPY002
@@ -173,13 +279,9 @@ def restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
     torch.cuda.set_rng_state(state["cuda"], device)
 
 
-def _by(shape: Sequence[int]) -> str:
-  return " x ".join(map(str, shape))
-
-
 def _shape(value: Any) -> tuple[int, ...]:
   return tuple(getattr(value, "shape", ()))
 
 
 def _first_line(error: BaseException) -> str:
-  return (str(error).splitlines() or [type(error).__name__])[0]
+  return printable((str(error).splitlines() or [type(error).__name__])[0], 200)

@@ -1,28 +1,32 @@
-"""Learner configuration: plain dataclass instances that become rsl-rl's dictionaries."""
+"""Configuration of tasks and learners; that of a learner becomes rsl-rl's dictionaries."""
 
 import copy
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from importlib.util import find_spec
-from typing import Any, ClassVar, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
-from mjlab_core import unknown
+from mjlab_core.config import Config
+from mjlab_core.constraints import Finite, Limits, Positive, PositiveCount, field_problems
+from mjlab_core.errors import ConfigError
+
+if TYPE_CHECKING:
+  from mjlab_rl.evaluation import Evaluator
 
 Activation = Literal[
   "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
 ]
-
-
-class ConfigError(ValueError):
-  """A learner configuration that cannot work; the message names the field."""
+Optimizer = Literal["adam", "adamw", "sgd", "rmsprop"]
+Fraction = Annotated[float, Limits(ge=0, le=1)]
+Sizes = Annotated[int | tuple[int, ...], Limits(ge=1)]
+EnvCfgT = TypeVar("EnvCfgT")
 
 
 @dataclass(kw_only=True)
-class RslRlModelCfg:
+class RslRlModelCfg(Config):
   """One network: an actor, a critic, a student or a teacher."""
 
-  hidden_dims: tuple[int, ...] = (128, 128, 128)
+  hidden_dims: Annotated[tuple[int, ...], Limits(ge=1)] = (128, 128, 128)
   """Widths of the hidden layers."""
   activation: Activation = "elu"
   """Activation function by rsl-rl's name."""
@@ -33,71 +37,114 @@ class RslRlModelCfg:
   cnn_cfg: dict[str, Any] | None = None
   """Convolution settings of image groups; None: no image groups."""
   rnn_type: Literal["lstm", "gru"] | None = None
-  """Recurrent layer between what is seen and the hidden layers; None: none."""
-  rnn_hidden_dim: int = 256
+  """Recurrent layer between the observations and the hidden layers; None: none."""
+  rnn_hidden_dim: PositiveCount = 256
   """Width of the recurrent layer."""
-  rnn_num_layers: int = 1
+  rnn_num_layers: PositiveCount = 1
   """Number of recurrent layers."""
   class_name: str = "MLPModel"
   """rsl-rl's "MLPModel" or, for images, "CNNModel", with or without `rnn_type`, or "module:Class"."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
-    """Arguments of the model class, without the optional parts that are off."""
-    names = {"CNNModel": "mjlab_rl.image_model:ImageModel"}
-    if self.rnn_type is not None:
+    """Return the arguments of the model class, without the optional parts that are off."""
+    names = {"CNNModel": "mjlab_rl.networks:ImageModel"}
+    model = {name: copy.deepcopy(value) for name, value in vars(self).items() if value is not None}
+    if self.rnn_type is None:
+      del model["rnn_hidden_dim"], model["rnn_num_layers"]
+    else:
       names["MLPModel"] = "RNNModel"
-    model: dict[str, Any] = {
-      "class_name": names.get(self.class_name, self.class_name),
-      "hidden_dims": list(self.hidden_dims),
-      "activation": self.activation,
-      "obs_normalization": self.obs_normalization,
-    }
-    if self.distribution_cfg is not None:
-      model["distribution_cfg"] = dict(self.distribution_cfg)
-      if self.distribution_cfg.get("class_name") == "GaussianDistribution":
-        model["distribution_cfg"]["class_name"] = "mjlab_rl.gaussian:Gaussian"
-    if self.cnn_cfg is not None:
-      model["cnn_cfg"] = dict(self.cnn_cfg)
-    if self.rnn_type is not None:
-      model |= {
-        "rnn_type": self.rnn_type,
-        "rnn_hidden_dim": self.rnn_hidden_dim,
-        "rnn_num_layers": self.rnn_num_layers,
-      }
+    model["class_name"] = names.get(self.class_name, self.class_name)
+    if model.get("distribution_cfg", {}).get("class_name") == "GaussianDistribution":
+      model["distribution_cfg"]["class_name"] = "mjlab_rl.networks:Gaussian"
     return model
+
+  def problems(self, where: str) -> Iterator[str]:
+    """Yield a line for each value that a network cannot be built from; `where` names the network."""
+    if not self.hidden_dims:
+      yield f"{where}.hidden_dims is empty; a network has at least one hidden layer"
+    yield from _entry_problems(_DistributionEntries, self.distribution_cfg or {}, f"{where}.distribution_cfg")
+    encoders = self.cnn_cfg or {}
+    if encoders and self.class_name in _WITHOUT_IMAGES:
+      yield f"{where}.cnn_cfg is given, but {where}.class_name {self.class_name!r} takes no images"
+    if not encoders or not all(isinstance(encoder, dict) for encoder in encoders.values()):
+      encoders = {"": encoders}
+    for group, encoder in encoders.items():
+      yield from _encoder_problems(encoder, f"{where}.cnn_cfg{group and '.'}{group}")
+
+
+_WITHOUT_IMAGES = ("MLPModel", "RNNModel")
+
+
+@dataclass
+class _DistributionEntries:
+  """Constraints of `distribution_cfg`; other entries are free."""
+
+  init_std: Positive = 1.0
+
+
+@dataclass
+class _EncoderEntries:
+  """Constraints of `cnn_cfg`; other entries are free. rsl-rl takes an unknown padding for none."""
+
+  output_channels: Annotated[tuple[int, ...], Limits(ge=1)] = ()
+  kernel_size: Sizes = 1
+  stride: Sizes = 1
+  dilation: Sizes = 1
+  padding: Literal["none", "zeros", "reflect", "replicate", "circular"] = "none"
+  norm: Literal["none", "batch", "layer"] | tuple[Literal["none", "batch", "layer"], ...] = "none"
+  activation: Activation = "elu"
+  global_pool: Literal["none", "max", "avg"] = "none"
+  temperature: Positive = 1.0
+
+
+def _entry_problems(schema: type[Any], entries: dict[str, Any], where: str) -> Iterator[str]:
+  """Yield a line for each entry of a dictionary that breaks the constraint of its field in `schema`."""
+  names = {field.name for field in fields(schema)}
+  checked = schema(**{name: value for name, value in entries.items() if name in names})
+  yield from (f"{where}.{problem}" for problem in field_problems(checked))
+
+
+def _encoder_problems(encoder: dict[str, Any], where: str) -> Iterator[str]:
+  problems = list(_entry_problems(_EncoderEntries, encoder, where))
+  yield from problems
+  if not problems:
+    layers = len(encoder.get("output_channels", ()))
+    for name, value in encoder.items():
+      if isinstance(value, (tuple, list)) and len(value) != layers:
+        yield f"{where}.{name} has {len(value)} values, output_channels {layers}"
 
 
 @dataclass(kw_only=True)
-class RslRlPpoAlgorithmCfg:
+class RslRlPpoAlgorithmCfg(Config):
   """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) as rsl-rl implements it."""
 
-  num_learning_epochs: int = 5
+  num_learning_epochs: PositiveCount = 5
   """Passes over the data of one iteration."""
-  num_mini_batches: int = 4
+  num_mini_batches: PositiveCount = 4
   """Mini-batches per pass."""
-  learning_rate: float = 1e-3
+  learning_rate: Positive = 1e-3
   """Step size at the start."""
   schedule: Literal["adaptive", "fixed"] = "adaptive"
   """adaptive: the step size follows the measured KL divergence, within [1e-5, 1e-2]."""
-  desired_kl: float = 0.01
+  desired_kl: Positive = 0.01
   """KL divergence per mini-batch that the adaptive schedule aims at."""
-  gamma: float = 0.99
+  gamma: Fraction = 0.99
   """Discount per environment step."""
-  lam: float = 0.95
+  lam: Fraction = 0.95
   """Lambda of the generalised advantage estimate."""
-  entropy_coef: float = 0.005
+  entropy_coef: Finite = 0.005
   """Weight of the entropy bonus."""
-  value_loss_coef: float = 1.0
+  value_loss_coef: Finite = 1.0
   """Weight of the value loss."""
   use_clipped_value_loss: bool = True
   """Clip the change of the value estimate as well."""
-  clip_param: float = 0.2
+  clip_param: Positive = 0.2
   """Clip range of the probability ratio."""
-  max_grad_norm: float = 1.0
+  max_grad_norm: Positive = 1.0
   """Gradient norm limit, for actor and critic separately."""
   normalize_advantage_per_mini_batch: bool = False
   """Normalise advantages in each mini-batch instead of over the whole batch."""
-  optimizer: Literal["adam", "adamw", "sgd", "rmsprop"] = "adam"
+  optimizer: Optimizer = "adam"
   """Optimiser over actor and critic together."""
   share_cnn_encoders: bool = False
   """Let the critic use the actor's image encoders."""
@@ -111,7 +158,7 @@ class RslRlPpoAlgorithmCfg:
   """rsl-rl's "PPO", or "module:Class"."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
-    """Arguments of the algorithm class, without the optional parts that are off."""
+    """Return the arguments of the algorithm class, without the optional parts that are off."""
     algorithm = dict(vars(self))
     for name in ("rnd_cfg", "symmetry_cfg"):
       if algorithm[name] is None:
@@ -120,22 +167,22 @@ class RslRlPpoAlgorithmCfg:
 
 
 @dataclass(kw_only=True)
-class RslRlDistillationAlgorithmCfg:
-  """The student acts, the teacher says what it would have done, and the student learns to do that (DAgger, Ross et al.
-  2011, arXiv:1011.0686), as rsl-rl implements it."""
+class RslRlDistillationAlgorithmCfg(Config):
+  """Imitation of a teacher in the states that the student visits (DAgger, Ross et al. 2011, arXiv:1011.0686)."""
 
-  num_learning_epochs: int = 1
+  num_learning_epochs: PositiveCount = 1
   """Passes over the data of one iteration."""
-  gradient_length: int = 8
-  """Steps whose errors add up to one gradient, and through which a recurrent student learns; divides
-  num_learning_epochs x num_steps_per_env."""
-  learning_rate: float = 1e-3
+  gradient_length: PositiveCount = 8
+  """Steps whose errors add up to one gradient, through which a recurrent student learns.
+
+  It divides num_learning_epochs x num_steps_per_env."""
+  learning_rate: Positive = 1e-3
   """Step size."""
-  max_grad_norm: float | None = 1.0
+  max_grad_norm: Positive | None = 1.0
   """Gradient norm limit; None: none."""
   loss_type: Literal["mse", "huber"] = "mse"
   """Measure of the difference between the student's mean action and the teacher's."""
-  optimizer: Literal["adam", "adamw", "sgd", "rmsprop"] = "adam"
+  optimizer: Optimizer = "adam"
   """Optimiser of the student."""
   use_mixed_precision: bool = False
   """Compute the loss in bfloat16 where that is safe."""
@@ -148,19 +195,19 @@ def _gaussian(init_std: float) -> dict[str, Any]:
 
 
 @dataclass(kw_only=True)
-class RslRlBaseRunnerCfg:
-  """What every training run has: length, seed, logging. One that learns is of a subclass."""
+class RslRlBaseRunnerCfg(Config):
+  """Base runner config: iterations, seed, logging."""
 
   policy: ClassVar[str]
   """Name of the network that acts, in `obs_groups`, in checkpoints and among the fields."""
 
   seed: int = 42
   """Seed of the learner, and of the environment where that has none of its own."""
-  num_steps_per_env: int = 24
+  num_steps_per_env: PositiveCount = 24
   """Environment steps per world and iteration."""
-  max_iterations: int = 300
+  max_iterations: PositiveCount = 300
   """Iterations in all; a resumed run continues up to this number."""
-  save_interval: int = 50
+  save_interval: PositiveCount = 50
   """Iterations between checkpoints."""
   experiment_name: str = "exp1"
   """Folder of the runs of one experiment, below the log root."""
@@ -168,10 +215,10 @@ class RslRlBaseRunnerCfg:
   """Appended to the name of the run directory."""
   obs_groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
   """Observation groups that each network sees."""
-  clip_actions: float | None = None
+  clip_actions: Positive | None = None
   """Limit of the absolute value of every action; None: no limit."""
   logger: Literal["tensorboard", "wandb", "none"] = "tensorboard"
-  """Where scalars go besides progress.csv; wandb also writes tensorboard files."""
+  """Log of scalars besides progress.csv; wandb also writes tensorboard files."""
   wandb_project: str = "mjlab"
   """Weights & Biases project."""
   wandb_tags: tuple[str, ...] = ()
@@ -184,21 +231,13 @@ class RslRlBaseRunnerCfg:
   """float32 matrix products of the update on a GPU; high: TF32. The environment always computes in full precision."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
-    """rsl-rl's configuration dictionary; a fresh one, rsl-rl writes into it.
+    """Return a new configuration dictionary for rsl-rl, which writes into it.
 
     Raises:
-      ConfigError: A number is out of its range, a name is no name, the policy has no action distribution, or the logger
-        is not installed.
+      ConfigError: Values cannot work, or the logger is not installed; the message lists all of them.
     """
-    for name in ("num_steps_per_env", "max_iterations", "save_interval"):
-      _check(f"agent.{name}", getattr(self, name), "at least 1", lambda x: x >= 1)
-    if self.clip_actions is not None:
-      _check("agent.clip_actions", self.clip_actions, "positive", _is_positive)
-    if self.logger == "wandb" and find_spec("wandb") is None:
-      raise ConfigError("agent.logger is 'wandb', which is not installed: pip install wandb")
-    for key, name in (("experiment_name", self.experiment_name), ("run_name", self.run_name)):
-      if "/" in name or name in (".", "..") or (key == "experiment_name" and not name):
-        raise ConfigError(f"agent.{key} is {name!r}; it is the name of one folder, or part of one, and takes no path")
+    if problems := list(self.problems()):
+      raise ConfigError(*problems)
     return {
       "num_steps_per_env": self.num_steps_per_env,
       "save_interval": self.save_interval,
@@ -209,17 +248,37 @@ class RslRlBaseRunnerCfg:
       "check_for_nan": False,
     }
 
+  def problems(self) -> Iterator[str]:
+    """Yield a line for each value that cannot work, by the name of its flag."""
+    yield from (f"agent.{problem}" for problem in field_problems(self))
+    for name, part in vars(self).items():
+      if is_dataclass(part):
+        yield from (f"agent.{name}.{problem}" for problem in field_problems(part))
+      if isinstance(part, RslRlModelCfg):
+        yield from part.problems(f"agent.{name}")
+    if getattr(self, self.policy).distribution_cfg is None:
+      yield (
+        f"agent.{self.policy}.distribution_cfg is None, but actions are sampled from it. "
+        'Give one, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}.'
+      )
+    if self.logger == "wandb" and find_spec("wandb") is None:
+      yield "agent.logger is 'wandb', which is not installed: pip install wandb"
+    for name in ("experiment_name", "run_name"):
+      folder = getattr(self, name)
+      if "/" in folder or folder in (".", "..") or (name == "experiment_name" and not folder):
+        yield f"agent.{name} is {folder!r}; it must be the name of one folder, not a path"
+
   def check_samples(self, num_envs: int) -> None:
-    """Whether so many worlds give an iteration enough to learn from.
+    """Check that an iteration of `num_envs` worlds gives every mini-batch a sample.
 
     Raises:
-      ConfigError: They do not.
+      ConfigError: It does not.
     """
 
   def for_inference(self) -> Self:
-    """A copy for acting alone, in however many worlds: its storage is as small as it can be.
+    """Return a copy for a policy that only acts, in any number of worlds, with the smallest storage.
 
-    Other networks than the policy are asked nothing. They see what the policy sees, so that nothing else is needed.
+    The other networks are never called; they get the observations of the policy, so that no others are needed.
     """
     agent = replace(copy.deepcopy(self), num_steps_per_env=1)
     agent.obs_groups = {name: agent.obs_groups.get(agent.policy, groups) for name, groups in agent.obs_groups.items()}
@@ -228,7 +287,7 @@ class RslRlBaseRunnerCfg:
 
 @dataclass(kw_only=True)
 class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
-  """One training run by reinforcement: networks, algorithm, length, logging."""
+  """Runner config for reinforcement learning: networks and algorithm."""
 
   policy: ClassVar[str] = "actor"
 
@@ -241,23 +300,16 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
   algorithm: RslRlPpoAlgorithmCfg = field(default_factory=RslRlPpoAlgorithmCfg)
   """The update rule."""
 
+  def problems(self) -> Iterator[str]:
+    yield from super().problems()
+    if self.algorithm.share_cnn_encoders and self.critic.class_name in _WITHOUT_IMAGES:
+      yield (
+        "agent.algorithm.share_cnn_encoders is on, but agent.critic.class_name "
+        f"{self.critic.class_name!r} takes no images"
+      )
+
   def to_rsl_rl(self) -> dict[str, Any]:
     config = super().to_rsl_rl()
-    for name in ("num_learning_epochs", "num_mini_batches"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
-    for name in ("learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "positive", _is_positive)
-    for name in ("entropy_coef", "value_loss_coef"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "finite", math.isfinite)
-    for name in ("gamma", "lam"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "between 0 and 1", lambda x: 0 <= x <= 1)
-    _check_model("actor", self.actor)
-    _check_model("critic", self.critic)
-    _check_distribution("actor", self.actor, "PPO samples its actions")
-    if self.algorithm.share_cnn_encoders and self.critic.class_name in _BLIND:
-      raise ConfigError(
-        f"agent.algorithm.share_cnn_encoders is on, but agent.critic.class_name {self.critic.class_name!r} sees nothing"
-      )
     return config | {
       "actor": self.actor.to_rsl_rl(),
       "critic": self.critic.to_rsl_rl(),
@@ -265,18 +317,15 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     }
 
   def check_samples(self, num_envs: int) -> None:
-    remembers = self.actor.rnn_type or self.critic.rnn_type
-    # Trajectories are divided by worlds: where there are too few, some batches of rsl-rl would be empty.
-    if remembers and self.algorithm.num_mini_batches > num_envs:
+    steps, count = self.num_steps_per_env, self.algorithm.num_mini_batches
+    # rsl-rl divides trajectories by worlds, and some batches would be empty.
+    is_recurrent = self.actor.rnn_type or self.critic.rnn_type
+    most = num_envs if is_recurrent else num_envs * steps
+    if not 1 <= count <= most:
+      why = " for a recurrent network" if is_recurrent else ""
       raise ConfigError(
-        f"agent.algorithm.num_mini_batches is {self.algorithm.num_mini_batches}; where a network remembers, an "
-        f"iteration of {num_envs} worlds has 1 to {num_envs}"
-      )
-    samples = num_envs * self.num_steps_per_env
-    if not 1 <= self.algorithm.num_mini_batches <= samples:
-      raise ConfigError(
-        f"agent.algorithm.num_mini_batches is {self.algorithm.num_mini_batches}; an iteration of {num_envs} worlds "
-        f"and {self.num_steps_per_env} steps has 1 to {samples}"
+        f"agent.algorithm.num_mini_batches is {count}; an iteration of {num_envs} worlds and {steps} steps has 1 to "
+        f"{most}{why}"
       )
 
   def for_inference(self) -> Self:
@@ -289,40 +338,35 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
 
 @dataclass(kw_only=True)
 class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
-  """One training run that imitates: a student does what a teacher would do, from what the student sees."""
+  """Runner config for distillation: a student imitates a teacher from its own observations."""
 
   policy: ClassVar[str] = "student"
 
   obs_groups: dict[str, tuple[str, ...]] = field(
     default_factory=lambda: {"student": ("actor",), "teacher": ("teacher",)}
   )
-  """Observation groups that each network sees; the teacher's in the order of those it was trained with."""
+  """Observation groups of each network; those of the teacher in the order of its training."""
   student: RslRlModelCfg = field(default_factory=lambda: RslRlModelCfg(distribution_cfg=_gaussian(0.1)))
-  """The policy. Its deviation is that of its rollouts and is not learned."""
+  """The policy. Its standard deviation applies to rollouts and is not learned."""
   teacher: RslRlModelCfg | None = None
-  """The teacher's network; None: that of the run it is from."""
+  """The teacher's network; None: the network of its run."""
   teacher_task: str | None = None
-  """Task whose newest run is the teacher where none is named."""
+  """Task whose newest run is the teacher if none is given."""
   algorithm: RslRlDistillationAlgorithmCfg = field(default_factory=RslRlDistillationAlgorithmCfg)
   """The update rule."""
 
-  def to_rsl_rl(self) -> dict[str, Any]:
-    config = super().to_rsl_rl()
-    for name in ("num_learning_epochs", "gradient_length"):
-      _check(f"agent.algorithm.{name}", getattr(self.algorithm, name), "at least 1", lambda x: x >= 1)
-    for name in ("learning_rate", "max_grad_norm"):
-      if (value := getattr(self.algorithm, name)) is not None:
-        _check(f"agent.algorithm.{name}", value, "positive", _is_positive)
+  def problems(self) -> Iterator[str]:
+    yield from (problems := list(super().problems()))
     steps, length = self.algorithm.num_learning_epochs * self.num_steps_per_env, self.algorithm.gradient_length
-    if steps % length:
-      raise ConfigError(
+    if not problems and steps % length:
+      yield (
         f"agent.algorithm.gradient_length is {length}; it must divide num_learning_epochs x num_steps_per_env, "
         f"{steps}, or the last {steps % length} steps of every iteration would teach nothing"
       )
-    _check_model("student", self.student)
-    _check_distribution("student", self.student, "it explores about what it has learned")
+
+  def to_rsl_rl(self) -> dict[str, Any]:
+    config = super().to_rsl_rl()
     if self.teacher is not None:
-      _check_model("teacher", self.teacher)
       config["teacher"] = self.teacher.to_rsl_rl()
     return config | {"student": self.student.to_rsl_rl(), "algorithm": dict(vars(self.algorithm))}
 
@@ -333,70 +377,22 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
     return agent
 
 
-def _check(name: str, value: float, wanted: str, holds: Callable[[float], bool]) -> None:
-  if not holds(value):
-    raise ConfigError(f"{name} is {value}; it must be {wanted}")
+@dataclass(kw_only=True)
+class TaskCfg(Config, Generic[EnvCfgT]):
+  """One task: environment, variant for watching, learner.
 
+  The target of an entry point of group `mjlab.tasks` returns a new one on every call, because callers change it.
+  """
 
-def _is_positive(value: float) -> bool:
-  return 0 < value < math.inf
-
-
-_BLIND = ("MLPModel", "RNNModel")
-# rsl-rl takes any other padding for none, without a word.
-_CNN_CHOICES: dict[str, tuple[str, ...]] = {
-  "activation": get_args(Activation),
-  "global_pool": ("none", "max", "avg"),
-  "norm": ("none", "batch", "layer"),
-  "padding": ("none", "zeros", "reflect", "replicate", "circular"),
-}
-_CNN_SIZES = ("output_channels", "kernel_size", "stride", "dilation", "temperature")
-
-
-def _check_model(network: str, model: RslRlModelCfg) -> None:
-  if not model.hidden_dims:
-    raise ConfigError(f"agent.{network}.hidden_dims is empty; a network has at least one hidden layer")
-  for width in model.hidden_dims:
-    _check(f"agent.{network}.hidden_dims", width, "at least 1", lambda x: x >= 1)
-  if model.activation not in get_args(Activation):
-    raise ConfigError(unknown("activation", model.activation, get_args(Activation), f"agent.{network}.activation"))
-  for name in ("rnn_hidden_dim", "rnn_num_layers"):
-    _check(f"agent.{network}.{name}", getattr(model, name), "at least 1", lambda x: x >= 1)
-  encoders = model.cnn_cfg or {}
-  if encoders and model.class_name in _BLIND:
-    raise ConfigError(
-      f"agent.{network}.cnn_cfg is given, but agent.{network}.class_name {model.class_name!r} sees nothing"
-    )
-  if encoders and all(isinstance(cfg, dict) for cfg in encoders.values()):
-    for group, cfg in encoders.items():
-      _check_encoder(f"agent.{network}.cnn_cfg.{group}", cfg)
-  else:
-    _check_encoder(f"agent.{network}.cnn_cfg", encoders)
-
-
-def _check_encoder(where: str, cfg: dict[str, Any]) -> None:
-  channels = cfg.get("output_channels", ())
-  if not isinstance(channels, (tuple, list)):
-    raise ConfigError(f"{where}.output_channels is {channels}; it must be a number for each layer")
-  layers = len(channels)
-  for name, value in cfg.items():
-    values = value if isinstance(value, (tuple, list)) else (value,)
-    if values is value and len(values) != layers:
-      raise ConfigError(f"{where}.{name} has {len(values)} values, output_channels {layers}")
-    for one in values:
-      if name in _CNN_SIZES:
-        if not isinstance(one, (int, float)):
-          raise ConfigError(f"{where}.{name} is {one}; it must be a positive number")
-        _check(f"{where}.{name}", one, "positive", _is_positive)
-      elif name in _CNN_CHOICES and one not in _CNN_CHOICES[name]:
-        raise ConfigError(unknown(name, str(one), _CNN_CHOICES[name], f"{where}.{name}"))
-
-
-def _check_distribution(network: str, model: RslRlModelCfg, why: str) -> None:
-  if model.distribution_cfg is None:
-    raise ConfigError(
-      f"agent.{network}.distribution_cfg is None, but {why}. "
-      'Give one, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}.'
-    )
-  if isinstance(std := model.distribution_cfg.get("init_std"), (int, float)):
-    _check(f"agent.{network}.distribution_cfg.init_std", std, "positive", _is_positive)
+  env: EnvCfgT
+  """Environment configuration for training."""
+  play: Callable[[EnvCfgT], EnvCfgT] | None = None
+  """Function from a copy of the training configuration to the one for watching; None: no change."""
+  agent: RslRlBaseRunnerCfg = field(default_factory=RslRlOnPolicyRunnerCfg)
+  """Learner configuration."""
+  runner: type[Any] | None = None
+  """Subclass of MjlabOnPolicyRunner to train with; None: the standard one of the learner."""
+  make_env: Callable[..., Any] | None = None
+  """Environment factory, called as make_env(cfg, device=device); None: the standard environment class."""
+  evaluator: "Evaluator | None" = None
+  """Evaluator of policies; None: returns and lengths of episodes only."""

@@ -1,4 +1,4 @@
-"""What a person watching the training sees."""
+"""Progress of a training on a terminal or in a log file."""
 
 import contextlib
 import errno
@@ -8,7 +8,7 @@ import time
 from collections.abc import Generator
 from typing import Literal, TextIO
 
-from mjlab_rl.iteration_report import IterationReport
+from mjlab_rl.scalar_log import IterationReport
 
 Verbosity = Literal["quiet", "normal", "verbose"]
 
@@ -32,7 +32,7 @@ class Console:
 
   @property
   def is_verbose(self) -> bool:
-    """Whether details are wanted."""
+    """True if details are shown."""
     return self._verbosity == "verbose"
 
   def say(self, text: str) -> None:
@@ -60,14 +60,14 @@ class Console:
 
   @contextlib.contextmanager
   def live(self) -> Generator[None]:
-    """While entered there may be a live line; whatever comes after it begins a new one."""
+    """End the live line on leaving, so that later text begins a new one."""
     try:
       yield
     finally:
       self.end_line()
 
   def end_line(self) -> None:
-    """Leave the live line as it is and go on below it."""
+    """End the live line; later text begins below it."""
     if self._line_open:
       self._line_open = False
       self._write("\n")
@@ -79,12 +79,12 @@ class Console:
     except OSError as error:
       if error.errno not in (errno.EIO, errno.EPIPE):
         raise
-      # The terminal was closed, or who read our pipe ended; the run goes on without them.
+      # The terminal or the reader of the pipe is gone; the run goes on.
       self._verbosity = "quiet"
 
 
 def summary(report: IterationReport, width: int | None = None) -> str:
-  """One line: iteration, speed, reward, episode length, time to go; on a narrow one the least important is left out."""
+  """Return one line of iteration, speed, reward, episode length and remaining time, shortened to `width`."""
   digits = len(str(report.end))
   parts = [f"{report.iteration + 1:>{digits}}/{report.end}", f"{_count(report.steps_per_second)} steps/s"]
   if report.mean_reward is not None and report.mean_episode_length is not None:
@@ -92,10 +92,10 @@ def summary(report: IterationReport, width: int | None = None) -> str:
   else:
     parts += ["no episode finished yet"]
   if (loss := report.scalars.get("Loss/behavior")) is not None:
-    parts += [f"difference to the teacher {loss:.3g}"]
+    parts += [f"teacher error {loss:.3g}"]
   parts += [f"ETA {_duration(report.eta)}"]
   while width is not None and len("  ".join(parts)) > width and len(parts) > 2:
-    # Iteration and time to go stay; speed is the last of the others to go.
+    # Iteration and remaining time stay; speed is dropped last.
     del parts[-2]
   return "  ".join(parts)
 

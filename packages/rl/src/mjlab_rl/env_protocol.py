@@ -1,4 +1,4 @@
-"""What the learner needs from an environment."""
+"""Protocol of environments."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,15 +7,8 @@ from typing import Any, Protocol
 import torch
 
 
-class ActionManager(Protocol):
-  """The part of the action manager that the learner reads."""
-
-  @property
-  def total_action_dim(self) -> int: ...
-
-
 class RlEnv(Protocol):
-  """A batch of worlds that resets its ended episodes inside `step`.
+  """Batch of worlds that resets ended episodes inside `step`.
 
   Every tensor is on `device`. Observations, rewards and flags returned by `step` are fresh tensors: the learner keeps
   references to them until the next step is done. Observations are tensors (num_envs, ...) by group.
@@ -29,7 +22,7 @@ class RlEnv(Protocol):
   """Steps since the last reset, (num_envs,) int64, always the same memory."""
 
   output_dir: Path | None
-  """Folder of the run, set before its first iteration; None where nothing is written."""
+  """Folder of the run, set before the first iteration; None if nothing is written."""
 
   @property
   def max_episode_length(self) -> int:
@@ -37,20 +30,22 @@ class RlEnv(Protocol):
     ...
 
   @property
-  def action_manager(self) -> ActionManager: ...
+  def action_manager(self) -> Any:
+    """Manager with `total_action_dim`, the width of actions."""
+    ...
 
   def reset(self, *, seed: int | None = None) -> tuple[Mapping[str, Any], dict[str, Any]]:
-    """Reset all worlds; returns (observations, info)."""
+    """Reset all worlds; return (observations, info)."""
     ...
 
   def step(
     self, action: torch.Tensor
   ) -> tuple[Mapping[str, Any], torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-    """Advance all worlds; returns (observations by group, reward, terminated, truncated, extras)."""
+    """Advance all worlds; return (observations by group, reward, terminated, truncated, extras)."""
     ...
 
   def get_observations(self) -> Mapping[str, Any]:
-    """Observations of the present state by group; asking twice changes nothing."""
+    """Return the current observations by group; a second call returns the same."""
     ...
 
   def drain_log(self) -> dict[str, float]:
@@ -58,15 +53,15 @@ class RlEnv(Protocol):
     ...
 
   def state_dict(self) -> dict[str, Any]:
-    """Everything the future depends on: physics, counters, managers, random generators."""
+    """Return the complete state: physics, counters, managers, random generators."""
     ...
 
   def load_state_dict(self, state: dict[str, Any]) -> None:
-    """Go on from a `state_dict` of an environment with as many worlds."""
+    """Restore a `state_dict` of an environment with the same number of worlds."""
     ...
 
   def load_progress(self, state: dict[str, Any]) -> None:
-    """Take from a `state_dict` only how far training had come; the number of worlds does not matter."""
+    """Restore only the progress of training from a `state_dict`, of any number of worlds."""
     ...
 
   def close(self) -> None: ...

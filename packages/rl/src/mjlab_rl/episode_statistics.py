@@ -14,7 +14,7 @@ class EpisodeStatistics:
   def __init__(self, num_envs: int, device: torch.device | str):
     self._return = torch.zeros(num_envs, device=device)
     self._length = torch.zeros(num_envs, device=device)
-    # The last column takes what must not enter the window, so that the scatter has a fixed shape.
+    # The last column takes all other values, so that the scatter has a fixed shape.
     self._window = torch.zeros(2, WINDOW + 1, device=device)
     self._finished = torch.zeros((), dtype=torch.int64, device=device)
 
@@ -33,23 +33,23 @@ class EpisodeStatistics:
     self._length.masked_fill_(done, 0.0)
 
   def packed(self) -> torch.Tensor:
-    """What `unpack` turns into means, on the device, so that one transfer can carry it with other values, (201,)."""
+    """Return the window and its length as one tensor on the device, (201,), for `unpack` on the host."""
     return torch.cat((self._window[:, :WINDOW].flatten(), self._finished.clamp(max=WINDOW).float().view(1)))
 
   @staticmethod
   def unpack(values: list[float]) -> tuple[float, float] | None:
-    """(mean return, mean length in steps) from the host copy of `packed`; None before the first episode has ended."""
+    """Return (mean return, mean length in steps) of a host copy of `packed`; None before the first episode end."""
     count = int(values[2 * WINDOW])
     if count == 0:
       return None
     return sum(values[:count]) / count, sum(values[WINDOW : WINDOW + count]) / count
 
   def state_dict(self) -> dict[str, torch.Tensor]:
-    """Copies of all tensors."""
+    """Return copies of all tensors."""
     return {name.removeprefix("_"): value.clone() for name, value in vars(self).items()}
 
   def load_state_dict(self, state: dict[str, torch.Tensor], *, same_worlds: bool = True) -> None:
-    """Restore in place; without `same_worlds` only the window, and the running episodes start anew."""
+    """Restore in place; without `same_worlds` only the window, and running episodes start at zero."""
     for name in ("window", "finished") + (("return", "length") if same_worlds else ()):
       getattr(self, f"_{name}").copy_(state[name])
     if not same_worlds:

@@ -1,13 +1,15 @@
-"""How well a policy does a task: fixed scenarios, whole first episodes, intervals."""
+"""Evaluation of policies: fixed scenarios, whole first episodes, confidence intervals."""
 
 import dataclasses
 import math
 import re
-import statistics
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+import numpy as np
 import torch
+from mjlab_core.errors import ConfigError
+from mjlab_core.tables import table
 
 from mjlab_rl.env_protocol import RlEnv
 
@@ -16,13 +18,9 @@ RESAMPLES = 2000
 CONFIDENCE = 0.95
 
 Policy = Callable[[Any], torch.Tensor]
-"""Actions, (num_envs, num_actions), for observations by group. One that remembers also has `reset(dones)`."""
+"""Function from observations by group to actions, (num_envs, num_actions); a recurrent one also has `reset(dones)`."""
 Progress = Callable[[int, int, int], None]
-"""Called after each step with its number, how many worlds still play, and how many there are."""
-
-
-class EvaluationError(ValueError):
-  """An evaluation that cannot be run, or a threshold that means nothing; the message says why."""
+"""Function called after each step with its number, the number of worlds that still play, and that of all worlds."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,16 +30,16 @@ class Episodes:
   length: torch.Tensor
   """Steps, int64 (num_envs,)."""
   has_failed: torch.Tensor
-  """Whether it was terminated, bool (num_envs,). One that still played at the last step has not failed."""
+  """True for terminated episodes, bool (num_envs,); one that still played at the last step has not failed."""
   has_ended: torch.Tensor
-  """Whether it ended before the last step, bool (num_envs,)."""
+  """True for episodes that ended before the last step, bool (num_envs,)."""
   total: torch.Tensor
   """Sum of rewards, (num_envs,)."""
   values: dict[str, torch.Tensor]
-  """What was measured in each step by name, (steps, num_envs); NaN after the end."""
+  """Measures of each step by name, (steps, num_envs); NaN after the end of an episode."""
 
   def mean(self, name: str) -> torch.Tensor:
-    """Mean of a measure over the steps of each episode, (num_envs,)."""
+    """Return the mean of a measure over the steps of each episode, (num_envs,)."""
     return self.values[name].nanmean(0)
 
 
@@ -55,19 +53,17 @@ def play_first_episodes(
   begin: Callable[[], None] | None = None,
   progress: Progress | None = None,
 ) -> Episodes:
-  """Play until the first episode of every world is over.
-
-  Worlds whose episode ended go on playing, for the environment resets them by itself, but nothing of that counts.
+  """Play until the first episode of every world has ended; later episodes do not count.
 
   Args:
     env: The environment; reset first.
-    policy: What plays.
-    measure: What the step just done was like, (num_envs,) by name, as it was before ended worlds were reset: such as
-      the values of the metrics manager. A step that ends an episode so counts with its terminal state.
-    max_steps: When to stop at the latest.
-    seed: Restarts the environment's generator.
-    begin: Called once, when all episodes have begun and before the first step: to note how they begin.
-    progress: Told of every step.
+    policy: Source of actions.
+    measure: Measures of the last step by name, (num_envs,), taken before ended worlds were reset, such as the values of
+      the metrics manager. The step that ends an episode counts with its terminal state.
+    max_steps: Limit of steps.
+    seed: Seed of the environment's generator; None: it goes on.
+    begin: Called once, after the reset and before the first step.
+    progress: Called after every step.
   """
   with torch.no_grad():
     observations, _ = env.reset(seed=seed)
@@ -106,7 +102,7 @@ def play_first_episodes(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Interval:
-  """A mean over episodes and where it may as well have been."""
+  """Mean over episodes with its confidence interval."""
 
   mean: float
   low: float
@@ -116,53 +112,52 @@ class Interval:
 
 
 def bootstrap(values: torch.Tensor, *, seed: int = 0) -> Interval:
-  """Mean of (n,) numbers with its 95 % percentile interval by the bootstrap (Efron, 1979); NaNs are left out."""
-  values = values[~torch.isnan(values)].double()
-  count = values.numel()
-  if count == 0:
-    return Interval(mean=math.nan, low=math.nan, high=math.nan, count=0)
-  generator = torch.Generator().manual_seed(seed)
-  draws = torch.randint(count, (RESAMPLES, count), generator=generator)
-  means = values[draws].mean(1)
-  tail = 0.5 * (1.0 - CONFIDENCE)
-  low, high = torch.quantile(means, torch.tensor([tail, 1.0 - tail], dtype=torch.float64)).tolist()
-  return Interval(mean=float(values.mean()), low=low, high=high, count=count)
+  """Return the mean of (n,) numbers with its 95 % percentile interval by the bootstrap (Efron, 1979), without NaNs."""
+  from scipy import stats
+
+  kept = values[~values.isnan()].double().numpy()
+  mean = float(kept.mean()) if len(kept) else math.nan
+  low = high = mean
+  if len(kept) > 1:
+    low, high = stats.bootstrap(
+      (kept,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="percentile", rng=seed
+    ).confidence_interval
+  return Interval(mean=mean, low=float(low), high=float(high), count=len(kept))
 
 
 def wilson(values: torch.Tensor) -> Interval:
-  """Share of ones among (n,) zeros and ones with its 95 % interval by the score test (Wilson, 1927); NaNs are left out.
+  """Return the share of ones among (n,) zeros and ones with its 95 % interval by the score test (Wilson, 1927).
 
-  Unlike by the bootstrap, twelve successes in twelve episodes are no certainty.
+  NaNs are left out. Unlike the bootstrap, it gives twelve successes in twelve episodes an interval.
 
   Raises:
-    ValueError: a number that is neither.
+    ValueError: A number is neither zero nor one.
   """
-  values = values[~torch.isnan(values)].double()
-  count = values.numel()
-  if not ((values == 0.0) | (values == 1.0)).all():
-    raise ValueError("a share is of zeros and ones")
-  if count == 0:
+  from scipy import stats
+
+  kept = values[~values.isnan()]
+  if not ((kept == 0) | (kept == 1)).all():
+    raise ValueError("wilson takes zeros and ones only")
+  if not len(kept):
     return Interval(mean=math.nan, low=math.nan, high=math.nan, count=0)
-  mean = float(values.mean())
-  weight = statistics.NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE) ** 2 / count
-  middle = (mean + 0.5 * weight) / (1.0 + weight)
-  reach = math.sqrt(weight * mean * (1.0 - mean) + 0.25 * weight**2) / (1.0 + weight)
-  return Interval(mean=mean, low=max(middle - reach, 0.0), high=min(middle + reach, 1.0), count=count)
+  found = stats.binomtest(int(kept.sum()), len(kept))
+  low, high = found.proportion_ci(CONFIDENCE, method="wilson")
+  return Interval(mean=float(found.statistic), low=float(low), high=float(high), count=len(kept))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluation:
-  """What came out: intervals by group and metric, and curves over time."""
+  """Result of an evaluation: intervals by group and metric, and curves over time."""
 
   groups: dict[str, dict[str, Interval]]
-  """By group ("all" and those of the task: clips, commands, pushes), then by metric."""
+  """Intervals by group ("all", and groups of the task such as clips, commands or pushes), then by metric."""
   curves: dict[str, dict[str, list[float]]]
-  """By metric, then by group: its mean in each second of an episode, over the worlds that still played."""
+  """Means in each second of an episode, over the worlds that still played, by metric, then by group."""
   units: dict[str, str]
   """Unit of each metric."""
 
   def to_json(self) -> dict[str, Any]:
-    """Plain data; NaN becomes None."""
+    """Return plain data, in which NaN is None."""
 
     def number(value: float) -> float | None:
       return value if math.isfinite(value) else None
@@ -181,18 +176,15 @@ class Evaluation:
     return {"groups": groups, "curves": curves, "units": dict(self.units), "confidence": CONFIDENCE}
 
   def table(self) -> str:
-    """One line per group, one column per metric: the mean and its interval."""
+    """Return a table with one line per group and one column per metric: the mean and its interval."""
     names = list(dict.fromkeys(name for metrics in self.groups.values() for name in metrics))
     head = ["", "episodes", *(f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in names)]
-    rows = [head]
+    rows = []
     for group, metrics in self.groups.items():
       count = max((interval.count for interval in metrics.values()), default=0)
       cells = [_cell(metrics[name]) if name in metrics else "-" for name in names]
       rows.append([group, str(count), *cells])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
-    return "\n".join(
-      "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return table(head, rows)
 
 
 def _cell(interval: Interval) -> str:
@@ -209,23 +201,22 @@ def summarize(
   values: Mapping[str, torch.Tensor] | None = None,
   steps_per_second: int = 1,
 ) -> Evaluation:
-  """Intervals of all episodes and of each group.
+  """Return intervals of all episodes and of each group.
 
   Args:
-    metrics: One number per episode by name, (num_envs,); NaN where there is none. What is called ..._rate is a share
-      of episodes, each of which counts as 0 or 1.
-    groups: Members of each group, bool (num_envs,); groups may overlap. A group of everybody says nothing new and is
-      left out.
+    metrics: One number per episode by name, (num_envs,); NaN if there is none. A metric called ..._rate is a share of
+      episodes, each 0 or 1.
+    groups: Members of each group, bool (num_envs,); groups may overlap. A group of all episodes is left out.
     units: Unit of each metric.
-    values: What becomes curves, (steps, num_envs) by metric, NaN after an episode's end.
-    steps_per_second: Steps that a point of a curve is the mean of.
+    values: Values of curves by metric, (steps, num_envs); NaN after the end of an episode.
+    steps_per_second: Number of steps in each point of a curve.
   """
   some = next(iter(metrics.values()))
   members = {"all": torch.ones_like(some, dtype=torch.bool)}
   members |= {name: mask.cpu() for name, mask in groups.items() if not bool(mask.all())}
   curves: dict[str, dict[str, list[float]]] = {}
-  for metric, table in (values or {}).items():
-    seconds = [table[i : i + steps_per_second] for i in range(0, len(table), steps_per_second)]
+  for metric, steps in (values or {}).items():
+    seconds = [steps[i : i + steps_per_second] for i in range(0, len(steps), steps_per_second)]
     curves[metric] = {name: [float(second[:, mask].nanmean()) for second in seconds] for name, mask in members.items()}
   return Evaluation(
     groups={
@@ -241,25 +232,25 @@ def summarize(
 
 
 class Evaluator(Protocol):
-  """How a task family judges policies. A dataclass, whose fields are settings."""
+  """Evaluation of one task family; a dataclass whose fields are settings."""
 
   def configure(self, cfg: Any) -> Any:
-    """The environment configuration to evaluate in, from that of training (a copy, which may be changed)."""
+    """Return the environment configuration for evaluation; `cfg` is a copy of that of training and may be changed."""
     ...
 
   def run(self, env: Any, policy: Policy, progress: Progress | None = None) -> Evaluation:
-    """Judge a policy in an environment of `configure`."""
+    """Evaluate a policy in an environment of `configure`."""
     ...
 
 
 @dataclasses.dataclass(kw_only=True)
 class ReturnEvaluation:
-  """Returns, lengths and failures of episodes as training has them: what can be said of any task."""
+  """Returns, lengths and failures of episodes, which every task has."""
 
   episodes: int = 256
-  """Worlds, each of which plays one episode."""
+  """Number of worlds; each plays one episode."""
   seed: int = 0
-  """Of the environment."""
+  """Seed of the environment."""
 
   def configure(self, cfg: Any) -> Any:
     cfg.scene.num_envs, cfg.seed = self.episodes, self.seed
@@ -277,7 +268,7 @@ class ReturnEvaluation:
 
 @dataclasses.dataclass(frozen=True)
 class Threshold:
-  """What a metric must reach: "success_rate>=0.95", or for one group "dance:success_rate>=0.8"."""
+  """Limit of a metric: "success_rate>=0.95", or for one group "dance:success_rate>=0.8"."""
 
   group: str
   metric: str
@@ -286,10 +277,10 @@ class Threshold:
 
   @classmethod
   def parse(cls, text: str) -> "Threshold":
-    """Read one.
+    """Read a threshold.
 
     Raises:
-      EvaluationError: It is not of the form [GROUP:]METRIC>=NUMBER or <=.
+      ConfigError: It is not of the form [GROUP:]METRIC>=NUMBER or <=.
     """
     match = re.fullmatch(r"(?:(?P<group>.+):)?(?P<metric>[\w/]+)\s*(?P<sign>>=|<=)\s*(?P<bound>\S+)", text.strip())
     try:
@@ -297,24 +288,23 @@ class Threshold:
     except ValueError:
       bound = math.nan
     if match is None or math.isnan(bound):
-      raise EvaluationError(f"threshold {text!r}: expected [GROUP:]METRIC>=NUMBER or METRIC<=NUMBER")
+      raise ConfigError(f"threshold {text!r}: expected [GROUP:]METRIC>=NUMBER or METRIC<=NUMBER")
     return cls(match["group"] or "all", match["metric"], match["sign"] == ">=", bound)
 
   def check(self, evaluation: Evaluation) -> tuple[bool, str]:
-    """Whether the mean reaches it, and a line that says so.
+    """Return whether the mean reaches the limit, and a line for the reader.
 
     Raises:
-      EvaluationError: There is no such group or metric.
+      ConfigError: There is no such group or metric.
     """
     from mjlab_core import unknown
 
     if self.group not in evaluation.groups:
-      raise EvaluationError(unknown("group", self.group, list(evaluation.groups), owner="threshold"))
+      raise ConfigError(unknown("group", self.group, list(evaluation.groups), owner="threshold"))
     metrics = evaluation.groups[self.group]
     if self.metric not in metrics:
-      raise EvaluationError(unknown("metric", self.metric, list(metrics), owner="threshold"))
+      raise ConfigError(unknown("metric", self.metric, list(metrics), owner="threshold"))
     mean = metrics[self.metric].mean
-    # A NaN reaches nothing.
     reached = mean >= self.bound if self.at_least else mean <= self.bound
     sign = ">=" if self.at_least else "<="
     return reached, f"{self.group}: {self.metric} {mean:.4g} {sign} {self.bound:g}: {'yes' if reached else 'NO'}"

@@ -1,9 +1,12 @@
-"""Where runs lie on disk, and how to find one again: `<log root>/<experiment>/<date_time>[_<run name>]`."""
+"""Directories of runs, `<log root>/<experiment>/<date_time>[_<run name>]`, and the search for one."""
 
 import itertools
 import re
 from datetime import datetime
 from pathlib import Path
+
+from mjlab_core.errors import UnknownNameError
+from mjlab_core.files import remove_leftovers, safe_name
 
 from mjlab_rl.manifest import task_of
 
@@ -11,18 +14,20 @@ _RUN = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:\.(\d+))?.*")
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
 
-class RunNotFoundError(FileNotFoundError):
-  """There is no such run or checkpoint; the message lists what there is."""
-
-
 def create_run_directory(log_root: Path, experiment: str, run_name: str = "") -> Path:
-  """Make a new directory named after the present time; two runs never share one, not even within a second."""
+  """Make a new directory named after the current time; two runs of one second get two.
+
+  Names may come from a stranger's configuration, so each becomes one safe file name. Temporary files of killed runs of
+  the experiment are removed.
+  """
   stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-  suffix = f"_{run_name}" if run_name else ""
-  # By itself, so that a folder that cannot be made is not taken for a run that is there already.
-  (log_root / experiment).mkdir(parents=True, exist_ok=True)
+  suffix = f"_{safe_name(run_name)}" if run_name else ""
+  folder = log_root / safe_name(experiment)
+  # Separate, so that an error here does not count as an existing run.
+  folder.mkdir(parents=True, exist_ok=True)
+  remove_leftovers(folder)
   for attempt in itertools.count(1):
-    path = log_root / experiment / f"{stamp}{'' if attempt == 1 else f'.{attempt}'}{suffix}"
+    path = folder / f"{stamp}{'' if attempt == 1 else f'.{attempt}'}{suffix}"
     try:
       path.mkdir()
     except FileExistsError:
@@ -32,7 +37,7 @@ def create_run_directory(log_root: Path, experiment: str, run_name: str = "") ->
 
 
 def checkpoints(directory: Path) -> list[Path]:
-  """Checkpoints of a run, oldest first."""
+  """Return the checkpoints of a run, oldest first."""
   found = [
     (int(match[1]), path) for path in directory.glob("model_*.pt") if (match := _CHECKPOINT.fullmatch(path.name))
   ]
@@ -40,7 +45,7 @@ def checkpoints(directory: Path) -> list[Path]:
 
 
 def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | None = None) -> Path:
-  """The checkpoint that `run` means.
+  """Return the checkpoint that `run` names.
 
   Args:
     run: A checkpoint file, a run directory, the name of a run of the experiment, or "latest": the newest run of the
@@ -50,9 +55,9 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
     task: Task of the latest run; None: any. A run without a manifest counts as of any task.
 
   Raises:
-    RunNotFoundError: Nothing fits.
+    UnknownNameError: Nothing fits.
   """
-  folder = log_root / experiment
+  folder = log_root / safe_name(experiment)
   runs = sorted((path for path in folder.iterdir() if path.is_dir()), key=_age, reverse=True) if folder.is_dir() else []
   if run == "latest":
     others: list[str] = []
@@ -62,8 +67,8 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
           return found[-1]
         others.append(directory.name)
     of_task = "" if task is None else f" of {task}"
-    instead = f"; {others[0]} is of another task, and taken where it is named" if others else ""
-    raise RunNotFoundError(f"no run{of_task} with a checkpoint in {folder}{instead}")
+    instead = f"; {others[0]} is of another task, and must be given by name" if others else ""
+    raise UnknownNameError(f"no run{of_task} with a checkpoint in {folder}{instead}")
   for candidate in (Path(run), folder / run):
     if candidate.is_file():
       return candidate
@@ -72,12 +77,12 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
         return found[-1]
       inside = sorted((path for path in candidate.iterdir() if path.is_dir() and checkpoints(path)), key=_age)
       newest = f"; the newest run in it that has one is {inside[-1]}" if inside else ""
-      raise RunNotFoundError(f"run {candidate} has no checkpoint{newest}")
+      raise UnknownNameError(f"run {candidate} has no checkpoint{newest}")
   names = ", ".join(path.name for path in runs[:5]) or "none"
-  raise RunNotFoundError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
+  raise UnknownNameError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
 
 
 def _age(directory: Path) -> tuple[str, int]:
-  """Sorts run directories by the time in their names; those of other names come before all."""
+  """Return the sort key of a run directory: the time in its name; other names come first."""
   match = _RUN.fullmatch(directory.name)
   return (match[1], int(match[2] or 1)) if match else ("", 0)

@@ -1,4 +1,4 @@
-"""The training loop: rsl-rl's algorithm, a rollout that never waits for the GPU, checkpoints that forget nothing."""
+"""Training loop around rsl-rl's algorithms: rollouts without waiting for the GPU, complete checkpoints."""
 
 import contextlib
 import io
@@ -7,38 +7,35 @@ import os
 import time
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from mjlab_core import unknown
+from mjlab_core import printable, unknown
+from mjlab_core.errors import ConfigError, DivergedError, FileError
+from mjlab_core.files import reading
 from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
-from torch.nn.utils import get_total_norm
 
 from mjlab_rl import checkpoint
-from mjlab_rl.checkpoint import CheckpointError
-from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
-from mjlab_rl.iteration_report import IterationReport
-from mjlab_rl.run_directory import checkpoints
-from mjlab_rl.scalar_log import ScalarLog, open_logs
+from mjlab_rl.networks import largest_weights
+from mjlab_rl.ranks import Ranks, mean_of
+from mjlab_rl.scalar_log import IterationReport, open_logs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
-class DivergedError(RuntimeError):
-  """An update left a network that is not finite; the message says when, and what there is from before."""
-
-
 class MjlabOnPolicyRunner(OnPolicyRunner):
-  """rsl-rl's runner with a loop of its own.
+  """rsl-rl's runner with its own training loop.
 
-  - A rollout queues work on the device and waits once, at its end; statistics accumulate on the device and come to the
-    host once per iteration.
-  - A checkpoint holds the learner, the worlds, every random generator and the statistics: what continues from it is
-    what would have happened without the interruption. `model_<n>.pt` is the state after n iterations.
+  - A rollout waits for the device once, at its end. Statistics accumulate on the device and are read once per
+    iteration.
+  - A checkpoint holds the learner, the worlds, every random generator and the statistics, so that a resumed run equals
+    an uninterrupted one. `model_<n>.pt` is the state after n iterations.
   - Ctrl-C, SIGTERM and SIGHUP end the run after the iteration, with a checkpoint.
 
   Args:
@@ -46,10 +43,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     cfg: Learner configuration.
     log_dir: Run directory, for checkpoints and logs; None: nothing is written.
     device: Device of the learner, that of the environment.
-    console: Where progress is shown; None: standard output.
+    console: Output of progress; None: standard output.
   """
 
   env: RslRlVecEnvWrapper
+  network_names: ClassVar[tuple[str, ...]] = ("actor", "critic")
+  """Names of the networks in configurations and checkpoints, and as attributes of the algorithm."""
 
   def __init__(
     self,
@@ -62,7 +61,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
   ):
     cfg.check_samples(env.num_envs)
     if not env.num_actions:
-      raise ConfigError("the environment takes no actions, so there is nothing to learn")
+      raise ConfigError("the environment has no actions to learn")
     seen = env.unwrapped.get_observations()
     for network, groups in cfg.obs_groups.items():
       for group in groups:
@@ -71,38 +70,46 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._shapes_seen = {
       network: [list(seen[group].shape[1:]) for group in groups] for network, groups in cfg.obs_groups.items()
     }
-    # A rollout keeps what it is given, so it is not given what no network looks at.
+    # A rollout stores all groups that it gets.
     env.groups = frozenset(group for groups in cfg.obs_groups.values() for group in groups)
     self.agent_cfg = cfg
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)
+    self.ranks = Ranks.current()
+    """Place of this process among those of the run."""
+    self.env, self.device = env, str(device)
+    # Not by rsl-rl's constructor, which connects processes by itself, and only on GPUs.
+    self.cfg: dict[str, Any] = cfg.to_rsl_rl() | {"torch_compile_mode": None, "multi_gpu": self.ranks.for_rsl_rl()}
+    algorithm: Any = resolve_callable(self.cfg["algorithm"]["class_name"])
     with contextlib.redirect_stdout(io.StringIO()) as chatter:
-      super().__init__(env, cfg.to_rsl_rl(), log_dir=None, device=str(device))
+      self.alg = algorithm.construct_algorithm(env.get_observations(), env, self.cfg, self.device)
+    self.current_learning_iteration = 0
+    self.networks: dict[str, MLPModel] = {name: getattr(self.alg, name) for name in self.network_names}
+    """Networks by name, not compiled: a compiled one has other names for its weights."""
+    self.alg.compile(cfg.torch_compile_mode)
     if self.console.is_verbose:
       self.console.say(chatter.getvalue().rstrip())
     self.statistics = EpisodeStatistics(env.num_envs, device)
     self.stopped_by: str | None = None
-    """Name of the signal that ended the last `learn` early; None where it ran to its end."""
+    """Name of the signal that ended the last `learn` early; None if it ran to its end."""
     self.is_world_state_restored = False
-    """Whether `load` put every world back where it was."""
+    """True if `load` restored every world."""
+    self.after_save: Callable[[Path], None] | None = None
+    """Called with every checkpoint of `learn`."""
     self.after_step: Callable[[], None] | None = None
-    """Called after every step of a rollout, by those who watch."""
+    """Function called after every step of a rollout, for viewers."""
     self._torch_device = torch.device(device)
     self._elapsed = 0.0
     self._total_steps = 0
+    self._last_saved: Path | None = None
 
   @property
-  def networks(self) -> dict[str, MLPModel]:
-    """The networks by the names that they have in configurations and checkpoints."""
-    return {"actor": self.alg._raw_actor, "critic": self.alg._raw_critic}
-
-  @property
-  def is_writer(self) -> bool:
-    """Whether this process writes logs and checkpoints: the first of the run, and only with a run directory."""
-    return self.log_dir is not None and self.gpu_global_rank == 0
+  def output_dir(self) -> Path | None:
+    """Folder that this process writes logs and checkpoints to; None for all but the first process of a run."""
+    return self.log_dir if self.ranks.is_first else None
 
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-    """Run so many iterations more.
+    """Run more iterations.
 
     Args:
       num_learning_iterations: Iterations from `current_learning_iteration` on.
@@ -116,62 +123,84 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     end = start + num_learning_iterations
     obs = self.env.get_observations()
     self.alg.train_mode()
-    if self.is_distributed:
+    if self.ranks.world_size > 1:
       self.alg.broadcast_parameters()
-    with self._open_logs() as logs, StopSignals() as stop, self.console.live():
+    with (
+      open_logs(self.output_dir, self.agent_cfg, self.cfg) as logs,
+      StopSignals() as stop,
+      self.console.live(),
+    ):
       started, before = time.perf_counter(), self._elapsed
       for iteration in range(start, end):
         began = time.perf_counter()
-        obs = self._collect(obs)
-        self._synchronize()
-        collected = time.perf_counter()
-        losses = self._update(obs)
-        means, action_std = self._fetch_statistics()
-        env_log = self.env.drain_log()
+        with self._emergency_checkpoint():
+          obs = self._collect(obs)
+          if self._torch_device.type == "cuda":
+            torch.cuda.synchronize(self._torch_device)
+          collected = time.perf_counter()
+          losses = self._update(obs)
+          means, action_std = self._fetch_statistics()
+          env_log = self.env.drain_log()
         learned = time.perf_counter()
 
         self.current_learning_iteration = iteration + 1
         self._elapsed = before + learned - started
         report = self._report(iteration, start, end, collected - began, learned - collected, learned - started)
-        if means is not None:
-          report.mean_reward, report.mean_episode_length = means
-        report.scalars = self._scalars(report, losses, action_std, env_log)
+        # The only traffic besides gradients and normalisers. Ranks agree on it, so that they stop together.
+        own = (losses | {"mean_std": action_std} | largest_weights(self.networks), means, env_log, stop.received)
+        values, rank_means, env_logs, signals = zip(*self.ranks.gather(own), strict=True)
+        figures = mean_of(list(values))
+        if ended := [pair for pair in rank_means if pair is not None]:
+          report.mean_reward, report.mean_episode_length = (
+            sum(column) / len(ended) for column in zip(*ended, strict=True)
+          )
+        report.add_scalars({name: figures[name] for name in losses}, figures["mean_std"], mean_of(list(env_logs)))
         for log in logs:
           log.write(report)
         self.console.show(report)
-        self._check_finite(iteration, losses | {"mean_std": action_std} | self._largest_weights())
+        self._check_finite(iteration, figures)
 
-        # Looked at once: a signal from here on waits for the next iteration, which saves before it stops.
+        # Read once: a later signal waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
-        self.stopped_by = None if is_end else stop.received
+        self.stopped_by = None if is_end else next(filter(None, signals), None)
         is_last = is_end or self.stopped_by is not None
-        if self.is_writer and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
+        if self.output_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
           path = self.checkpoint_path()
           self.save(str(path))
+          self._last_saved = path
           for log in logs:
             log.save_file(path)
+          if self.after_save is not None:
+            self.after_save(path)
         if is_last:
           break
 
-  def _largest_weights(self) -> dict[str, float]:
-    """By network: the losses of an update are from before its last step."""
-    weights = {
-      name: [value for value in network.state_dict().values() if value.is_floating_point()]
-      for name, network in self.networks.items()
-    }
-    return {name: float(get_total_norm(values, math.inf)) for name, values in weights.items()}
+  @contextlib.contextmanager
+  def _emergency_checkpoint(self) -> Generator[None]:
+    """Save the state if a step or an update fails; the error goes on."""
+    try:
+      yield
+    except Exception as error:
+      if self.output_dir is not None:
+        path = self.output_dir / f"emergency_{self.current_learning_iteration}.pt"
+        try:
+          self.save(str(path))
+        except Exception as unsaved:
+          self.console.say(f"{type(error).__name__} in a step or update; {path.name} not saved: {printable(unsaved)}")
+        else:
+          self.console.say(f"{type(error).__name__} in a step or update; saved {path}, which --resume takes")
+      raise
 
   def _check_finite(self, iteration: int, values: Mapping[str, float]) -> None:
     if broken := [name for name, value in values.items() if not math.isfinite(value)]:
-      saved = checkpoints(self.log_dir) if self.log_dir is not None else []
-      last = f"; the last checkpoint is {saved[-1]}" if saved else ""
+      last = f"; the last checkpoint is {self._last_saved}" if self._last_saved else ""
       raise DivergedError(
-        f"iteration {iteration + 1}: {', '.join(broken)} not finite, so it is not saved{last}. Rewards that grow "
-        "without limit and steps that are too large (agent.algorithm.learning_rate) do that."
+        f"iteration {iteration + 1}: {', '.join(broken)} not finite, so the state is not saved{last}. Common causes: "
+        "unbounded rewards, or a learning rate that is too large (agent.algorithm.learning_rate)."
       )
 
   def checkpoint_path(self) -> Path:
-    """Where the present state is saved."""
+    """Return the path of a checkpoint of the current iteration."""
     assert self.log_dir is not None
     return self.log_dir / f"model_{self.current_learning_iteration}.pt"
 
@@ -220,69 +249,85 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       The values saved with it.
 
     Raises:
-      CheckpointError: It cannot be read, or its networks have other sizes or saw observations of other shapes; nothing
+      FileError: It cannot be read, or its networks have other sizes or saw observations of other shapes; nothing
         has been changed then.
     """
     del map_location
-    state = checkpoint.read_checkpoint(Path(path), self.agent_cfg.policy)
+    file = Path(path)
+    with reading("checkpoint", file):
+      return self._load(file, load_cfg, strict)
+
+  def _load(self, path: Path, load_cfg: dict[str, bool] | None, strict: bool) -> dict[str, Any]:
+    state = checkpoint.read_checkpoint(path, self.agent_cfg.policy)
+    worlds = state.get("mjlab")
     wanted = [part for part in (*self.networks, "optimizer") if load_cfg is None or load_cfg.get(part)]
-    if missing := [part for part in wanted if f"{part}_state_dict" not in state]:
-      raise CheckpointError(
-        f"checkpoint {path}: no {' and no '.join(missing)} in it, so its training cannot go on; another can begin as "
-        "its policy (--init-from)"
+    if missing := [part for part in wanted if state.get(f"{part}_state_dict") is None]:
+      raise FileError(
+        f"checkpoint {path}: no {' and no '.join(missing)} in it, so its training cannot be resumed; a new run can "
+        "start from its policy (--init-from)"
       )
-    if "optimizer" in wanted:
-      checkpoint.check_optimizer(Path(path), state["optimizer_state_dict"], self.alg.optimizer.state_dict())
-    for part, model in self.networks.items():
+    for part in self.networks:
       if part in wanted:
-        self.check_shapes_seen(Path(path), part, checkpoint.shapes_seen(state, part))
-        checkpoint.check_fit(Path(path), part, state[f"{part}_state_dict"], model.state_dict())
+        self.check_network(path, part, state[f"{part}_state_dict"], checkpoint.shapes_seen(state, part))
+        checkpoint.check_finite(path, part, state[f"{part}_state_dict"])
+    if "optimizer" in wanted:
+      problems = checkpoint.optimizer_problems(state["optimizer_state_dict"], self.alg.optimizer)
+      checkpoint.refuse(f"checkpoint {path}", problems)
     if self.alg.load(state, load_cfg, strict):
       # A file of rsl-rl's names the last iteration done.
-      self.current_learning_iteration = int(state["iter"]) + (0 if "mjlab" in state else 1)
+      self.current_learning_iteration = int(state["iter"]) + (0 if worlds else 1)
     if "optimizer" in wanted and self.cfg["algorithm"].get("schedule", "fixed") == "fixed":
-      # The optimiser's state has the step size of then, and nothing but the configuration changes it here.
+      # The optimiser's state has the old step size; with a fixed schedule the configuration decides.
       self.alg.learning_rate = self.cfg["algorithm"]["learning_rate"]
       for group in self.alg.optimizer.param_groups:
         group["lr"] = self.alg.learning_rate
-    if load_cfg is None and "mjlab" in state:
-      self._load_worlds(state["mjlab"])
+    if load_cfg is None and worlds:
+      self._load_worlds(worlds)
     elif load_cfg is None:
-      self.console.say(f"{path}: an rsl-rl checkpoint, it holds no world state; only the learner was restored.")
+      steps = checkpoint.restore_step_counter(state, self.env.unwrapped)
+      counter = "" if steps is None else f" and the environment's step counter ({steps})"
+      verb = "was" if steps is None else "were"
+      self.console.say(f"{path}: an rsl-rl checkpoint without world state; only the learner{counter} {verb} restored.")
     return state.get("infos") or {}
 
   def load_policy(self, path: Path) -> None:
-    """Take the weights of the policy in a checkpoint, of a run by reinforcement or of a distillation, and nothing else.
+    """Take only the weights of the policy in a checkpoint, of reinforcement learning or distillation.
 
     Raises:
-      CheckpointError: It cannot be read, it saw observations of other shapes, or the network has other sizes; nothing
+      FileError: It cannot be read, it saw observations of other shapes, or the network has other sizes; nothing
         has been changed then.
     """
     name = self.agent_cfg.policy
-    (weights, shapes), network = checkpoint.read_policy(path, name), self.networks[name]
-    self.check_shapes_seen(path, name, shapes)
-    checkpoint.check_fit(path, name, weights, network.state_dict())
-    network.load_state_dict(weights)
+    weights, shapes = checkpoint.read_policy(path, name)
+    self.check_network(path, name, weights, shapes)
+    self.networks[name].load_state_dict(weights)
 
-  def check_shapes_seen(self, path: Path, network: str, trained: checkpoint.Shapes | None) -> None:
-    """Compare what a network of a checkpoint saw, where that is known, with what one of these networks sees.
+  def check_network(self, path: Path, name: str, weights: Mapping[str, Any], shapes: checkpoint.Shapes | None) -> None:
+    """Compare a network of a checkpoint, and the observation shapes of its training, with one of this run.
 
     Raises:
-      CheckpointError: Observations had other shapes.
+      FileError: They differ.
     """
-    groups = self.agent_cfg.obs_groups[network]
-    checkpoint.check_shapes_seen(path, groups, trained, self._shapes_seen[network])
+    seen = checkpoint.shape_problems(self.agent_cfg.obs_groups[name], shapes, self._shapes_seen[name])
+    sizes = checkpoint.network_problems(name, weights, self.networks[name].state_dict())
+    fields = f"agent.{name}.hidden_dims and agent.{name}.obs_normalization"
+    hint = f". Observations, actions, {fields} must be those of its training"
+    checkpoint.refuse(f"checkpoint {path}", [*seen, *sizes], hint)
 
   def _load_worlds(self, state: dict[str, Any]) -> None:
     is_restored = False
-    if state["num_envs"] != self.env.num_envs:
+    hidden_states = checkpoint.hidden_state_problems(state["hidden_states"], self.networks, state["num_envs"])
+    checkpoint.refuse("its world state", hidden_states)
+    if self.ranks.world_size > 1:
+      reason = "a checkpoint holds the worlds of one process"
+    elif state["num_envs"] != self.env.num_envs:
       reason = f"it was saved with {state['num_envs']} worlds, there are {self.env.num_envs} now"
     else:
       try:
         self.env.unwrapped.load_state_dict(state["env"])
         is_restored, reason = True, ""
-      except (ValueError, KeyError, RuntimeError, TypeError) as error:
-        reason = str(error)
+      except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
+        reason = printable(error)
         self.env.reset()
     if not is_restored:
       self.console.say(f"World state was not restored: {reason}. Learner and counters were.")
@@ -292,14 +337,14 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._elapsed = state["elapsed"]
     self._total_steps = state["total_steps"]
     if is_restored:
-      for model, hidden in zip(self.networks.values(), state["hidden_states"], strict=True):
-        if hidden is not None:
-          model.reset(hidden_state=_to_device(hidden, self._torch_device))
+      checkpoint.restore_hidden_states(state["hidden_states"], self.networks, self._torch_device)
       checkpoint.restore_rng_state(state["rng"], self._torch_device)
 
   def _collect(self, obs: TensorDict) -> TensorDict:
-    # Not inference mode: a tensor that the environment makes in there and keeps could not be written to afterwards.
-    with torch.no_grad(), self._rollout_threads():
+    # Not inference mode: the environment could not write later to tensors that it makes there.
+    # On a CPU physics has its own threads, and the tensors of a rollout are small.
+    threads = 1 if self._torch_device.type == "cpu" else torch.get_num_threads()
+    with torch.no_grad(), _set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
       for _ in range(self.agent_cfg.num_steps_per_env):
         actions = self.alg.act(obs)
         obs, rewards, dones, extras = self.env.step(actions)
@@ -309,43 +354,18 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
           self.after_step()
     return obs
 
-  @contextlib.contextmanager
-  def _rollout_threads(self) -> Generator[None]:
-    """On a CPU physics has threads of its own, and torch's would only wait for it: a rollout's tensors are small."""
-    before = torch.get_num_threads()
-    if self._torch_device.type == "cpu":
-      torch.set_num_threads(1)
-    try:
-      yield
-    finally:
-      torch.set_num_threads(before)
-
   def _update(self, obs: TensorDict) -> dict[str, float]:
     with torch.no_grad():
       self.alg.compute_returns(obs)
-    with self._matmul_precision():
+    get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
+    # For the update alone: rotations and rewards of the environment need full float32.
+    precision = self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get()
+    with _set_for_now(get, set_to, precision):
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
 
-  @contextlib.contextmanager
-  def _matmul_precision(self) -> Generator[None]:
-    """Reduced precision for the update alone: the environment's rotations and rewards need all of float32."""
-    if self._torch_device.type != "cuda":
-      yield
-      return
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(self.agent_cfg.matmul_precision)
-    try:
-      yield
-    finally:
-      torch.set_float32_matmul_precision(before)
-
-  def _synchronize(self) -> None:
-    if self._torch_device.type == "cuda":
-      torch.cuda.synchronize(self._torch_device)
-
   def _fetch_statistics(self) -> tuple[tuple[float, float] | None, float]:
-    """(means of return and length, mean action deviation) in one transfer; waits for the update to end."""
+    """Return ((mean return, mean length), mean action std) in one transfer, which waits for the update."""
     std = self.alg.get_policy().output_std.detach().float().mean()
     values = torch.cat((self.statistics.packed(), std.view(1))).tolist()
     return EpisodeStatistics.unpack(values[:-1]), values[-1]
@@ -353,7 +373,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
   def _report(
     self, iteration: int, start: int, end: int, collect: float, learn: float, running: float
   ) -> IterationReport:
-    steps = self.agent_cfg.num_steps_per_env * self.env.num_envs * self.gpu_world_size
+    steps = self.agent_cfg.num_steps_per_env * self.env.num_envs * self.ranks.world_size
     self._total_steps += steps
     return IterationReport(
       iteration=iteration,
@@ -368,38 +388,13 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       mean_episode_length=None,
     )
 
-  @staticmethod
-  def _scalars(
-    report: IterationReport, losses: Mapping[str, float], action_std: float, env_log: Mapping[str, float]
-  ) -> dict[str, float]:
-    """All values of an iteration under rsl-rl's tags."""
-    scalars = {f"Loss/{name}": value for name, value in losses.items()}
-    scalars |= {
-      "Policy/mean_std": action_std,
-      "Perf/total_fps": report.steps_per_second,
-      "Perf/collection_time": report.collect_time,
-      "Perf/learning_time": report.learn_time,
-    }
-    if report.mean_reward is not None and report.mean_episode_length is not None:
-      scalars["Train/mean_reward"] = report.mean_reward
-      scalars["Train/mean_episode_length"] = report.mean_episode_length
-    scalars |= {name if "/" in name else f"Episode/{name}": value for name, value in env_log.items()}
-    return scalars
 
-  @contextlib.contextmanager
-  def _open_logs(self) -> Generator[list[ScalarLog]]:
-    logs: list[ScalarLog] = []
-    if self.is_writer:
-      assert self.log_dir is not None
-      logs = open_logs(self.log_dir, self.agent_cfg, self.cfg)
-    try:
-      yield logs
-    finally:
-      for log in logs:
-        log.close()
-
-
-def _to_device(hidden: Any, device: torch.device) -> Any:
-  if isinstance(hidden, (tuple, list)):
-    return tuple(_to_device(item, device) for item in hidden)
-  return hidden.to(device)
+@contextlib.contextmanager
+def _set_for_now(get: Callable[[], Any], set_to: Callable[[Any], None], value: Any) -> Generator[None]:
+  """Change a setting of torch on entering, and back on leaving."""
+  before = get()
+  set_to(value)
+  try:
+    yield
+  finally:
+    set_to(before)

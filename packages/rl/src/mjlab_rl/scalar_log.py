@@ -1,28 +1,77 @@
-"""Where the figures of each iteration are kept: progress.csv, tensorboard, Weights & Biases."""
+"""Figures of each iteration, and the logs that keep them: progress.csv, tensorboard, Weights & Biases."""
 
+import contextlib
 import csv
 import io
 import os
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+
+from mjlab_core.files import AtomicWrite
 
 from mjlab_rl.config import RslRlBaseRunnerCfg
-from mjlab_rl.iteration_report import IterationReport
 
 
-class ScalarLog(Protocol):
-  """Receives one report per iteration."""
+@dataclass(kw_only=True)
+class IterationReport:
+  """Figures of one training iteration, for everything that shows or stores progress."""
 
-  def write(self, report: IterationReport) -> None: ...
+  iteration: int
+  """Index of the iteration, from 0 over all resumes."""
+  end: int
+  """Iterations in all."""
+  total_steps: int
+  """Environment steps since the start of the run, all worlds together."""
+  steps_per_second: float
+  """Environment steps of all worlds per second of this iteration."""
+  collect_time: float
+  """Time of the rollout [s]."""
+  learn_time: float
+  """Time of the update [s]."""
+  elapsed: float
+  """Training time since the start of the run, resumes included [s]."""
+  eta: float
+  """Expected time to the last iteration [s]."""
+  mean_reward: float | None
+  """Mean return of the last 100 finished episodes; None before the first."""
+  mean_episode_length: float | None
+  """Mean length of the last 100 finished episodes [steps]; None before the first."""
+  scalars: dict[str, float] = field(default_factory=dict)
+  """Every logged value by its tag, those above included."""
 
-  def save_file(self, path: Path) -> None:
-    """A checkpoint was written."""
-    ...
+  def add_scalars(self, losses: Mapping[str, float], action_std: float, env_log: Mapping[str, float]) -> None:
+    """Fill `scalars` with all values under rsl-rl's tags."""
+    self.scalars |= {f"Loss/{name}": value for name, value in losses.items()}
+    self.scalars |= {
+      "Policy/mean_std": action_std,
+      "Perf/total_fps": self.steps_per_second,
+      "Perf/collection_time": self.collect_time,
+      "Perf/learning_time": self.learn_time,
+    }
+    if self.mean_reward is not None and self.mean_episode_length is not None:
+      self.scalars["Train/mean_reward"] = self.mean_reward
+      self.scalars["Train/mean_episode_length"] = self.mean_episode_length
+    self.scalars |= {name if "/" in name else f"Episode/{name}": value for name, value in env_log.items()}
 
-  def close(self) -> None: ...
+
+class ScalarLog(ABC):
+  """Log that receives one report per iteration."""
+
+  @abstractmethod
+  def write(self, report: IterationReport) -> None:
+    """Write the figures of one iteration."""
+
+  def save_file(self, path: Path) -> None:  # noqa: B027
+    """Take note of a checkpoint."""
+
+  def close(self) -> None:  # noqa: B027
+    """Write what is buffered."""
 
 
-class CsvLog:
+class CsvLog(ScalarLog):
   """One row per iteration in `progress.csv`; a reader never sees half a row.
 
   A value that first appears in a later iteration widens the table: the file is replaced by one with the new column.
@@ -33,7 +82,6 @@ class CsvLog:
     self._columns: list[str] = []
 
   def write(self, report: IterationReport) -> None:
-    """Append the row of one iteration."""
     row: dict[str, Any] = {
       "iteration": report.iteration,
       "total_steps": report.total_steps,
@@ -57,21 +105,13 @@ class CsvLog:
       with self._path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     self._columns += columns
-    temporary = self._path.with_suffix(".csv.tmp")
-    with temporary.open("w", newline="") as file:
+    with AtomicWrite(self._path) as temporary, temporary.open("w", newline="") as file:
       writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
       writer.writeheader()
       writer.writerows(rows)
-    os.replace(temporary, self._path)
-
-  def save_file(self, path: Path) -> None:
-    """Nothing to do."""
-
-  def close(self) -> None:
-    """Nothing to do: every row is on disk once written."""
 
 
-class TensorboardLog:
+class TensorboardLog(ScalarLog):
   """Scalars under rsl-rl's tags, so that its curves and ours lie in one plot."""
 
   def __init__(self, directory: Path):
@@ -80,22 +120,18 @@ class TensorboardLog:
     self._writer = SummaryWriter(log_dir=str(directory), flush_secs=10)
 
   def write(self, report: IterationReport) -> None:
-    """Write all scalars; reward and length a second time over seconds instead of iterations."""
+    # Reward and length once more over seconds.
     for tag, value in report.scalars.items():
       self._writer.add_scalar(tag, value, report.iteration)
     if report.mean_reward is not None:
       self._writer.add_scalar("Train/mean_reward/time", report.mean_reward, int(report.elapsed))
       self._writer.add_scalar("Train/mean_episode_length/time", report.mean_episode_length, int(report.elapsed))
 
-  def save_file(self, path: Path) -> None:
-    """Nothing to do."""
-
   def close(self) -> None:
-    """Write what is buffered."""
     self._writer.close()
 
 
-class WandbLog:
+class WandbLog(ScalarLog):
   """Scalars, configuration and checkpoints in a Weights & Biases run; wandb is imported here and nowhere else."""
 
   def __init__(self, directory: Path, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]):
@@ -107,24 +143,28 @@ class WandbLog:
     self._uploads = cfg.upload_model
 
   def write(self, report: IterationReport) -> None:
-    """Log all scalars of one iteration in one call."""
     self._run.log(report.scalars, step=report.iteration)
 
   def save_file(self, path: Path) -> None:
-    """Upload a checkpoint, where the configuration wants that."""
     if self._uploads:
       self._run.save(str(path), base_path=str(path.parent))
 
   def close(self) -> None:
-    """End the run."""
     self._run.finish()
 
 
-def open_logs(directory: Path, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]) -> list[ScalarLog]:
-  """The logs a run writes: always progress.csv, and what `cfg.logger` asks for."""
-  logs: list[ScalarLog] = [CsvLog(directory / "progress.csv")]
-  if cfg.logger == "wandb":
-    logs.append(WandbLog(directory, cfg, config))
-  if cfg.logger in ("tensorboard", "wandb"):
-    logs.append(TensorboardLog(directory))
-  return logs
+@contextlib.contextmanager
+def open_logs(directory: Path | None, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]) -> Generator[list[ScalarLog]]:
+  """Open the logs of a run: progress.csv always, and what `cfg.logger` names; none without a directory."""
+  logs: list[ScalarLog] = []
+  if directory is not None:
+    logs.append(CsvLog(directory / "progress.csv"))
+    if cfg.logger == "wandb":
+      logs.append(WandbLog(directory, cfg, config))
+    if cfg.logger in ("tensorboard", "wandb"):
+      logs.append(TensorboardLog(directory))
+  try:
+    yield logs
+  finally:
+    for log in logs:
+      log.close()

@@ -1,4 +1,4 @@
-"""An image encoder that says where things are in the image."""
+"""Image encoder whose features are positions in the image."""
 
 from typing import Any, cast
 
@@ -6,7 +6,7 @@ import torch
 from rsl_rl.modules import CNN
 from torch import nn
 
-from mjlab_rl.image_model import ImageModel
+from mjlab_rl.networks import ImageModel
 
 
 class SpatialSoftmax(nn.Module):
@@ -40,13 +40,13 @@ class SpatialSoftmaxCNNModel(ImageModel):
   def make_encoder(images: torch.Tensor, *, temperature: float = 1.0, **cfg: Any) -> nn.Module:
     _, channels, height, width = images.shape
     cnn = CNN(input_dim=(height, width), input_channels=channels, flatten=False, **cfg)
-    # Of features that are not flattened both are known; rsl-rl's types allow for either.
+    # Without flattening both are known; rsl-rl's types allow for either.
     size, features = cast("tuple[int, int]", cnn.output_dim), cast("int", cnn.output_channels)
     return _Encoder(cnn, SpatialSoftmax(*size, temperature), features)
 
 
 class _Encoder(nn.Sequential):
-  """Convolutions, then where they respond; with the attributes that CNNModel asks of an encoder."""
+  """Convolutions and their spatial softmax, with the attributes that CNNModel reads."""
 
   output_channels = None
 

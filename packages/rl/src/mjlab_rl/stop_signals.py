@@ -1,4 +1,4 @@
-"""Stopping a run from outside without losing it."""
+"""Signals that end a run after its iteration."""
 
 import contextlib
 import os
@@ -9,22 +9,22 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 _MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
-_LAST_WORD = b"\nStopped at once; what came after the last checkpoint is lost.\n"
-# Besides Ctrl-C: what a scheduler sends, and what a closing terminal sends where nothing like nohup is between.
+_LAST_WORD = b"\nStopped at once; progress since the last checkpoint is lost.\n"
+# Ctrl-C, the signal of schedulers, and that of a closing terminal.
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-# Launchers pass on a Ctrl-C that the terminal has sent to everybody already; that is not a second one [s].
+# Launchers repeat a Ctrl-C that the terminal has sent to all processes; within this time it counts once [s].
 _ECHO = 0.5
 
 
 class StopSignals:
-  """While entered, the first Ctrl-C, SIGTERM or SIGHUP only sets `received`; a second one ends the process at once.
+  """Context in which the first Ctrl-C, SIGTERM or SIGHUP only sets `received`; a second one ends the process at once.
 
-  Does nothing outside the main thread, where Python allows no signal handlers.
+  It has no effect outside the main thread, where Python allows no signal handlers.
   """
 
   def __init__(self) -> None:
     self.received: str | None = None
-    """Name of the signal that came, such as "SIGINT"."""
+    """Name of the signal, such as "SIGINT"; None before one arrives."""
     self._received_at = 0.0
     self._previous: dict[signal.Signals, Any] = {}
 
@@ -57,6 +57,6 @@ class StopSignals:
 
 
 def _say(message: bytes) -> None:
-  # print() may not be entered again from a handler; a bare write may, and the terminal may be gone.
+  # A signal handler may not enter print() again; the terminal may be gone.
   with contextlib.suppress(OSError):
     os.write(2, message)

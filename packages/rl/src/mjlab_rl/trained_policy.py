@@ -1,18 +1,20 @@
-"""A trained policy that another learns from or begins as: read from its run, and held against where it is to act."""
+"""Trained policies that a run learns or starts from: reading, and comparison with the new run."""
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from mjlab_core import unknown
+from mjlab_core.errors import ConfigError, FileError
 
-from mjlab_rl.checkpoint import CheckpointError, Shapes, read_checkpoint, shapes_seen
-from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
-from mjlab_rl.manifest import Json, PolicyRecord, RunManifest, encode, load_run
+from mjlab_rl.checkpoint import Shapes, check_finite, read_checkpoint, refuse, shapes_seen
+from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
+from mjlab_rl.encoding import Json, encode
+from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
 
-# What it may see with other noise, or later, than when it was trained.
+# Fields of observations that may differ from the training.
 _CORRUPTION = ("noise", "corrupt", "nan_policy")
 
 
@@ -21,48 +23,46 @@ class TrainedPolicy:
   """A trained policy; `read_trained_policy` makes one."""
 
   path: Path
-  """Checkpoint that it is in."""
+  """Its checkpoint."""
   weights: dict[str, Any]
   """State of its network, normaliser included."""
   shapes_seen: Shapes | None
-  """Shapes of the observations that it saw; None: not known."""
+  """Shapes of its observations; None: not known."""
   record: PolicyRecord | None
-  """Where it is from; None: not known, of a distillation that is resumed without its manifest."""
+  """Its origin; None for a resumed distillation without a manifest."""
   run: RunManifest | None
-  """The run whose checkpoint it is in; None where there is no manifest."""
+  """Run of its checkpoint; None without a manifest."""
   role: str
-  """Name of its network in that run: "actor", "student", or "teacher" where a distillation is resumed."""
+  """Name of its network in that run: "actor", "student", or "teacher" for a resumed distillation."""
 
   @property
   def name(self) -> str:
-    """For messages."""
+    """Name for messages."""
     return f"policy {self.path}" + (f" of {self.run.task}" if self.run is not None else "")
 
   def network(self, agent: RslRlDistillationRunnerCfg) -> RslRlModelCfg:
-    """What its network is made of, from its run or from `agent.teacher`.
+    """Return the config of its network, from its run or from `agent.teacher`.
 
     Raises:
-      ConfigError: Neither says, or one says other than the other.
+      ConfigError: Both are missing, or they differ.
     """
     if self.run is None:
       if agent.teacher is None:
-        raise ConfigError(f"{self.name}: its run has no manifest, so agent.teacher must say what its network is")
+        raise ConfigError(f"{self.name}: its run has no manifest; agent.teacher must describe its network")
       return agent.teacher
     trained: RslRlModelCfg = getattr(self.run.agent, self.role)
     if agent.teacher is not None and agent.teacher != trained:
       differences = _differences(_encoded(trained), _encoded(agent.teacher), "agent.teacher")
-      raise ConfigError(
-        f"{self.name}: {_listed(differences)}. Leave out agent.teacher to take what it was trained with."
-      )
+      refuse(self.name, differences, ". Leave out agent.teacher to use the network of its training", ConfigError)
     return trained
 
   def check_beginning(self, env: Any, agent: RslRlBaseRunnerCfg) -> None:
-    """Hold its network, and what it saw and did in training, against those of the policy of `agent` that begins as it.
+    """Compare its network, observations and actions with those of the policy of `agent`, which starts from it.
 
-    As `check`, but for the deviation of its actions.
+    The standard deviation of actions may differ.
 
     Raises:
-      CheckpointError: Something differs; the message says what it was in training and what it is now.
+      FileError: Something differs; the message gives both values.
     """
     self.check(env, agent, agent.policy)
     if self.run is not None:
@@ -70,21 +70,21 @@ class TrainedPolicy:
         _encoded(dataclasses.replace(model, distribution_cfg=None))
         for model in (getattr(self.run.agent, self.role), getattr(agent, agent.policy))
       )
-      self._refuse(_differences(trained, now, f"agent.{agent.policy}"))
+      refuse(self.name, _differences(trained, now, f"agent.{agent.policy}"))
 
   def check(self, env: Any, agent: RslRlBaseRunnerCfg, network: str = "teacher") -> None:
-    """Hold what it saw and did in training against what it will: terms, their order and scales, actions, their period.
+    """Compare observations and actions of its training with those of a new run: terms, order, scales, period.
 
-    Environment configurations are compared where they have `observations` by group, `actions`, `decimation` and
-    `sim.timestep`; noise and delays may differ. Without a manifest only the shapes of weights are left to tell.
+    `observations`, `actions`, `decimation` and `sim.timestep` of environment configurations are compared if they exist;
+    noise and delays may differ. Without a manifest nothing is compared here.
 
     Args:
-      env: Configuration of the environment it is to act in.
-      agent: Learner that it is to be part of.
-      network: Which of its networks it is to be.
+      env: Configuration of the new environment.
+      agent: Configuration of the new learner.
+      network: Network of the learner that the policy becomes.
 
     Raises:
-      CheckpointError: Something differs; the message says what it was in training and what it is now.
+      FileError: Something differs; the message gives both values.
     """
     if self.run is None:
       return
@@ -96,69 +96,59 @@ class TrainedPolicy:
         differences.append(unknown("observation group", own, [name for name in groups if groups[name] is not None]))
       else:
         trained, now = _observations(self.run.env, group), _observations(env, own)
-        # What is on one side alone is told by the order of terms.
+        # Terms of one side alone show in the order of terms.
         both = [key for key in trained if key in now]
         trained, now = ({key: side[key] for key in both} for side in (trained, now))
         differences += _differences(trained, now, f"observations.{own}")
     differences += _differences(_control(self.run.env), _control(env), "")
     differences += _differences(self.run.agent.clip_actions, agent.clip_actions, "agent.clip_actions")
-    self._refuse(differences)
-
-  def _refuse(self, differences: Iterable[str]) -> None:
-    if listed := _listed(differences):
-      raise CheckpointError(f"{self.name} does not fit: {listed}")
+    refuse(self.name, differences)
 
 
 def read_trained_policy(path: Path, *, resumed: bool = False) -> TrainedPolicy:
-  """The policy of a checkpoint, trained by reinforcement or distilled itself; runs no code of the file.
+  """Return the policy of a checkpoint, of reinforcement learning or distillation, without running code of the file.
 
   Args:
     path: Checkpoint.
-    resumed: Whether it is the checkpoint of a distillation that is to go on, and the teacher of that one is meant.
+    resumed: Return the teacher of a distillation instead, to resume it.
 
   Raises:
-    CheckpointError: It cannot be read, or is of no distillation.
-    ManifestError: The manifest of its run cannot be rebuilt.
+    FileError: The checkpoint or the manifest of its run cannot be read, or there is no teacher in it.
   """
   try:
     run = load_run(path)
   except FileNotFoundError:
     run = None
-  if resumed:
-    state = read_checkpoint(path, "actor", "student")
-    if "teacher_state_dict" not in state:
-      raise CheckpointError(
-        f"checkpoint {path} is of no distillation. A policy to imitate is not resumed but given as the teacher "
-        "(--teacher)"
-      )
-    record = None if run is None else run.teacher
-    return TrainedPolicy(
-      path=path,
-      weights=state["teacher_state_dict"],
-      shapes_seen=shapes_seen(state, "teacher"),
-      record=record,
-      run=run,
-      role="teacher",
-    )
-  roles = ("actor", "student") if run is None else (run.agent.policy,)
+  roles = ("actor", "student") if resumed or run is None else (run.agent.policy,)
   state = read_checkpoint(path, *roles)
-  role = next(name for name in roles if f"{name}_state_dict" in state)
-  task = None if run is None else run.task
-  with path.open("rb") as file:
-    digest = hashlib.file_digest(file, "sha256").hexdigest()
-  iterations = int(state["iter"]) + (0 if "mjlab" in state else 1)
+  role = "teacher" if resumed else next(name for name in roles if f"{name}_state_dict" in state)
+  if state.get(f"{role}_state_dict") is None:
+    raise FileError(
+      f"checkpoint {path} has no teacher, so it is not a distillation to resume; --teacher takes a policy to imitate"
+    )
+  check_finite(path, role, state[f"{role}_state_dict"])
+  record = None if run is None else run.teacher
+  if not resumed:
+    with path.open("rb") as file:
+      digest = hashlib.file_digest(file, "sha256").hexdigest()
+    record = PolicyRecord(
+      checkpoint=str(path.resolve()),
+      sha256=digest,
+      task=None if run is None else run.task,
+      iterations=int(state["iter"]) + (0 if state.get("mjlab") else 1),
+    )
   return TrainedPolicy(
     path=path,
     weights=state[f"{role}_state_dict"],
     shapes_seen=shapes_seen(state, role),
-    record=PolicyRecord(checkpoint=str(path.resolve()), sha256=digest, task=task, iterations=iterations),
+    record=record,
     run=run,
     role=role,
   )
 
 
 def _observations(env: Any, group: str) -> dict[str, Json]:
-  """What makes the numbers of a group: its terms and their order. Nothing where the configuration does not say."""
+  """Return the terms of an observation group and their order; empty if the configuration has none."""
   groups = getattr(env, "observations", None)
   if groups is None:
     return {}
@@ -168,7 +158,7 @@ def _observations(env: Any, group: str) -> dict[str, Json]:
 
 
 def _control(env: Any) -> Json:
-  """What becomes of actions, and how often."""
+  """Return the actions, their order and their period."""
   actions = getattr(env, "actions", None) or {}
   control: dict[str, Json] = {"order of actions": [name for name, action in actions.items() if action is not None]}
   control |= {name: encode(getattr(env, name, None)) for name in ("actions", "decimation")}
@@ -181,7 +171,7 @@ def _encoded(value: object) -> Any:
 
 
 def _bare(data: Json) -> Json:
-  """Fields of encoded dataclasses without their wrapping, so that a path into them reads as a flag does."""
+  """Return encoded data without tags, so that a path into it reads like a flag."""
   if isinstance(data, list):
     return [_bare(item) for item in data]
   if not isinstance(data, dict):
@@ -199,7 +189,7 @@ def _is_corruption(field: str) -> bool:
 
 
 def _differences(trained: Json, now: Json, where: str) -> Iterator[str]:
-  """A line for every place where two encoded values differ."""
+  """Yield a line for each difference between two encoded values."""
   if isinstance(trained, dict) and isinstance(now, dict):
     for key in [*trained, *(key for key in now if key not in trained)]:
       yield from _differences(trained.get(key), now.get(key), f"{where}.{key}" if where else key)
@@ -213,8 +203,3 @@ def _shown(value: Json) -> str:
   if isinstance(value, list):
     return ", ".join(map(_shown, value))
   return value.get("type", ", ".join(value)) if isinstance(value, dict) else str(value)
-
-
-def _listed(differences: Iterable[str]) -> str:
-  found = list(differences)
-  return "; ".join(found[:4]) + (f"; and {len(found) - 4} more" if len(found) > 4 else "")

@@ -1,5 +1,6 @@
 """One training run from configuration to checkpoint."""
 
+import contextlib
 import copy
 import os
 from collections.abc import Callable
@@ -9,31 +10,33 @@ from pathlib import Path
 from typing import Any
 
 from mjlab_core import seed_everything
+from mjlab_core.errors import ConfigError
 
-from mjlab_rl.config import ConfigError, RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, TaskCfg
 from mjlab_rl.console import Console
 from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
+from mjlab_rl.newest_bundle import NewestBundle
+from mjlab_rl.ranks import Ranks
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.runner import MjlabOnPolicyRunner
-from mjlab_rl.task import TaskCfg
 from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
 @dataclass(kw_only=True)
 class TrainingResult:
-  """How a run ended."""
+  """End of a run."""
 
   directory: Path | None
-  """Run directory; None where nothing was written."""
+  """Run directory; None if nothing was written."""
   iterations: int
-  """Iterations done in all, those before a resume included."""
+  """Iterations in all, including those before a resume."""
   checkpoint: Path | None
   """The last checkpoint."""
   stopped_by: str | None
-  """Signal that ended it early, such as "SIGINT"; None where it ran to its end."""
+  """Signal that ended it early, such as "SIGINT"; None if it ran to its end."""
 
 
 def train(
@@ -54,34 +57,38 @@ def train(
 ) -> TrainingResult:
   """Train a task.
 
-  The run directory is made once the environment stands, so a configuration that cannot be built leaves nothing behind.
+  The run directory is made after the environment, so a configuration that cannot be built leaves no files.
 
   Args:
-    task: What to train; not changed.
+    task: Task to train; not changed.
     name: Task id, for the manifest.
-    make_env: Builds the environment, called as make_env(cfg, device=device); `task.make_env` wins.
+    make_env: Environment factory, called as make_env(cfg, device=device); `task.make_env` takes precedence.
     device: Device of environment and learner, such as "cuda:0".
     log_root: Folder of all experiments; None: write nothing.
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
-    teacher: Checkpoint of the policy to imitate, where `task.agent` distils one; a run that is resumed has its own.
-    init_from: Checkpoint whose policy, by reinforcement or distilled, this one is in the beginning, with its normaliser
-      and the deviation of its actions; all else begins anew.
-    console: Where progress is shown; None: standard output.
+    teacher: Checkpoint of the policy to imitate in a distillation; a resumed run has its own.
+    init_from: Checkpoint whose policy the run starts from, with its normaliser and standard deviation of actions; the
+      optimiser, the critic and the counters start new.
+    console: Output of progress; None: standard output.
     command: Command line, for the manifest.
-    code: A file of the task's own code, whose commit goes into the manifest.
+    code: File of the task's code, whose commit goes into the manifest.
     on_ready: Called with the environment and the run directory before the first iteration.
-    watch: Called with them then, too; what it returns is called after every step.
+    watch: Called with the same arguments; the function that it returns is called after every step.
 
   Raises:
-    ManifestError: The configuration cannot be written down.
-    ConfigError: The learner configuration cannot work.
-    CheckpointError: A checkpoint does not fit.
+    ConfigError: The configuration cannot be written to a manifest, or the learner cannot work.
+    FileError: A checkpoint does not fit.
   """
-  console = console if console is not None else Console()
+  ranks = Ranks.launched()
+  device = ranks.device(device)
+  console = (console if console is not None else Console()) if ranks.is_first else Console("quiet")
   env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
   teaching = _teacher(agent, env_cfg, teacher, resume)
   beginning = _beginning(agent, env_cfg, init_from, resume)
   agent.to_rsl_rl()
+  kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
+  if teaching is not None and not issubclass(kind, MjlabDistillationRunner):
+    raise ConfigError(f"the task's runner is {kind.__name__}; a distillation needs a MjlabDistillationRunner")
   if getattr(env_cfg, "seed", None) is None:
     env_cfg.seed = agent.seed
   manifest = RunManifest(
@@ -104,28 +111,28 @@ def train(
   if log_root is not None:
     encode_manifest(manifest)
 
-  seed_everything(agent.seed)
-  env = (task.make_env or make_env)(env_cfg, device=device)
-  try:
+  with contextlib.ExitStack() as stack:
+    stack.enter_context(ranks.joined(device))
+    seed_everything(ranks.seed(agent.seed))
+    env_cfg.seed = ranks.seed(env_cfg.seed)
+    env = (task.make_env or make_env)(env_cfg, device=device)
+    stack.callback(env.close)
     wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
-    kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
     runner = kind(wrapped, agent, None, device, console=console)
     if resume is not None:
       runner.load(str(resume))
     if beginning is not None:
       runner.load_policy(beginning.path)
-    if teaching is not None:
-      if not isinstance(runner, MjlabDistillationRunner):
-        raise ConfigError(f"the task's runner is {kind.__name__}, which is no MjlabDistillationRunner")
+    if isinstance(runner, MjlabDistillationRunner) and teaching is not None:
       runner.load_teacher(teaching)
     remaining = agent.max_iterations - runner.current_learning_iteration
     if remaining <= 0:
       raise ConfigError(
-        f"{resume} has {runner.current_learning_iteration} iterations, agent.max_iterations is {agent.max_iterations}; "
-        "nothing is left to do. Raise --agent.max-iterations."
+        f"{resume} has {runner.current_learning_iteration} iterations, agent.max_iterations is {agent.max_iterations}: "
+        "no iterations are left. Raise --agent.max-iterations."
       )
     directory: Path | None = None
-    if log_root is not None:
+    if log_root is not None and ranks.is_first:
       directory = create_run_directory(Path(log_root), agent.experiment_name, agent.run_name)
       write_manifest(directory, manifest)
       runner.log_dir = env.output_dir = directory
@@ -133,6 +140,8 @@ def train(
       on_ready(env, directory)
     if watch is not None:
       runner.after_step = watch(env, directory)
+    if directory is not None:
+      runner.after_save = NewestBundle(env, agent, name, lambda: runner.networks[agent.policy], console)
     runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)
     return TrainingResult(
       directory=directory,
@@ -140,21 +149,19 @@ def train(
       checkpoint=runner.checkpoint_path() if directory is not None else None,
       stopped_by=runner.stopped_by,
     )
-  finally:
-    env.close()
 
 
 def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> TrainedPolicy | None:
-  """The teacher of a distillation; `agent` is told what its network is."""
+  """Return the teacher of a distillation, and set `agent.teacher` to its network."""
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if teacher is not None:
-      raise ConfigError(f"a teacher is given, {teacher}, but the learner is no RslRlDistillationRunnerCfg")
+      raise ConfigError(f"teacher {teacher}: only a RslRlDistillationRunnerCfg has a teacher")
     return None
   if teacher is not None and resume is not None:
-    raise ConfigError(f"a teacher is given, {teacher}, but {resume} has its own")
+    raise ConfigError(f"teacher {teacher}: a resumed run keeps its teacher ({resume})")
   path = teacher or resume
   if path is None:
-    raise ConfigError("a distillation needs a teacher: the checkpoint of a trained policy")
+    raise ConfigError("a distillation needs a teacher, the checkpoint of a trained policy")
   found = read_trained_policy(path, resumed=resume is not None)
   found.check(env, agent)
   agent.teacher = copy.deepcopy(found.network(agent))
@@ -164,11 +171,11 @@ def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: 
 def _beginning(
   agent: RslRlBaseRunnerCfg, env: Any, init_from: Path | None, resume: Path | None
 ) -> TrainedPolicy | None:
-  """The trained policy that this one is in the beginning."""
+  """Return the trained policy to start from."""
   if init_from is None:
     return None
   if resume is not None:
-    raise ConfigError(f"a policy to begin as is given, {init_from}, but {resume} has its own")
+    raise ConfigError(f"init_from {init_from}: a resumed run keeps its policy ({resume})")
   found = read_trained_policy(init_from)
   found.check_beginning(env, agent)
   return found

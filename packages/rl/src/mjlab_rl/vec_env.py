@@ -1,4 +1,4 @@
-"""The environment as rsl-rl wants it."""
+"""Adapter from an environment to rsl-rl's `VecEnv`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,10 +11,10 @@ from mjlab_rl.env_protocol import RlEnv
 
 
 class RslRlVecEnvWrapper(VecEnv):
-  """rsl-rl's `VecEnv` over an `RlEnv`. Resets the environment on construction; nothing here waits for the GPU.
+  """rsl-rl's `VecEnv` of an `RlEnv`. It resets the environment on construction and never waits for the GPU.
 
   Args:
-    env: The environment. Owned by the caller until `close`.
+    env: The environment.
     clip_actions: Limit of the absolute value of every action, None for no limit.
   """
 
@@ -27,8 +27,8 @@ class RslRlVecEnvWrapper(VecEnv):
     self.cfg = env.cfg
     self.clip_actions = clip_actions
     self.groups: frozenset[str] | None = None
-    """Observation groups that are handed on, which a rollout keeps all of; None: all."""
-    # Cutting a finite-horizon episode is its true end: the value behind it must not be bootstrapped.
+    """Observation groups to pass on, which a rollout stores; None: all."""
+    # The time limit of a finite-horizon episode is its true end, without bootstrapping.
     self._is_finite_horizon = bool(getattr(env.cfg, "is_finite_horizon", False))
     env.reset()
 
@@ -49,11 +49,11 @@ class RslRlVecEnvWrapper(VecEnv):
     self.env.episode_length_buf.copy_(value)
 
   def get_observations(self) -> TensorDict:
-    """Observations of the present state, batch size (num_envs,)."""
+    """Return the current observations, batch size (num_envs,)."""
     return self._batch(self.env.get_observations())
 
   def reset(self) -> tuple[TensorDict, dict[str, Any]]:
-    """Reset all worlds; returns (observations, info)."""
+    """Reset all worlds; return (observations, info)."""
     observations, info = self.env.reset()
     return self._batch(observations), info
 
@@ -65,7 +65,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     Returns:
       Observations (batch size (num_envs,)), rewards (num_envs,), dones (num_envs,) int64 and the environment's extras
-      with `time_outs` (num_envs,) bool: cut but not terminated, a termination in the same step wins.
+      with `time_outs` (num_envs,) bool: truncated and not terminated.
     """
     if self.clip_actions is not None:
       actions = actions.clamp(-self.clip_actions, self.clip_actions)
@@ -77,7 +77,7 @@ class RslRlVecEnvWrapper(VecEnv):
     return self._batch(observations), reward, dones, extras
 
   def drain_log(self) -> dict[str, float]:
-    """Means of the environment's log values since the last call."""
+    """Return the means of the environment's log values since the last call."""
     return self.env.drain_log()
 
   def close(self) -> None:

@@ -1,7 +1,7 @@
-"""Batched MuJoCo worlds seen in a browser, in a window, and in videos.
+"""Viewers for batched MuJoCo worlds: a browser page, a window, pictures and films.
 
-Every public name is importable from here. The imports are lazy: rendering pictures needs no browser library, and
-nothing here needs a screen until it is used.
+Every public name is importable from here. The imports are lazy: rendering pictures needs no browser library, and a
+screen is needed only by the window.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
-  from mjlab_viewer.address import check_address
-  from mjlab_viewer.browser import BrowserViewer
+  from mjlab_viewer.browser.address import check_address
+  from mjlab_viewer.browser.viewer import BrowserViewer
   from mjlab_viewer.camera import Camera, CameraCfg
-  from mjlab_viewer.checkpoint_list import CheckpointList
-  from mjlab_viewer.draw_list import DrawList
-  from mjlab_viewer.errors import RenderingError, ViewerError
-  from mjlab_viewer.native import NativeViewer
-  from mjlab_viewer.offscreen import OffscreenRenderer, PictureCfg
-  from mjlab_viewer.playback import SPEEDS, Playback, RandomPolicy, ZeroPolicy
+  from mjlab_viewer.drawing.draw_list import DrawList
+  from mjlab_viewer.env import ViewedEnv
+  from mjlab_viewer.native.viewer import NativeViewer
+  from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
+  from mjlab_viewer.pictures.training_video import TrainingVideo
+  from mjlab_viewer.pictures.video import BackgroundVideo, VideoFile
+  from mjlab_viewer.playback import SPEEDS, Playback
+  from mjlab_viewer.policies import CheckpointList, Policy, RandomPolicy, ZeroPolicy
   from mjlab_viewer.replay import Replay
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
-  from mjlab_viewer.training_video import TrainingVideo
-  from mjlab_viewer.video import BackgroundVideo, VideoFile
-  from mjlab_viewer.worlds import PlayedEnv, Policy, Steering, ViewedEnv, ViewedSim
 
 __all__ = [
   "SPEEDS",
@@ -38,19 +37,14 @@ __all__ = [
   "OffscreenRenderer",
   "PictureCfg",
   "Playback",
-  "PlayedEnv",
   "Policy",
   "RandomPolicy",
-  "RenderingError",
   "Replay",
   "Snapshot",
   "SnapshotTaker",
-  "Steering",
   "TrainingVideo",
   "VideoFile",
   "ViewedEnv",
-  "ViewedSim",
-  "ViewerError",
   "ZeroPolicy",
   "check_address",
 ]
@@ -58,19 +52,18 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
-    ".address": "check_address",
-    ".browser": "BrowserViewer",
+    ".browser.address": "check_address",
+    ".browser.viewer": "BrowserViewer",
     ".camera": "Camera CameraCfg",
-    ".checkpoint_list": "CheckpointList",
-    ".draw_list": "DrawList",
-    ".errors": "RenderingError ViewerError",
-    ".native": "NativeViewer",
-    ".offscreen": "OffscreenRenderer PictureCfg",
-    ".playback": "SPEEDS Playback RandomPolicy ZeroPolicy",
+    ".drawing.draw_list": "DrawList",
+    ".env": "ViewedEnv",
+    ".native.viewer": "NativeViewer",
+    ".pictures.offscreen": "OffscreenRenderer PictureCfg",
+    ".pictures.training_video": "TrainingVideo",
+    ".pictures.video": "BackgroundVideo VideoFile",
+    ".playback": "SPEEDS Playback",
+    ".policies": "CheckpointList Policy RandomPolicy ZeroPolicy",
     ".replay": "Replay",
     ".snapshot": "Snapshot SnapshotTaker",
-    ".training_video": "TrainingVideo",
-    ".video": "BackgroundVideo VideoFile",
-    ".worlds": "PlayedEnv Policy Steering ViewedEnv ViewedSim",
   },
 )

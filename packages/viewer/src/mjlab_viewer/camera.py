@@ -1,4 +1,4 @@
-"""Where the eye is: one meaning in the browser, in the window and in pictures."""
+"""Camera, the same in the browser, in the window and in pictures."""
 
 from __future__ import annotations
 
@@ -6,39 +6,39 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-
-from mjlab_viewer.errors import ViewerError
+from mjlab_core import MjlabError
+from mjlab_core.config import Config
 
 
 @dataclass(kw_only=True, frozen=True)
-class CameraCfg:
-  """An eye that looks at a point, MuJoCo's angles. By default it follows the robot."""
+class CameraCfg(Config):
+  """Camera that looks at a point, with MuJoCo's angles. By default it follows the robot."""
 
   distance: float | None = None
-  """From the eye to the point [m]; None: the size of the model and a quarter."""
+  """Distance from the camera to the point [m]; None is 1.25 times the size of the model."""
   azimuth: float = 120.0
-  """Direction of sight about the world's z axis [deg]; at 0 one looks along +x, at 90 along +y."""
+  """Direction of view about the world's z axis [deg]; 0 looks along +x, 90 along +y."""
   elevation: float = -20.0
-  """Direction of sight above the horizon [deg]; below zero one looks down."""
+  """Direction of view above the horizon [deg]; negative values look down."""
   body: str | None = None
-  """Name of the body that is followed; None: the first body that moves, or else the middle of the model.
+  """Name of the body that is followed; None is the first body that moves, or else the middle of the model.
 
-  Of one that only others move, such as the base of an arm, what is looked at is a quarter of the model's size above it.
+  Above a mocap body, such as the base of an arm, the camera looks at a point a quarter of the model's size higher.
   """
   lookat: tuple[float, float, float] | None = None
-  """A fixed point of the world to look at instead [m]."""
+  """Fixed point of the world to look at instead [m]."""
 
   def resolve(self, model: mujoco.MjModel) -> Camera:
-    """The camera for a model.
+    """Return the camera for a model.
 
     Raises:
-      ViewerError: the model has no such body.
+      MjlabError: the model has no such body.
     """
     if self.body is not None:
       body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
       if body < 0:
         names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-        raise ViewerError(f"camera: body '{self.body}' does not exist; the model has: {names}")
+        raise MjlabError(f"camera: body '{self.body}' does not exist; the model has: {names}")
     else:
       body = first_moving_body(model)
     distance = 1.25 * float(model.stat.extent) if self.distance is None else self.distance
@@ -59,7 +59,7 @@ class CameraCfg:
 
 @dataclass(kw_only=True, frozen=True)
 class Camera:
-  """A camera for one model: it looks at a body or at a point."""
+  """Camera for one model; it looks at a body or at a point."""
 
   distance: float
   azimuth: float
@@ -69,7 +69,7 @@ class Camera:
   lookat: tuple[float, float, float] | None
 
   def target(self, xpos: np.ndarray) -> np.ndarray:
-    """The point looked at, (3,) [m], where bodies are at `xpos`, (nbody, 3) [m]."""
+    """Return the point looked at, (3,) [m], for bodies at `xpos`, (nbody, 3) [m]."""
     if self.lookat is not None:
       return np.array(self.lookat, dtype=float)
     assert self.body is not None
@@ -77,7 +77,7 @@ class Camera:
 
   @property
   def offset(self) -> np.ndarray:
-    """From the point looked at to the eye, (3,) [m]."""
+    """Vector from the point looked at to the camera, (3,) [m]."""
     azimuth, elevation = np.deg2rad(self.azimuth), np.deg2rad(self.elevation)
     sight = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     return -self.distance * sight
@@ -90,7 +90,7 @@ class Camera:
 
 
 def first_moving_body(model: mujoco.MjModel) -> int:
-  """The first body that can move, 0 if there is none."""
+  """Return the first body that can move, 0 if none can."""
   for body in range(1, model.nbody):
     if model.body_weldid[body] != 0 or model.body_mocapid[model.body_rootid[body]] >= 0:
       return body

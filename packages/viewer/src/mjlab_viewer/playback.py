@@ -1,4 +1,4 @@
-"""Stepping worlds in the time of the one who watches."""
+"""Stepping of an environment in real time."""
 
 from __future__ import annotations
 
@@ -11,49 +11,52 @@ from collections.abc import Callable
 
 import torch
 
-from mjlab_viewer.worlds import PlayedEnv, Policy
+from mjlab_viewer.env import ViewedEnv
+from mjlab_viewer.policies import Policy
 
 _log = logging.getLogger("mjlab")
 
 SPEEDS = tuple(2.0**power for power in range(-5, 4))
-"""Speeds to choose from, relative to real time: 1/32 to 8."""
+"""Speeds to choose from, relative to real time."""
 
 LONGEST_BURST = 1 / 30
-"""Wall time that one `tick` may spend on steps [s]; what is due beyond it is dropped."""
+"""Wall time that one `tick` may spend on steps [s]; steps that are due beyond it are dropped."""
 
+# Time over which the real-time factor is measured [s].
 _MEASURED = 0.5
 
 
 class Playback:
-  """An environment that runs under a policy, in real time, slower or faster.
+  """Environment that runs under a policy, in real time, slower or faster.
 
-  `tick` is called again and again by the thread that owns the environment, and does what is due by then. Everybody
-  else asks for things with `request`. An error in the policy, in the environment or in a request pauses; it is kept in
-  `error` until somebody resumes or resets.
+  The thread that owns the environment calls `tick` regularly, which does the steps that are due. Other threads use
+  `request`. An error in the policy, in the environment or in a request pauses; it stays in `error` until `resume` or
+  `reset`.
 
   Args:
     env: The environment; its worlds are reset.
-    policy: Who acts.
-    clock: Time [s].
+    policy: The policy that acts.
+    clock: Function that returns the time [s].
   """
 
-  def __init__(self, env: PlayedEnv, policy: Policy, *, clock: Callable[[], float] = time.perf_counter) -> None:
+  def __init__(self, env: ViewedEnv, policy: Policy, *, clock: Callable[[], float] = time.perf_counter) -> None:
     self.env = env
     self.policy = policy
     self.speed = 1.0
-    """Seconds of the worlds for each of the clock."""
+    """Seconds of simulated time for each second of the clock."""
     self.paused = False
     self.error: str | None = None
-    """What went wrong, one line; None if nothing did."""
+    """Error that paused, one line, or None."""
     self.step_count = 0
     """Steps since the last reset of all worlds."""
     self.total_steps = 0
-    """Steps since the beginning."""
+    """Steps since the start."""
     self.is_capped = False
-    """Whether the machine is too slow for `speed`: time was dropped in the last tick."""
+    """True if the machine is too slow for `speed`, so that the last tick dropped time."""
     self.on_step: list[Callable[[], None]] = []
     """Called after every step."""
-    self._clock = clock
+    self.clock = clock
+    """Time [s]; viewers take theirs from here."""
     self._last: float | None = None
     self._budget = 0.0
     self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -62,20 +65,20 @@ class Playback:
 
   @property
   def real_time_factor(self) -> float:
-    """Seconds of the worlds for each of the clock, measured over the last half second."""
+    """Seconds of simulated time for each second of the clock, measured over the last half second."""
     if len(self._history) < 2:
       return 0.0
     (begin, first), (end, last) = self._history[0], self._history[-1]
     return (last - first) * self.env.step_dt / (end - begin) if end > begin else 0.0
 
   def request(self, action: Callable[[], None]) -> None:
-    """Have something done by the thread that ticks, before its next step. From any thread."""
+    """Call `action` in the thread that ticks, before its next step. Any thread may ask."""
     self._requests.put(action)
 
   def tick(self) -> int:
-    """Do what was asked for and what is due; returns the number of steps done."""
+    """Handle requests, do the steps that are due, and return their number."""
     self._handle_requests()
-    now = self._clock()
+    now = self.clock()
     elapsed = 0.0 if self._last is None else now - self._last
     self._last = now
     if self.paused:
@@ -84,9 +87,9 @@ class Playback:
       return 0
     self._budget += elapsed * self.speed
     steps = 0
-    # A hair early rather than a step late: sums of floats fall short of what they should be.
+    # The tolerance covers rounding: without it, a sum that falls short by 1e-17 delays a step.
     while self._budget >= self.env.step_dt - 1e-9 and not self.paused:
-      if steps and self._clock() - now >= LONGEST_BURST:
+      if steps and self.clock() - now >= LONGEST_BURST:
         break
       self._budget -= self.env.step_dt
       steps += self._step()
@@ -97,13 +100,13 @@ class Playback:
     return steps
 
   def step_once(self) -> None:
-    """One step, while paused."""
+    """Do one step, while paused."""
     if self.paused:
       self.error = None
       self._step()
 
   def resume(self) -> None:
-    """Go on; an error is forgotten."""
+    """Continue, and forget an error."""
     self.error, self.paused = None, False
 
   def pause(self) -> None:
@@ -112,25 +115,25 @@ class Playback:
 
   def fail(self, what: str, error: Exception) -> None:
     """Pause for an error, and keep it as one line."""
-    said = one_line(what, error)
-    if said != self.error:
-      _log.warning("paused: %s", said)
+    line = one_line(what, error)
+    if line != self.error:
+      _log.warning("paused: %s", line)
       _log.info("%s", "".join(traceback.format_exception(error)))
-    self.error, self.paused = said, True
+    self.error, self.paused = line, True
 
   def reset(self) -> None:
-    """Begin anew in all worlds; an error is forgotten, and who paused for it goes on."""
+    """Reset all worlds. After an error, forget it and continue."""
     if self.error is not None:
       self.resume()
     self._guard("reset", self._reset)
 
   def faster(self, by: int = 1) -> None:
-    """The next greater speed, or for -1 the next smaller one."""
+    """Take the next greater speed, or for -1 the next smaller one."""
     nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
     self.speed = SPEEDS[max(0, min(len(SPEEDS) - 1, nearest + by))]
 
   def set_policy(self, policy: Policy) -> None:
-    """Go on under another policy, which remembers nothing yet."""
+    """Continue under another policy, from its initial state."""
     self.policy = policy
     self._forget(None)
 
@@ -160,7 +163,7 @@ class Playback:
       reset(dones)
 
   def _handle_requests(self) -> None:
-    # Those that come in meanwhile wait for the next tick.
+    # Requests that arrive during this tick wait for the next one.
     for _ in range(self._requests.qsize()):
       self._guard("control", self._requests.get_nowait())
 
@@ -179,27 +182,5 @@ class Playback:
 
 
 def one_line(what: str, error: Exception) -> str:
-  """Where something went wrong, and what."""
+  """Return an error as one line, with the part that failed."""
   return f"{what}: {type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
-
-
-class ZeroPolicy:
-  """Zero actions, (num_envs, num_actions)."""
-
-  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
-    self._actions = torch.zeros(num_envs, num_actions, device=device)
-
-  def __call__(self, observations: object) -> torch.Tensor:
-    del observations
-    return self._actions
-
-
-class RandomPolicy:
-  """Uniform actions in [-1, 1), (num_envs, num_actions)."""
-
-  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
-    self._actions = torch.zeros(num_envs, num_actions, device=device)
-
-  def __call__(self, observations: object) -> torch.Tensor:
-    del observations
-    return self._actions.uniform_(-1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Stored moments of worlds, as an environment that viewers play."""
+"""Stored states of worlds, as an environment that viewers play."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ import numpy as np
 import torch
 
 from mjlab_viewer.host_world import HostWorld, copy_world
-from mjlab_viewer.offscreen import OffscreenRenderer
+from mjlab_viewer.pictures.offscreen import OffscreenRenderer
+from mjlab_viewer.pictures.video import VideoFile
 from mjlab_viewer.snapshot import FIELDS, Snapshot, SnapshotTaker
-from mjlab_viewer.video import VideoFile
 
 
 class Replay:
-  """Shows one moment after another, then begins anew; in a browser its time can be held by hand.
+  """Environment that shows one stored moment after another, again and again; the page can set its time.
 
   Args:
-    model: What these are moments of.
-    moments: Fields of MjData by name, (moments, num_envs, ...), `qpos` at least. Poses of bodies follow from these;
-      what else is not given is as MuJoCo begins.
-    step_dt: From one moment to the next [s].
+    model: Model of the worlds.
+    moments: Fields of MjData by name, (moments, num_envs, ...), at least `qpos`. Poses of bodies follow from these;
+      other fields have MuJoCo's initial values.
+    step_dt: Time from one moment to the next [s].
     model_fields: Fields of MjModel with a value for each world, (num_envs, ...).
   """
 
@@ -50,7 +50,7 @@ class Replay:
       expanded_fields=tuple(own),
       model={name: torch.from_numpy(value) for name, value in own.items()},
       data=SimpleNamespace(),
-      # MuJoCo C computes them from the moment that is shown.
+      # MuJoCo C computes contacts from the moment that is shown.
       contacts=lambda world: None,
     )
     self.reset()
@@ -60,7 +60,7 @@ class Replay:
     self._show(0 if self._held is None else self._held)
 
   def step(self, action: object) -> tuple[dict[str, Any], torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-    """Go on to the next moment; after the last one the first comes again, as a new episode."""
+    """Show the next moment; the first one follows the last, as a new episode."""
     del action
     self._show((self._at + 1) % self.num_steps if self._held is None else self._held)
     zeros = torch.zeros(self.num_envs)
@@ -73,38 +73,39 @@ class Replay:
     return self._at
 
   def note(self, world: int) -> str:
-    """What there is to say of a world at the moment that is shown, one line."""
+    """Return a note about a world at the moment that is shown, one line."""
     del world
     return f"moment {self.at + 1} of {self.num_steps}"
 
   def get_observations(self) -> dict[str, Any]:
-    """There are none."""
+    """Return no observations."""
     return {}
 
   def signals(self) -> dict[str, tuple[list[str], torch.Tensor]]:
-    """Positions, velocities and controls of the moment that is shown, as far as they were given."""
+    """Return the given positions, velocities and controls of the moment that is shown."""
     given = [name for name in ("qpos", "qvel", "ctrl") if name in self._given]
     values = {name: self._moments[name][self._at].flatten(1) for name in given}
     return {name: ([f"{name}[{i}]" for i in range(value.shape[1])], value) for name, value in values.items()}
 
   def drawers(self) -> dict[str, Any]:
-    """Nobody draws."""
+    """Return no drawers."""
     return {}
 
-  def drawn_at_first(self) -> tuple[str, ...]:
+  def default_drawers(self) -> tuple[str, ...]:
+    """Return no names."""
     return ()
 
   def steering(self) -> dict[str, Replay]:
-    """The time."""
+    """Return the time as a command."""
     return {"time": self}
 
   @property
   def axes(self) -> list[tuple[str, float, float]]:
-    """What can be given by hand: the time since the first moment [s]."""
+    """Time since the first moment [s], as the axis of a command."""
     return [("time [s]", 0.0, (self.num_steps - 1) * self.step_dt)]
 
   def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Hold all worlds at a time [s], until they go on with None."""
+    """Hold all worlds at a time [s]; None continues."""
     del world
     self._held = None if values is None else min(max(round(values[0] / self.step_dt), 0), self.num_steps - 1)
     if self._held is not None:
@@ -119,14 +120,14 @@ class Replay:
     every: int = 1,
     on_frame: Callable[[int], None] = lambda frame: None,
   ) -> None:
-    """Film all moments, each world a tile; the file appears whole or not at all, in place of what was there.
+    """Film all moments, with a tile for each world. The file appears whole or not at all, and replaces another.
 
     Args:
       path: FILE.mp4.
-      renderer: Makes the pictures; of the same model.
-      speed: Seconds of the worlds for each of the film.
-      every: Take only one in so many moments.
-      on_frame: Called after each frame with how many there are.
+      renderer: Renderer of the same model.
+      speed: Seconds of simulated time for each second of the film.
+      every: Number of moments from one frame to the next.
+      on_frame: Called after each frame with the number of frames.
     """
     taker = SnapshotTaker(self)
     file = VideoFile(path, fps=speed / (every * self.step_dt))
@@ -142,14 +143,14 @@ class Replay:
 
   def _show(self, step: int) -> None:
     self._at = step
-    # Copies: whoever pushes what is shown does not change what was stored.
+    # Copies, so that a push does not change the stored moments.
     vars(self.sim.data).update({name: moments[step].clone() for name, moments in self._moments.items()})
 
 
 def _completed(
   model: mujoco.MjModel, given: Mapping[str, np.ndarray], model_fields: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-  """All fields of MjData that viewers read, (moments, num_envs, ...)."""
+  """Return all fields of MjData that viewers read, (moments, num_envs, ...)."""
   steps, worlds = given["qpos"].shape[:2]
   rest = mujoco.MjData(model)
   fields = {}

@@ -1,4 +1,4 @@
-"""Copies of a few worlds on the host: all that viewers look at."""
+"""Copies of a few worlds on the host."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from mjlab_core import Contacts
 
-from mjlab_viewer.contacts import HostContacts
-from mjlab_viewer.draw_list import DrawList
-from mjlab_viewer.worlds import ViewedEnv
+from mjlab_viewer.drawing.draw_list import DrawList
+from mjlab_viewer.env import ViewedEnv
 
-# What MuJoCo needs to compute everything else, and the poses that are drawn.
+# State from which MuJoCo computes everything else, and the poses of bodies.
 FIELDS = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active
 xpos xquat""".split()
 
 
 @dataclass(kw_only=True)
 class Snapshot:
-  """Some worlds at one moment."""
+  """State of some worlds at one moment."""
 
   worlds: tuple[int, ...]
-  """Which; the first one is selected."""
+  """Numbers of the worlds; the first is the selected one."""
   data: dict[str, np.ndarray]
   """Fields of MjData, (len(worlds), ...)."""
   model: dict[str, np.ndarray]
@@ -31,20 +31,20 @@ class Snapshot:
   signals: dict[str, np.ndarray]
   """Numbers of the selected world by group, (k,)."""
   drawings: list[DrawList]
-  """What was drawn: one for all worlds, or one for each."""
-  contacts: Sequence[HostContacts] = ()
-  """Of the selected world, or of each, as the simulation computed them; none where it does not tell."""
+  """Debug drawings: one for all worlds, or one for each."""
+  contacts: Sequence[Contacts[np.ndarray]] = ()
+  """Contacts of the selected world, or of each; empty if the simulation does not provide them."""
   step: int = 0
-  """Steps done when it was taken."""
+  """Number of steps done before it."""
 
   def is_finite(self, row: int = 0) -> bool:
-    """Whether the bodies of a world are anywhere: those of one that diverged cannot be shown."""
+    """Return True if the poses of a world are finite; a world that diverged cannot be shown."""
     return all(bool(np.isfinite(self.data[name][row]).all()) for name in ("xpos", "xquat"))
 
 
 @dataclass
 class _Layout:
-  """How rows of one kind lie in the packed transfer."""
+  """Names and rows of one kind in the packed transfer."""
 
   names: list[str] = field(default_factory=list)
   rows: list[torch.Tensor] = field(default_factory=list)
@@ -55,13 +55,13 @@ class _Layout:
 
 
 class SnapshotTaker:
-  """Takes snapshots of an environment. Its cost grows with the worlds asked for, not with those there are.
+  """Takes snapshots of an environment. The cost grows with the worlds in a snapshot, not with all worlds.
 
-  All values of a snapshot come to the host in one transfer. Nothing of the environment is written to.
+  All values of a snapshot come to the host in one transfer. The environment is not written to.
 
   Args:
     env: The environment.
-    contacts: Take contacts, too; the simulation keeps them from its next step on.
+    contacts: True also copies contacts, which the simulation keeps from its next step on.
   """
 
   def __init__(self, env: ViewedEnv, *, contacts: bool = False) -> None:
@@ -75,20 +75,20 @@ class SnapshotTaker:
     """Copy some worlds.
 
     Args:
-      worlds: Which, the selected one first.
-      drawers: Names of those who draw.
-      apart: Draw over each world by itself, and take its contacts, for pictures that show one world each.
-      step: Steps done, to be kept with it.
+      worlds: Numbers of the worlds, the selected one first.
+      drawers: Names of the drawers that are on.
+      apart: True draws over each world by itself and copies its contacts, for pictures that show one world each.
+      step: Number of steps done, stored in the snapshot.
     """
     env, worlds = self._env, tuple(worlds)
     chosen = self._indices.get(worlds)
     if chosen is None:
-      # Few sets of worlds are ever looked at; a copy of the indices each time would be one more transfer.
+      # The same worlds are shown for a long time; a copy of their indices each time would be one more transfer.
       self._indices = {worlds: torch.tensor(worlds, device=env.sim.device)}
       chosen = self._indices[worlds]
     selected = chosen[:1]
     data, model, signals = _Layout(), _Layout(), _Layout()
-    # Read by name: whoever reads derived fields gets them fresh.
+    # Derived fields are brought up to date when they are read by name.
     for name in self._fields:
       data.add(name, getattr(env.sim.data, name).index_select(0, chosen))
     for name in env.sim.expanded_fields:
@@ -104,14 +104,14 @@ class SnapshotTaker:
     layouts = (data, model, signals)
     rows = [row for layout in layouts for row in layout.rows]
     touching = [env.sim.contacts(world) for world in (worlds if apart else worlds[:1])] if self._has_contacts else []
-    kept = [(c.found, c.geom, c.pos, c.normal, c.force) for c in touching if c is not None]
+    kept = [(c.found, c.geom, c.dist, c.pos, c.normal, c.force) for c in touching if c is not None]
     arrays = to_host(
       rows + [tensor for drawing in drawings for tensor in drawing.pending] + [tensor for c in kept for tensor in c]
     )
     arrived = iter(arrays[len(rows) :])
     for drawing in drawings:
       drawing.finish(arrived)
-    contacts = [_contacts(*itertools.islice(arrived, 5)) for _ in kept]
+    contacts = [_contacts(*itertools.islice(arrived, 6)) for _ in kept]
     named: list[dict[str, np.ndarray]] = []
     start = 0
     for layout in layouts:
@@ -130,14 +130,21 @@ class SnapshotTaker:
 
 
 def _contacts(
-  found: np.ndarray, geom: np.ndarray, pos: np.ndarray, normal: np.ndarray, force: np.ndarray
-) -> HostContacts:
+  found: np.ndarray, geom: np.ndarray, dist: np.ndarray, pos: np.ndarray, normal: np.ndarray, force: np.ndarray
+) -> Contacts[np.ndarray]:
   rows = found.astype(bool) & np.isfinite(pos).all(axis=1) & np.isfinite(force).all(axis=1)
-  return HostContacts(geom=geom[rows].astype(np.int32), pos=pos[rows], normal=normal[rows], force=force[rows])
+  return Contacts(
+    found=rows[rows],
+    geom=geom[rows].astype(np.int32),
+    dist=dist[rows],
+    pos=pos[rows],
+    normal=normal[rows],
+    force=force[rows],
+  )
 
 
 def to_host(tensors: Sequence[torch.Tensor]) -> list[np.ndarray]:
-  """Copies of tensors as arrays, brought over in one transfer where they are on a device."""
+  """Return copies of tensors as arrays, in one transfer where they are on a device."""
   if not tensors:
     return []
   if all(tensor.device.type == "cpu" for tensor in tensors):

@@ -1,0 +1,79 @@
+"""Clips by name: those that ship with mjlab-motions, motion files, and folders of them."""
+
+import dataclasses
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from mjlab_core.errors import FileError, UnknownNameError
+from mjlab_core.names import check_name, unknown
+
+from mjlab_motions.reading import read_json
+
+INDEX = "library.json"
+"""Optional file of a folder: {"clip.npz": {"weight": 2.0, "split": "test"}, ...}."""
+
+
+class _Settings(msgspec.Struct, forbid_unknown_fields=True):
+  weight: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+  split: str = "train"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ClipEntry:
+  """Clip of a library before it is placed on a robot."""
+
+  path: Path
+  weight: float = 1.0
+  """Probability of a moment of it to be a start, relative to moments of other clips."""
+  split: str = "train"
+
+
+def shipped_clips() -> dict[str, Path]:
+  """Return the clips of this package by name."""
+  folder = Path(str(files("mjlab_motions") / "clips"))
+  return {path.stem: path for path in sorted(folder.glob("*.npz"))}
+
+
+def find_clips(motion: str, split: str | None = None) -> list[ClipEntry]:
+  """Return the clips that a name refers to.
+
+  Args:
+    motion: Name of a clip that ships, path of a motion file, or path of a folder of them.
+    split: Of a folder, only the clips of this split; None: all.
+
+  Raises:
+    UnknownNameError: No clip, file or folder has that name.
+    FileError: The folder has no clips of the split, or its index is wrong.
+  """
+  shipped, path = shipped_clips(), Path(motion)
+  if motion in shipped:
+    return [ClipEntry(path=shipped[motion])]
+  if path.is_dir():
+    entries = _folder(path)
+    chosen = [entry for entry in entries if split is None or entry.split == split]
+    if not chosen:
+      splits = ", ".join(sorted({entry.split for entry in entries}))
+      raise FileError(f"{path}: no clip of split '{split}'; there is: {splits}" if entries else f"{path}: has no .npz")
+    return chosen
+  if path.is_file():
+    if path.suffix != ".npz":
+      raise FileError(f"{path}: a clip to follow is an .npz; `convert-motion {path} --output FILE.npz` makes one")
+    return [ClipEntry(path=path)]
+  if (file := path.with_name(f"{path.name}.npz")).is_file():
+    raise UnknownNameError(f"no clip of the name '{motion}' ships; the file is called {file}")
+  raise UnknownNameError(
+    f"{unknown('motion', motion, list(shipped))} It may also be the path of an .npz or of a folder."
+  )
+
+
+def _folder(folder: Path) -> list[ClipEntry]:
+  paths = {path.name: path for path in sorted(folder.glob("*.npz"))}
+  index: dict[str, _Settings] = {}
+  if (file := folder / INDEX).is_file():
+    index = read_json(file, dict[str, _Settings], '{"clip.npz": {"weight": 1.0, "split": "train"}, ...}')
+  for name in index:
+    check_name("clip", name, paths, str(file))
+  settings = {name: index.get(name, _Settings()) for name in paths}
+  return [ClipEntry(path=paths[name], weight=item.weight, split=item.split) for name, item in settings.items()]

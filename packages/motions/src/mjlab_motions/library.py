@@ -1,0 +1,154 @@
+"""Many clips in one buffer on the device, with weights, splits, and bins of about a second each."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import torch
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name
+
+from mjlab_motions.clips import find_clips
+from mjlab_motions.formats import read_motion
+from mjlab_motions.kinematics import Kinematics
+from mjlab_motions.motion import Motion
+from mjlab_motions.timeline import angular_velocity, derivative, resample
+
+
+class MotionLibrary:
+  """Clips at one rate, placed on one robot, one frame per row. Constant after build, and all on the device.
+
+  Args:
+    motions: The clips.
+    robot: Robot of all clips. Derived quantities are computed on its device.
+    bodies: Names of the bodies to keep, in order.
+    rate: Frames per second of the buffer, usually the control rate [Hz].
+    weights: One per clip; None: equal weights.
+    bin_seconds: Approximate length of a bin [s]; a clip has at least one bin.
+    dtype: Precision of the rows.
+
+  Raises:
+    MjlabError: There is no clip, or one does not fit the robot or is too short.
+    UnknownNameError: The robot lacks a body.
+  """
+
+  def __init__(
+    self,
+    motions: Sequence[Motion],
+    robot: Kinematics,
+    bodies: Sequence[str],
+    *,
+    rate: float,
+    weights: Sequence[float] | None = None,
+    bin_seconds: float = 1.0,
+    dtype: torch.dtype = torch.float32,
+  ) -> None:
+    if not motions:
+      raise MjlabError("a library needs at least one clip")
+    for body in bodies:
+      check_name("body", body, robot.body_names, "tracked bodies")
+    device = robot.device
+    rows = [robot.body_names.index(body) for body in bodies]
+    self.joint_names, self.body_names, self.rate = robot.joint_names, tuple(bodies), rate
+    self.clip_names = tuple(motion.name for motion in motions)
+    blocks, lengths, bins = [], [], []
+    for motion in motions:
+      motion = resample(motion, rate)
+      blocks.append(_rows(motion, robot, rows).to(dtype))
+      lengths.append(motion.num_frames)
+      # A start needs a frame after it, so the last frame is in no bin of starts.
+      bins.append(min(max(1, round((motion.num_frames - 1) / rate / bin_seconds)), motion.num_frames - 1))
+    n, b = len(robot.joint_names), len(rows)
+    widths = {"joint_pos": n, "joint_vel": n, "body_pos": 3 * b, "body_quat": 4 * b, "lin_vel": 3 * b, "ang_vel": 3 * b}
+    starts = [sum(list(widths.values())[:i]) for i in range(len(widths))]
+    self.columns = {name: slice(at, at + width) for (name, width), at in zip(widths.items(), starts, strict=True)}
+    """Columns of each quantity in a row; those of bodies are flattened."""
+    self.table = torch.cat(blocks)
+    """All frames of all clips, (frames, width)."""
+
+    def whole(values: Sequence[int]) -> torch.Tensor:
+      return torch.tensor(values, dtype=torch.int64, device=device)
+
+    self.lengths = whole(lengths)
+    """Frames of each clip, (clips,)."""
+    self.offsets = whole([sum(lengths[:i]) for i in range(len(lengths))])
+    """Row of the first frame of each clip, (clips,)."""
+    self.bin_counts = whole(bins)
+    """Bins of each clip, (clips,)."""
+    self.bin_offsets = whole([sum(bins[:i]) for i in range(len(bins))])
+    """Number of the first bin of each clip, (clips,)."""
+    self.clip_of_bin = whole([clip for clip, count in enumerate(bins) for _ in range(count)])
+    """Clip of each bin, (bins,)."""
+    first, last = [], []
+    for length, count in zip(lengths, bins, strict=True):
+      edges = [(length - 1) * i // count for i in range(count + 1)]
+      first += edges[:-1]
+      last += edges[1:]
+    self.bin_first, self.bin_end = whole(first), whole(last)
+    """Frames of each bin within its clip: the first, and the one after the last, (bins,)."""
+    weight = torch.tensor(list(weights or [1.0] * len(motions)), dtype=torch.float64, device=device)
+    frames = (self.bin_end - self.bin_first).double()
+    share = frames * weight[self.clip_of_bin]
+    self.bin_share = (share / share.sum()).float()
+    """Probability of each bin if moments are equally likely up to the weights, (bins,)."""
+    clip_share = torch.zeros_like(weight).index_add_(0, self.clip_of_bin, share)
+    self.clip_share = (clip_share / clip_share.sum()).float()
+    """Probability of each clip under the same rule, (clips,)."""
+
+  @property
+  def num_clips(self) -> int:
+    """Number of clips."""
+    return len(self.clip_names)
+
+  @property
+  def num_bins(self) -> int:
+    """Number of bins."""
+    return self.bin_first.numel()
+
+  def bin_of(self, clip: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
+    """Return the number of the bin of frames within clips, (...)."""
+    count = self.bin_counts[clip]
+    steps = (self.lengths[clip] - 1).clamp(min=1)
+    # The edges of bins are rounded down, so a frame's bin is that of the next frame's share, rounded up, less one.
+    within = ((frame + 1) * count - 1).div(steps, rounding_mode="floor")
+    return self.bin_offsets[clip] + within.clamp(max=count - 1)
+
+  def __repr__(self) -> str:
+    seconds = float((self.lengths - 1).sum()) / self.rate
+    return f"MotionLibrary({self.num_clips} clips, {seconds:.1f} s at {self.rate:g} Hz)"
+
+
+def _rows(motion: Motion, robot: Kinematics, rows: list[int]) -> torch.Tensor:
+  """Return joints and bodies of each frame, (frames, width), on the robot's device."""
+
+  def there(values: torch.Tensor) -> torch.Tensor:
+    return values.to(robot.device)
+
+  rate = motion.rate
+  joint_pos = there(robot.columns_of(motion))
+  joint_vel = derivative(joint_pos, rate)
+  root_pos, root_quat = there(motion.root_pos), there(motion.root_quat)
+  pos, quat = robot.poses(root_pos, root_quat, joint_pos)
+  linear, angular = robot.velocities(
+    pos, quat, derivative(root_pos, rate), angular_velocity(root_quat, rate), joint_vel
+  )
+  return torch.cat((joint_pos, joint_vel, *(part[:, rows].flatten(1) for part in (pos, quat, linear, angular))), 1)
+
+
+def load_library(
+  motion: str,
+  robot: Kinematics,
+  bodies: Sequence[str],
+  *,
+  rate: float,
+  split: str | None = None,
+  dtype: torch.dtype = torch.float32,
+) -> MotionLibrary:
+  """Return the clips that a name refers to, see `find_clips`, as a library.
+
+  Raises:
+    MjlabError: See `find_clips`, `read_motion` and `MotionLibrary`.
+  """
+  entries = find_clips(motion, split)
+  # Files of a folder have different names; the names stored in them may be equal.
+  motions = [dataclasses.replace(read_motion(entry.path, robot), name=entry.path.stem) for entry in entries]
+  return MotionLibrary(motions, robot, bodies, rate=rate, weights=[entry.weight for entry in entries], dtype=dtype)

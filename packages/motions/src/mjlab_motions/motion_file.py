@@ -1,0 +1,138 @@
+"""Motion files: `.npz` archives without pickles that say what they hold."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from mjlab_core.errors import FileError, MjlabError
+from mjlab_core.files import AtomicWrite, printable
+
+from mjlab_motions.motion import Motion
+from mjlab_motions.reading import Npz
+
+FORMAT = "mjlab-motion"
+VERSION = 1
+UNITS = {"length": "m", "angle": "rad", "time": "s"}
+FRAMES = {
+  "quaternions": "unit, (w, x, y, z)",
+  "root_pos_w, root_quat_w": "pose of the root body's origin in the world, z up",
+  "body_pos_w, body_quat_w": "pose of each body's origin in the world",
+  "body_lin_vel_w, body_ang_vel_w": "velocity of each body at its origin, world axes",
+  "joint_pos, joint_vel": "absolute, in the order of joint_names",
+}
+
+
+class Metadata(msgspec.Struct):
+  """Texts of a motion file, stored as JSON. Other fields are ignored."""
+
+  format: str = ""
+  version: int | None = None
+  name: str = ""
+  units: dict[str, str] = {}
+  frames: dict[str, str] = {}
+  source: str = ""
+  license: str = ""
+  history: list[str] = []
+
+
+def save_motion(motion: Motion, path: str | os.PathLike[str], derived: dict[str, np.ndarray] | None = None) -> None:
+  """Write a motion file. It appears whole or not at all; missing folders are created.
+
+  Args:
+    motion: Clip to write.
+    path: The file, ending in `.npz`.
+    derived: Arrays for other readers, by name, such as those of `derived_arrays`.
+
+  Raises:
+    MjlabError: The path does not end in `.npz`.
+  """
+  path = Path(path)
+  if path.suffix != ".npz":
+    raise MjlabError(f"{path}: a motion file ends in .npz")
+  metadata = Metadata(
+    format=FORMAT,
+    version=VERSION,
+    name=motion.name,
+    units=UNITS,
+    frames=FRAMES,
+    source=motion.source,
+    license=motion.license,
+    history=list(motion.history),
+  )
+  arrays: dict[str, Any] = {
+    "metadata": np.array(msgspec.json.encode(metadata).decode()),
+    "fps": np.array([motion.rate]),
+    "root_body": np.array(motion.root_body),
+    "joint_names": np.array(motion.joint_names),
+    "root_pos_w": motion.root_pos.numpy().astype(np.float32),
+    "root_quat_w": motion.root_quat.numpy().astype(np.float32),
+    "joint_pos": motion.joint_pos.numpy().astype(np.float32),
+    **(derived or {}),
+  }
+  with AtomicWrite(path) as temporary:
+    np.savez_compressed(temporary, **arrays)
+
+
+def load_motion(path: str | os.PathLike[str]) -> Motion:
+  """Return the clip of a motion file. `read_motion` reads other formats too.
+
+  Raises:
+    FileError: There is no such file, it is damaged or too large, or it is not of this format.
+    MjlabError: Its numbers do not describe a motion.
+  """
+  archive = Npz(path)
+  if (metadata := metadata_of(archive)) is None:
+    raise FileError(f"{archive.path}: not a motion file, it has: {archive.names}; convert-motion may read it")
+  return motion_in(archive, metadata)
+
+
+def metadata_of(archive: Npz) -> Metadata | None:
+  """Return the metadata of a motion file; None if the archive is of another format.
+
+  Raises:
+    FileError: The archive claims to be a motion file, and its metadata are wrong.
+  """
+  if "metadata" not in archive:
+    return None
+  try:
+    text = archive.text("metadata")
+    if msgspec.json.decode(text, type=_Format).format != FORMAT:
+      return None
+  except (FileError, msgspec.DecodeError, RecursionError):
+    # Other projects may store something else under this name.
+    return None
+  try:
+    return msgspec.json.decode(text, type=Metadata)
+  except (msgspec.DecodeError, RecursionError) as error:
+    raise FileError(f"{archive.path}: metadata: {printable(error)}") from error
+
+
+class _Format(msgspec.Struct):
+  format: Any = ""
+
+
+def motion_in(archive: Npz, metadata: Metadata) -> Motion:
+  """Return the clip of an archive with these metadata.
+
+  Raises:
+    FileError: An array is missing, or the file is of a later version.
+    MjlabError: Its numbers do not describe a motion.
+  """
+  path = archive.path
+  if metadata.version != VERSION:
+    raise FileError(f"{path}: written in version {metadata.version} of the format, this reads version {VERSION}")
+  return Motion(
+    name=metadata.name or path.stem,
+    rate=archive.number("fps"),
+    root_body=archive.text("root_body"),
+    joint_names=archive.words("joint_names"),
+    root_pos=torch.from_numpy(archive.numbers("root_pos_w", ndim=2)),
+    root_quat=torch.from_numpy(archive.numbers("root_quat_w", ndim=2)),
+    joint_pos=torch.from_numpy(archive.numbers("joint_pos", ndim=2)),
+    source=metadata.source,
+    license=metadata.license,
+    history=tuple(metadata.history),
+  )

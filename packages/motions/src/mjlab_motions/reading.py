@@ -1,0 +1,181 @@
+"""Files of clips read within bounds: sizes are known before data is unpacked, and only wanted arrays are."""
+
+import io
+import math
+import os
+import zipfile
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+from mjlab_core.errors import FileError
+from mjlab_core.files import printable
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+MAX_BYTES = 512 * 2**20
+"""Limit of a file, and of all numbers that are read from one [bytes]; 90 minutes of a G1 with its bodies."""
+MAX_TEXT_BYTES = 2**20
+"""Limit of a text in a clip or beside it, such as a joint map [bytes]."""
+_MAX_HEADER = 10_000
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def check_size(path: Path, limit: int = MAX_BYTES) -> None:
+  """Refuse what is not a file, or is larger than the limit.
+
+  Raises:
+    FileError: There is no such file, or it is too large.
+  """
+  if not path.is_file():
+    raise FileError(f"{path}: no such file")
+  if (size := path.stat().st_size) > limit:
+    raise FileError(f"{path}: {megabytes(size)}, the limit is {megabytes(limit)}; split the file")
+
+
+def read_text(path: str | os.PathLike[str], limit: int = MAX_TEXT_BYTES) -> str:
+  """Return the text of a file in UTF-8.
+
+  Raises:
+    FileError: There is no such file, it is larger than the limit, or it is not a text.
+  """
+  path = Path(path)
+  check_size(path, limit)
+  try:
+    return path.read_text(encoding="utf-8-sig")
+  except UnicodeDecodeError as error:
+    raise FileError(f"{path}: not a text ({error})") from error
+
+
+def read_json(path: str | os.PathLike[str], kind: type[T], example: str) -> T:
+  """Return the contents of a JSON file, converted to a type of msgspec.
+
+  Raises:
+    FileError: See `read_text`; or the contents are of another type than the example.
+  """
+  try:
+    return msgspec.json.decode(read_text(path), type=kind)
+  except (msgspec.DecodeError, RecursionError) as error:
+    raise FileError(f"{path}: {error}; expected {example}") from error
+
+
+class Npz:
+  """Arrays of a `.npz`, each unpacked when it is asked for. Nothing in the file is executed.
+
+  Args:
+    path: The file.
+
+  Raises:
+    FileError: There is no such file, it is larger than `MAX_BYTES`, or it is damaged.
+  """
+
+  def __init__(self, path: str | os.PathLike[str]) -> None:
+    self.path = Path(path)
+    check_size(self.path)
+    if not zipfile.is_zipfile(self.path):
+      raise FileError(f"{self.path}: not a readable .npz (it is none, or its end is missing)")
+    try:
+      with zipfile.ZipFile(self.path) as archive:
+        members = archive.infolist()
+    except Exception as error:  # zipfile, struct and codecs each have their own errors
+      raise FileError(f"{self.path}: damaged ({printable(error)})") from error
+    self._members = {info.filename.removesuffix(".npy"): info for info in members if info.filename.endswith(".npy")}
+    self._left = MAX_BYTES
+
+  @property
+  def names(self) -> str:
+    """Names of the arrays, for messages."""
+    return printable(", ".join(self._members)) or "nothing"
+
+  def __contains__(self, name: str) -> bool:
+    return name in self._members
+
+  def numbers(self, name: str, *, ndim: int) -> NDArray[np.float64]:
+    """Return an array of numbers with `ndim` axes.
+
+    Raises:
+      FileError: It is missing, damaged or too large, holds something else, or has other axes.
+    """
+    value = self._array(name, "fiu", ndim, f"{ndim}-d numbers")
+    return value.astype(np.float64)
+
+  def column(self, name: str) -> NDArray[np.float64]:
+    """Return all numbers of an array in one row, whatever axes it has.
+
+    Raises:
+      FileError: It is missing, damaged or too large, or holds something else.
+    """
+    return self._array(name, "fiu", None, "numbers").reshape(-1).astype(np.float64)
+
+  def number(self, name: str) -> float:
+    """Return the one number of an array.
+
+    Raises:
+      FileError: See `column`; or it holds several.
+    """
+    values = self.column(name)
+    if values.size != 1:
+      raise FileError(f"{self.path}: {name} has {values.size} numbers, expected one")
+    return float(values[0])
+
+  def words(self, name: str) -> tuple[str, ...]:
+    """Return a list of words.
+
+    Raises:
+      FileError: It is missing, damaged or too large, or not a list of words.
+    """
+    value = self._array(name, "US", 1, "a list of names")
+    try:
+      return tuple(value.astype(str).tolist())
+    except ValueError as error:
+      raise FileError(f"{self.path}: {name} is not text ({printable(error)})") from error
+
+  def text(self, name: str) -> str:
+    """Return a text.
+
+    Raises:
+      FileError: It is missing, damaged or too large, or not a text.
+    """
+    return str(self._array(name, "U", 0, "a text").item())
+
+  def _array(self, name: str, kinds: str, ndim: int | None, expected: str) -> np.ndarray:
+    if name not in self._members:
+      raise FileError(f"{self.path}: lacks {name}, it has: {self.names}")
+    info, is_numeric = self._members[name], "f" in kinds
+    if info.compress_type not in _PLAIN or info.flag_bits & 1:
+      raise FileError(f"{self.path}: {name} is packed in another way than NumPy packs arrays")
+    try:
+      with zipfile.ZipFile(self.path) as archive, archive.open(info) as member:
+        shape, dtype = _header(member.read(_MAX_HEADER))
+        fits = dtype.kind in kinds and ndim in (None, len(shape))
+        # Numbers become float64.
+        size = math.prod(shape) * (max(dtype.itemsize, 8) if is_numeric else dtype.itemsize)
+        if fits and size <= (self._left if is_numeric else MAX_TEXT_BYTES):
+          self._left -= size
+          with archive.open(info) as member:
+            return np.lib.format.read_array(member, allow_pickle=False, max_header_size=_MAX_HEADER)
+    except Exception as error:  # zipfile, zlib and NumPy each have their own errors
+      raise FileError(f"{self.path}: {name} is not a readable array ({printable(error)})") from error
+    if dtype.hasobject:
+      raise FileError(f"{self.path}: {name} holds Python objects, which are not read")
+    if not fits:
+      raise FileError(f"{self.path}: {name} has shape {shape} and type {dtype}, expected {expected}")
+    limit = f"all numbers of a file {megabytes(MAX_BYTES)}" if is_numeric else f"a text {megabytes(MAX_TEXT_BYTES)}"
+    raise FileError(f"{self.path}: {name} unpacks to {megabytes(size)}; the limit is for {limit}")
+
+
+def _header(start: bytes) -> tuple[tuple[int, ...], np.dtype]:
+  """Return shape and type of an array from the beginning of its `.npy`."""
+  stream = io.BytesIO(start)
+  version = np.lib.format.read_magic(stream)
+  if version not in _HEADERS:
+    raise ValueError(f"version {version} of the format")
+  shape, _, dtype = _HEADERS[version](stream, max_header_size=_MAX_HEADER)
+  return shape, dtype
+
+
+def megabytes(size: int) -> str:
+  """Return a number of bytes in words."""
+  return f"{size / 2**20:.0f} MiB"

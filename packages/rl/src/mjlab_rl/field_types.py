@@ -1,0 +1,208 @@
+"""Check of values against the declared types of dataclass fields, for values that come from a file."""
+
+import dataclasses
+import functools
+import inspect
+import numbers
+import re
+import types
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import PurePath
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+from mjlab_core import printable
+from mjlab_core.constraints import Ascending, Limits, field_hints
+
+_SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
+_SETS = (set, frozenset)
+
+
+def field_problems(cls: type, values: Mapping[str, Any], where: str) -> Iterator[str]:
+  """Yield one line for each value that does not fit the field of `cls` that it is for.
+
+  A value equal to the field's default fits. Functions are compared with the signature that the field declares.
+  """
+  hints = field_hints(cls)
+  defaults = {field.name: field.default for field in dataclasses.fields(cls)} if dataclasses.is_dataclass(cls) else {}
+  is_term = {"func", "params"} <= hints.keys()
+  for name, value in values.items():
+    if value is None and defaults.get(name, value) is None:
+      continue
+    if is_term and name == "func" and get_origin(hints[name]) is Callable:
+      yield from _term_problems(value, f"{where}.{name}")
+    else:
+      yield from problems(value, hints.get(name, Any), f"{where}.{name}")
+
+
+def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
+  """Yield one line for each part of `value` that does not fit a type."""
+  origin, arguments = get_origin(hint), get_args(hint)
+  if origin is Annotated:
+    yield from _constrained(value, hint, where)
+  elif origin in (Union, types.UnionType):
+    arms = [arm for arm in arguments if arm is not type(None)]
+    if value is None and len(arms) < len(arguments):
+      return
+    found = [list(problems(value, arm, where)) for arm in arms]
+    if all(found):
+      yield from found[0] if len(arms) == 1 else [_mismatch(value, hint, where)]
+  elif origin is Callable or hint is Callable:
+    yield from callable_problems(value, arguments, where)
+  elif origin is Literal:
+    if not any(value == choice and type(value) is type(choice) for choice in arguments):
+      yield f"{where}: expected one of {', '.join(map(repr, arguments))}, got {_shown(value)}"
+  elif origin is type or hint is type:
+    bound: Any = get_origin(arguments[0]) or arguments[0] if arguments else Any
+    # Any is a class itself.
+    bound = bound if isinstance(bound, type) and bound is not Any else object
+    if not isinstance(value, type) or not issubclass(value, bound):
+      yield _mismatch(value, hint, where)
+  elif (origin or hint) in (dict, Mapping, *_SEQUENCES, *_SETS):
+    yield from _container_problems(value, origin or hint, arguments, where)
+  elif not _is_instance(value, origin or hint):
+    yield _mismatch(value, hint, where)
+  else:
+    yield from _hidden_partials(value, where)
+
+
+def _is_instance(value: Any, kind: Any) -> bool:
+  if kind is None:
+    return value is None
+  if not isinstance(kind, type) or kind in (Any, object) or getattr(kind, "_is_protocol", False):
+    return True
+  if kind in (int, float):
+    number = numbers.Integral if kind is int else numbers.Real
+    return isinstance(value, number) and not isinstance(value, bool)
+  return isinstance(value, PurePath if issubclass(kind, PurePath) else kind)
+
+
+def _constrained(value: Any, hint: Any, where: str) -> Iterator[str]:
+  """Check a type and the constraints that `Annotated` adds to it."""
+  kind, *rules = get_args(hint)
+  found = list(problems(value, kind, where))
+  if not found and value is not None:
+    broken = [rule.problem(value) for rule in rules if isinstance(rule, Limits | Ascending)]
+    found = [f"{where}: must {rule}, got {_shown(value)}" for rule in broken if rule]
+  yield from found
+
+
+def _container_problems(value: Any, kind: Any, arguments: tuple[Any, ...], where: str) -> Iterator[str]:
+  if issubclass(kind, Mapping):
+    if not isinstance(value, Mapping):
+      yield f"{where}: expected a dictionary, got {_shown(value)}"
+      return
+    of_key, of_item = arguments or (Any, Any)
+    for key, item in value.items():
+      yield from problems(key, of_key, f"{where} key")
+      yield from problems(item, of_item, f"{where}.{key}" if isinstance(key, str) else f"{where}[{key!r}]")
+    return
+  allowed = _SETS if kind in _SETS else (list, tuple)
+  if not isinstance(value, allowed):
+    yield f"{where}: expected a {kind.__name__.lower()}, got {_shown(value)}"
+    return
+  of_items: Iterable[Any] = [(arguments or (Any,))[0]] * len(value)
+  if kind is tuple and arguments and arguments[-1] is not Ellipsis:
+    if len(value) != len(arguments):
+      yield f"{where}: expected {len(arguments)} values, got {len(value)}"
+      return
+    of_items = arguments
+  for i, (item, of_item) in enumerate(zip(value, of_items, strict=True)):
+    yield from problems(item, of_item, f"{where}[{i}]")
+
+
+def callable_problems(value: Any, arguments: tuple[Any, ...], where: str) -> Iterator[str]:
+  """Yield a line if a callable does not have the signature of `Callable[parameters, result]`.
+
+  Parameters and result are compared by name where the function annotates them, so that only a function made for such a
+  field can stand in it. A partial needs a field that declares them.
+
+  Args:
+    value: Function, class, partial or callable object.
+    arguments: Arguments of the `Callable` type; empty: any callable.
+    where: Field, for the message.
+  """
+  if not callable(value):
+    yield f"{where}: expected a function, got {_shown(value)}"
+    return
+  parameters: Any
+  parameters, result = arguments or (Ellipsis, Any)
+  if isinstance(value, functools.partial) and (parameters is Ellipsis) and not isinstance(result, type):
+    yield f"{where}: a partial needs a field that declares what the function takes and returns"
+    return
+  expected: list[Any] = [] if parameters is Ellipsis else list(parameters)
+  try:
+    signature = inspect.signature(value)
+    names = list(signature.bind(*expected).arguments) if parameters is not Ellipsis else []
+  except (TypeError, ValueError) as error:
+    yield f"{where}: {_name(value)} cannot be called there ({printable(error, 200)})"
+    return
+  for name, kind in zip(names, expected, strict=False):
+    if not _agree(signature.parameters[name].annotation, kind):
+      yield f"{where}: {_name(value)} takes {_text(signature.parameters[name].annotation)}, not {_text(kind)}"
+  returned = value if isinstance(value, type) else signature.return_annotation
+  if not _agree(returned, result):
+    yield f"{where}: {_name(value)} returns {_text(returned)}, not {_text(result)}"
+
+
+def _term_problems(value: Any, where: str) -> Iterator[str]:
+  """Yield a line unless `value` is a term: a function of `env`, or a class made with it and then called."""
+  if isinstance(value, functools.partial) and value.args:
+    yield f"{where}: a partial of a term binds parameters by name only"
+    return
+  if not callable(value):
+    yield f"{where}: expected a function or class, got {_shown(value)}"
+    return
+  is_class = isinstance(value, type)
+  try:
+    names = list(inspect.signature(value.__init__ if is_class else value).parameters)
+  except (TypeError, ValueError) as error:
+    yield f"{where}: {_name(value)} cannot be called there ({printable(error, 200)})"
+    return
+  is_called = not is_class or any("__call__" in vars(base) for base in value.__mro__)
+  if not is_called or "env" not in names[: 3 if is_class else 1]:
+    yield f"{where}: {_name(value)} is not a term: it does not take the environment first, as 'env'"
+
+
+def _hidden_partials(value: Any, where: str) -> Iterator[str]:
+  """Yield a line for each partial in plain containers, where no type says how it is called."""
+  if isinstance(value, functools.partial):
+    yield f"{where}: a partial may stand only in a field that is declared as a Callable; pass function and values apart"
+  elif isinstance(value, Mapping):
+    for key, item in value.items():
+      yield from _hidden_partials(item, f"{where}.{key}")
+  elif isinstance(value, (list, tuple, set, frozenset)):
+    for i, item in enumerate(value):
+      yield from _hidden_partials(item, f"{where}[{i}]")
+
+
+def _agree(annotation: Any, kind: Any) -> bool:
+  """Compare the annotation of a function with a class, by name, because annotations are often unresolved text."""
+  if annotation is inspect.Parameter.empty or isinstance(kind, TypeVar) or kind is Any:
+    return True
+  if kind is type(None):
+    return annotation in (None, "None")
+  if not isinstance(kind, type):
+    return True
+  names = {"Any"} | {base.__name__ for base in kind.__mro__ if base is not object}
+  if isinstance(annotation, type):
+    return annotation.__name__ in names or issubclass(annotation, kind)
+  arms = re.sub(r"^Optional\[(.*)\]$", r"\1", _text(annotation)).split("|")
+  return not names.isdisjoint(arm.partition("[")[0].strip(" '\"").rpartition(".")[2] for arm in arms)
+
+
+def _mismatch(value: Any, hint: Any, where: str) -> str:
+  return f"{where}: expected {_text(hint)}, got {_shown(value)}"
+
+
+def _text(hint: Any) -> str:
+  return hint.__qualname__ if isinstance(hint, type) else str(hint).replace("typing.", "")
+
+
+def _name(value: Any) -> str:
+  target = value.func if isinstance(value, functools.partial) else value
+  return f"'{getattr(target, '__module__', '?')}:{getattr(target, '__qualname__', type(target).__name__)}'"
+
+
+def _shown(value: Any) -> str:
+  kind = type(value)
+  return printable(repr(value), 60) if isinstance(value, (bool, int, float, str, type(None))) else kind.__qualname__

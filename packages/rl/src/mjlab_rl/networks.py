@@ -1,0 +1,215 @@
+"""Networks and action distributions that rsl-rl does not have."""
+
+import contextlib
+import copy
+import io
+import math
+from collections.abc import Mapping
+from typing import Any, Literal, cast
+
+import torch
+from mjlab_core.errors import ConfigError
+from rsl_rl.models import CNNModel
+from rsl_rl.modules import CNN, RNN, GaussianDistribution, HiddenState
+from tensordict import TensorDict
+from torch import nn
+from torch.nn.utils import get_total_norm
+
+
+class Gaussian(GaussianDistribution):
+  """rsl-rl's GaussianDistribution, bit for bit, without `torch.normal`, which reads back whether a std is negative."""
+
+  def sample(self) -> torch.Tensor:
+    """Draw actions, (num_envs, num_actions)."""
+    with torch.no_grad():
+      return torch.randn_like(self.mean).mul_(self.std).add_(self.mean)
+
+
+class ImageModel(CNNModel):
+  """rsl-rl's CNNModel with an optional recurrent layer between the encoders and the hidden layers.
+
+  Images go through their encoders, which may be shared with another network. Their features and the other observations
+  go into the recurrent layer. Recurrent and other networks can be trained together.
+
+  Args:
+    obs: Observations by group, images (N, C, H, W).
+    obs_groups: Groups of each network.
+    obs_set: Name of this network.
+    output_dim: Width of the output.
+    cnn_cfg: Encoder settings, one for all image groups or one for each.
+    cnns: Encoders of another network, to share; they stay in the optimiser and checkpoint of that network.
+    rnn_type: Recurrent layer; None: none.
+    rnn_hidden_dim: Width of the recurrent layer.
+    rnn_num_layers: Number of recurrent layers.
+    **options: Other arguments of CNNModel.
+  """
+
+  def __init__(
+    self,
+    obs: Any,
+    obs_groups: dict[str, list[str]],
+    obs_set: str,
+    output_dim: int,
+    *,
+    cnn_cfg: dict[str, Any] | None = None,
+    cnns: nn.ModuleDict | None = None,
+    rnn_type: Literal["lstm", "gru"] | None = None,
+    rnn_hidden_dim: int = 256,
+    rnn_num_layers: int = 1,
+    **options: Any,
+  ) -> None:
+    self.is_recurrent = rnn_type is not None
+    encoders: Any = cnns
+    if cnns is None:
+      if not cnn_cfg:
+        raise ConfigError("image groups need cnn_cfg, the settings of their encoders")
+      images = {group: obs[group] for group in obs_groups[obs_set] if obs[group].dim() == 4}
+      try:
+        encoders = {group: self.make_encoder(image, **cnn_cfg.get(group, cnn_cfg)) for group, image in images.items()}
+      except TypeError as error:
+        raise ConfigError(f"cnn_cfg: {error}") from error
+    # The parent says that encoders it is given are shared.
+    with contextlib.redirect_stdout(io.StringIO()):
+      super().__init__(obs, obs_groups, obs_set, output_dim, cnns=encoders, **options)
+    if cnns is not None:
+      # An optimiser of two networks that both have them as modules would step them twice.
+      del self.cnns
+      object.__setattr__(self, "cnns", cnns)
+    self.rnn = None
+    if rnn_type is not None:
+      first = cast("nn.Linear", self.mlp[0])
+      self.rnn = RNN(first.in_features, rnn_hidden_dim, rnn_num_layers, rnn_type)
+      self.mlp[0] = nn.Linear(rnn_hidden_dim, first.out_features)
+
+  @staticmethod
+  def make_encoder(images: torch.Tensor, **cfg: Any) -> nn.Module:
+    """Return an encoder of such images, (N, C, H, W); `cfg` is CNNModel's `cnn_cfg`."""
+    _, channels, height, width = images.shape
+    return CNN(input_dim=(height, width), input_channels=channels, **cfg)
+
+  def get_latent(
+    self, obs: TensorDict, masks: torch.Tensor | None = None, hidden_state: HiddenState = None
+  ) -> torch.Tensor:
+    """Return the input of the hidden layers, (N, D), or (T, N, D) for trajectories (T, N, ...)."""
+    # Convolutions take one batch of images.
+    seen = super().get_latent(cast("TensorDict", obs.flatten(0, obs.dim() - 1))).unflatten(0, obs.shape)
+    return seen if self.rnn is None else self.rnn(seen, masks, hidden_state).squeeze(0)
+
+  def reset(self, dones: torch.Tensor | None = None, hidden_state: HiddenState = None) -> None:
+    """Clear the hidden state of worlds that are done, (N,), or of all (None), or set it to `hidden_state`."""
+    if self.rnn is not None:
+      self.rnn.reset(dones, hidden_state)
+
+  def get_hidden_state(self) -> HiddenState:
+    """Return the hidden state, (layers, N, width), two of them for an LSTM; None for a network without."""
+    return None if self.rnn is None else cast("HiddenState", self.rnn.hidden_state)
+
+  def detach_hidden_state(self, dones: torch.Tensor | None = None) -> None:
+    """Stop gradients through the hidden state of worlds that are done, (N,), or of all (None)."""
+    if self.rnn is not None:
+      self.rnn.detach_hidden_state(dones)
+
+  def as_jit(self) -> nn.Module:
+    """Return a copy for torch.jit: `forward(obs_1d, images)` of one world, with its state until `reset()`."""
+    return super().as_jit() if self.rnn is None else _ScriptedModel(self)
+
+  def as_onnx(self, verbose: bool = False) -> nn.Module:
+    """Return a copy for ONNX: observations, image groups and hidden states are inputs, actions and states outputs."""
+    return super().as_onnx(verbose) if self.rnn is None else _OnnxModel(self)
+
+
+def largest_weights(networks: Mapping[str, nn.Module]) -> dict[str, float]:
+  """Return the largest weight of each network; losses of an update are from before its last step."""
+  weights = {
+    name: [v for v in network.state_dict().values() if v.is_floating_point()] for name, network in networks.items()
+  }
+  return {name: float(get_total_norm(values, math.inf)) for name, values in weights.items()}
+
+
+class _GruStep(nn.Module):
+  def __init__(self, rnn: nn.GRU) -> None:
+    super().__init__()
+    self.rnn = rnn
+
+  def forward(self, seen: torch.Tensor, memory: list[torch.Tensor]) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    out, hidden = self.rnn(seen.unsqueeze(0), memory[0])
+    return out.squeeze(0), [hidden]
+
+
+class _LstmStep(nn.Module):
+  def __init__(self, rnn: nn.LSTM) -> None:
+    super().__init__()
+    self.rnn = rnn
+
+  def forward(self, seen: torch.Tensor, memory: list[torch.Tensor]) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    out, (hidden, cell) = self.rnn(seen.unsqueeze(0), (memory[0], memory[1]))
+    return out.squeeze(0), [hidden, cell]
+
+
+class _Functional(nn.Module):
+  """The model as a function of observations and hidden state."""
+
+  def __init__(self, model: ImageModel) -> None:
+    super().__init__()
+    assert model.rnn is not None
+    # Without the hidden state, whose gradients cannot be copied.
+    rnn: nn.GRU | nn.LSTM = copy.deepcopy(model.rnn.rnn)
+    self.obs_normalizer = copy.deepcopy(model.obs_normalizer)
+    self.cnns = nn.ModuleList([copy.deepcopy(model.cnns[group]) for group in model.obs_groups_2d])
+    self.step = _LstmStep(rnn) if isinstance(rnn, nn.LSTM) else _GruStep(rnn)
+    self.mlp = copy.deepcopy(model.mlp)
+    distribution = model.distribution
+    self.output = nn.Identity() if distribution is None else distribution.as_deterministic_output_module()
+
+  def forward(
+    self, obs: torch.Tensor, images: list[torch.Tensor], memory: list[torch.Tensor]
+  ) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    seen = [self.obs_normalizer(obs)]
+    for i, cnn in enumerate(self.cnns):
+      seen.append(cnn(images[i]))
+    latent, memory = self.step(torch.cat(seen, dim=-1), memory)
+    return self.output(self.mlp(latent)), memory
+
+
+def _blank(model: ImageModel) -> list[torch.Tensor]:
+  """Return the initial hidden state of one world."""
+  assert model.rnn is not None
+  rnn: nn.GRU | nn.LSTM = model.rnn.rnn
+  return [torch.zeros(rnn.num_layers, 1, rnn.hidden_size) for _ in range(2 if isinstance(rnn, nn.LSTM) else 1)]
+
+
+class _ScriptedModel(nn.Module):
+  def __init__(self, model: ImageModel) -> None:
+    super().__init__()
+    self.function = _Functional(model)
+    self.memory: torch.Tensor
+    self.register_buffer("memory", torch.stack(_blank(model)))
+
+  def forward(self, obs_1d: torch.Tensor, obs_2d: list[torch.Tensor]) -> torch.Tensor:
+    actions, memory = self.function(obs_1d, obs_2d, list(self.memory.unbind(0)))
+    self.memory.copy_(torch.stack(memory))
+    return actions
+
+  @torch.jit.export
+  def reset(self) -> None:
+    self.memory.zero_()
+
+
+class _OnnxModel(nn.Module):
+  def __init__(self, model: ImageModel) -> None:
+    super().__init__()
+    self.function = _Functional(model)
+    names = ("h", "c")[: len(_blank(model))]
+    self.input_names = ["obs", *model.obs_groups_2d, *(f"{name}_in" for name in names)]
+    self.output_names = ["actions", *(f"{name}_out" for name in names)]
+    sizes = zip(model.obs_channels_2d, model.obs_dims_2d, strict=True)
+    images = [torch.zeros(1, channels, *size) for channels, size in sizes]
+    self._inputs = (torch.zeros(1, model.obs_dim), *images, *_blank(model))
+    self._num_images = len(images)
+
+  def forward(self, obs: torch.Tensor, *rest: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    actions, memory = self.function(obs, list(rest[: self._num_images]), list(rest[self._num_images :]))
+    return actions, *memory
+
+  def get_dummy_inputs(self) -> tuple[torch.Tensor, ...]:
+    return self._inputs

@@ -1,0 +1,264 @@
+"""The graph of a policy from readings to joint targets, as a torch module and as ONNX."""
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from mjlab_core.errors import MjlabError
+from mjlab_deploy.policy import ACTION, EPISODE_START
+from torch import nn
+
+from mjlab_rl.config import RslRlBaseRunnerCfg
+
+LAST_ACTION = "last_action"
+"""Name of the reading that is the raw action of the last step; a memory of the graph."""
+
+
+@dataclass(frozen=True)
+class _Term:
+  group: str
+  layout: Any
+  inputs: tuple[str, ...]
+  compute: Callable[..., torch.Tensor] | None
+
+
+@dataclass(frozen=True)
+class _Action:
+  columns: slice
+  targets: Any
+  inputs: tuple[str, ...]
+  memory: str | None
+
+
+class PolicyGraph(nn.Module):
+  """Observations, network and actions of an environment in one module, for one world.
+
+  Noise and delays are left out: they belong to the robot. NaN is not replaced: a runner stops on it.
+
+  Args:
+    env: Environment with an observation and an action manager.
+    agent: Configuration of the learner.
+    network: The policy's network, a model of rsl-rl.
+
+  Raises:
+    MjlabError: A term has no source, an action has no computation outside the simulation, or two readings of one name
+      differ.
+  """
+
+  def __init__(self, env: Any, agent: RslRlBaseRunnerCfg, network: Any) -> None:
+    super().__init__()
+    with contextlib.redirect_stdout(io.StringIO()):
+      exported: Any = network.as_onnx(verbose=False).to("cpu").eval()
+    self.network: nn.Module = exported
+    self.groups = list(agent.obs_groups[agent.policy])
+    self._clip = agent.clip_actions
+    self._network_inputs: list[str] = list(exported.input_names)
+    self._network_outputs: list[str] = list(exported.output_names)
+    self.readings: dict[str, Any] = {}
+    """Readings by name, without the last action."""
+    self.memories: dict[str, tuple[int, ...]] = {}
+    """Shape of each memory by the name of its input."""
+    self.terms = [
+      self._term(env, group, layout) for group in self.groups for layout in env.observation_manager.layout(group)
+    ]
+    self.actions = self._actions(env)
+    shapes = zip(self._network_inputs, exported.get_dummy_inputs(), strict=True)
+    self._states = {
+      name: f"memory/{name.removesuffix('_in')}" for name in self._network_inputs if name not in ("obs", *self.groups)
+    }
+    self.memories |= {self._states[name]: tuple(value.shape) for name, value in shapes if name in self._states}
+    self._needs_start = any(name.startswith(("memory/history/", "memory/target/")) for name in self.memories)
+
+  def _term(self, env: Any, group: str, layout: Any) -> _Term:
+    source = env.observation_manager.source(group, layout.name)
+    inputs = []
+    for reading in source.readings:
+      if reading.name == LAST_ACTION:
+        self.memories[f"memory/{LAST_ACTION}"] = (1, env.action_manager.total_action_dim)
+        inputs.append(f"memory/{LAST_ACTION}")
+      else:
+        inputs.append(self._add(reading, f"observation '{group}/{layout.name}'"))
+    if layout.history_length > 1:
+      self.memories[f"memory/history/{group}/{layout.name}"] = (1, layout.history_length, *layout.frame_shape)
+    return _Term(group, layout, tuple(inputs), source.compute)
+
+  def _add(self, reading: Any, owner: str) -> str:
+    known = self.readings.setdefault(reading.name, reading)
+    if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
+      raise MjlabError(
+        f"{owner}: reading '{reading.name}' is here in frame '{reading.frame}' and elsewhere in '{known.frame}', or "
+        "has other columns; readings of one name must be the same"
+      )
+    return reading.name
+
+  def _actions(self, env: Any) -> list[_Action]:
+    manager, found = env.action_manager, []
+    for name, columns in manager.term_slices().items():
+      term = manager.get_term(name)
+      targets = term.exported()
+      if targets is None:
+        raise MjlabError(
+          f"action '{name}' ({type(term).__name__}) has no computation outside the simulation, so the policy cannot be "
+          "exported; use an action that sets joint targets"
+        )
+      inputs = tuple(self._add(reading, f"action '{name}'") for reading in targets.readings)
+      memory = f"memory/target/{name}" if targets.start is not None else None
+      if memory is not None:
+        self.memories[memory] = (1, len(targets.joints))
+      found.append(_Action(columns, targets, inputs, memory))
+    return found
+
+  @property
+  def targets(self) -> dict[str, list[Any]]:
+    """Joint targets of the actions by name of their output, "target/QUANTITY"."""
+    by_name: dict[str, list[Any]] = {}
+    for action in self.actions:
+      by_name.setdefault(f"target/{action.targets.quantity}", []).append(action.targets)
+    return by_name
+
+  @property
+  def input_names(self) -> list[str]:
+    """Names of the inputs in their order."""
+    return [*self.readings, *self.memories, *([EPISODE_START] if self._needs_start else [])]
+
+  @property
+  def output_names(self) -> list[str]:
+    """Names of the outputs in their order."""
+    observations = [f"observation/{group}" for group in self.groups]
+    return [*self.targets, ACTION, *observations, *(f"{name}/next" for name in self.memories)]
+
+  def example(self) -> tuple[torch.Tensor, ...]:
+    """Return the present readings of the first world, and empty memories."""
+    readings = [reading.read()[:1].detach().cpu().float() for reading in self.readings.values()]
+    memories = [torch.zeros(shape) for shape in self.memories.values()]
+    return (*readings, *memories, *([torch.ones(1, 1)] if self._needs_start else []))
+
+  def forward(self, *values: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Return the outputs in the order of `output_names`."""
+    given = dict(zip(self.input_names, values, strict=True))
+    following: dict[str, torch.Tensor] = {}
+    seen: dict[str, list[torch.Tensor]] = {group: [] for group in self.groups}
+    for term in self.terms:
+      seen[term.group].append(self._observe(term, given, following))
+    observations = {group: parts[0] if len(parts) == 1 else torch.cat(parts, 1) for group, parts in seen.items()}
+    images = [group for group in self.groups if group in self._network_inputs]
+    vectors = [observations[group] for group in self.groups if group not in images]
+    feed = {"obs": torch.cat(vectors, 1) if len(vectors) > 1 else vectors[0]} if vectors else {}
+    feed |= {group: observations[group] for group in images}
+    feed |= {name: given[memory] for name, memory in self._states.items()}
+    result = self.network(*(feed[name] for name in self._network_inputs))
+    outputs = dict(zip(self._network_outputs, result if isinstance(result, tuple) else (result,), strict=False))
+    action = outputs["actions"]
+    if self._clip is not None:
+      action = action.clamp(-self._clip, self._clip)
+    for name, memory in self._states.items():
+      following[memory] = outputs[name.replace("_in", "_out")]
+    if f"memory/{LAST_ACTION}" in self.memories:
+      # A copy: one tensor cannot have two names.
+      following[f"memory/{LAST_ACTION}"] = action + 0.0
+    targets = {name: [] for name in self.targets}
+    for part in self.actions:
+      targets[f"target/{part.targets.quantity}"].append(self._target(part, action, given, following))
+    joined = [parts[0] if len(parts) == 1 else torch.cat(parts, 1) for parts in targets.values()]
+    shown = [observations[group] + 0.0 for group in self.groups]
+    return (*joined, action, *shown, *(following[name] for name in self.memories))
+
+  def _observe(
+    self, term: _Term, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
+  ) -> torch.Tensor:
+    inputs, layout = [given[name] for name in term.inputs], term.layout
+    frame = (inputs[0] if term.compute is None else term.compute(*inputs)).float()
+    if layout.clip is not None:
+      frame = frame.clamp(*layout.clip)
+    if layout.scale is not None:
+      scale = torch.as_tensor(layout.scale, dtype=torch.float32)
+      frame = frame * (scale if scale.dim() == 0 else scale.view(1, *layout.frame_shape))
+    if layout.history_length > 1:
+      name = f"memory/history/{term.group}/{layout.name}"
+      past = torch.cat((given[name][:, 1:], frame[:, None]), 1)
+      start = given[EPISODE_START].view(1, *[1] * (past.dim() - 1))
+      # At the start of an episode the past is filled with the present.
+      frame = start * frame[:, None].expand_as(past) + (1.0 - start) * past
+      following[name] = frame
+    return frame.reshape(1, *layout.shape)
+
+  @staticmethod
+  def _target(
+    part: _Action, action: torch.Tensor, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
+  ) -> torch.Tensor:
+    mine, readings = action[:, part.columns], [given[name] for name in part.inputs]
+    if part.memory is None:
+      return part.targets.compute(mine, *readings)
+    start = given[EPISODE_START]
+    last = start * part.targets.start(*readings) + (1.0 - start) * given[part.memory]
+    target = part.targets.compute(mine, last, *readings)
+    following[part.memory] = target + 0.0
+    return target
+
+
+def export_graph(graph: PolicyGraph) -> Any:
+  """Return the graph as an ONNX model whose constants keep the names of the network's parameters."""
+  with warnings.catch_warnings(), _quiet():
+    # The exporter's own.
+    warnings.simplefilter("ignore")
+    program = torch.onnx.export(
+      graph,
+      graph.example(),
+      None,
+      input_names=graph.input_names,
+      output_names=graph.output_names,
+      opset_version=18,
+      dynamo=True,
+      optimize=False,
+      verbose=False,
+    )
+  assert program is not None
+  model = program.model_proto
+  for value in (*model.graph.node, *model.graph.value_info, *model.graph.initializer):
+    # Stack traces and doc strings hold paths of this machine.
+    del value.metadata_props[:]
+    value.doc_string = ""
+  return model
+
+
+def refresh_weights(model: Any, network: Mapping[str, torch.Tensor], prefix: str = "network.") -> bool:
+  """Write a network's present parameters into an exported model; return False if the model lacks one of them.
+
+  The variance of a normaliser is not missed: the network uses its root, a parameter of its own.
+  """
+  from onnx import numpy_helper
+
+  constants = {constant.name: constant for constant in model.graph.initializer}
+  values = {
+    prefix + name: value
+    for name, value in network.items()
+    if value.is_floating_point() and not name.endswith("normalizer._var")
+  }
+  if not values.keys() <= constants.keys():
+    return False
+  for name, value in values.items():
+    array = value.detach().cpu().numpy()
+    if list(array.shape) != list(constants[name].dims):
+      return False
+    constants[name].CopyFrom(numpy_helper.from_array(np.ascontiguousarray(array), name))
+  return True
+
+
+@contextlib.contextmanager
+def _quiet() -> Any:
+  loggers: Sequence[logging.Logger] = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
+  before = [logger.level for logger in loggers]
+  for logger in loggers:
+    logger.setLevel(logging.ERROR)
+  try:
+    with contextlib.redirect_stdout(io.StringIO()):
+      yield
+  finally:
+    for logger, level in zip(loggers, before, strict=True):
+      logger.setLevel(level)

@@ -1,0 +1,168 @@
+"""Names of functions, classes and enums in files, and the packages that a name may point into.
+
+Resolving a name imports a module of a trusted package and looks the name up. It calls nothing.
+"""
+
+import functools
+import importlib
+import importlib.util
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+from types import FunctionType, MethodType, ModuleType
+from typing import Any
+
+from mjlab_core import nearest, printable
+from mjlab_core.errors import ConfigError, FileError
+
+TASK_GROUP = "mjlab.tasks"
+"""Entry-point group of tasks. A distribution that offers one is trusted."""
+_REFERENCE = re.compile(r"(?P<module>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)", re.A)
+_CACHED = type(functools.cache(str))
+_trusted_here: set[str] = set()
+
+
+def trust_package(name: str) -> None:
+  """Let files name functions and classes of an import package, in this process.
+
+  Members of mjlab and distributions with an entry point of group `mjlab.tasks` are trusted without it.
+
+  Args:
+    name: Top-level import name, such as "my_robots".
+
+  Raises:
+    ConfigError: The name is not one identifier.
+  """
+  if not name.isidentifier():
+    raise ConfigError(f"trust_package takes a top-level import name such as 'my_robots', got {name!r}")
+  _trusted_here.add(name)
+
+
+def reference(value: Any, where: str) -> str:
+  """Return the name "module:qualname" of a function or class.
+
+  Raises:
+    ConfigError: `resolve` would not give `value` back for that name; the message names the field `where`.
+  """
+  module: str = getattr(value, "__module__", None) or ""
+  name: str = getattr(value, "__qualname__", None) or ""
+  if "<lambda>" in name or "<locals>" in name or not name:
+    kind = (
+      "a lambda" if "<lambda>" in name else f"'{module}:{name}', defined inside a function," if name else repr(value)
+    )
+    raise ConfigError(
+      f"{where}: {kind} has no importable name. Write `def` at the top of a module; bind values with params."
+    )
+  if module == "__main__":
+    raise ConfigError(f"{where}: '{name}' is defined in a script; move it into a module that can be imported.")
+  try:
+    found = resolve(f"{module}:{name}", where)
+  except FileError as error:
+    raise ConfigError(f"{error}, so the run could not be loaded again") from error
+  if found != value:
+    raise ConfigError(f"{where}: '{module}:{name}' is not what importing that name gives.")
+  return f"{module}:{name}"
+
+
+def resolve(text: object, where: str, extra: frozenset[str] = frozenset()) -> Any:
+  """Return the function or class that a file names.
+
+  Args:
+    text: "module:qualname" from the file.
+    where: Field that the name is in, for messages.
+    extra: Import packages that are trusted in this field besides the usual ones.
+
+  Raises:
+    FileError: The name is malformed, its package is not trusted, or no function or class of that name is defined there.
+  """
+  shown = f"{where}: reference {printable(text, 120)!r}"
+  match = _REFERENCE.fullmatch(text) if isinstance(text, str) else None
+  if match is None or re.search(r"(^|[.:])__", match.string):
+    raise FileError(f"{shown} is not of the form 'module:name', without names that begin with two underscores")
+  module_name, name = match["module"], match["name"]
+  package = module_name.partition(".")[0]
+  if package not in _trusted_here | _installed_packages() | extra:
+    raise FileError(
+      f"{shown} is refused: package '{package}' is not trusted. Members of mjlab and packages with an entry point of "
+      f"group '{TASK_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
+    )
+  found = _definition(_import(module_name, package, shown), name, shown)
+  if not isinstance(found, (FunctionType, type, _CACHED)) and not _is_class_method(found):
+    raise FileError(f"{shown} is refused: it is a {type(found).__name__}, not a function or class")
+  if (found.__module__, found.__qualname__) != (module_name, name):
+    raise FileError(f"{shown} is refused: it is defined elsewhere, as '{found.__module__}:{found.__qualname__}'")
+  return found
+
+
+def resolve_enum(text: object, member: object, where: str) -> Any:
+  """Return a member of an enum of a trusted package or of MuJoCo.
+
+  Raises:
+    FileError: There is no such enum or member.
+  """
+  # MuJoCo's enums are of a compiled module.
+  if isinstance(text, str) and re.fullmatch(r"mujoco\._enums:mjt\w+", text):
+    import mujoco
+
+    kind = getattr(mujoco, text.partition(":")[2], None)
+  else:
+    kind = resolve(text, where)
+  members = getattr(kind, "__members__", None)
+  if members is None or not isinstance(kind, type):
+    raise FileError(f"{where}: {printable(text, 120)!r} is not an enum")
+  if not isinstance(member, str) or member not in members:
+    raise FileError(f"{where}: enum {printable(text, 120)!r} has no member {printable(member, 120)!r}")
+  return members[member]
+
+
+@functools.cache
+def _installed_packages() -> frozenset[str]:
+  """Return the import packages of all members and of all distributions that offer tasks."""
+  points = metadata.entry_points(group=TASK_GROUP)
+  packages = {point.module.partition(".")[0] for point in points}
+  offering = {point.dist.name for point in points if point.dist is not None}
+  for distribution in metadata.distributions():
+    name = distribution.name or ""
+    if name == "mjlab" or name.startswith("mjlab-"):
+      packages.add(name.replace("-", "_"))
+    elif name in offering:
+      files = [file.parts[0].removesuffix(".py") for file in distribution.files or () if file.suffix == ".py"]
+      packages.update(files, (distribution.read_text("top_level.txt") or "").split())
+  return frozenset(name for name in packages if name.isidentifier())
+
+
+def _import(module_name: str, package: str, shown: str) -> ModuleType:
+  """Import a module that lies in the folder of its top-level package."""
+  if (module := sys.modules.get(module_name)) is not None:
+    return module
+  try:
+    top = importlib.import_module(package)
+    spec = importlib.util.find_spec(module_name)
+    origin = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
+    if origin is None or not any(origin.is_relative_to(Path(folder).resolve()) for folder in top.__path__):
+      raise FileError(f"{shown} is refused: there is no module '{module_name}' in the folder of package '{package}'")
+    return importlib.import_module(module_name)
+  except FileError:
+    raise
+  except Exception as error:
+    raise FileError(f"{shown}: module '{module_name}' cannot be imported ({printable(error, 200)})") from error
+
+
+def _definition(module: ModuleType, name: str, shown: str) -> Any:
+  """Look a name up in the module's own dictionary and in those of its classes."""
+  found: Any = module
+  for part in name.split("."):
+    if not isinstance(found, (ModuleType, type)) or (found is not module and isinstance(found, ModuleType)):
+      raise FileError(f"{shown} is refused: it leads through a {type(found).__name__}")
+    names = vars(found)
+    if part not in names:
+      close = nearest(part, names, 1)
+      hint = f". Nearest: {close[0]}" if close else ""
+      raise FileError(f"{shown}: '{found.__name__}' has no '{part}'{hint}")
+    found = getattr(found, part) if isinstance(names[part], (classmethod, staticmethod)) else names[part]
+  return found
+
+
+def _is_class_method(value: Any) -> bool:
+  return isinstance(value, MethodType) and isinstance(value.__self__, type)

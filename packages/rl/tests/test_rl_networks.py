@@ -1,0 +1,419 @@
+"""Networks that see, alone and in training: what they remember, whose encoders they share, what is exported of them."""
+
+import copy
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_core.errors import ConfigError, FileError
+from mjlab_rl import (
+  CheckpointPolicy,
+  Console,
+  MjlabDistillationRunner,
+  MjlabOnPolicyRunner,
+  OnnxPolicy,
+  RslRlDistillationRunnerCfg,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  RslRlVecEnvWrapper,
+  TaskCfg,
+  train,
+)
+from mjlab_rl.networks import Gaussian, ImageModel
+from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
+from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from rsl_rl.modules import GaussianDistribution
+from rsl_rl.utils import split_and_pad_trajectories
+from tensordict import TensorDict
+from test_rl_runner import assert_same, learner
+from torch.utils._python_dispatch import TorchDispatchMode
+
+CNN = {"output_channels": (4, 4), "kernel_size": (3, 3), "stride": (2, 2), "padding": "zeros"}
+SOFTMAX = "mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"
+GROUPS = {"net": ["speed", "camera"]}
+each_kind = pytest.mark.parametrize("kind", [ImageModel, SpatialSoftmaxCNNModel])
+each_memory = pytest.mark.parametrize("rnn_type", ["gru", "lstm"])
+
+
+class SeenPoint(PointEnv):
+  """The point as a bright spot on 8 x 8 pixels; `speed` is what the image does not show."""
+
+  pixels = 8
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    place = torch.linspace(-1, 1, self.pixels)
+    row = torch.exp(-8.0 * (place - self.state[:, :1]).square())
+    image = row[:, None, None, :] * torch.exp(-8.0 * place.square())[:, None]
+    return {**super().get_observations(), "camera": image, "speed": self.state[:, 1:].clone()}
+
+
+class SharplySeenPoint(SeenPoint):
+  pixels = 12
+
+
+def observations(steps: tuple[int, ...], seed: int = 0) -> TensorDict:
+  generator = torch.Generator().manual_seed(seed)
+  seen = {
+    "speed": torch.rand(*steps, 1, generator=generator),
+    "camera": torch.rand(*steps, 1, 8, 8, generator=generator),
+  }
+  return TensorDict(seen, batch_size=list(steps))
+
+
+def model(kind: type[ImageModel], rnn_type: Any, **options: Any) -> ImageModel:
+  torch.manual_seed(0)
+  options = {"cnn_cfg": copy.deepcopy(CNN), "rnn_hidden_dim": 6, "rnn_num_layers": 2, **options}
+  return kind(observations((3,)), GROUPS, "net", 2, hidden_dims=(8,), rnn_type=rnn_type, **options)
+
+
+def agent(rnn_type: Any = None, class_name: str = SOFTMAX, **changes: Any) -> RslRlOnPolicyRunnerCfg:
+  cfg = RslRlOnPolicyRunnerCfg(max_iterations=4, num_steps_per_env=6, logger="none")
+  sees = {"class_name": class_name, "cnn_cfg": copy.deepcopy(CNN), "rnn_type": rnn_type, "rnn_hidden_dim": 6}
+  cfg.actor = replace(cfg.actor, hidden_dims=(8,), obs_normalization=True, **sees)
+  cfg.critic = RslRlModelCfg(hidden_dims=(8,))
+  cfg.obs_groups = {"actor": ("speed", "camera"), "critic": ("critic",)}
+  cfg.algorithm.num_mini_batches = 2
+  for name, value in changes.items():
+    setattr(cfg, name, value)
+  return cfg
+
+
+def critic_that_sees(cfg: RslRlOnPolicyRunnerCfg, rnn_type: Any, *, shared: bool) -> RslRlOnPolicyRunnerCfg:
+  cfg.critic = replace(cfg.actor, distribution_cfg=None, rnn_type=rnn_type)
+  cfg.obs_groups = {"actor": ("speed", "camera"), "critic": ("critic", "camera")}
+  cfg.algorithm.share_cnn_encoders = shared
+  return cfg
+
+
+def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None, worlds: int = 4) -> MjlabOnPolicyRunner:
+  seed_everything(cfg.seed)
+  env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=worlds), seed=3))
+  return MjlabOnPolicyRunner(RslRlVecEnvWrapper(env), cfg, directory, "cpu", console=Console("quiet"))
+
+
+@each_kind
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_what_is_seen_counts_beside_what_is_told_and_no_world_sees_for_another(
+  kind: type[ImageModel], rnn_type: Any
+) -> None:
+  network = model(kind, rnn_type)
+  seen = observations((3,)).requires_grad_()
+  network(seen)[1].sum().backward()
+  for group in GROUPS["net"]:
+    gradient: Any = seen[group].grad
+    assert gradient[1].abs().amax() > 0.0
+    assert gradient[[0, 2]].abs().amax() == 0.0
+
+
+@each_kind
+@each_memory
+def test_a_world_that_is_done_forgets_and_no_other_does(kind: type[ImageModel], rnn_type: str) -> None:
+  network = model(kind, rnn_type)
+  first, second = observations((3,), 1), observations((3,), 2)
+  with torch.no_grad():
+    network(first)
+    network.reset(torch.tensor([0, 1, 0]))
+    forgot = network(second)
+    network.reset()
+    blank = network(second)
+    network.reset()
+    network(first)
+    remembered = network(second)
+  assert torch.equal(forgot[1], blank[1])
+  assert torch.equal(forgot[[0, 2]], remembered[[0, 2]])
+  assert (blank - remembered).abs().amin() > 0.0
+
+
+@each_kind
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_whole_trajectories_give_what_their_steps_gave(kind: type[ImageModel], rnn_type: Any) -> None:
+  network = model(kind, rnn_type)
+  seen, dones = observations((5, 3)), torch.zeros(5, 3, 1, dtype=torch.uint8)
+  dones[1, 0] = dones[3, 2] = 1
+  steps: list[torch.Tensor] = []
+  blank = torch.zeros(2, 5, 6)
+  with torch.no_grad():
+    for step in range(5):
+      steps.append(network(seen[step]))
+      network.reset(dones[step, :, 0])
+    padded, masks = split_and_pad_trajectories(seen, dones)
+    whole = network(padded, masks=masks, hidden_state=(blank, blank) if rnn_type == "lstm" else blank)
+  # Three worlds, of which two began anew once.
+  assert padded.shape == (5, 5)
+  torch.testing.assert_close(whole, torch.stack(steps))
+
+
+@pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
+@pytest.mark.parametrize("critic", ["told", "own encoders", "shared encoders", "shared encoders, no memory"])
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, rnn_type: Any) -> None:
+  cfg = agent(rnn_type, class_name)
+  if critic != "told":
+    memory = None if "no memory" in critic else rnn_type
+    critic_that_sees(cfg, memory, shared="shared" in critic)
+  trained = runner(cfg)
+  before = {name: copy.deepcopy(network.state_dict()) for name, network in trained.networks.items()}
+  trained.learn(2, init_at_random_ep_len=True)
+  for name, network in trained.networks.items():
+    for key, value in network.state_dict().items():
+      assert value.isfinite().all(), (name, key)
+      if "weight" in key:
+        assert not torch.equal(value, before[name][key]), (name, key)
+  if critic != "told":
+    ours, theirs = (network.cnns for network in trained.networks.values())
+    assert (ours is theirs) == ("shared" in critic)
+  states = [network.get_hidden_state() is not None for network in trained.networks.values()]
+  assert states == [rnn_type is not None, rnn_type is not None and critic in ("own encoders", "shared encoders")]
+
+
+def test_shared_encoders_are_learned_once_and_saved_with_the_actor() -> None:
+  """rsl-rl hands its optimiser every weight of shared encoders twice, which torch warns of."""
+  shared, own = (runner(critic_that_sees(agent(), None, shared=shared)) for shared in (True, False))
+  numbers = [[id(p) for p in made.alg.optimizer.param_groups[0]["params"]] for made in (shared, own)]
+  assert len(numbers[0]) == len(set(numbers[0])) == len(numbers[1]) - 4
+  assert not any(name.startswith("cnns") for name in shared.networks["critic"].state_dict())
+  obs = shared.env.get_observations()
+  shared.networks["critic"](obs).sum().backward()
+  # What the critic asks for reaches them all the same.
+  encoders = [p for name, p in shared.networks["actor"].named_parameters() if name.startswith("cnns")]
+  assert len(encoders) == 4
+  assert all(p.grad is not None and p.grad.abs().amax() > 0.0 for p in encoders)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, shared: bool) -> None:
+  def configured() -> RslRlOnPolicyRunnerCfg:
+    return critic_that_sees(agent("gru"), "gru", shared=shared)
+
+  for name in ("whole", "half"):
+    (tmp_path / name).mkdir()
+  runner(configured(), tmp_path / "whole").learn(4, init_at_random_ep_len=True)
+  runner(configured(), tmp_path / "half").learn(2, init_at_random_ep_len=True)
+  resumed = runner(configured(), tmp_path / "half")
+  resumed.load(str(tmp_path / "half" / "model_2.pt"))
+  resumed.learn(2)
+  states = [learner(tmp_path / name / "model_4.pt") for name in ("whole", "half")]
+  for state in states:
+    del state["mjlab"]["elapsed"]
+  assert_same(*states)
+
+
+class Reads(TorchDispatchMode):
+  """Counts what a GPU would be waited for."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.count = 0
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.index.Tensor")
+    self.count += any(word in str(func) for word in words)
+    return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_steps_that_see_ask_the_device_nothing(rnn_type: Any) -> None:
+  trained = runner(agent(rnn_type))
+  with Reads() as reads:
+    trained._collect(trained.env.get_observations())
+  assert reads.count == 0
+
+
+def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> None:
+  trained = runner(critic_that_sees(agent(), None, shared=False))
+  stored: Any = trained.alg.storage.observations
+  assert (stored["camera"].shape, stored["camera"].dtype) == ((6, 4, 1, 8, 8), torch.float32)
+  sizes = {key: value.untyped_storage().nbytes() for key, value in stored.items()}
+  assert sizes == {"critic": 6 * 4 * 3 * 4, "speed": 6 * 4 * 4, "camera": 6 * 4 * 64 * 4}
+
+
+def test_a_group_that_is_not_there_is_named_with_the_nearest() -> None:
+  cfg = agent(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
+  with pytest.raises(ConfigError, match=r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"):
+    runner(cfg)
+
+
+def test_images_cost_what_the_readme_says() -> None:
+  cfg = agent(num_steps_per_env=2)
+  stored: Any = runner(cfg).alg.storage.observations["camera"]
+  per_value = stored.untyped_storage().nbytes() / stored.numel()
+  text = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
+  assert f"4096 worlds x 24 steps x 3 x 32 x 32 take {4096 * 24 * 3 * 32 * 32 * per_value / 1e9:.2f} GB" in text
+
+
+@each_kind
+@each_memory
+def test_a_scripted_model_remembers_until_it_is_reset(kind: type[ImageModel], rnn_type: str) -> None:
+  network = model(kind, rnn_type).eval()
+  with warnings.catch_warnings():
+    # Of torch.jit, which is on its way out.
+    warnings.simplefilter("ignore")
+    scripted: Any = torch.jit.script(network.as_jit())
+  with torch.no_grad():
+    for step in range(4):
+      if step == 2:
+        network.reset()
+        scripted.reset()
+      seen = observations((1,), step)
+      torch.testing.assert_close(scripted(seen["speed"], [seen["camera"]]), network(seen))
+
+
+@pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
+@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
+  tmp_path: Path, class_name: str, rnn_type: Any
+) -> None:
+  cfg = agent(rnn_type, class_name)
+  trained = runner(cfg, tmp_path)
+  trained.learn(1)
+  env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=3), seed=4))
+  policy = CheckpointPolicy(env, cfg)
+  policy.load(tmp_path / "model_1.pt")
+  with warnings.catch_warnings():
+    # The exporter's own are not ours.
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(tmp_path))
+  exported = OnnxPolicy(tmp_path / "policy.onnx", cfg, env)
+  with torch.no_grad():
+    for step in range(4):
+      seen = env.get_observations()
+      actions = policy(seen)
+      torch.testing.assert_close(exported(seen), actions, atol=1e-5, rtol=1e-4)
+      env.step(actions)
+      for acting in (policy, exported):
+        acting.reset(torch.tensor([False, step == 1, False]))
+  with pytest.raises(FileError, match="'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"):
+    exported(SharplySeenPoint(env.cfg).get_observations())
+
+
+class RenamedPoint(PointEnv):
+  """The point with its observations under the name that exported networks give to their first input."""
+
+  def get_observations(self) -> dict[str, torch.Tensor]:
+    seen = super().get_observations()
+    return {"obs": seen["actor"], "critic": seen["critic"]}
+
+
+def test_a_group_of_vectors_may_be_called_as_an_exported_network_calls_its_input(tmp_path: Path) -> None:
+  cfg = RslRlOnPolicyRunnerCfg(logger="none", obs_groups={"actor": ("obs",), "critic": ("critic",)})
+  env = RenamedPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=4))
+  policy = CheckpointPolicy(env, cfg)
+  with warnings.catch_warnings():
+    # The exporter's own are not ours.
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(tmp_path))
+  seen = env.get_observations()
+  with torch.no_grad():
+    torch.testing.assert_close(OnnxPolicy(tmp_path / "policy.onnx", cfg, env)(seen), policy(seen))
+
+
+def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> None:
+  cfg = RslRlDistillationRunnerCfg(
+    num_steps_per_env=6, logger="none", obs_groups={"student": ("actor", "camera"), "teacher": ("actor",)}
+  )
+  cfg.student = replace(agent("gru").actor, distribution_cfg=cfg.student.distribution_cfg)
+  cfg.teacher, cfg.algorithm.gradient_length = RslRlModelCfg(hidden_dims=(8,)), 3
+  seed_everything(0)
+  wrapped = RslRlVecEnvWrapper(SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)))
+  made = MjlabDistillationRunner(wrapped, cfg, None, "cpu", console=Console("quiet"))
+  made._distillation.teacher_loaded = True
+  made.learn(3)
+  with Reads() as reads:
+    made._collect(made.env.get_observations())
+  assert reads.count == 0
+  assert all(value.isfinite().all() for value in made.networks["student"].state_dict().values())
+
+
+def test_memory_is_switched_on_by_its_type_alone() -> None:
+  assert RslRlModelCfg(rnn_type="gru").to_rsl_rl()["class_name"] == "RNNModel"
+  assert RslRlModelCfg().to_rsl_rl()["class_name"] == "MLPModel"
+  seeing = RslRlModelCfg(class_name="CNNModel", cnn_cfg=CNN, rnn_type="gru").to_rsl_rl()
+  assert (seeing["class_name"], seeing["rnn_type"]) == ("mjlab_rl.networks:ImageModel", "gru")
+
+
+def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered() -> None:
+  """rsl-rl divides trajectories by worlds: some batches would be empty."""
+  cfg = agent("gru")
+  cfg.algorithm.num_mini_batches = 5
+  with pytest.raises(ConfigError, match=r"num_mini_batches is 5; .* has 1 to 4 for a recurrent network"):
+    runner(cfg)
+  cfg.actor.rnn_type = None
+  runner(cfg).learn(1)
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"padding": "zeroes"}, r"agent\.actor\.cnn_cfg\.padding 'zeroes' does not exist. Nearest: zeros"),
+    ({"activation": "ellu"}, r"agent\.actor\.cnn_cfg\.activation 'ellu' does not exist"),
+    ({"norm": ("batch", "group")}, r"agent\.actor\.cnn_cfg\.norm 'group' does not exist. All 3: none, batch, layer"),
+    ({"stride": (2, 0)}, r"agent\.actor\.cnn_cfg\.stride must be at least 1, got \(2, 0\)"),
+    ({"temperature": 0.0}, r"agent\.actor\.cnn_cfg\.temperature must be positive, got 0\.0"),
+    ({"kernel_size": (3,)}, r"agent\.actor\.cnn_cfg\.kernel_size has 1 values, output_channels 2"),
+    ({"kernel_size": None}, r"agent\.actor\.cnn_cfg\.kernel_size must be a whole number or be a tuple, got None"),
+    ({"output_channels": 4}, r"agent\.actor\.cnn_cfg\.output_channels must be a tuple, got 4"),
+    ({"colour": 1}, "unexpected keyword argument 'colour'"),
+  ],
+)
+def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, Any], message: str) -> None:
+  cfg = agent()
+  assert cfg.actor.cnn_cfg is not None
+  cfg.actor.cnn_cfg |= change
+  with pytest.raises(ConfigError, match=message):
+    runner(cfg)
+  if "colour" not in change:
+    cfg.actor.cnn_cfg = {"camera": cfg.actor.cnn_cfg}
+    with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg\.camera\."):
+      runner(cfg)
+
+
+def test_who_sees_nothing_needs_no_encoder() -> None:
+  with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg is given, but agent\.actor\.class_name 'MLPModel'"):
+    runner(agent(class_name="MLPModel"))
+  cfg = agent()
+  cfg.algorithm.share_cnn_encoders = True
+  with pytest.raises(ConfigError, match=r"share_cnn_encoders is on, but agent\.critic\.class_name 'MLPModel'"):
+    runner(cfg)
+
+
+@each_kind
+def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[ImageModel], tmp_path: Path) -> None:
+  cfg = agent(class_name=f"{kind.__module__}:{kind.__name__}", max_iterations=1)
+  # Then the weights fit images of any size.
+  cfg.actor.cnn_cfg = CNN | ({"global_pool": "max"} if kind is ImageModel else {})
+  task = TaskCfg(env=PointEnvCfg(), agent=cfg)
+  options: Any = {"name": "Point", "console": Console("quiet")}
+  trained = train(task, make_env=SeenPoint, log_root=tmp_path / "logs", **options).checkpoint
+  assert trained is not None
+  other = tmp_path / "other"
+  message = "observation group 'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"
+  student = RslRlDistillationRunnerCfg(max_iterations=1, num_steps_per_env=8, logger="none")
+  student.obs_groups = {"student": ("actor",), "teacher": ("speed", "camera")}
+  cases: list[tuple[Any, dict[str, Any]]] = [
+    (cfg, {"init_from": trained}),
+    (cfg, {"resume": trained}),
+    (student, {"teacher": trained}),
+  ]
+  for learner_cfg, beginning in cases:
+    learner_cfg = replace(learner_cfg, max_iterations=2)
+    with pytest.raises(FileError, match=message):
+      train(replace(task, agent=learner_cfg), make_env=SharplySeenPoint, log_root=other, **beginning, **options)
+    assert train(replace(task, agent=learner_cfg), make_env=SeenPoint, log_root=None, **beginning, **options)
+  assert not other.exists()
+  with pytest.raises(FileError, match=message):
+    CheckpointPolicy(SharplySeenPoint(PointEnvCfg()), cfg).load(trained)
+
+
+def test_actions_are_drawn_as_rsl_rl_draws_them_bit_for_bit() -> None:
+  draws = []
+  for kind in (GaussianDistribution, Gaussian):
+    distribution = kind(3, init_std=0.7)
+    distribution.update(torch.linspace(-2.0, 2.0, 15, requires_grad=True).view(5, 3))
+    torch.manual_seed(0)
+    draws.append(distribution.sample())
+  assert torch.equal(*draws)
+  assert not draws[1].requires_grad

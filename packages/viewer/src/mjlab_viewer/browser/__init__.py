@@ -1,0 +1,1 @@
+"""Page in a browser, served by viser and mjviser."""

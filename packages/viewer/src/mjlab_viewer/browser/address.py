@@ -1,0 +1,23 @@
+"""Address of a page."""
+
+import socket
+
+from mjlab_core import MjlabError
+
+
+def check_address(host: str, port: int) -> None:
+  """Check that this machine can listen on an address; the server would wait for a foreign one without end.
+
+  Raises:
+    MjlabError: it cannot.
+  """
+  if not 0 < port < 65536:
+    raise MjlabError(f"port {port} does not exist; use 1 to 65535")
+  try:
+    # The server itself takes the next port where this one is taken.
+    with socket.create_server((host, 0)):
+      pass
+  except OSError as error:
+    # Python repeats the address behind the system's own words.
+    reason = (error.strerror or str(error)).partition(" (while ")[0]
+    raise MjlabError(f"cannot listen on {host}: {reason}") from error

@@ -1,0 +1,291 @@
+"""Buttons and sliders of the page.
+
+Actions run in the thread that owns the environment: buttons leave requests with the playback, values are read there.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import viser
+from mjlab_core import MjlabError
+
+from mjlab_viewer.browser.inputs import Buttons, Values
+from mjlab_viewer.browser.recorder import Recorder
+from mjlab_viewer.browser.scene import BrowserScene, Selection
+from mjlab_viewer.env import ViewedEnv, floating_dofs, push
+from mjlab_viewer.playback import SPEEDS, Playback
+from mjlab_viewer.policies import CheckpointList
+from mjlab_viewer.replay import Replay
+
+HISTORY = 10.0
+"""Time that a user can go back while paused [s]."""
+
+
+class WorldControls:
+  """Controls of the worlds that are shown, of the camera, and of the drawings over them."""
+
+  def __init__(self, server: viser.ViserServer, env: ViewedEnv, selection: Selection, scene: BrowserScene) -> None:
+    gui = server.gui
+    self.values = Values()
+    self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
+    with gui.add_folder("Worlds"):
+      if env.num_envs > 1:
+        world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=selection.world)
+        self.values.on_change(lambda: world.value, lambda: setattr(selection, "world", int(world.value)))
+        shown = gui.add_slider(
+          "Shown",
+          min=1,
+          max=selection.most,
+          step=1,
+          initial_value=selection.count,
+          hint="This world and those after it",
+        )
+        self.values.on_change(lambda: shown.value, lambda: setattr(selection, "count", int(shown.value)))
+      follow = gui.add_checkbox("Follow", initial_value=scene.scene.camera_tracking_enabled)
+
+      def move() -> None:
+        scene.follow(follow.value)
+        for client in server.get_clients().values():
+          scene.look(client)
+
+      self.values.on_change(lambda: follow.value, move)
+    known, on = env.drawers(), env.default_drawers()
+    if known:
+      with gui.add_folder("Draw"):
+        for name in known:
+          self._boxes[name] = gui.add_checkbox(name, initial_value=name in on)
+
+  def drawers(self) -> tuple[str, ...]:
+    """Return the names of the drawers that are on."""
+    return tuple(name for name, box in self._boxes.items() if box.value)
+
+
+class PlaybackControls:
+  """Controls of time, pushes, manual commands, policies and films."""
+
+  def __init__(
+    self,
+    server: viser.ViserServer,
+    playback: Playback,
+    selection: Selection,
+    scene: BrowserScene,
+    recorder: Recorder,
+    checkpoints: CheckpointList | None,
+  ) -> None:
+    self._server, self._playback, self._selection = server, playback, selection
+    self._scene, self._recorder = scene, recorder
+    self._episode_end = EpisodeEnd(playback.env, selection)
+    playback.on_step.append(self._episode_end.update)
+    self._gui = gui = server.gui
+    self.values, self.buttons = Values(), Buttons(server)
+    self._status = gui.add_html("")
+    self._shown_status = ""
+    self._notified: str | None = None
+    self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+    self._request(self._pause, self._toggle)
+    self._request(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
+    self._request(gui.add_button("Reset", icon=viser.Icon.REFRESH), self._reset)
+    speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
+    speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
+    self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
+    self._timeline = gui.add_slider(
+      "Seconds back",
+      min=0.0,
+      max=HISTORY,
+      step=min(0.05, playback.env.step_dt),
+      initial_value=0.0,
+      disabled=True,
+      hint="While paused",
+    )
+    # The history is of the worlds that were shown then.
+    self.values.on_change(lambda: selection.worlds, lambda: setattr(self._timeline, "value", 0.0))
+    self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
+    self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
+    for command, action in (
+      (gui.add_command("Pause", hotkey="space"), self._toggle),
+      (gui.add_command("Step", hotkey="arrowright"), self._step),
+      (gui.add_command("Reset", hotkey="enter"), self._reset),
+    ):
+      command.on_trigger(lambda _, action=action: playback.request(action))
+    self._add_pushes()
+    for name, command in playback.env.steering().items():
+      self._add_command(name, command)
+    if checkpoints is not None:
+      self._add_checkpoints(checkpoints)
+
+  @property
+  def seconds_back(self) -> float:
+    """Age of the moment to show [s]; 0 unless paused."""
+    return float(self._timeline.value) if self._playback.paused else 0.0
+
+  def show_status(self) -> None:
+    """Show state, time and errors."""
+    playback = self._playback
+    label, icon = ("Play", viser.Icon.PLAYER_PLAY) if playback.paused else ("Pause", viser.Icon.PLAYER_PAUSE)
+    if self._pause.label != label:
+      self._pause.label, self._pause.icon = label, icon
+    self._record.label, self._record.color = ("Stop recording", "red") if self._recorder.is_on else ("Record", None)
+    self._timeline.disabled = not playback.paused
+    state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
+    if playback.is_capped:
+      state += f" (this machine is too slow for {playback.speed:g})"
+    time = playback.step_count * playback.env.step_dt
+    world = self._selection.world
+    line = f"<b>{state}</b><br>step {playback.step_count}, {time:.2f} s, world {world}"
+    note = playback.env.note(world) if isinstance(playback.env, Replay) else self._episode_end.reason
+    if note:
+      line += f"<br>{html.escape(note)}"
+    if not self._scene.is_finite:
+      line += f"<br>world {world} is not finite: shown as it was before"
+    if playback.error is not None:
+      line += f'<br><span style="color:#c92a2a">{html.escape(playback.error)}</span>'
+    if line != self._shown_status:
+      self._shown_status = line
+      self._status.content = f'<div style="padding:0 0.75em 0.5em;font-size:0.875em">{line}</div>'
+    if playback.error != self._notified:
+      self._notified = playback.error
+      if playback.error is not None:
+        self._notify("Paused", playback.error, "red")
+
+  def _request(self, button: viser.GuiButtonHandle, action: Callable[[], None]) -> None:
+    self.buttons.on_press(button, lambda _: self._playback.request(action))
+
+  def _toggle(self) -> None:
+    if self._playback.paused:
+      self._timeline.value = 0.0
+      self._playback.resume()
+    else:
+      self._playback.pause()
+
+  def _step(self) -> None:
+    self._timeline.value = 0.0
+    self._playback.step_once()
+
+  def _reset(self) -> None:
+    self._timeline.value = 0.0
+    self._playback.reset()
+
+  def _add_pushes(self) -> None:
+    env = self._playback.env
+    # Stored moments cannot be pushed.
+    if isinstance(env, Replay) or floating_dofs(env.sim.mj_model) is None:
+      return
+    with self._gui.add_folder("Push", expand_by_default=False):
+      speed = self._gui.add_slider("Speed [m/s]", min=0.1, max=3.0, step=0.1, initial_value=1.0)
+      directions = {"forward": (1, 0, 0), "back": (-1, 0, 0), "left": (0, 1, 0), "right": (0, -1, 0), "up": (0, 0, 1)}
+      buttons = self._gui.add_button_group("Direction", list(directions), hint="Of the world's axes: forward is +x")
+
+      def act(_: object) -> None:
+        x, y, z = (part * speed.value for part in directions[buttons.value])
+        world = self._selection.world
+        self._playback.request(lambda: push(env, world, (x, y, z)))
+
+      self.buttons.on_press(buttons, act)
+
+  def _add_command(self, name: str, command: Any) -> None:
+    with self._gui.add_folder(f"Command {name}"):
+      manual = self._gui.add_checkbox("Manual", initial_value=False, hint="In the selected world")
+      zeros = [_zero(lower, upper) for _, lower, upper in command.axes]
+      axes = [self._add_axis(label, lower, upper, _zero(lower, upper)) for label, lower, upper in command.axes]
+      stop = self._gui.add_button("Stop", hint="All to zero")
+
+    def given() -> tuple[int, list[float]] | None:
+      return (self._selection.world, [float(axis.value) for axis in axes]) if manual.value else None
+
+    def zero() -> None:
+      for axis, value in zip(axes, zeros, strict=True):
+        axis.value = value
+
+    manual_command = ManualCommand(command)
+    self.values.on_change(given, lambda: self._playback.request(lambda: manual_command.set(given())))
+    self._request(stop, zero)
+
+  def _add_axis(self, label: str, lower: float, upper: float, value: float) -> viser.GuiInputHandle[float]:
+    if lower == upper:
+      return self._gui.add_number(label, value, disabled=True, hint="Fixed")
+    return self._gui.add_slider(label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=value)
+
+  def _add_checkpoints(self, checkpoints: CheckpointList) -> None:
+    def known() -> list[str]:
+      names = list(checkpoints.names())
+      return names if checkpoints.loaded in names else [checkpoints.loaded, *names]
+
+    with self._gui.add_folder("Policy"):
+      choice = self._gui.add_dropdown("Checkpoint", known(), initial_value=checkpoints.loaded)
+      newest = self._gui.add_button("Newest", hint="Load the newest checkpoint")
+
+      def load() -> None:
+        self._playback.request(lambda: self._playback.set_policy(checkpoints.load(choice.value)))
+
+      def refresh() -> None:
+        choice.options = known()
+        choice.value = choice.options[-1]
+
+      self.values.on_change(lambda: choice.value, load)
+      self._request(newest, refresh)
+
+  def _toggle_recording(self, client: viser.ClientHandle | None) -> None:
+    if not self._recorder.is_on:
+      self._recorder.start()
+      return
+    try:
+      path = self._recorder.stop()
+    except MjlabError as error:
+      self._notify("Record", str(error), "red")
+      return
+    self._notify("Record", f"saved as {path}", "green")
+    if client is not None:
+      client.send_file_download(path.name, path.read_bytes())
+
+  def _notify(self, title: str, body: str, color: str) -> None:
+    for client in self._server.get_clients().values():
+      client.add_notification(title, body, color=color, auto_close_seconds=10.0)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+
+
+class ManualCommand:
+  """Manual values of a command in one world at a time; other worlds have their own commands."""
+
+  def __init__(self, command: Any) -> None:
+    self._command = command
+    self._world: int | None = None
+
+  def set(self, given: tuple[int, Sequence[float]] | None) -> None:
+    """Hold these values in this world, or in none."""
+    world, values = (None, None) if given is None else given
+    if self._world is not None and self._world != world:
+      self._command.steer(self._world, None)
+    self._world = world
+    if world is not None:
+      self._command.steer(world, values)
+
+
+class EpisodeEnd:
+  """Reason for which the last episode of the selected world ended, from the environment's signals."""
+
+  def __init__(self, env: ViewedEnv, selection: Selection) -> None:
+    self._env, self._selection = env, selection
+    self.reason = ""
+
+  def update(self) -> None:
+    """Read the terminations of the step just done."""
+    names, values = self._env.signals().get("terminations", ((), None))
+    if values is None:
+      return
+    world = self._selection.world
+    reasons = [name for name, flag in zip(names, values[world].tolist(), strict=True) if flag]
+    if reasons:
+      self.reason = f"world {world} last ended by {', '.join(reasons)}"
+
+
+def _ratio(speed: float) -> str:
+  """Return a speed as a fraction where it is one."""
+  inverse = 1 / speed
+  return f"{speed:g}" if speed >= 1 or inverse != round(inverse) else f"1/{round(inverse)}"
+
+
+def _zero(lower: float, upper: float) -> float:
+  """Return zero, or the middle of a range without zero."""
+  return 0.0 if lower <= 0.0 <= upper else round(0.5 * (lower + upper), 9)

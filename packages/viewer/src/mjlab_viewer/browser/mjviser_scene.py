@@ -1,0 +1,78 @@
+"""Scene of mjviser, and all uses of its private names.
+
+`PRIVATE_NAMES` lists them with their reasons. They are tested with mjviser 0.0.14, and the requirement allows no later
+minor version. Where a name is missing, the page works without its feature.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import viser
+from mjviser import ViserMujocoScene
+
+TESTED_VERSION = "0.0.14"
+PRIVATE_NAMES = {
+  "_update_decor_from_mjvscene": "mjviser draws contacts that it computes itself; the simulation's are drawn instead",
+  "_tracked_body_id": "mjviser follows the first body that moves, and has no public way to choose another",
+  "_sync_visibilities": "mjviser applies visible groups only behind its own check boxes",
+  "_mjv_option": "no public flag tells whether contact forces are split into normal and friction",
+}
+"""Private names of `ViserMujocoScene` that are used here, with the reason."""
+
+
+class MujocoScene(ViserMujocoScene):
+  """Scene that leaves contacts to its user, and offers what mjviser keeps private."""
+
+  def _update_decor_from_mjvscene(self, mj_data: mujoco.MjData, scene_offset: np.ndarray) -> None:
+    mj_data.ncon = 0
+    super()._update_decor_from_mjvscene(mj_data, scene_offset)
+
+  def track(self, body: int | None) -> None:
+    """Keep a body at the origin of the page, or none."""
+    self.camera_tracking_enabled = body is not None
+    if body is not None and hasattr(self, "_tracked_body_id"):
+      self._tracked_body_id = body
+
+  def show_groups(self, geoms: list[bool], sites: list[bool]) -> None:
+    """Show these groups of geoms and sites alone."""
+    if (self.geom_groups_visible, self.site_groups_visible) == (geoms, sites):
+      return
+    self.geom_groups_visible, self.site_groups_visible = list(geoms), list(sites)
+    if hasattr(self, "_sync_visibilities"):
+      self._sync_visibilities()
+    else:
+      # Public, and slower.
+      self.rebuild_visual_handles()
+
+  @property
+  def splits_contact_forces(self) -> bool:
+    """True if the user wants normal force and friction as two arrows."""
+    option: Any = getattr(self, "_mjv_option", None)
+    return option is not None and bool(option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTSPLIT])
+
+
+class _SceneUnder:
+  """viser's scene with every node that is added under a path."""
+
+  def __init__(self, scene: viser.SceneApi, path: str) -> None:
+    self._scene, self._path = scene, path
+
+  def __getattr__(self, name: str) -> Any:
+    attribute = getattr(self._scene, name)
+    if not name.startswith("add_"):
+      return attribute
+    return lambda path, *args, **kwargs: attribute(self._path + path, *args, **kwargs)
+
+
+class ServerUnder:
+  """viser's server whose scene adds every node under a path."""
+
+  def __init__(self, server: viser.ViserServer, path: str) -> None:
+    self._server = server
+    self.scene = _SceneUnder(server.scene, path)
+
+  def __getattr__(self, name: str) -> Any:
+    return getattr(self._server, name)

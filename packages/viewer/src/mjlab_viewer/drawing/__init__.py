@@ -1,0 +1,1 @@
+"""Shapes over a picture: debug drawings and contacts."""

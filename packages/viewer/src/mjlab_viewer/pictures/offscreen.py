@@ -1,0 +1,140 @@
+"""Pictures without a window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from mjlab_core import MjlabError, RenderingError
+from mjlab_core.config import Config
+
+from mjlab_viewer.camera import CameraCfg
+from mjlab_viewer.drawing.contacts import contact_shapes, embolden
+from mjlab_viewer.drawing.mjv import add_to_scene, count_geoms
+from mjlab_viewer.host_world import HostWorld
+from mjlab_viewer.pictures.opengl import make_context
+from mjlab_viewer.snapshot import Snapshot
+
+
+@dataclass(kw_only=True, frozen=True)
+class PictureCfg(Config):
+  """Size and content of pictures."""
+
+  width: int = 640
+  """[px]"""
+  height: int = 480
+  """[px]"""
+  camera: CameraCfg = field(default_factory=CameraCfg)
+  contacts: bool = False
+  """True draws contact points and forces, those of the snapshot if it has them."""
+  shadows: bool = True
+  geom_groups: tuple[bool, ...] = (True, True, True, False, False, False)
+  """MuJoCo's geom groups that are drawn."""
+
+
+class OffscreenRenderer:
+  """Renders snapshots: each world is a tile of the picture, and its camera follows its robot.
+
+  Use it only in the thread that made it.
+
+  Args:
+    model: The simulation's model; copied.
+    cfg: Size and content of pictures.
+
+  Raises:
+    RenderingError: OpenGL does not work on this machine, or not for pictures of this size.
+    MjlabError: the size or camera is impossible.
+  """
+
+  def __init__(self, model: mujoco.MjModel, cfg: PictureCfg | None = None) -> None:
+    self.cfg = PictureCfg() if cfg is None else cfg
+    if self.cfg.width < 1 or self.cfg.height < 1:
+      raise MjlabError(f"width and height must be at least 1 pixel, got {self.cfg.width} x {self.cfg.height}")
+    self._world = HostWorld(model)
+    model = self._world.model
+    model.vis.global_.offwidth, model.vis.global_.offheight = self.cfg.width, self.cfg.height
+    # Sharper shadows are not visible in a film, and without a GPU they take most of the time.
+    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
+    if self.cfg.contacts:
+      embolden(model, of=model)
+    self._view = self.cfg.camera.resolve(model)
+    self._camera = mujoco.MjvCamera()
+    self._options = mujoco.MjvOption()
+    self._options.geomgroup[:] = self.cfg.geom_groups
+    self._scene = self._new_scene(model.ngeom + 512)
+    self._gl = make_context(self.cfg.width, self.cfg.height)
+    try:
+      self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    except mujoco.FatalError as error:
+      self._gl.free()
+      raise RenderingError(f"no picture of {self.cfg.width} x {self.cfg.height} can be drawn here: {error}") from error
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+
+  def render(self, snapshot: Snapshot) -> np.ndarray:
+    """Return the worlds of a snapshot side by side, (height, width, 3) uint8."""
+    if self._context is None:
+      raise MjlabError("this renderer is closed")
+    self._gl.make_current()
+    for row, rectangle in enumerate(tiles(len(snapshot.worlds), self.cfg.width, self.cfg.height)):
+      self._world.load(snapshot, row)
+      self._update_scene(snapshot, row)
+      mujoco.mjr_render(mujoco.MjrRect(*rectangle), self._scene, self._context)
+    pixels = np.empty((self.cfg.height, self.cfg.width, 3), dtype=np.uint8)
+    mujoco.mjr_readPixels(pixels, None, mujoco.MjrRect(0, 0, self.cfg.width, self.cfg.height), self._context)
+    return np.flipud(pixels).copy()
+
+  def close(self) -> None:
+    """Free the OpenGL resources. Calling it again does nothing."""
+    if self._context is not None:
+      self._gl.make_current()
+      self._context.free()
+      self._context = None
+      self._gl.free()
+
+  def __enter__(self) -> OffscreenRenderer:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self.close()
+
+  def _new_scene(self, maxgeom: int) -> mujoco.MjvScene:
+    scene = mujoco.MjvScene(self._world.model, maxgeom=maxgeom)
+    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.cfg.shadows
+    scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+    return scene
+
+  def _update_scene(self, snapshot: Snapshot, row: int) -> None:
+    world = self._world
+    self._view.aim(self._camera, self._view.target(world.data.xpos))
+    drawn = list(snapshot.drawings[row if len(snapshot.drawings) > 1 else 0].shapes)
+    if self.cfg.contacts:
+      drawn += contact_shapes(world.contacts(snapshot, row), world.model, points=True, forces=True)
+    extra = count_geoms(drawn)
+    while True:
+      mujoco.mjv_updateScene(
+        world.model, world.data, self._options, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+      )
+      wanted = self._scene.ngeom + extra
+      if wanted <= self._scene.maxgeom and not self._scene.status:
+        break
+      self._scene = self._new_scene(2 * max(wanted, self._scene.maxgeom))
+    add_to_scene(self._scene, world.model, drawn)
+
+
+def tiles(count: int, width: int, height: int) -> list[tuple[int, int, int, int]]:
+  """Return rectangles (left, bottom, width, height) [px] of `count` equal tiles in rows from the top left."""
+  columns = math.ceil(math.sqrt(count))
+  rows = math.ceil(count / columns)
+  lefts = [width * i // columns for i in range(columns + 1)]
+  tops = [height - height * i // rows for i in range(rows + 1)]
+  return [
+    (
+      lefts[i % columns],
+      tops[i // columns + 1],
+      lefts[i % columns + 1] - lefts[i % columns],
+      tops[i // columns] - tops[i // columns + 1],
+    )
+    for i in range(count)
+  ]

@@ -1,0 +1,165 @@
+"""Films: encoding of frames, and rendering in the background."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import mujoco
+import numpy as np
+from av.container import OutputContainer
+from av.video.stream import VideoStream
+from mjlab_core import MjlabError
+from mjlab_core.files import AtomicWrite
+
+from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
+from mjlab_viewer.snapshot import Snapshot
+
+
+class VideoFile:
+  """Film as mp4 (H.264), which appears under its name when it is closed.
+
+  Args:
+    path: Path of the film; must end in .mp4.
+    fps: Frames per second.
+
+  Raises:
+    MjlabError: the path does not end in .mp4, or is a folder.
+  """
+
+  def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
+    self.path = check_video_path(path)
+    self._fps = Fraction(fps).limit_denominator(1000)
+    self._open: tuple[OutputContainer, VideoStream, AtomicWrite] | None = None
+    self.num_frames = 0
+
+  def add(self, frame: np.ndarray) -> None:
+    """Append a frame, (height, width, 3) uint8, of the size of the first one. An odd row or column is cut."""
+    # H.264 halves the resolution of colors, so sides are even.
+    frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
+    if self._open is None:
+      write = AtomicWrite(self.path)
+      container = av.open(str(write.temporary), "w", format="mp4")
+      stream = container.add_stream("libx264", rate=self._fps, options={"crf": "23", "preset": "fast"})
+      stream.height, stream.width = frame.shape[:2]
+      stream.pix_fmt = "yuv420p"
+      self._open = container, stream, write
+    container, stream, _ = self._open
+    container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
+    self.num_frames += 1
+
+  def close(self) -> None:
+    """Finish the file. Without a frame, there is no file."""
+    if self._open is not None:
+      container, stream, write = self._open
+      container.mux(stream.encode())
+      container.close()
+      self._open = None
+      write.commit()
+
+  def discard(self) -> None:
+    """Stop without a file. Errors are ignored: it is called after one."""
+    opened, self._open = self._open, None
+    if opened is not None:
+      container, _, write = opened
+      with contextlib.suppress(OSError):
+        container.close()
+      with contextlib.suppress(OSError):
+        write.discard()
+
+
+class BackgroundVideo:
+  """Renders and encodes snapshots in a thread of its own, so that the simulation does not wait.
+
+  If rendering fails, `error` holds the exception and nothing is raised. If the thread cannot keep up, `add` waits with
+  `wait`, and otherwise drops frames and counts them in `num_dropped`.
+
+  Args:
+    path: Path of the mp4.
+    fps: Frames per second.
+    model: The simulation's model; copied.
+    cfg: Size and content of pictures.
+    wait: True makes `add` wait for room.
+    on_error: Called in the thread with the first error.
+  """
+
+  def __init__(
+    self,
+    path: str | os.PathLike[str],
+    fps: float,
+    model: mujoco.MjModel,
+    cfg: PictureCfg | None = None,
+    *,
+    wait: bool = False,
+    on_error: Callable[[Exception], None] | None = None,
+  ) -> None:
+    self.file = VideoFile(path, fps)
+    self.error: Exception | None = None
+    self.num_dropped = 0
+    self._is_finished = False
+    self._wait = wait
+    self._on_error = on_error
+    self._queue: queue.Queue[Snapshot | None] = queue.Queue(maxsize=32)
+    self._thread = threading.Thread(target=self._run, args=(model, cfg), name="video", daemon=True)
+    self._thread.start()
+
+  def add(self, snapshot: Snapshot) -> None:
+    """Add a frame."""
+    if self.error is not None:
+      return
+    if self._wait:
+      self._queue.put(snapshot)
+      return
+    try:
+      self._queue.put_nowait(snapshot)
+    except queue.Full:
+      self.num_dropped += 1
+
+  def finish(self) -> None:
+    """Finish the file in the background; no more frames are added."""
+    if not self._is_finished:
+      self._is_finished = True
+      self._queue.put(None)
+
+  def close(self) -> Path | None:
+    """Wait for all frames, finish the file, and return its path, or None if there is no file."""
+    self.finish()
+    self._thread.join()
+    return self.file.path if self.error is None and self.file.num_frames else None
+
+  def _run(self, model: mujoco.MjModel, cfg: PictureCfg | None) -> None:
+    is_over = False
+    try:
+      with OffscreenRenderer(model, cfg) as renderer:
+        while (snapshot := self._queue.get()) is not None:
+          self.file.add(renderer.render(snapshot))
+      is_over = True
+      self.file.close()
+    except Exception as error:
+      self.error = error
+      self.file.discard()
+      if self._on_error is not None:
+        self._on_error(error)
+      # A caller that waits for room must not wait without end.
+      while not is_over and self._queue.get() is not None:
+        pass
+
+
+def check_video_path(path: str | os.PathLike[str]) -> Path:
+  """Return the path of a film.
+
+  Raises:
+    MjlabError: it does not end in .mp4, or is a folder.
+  """
+  path = Path(path)
+  if path.suffix.lower() != ".mp4":
+    raise MjlabError(f"video '{path}': films are written as .mp4")
+  if path.is_dir():
+    raise MjlabError(f"video '{path}': this is a folder; give a file that ends in .mp4")
+  return path
