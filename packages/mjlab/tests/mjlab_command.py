@@ -14,6 +14,9 @@ from typing import NoReturn
 
 import pytest
 
+PATIENCE = 300.0
+"""Limit for anything a command does [s]: far beyond what the busiest machine takes, below the time limit of a test."""
+
 
 class Command:
   """A running command and what it has said; its two streams are one."""
@@ -30,7 +33,7 @@ class Command:
   def exit_code(self) -> int | None:
     return self._process.poll()
 
-  def wait_for(self, pattern: str, seconds: float = 120.0) -> re.Match[str]:
+  def wait_for(self, pattern: str, seconds: float = PATIENCE) -> re.Match[str]:
     """Waits until the command has said something; fails with what it said instead."""
     end = time.monotonic() + seconds
     while (found := re.search(pattern, self.said)) is None:
@@ -41,7 +44,7 @@ class Command:
       time.sleep(0.05)
     return found
 
-  def interrupt(self, seconds: float = 60.0) -> str:
+  def interrupt(self, seconds: float = PATIENCE) -> str:
     """Ctrl-C; returns what the command says from then to its end, which must be that of one that did its work."""
     before = len(self.said)
     self._process.send_signal(signal.SIGINT)
@@ -56,7 +59,7 @@ class Command:
     """Fails with what the command said and where each of its threads stands."""
     self._process.send_signal(signal.SIGABRT)
     try:
-      self._process.wait(10)
+      self._process.wait(PATIENCE)
     except subprocess.TimeoutExpired:
       self._process.kill()
     pytest.fail(f"the command {why}:\n{self.said}")
@@ -87,6 +90,6 @@ def running(
       yield started
     finally:
       process.kill()
-      process.wait(10)
+      process.wait(PATIENCE)
       # Shown beside what failed.
       print(started.said)

@@ -1,6 +1,12 @@
 """The smallest task that trains: a torque keeps a pole on a hinge upright."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import mjlab
 import mujoco
+import pytest
+from mjlab import registry
 from mjlab_actuators import NativeMotorActuatorCfg
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
@@ -15,6 +21,8 @@ from mjlab_managers import (
 from mjlab_rl import RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
+
+TASK = "Test-Pendulum"
 
 _XML = """
 <mujoco>
@@ -86,3 +94,12 @@ def taught() -> TaskCfg[ManagerBasedRlEnvCfg]:
   )
   agent.student.hidden_dims = (8,)
   return TaskCfg(env=task.env, play=for_watching, agent=agent)
+
+
+@contextmanager
+def registered() -> Generator[None]:
+  """Only this task is registered, beside those of packages."""
+  with pytest.MonkeyPatch.context() as patched:
+    patched.setattr(registry, "_registered", {})
+    mjlab.register_task(TASK, pendulum)
+    yield

@@ -6,11 +6,13 @@ import av
 import mujoco
 import numpy as np
 import pytest
-from mjlab_tracking import Kinematics, derived_arrays, load_motion, shipped_clips
-from mjlab_tracking.convert import main, robot_spec
-from mjlab_tracking.preview import Preview
-from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker
-from mjlab_viewer.opengl import make_context
+from mjlab.cli import convert_motion as main
+from mjlab.cli._clip_preview import Preview
+from mjlab.cli._convert_motion import robot_spec
+from mjlab_core import RenderingError
+from mjlab_motions import Kinematics, derived_arrays, load_motion, shipped_clips
+from mjlab_viewer import BrowserViewer, SnapshotTaker
+from mjlab_viewer.pictures.opengl import make_context
 
 CLIP = "squat_and_wave"
 
@@ -63,7 +65,7 @@ def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytes
     assert container.streams.video[0].average_rate == 25
   before = (folder / "squat.mp4").read_bytes()
   assert main(words) == 2
-  assert "squat.mp4 is there already; --force replaces it" in capsys.readouterr().err
+  assert "squat.mp4 exists; --force replaces it" in capsys.readouterr().err
   assert (folder / "squat.mp4").read_bytes() == before
 
 
@@ -71,7 +73,7 @@ def test_where_opengl_is_missing_one_line_says_so_and_nothing_is_written(
   folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   monkeypatch.setenv("MUJOCO_GL", "off")
-  assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--video", "squat.mp4"]) == 2
+  assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--video", "squat.mp4"]) == 1
   assert capsys.readouterr().err == "error: no pictures: MUJOCO_GL=off switches OpenGL off\n"
   assert list(folder.iterdir()) == []
 
@@ -88,5 +90,5 @@ def test_a_preview_is_served_after_the_clip_is_written(
   monkeypatch.setattr(BrowserViewer, "run", interrupted)
   assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--preview", "--port", "8370"]) == 0
   assert "open http://localhost:83" in capsys.readouterr().out
-  assert main([CLIP, "--preview", "--port", "0"]) == 2
+  assert main([CLIP, "--preview", "--port", "0"]) == 1
   assert "port 0 does not exist" in capsys.readouterr().err

@@ -2,44 +2,59 @@
 
 import json
 import math
+import shutil
+import sys
 import warnings
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-import mjlab
-import mjlab.registry as registry
 import mjlab_pendulum
 import mjlab_rl
 import numpy as np
+import onnx
 import pytest
+import torch
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from mjlab import cli
-from mjlab.cli import _evaluation_plot
-from mjlab.making import standard_env
+from mjlab.cli import _plots
+from mjlab.environments import standard_env
 
-TASK = "Test-Pendulum"
+TASK = mjlab_pendulum.TASK
 
 
 @pytest.fixture(autouse=True)
-def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-  monkeypatch.setattr(registry, "_registered", {})
-  mjlab.register_task(TASK, mjlab_pendulum.pendulum)
+def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
   monkeypatch.chdir(tmp_path)
+  with mjlab_pendulum.registered():
+    yield
 
 
 def evaluate(*words: str) -> int:
   return cli.main(["evaluate", TASK, "--device", "cpu", "--eval.episodes", "6", *words])
 
 
-def trained() -> Path:
-  assert cli.main(["train", TASK, "--device", "cpu", "--env.rewards.alive.weight", "2.0", "--quiet"]) == 0
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  folder = tmp_path_factory.mktemp("logs")
+  flags = ["--device", "cpu", "--env.rewards.alive.weight", "2.0", "--quiet", "--log-root", str(folder)]
+  with mjlab_pendulum.registered():
+    assert cli.main(["train", TASK, *flags]) == 0
+  return folder
+
+
+@pytest.fixture
+def run(logs: Path) -> Path:
+  """A run of the test's own."""
+  shutil.copytree(logs, "logs")
   (run,) = Path("logs/pendulum").iterdir()
   return run
 
 
-def test_the_newest_run_is_evaluated_as_it_was_trained_into_its_folder(capsys: pytest.CaptureFixture[str]) -> None:
-  run = trained()
+def test_the_newest_run_is_evaluated_as_it_was_trained_into_its_folder(
+  run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
   assert evaluate() == 0
   folder = run / "evaluation" / "model_3"
   assert sorted(path.name for path in folder.iterdir()) == ["evaluation.json", "evaluation.txt", "groups.png"]
@@ -55,8 +70,16 @@ def test_the_newest_run_is_evaluated_as_it_was_trained_into_its_folder(capsys: p
   assert f"wrote {folder}" in shown
 
 
-def test_an_evaluation_that_is_there_is_not_overwritten_unasked(capsys: pytest.CaptureFixture[str]) -> None:
-  run = trained()
+def test_without_matplotlib_an_evaluation_has_no_plots(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  monkeypatch.setitem(sys.modules, "matplotlib", None)
+  assert evaluate("--agent", "zero", "--output", "zero") == 0
+  assert sorted(path.name for path in Path("zero").iterdir()) == ["evaluation.json", "evaluation.txt"]
+  assert "no plots: they need matplotlib, the extra 'plot' of mjlab" in capsys.readouterr().out
+
+
+def test_an_evaluation_that_is_there_is_not_overwritten_unasked(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert evaluate("--output", "mine") == 0
   before = Path("mine/evaluation.json").read_bytes()
   assert evaluate("--output", "mine") == 2
@@ -101,13 +124,12 @@ def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.Ca
 
 def test_progress_is_said_now_and_then_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
   assert evaluate("--agent", "zero", "--env.episode-length-s", "4.1") == 0
-  assert capsys.readouterr().err == "step 100: 0 of 6 episodes over\nstep 200: 0 of 6 episodes over\n"
+  assert capsys.readouterr().err == "step 100: 0 of 6 episodes done\nstep 200: 0 of 6 episodes done\n"
 
 
 @pytest.mark.parametrize("agent", ["trained", "random"])
+@pytest.mark.usefixtures("run")
 def test_two_evaluations_of_one_policy_agree(agent: str) -> None:
-  if agent == "trained":
-    trained()
   numbers = []
   for folder in ("one", "two"):
     assert evaluate("--output", folder, "--agent", agent) == 0
@@ -115,8 +137,7 @@ def test_two_evaluations_of_one_policy_agree(agent: str) -> None:
   assert numbers[0] == numbers[1]
 
 
-def test_an_exported_policy_is_judged_as_its_checkpoint_is(capsys: pytest.CaptureFixture[str]) -> None:
-  run = trained()
+def test_an_exported_policy_is_judged_as_its_checkpoint_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
   exported = run / "policy.onnx"
   manifest = mjlab_rl.load_run(run)
   with standard_env(manifest.env, device="cpu") as env, warnings.catch_warnings():
@@ -125,6 +146,14 @@ def test_an_exported_policy_is_judged_as_its_checkpoint_is(capsys: pytest.Captur
     policy = mjlab_rl.CheckpointPolicy(env, manifest.agent, manifest.runner)
     policy.load(run / "model_3.pt")
     policy._runner.export_policy_to_onnx(str(run), exported.name)
+  model = onnx.load(exported)
+  names = {"joint_names": "hinge", "observation_names": "position,velocity", "default_joint_pos": "0.000"}
+  onnx.helper.set_model_props(model, names)
+  onnx.save(model, exported)
+  onnx.helper.set_model_props(model, names | {"joint_names": "elbow"})
+  onnx.save(model, run / "other.onnx")
+  assert evaluate("--checkpoint", str(run / "other.onnx")) == 1
+  assert "joint_names: elbow only in the file, hinge only here" in capsys.readouterr().err
   found = {}
   for source in ("model_3.pt", "policy.onnx"):
     assert evaluate("--checkpoint", str(run / source)) == 0
@@ -156,9 +185,9 @@ def test_pictures_show_each_group_and_what_nobody_reached_is_left_out(tmp_path: 
     groups=groups, curves={"error": lines, "playing": lines}, units={"time": "s", "error": "m"}
   )
   with pytest.MonkeyPatch.context() as patched:
-    patched.setattr(_evaluation_plot, "Figure", Seen)
-    _evaluation_plot.plot_groups(found, tmp_path / "groups.png")
-    _evaluation_plot.plot_curves(found, tmp_path / "curves.png")
+    patched.setattr(_plots, "Figure", Seen)
+    _plots.plot_groups(found, tmp_path / "groups.png")
+    _plots.plot_curves(found, tmp_path / "curves.png")
   for name in ("groups", "curves"):
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
   points, curves = seen
@@ -185,3 +214,17 @@ def test_help_names_what_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
   assert "--eval.episodes" in capsys.readouterr().out
   assert cli.main(["evaluate", "Test-Pendulun"]) == 2
   assert "Nearest: Test-Pendulum" in capsys.readouterr().err
+
+
+def test_an_evaluation_with_actions_that_are_not_finite_fails(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  state = torch.load(run / "model_3.pt", weights_only=True)
+  for value in state["actor_state_dict"].values():
+    if value.is_floating_point():
+      value.fill_(math.nan)
+  torch.save(state, run / "model_4.pt")
+  assert evaluate("--output", "nan") == 1
+  assert "failed: 150 actions of the policy were NaN or infinite" in capsys.readouterr().out
+  assert json.loads(Path("nan/evaluation.json").read_text())["nonfinite_actions"] == 150
+  assert evaluate("--output", "whole", "--checkpoint", str(run / "model_3.pt")) == 0
+  assert cli.main(["train", TASK, "--device", "cpu", "--resume", str(run / "model_4.pt")]) == 1
+  assert "model_4.pt: the file has NaN or infinite weights in actor" in capsys.readouterr().err

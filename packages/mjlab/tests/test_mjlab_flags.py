@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pytest
-from mjlab.cli._config_flags import flags
-from mjlab.cli._errors import UsageError
-from mjlab.cli._flag_parser import parse, print_completion, print_help
+from mjlab.cli._flags import flags, parse, print_completion, print_help
+from mjlab_core import UsageError
 
 # A configuration may hold a list where its annotation says tuple.
 A_LIST: Any = ["a"]
@@ -246,11 +245,11 @@ def test_help_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_completion_knows_tasks_and_flags(capsys: pytest.CaptureFixture[str]) -> None:
   line = Line(env=config())
-  print_completion({"Task": line, "Other": line}, prog="train", arguments=["--tyro-print-completion", "bash"])
+  print_completion({"Task": line, "Other": line}, prog="train", words=["--tyro-print-completion", "bash"])
   script = capsys.readouterr().out
   assert "Task" in script
   assert "Other" in script
   assert "--env.rewards.foot-slip.weight" in script
   for arguments in (["--tyro-print-completion"], ["--tyro-print-completion", "cmd"]):
     with pytest.raises(UsageError, match=r"expected bash\|zsh\|tcsh\|fish"):
-      print_completion({"Task": line}, prog="train", arguments=arguments)
+      print_completion({"Task": line}, prog="train", words=arguments)

@@ -107,11 +107,11 @@ def damping_of(value: float) -> FieldRandomizer:
   [
     (["--num-env", "4"], "--num-envs"),
     (["--num-envs", "many"], "many"),
-    (["--num-envs", "1"], "--num-envs is 1; draws are compared over at least 2 worlds"),
+    (["--num-envs", "1"], "--num-envs must be at least 2 to compare draws, got 1"),
     (["--seed"], "--seed"),
     (["--device", "tpu"], "device 'tpu' does not exist"),
     (["--png", "picture.jpg"], "does not end in .png"),
-    (["--png", "nowhere/picture.png"], "there is no directory"),
+    (["--png", "nowhere/picture.png"], "--png: folder nowhere does not exist"),
   ],
 )
 def test_a_mistake_is_one_line(

@@ -1,8 +1,10 @@
 """Watching: what is found, what it is built from, what is refused."""
 
+import shutil
 import subprocess
 import sys
 import warnings
+from collections.abc import Generator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,27 +12,28 @@ from typing import Any
 import av
 import mjlab
 import mjlab.cli._play as play_command
-import mjlab.registry as registry
 import mjlab_pendulum
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab import cli
+from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
+from mjlab_motions import Kinematics, load_motion, shipped_clips
 from mjlab_robots import g1_spec
-from mjlab_tracking import Kinematics, load_motion, shipped_clips
-from mjlab_viewer import BackgroundVideo, Playback, RenderingError
-from mjlab_viewer.opengl import make_context
+from mjlab_scene.export import write_spec
+from mjlab_viewer import BackgroundVideo, Playback
+from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.snapshot import Snapshot
 
-TASK = "Test-Pendulum"
+TASK = mjlab_pendulum.TASK
 
 
 @pytest.fixture(autouse=True)
-def _pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setattr(registry, "_registered", {})
-  mjlab.register_task(TASK, mjlab_pendulum.pendulum)
+def _pendulum() -> Generator[None]:
+  with mjlab_pendulum.registered():
+    yield
 
 
 @pytest.fixture
@@ -50,11 +53,18 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
   return seen
 
 
-@pytest.fixture
-def logs(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def run_of_two_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  folder = tmp_path_factory.mktemp("logs")
   flags = ["--agent.max-iterations", "2", "--agent.save-interval", "1", "--env.rewards.alive.weight", "7", "--quiet"]
-  assert cli.main(["train", TASK, "--log-root", str(tmp_path), "--device", "cpu", *flags]) == 0
-  return tmp_path
+  with mjlab_pendulum.registered():
+    assert cli.main(["train", TASK, "--log-root", str(folder), "--device", "cpu", *flags]) == 0
+  return folder
+
+
+@pytest.fixture
+def logs(run_of_two_checkpoints: Path, tmp_path: Path) -> Path:
+  return shutil.copytree(run_of_two_checkpoints, tmp_path, dirs_exist_ok=True)
 
 
 def play(logs: Path, *flags: str) -> int:
@@ -125,7 +135,7 @@ def test_a_student_acts_without_what_only_its_teacher_saw(
     built.append(ManagerBasedRlEnv(cfg, device=device))
     return built[-1]
 
-  monkeypatch.setattr("mjlab.making.standard_env", build)
+  monkeypatch.setattr("mjlab.environments.standard_env", build)
   more = ["--viewer", "browser"] if command == "play" else ["--eval.episodes", "4", "--quiet"]
   assert cli.main([command, "Test-Taught", *flags, *more]) == 0
   assert [list(env.get_observations()) for env in built] == [["actor"]]
@@ -182,7 +192,7 @@ def test_a_film_that_is_interrupted_is_there_until_then_and_said(
   film = tmp_path / "film.mp4"
   flags = ["--agent", "zero", "--video", str(film), "--video-width", "64", "--video-height", "48"]
   assert cli.main(["play", TASK, "--device", "cpu", *flags]) == 130
-  assert f"the film of 3 steps until then is {film}" in capsys.readouterr().out
+  assert f"the film of 3 steps up to here is {film}" in capsys.readouterr().out
   with av.open(str(film)) as container:
     assert sum(1 for _ in container.decode(video=0)) == 4
 
@@ -237,7 +247,7 @@ def test_a_film_where_opengl_is_missing_is_one_line(
     (["--checkpoint", "missing.onnx"], 1, "policy missing.onnx: no such file"),
     (["--agent", "chance"], 2, "--agent: expected"),
     (["--viewer", "none"], 2, "--viewer none shows nothing; add --video FILE.mp4"),
-    (["--video", "film.gif"], 1, "films are written as .mp4"),
+    (["--video", "film.gif"], 2, "--video: film.gif does not end in .mp4"),
     (["--video", "film.mp4", "--viewer", "native"], 2, "leave out --viewer native"),
     (["--num-envs", "0", "--agent", "zero"], 1, "num_envs"),
     (["--device", "cuda:7"], 1, "device 'cuda:7' does not exist"),
@@ -288,7 +298,7 @@ def write_onnx(policy: Any, path: Path) -> None:
   """The exporter of the runner, whose own warnings are not ours."""
   with warnings.catch_warnings():
     warnings.simplefilter("ignore")
-    policy._runner.export_policy_to_onnx(str(path.parent), path.name)
+    policy._policy._runner.export_policy_to_onnx(str(path.parent), path.name)
 
 
 def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,7 +350,7 @@ def test_the_demo_lifts_too_to_where_it_is_told(
   # Of eight that begin anywhere at most one may have slipped away.
   assert int((away[0] < 0.05).sum()) >= 7
   assert cli.main(["demo", "lift"]) == 2
-  assert capsys.readouterr().err == "error: 'lift': not a flag; --task walk or lift says what to show\n"
+  assert capsys.readouterr().err == "error: 'lift': not a flag; --task walk or lift selects the policy\n"
   assert cli.main(["demo", "--task", "lit"]) == 2
   assert "demo 'lit' does not exist" in capsys.readouterr().err
 
@@ -366,7 +376,26 @@ def test_a_scene_is_exported_whole_and_replaced_only_by_force(
   (folder / "mine.txt").write_text("kept")
   assert cli.main(["export-scene", TASK, "--output", str(folder), "--force"]) == 2
   assert (folder / "mine.txt").exists()
-  assert "is no exported scene" in capsys.readouterr().err
+  assert "is not an exported scene" in capsys.readouterr().err
+
+
+# Class: a name that is read from a file (here an asset of an MJCF) becomes part of a path.
+@pytest.mark.parametrize(
+  "name", ["../../hull.obj", "ABSOLUTE/hull.obj", "a/../../hull.obj", "\x1b[2J\n.obj", "my/hull.obj"]
+)
+def test_an_asset_is_exported_into_the_folder_of_its_scene(tmp_path: Path, name: str) -> None:
+  corners = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+  name = name.replace("ABSOLUTE", str(tmp_path))
+  spec = mujoco.MjSpec()
+  spec.assets = {name: corners, "hull.obj": corners}
+  for number, file in enumerate((name, "hull.obj")):
+    spec.add_mesh(name=f"hull_{number}", file=file)
+    spec.worldbody.add_body(name=f"boat_{number}").add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"hull_{number}")
+  path = write_spec(spec, tmp_path / "export" / "scene")
+  assert mujoco.MjModel.from_xml_path(str(path)).nmesh == 2
+  files = [found for found in tmp_path.rglob("*") if found.is_file()]
+  assert len(files) == 3
+  assert all(found.is_relative_to(path.parent) and str(found).isprintable() for found in files)
 
 
 def train(root: Path, *flags: str) -> int:

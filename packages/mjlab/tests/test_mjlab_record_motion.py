@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
+from mjlab_motions import Kinematics, load_motion, read_motion
 from mjlab_robots import g1_spec
-from mjlab_tracking import Kinematics, load_motion, read_motion
 
 TASK = "Mjlab-Tracking-Flat-Unitree-G1"
 
@@ -52,11 +52,11 @@ def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest
   ("words", "message"),
   [
     ([], "--output is missing: name the clip's file"),
-    (["--output", "clip.csv"], "--output clip.csv: the clip's file must end in .npz"),
+    (["--output", "clip.csv"], "--output: clip.csv does not end in .npz"),
     (["--output", "clip.npz", "--seconds", "nan"], "--seconds must be positive and finite, got nan"),
     (["--output", "clip.npz", "--skip", "-1"], "--skip must be finite and not negative, got -1"),
-    (["--output", "gone/clip.npz"], "--output: there is no folder gone"),
-    (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist; the scene has: robot"),
+    (["--output", "gone/clip.npz"], "--output: folder gone does not exist"),
+    (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist. Nearest: robot"),
   ],
 )
 def test_a_mistake_is_one_line(

@@ -6,13 +6,18 @@ import mjlab.registry as registry
 import mjlab_pendulum
 import pytest
 import torch
-from mjlab.making import DeviceError, default_worlds, resolve_device
-from mjlab_rl.manifest import decode, encode
+from mjlab.environments import default_num_envs, resolve_device
+from mjlab_core import MjlabError, UnknownNameError
+from mjlab_rl.encoding import decode, encode
+
+
+@pytest.fixture(autouse=True)
+def _registers_nothing_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setattr(registry, "_registered", {})
 
 
 @pytest.fixture
-def pendulum(monkeypatch: pytest.MonkeyPatch) -> str:
-  monkeypatch.setattr(registry, "_registered", {})
+def pendulum() -> str:
   mjlab.register_task("Test-Pendulum", mjlab_pendulum.pendulum)
   return "Test-Pendulum"
 
@@ -25,19 +30,25 @@ def test_a_registered_task_is_listed_and_loaded_fresh(pendulum: str) -> None:
 
 
 def test_an_unknown_task_names_the_nearest(pendulum: str) -> None:
-  with pytest.raises(mjlab.TaskError, match=r"task 'Test-Pendulun' does not exist\. Nearest: Test-Pendulum"):
+  with pytest.raises(MjlabError, match=r"task 'Test-Pendulun' does not exist\. Nearest: Test-Pendulum"):
     mjlab.load_task("Test-Pendulun")
 
 
 def test_an_id_is_registered_once(pendulum: str) -> None:
-  with pytest.raises(mjlab.TaskError, match="registered already"):
+  with pytest.raises(MjlabError, match="registered already"):
     mjlab.register_task(pendulum, mjlab_pendulum.pendulum)
 
 
 def test_a_task_of_another_type_is_a_clear_error(pendulum: str) -> None:
   mjlab.register_task("Test-Wrong", lambda: 3)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
-  with pytest.raises(mjlab.TaskError, match=r"expected a mjlab_rl\.TaskCfg, got int"):
+  with pytest.raises(MjlabError, match=r"expected a mjlab_rl\.TaskCfg, got int"):
     mjlab.load_task("Test-Wrong")
+
+
+def test_a_module_in_place_of_a_function_is_a_clear_error() -> None:
+  mjlab.register_task("Test-Module", mjlab_pendulum)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+  with pytest.raises(MjlabError, match=r"its entry point is a module; name a function that returns a TaskCfg"):
+    mjlab.load_task("Test-Module")
 
 
 def test_make_builds_a_stepping_environment(pendulum: str) -> None:
@@ -59,17 +70,17 @@ def test_play_changes_the_training_configuration(pendulum: str) -> None:
   ("device", "configured", "worlds"), [("cuda:0", 1, 4096), ("cuda:0", 512, 512), ("cpu", 32, 32)]
 )
 def test_worlds_follow_the_task_and_the_device(device: str, configured: int, worlds: int) -> None:
-  assert default_worlds(device, configured) == worlds
+  assert default_num_envs(device, configured) == worlds
 
 
 def test_a_cpu_gets_worlds_by_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
   for cores, worlds in ((0, 64), (2, 256), (64, 1024)):
-    monkeypatch.setattr("mjlab.making.cpu_cores", lambda cores=cores: cores)
-    assert default_worlds("cpu", 4096) == worlds
+    monkeypatch.setattr("mjlab.environments.cpu_cores", lambda cores=cores: cores)
+    assert default_num_envs("cpu", 4096) == worlds
 
 
 def test_a_device_that_is_not_there_is_named() -> None:
-  with pytest.raises(DeviceError, match=r"'cuda:99' does not exist; there is cpu"):
+  with pytest.raises(UnknownNameError, match=r"'cuda:99' does not exist; there is cpu"):
     resolve_device("cuda:99")
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from mjlab_core.lazy import lazy_exports
 
+from mjlab._moved import announce_moved_modules
+
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
   from mjlab_rl import (
@@ -22,8 +24,8 @@ if TYPE_CHECKING:
   from mjlab_scene import EntityCfg, SceneCfg
   from mjlab_sim import Simulation, SimulationCfg
 
-  from mjlab.making import make
-  from mjlab.registry import TaskError, list_tasks, load_task, register_task
+  from mjlab.environments import make
+  from mjlab.registry import list_tasks, load_task, register_task
 
 __all__ = [
   "EntityCfg",
@@ -38,7 +40,6 @@ __all__ = [
   "Simulation",
   "SimulationCfg",
   "TaskCfg",
-  "TaskError",
   "list_tasks",
   "load_run",
   "load_task",
@@ -50,8 +51,8 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
-    ".making": "make",
-    ".registry": "TaskError list_tasks load_task register_task",
+    ".environments": "make",
+    ".registry": "list_tasks load_task register_task",
     "mjlab_envs": "ManagerBasedRlEnv ManagerBasedRlEnvCfg",
     "mjlab_rl": (
       "RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg RslRlOnPolicyRunnerCfg "
@@ -61,3 +62,5 @@ __getattr__, __dir__ = lazy_exports(
     "mjlab_sim": "Simulation SimulationCfg",
   },
 )
+
+announce_moved_modules()

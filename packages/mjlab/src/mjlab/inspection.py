@@ -1,11 +1,12 @@
-"""What the events of an environment do, measured: each fired once in many worlds and held against what was asked."""
+"""Measured effect of each event: it fires once in many worlds and is compared with its config."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_dr import FIELDS, Categorical, Distribution, RandomizeField, agreement, as_distribution, drawn_values
+from mjlab_core.tables import table
+from mjlab_dr import FIELDS, Distribution, RandomizeField, agreement, drawn_values
 from mjlab_envs import mdp
 
 if TYPE_CHECKING:
@@ -26,13 +27,13 @@ class AxisReport:
   operation: str
   asked: Distribution
   drawn: torch.Tensor
-  """What was drawn, finite values only, (number of draws,)."""
+  """Drawn values, finite ones only, (number of draws,)."""
   probability: float
-  """How likely draws like these are if they follow `asked`."""
+  """Probability of draws like these if they follow `asked`."""
   values: torch.Tensor
-  """What was written for this axis, (num_envs, number of elements)."""
+  """Values written for this axis, (num_envs, number of elements)."""
   compiled: torch.Tensor
-  """What was there before, (1 or num_envs, number of elements)."""
+  """Values before the event, (1 or num_envs, number of elements)."""
 
   @property
   def verdict(self) -> str:
@@ -47,7 +48,7 @@ class AxisReport:
 
 @dataclass(kw_only=True)
 class EventReport:
-  """What one event did."""
+  """Effect of one event."""
 
   name: str
   mode: str
@@ -69,7 +70,7 @@ class InertiaReport:
 
 
 def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
-  """Fires every event of an environment in all worlds, one after the other, at full strength.
+  """Fire every event of an environment in all worlds, one after the other, at full strength.
 
   The environment is used up by it: its state is whatever the events made of it.
   """
@@ -91,15 +92,6 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
       manager.fire(name)
       report.axes = _axes(term)
       continue
-    if isinstance(cfg.func, mdp.randomize_actuator):
-      cfg.func.strength.fill_(1.0)
-      manager.fire(name)
-      report.axes = [_gain_axis(cfg.func, cfg.params)]
-      continue
-    if isinstance(cfg.func, mdp.randomize_actuator_delay):
-      manager.fire(name)
-      report.axes = [_lag_axis(cfg.func, cfg.params)]
-      continue
     before = _snapshot(env)
     manager.fire(name)
     for what, now in _snapshot(env).items():
@@ -117,7 +109,7 @@ def _snapshot(env: "ManagerBasedRlEnv") -> dict[str, torch.Tensor]:
 
 
 def _tensors(state: Any, path: str = "") -> dict[str, torch.Tensor]:
-  """The tensors of a nested state, by their place in it."""
+  """Return the tensors of a nested state by their path."""
   if isinstance(state, torch.Tensor):
     return {path: state} if state.dim() and state.numel() else {}
   items = state.items() if isinstance(state, Mapping) else enumerate(state) if isinstance(state, list | tuple) else ()
@@ -173,47 +165,8 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
   return reports
 
 
-_UNITS = {"stiffness": "N m/rad or N/m", "damping": "N m s/rad or N s/m", "effort_limit": "N m or N"}
-
-
-def _gain_axis(term: mdp.randomize_actuator, params: Mapping[str, Any]) -> AxisReport:
-  parameter, operation, asked = term.parameter, params["operation"], as_distribution(params["values"])
-  values = parameter.factors() * parameter.nominal
-  drawn = parameter.factors() if operation == "scale" else values
-  return AxisReport(
-    field=parameter.name,
-    axis="",
-    unit="1" if operation == "scale" else _UNITS[parameter.name],
-    elements=tuple(target.name for target in parameter.targets),
-    operation=operation,
-    asked=asked,
-    drawn=drawn.flatten(),
-    probability=agreement(drawn, asked),
-    values=values,
-    compiled=parameter.nominal,
-  )
-
-
-def _lag_axis(term: mdp.randomize_actuator_delay, params: Mapping[str, Any]) -> AxisReport:
-  lo, hi = params["lag_range"]
-  lags = term.lags()
-  asked = Categorical(tuple(range(lo, hi + 1)))
-  return AxisReport(
-    field="delay",
-    axis="",
-    unit="physics steps",
-    elements=term.targets,
-    operation="absolute",
-    asked=asked,
-    drawn=lags.flatten(),
-    probability=agreement(lags, asked),
-    values=lags,
-    compiled=torch.full_like(lags, -1),
-  )
-
-
-def table(reports: list[EventReport], inertia: InertiaReport) -> str:
-  """The reports as text."""
+def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
+  """Return the reports as text."""
   head = ("event", "mode", "changes", "of", "asked", "drawn: least", "mean", "most", "verdict")
   rows: list[tuple[str, ...]] = []
   for report in reports:
@@ -227,10 +180,7 @@ def table(reports: list[EventReport], inertia: InertiaReport) -> str:
       what = f"{axis.field} {axis.axis}".strip()
       rows.append((*lead, what, _listed(axis.elements), _asked(axis), *numbers, axis.verdict))
       lead = ("", "")
-  widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-  lines = [
-    "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in (head, *rows)
-  ]
+  lines = [table(head, rows)]
   for name, mass in inertia.masses.items():
     lines.append(
       f"total mass of {name}: {mass.min():.4g} to {mass.max():.4g} kg, mean {mass.mean():.4g}; "

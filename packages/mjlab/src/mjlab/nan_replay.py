@@ -1,21 +1,21 @@
-"""The stored steps of worlds that diverged, as an environment that viewers can play."""
+"""Environment for viewers that replays the stored steps of diverged environments."""
 
 import numpy as np
 from mjlab_sim import NanDump
 from mjlab_viewer import Replay
 
-# What MuJoCo takes for a bad state (mjMAXVAL).
+# MuJoCo's limit for a bad state (mjMAXVAL).
 _BOUND = 1e10
 
 
 class NanReplay(Replay):
-  """Shows one stored physics step after another, and the result of the last; worlds with fewer wait at their first one.
+  """Replay of the stored physics steps and the result of the last; environments with fewer steps start later.
 
-  A state that is not finite, or beyond 1e10, cannot be shown: the last one that can stays.
+  A state that is not finite, or beyond 1e10, cannot be shown. The last state before it stays in the picture.
 
   Args:
-    dump: The worlds.
-    in_mujoco_c: Show what MuJoCo C makes of the last steps instead of what was recorded.
+    dump: Dump of a simulation.
+    in_mujoco_c: Show the last steps as MuJoCo C computes them, instead of the recorded ones.
   """
 
   def __init__(self, dump: NanDump, *, in_mujoco_c: bool = False) -> None:
@@ -39,7 +39,7 @@ class NanReplay(Replay):
 
 
 def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
-  """The fields of MjData that a dump has of one world, (steps, ...)."""
+  """Return the fields of MjData that a dump has of one environment, (steps, ...)."""
   world = dump.worlds[row]
   fields = {name: np.concatenate((values, world.result[name][None])) for name, values in world.states.items()}
   if in_mujoco_c:
@@ -49,13 +49,13 @@ def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str,
 
 
 def _broken(fields: dict[str, np.ndarray]) -> list[list[str]]:
-  """Of each step the fields that cannot be shown."""
+  """Return for each step the fields that cannot be shown."""
   bad = {name: [not (np.abs(value) <= _BOUND).all() for value in values] for name, values in fields.items()}
   return [[name for name in bad if bad[name][step]] for step in range(len(fields["time"]))]
 
 
 def _shown(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-  """What can be shown: of numbers that cannot, the last that could."""
+  """Return the fields with each number that cannot be shown replaced by the last one that can."""
   shown = {name: values.copy() for name, values in fields.items()}
   for values in shown.values():
     for step, value in enumerate(values):

@@ -1,7 +1,7 @@
-"""Tasks by name. They are entry points of the group `mjlab.tasks`: listing reads names and imports nothing.
+"""Registry of tasks. Tasks are entry points of the group `mjlab.tasks`; listing them reads names and imports nothing.
 
-A package offers a task with an entry point whose name is the task id and whose target is a function without arguments
-that returns a fresh `mjlab_rl.TaskCfg`.
+A package offers a task by an entry point. Its name is the task id; its target is a function without arguments that
+returns a new `mjlab_rl.TaskCfg`.
 """
 
 import inspect
@@ -9,18 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import unknown
+from mjlab_core import ConfigError, UnknownNameError, unknown
+from mjlab_rl.references import TASK_GROUP, trust_package
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
-
-GROUP = "mjlab.tasks"
-
-
-class TaskError(ValueError):
-  """A task that does not exist or cannot be loaded; the message says which and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,59 +26,70 @@ class TaskEntry:
   name: str
   """Task id."""
   package: str
-  """Distribution that offers it, or "(registered)"."""
+  """Distribution that offers the task, or "(registered)"."""
   load: Callable[[], Callable[[], Any]]
-  """Imports and returns the function that builds the task."""
+  """Function that imports and returns the function that builds the task."""
 
 
 _registered: dict[str, TaskEntry] = {}
 
 
 def task_entries() -> list[TaskEntry]:
-  """All tasks, sorted by name; imports none of them."""
+  """Return all tasks, sorted by name, without importing them."""
   entries = [
     TaskEntry(name=point.name, package=point.dist.name if point.dist else "?", load=point.load)
-    for point in metadata.entry_points(group=GROUP)
+    for point in metadata.entry_points(group=TASK_GROUP)
   ]
   return sorted([*entries, *_registered.values()], key=lambda entry: entry.name)
 
 
 def list_tasks() -> list[str]:
-  """Ids of all tasks, sorted."""
+  """Return the ids of all tasks, sorted."""
   return sorted({entry.name for entry in task_entries()})
 
 
 def register_task(name: str, build: Callable[[], "TaskCfg[Any]"]) -> None:
-  """Offer a task from a script; packages use an entry point instead.
+  """Register a task from a script; packages use an entry point instead.
+
+  The package of `build` is trusted from now on: manifests of runs may name its functions.
 
   Raises:
-    TaskError: The id is taken.
+    ConfigError: The id is taken.
   """
   if any(entry.name == name for entry in task_entries()):
-    raise TaskError(f"task '{name}' is registered already")
+    raise ConfigError(f"task '{name}' is registered already")
+  if (package := getattr(build, "__module__", "__main__").partition(".")[0]) != "__main__":
+    trust_package(package)
   _registered[name] = TaskEntry(name=name, package="(registered)", load=lambda: build)
 
 
 def load_task(name: str) -> "TaskCfg[Any]":
-  """Build one task; the caller owns what it returns.
+  """Build one task; the caller owns the result.
 
   Raises:
-    TaskError: No such task (the message names the nearest), two packages offer it, or it cannot be imported.
+    UnknownNameError: The task does not exist; the message names the nearest.
+    ConfigError: Two packages offer the task, it cannot be imported, or its function returns another type.
   """
   package, build = _found(name)
   from mjlab_rl import TaskCfg
 
+  if not callable(build):
+    kind = "module" if isinstance(build, ModuleType) else type(build).__name__
+    raise ConfigError(
+      f"task '{name}' of {package}: its entry point is a {kind}; name a function that returns a TaskCfg, such as "
+      "'my_tasks.walking:flat'"
+    )
   task = build()
   if not isinstance(task, TaskCfg):
-    raise TaskError(f"task '{name}' of {package}: expected a mjlab_rl.TaskCfg, got {type(task).__name__}")
+    raise ConfigError(f"task '{name}' of {package}: expected a mjlab_rl.TaskCfg, got {type(task).__name__}")
   return task
 
 
 def task_file(name: str) -> Path | None:
-  """The file with the function that builds a task; None where there is none, as for one typed into a prompt.
+  """Return the file of the function that builds a task; None if it has no file, as at a prompt.
 
   Raises:
-    TaskError: As for `load_task`.
+    UnknownNameError, ConfigError: As for `load_task`.
   """
   _, build = _found(name)
   try:
@@ -93,13 +100,13 @@ def task_file(name: str) -> Path | None:
 
 
 def _found(name: str) -> tuple[str, Callable[[], Any]]:
-  """The package that offers a task, and the function that builds it."""
+  """Return the package that offers a task, and the function that builds the task."""
   found = [entry for entry in task_entries() if entry.name == name]
   if not found:
-    raise TaskError(unknown("task", name, list_tasks()))
+    raise UnknownNameError(unknown("task", name, list_tasks()))
   if len(found) > 1:
-    raise TaskError(f"task '{name}' is offered by several packages: {', '.join(entry.package for entry in found)}")
+    raise ConfigError(f"task '{name}' is offered by several packages: {', '.join(entry.package for entry in found)}")
   try:
     return found[0].package, found[0].load()
   except (ImportError, AttributeError) as error:
-    raise TaskError(f"task '{name}' of {found[0].package} cannot be imported: {error}") from error
+    raise ConfigError(f"task '{name}' of {found[0].package} cannot be imported: {error}") from error

@@ -1,68 +1,73 @@
-"""The command line: `mjlab COMMAND`, and each of its commands as one of its own.
+"""Command line: `mjlab COMMAND`, and each command under its own name.
 
-Exit codes: 0 done (also after a stop with Ctrl-C, SIGTERM or SIGHUP that saved), 1 failed, 2 wrong usage.
+Exit codes: 0 done (also after Ctrl-C, SIGTERM or SIGHUP, if the work was saved), 1 failed, 2 wrong command line.
 """
 
 import contextlib
 import importlib
 import io
 import os
+import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Sequence
 
-from mjlab.cli._errors import UsageError, is_out_of_memory, is_users_mistake
-
 _COMMANDS: dict[str, tuple[str, str, str]] = {
-  # name: module here, or function of a member that offers the command itself; arguments; what it does
+  # name: (module, words, summary)
   "train": ("_train", "TASK [flags]", "train a policy"),
   "play": ("_play", "TASK [flags]", "watch a policy"),
-  "demo": ("_demo", "[flags]", "watch a robot that walks, and steer it"),
-  "evaluate": ("_evaluate", "TASK [flags]", "say how well a policy does a task"),
-  "convert-motion": ("mjlab_tracking.convert:main", "CLIP ... [flags]", "make a checked motion file of a clip"),
-  "record-motion": ("_record_motion", "TASK [flags]", "turn what a policy does into a clip"),
+  "demo": ("_demo", "[flags]", "watch a trained robot and steer it"),
+  "evaluate": ("_evaluate", "TASK [flags]", "measure a policy"),
+  "convert-motion": ("_convert_motion", "CLIP ... [flags]", "check motion clips and convert them"),
+  "record-motion": ("_record_motion", "TASK [flags]", "record a policy as a motion clip"),
   "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
-  "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task do"),
-  "visualize-terrain": ("mjlab_terrain.visualize:main", "[flags]", "look at terrain"),
-  "export-scene": ("_export_scene", "TASK [flags]", "write a task's model with its assets"),
-  "viz-nan": ("_viz_nan", "FILE [flags]", "show why worlds diverged"),
-  "fit-actuator": ("_fit_actuator", "RECORDS [flags]", "learn a motor from a CSV of commands and responses"),
+  "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task randomise"),
+  "visualize-terrain": ("_visualize_terrain", "[TYPE ...] [flags]", "show terrain"),
+  "export": ("_export", "RUN|CHECKPOINT [flags]", "write a policy as a bundle for robots"),
+  "export-scene": ("_export_scene", "TASK [flags]", "write the model of a task with its assets"),
+  "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
+  "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
+  "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
+
+_LONGEST = 5000  # characters of a message
+_NO_MEMORY = re.compile(r"out of memory|can't allocate memory|failed to allocate", re.IGNORECASE)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-  """`mjlab COMMAND ...`"""
-  arguments = list(sys.argv[1:] if argv is None else argv)
-  if arguments[0:1] == ["help"] and len(arguments) > 1:
-    arguments = [arguments[1], "--help", *arguments[2:]]
-  if not arguments or arguments[0] in ("-h", "--help", "help"):
-    print(_help(), end="")
-    return 0 if arguments else 2
-  if arguments[0] == "--version":
+  """Run `mjlab COMMAND ...`; return the exit code."""
+  words = list(sys.argv[1:] if argv is None else argv)
+  if words[0:1] == ["help"] and len(words) > 1:
+    words = [words[1], "--help", *words[2:]]
+  if not words or words[0] in ("-h", "--help", "help"):
+    print(_overview(), end="")
+    return 0 if words else 2
+  if words[0] == "--version":
     from importlib.metadata import version
 
     print(f"mjlab {version('mjlab')}")
     return 0
-  if arguments[0] not in _COMMANDS:
+  if words[0] not in _COMMANDS:
     from mjlab_core import unknown
 
-    print(f"error: {unknown('command', arguments[0], list(_COMMANDS))}", file=sys.stderr)
+    print(f"error: {unknown('command', words[0], list(_COMMANDS))}", file=sys.stderr)
     return 2
-  return _run(arguments[0], arguments[1:])
+  return _run(words[0], words[1:])
 
 
-def _help() -> str:
-  lines = [(f"{name} {arguments}", summary) for name, (_, arguments, summary) in _COMMANDS.items()]
+def _overview() -> str:
+  lines = [(f"{name} {words}", summary) for name, (_, words, summary) in _COMMANDS.items()]
   width = max(len(left) for left, _ in lines)
   listing = "\n".join(f"  {left:<{width}}   {summary}" for left, summary in lines)
   return (
-    f"usage: mjlab COMMAND ...\n\n{listing}\n\nmjlab COMMAND --help says more; mjlab --version names the version.\n"
+    f"usage: mjlab COMMAND ...\n\n{listing}\n\n"
+    "mjlab COMMAND --help explains a command; mjlab --version prints the version.\n"
   )
 
 
 def _command(name: str) -> Callable[..., int]:
-  """The entry point of a command's own name, which takes the arguments of the process unless it is given some."""
+  """Return the entry point of a command, which reads the arguments of the process unless it is given some."""
 
   def run(argv: Sequence[str] | None = None) -> int:
     return _run(name, list(sys.argv[1:] if argv is None else argv))
@@ -70,62 +75,70 @@ def _command(name: str) -> Callable[..., int]:
   return run
 
 
-def _run(name: str, arguments: list[str]) -> int:
-  module, _, function = _COMMANDS[name][0].rpartition(":")
-  command = getattr(importlib.import_module(module or f"mjlab.cli.{function}"), function if module else "run")
-  return _guarded(command, arguments)
+def _run(name: str, words: list[str]) -> int:
+  return _guarded(importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}").run, words)
 
 
 train = _command("train")
 play = _command("play")
 demo = _command("demo")
 evaluate = _command("evaluate")
+convert_motion = _command("convert-motion")
 record_motion = _command("record-motion")
 list_envs = _command("list-envs")
 inspect_dr = _command("inspect-dr")
+visualize_terrain = _command("visualize-terrain")
+export = _command("export")
 export_scene = _command("export-scene")
 viz_nan = _command("viz-nan")
-fit_actuator = _command("fit-actuator")
+sysid = _command("sysid")
+train_actuator = _command("train-actuator")
 
 
-def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
-  """Run a command; what the user got wrong becomes one line, what we got wrong a traceback."""
+def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
+  """Run a command. A user's mistake becomes a message; other errors also print a traceback."""
+  from mjlab_core import ConfigError, MjlabError, UsageError, printable
+
   if isinstance(sys.stdout, io.TextIOWrapper):
-    # A name that the terminal has no letters for is no reason to stop.
+    # A name with letters that the terminal cannot show must not end the command.
     sys.stdout.reconfigure(errors="backslashreplace")
   try:
     with _interruptible():
-      return command(arguments)
+      return command(words)
   except UsageError as error:
-    print(f"error: {error}", file=sys.stderr)
+    print(f"error: {printable(error, _LONGEST)}", file=sys.stderr)
     return 2
   except KeyboardInterrupt:
     print("interrupted", file=sys.stderr)
     return 130
   except BrokenPipeError:
-    # The reader of our output left (`| head`); Python would complain once more while closing it.
+    # The reader of the output has ended (`| head`); Python would complain again while it closes the output.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
   except Exception as error:
-    if "--traceback" in arguments or not is_users_mistake(error):
+    if "--traceback" in words or not (isinstance(error, MjlabError | OSError) or _is_out_of_memory(error)):
       import traceback
 
       traceback.print_exc()
-    print(f"error: {_told(error)}", file=sys.stderr)
+    # Names from files are part of messages; only a list of problems has several lines.
+    lines = str(error).splitlines() if isinstance(error, ConfigError) else [str(error)]
+    message = "\n".join(printable(line, _LONGEST) for line in lines)
+    if _is_out_of_memory(error):
+      message = f"not enough memory; use fewer environments: {(message.splitlines() or [''])[0]}"
+    print(f"error: {message}", file=sys.stderr)
     return 1
 
 
-def _told(error: Exception) -> str:
-  if not is_out_of_memory(error):
-    return str(error)
-  return f"not enough memory, fewer worlds need less: {(str(error).splitlines() or [''])[0]}"
+def _is_out_of_memory(error: BaseException) -> bool:
+  """Return True if the machine or a GPU had too little memory; torch and Warp have no common class for this."""
+  return isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and bool(_NO_MEMORY.search(str(error))))
 
 
 @contextlib.contextmanager
 def _interruptible() -> Generator[None]:
-  """Ctrl-C ends what runs in here, also what a script has in the background, whose shell starts it with Ctrl-C ignored.
+  """Let Ctrl-C end the command even if a shell script started it in the background, where Ctrl-C is ignored.
 
-  A viewer goes on until it is interrupted; one that cannot be keeps its port when the script is long gone.
+  A viewer runs until it is interrupted; otherwise it would keep its port after the script has ended.
   """
   before = signal.getsignal(signal.SIGINT)
   if before != signal.SIG_IGN or threading.current_thread() is not threading.main_thread():

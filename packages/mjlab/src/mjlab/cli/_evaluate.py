@@ -1,4 +1,4 @@
-"""`evaluate TASK [flags]`: how well a policy does a task, with intervals, for people and for CI."""
+"""`evaluate TASK [flags]`: statistics of a policy with confidence intervals, for people and for CI."""
 
 import dataclasses
 import json
@@ -6,19 +6,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab import making
-from mjlab.cli._errors import UsageError, building
+from mjlab_core import AtomicWrite, UsageError
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, build_env, building, plot_problem, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
-from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import Evaluation, Evaluator, TaskCfg
-
-_PURPOSE = "Plays fixed scenarios with a policy and says how well it does, with 95 % intervals."
-_MORE = """\
-  --eval.PATH       Any setting of the task's evaluation, e.g. --eval.seed 3.
-
-exit codes: 0 done, 1 a threshold was missed or it failed, 2 wrong usage."""
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -26,41 +21,46 @@ class Arguments:
   """All that can be given after the task."""
 
   checkpoint: str = "latest"
-  """What to judge: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
-  policy (.onnx)."""
+  """Policy to evaluate: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
+  exported policy (.onnx)."""
   agent: Agent = "trained"
-  """Who acts: a trained policy, nobody, or chance."""
+  """Source of actions: a trained policy, zeros, or random numbers."""
   require: str | None = None
-  """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 where one is missed."""
+  """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 if one is missed."""
   output: str | None = None
-  """Folder for evaluation.json, evaluation.txt and pictures; None: below the run, one for each checkpoint."""
+  """Folder for evaluation.json, evaluation.txt and pictures; None: below the run, one per checkpoint."""
   force: bool = False
-  """Replace an evaluation that is there."""
+  """Replace an existing evaluation."""
   device: str = "auto"
-  """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
+  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   log_root: str = "logs"
   """Folder of all runs."""
   quiet: bool = False
   """Show no progress."""
   traceback: bool = False
-  """Show where an error came from."""
+  """Show the traceback of an error."""
   eval: Any = None
   """Settings of the evaluation."""
   env: Any = None
   """Configuration of the environment."""
 
 
-def run(arguments: list[str]) -> int:
-  """Evaluate; returns the exit code."""
-  return run_with_task(
-    "evaluate",
-    arguments,
-    _evaluate,
-    Arguments,
-    purpose=_PURPOSE,
-    configs=lambda task: {"eval": _evaluator(task), "env": task.env},
-    more=_MORE,
-  )
+_LINE = CommandLine(
+  name="evaluate",
+  words="TASK",
+  purpose="Plays fixed scenarios with a policy and prints statistics with 95 % confidence intervals.",
+  arguments=Arguments,
+  notes="""\
+  --eval.PATH VALUE         Any setting of the task's evaluation, e.g. --eval.seed 3.
+
+exit codes: 0 done, 1 a threshold was missed or the command failed, 2 wrong command line
+""",
+)
+
+
+def run(words: list[str]) -> int:
+  """Evaluate; return the exit code."""
+  return run_with_task(_LINE, words, _evaluate, lambda task: {"eval": _evaluator(task), "env": task.env})
 
 
 def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
@@ -71,45 +71,54 @@ def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
 
 def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab_core import seed_everything
-  from mjlab_rl import EvaluationError, Threshold
+  from mjlab_core.errors import ConfigError
+  from mjlab_rl import Threshold
 
-  from mjlab.cli._flag_parser import parse
+  from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
   try:
     thresholds = [Threshold.parse(text) for text in wanted.require.split(",")] if wanted.require is not None else []
-  except EvaluationError as error:
+  except ConfigError as error:
     raise UsageError(f"--require: {error}") from error
   source, parts = find_policy(wanted, name, task)
-  # Once more, upon the configuration of the run.
+  # Again, with the configuration of the run as the default.
   wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
   folder = _folder(wanted, source)
-  device = making.resolve_device(wanted.device)
+  device = environments.resolve_device(wanted.device)
   evaluator = wanted.eval
-  worlds, unasked = wanted.env.scene.num_envs, parts.env.scene.num_envs
+  num_envs, default = wanted.env.scene.num_envs, parts.env.scene.num_envs
   with building():
     cfg = evaluator.configure(wanted.env)
-  if worlds not in (unasked, cfg.scene.num_envs):
-    raise UsageError("--env.scene.num-envs: an evaluation plays one episode in each world; --help eval says how many")
+  if num_envs not in (default, cfg.scene.num_envs):
+    raise UsageError(
+      "--env.scene.num-envs: an evaluation plays one episode in each environment; --help eval shows how to set them"
+    )
   env = build_env(parts, without_teacher(cfg, parts.agent), device)
   try:
-    policy = make_policy(wanted.agent, source, env, parts)
+    from mjlab_rl import FinitePolicy
+
+    policy = FinitePolicy(make_policy(wanted.agent, source, env, parts))
     what = f"{wanted.agent} actions" if source is None else str(source)
     if not wanted.quiet:
       print(f"{name}: {what}, {env.num_envs} episodes on {device}", flush=True)
-    # Chance is to be the same chance each time.
+    # Random actions are the same in every evaluation.
     seed_everything(getattr(evaluator, "seed", 0))
     evaluation = evaluator.run(env, policy, None if wanted.quiet else _show)
   finally:
     env.close()
   print(evaluation.table())
+  broken = policy.num_broken
   if folder is not None:
-    _write(folder, evaluation, {"task": name, "policy": what, "device": device, "command": ["evaluate", name, *given]})
+    about = {"task": name, "policy": what, "device": device, "command": ["evaluate", name, *given]}
+    _write(folder, evaluation, {**about, "nonfinite_actions": broken})
     print(f"wrote {folder}")
   outcomes = [threshold.check(evaluation) for threshold in thresholds]
   for _, line in outcomes:
     print(line)
-  return int(not all(reached for reached, _ in outcomes))
+  if broken:
+    print(f"failed: {broken} actions of the policy were NaN or infinite, which the environment takes for zero")
+  return int(broken > 0 or not all(reached for reached, _ in outcomes))
 
 
 def _folder(wanted: Arguments, source: Path | None) -> Path | None:
@@ -120,14 +129,14 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   else:
     return None
   if (folder / "evaluation.json").exists() and not wanted.force:
-    raise UsageError(f"{folder} has an evaluation already: --force replaces it, --output puts this one elsewhere")
-  # Before the work and not after it.
+    raise UsageError(f"{folder} has an evaluation already; --force replaces it, --output selects another folder")
+  # Fails before the work if the folder cannot be made.
   folder.mkdir(parents=True, exist_ok=True)
   return folder
 
 
 def _show(step: int, left: int, total: int) -> None:
-  text = f"step {step}: {total - left} of {total} episodes over"
+  text = f"step {step}: {total - left} of {total} episodes done"
   if sys.stderr.isatty() and (step % 10 == 0 or left == 0):
     print(f"\r{text}", end="\n" if left == 0 else "", file=sys.stderr, flush=True)
   elif step % 100 == 0:
@@ -137,14 +146,16 @@ def _show(step: int, left: int, total: int) -> None:
 def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:
   from mjlab_rl.manifest import package_versions
 
-  from mjlab.cli._evaluation_plot import plot_curves, plot_groups
-
   (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")
-  plot_groups(evaluation, folder / "groups.png")
-  if evaluation.curves:
-    plot_curves(evaluation, folder / "curves.png")
+  if problem := plot_problem():
+    print(f"no plots: {problem}")
+  else:
+    from mjlab.cli._plots import plot_curves, plot_groups
+
+    plot_groups(evaluation, folder / "groups.png")
+    if evaluation.curves:
+      plot_curves(evaluation, folder / "curves.png")
   data = {**about, "versions": package_versions(), **evaluation.to_json()}
-  # Last, and whole or not at all: where it is, the rest is.
-  temporary = folder / ".evaluation.json.tmp"
-  temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-  temporary.replace(folder / "evaluation.json")
+  # Last: if this file exists, the others do.
+  with AtomicWrite(folder / "evaluation.json") as path:
+    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,34 +1,39 @@
 """`list-envs [KEYWORD]`: the tasks and the packages that offer them."""
 
+import dataclasses
 import sys
 
-from mjlab.cli._errors import UsageError
+from mjlab_core import UsageError
+from mjlab_core.tables import table
+
+from mjlab.cli._command_line import CommandLine
 from mjlab.registry import task_entries
 
-_HELP = """\
-usage: list-envs [KEYWORD]
 
-Lists the tasks whose name contains KEYWORD (upper and lower case alike), with the package that offers them.
-"""
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """Flags of the command; there are none."""
 
 
-def run(arguments: list[str]) -> int:
-  """List the tasks; returns 0 also where none fits."""
-  if "-h" in arguments or "--help" in arguments:
-    print(_HELP, end="")
+_LINE = CommandLine(
+  name="list-envs",
+  words="[KEYWORD]",
+  purpose="Lists the tasks whose names contain KEYWORD, in upper or lower case, with the packages that offer them.",
+  arguments=Arguments,
+)
+
+
+def run(words: list[str]) -> int:
+  """List the tasks; return 0 even if none is found."""
+  if _LINE.wants_help(words):
     return 0
-  options = [argument for argument in arguments if argument.startswith("-")]
-  if options:
-    raise UsageError(f"{options[0]}: no such option. usage: list-envs [KEYWORD]")
-  if len(arguments) > 1:
-    raise UsageError("list-envs takes one KEYWORD at most")
-  keyword = arguments[0] if arguments else ""
+  keywords, flags = _LINE.split(words)
+  if flags:
+    raise UsageError(f"{flags[0]}: not understood. usage: {_LINE.usage}")
+  keyword = "".join(keywords)
   entries = [entry for entry in task_entries() if keyword.lower() in entry.name.lower()]
   if not entries:
     print(f"no task contains '{keyword}'" if keyword else "no task is installed", file=sys.stderr)
     return 0
-  width = max(len("task"), *(len(entry.name) for entry in entries))
-  print(f"{'task':<{width}}  package")
-  for entry in entries:
-    print(f"{entry.name:<{width}}  {entry.package}")
+  print(table(("task", "package"), [(entry.name, entry.package) for entry in entries]))
   return 0

@@ -5,19 +5,20 @@ import dataclasses
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from mjlab import making
-from mjlab.cli._config_flags import replaced
-from mjlab.cli._errors import BuildError, UsageError
+from mjlab_core import MjlabError, UsageError
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
-from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
-  from mjlab_viewer import CheckpointList, Playback, Policy
+  from mjlab_viewer import CameraCfg, CheckpointList, Playback, Policy
 
-_WORLDS = {"browser": 8, "native": 1, "none": 1}
+_NUM_ENVS = {"browser": 8, "native": 1, "none": 1}
 _MOST_TILES = 16
 
 
@@ -26,14 +27,14 @@ class Arguments:
   """All that can be given after the task."""
 
   checkpoint: str = "latest"
-  """What to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
-  policy (.onnx)."""
+  """Policy to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
+  exported policy (.onnx)."""
   agent: Agent = "trained"
-  """Who acts: a trained policy, nobody, or chance."""
+  """Source of actions: a trained policy, zeros, or random numbers."""
   viewer: Literal["auto", "native", "browser", "none"] = "auto"
-  """Where to look: a window, a browser, or the window where there is a screen."""
+  """Native window or browser; auto: a window if there is a screen."""
   video: str | None = None
-  """Film to write, without a viewer: FILE.mp4."""
+  """Film to write instead of showing a viewer: FILE.mp4."""
   video_length: float = 10.0
   """Length of the film [s]."""
   video_width: int = 640
@@ -43,58 +44,65 @@ class Arguments:
   force: bool = False
   """Overwrite the film."""
   num_envs: int | None = None
-  """Worlds; None: 8 in a browser, else 1."""
+  """Number of environments; None: 8 in a browser, else 1."""
   device: str = "auto"
-  """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
+  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   seed: int | None = None
-  """Seed of the worlds; None: a fresh one."""
+  """Seed of the environments; None: a random one."""
   speed: float = 1.0
-  """Seconds of the worlds for each real one."""
+  """Simulated seconds per real second."""
   no_terminations: bool = False
-  """Go on whatever happens; only time ends an episode."""
+  """Ignore all terminations except time-outs."""
   host: str = "127.0.0.1"
-  """Address that the browser viewer listens on; 0.0.0.0 lets other machines in."""
+  """Address that the browser viewer listens on; 0.0.0.0 lets other machines connect."""
   port: int = 8080
-  """Port of the browser viewer."""
+  """Port of the browser viewer; the next free one if it is taken."""
   camera_body: str | None = None
-  """Body that the camera follows, such as robot/trunk; None: the first that moves."""
+  """Body that the camera follows, such as robot/trunk; None: the first that can move."""
   log_root: str = "logs"
   """Folder of all runs."""
   traceback: bool = False
-  """Show where an error came from."""
+  """Show the traceback of an error."""
   env: Any = None
   """Configuration of the environment."""
 
 
-def run(arguments: list[str]) -> int:
-  """Play; returns the exit code."""
-  purpose = "Shows a policy in a browser, in a window or as a film."
-  return run_with_task("play", arguments, _play, Arguments, purpose=purpose)
+_LINE = CommandLine(
+  name="play",
+  words="TASK",
+  purpose="Shows a policy in a browser, in a native window or as a film.",
+  arguments=Arguments,
+)
+
+
+def run(words: list[str]) -> int:
+  """Play; return the exit code."""
+  return run_with_task(_LINE, words, _play)
 
 
 def _play(name: str, task: Any, given: list[str]) -> int:
-  from mjlab.cli._flag_parser import parse
+  from mjlab.cli._flags import parse, replaced
 
-  # Once to learn what to watch, once more upon its configuration.
+  # First to find the policy; again below, with the configuration of its run as the default.
   wanted = parse(Arguments(env=task.env), given)
   if not wanted.speed > 0:
     raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
   viewer = _viewer(wanted)
   if wanted.video is not None:
     _check_video(wanted)
-  device = making.resolve_device(wanted.device)
+  device = environments.resolve_device(wanted.device)
   source, parts = find_policy(wanted, name, task)
   cfg = copy.deepcopy(parts.env)
   if parts.play is not None:
     cfg = parts.play(cfg)
-  worlds = _WORLDS[viewer] if wanted.num_envs is None else wanted.num_envs
-  cfg = replaced(cfg, ("scene", "num_envs"), worlds)
+  num_envs = _NUM_ENVS[viewer] if wanted.num_envs is None else wanted.num_envs
+  cfg = replaced(cfg, ("scene", "num_envs"), num_envs)
   cfg = replaced(cfg, ("seed",), wanted.seed)
   wanted = parse(Arguments(env=cfg), given)
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
   what = f"{wanted.agent} actions" if source is None else str(source)
   count = cfg.scene.num_envs
-  print(f"{name}: {what}, {count} world{'s' * (count != 1)} on {device}", flush=True)
+  print(f"{name}: {what}, {count} environment{'s' * (count != 1)} on {device}", flush=True)
   env = build_env(parts, without_teacher(cfg, parts.agent), device)
   try:
     policy, checkpoints = _policy(wanted, source, env, parts)
@@ -112,7 +120,7 @@ def _play(name: str, task: Any, given: list[str]) -> int:
 def _viewer(wanted: Arguments) -> str:
   if wanted.video is not None:
     if wanted.viewer not in ("auto", "none"):
-      raise UsageError(f"--video films without a viewer; leave out --viewer {wanted.viewer}")
+      raise UsageError(f"--video replaces the viewer; leave out --viewer {wanted.viewer}")
     return "none"
   if wanted.viewer == "none":
     raise UsageError("--viewer none shows nothing; add --video FILE.mp4")
@@ -122,48 +130,60 @@ def _viewer(wanted: Arguments) -> str:
 
 
 def _check_video(wanted: Arguments) -> None:
-  from mjlab_viewer.video import check_video_path
-
   assert wanted.video is not None
-  path = check_video_path(wanted.video)
-  if path.exists() and not wanted.force:
-    raise UsageError(f"{path} exists; --force overwrites it")
+  output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
   if not 0 < wanted.video_length < math.inf:
     raise UsageError(f"--video-length must be positive and finite, got {wanted.video_length:g}")
 
 
 def _without_terminations(cfg: Any) -> Any:
+  from mjlab.cli._flags import replaced
+
   kept = {name: term if term is not None and term.time_out else None for name, term in cfg.terminations.items()}
   return replaced(cfg, ("terminations",), kept)
 
 
 def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Policy, CheckpointList | None]":
   policy = make_policy(wanted.agent, source, env, parts)
-  if source is None:
+  if wanted.agent != "trained":
     return policy, None
+  from mjlab_rl import FinitePolicy
+
+  text = "warning: actions of the policy are NaN or infinite, which the environment takes for zero"
+  finite = FinitePolicy(policy, lambda: print(text, flush=True))
+  if source is None:
+    return finite, None
   from mjlab_rl import CheckpointPolicy, checkpoints
   from mjlab_viewer import CheckpointList
 
   if not isinstance(policy, CheckpointPolicy):
-    return policy, None
+    return finite, None
 
   def load(name: str) -> "Policy":
     policy.load(source.parent / name)
-    return policy
+    return finite
 
   def names() -> list[str]:
     return [path.name for path in checkpoints(source.parent)]
 
-  return policy, CheckpointList(names=names, load=load, loaded=source.name)
+  return finite, CheckpointList(names=names, load=load, loaded=source.name)
+
+
+def _camera(wanted: Arguments, env: Any) -> "CameraCfg":
+  """Return the camera of the environment's config, on the body of the command line if that names one."""
+  from mjlab_viewer import CameraCfg
+
+  viewer = getattr(env.cfg, "viewer", None)
+  camera = CameraCfg() if viewer is None else viewer.camera()
+  return camera if wanted.camera_body is None else replace(camera, body=wanted.camera_body, lookat=None)
 
 
 def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
-  from mjlab_viewer import BackgroundVideo, CameraCfg, PictureCfg, Playback, SnapshotTaker
+  from mjlab_viewer import BackgroundVideo, PictureCfg, Playback, SnapshotTaker
 
   assert wanted.video is not None
   frames = max(1, round(wanted.video_length / env.step_dt))
-  camera = CameraCfg(body=wanted.camera_body)
-  picture = PictureCfg(width=wanted.video_width, height=wanted.video_height, camera=camera)
+  picture = PictureCfg(width=wanted.video_width, height=wanted.video_height, camera=_camera(wanted, env))
   worlds = range(min(env.num_envs, _MOST_TILES))
   playback = Playback(env, policy)
   playback.pause()
@@ -175,25 +195,25 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
         playback.step_once()
       if playback.error is not None or video.error is not None:
         break
-      video.add(taker.take(worlds, drawers=env.drawn_at_first(), apart=True))
+      video.add(taker.take(worlds, drawers=env.default_drawers(), apart=True))
       if frame % 100 == 99:
         print(f"{(frame + 1) * env.step_dt:.0f} of {frames * env.step_dt:.0f} s", flush=True)
   except KeyboardInterrupt:
     if (path := video.close()) is not None:
-      print(f"the film of {playback.step_count} steps until then is {path}")
+      print(f"the film of {playback.step_count} steps up to here is {path}")
     raise
   finally:
     path = video.close()
   if video.error is not None:
     raise video.error
   if playback.error is not None:
-    raise BuildError(f"{playback.error}; the film of {playback.step_count} steps until then is {path}")
+    raise MjlabError(f"{playback.error}; the film of {playback.step_count} steps up to here is {path}")
   print(f"wrote {path}")
   return 0
 
 
 def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
-  from mjlab_viewer import BrowserViewer, CameraCfg
+  from mjlab_viewer import BrowserViewer
 
   with BrowserViewer(
     playback.env,
@@ -201,7 +221,7 @@ def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "C
     checkpoints=checkpoints,
     host=wanted.host,
     port=wanted.port,
-    camera=CameraCfg(body=wanted.camera_body),
+    camera=_camera(wanted, playback.env),
     label=name,
   ) as viewer:
     print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
@@ -209,10 +229,10 @@ def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "C
 
 
 def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
-  from mjlab_viewer import CameraCfg, NativeViewer
+  from mjlab_viewer import NativeViewer
 
   del name, checkpoints
-  with NativeViewer(playback, camera=CameraCfg(body=wanted.camera_body)) as viewer:
+  with NativeViewer(playback, camera=_camera(wanted, playback.env)) as viewer:
     return _until_interrupted(viewer.run)
 
 

@@ -1,21 +1,22 @@
-"""Policies that a command line names: those of runs, exported ones, and none at all."""
+"""Policies that a command line selects: those of runs, exported networks, zeros and random numbers."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from mjlab.cli._config_flags import replaced
-from mjlab.cli._errors import UsageError
+from mjlab_core import UsageError
 
 if TYPE_CHECKING:
   from mjlab_rl import Policy, RunManifest, TaskCfg
 
 Agent = Literal["trained", "zero", "random"]
-"""Who acts: a trained policy, nobody, or chance."""
+"""Source of actions: a trained policy, zeros, or random numbers."""
 
 
 def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
-  """The checkpoint or exported network that `wanted` means, and its run; None where none acts, the task where none is.
+  """Return the checkpoint or exported network that is wanted, and its run.
+
+  The path is None for zero and random actions; the run is the task itself if the policy has no manifest of the task.
 
   Args:
     wanted: Arguments of a command, with `agent`, `checkpoint` and `log_root`.
@@ -23,8 +24,8 @@ def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | N
     task: The task itself.
 
   Raises:
-    UsageError: There is no run yet.
-    RunNotFoundError: What was named is not there.
+    UsageError: The task has no run yet.
+    UnknownNameError: What was named is not there.
   """
   if wanted.agent != "trained":
     return None, task
@@ -33,22 +34,23 @@ def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | N
 
 
 def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
-  from mjlab_rl import RunNotFoundError, find_checkpoint
+  from mjlab_core.errors import UnknownNameError
+  from mjlab_rl import find_checkpoint
 
   if checkpoint.endswith(".onnx"):
     if not Path(checkpoint).is_file():
-      raise RunNotFoundError(f"policy {checkpoint}: no such file")
+      raise UnknownNameError(f"policy {checkpoint}: no such file")
     return Path(checkpoint)
   try:
     return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)
-  except FileNotFoundError as error:
+  except UnknownNameError as error:
     if checkpoint != "latest":
       raise
-    raise UsageError(f"{error}. Train one with `train {task}`, or see what --agent random does.") from error
+    raise UsageError(f"{error}. Train one with `train {task}`, or use --agent random.") from error
 
 
 def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -> "RunManifest | None":
-  """The run of `task` that a policy is of; None, and why, where there is no manifest or it is another task's."""
+  """Return the run of a policy; None, after a message, if there is no manifest or the run is of another task."""
   from mjlab_rl import load_run
 
   try:
@@ -63,8 +65,10 @@ def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -
 
 
 def without_teacher(env: Any, agent: Any) -> Any:
-  """A configuration without the observation groups that only a teacher sees, who is asked nothing where others act."""
+  """Return a configuration without the observation groups that only a teacher reads."""
   from mjlab_rl import RslRlDistillationRunnerCfg
+
+  from mjlab.cli._flags import replaced
 
   groups = getattr(env, "observations", None)
   if not isinstance(agent, RslRlDistillationRunnerCfg) or groups is None:
@@ -74,10 +78,10 @@ def without_teacher(env: Any, agent: Any) -> Any:
 
 
 def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Policy":
-  """Who acts in `env`, a policy from a source with the learner of `parts`, a task or a run.
+  """Return the policy that acts in `env`; a trained one needs the learner of `parts`, a task or a run.
 
   Raises:
-    CheckpointError: it cannot be read or does not fit.
+    MjlabError: The file cannot be read or does not fit.
   """
   if source is None:
     from mjlab_viewer import RandomPolicy, ZeroPolicy
@@ -88,8 +92,8 @@ def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Pol
   from mjlab_rl import CheckpointPolicy, OnnxPolicy
 
   if source.suffix == ".onnx":
-    policy = OnnxPolicy(source, parts.agent, env.num_envs)
-    # What does not fit is said before anything opens.
+    policy = OnnxPolicy(source, parts.agent, env)
+    # Fails before a viewer opens if the network does not fit.
     policy(env.get_observations())
     policy.reset(None)
     return policy

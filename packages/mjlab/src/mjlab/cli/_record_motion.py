@@ -1,19 +1,18 @@
-"""`record-motion TASK --output FILE.npz [flags]`: what a policy does becomes a clip that another can be taught."""
+"""`record-motion TASK --output FILE.npz [flags]`: record a policy as a motion clip."""
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab import making
-from mjlab.cli._errors import UsageError
+from mjlab_core import MjlabError, UnknownNameError, UsageError, unknown
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy
-from mjlab.cli._task_command import build_env, run_with_task
 
 if TYPE_CHECKING:
+  from mjlab_motions import MotionRecorder
   from mjlab_rl import TaskCfg
-
-_PURPOSE = "Plays a policy, as for watching, and writes what one robot does as a motion file (--output FILE.npz)."
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -21,81 +20,81 @@ class Arguments:
   """All that can be given after the task."""
 
   output: str | None = None
-  """File of the clip, ending in .npz."""
+  """File of the clip: FILE.npz."""
   seconds: float = 5.0
-  """Length of the clip."""
+  """Length of the clip [s]."""
   skip: float = 1.0
-  """Time before its first frame [s], for the robot to find its feet."""
+  """Time before the first frame [s]."""
   checkpoint: str = "latest"
-  """Whose policy: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an exported
-  policy (.onnx)."""
+  """Policy to record: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
+  exported policy (.onnx)."""
   agent: Agent = "trained"
-  """Who acts: a trained policy, nobody, or chance."""
+  """Source of actions: a trained policy, zeros, or random numbers."""
   entity: str = "robot"
-  """Whose motion."""
+  """Entity to record."""
   license: str = ""
   """Terms of the clip, e.g. Apache-2.0."""
   seed: int = 0
-  """Of starts and commands."""
+  """Seed of starts and commands."""
   force: bool = False
-  """Replace a file that is there."""
+  """Replace an existing file."""
   device: str = "auto"
-  """Where to simulate: cpu, cuda:0, or auto for a GPU where there is one."""
+  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   log_root: str = "logs"
   """Folder of all runs."""
   traceback: bool = False
-  """Show where an error came from."""
+  """Show the traceback of an error."""
   env: Any = None
   """Configuration of the environment, as for watching."""
 
 
-def run(arguments: list[str]) -> int:
-  """Record; returns the exit code."""
-  usage = "--output FILE.npz "
-  return run_with_task("record-motion", arguments, _record, Arguments, purpose=_PURPOSE, usage=usage)
+_LINE = CommandLine(
+  name="record-motion",
+  words="TASK --output FILE.npz",
+  purpose="Plays a policy with the configuration for watching, and writes the motion of one robot as a clip.",
+  arguments=Arguments,
+)
+
+
+def run(words: list[str]) -> int:
+  """Record; return the exit code."""
+  return run_with_task(_LINE, words, _record)
 
 
 def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab.cli._flag_parser import parse
+  from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(env=task.env), given)
   if wanted.output is None:
     raise UsageError("--output is missing: name the clip's file, ending in .npz")
-  if Path(wanted.output).suffix != ".npz":
-    raise UsageError(f"--output {wanted.output}: the clip's file must end in .npz")
-  output = Path(wanted.output)
-  if output.exists() and not wanted.force:
-    raise UsageError(f"{output} is there already; --force replaces it")
+  output = output_file("--output", wanted.output, ".npz", force=wanted.force)
   if not 0 < wanted.seconds < math.inf:
     raise UsageError(f"--seconds must be positive and finite, got {wanted.seconds:g}")
   if not 0 <= wanted.skip < math.inf:
     raise UsageError(f"--skip must be finite and not negative, got {wanted.skip:g}")
-  if not output.absolute().parent.is_dir():
-    raise UsageError(f"--output: there is no folder {output.parent}")
   source, parts = find_policy(wanted, name, task)
   import torch
-  from mjlab_tracking import MotionError, check_quality, derived_arrays, save_motion
-  from mjlab_tracking.recording import MotionRecorder
+  from mjlab_motions import check_quality, derived_arrays, save_motion
 
   wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
-  device = making.resolve_device(wanted.device)
+  device = environments.resolve_device(wanted.device)
   env = build_env(parts, wanted.env, device)
   try:
     policy = make_policy(wanted.agent, source, env, parts)
     what = f"{wanted.agent} actions" if source is None else str(source)
-    recorder = MotionRecorder(env, entity=wanted.entity)
+    recorder = _recorder(env, wanted.entity)
     print(f"{name}: {what}", flush=True)
     first = round(wanted.skip / env.step_dt)
     with torch.no_grad():
       observations, _ = env.reset(seed=wanted.seed)
       for step in range(first + round(wanted.seconds / env.step_dt) + 1):
         if step >= first:
-          recorder.note()
+          _add_frame(recorder, env, wanted.entity)
         observations, _, terminated, truncated, _ = env.step(policy(observations))
-        # A clip must not hold the leap into the next episode.
+        # A clip must not contain the jump into the next episode.
         if bool((terminated | truncated).any()):
-          raise MotionError(
+          raise MjlabError(
             f"the episode ended after {(step + 1) * env.step_dt:.2f} s, before the clip did; nothing was written. Try "
             "--seed, a shorter --seconds, or a better policy."
           )
@@ -107,3 +106,20 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     env.close()
   print(f"wrote {output}: {motion.num_frames} frames at {motion.rate:g} Hz")
   return 0
+
+
+def _recorder(env: Any, entity: str) -> "MotionRecorder":
+  from mjlab_motions import Kinematics, MotionRecorder
+
+  if entity not in env.scene.entities:
+    raise UnknownNameError(unknown("entity", entity, env.scene.entities, owner="the scene"))
+  kinematics = Kinematics(env.sim.mj_model, env.scene[entity].prefix)
+  if kinematics.joint_names != env.scene[entity].joint_names:
+    raise MjlabError(f"entity '{entity}' has joints outside of its floating tree")
+  return MotionRecorder(kinematics, rate=1.0 / env.step_dt)
+
+
+def _add_frame(recorder: "MotionRecorder", env: Any, entity: str) -> None:
+  """Record the pose of an entity in the first world, relative to the world's origin."""
+  data = env.scene[entity].data
+  recorder.add(data.root_link_pos_w[0] - env.scene.env_origins[0], data.root_link_quat_w[0], data.joint_pos[0])

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab import making
-from mjlab.cli._config_flags import replaced
-from mjlab.cli._errors import BuildError, UsageError
+from mjlab_core import UnknownNameError, UsageError
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, building, load_named_task, run_with_task
 from mjlab.cli._policies import manifest_of
-from mjlab.cli._task_command import load_named_task, run_with_task
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
@@ -23,30 +23,30 @@ class Arguments:
   """All that can be given after the task."""
 
   device: str = "auto"
-  """Where to simulate and learn: cpu, cuda:0, or auto for a GPU where there is one."""
+  """Device of simulation and learning: cpu, cuda:0, or auto for a GPU if there is one."""
   seed: int | None = None
-  """Seed of learner and environment; None: that of the task."""
+  """Seed of learner and environment; None: the seed of the task."""
   resume: str | None = None
-  """Run to continue, with its configuration and the flags given here: latest (of this task, also without a value),
+  """Run to continue, with its configuration and the flags given here: latest (of this task; also without a value),
   the name or directory of a run, or a checkpoint file."""
   teacher: str | None = None
-  """Policy to imitate, in tasks that distil one: latest (of the task that teaches; also None), a task (its latest), the
+  """Policy to imitate, in distillation tasks: latest (of the teacher's task; also None), a task (its latest run), the
   name or directory of a run, or a checkpoint file."""
   init_from: str | None = None
-  """Policy to begin as, of a student too: latest or the name of a run of this task's experiment, a task (its latest),
-  the directory of a run, or a checkpoint file. All but the policy begins anew."""
+  """Policy to start from, also a distilled one: latest or the name of a run of this task's experiment, a task (its
+  latest run), the directory of a run, or a checkpoint file. Only the policy is taken over."""
   log_root: str = "logs"
   """Folder of all runs."""
   viewer: bool = False
-  """Show the worlds in a browser while training."""
+  """Show the environments in a browser during training."""
   viewer_host: str = "127.0.0.1"
-  """Address that the viewer listens on; 0.0.0.0 lets other machines in."""
+  """Address that the viewer listens on; 0.0.0.0 lets other machines connect."""
   viewer_port: int = 8080
-  """Port of the viewer, the next free one if it is taken."""
+  """Port of the viewer; the next free one if it is taken."""
   video: bool = False
-  """Film four worlds now and then, into the run directory."""
+  """Film four environments at intervals, into the run directory."""
   video_interval: int = 2000
-  """Steps from the beginning of one film to that of the next."""
+  """Steps from the start of one film to the start of the next."""
   video_length: int = 200
   """Steps of a film."""
   verbose: bool = False
@@ -54,47 +54,45 @@ class Arguments:
   quiet: bool = False
   """Show errors only."""
   traceback: bool = False
-  """Show where an error came from."""
+  """Show the traceback of an error."""
   agent: Any = None
   """Configuration of the learner."""
   env: Any = None
   """Configuration of the environment."""
 
 
-def run(arguments: list[str]) -> int:
-  """Train; returns the exit code."""
-  if arguments and arguments[0].startswith("--tyro-"):
-    _print_completion(arguments)
-    return 0
-  return run_with_task(
-    "train",
-    arguments,
-    _train,
-    Arguments,
-    purpose="Trains a policy.",
-    configs=lambda task: {"agent": task.agent, "env": task.env},
-    more=_MORE,
-  )
-
-
-_MORE = """\
-  --agent.PATH      Any value of the learner, e.g. --agent.max-iterations 10_000.
-  --help WORD       After a task: its flags, all or those whose name contains WORD.
+_LINE = CommandLine(
+  name="train",
+  words="TASK",
+  purpose="Trains a policy.",
+  arguments=Arguments,
+  notes="""\
+  --agent.PATH VALUE        Any value of the learner, e.g. --agent.max-iterations 10_000.
+  --help WORD               After a task: its flags, all or those that have WORD in their names.
 
 train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.
-"""
+""",
+)
 
 
-def _print_completion(arguments: list[str]) -> None:
-  from mjlab.cli._flag_parser import print_completion
+def run(words: list[str]) -> int:
+  """Train; return the exit code."""
+  if words and words[0].startswith("--tyro-"):
+    _print_completion(words)
+    return 0
+  return run_with_task(_LINE, words, _train, lambda task: {"agent": task.agent, "env": task.env})
+
+
+def _print_completion(words: list[str]) -> None:
+  from mjlab.cli._flags import print_completion
 
   tasks = {name: load_task(name) for name in list_tasks()}
   configs = {name: Arguments(agent=task.agent, env=task.env) for name, task in tasks.items()}
-  print_completion(configs, prog="train", arguments=arguments)
+  print_completion(configs, prog="train", words=words)
 
 
 def _with_latest(given: list[str]) -> list[str]:
-  """The same with `--resume latest` for a bare `--resume`."""
+  """Return the words with `--resume latest` for a bare `--resume`."""
   words: list[str] = []
   for word, following in itertools.zip_longest(given, given[1:], fillvalue="--"):
     words += [word, "latest"] if word == "--resume" and following.startswith("--") else [word]
@@ -103,26 +101,25 @@ def _with_latest(given: list[str]) -> list[str]:
 
 def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab_rl import Console
+  from mjlab_rl.ranks import Ranks
 
-  from mjlab.cli._flag_parser import parse
+  from mjlab.cli._flags import parse, replaced
 
   given = _with_latest(given)
-  # Once to learn from what to start, once more upon that.
+  # First to find the run to start from; again below, with the configuration of that run as the default.
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if wanted.verbose and wanted.quiet:
     raise UsageError("--verbose and --quiet exclude each other")
-  if wanted.teacher is not None and wanted.resume is not None:
-    raise UsageError("--teacher and --resume exclude each other: a run that is continued has its teacher")
-  if wanted.init_from is not None and wanted.resume is not None:
-    raise UsageError("--init-from and --resume exclude each other: a run that is continued has its policy")
-  if wanted.seed is not None and wanted.resume is not None:
-    raise UsageError("--seed and --resume exclude each other: a run that is continued goes on with its random numbers")
-  console = Console("quiet" if wanted.quiet else "verbose" if wanted.verbose else "normal")
-  device = making.resolve_device(wanted.device)
+  for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
+    if wanted.resume is not None and getattr(wanted, flag) is not None:
+      raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
+  ranks = Ranks.launched()
+  console = Console("quiet" if wanted.quiet or not ranks.is_first else "verbose" if wanted.verbose else "normal")
+  device = ranks.device(environments.resolve_device(wanted.device))
   checkpoint = _checkpoint(wanted, name)
   run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
   if run is None:
-    default = making.default_worlds(device, task.env.scene.num_envs)
+    default = environments.default_num_envs(device, task.env.scene.num_envs)
     task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
   else:
     default = None
@@ -134,19 +131,20 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
     wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
 
-  worlds = wanted.env.scene.num_envs
-  hint = " (--env.scene.num-envs sets it)" if worlds == default else ""
-  where = f"{device} ({making.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
-  console.say(f"{name}: {worlds} world{'s' * (worlds != 1)}{hint} on {where}")
+  num_envs = wanted.env.scene.num_envs
+  hint = " (--env.scene.num-envs sets it)" if num_envs == default else ""
+  where = f"{device} ({environments.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
+  each = f" in each of {ranks.world_size} processes" if ranks.world_size > 1 else ""
+  console.say(f"{name}: {num_envs} environment{'s' * (num_envs != 1)}{each}{hint} on {where}")
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
   if teacher is not None:
-    console.say(f"learning from {teacher}")
+    console.say(f"imitating {teacher}")
   if beginning is not None:
-    console.say(f"beginning as {beginning}")
+    console.say(f"starting from {beginning}")
 
   watchers = Watchers(wanted)
-  # Seconds, for those whose command line was right.
+  # This import takes seconds, so it comes after the checks.
   from mjlab_rl import train
 
   is_built = False
@@ -164,7 +162,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
     result = train(
       dataclasses.replace(task, env=wanted.env, agent=wanted.agent),
       name=name,
-      make_env=making.standard_env,
+      make_env=environments.standard_env,
       device=device,
       log_root=wanted.log_root,
       resume=checkpoint,
@@ -174,12 +172,13 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       command=["train", name, *given],
       code=task_file(name),
       on_ready=on_ready,
-      watch=watchers.open if wanted.viewer or wanted.video else None,
+      watch=watchers.open if ranks.is_first and (wanted.viewer or wanted.video) else None,
     )
-  except (ValueError, OSError) as error:
+  except Exception as error:
     if is_built:
       raise
-    raise BuildError(str(error)) from error
+    with building(from_file=run is not None):
+      raise error
   finally:
     watchers.close()
   if result.stopped_by is not None:
@@ -191,7 +190,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
 
 class Watchers:
-  """Those who look on while a policy is trained."""
+  """Viewer and films of a running training."""
 
   def __init__(self, wanted: Arguments) -> None:
     if wanted.viewer:
@@ -200,26 +199,27 @@ class Watchers:
       check_address(wanted.viewer_host, wanted.viewer_port)
     if wanted.video and not 1 <= wanted.video_length <= wanted.video_interval:
       raise UsageError(
-        f"--video-length {wanted.video_length}: films of so many steps cannot begin every {wanted.video_interval} "
-        "(--video-interval)"
+        f"--video-length {wanted.video_length}: must be from 1 to --video-interval ({wanted.video_interval})"
       )
     self._wanted = wanted
     self._open: list[Any] = []
 
   def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
-    """Open what is wanted; returns what is to be called after every step."""
+    """Open viewer and films; return the function to call after every step."""
     from mjlab_viewer import BrowserViewer, TrainingVideo
 
-    wanted = self._wanted
+    wanted, look = self._wanted, getattr(env.cfg, "viewer", None)
     calls: list[Callable[[], None]] = []
     if wanted.viewer:
-      viewer = BrowserViewer(env, host=wanted.viewer_host, port=wanted.viewer_port)
+      camera = None if look is None else look.camera()
+      viewer = BrowserViewer(env, host=wanted.viewer_host, port=wanted.viewer_port, camera=camera)
       print(f"watch at {viewer.url}", flush=True)
       self._open.append(viewer)
       calls.append(viewer.update)
     if wanted.video and directory is not None:
       interval, length = wanted.video_interval, wanted.video_length
-      video = TrainingVideo(env, directory / "videos", interval=interval, length=length)
+      picture = None if look is None else look.picture()
+      video = TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
       self._open.append(video)
       calls.append(video.after_step)
 
@@ -230,7 +230,7 @@ class Watchers:
     return after_step
 
   def close(self) -> None:
-    """Close what was opened."""
+    """Close viewer and films."""
     while self._open:
       self._open.pop().close()
 
@@ -246,46 +246,48 @@ def _checkpoint(wanted: Arguments, task: str) -> Path | None:
 
 
 def _teacher(wanted: Arguments, task: str) -> Path | None:
-  """The checkpoint of the policy to imitate; None where none is, or where the run that is continued has its own."""
+  """Return the checkpoint of the policy to imitate; None if the task imitates none, or if a run is resumed."""
   from mjlab_rl import RslRlDistillationRunnerCfg
 
   agent = wanted.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if wanted.teacher is not None:
-      raise UsageError(f"--teacher: {task} imitates nobody; `list-envs distill` lists the tasks that do")
+      raise UsageError(
+        f"--teacher applies to distillation tasks only (`list-envs distill` lists them); {task} is not one"
+      )
     return None
   if wanted.resume is not None:
     return None
   if agent.teacher_task is None:
     if wanted.teacher in (None, "latest"):
-      raise UsageError(f"{task} imitates a policy: name its run or checkpoint with --teacher")
+      raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
     experiment = agent.experiment_name
   else:
     experiment = load_named_task(agent.teacher_task).agent.experiment_name
   try:
     return _trained(wanted.teacher or "latest", wanted, experiment, agent.teacher_task)
-  except FileNotFoundError as error:
+  except UnknownNameError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
 
 
 def _beginning(wanted: Arguments) -> Path | None:
-  """The checkpoint of the policy to begin as; None where none is."""
+  """Return the checkpoint of the policy to start from, if one is given."""
   return None if wanted.init_from is None else _trained(wanted.init_from, wanted, wanted.agent.experiment_name)
 
 
 def _trained(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
-  """The checkpoint that `named` means, as `find_checkpoint` says, or of a task its latest."""
+  """Return the checkpoint of `named`, which `find_checkpoint` describes, or the latest of a task."""
   from mjlab_core import nearest
-  from mjlab_rl import RunNotFoundError, find_checkpoint
+  from mjlab_rl import find_checkpoint
 
   if named in list_tasks():
     named, task, experiment = "latest", named, load_task(named).agent.experiment_name
   try:
     return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
-  except RunNotFoundError as error:
+  except UnknownNameError as error:
     close = nearest(named, list_tasks(), 1)
-    raise RunNotFoundError(f"{error}. Nearest task: {close[0]}" if close else str(error)) from error
+    raise UnknownNameError(f"{error}. Nearest task: {close[0]}" if close else str(error)) from error
 
 
 def _gpu_name(device: str) -> str:
@@ -298,9 +300,9 @@ def _environment_line(env: Any) -> str:
   sim = getattr(env, "sim", None)
   if sim is None:
     return f"environment {type(env).__name__}"
-  how = "every step run eagerly"
+  how = "every step runs eagerly"
   if sim.cfg.capture and sim.engine == "warp":
-    how = "physics replayed as recorded graphs and the rest of every step run eagerly"
+    how = "physics replayed as recorded graphs, the rest of every step runs eagerly"
     if sim.device.type == "cuda":
       how = "every step replayed as one recorded graph"
   return f"engine {sim.engine}, {how}"

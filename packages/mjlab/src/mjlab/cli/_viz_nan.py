@@ -1,11 +1,12 @@
-"""`viz-nan FILE [flags]`: what a NaN dump says, and whether MuJoCo C diverges from there too."""
+"""`viz-nan FILE [flags]`: report on a NaN dump, with a check whether MuJoCo C diverges too."""
 
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab.cli._config_flags import flags
-from mjlab.cli._errors import UsageError
+from mjlab_core import UsageError
+
+from mjlab.cli._command_line import CommandLine, output_file
 
 if TYPE_CHECKING:
   from mjlab_sim import NanDump
@@ -18,53 +19,52 @@ class Arguments:
   """All that can be given after the file."""
 
   show: Literal["recorded", "mujoco-c"] = "recorded"
-  """What viewer and film show: the stored steps, or what MuJoCo C makes of them."""
+  """Steps that viewer and film show: the stored ones, or those that MuJoCo C computes from the same states."""
   viewer: Literal["none", "browser"] = "none"
-  """browser: play the steps in a browser, again and again."""
+  """browser: play the steps in a browser, in a loop."""
   host: str = "127.0.0.1"
-  """Address that the browser viewer listens on; 0.0.0.0 lets other machines in."""
+  """Address that the browser viewer listens on; 0.0.0.0 lets other machines connect."""
   port: int = 8080
-  """Port of the browser viewer."""
+  """Port of the browser viewer; the next free one if it is taken."""
   speed: float = 0.1
-  """Seconds of the worlds for each real one."""
+  """Simulated seconds per real second."""
   video: str | None = None
   """Film to write: FILE.mp4."""
   force: bool = False
-  """Overwrite the film."""
+  """Overwrite an existing film."""
   traceback: bool = False
-  """Show where an error came from."""
+  """Show the traceback of an error."""
 
 
-_HELP = """\
-usage: viz-nan FILE [flags]
+_LINE = CommandLine(
+  name="viz-nan",
+  words="FILE",
+  purpose=(
+    "Reports for each environment in a NaN dump the first value that was not finite or beyond 1e10. Repeats the last "
+    "steps in MuJoCo C from the states of the dump, and reports whether MuJoCo C diverges too."
+  ),
+  arguments=Arguments,
+)
 
-Says of each world in a NaN dump what was first not finite or beyond 1e10, and runs its last steps anew in MuJoCo C from
-the states of the dump, to tell whether it diverges there too.
 
-flags:
-"""
-
-
-def run(arguments: list[str]) -> int:
-  """Print a report on every world of the file, and show them where that is wanted."""
-  if "-h" in arguments or "--help" in arguments:
-    print(_HELP + "\n".join(f"  --{flag.name:<10} {flag.about} [{flag.value}]" for flag in flags(Arguments())))
+def run(words: list[str]) -> int:
+  """Print a report on every environment of the file; show them if wanted."""
+  if _LINE.wants_help(words):
     return 0
-  if not arguments or arguments[0].startswith("-"):
-    raise UsageError("the file comes first. usage: viz-nan FILE [flags]")
-  from mjlab.cli._flag_parser import parse
+  (file,), flags = _LINE.split(words)
+  from mjlab.cli._flags import parse
 
-  wanted = parse(Arguments(), arguments[1:])
+  wanted = parse(Arguments(), flags)
   if not wanted.speed > 0:
     raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
-  if wanted.video is not None and Path(wanted.video).exists() and not wanted.force:
-    raise UsageError(f"{wanted.video} exists; --force overwrites it")
+  if wanted.video is not None:
+    output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
   from mjlab_sim import NanDump
 
-  dump = NanDump.load(arguments[0])
-  _report(arguments[0], dump)
+  dump = NanDump.load(file)
+  _report(file, dump)
   if wanted.video is None and wanted.viewer == "none":
-    print(f"\nsee it: viz-nan {arguments[0]} --viewer browser")
+    print(f"\nsee it: viz-nan {file} --viewer browser")
     return 0
   from mjlab.nan_replay import NanReplay
 
@@ -72,7 +72,7 @@ def run(arguments: list[str]) -> int:
   if wanted.video is not None:
     _film(replay, wanted)
   if wanted.viewer == "browser":
-    _browse(replay, wanted, arguments[0])
+    _browse(replay, wanted, file)
   return 0
 
 

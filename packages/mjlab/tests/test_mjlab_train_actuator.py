@@ -1,4 +1,4 @@
-"""`fit-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
+"""`train-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
 
 from pathlib import Path
 
@@ -25,11 +25,11 @@ def records(tmp_path: Path) -> Path:
 
 
 def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  assert cli.main(["fit-actuator", str(records), *QUICK, "--history-length", "2"]) == 0
+  assert cli.main(["train-actuator", str(records), *QUICK, "--history-length", "2"]) == 0
   network = records.with_suffix(".pt")
   assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}
   shown = capsys.readouterr().out
-  assert "400 rows in 1 segment, every 0.005 s" in shown
+  assert "400 rows every 0.005 s, joints joint" in shown
   assert "not read: columns temperature" in shown
   assert "epoch 3/3  error: train " in shown
   assert "best PD   held out" in shown
@@ -44,21 +44,21 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
   for suffix in (".pt", ".png"):
     mine = records.with_suffix(suffix)
     mine.write_text("mine")
-    assert cli.fit_actuator([str(records), *QUICK]) == 2
-    assert f"{mine} exists; name another file, or overwrite it with --force" in capsys.readouterr().err
+    assert cli.train_actuator([str(records), *QUICK]) == 2
+    assert f"{mine} exists; --force overwrites it" in capsys.readouterr().err
     assert {path.name for path in records.parent.iterdir()} == {"motor.csv", mine.name}
     assert mine.read_text() == "mine"
     mine.unlink()
   records.with_suffix(".pt").write_text("mine")
-  assert cli.fit_actuator([str(records), *QUICK, "--force"]) == 0
+  assert cli.train_actuator([str(records), *QUICK, "--force"]) == 0
   assert torch.load(records.with_suffix(".pt"), weights_only=True)
 
 
 @pytest.mark.parametrize(
   ("words", "code", "message"),
   [
-    ([], 2, "no records given. usage: fit-actuator RECORDS.csv"),
-    (["--force"], 2, "no records given"),
+    ([], 2, "no RECORD given. usage: train-actuator RECORD"),
+    (["--force"], 2, "no RECORD given"),
     (["motor.csv", "--histroy-length", "2"], 2, "no such option. Did you mean --history-length?"),
     (["motor.csv", "--epochs", "many"], 2, "--epochs: expected INT, got many"),
     (["motor.csv", "--activation", "relo"], 2, "--activation: expected"),
@@ -67,8 +67,8 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
     (["motor.csv", "--output", "."], 2, "--output: . is a folder"),
     (["motor.csv", "--output", "no/where.pt"], 2, "--output: folder no does not exist"),
     (["motor.csv", "--output", "a.png"], 2, "--plot: a.png is the network's own file"),
-    (["nowhere.csv"], 1, "nowhere.csv: No such file"),
-    (["broken.csv"], 1, "broken.csv, line 3, column 'effort': 'much' is not a finite number"),
+    (["nowhere.csv"], 1, "record nowhere.csv: no such file"),
+    (["broken.csv"], 1, "record broken.csv: line 3, column 'effort': 'much' is not a finite number"),
   ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
@@ -81,7 +81,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(
 ) -> None:
   monkeypatch.chdir(records.parent)
   Path("broken.csv").write_text("time,position_target,position,velocity,effort\n0,0,0,0,0\n1,0,0,0,much\n")
-  assert cli.fit_actuator(words) == code
+  assert cli.train_actuator(words) == code
   error = capsys.readouterr().err
   assert message in error
   assert error.count("\n") == 1
@@ -89,7 +89,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(
 
 
 def test_ctrl_c_writes_what_was_learned(records: Path) -> None:
-  code = "import sys; from mjlab.cli import fit_actuator; sys.exit(fit_actuator())"
+  code = "import sys; from mjlab.cli import train_actuator; sys.exit(train_actuator())"
   with running(code, str(records), "--epochs", "1000000", "--hidden", "8", OMP_NUM_THREADS="1") as learning:
     learning.wait_for("(?m)^epoch")
     said = learning.interrupt()

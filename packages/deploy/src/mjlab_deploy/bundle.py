@@ -1,0 +1,169 @@
+"""Policy bundles on disk: a folder, or a zip of it."""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+from mjlab_deploy.arrays import Arrays, read_arrays
+from mjlab_deploy.description import FORMAT, Description
+from mjlab_deploy.errors import DeployError
+from mjlab_deploy.schema import decode, schema
+
+MAX_BYTES = {
+  "bundle.json": 4 << 20,
+  "policy.onnx": 512 << 20,
+  "golden.npz": 512 << 20,
+  "motion.npz": 256 << 20,
+  "scene.xml": 64 << 20,
+  "scene.npz": 256 << 20,
+  "picture.png": 16 << 20,
+}
+"""Files of a bundle, and the largest size of each [bytes]. Other names in a folder or a zip are not read."""
+
+
+class Bundle:
+  """Policy bundle in a folder; `open_bundle` makes one.
+
+  Args:
+    folder: The folder.
+
+  Raises:
+    DeployError: A file is missing, too large, damaged, or of a newer format.
+  """
+
+  def __init__(self, folder: Path) -> None:
+    self.folder = folder
+    text = self.read_bytes("bundle.json")
+    try:
+      data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+      raise DeployError(f"bundle.json: not JSON ({str(error)[:80]})") from error
+    self.description = describe(data)
+    for name, digest in self.description.files.items():
+      if name not in MAX_BYTES:
+        raise DeployError(f"bundle.json: files: {name[:60]!r} is not a file of a bundle")
+      if hashlib.sha256(self.read_bytes(name)).hexdigest() != digest:
+        raise DeployError(f"{name}: changed since the bundle was made (its SHA-256 differs)")
+    if "policy.onnx" not in self.description.files:
+      raise DeployError("bundle.json: files lacks 'policy.onnx'")
+
+  def has(self, name: str) -> bool:
+    """Return True if the bundle has this file."""
+    return name in self.description.files
+
+  def read_bytes(self, name: str) -> bytes:
+    """Return the contents of a file.
+
+    Raises:
+      DeployError: It is missing or too large.
+    """
+    path = self.folder / name
+    try:
+      size = os.stat(path).st_size
+      if size > MAX_BYTES[name]:
+        raise DeployError(f"{name}: {size >> 20} MiB is more than the {MAX_BYTES[name] >> 20} MiB that it may have")
+      return path.read_bytes()
+    except OSError as error:
+      raise DeployError(f"{name}: {error.strerror or error}") from error
+
+  def arrays(self, name: str) -> Arrays:
+    """Return the arrays of `golden.npz`, `motion.npz` or `scene.npz`."""
+    self.read_bytes(name)
+    return read_arrays(self.folder / name, MAX_BYTES[name])
+
+
+@contextlib.contextmanager
+def open_bundle(path: str | os.PathLike[str]) -> Generator[Bundle]:
+  """Open a bundle, a folder or a zip, which is unpacked for as long as it is open.
+
+  Raises:
+    DeployError: It cannot be read; the message begins with its path.
+  """
+  path = Path(path)
+  with contextlib.ExitStack() as stack:
+    try:
+      if path.is_dir():
+        bundle = Bundle(path)
+      elif path.is_file():
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bundle-")))
+        _unpack(path, folder)
+        bundle = Bundle(folder)
+      else:
+        raise DeployError("no such folder or file")
+    except DeployError as error:
+      raise DeployError(f"bundle {path}: {error}") from error
+    yield bundle
+
+
+def describe(data: Any) -> Description:
+  """Return the contents of `bundle.json`, checked against the published schema.
+
+  Raises:
+    DeployError: It is of another format, or does not follow the schema.
+  """
+  version = data.get("format") if isinstance(data, dict) else None
+  if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+    raise DeployError("bundle.json: has no format number; is it a policy bundle?")
+  if version > FORMAT:
+    raise DeployError(f"bundle.json: format {version} is newer than {FORMAT}, which this mjlab-deploy reads; update it")
+  try:
+    return decode(Description, data)
+  except DeployError as error:
+    raise DeployError(f"bundle.json: {error}") from error
+
+
+def write_description(folder: Path, description: Description) -> None:
+  """Write `bundle.json` with the hashes of the files that are in the folder."""
+  digests = {
+    name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    for name in MAX_BYTES
+    if name != "bundle.json" and (folder / name).is_file()
+  }
+  data = dataclasses.asdict(dataclasses.replace(description, files=digests))
+  # Checked before anybody else reads it.
+  text = json.dumps(data, indent=1, allow_nan=False)
+  describe(json.loads(text))
+  (folder / "bundle.json").write_text(text + "\n", encoding="utf-8")
+
+
+def pack(folder: Path, path: Path) -> None:
+  """Write the files of a bundle into a zip."""
+  with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    for name in MAX_BYTES:
+      if (folder / name).is_file():
+        archive.write(folder / name, name)
+
+
+def bundle_schema() -> dict[str, Any]:
+  """Return the JSON schema of `bundle.json`; `bundle.schema.json` in this package is a copy."""
+  return {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "mjlab policy bundle",
+    **schema(Description),
+  }
+
+
+def _unpack(path: Path, folder: Path) -> None:
+  try:
+    with zipfile.ZipFile(path) as archive:
+      for record in archive.infolist():
+        limit = MAX_BYTES.get(record.filename)
+        if limit is None:
+          continue
+        # The size in the record is the stranger's word; what comes out counts.
+        with archive.open(record) as file:
+          data = file.read(limit + 1)
+        if len(data) > limit:
+          raise DeployError(f"{record.filename}: more than the {limit >> 20} MiB that it may have")
+        (folder / record.filename).write_bytes(data)
+  except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError) as error:
+    if isinstance(error, DeployError):
+      raise
+    raise DeployError(f"not a zip that can be read ({str(error)[:80]})") from error

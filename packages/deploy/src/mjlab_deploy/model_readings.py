@@ -1,0 +1,92 @@
+"""Readings of a bundle's inputs from a MuJoCo model."""
+
+import mujoco
+import numpy as np
+
+from mjlab_deploy.description import Description, Input, Origin
+from mjlab_deploy.errors import DeployError
+
+Readings = dict[str, np.ndarray]
+
+
+class ModelReadings:
+  """Inputs of a policy that a MuJoCo model can supply.
+
+  Args:
+    model: The model.
+    description: Contents of `bundle.json`.
+
+  Raises:
+    DeployError: The model lacks an element that an input names.
+  """
+
+  def __init__(self, model: mujoco.MjModel, description: Description) -> None:
+    self.model = model
+    self._prefix = f"{description.robot.name}/" if description.robot.name else ""
+    self.inputs: list[Input] = [item for item in description.inputs if item.origin is not None]
+    joints = [joint_id(model, self._prefix + joint.name) for joint in description.robot.joints]
+    self.qpos = model.jnt_qposadr[joints]
+    """Columns of the robot's joints in qpos."""
+    self.qvel = model.jnt_dofadr[joints]
+    """Columns of the robot's joints in qvel."""
+    for item in self.inputs:
+      assert item.origin is not None
+      self._check(item, item.origin)
+
+  def _check(self, item: Input, origin: Origin) -> None:
+    if origin.quantity.startswith("joint_"):
+      return
+    kind = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "sensor": mujoco.mjtObj.mjOBJ_SENSOR}
+    wanted = [(kind.get(origin.object_type), origin.name)]
+    wanted += [(mujoco.mjtObj.mjOBJ_BODY, origin.relative_to)] if origin.relative_to else []
+    for obj, name in wanted:
+      if obj is None or mujoco.mj_name2id(self.model, obj, name) < 0:
+        raise DeployError(f"input '{item.name}': scene.xml has no {origin.object_type} {name[:60]!r}")
+
+  def read(self, data: mujoco.MjData) -> Readings:
+    """Return the inputs for a state whose positions, velocities and sensors are computed."""
+    found: Readings = {}
+    for item in self.inputs:
+      assert item.origin is not None
+      found[item.name] = self._read(item.origin, data)
+    return found
+
+  def _read(self, origin: Origin, data: mujoco.MjData) -> np.ndarray:
+    if origin.quantity == "joint_position":
+      return data.qpos[self.qpos].copy()
+    if origin.quantity == "joint_velocity":
+      return data.qvel[self.qvel].copy()
+    if origin.quantity == "sensor":
+      return data.sensor(origin.name).data.copy()
+    element = data.site(origin.name) if origin.object_type == "site" else data.body(origin.name)
+    rotation = element.xmat.reshape(3, 3)
+    if origin.quantity == "projected_gravity":
+      return -rotation[2].copy()
+    if origin.quantity in ("linear_velocity", "angular_velocity"):
+      velocity = np.zeros(6)
+      mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_XBODY, element.id, velocity, 1)
+      return velocity[3:] if origin.quantity == "linear_velocity" else velocity[:3]
+    if origin.quantity == "position":
+      if not origin.relative_to:
+        return element.xpos.copy()
+      frame = data.body(origin.relative_to)
+      return frame.xmat.reshape(3, 3).T @ (element.xpos - frame.xpos)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, element.xmat)
+    if origin.relative_to:
+      inverse = np.zeros(4)
+      mujoco.mju_negQuat(inverse, data.body(origin.relative_to).xquat)
+      mujoco.mju_mulQuat(quat, inverse, quat.copy())
+    return quat
+
+
+def joint_id(model: mujoco.MjModel, name: str) -> int:
+  """Return the number of a joint.
+
+  Raises:
+    DeployError: The model has no such joint.
+  """
+  number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+  if number < 0:
+    raise DeployError(f"scene.xml has no joint {name[:60]!r}")
+  return number

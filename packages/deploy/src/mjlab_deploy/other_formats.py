@@ -1,0 +1,124 @@
+"""A policy's description in the words of other runners."""
+
+from collections.abc import Iterable
+
+from mjlab_deploy.description import Description, Observation
+from mjlab_deploy.errors import DeployError
+
+_LEGS = [f"{side}_{joint}_joint" for side in ("left", "right") for joint in (
+  "hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")]  # fmt: skip
+_WAIST = [f"waist_{axis}_joint" for axis in ("yaw", "roll", "pitch")]
+_ARMS = [f"{side}_{joint}_joint" for side in ("left", "right") for joint in (
+  "shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")]  # fmt: skip
+_QUADRUPED = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")]
+# Motors in the order of Unitree's SDK.
+_MOTORS = (_LEGS + _WAIST + _ARMS, _QUADRUPED)
+# Terms of Unitree's runner by the source that they are read from.
+_TERMS = {
+  "imu/gyro": "base_ang_vel",
+  "imu/projected_gravity": "projected_gravity",
+  "command/velocity": "velocity_commands",
+  "joint/position": "joint_pos_rel",
+  "joint/velocity": "joint_vel_rel",
+  "last_action": "last_action",
+}
+
+
+def onnx_metadata(description: Description) -> dict[str, str]:
+  """Return the metadata of a policy file of mjlab 1.x, which BeyondMimic's runners read too, in full precision.
+
+  Such a file takes the observation that this package's graph assembles, and returns raw actions.
+  """
+  joints = description.robot.joints
+  terms = description.observations
+  names = [command.name for command in description.commands]
+  names += [description.motion.name] if description.motion is not None else []
+  metadata = {
+    "run_path": str(description.training.get("checkpoint", "")),
+    "joint_names": ",".join(joint.name for joint in joints),
+    "joint_stiffness": _csv(joint.stiffness or 0.0 for joint in joints),
+    "joint_damping": _csv(joint.damping or 0.0 for joint in joints),
+    "default_joint_pos": _csv(joint.default_position for joint in joints),
+    "command_names": ",".join(names),
+    "observation_names": ",".join(term.name for term in terms),
+    "observation_terms_scale": ";".join(_csv(_scales(term)) for term in terms),
+    "observation_terms_history_length": _csv(float(term.history_length) for term in terms),
+    "observation_terms_flatten_history_dim": _csv(float(len(term.shape) == 1) for term in terms),
+    "observation_terms_clip": ";".join("None" if term.clip is None else _csv(term.clip) for term in terms),
+  }
+  if description.action_scale is not None:
+    metadata["action_scale"] = _csv(description.action_scale)
+  if description.motion is not None:
+    metadata["anchor_body_name"] = description.motion.anchor_body
+  return metadata
+
+
+def unitree_deploy_yaml(description: Description) -> str:
+  """Return the deploy.yaml of Unitree's runner for a policy of velocities.
+
+  Raises:
+    DeployError: The policy observes or does something that the runner does not know; the message names it.
+  """
+  robot = description.robot
+  names = [joint.name for joint in robot.joints]
+  motors = next((order for order in _MOTORS if sorted(order) == sorted(names)), None)
+  if motors is None:
+    raise DeployError("Unitree's deploy.yaml: the joints are not those of a G1 with 29 joints, nor of a quadruped")
+  if [target.quantity for target in description.targets] != ["position"] or description.action_scale is None:
+    raise DeployError("Unitree's deploy.yaml: actions must be scale * action + offset to joint positions")
+  driven = list(description.targets[0].joints)
+  offsets = {joint.name: joint.default_position for joint in robot.joints}
+  lines = [
+    f"joint_ids_map: [{', '.join(str(motors.index(name)) for name in names)}]",
+    f"step_dt: {description.timing.control_dt!r}",
+    f"stiffness: {_list(joint.stiffness or 0.0 for joint in robot.joints)}",
+    f"damping: {_list(joint.damping or 0.0 for joint in robot.joints)}",
+    f"default_joint_pos: {_list(joint.default_position for joint in robot.joints)}",
+    "commands:",
+    "  base_velocity:",
+    "    ranges:",
+  ]
+  for command in description.commands:
+    axes = zip(("lin_vel_x", "lin_vel_y", "ang_vel_z"), command.ranges.values(), strict=False)
+    lines += [f"      {axis}: {_list(limits)}" for axis, limits in axes]
+  lines += [
+    "      heading: null",
+    "actions:",
+    "  JointPositionAction:",
+    "    clip: null",
+    "    joint_names: ['.*']",
+    f"    scale: {_list(description.action_scale)}",
+    f"    offset: {_list(offsets[name] for name in driven)}",
+    f"    joint_ids: {'null' if driven == names else '[' + ', '.join(str(names.index(n)) for n in driven) + ']'}",
+    "observations:",
+  ]
+  for term in description.observations:
+    name = _TERMS.get(term.sources[0]) if len(term.sources) == 1 else None
+    if name is None:
+      raise DeployError(
+        f"Unitree's deploy.yaml: its runner has no term for '{term.name}' ({', '.join(term.sources)}); train without it"
+      )
+    lines += [
+      f"  {name}:",
+      "    params: {command_name: base_velocity}" if name == "velocity_commands" else "    params: {}",
+      f"    clip: {'null' if term.clip is None else _list(term.clip)}",
+      f"    scale: {_list(_scales(term))}",
+      f"    history_length: {max(term.history_length, 1)}",
+    ]
+  return "\n".join(lines) + "\n"
+
+
+def _scales(term: Observation) -> list[float]:
+  """Return the scale of each component of one frame."""
+  width = term.shape[0] // max(term.history_length, 1) if len(term.shape) == 1 else 1
+  if isinstance(term.scale, tuple):
+    return list(term.scale)
+  return [1.0 if term.scale is None else float(term.scale)] * width
+
+
+def _csv(values: Iterable[float]) -> str:
+  return ",".join(repr(float(value)) for value in values)
+
+
+def _list(values: Iterable[float]) -> str:
+  return "[" + ", ".join(repr(float(value)) for value in values) + "]"

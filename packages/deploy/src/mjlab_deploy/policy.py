@@ -1,0 +1,111 @@
+"""The graph of a bundle, run by ONNX Runtime."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import onnxruntime
+
+from mjlab_deploy.bundle import Bundle
+from mjlab_deploy.errors import DeployError
+
+EPISODE_START = "episode_start"
+"""Input of a graph with memory: 1 in the first step of an episode, else 0."""
+LAST_ACTION = "memory/last_action"
+"""Input: the raw action of the step before."""
+ACTION = "action"
+"""Output: the raw action of the network."""
+
+
+@dataclass(frozen=True)
+class Step:
+  """Result of one step of the policy."""
+
+  targets: dict[str, np.ndarray]
+  """Targets by the name of their output, (joints,) each."""
+  action: np.ndarray
+  """Raw action, (actions,)."""
+  observations: dict[str, np.ndarray]
+  """Observation of each group, as the network saw it."""
+
+
+class Policy:
+  """A policy that turns readings into targets, and keeps its memory.
+
+  Args:
+    bundle: The bundle.
+
+  Raises:
+    DeployError: The graph is damaged, or is not the one that `bundle.json` describes.
+  """
+
+  def __init__(self, bundle: Bundle) -> None:
+    self.description = bundle.description
+    self._session = open_graph(bundle.read_bytes("policy.onnx"))
+    given = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
+    self._outputs = [value.name for value in self._session.get_outputs()]
+    wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
+    wanted |= {item.input: item.shape for item in self.description.memories}
+    self._has_start = EPISODE_START in given
+    if self._has_start:
+      wanted[EPISODE_START] = (1, 1)
+    if given != wanted:
+      name = next(name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
+      raise DeployError(
+        f"policy.onnx: input {name[:60]!r} is {given.get(name, 'missing')}, bundle.json says {wanted.get(name)}"
+      )
+    promised = [ACTION, *(item.output for item in self.description.memories)]
+    promised += [item.name for item in self.description.targets]
+    if missing := [name for name in promised if name not in self._outputs]:
+      raise DeployError(f"policy.onnx: output {missing[0][:60]!r} is missing")
+    self.reset()
+
+  def reset(self) -> None:
+    """Begin an episode: forget everything."""
+    self._memory = {item.input: np.zeros(item.shape, np.float32) for item in self.description.memories}
+    self._is_first = True
+
+  def replace_last_action(self, action: np.ndarray) -> None:
+    """Take another action, (actions,), as the last one, if the policy remembers one."""
+    if LAST_ACTION in self._memory:
+      self._memory[LAST_ACTION] = np.asarray(action, np.float32).reshape(1, -1)
+
+  def step(self, readings: Mapping[str, np.ndarray]) -> Step:
+    """Return the targets for the present readings, by the names of the inputs.
+
+    Raises:
+      DeployError: A reading is missing or has another size.
+    """
+    feed = dict(self._memory)
+    for item in self.description.inputs:
+      value = np.asarray(readings.get(item.name, ()), np.float32)
+      if value.size != np.prod(item.shape, dtype=int):
+        found = f"has {value.size} numbers" if item.name in readings else "is missing"
+        raise DeployError(f"reading '{item.name}' {found}; the policy takes {item.shape}")
+      feed[item.name] = value.reshape(1, *item.shape)
+    if self._has_start:
+      feed[EPISODE_START] = np.full((1, 1), float(self._is_first), np.float32)
+    values = {name: np.asarray(value) for name, value in zip(self._outputs, self._session.run(None, feed), strict=True)}
+    self._memory = {item.input: values[item.output] for item in self.description.memories}
+    self._is_first = False
+    prefix = "observation/"
+    return Step(
+      targets={item.name: values[item.name][0] for item in self.description.targets},
+      action=values[ACTION][0],
+      observations={name.removeprefix(prefix): values[name][0] for name in self._outputs if name.startswith(prefix)},
+    )
+
+
+def open_graph(data: bytes) -> onnxruntime.InferenceSession:
+  """Return a session of a graph that needs no other file, on one thread of the CPU.
+
+  Raises:
+    DeployError: The graph is damaged.
+  """
+  options = onnxruntime.SessionOptions()
+  options.intra_op_num_threads = options.inter_op_num_threads = 1
+  options.log_severity_level = 4
+  try:
+    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+  except Exception as error:
+    raise DeployError(f"policy.onnx: not a graph that ONNX Runtime takes ({str(error).strip()[:160]})") from error

@@ -1,0 +1,204 @@
+"""The runner: a state machine that drives a robot by a policy, and lets it go when anything is wrong."""
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from mjlab_deploy.bundle import Bundle
+from mjlab_deploy.errors import DeployError
+from mjlab_deploy.motion import MotionPlayer
+from mjlab_deploy.policy import Policy
+from mjlab_deploy.robot_io import RobotCommand, RobotIO, RobotState
+from mjlab_deploy.safety import Safety, SafetyLimits
+
+Phase = Literal["damping", "stand", "policy"]
+
+_MEASURED = ("joint/position", "joint/velocity", "imu/gyro", "imu/projected_gravity")
+_DAMPING = 2.0
+"""kd of a joint in damping whose drive has none in the bundle [N m s/rad]."""
+
+
+class Runner:
+  """State machine: damping, stand, policy, and damping again. `tick` is to be called with every message of the robot.
+
+  Args:
+    bundle: The bundle.
+    robot: The robot.
+    limits: Limits; None: the standard ones.
+    stand_time: Duration of the way to the default pose [s].
+
+  Raises:
+    DeployError: The robot's joints, gains or rate are not the bundle's, or it lacks a reading of the policy.
+  """
+
+  def __init__(
+    self, bundle: Bundle, robot: RobotIO, limits: SafetyLimits | None = None, *, stand_time: float = 2.0
+  ) -> None:
+    self.description = bundle.description
+    self.robot, self.policy = robot, Policy(bundle)
+    self.motion = MotionPlayer(bundle) if self.description.motion is not None else None
+    self._check_robot()
+    joints = self.description.robot.joints
+    self._names = [joint.name for joint in joints]
+    self._default = np.array([joint.default_position for joint in joints])
+    self._stiffness = np.array([joint.stiffness or 0.0 for joint in joints])
+    self._damping = np.array([joint.damping if joint.damping is not None else _DAMPING for joint in joints])
+    self._columns = [self._names.index(name) for name in self.description.targets[0].joints]
+    self.safety = Safety(self.description, limits or SafetyLimits())
+    self.phase: Phase = "damping"
+    """Present phase."""
+    self.reason = "not started"
+    """Reason for damping."""
+    self.command = {item.input: np.zeros(self._width(item.input)) for item in self.description.commands}
+    """Commands of the operator by input; write into the arrays, values are limited to the ranges of the training."""
+    self.targets = self._default.copy()
+    """Newest joint targets [rad]."""
+    self._stand_time = stand_time
+    self._sequence: int | None = None
+    self._state: RobotState | None = None
+    self._phase_start = self._next_step = 0.0
+    self._from = self._default
+
+  def _width(self, name: str) -> int:
+    return next(math.prod(item.shape) for item in self.description.inputs if item.name == name)
+
+  def _check_robot(self) -> None:
+    info, robot, timing = self.robot.info(), self.description.robot, self.description.timing
+    names = tuple(joint.name for joint in robot.joints)
+    if info.joint_names != names:
+      i = next((i for i, pair in enumerate(zip(names, info.joint_names, strict=False)) if pair[0] != pair[1]), -1)
+      where = f"joint {i} is '{names[i]}' in the bundle and '{info.joint_names[i]}' on the robot" if i >= 0 else ""
+      raise DeployError(f"refused: {where or f'the bundle has {len(names)} joints, the robot {len(info.joint_names)}'}")
+    for gain in ("stiffness", "damping"):
+      for joint, value in zip(robot.joints, getattr(info, gain) or (), strict=False):
+        wanted = getattr(joint, gain)
+        if joint.is_driven and wanted is not None and not math.isclose(value, wanted, rel_tol=1e-3):
+          raise DeployError(f"refused: {gain} of '{joint.name}' is {wanted:g} in the bundle and {value:g} on the robot")
+    if info.rate * timing.control_dt < 0.999:
+      raise DeployError(
+        f"refused: the policy runs at {1.0 / timing.control_dt:g} Hz, the robot sends {info.rate:g} messages a second"
+      )
+    if [target.quantity for target in self.description.targets] != ["position"]:
+      raise DeployError("refused: the policy sets other targets than positions, which the runner does not drive")
+    if missing := [joint.name for joint in robot.joints if joint.is_driven and joint.stiffness is None]:
+      raise DeployError(f"refused: the bundle has no stiffness of joint '{missing[0]}'")
+    known = {*_MEASURED, *info.readings, *(item.input for item in self.description.commands)}
+    known |= {item.name for item in self.description.inputs if item.name.startswith("motion/") and self.motion}
+    if unknown := [item.name for item in self.description.inputs if item.name not in known]:
+      raise DeployError(f"refused: the robot does not supply {', '.join(unknown)}; train a policy without it")
+
+  def start(self) -> None:
+    """Leave damping: stand up, then run the policy.
+
+    Raises:
+      DeployError: No state has arrived.
+    """
+    state = self.robot.read()
+    if state is None:
+      raise DeployError("the robot sends no state")
+    self.safety.reset()
+    self._sequence, self._state = state.sequence, state
+    self._from, self.targets = state.position.copy(), state.position.copy()
+    self._enter("stand", state.time)
+
+  def stop(self, reason: str = "stopped by the operator") -> None:
+    """Let the robot go: damping, whatever the phase."""
+    self.reason = reason
+    self.phase = "damping"
+    self._write(self.targets, 0.0)
+
+  def tick(self, now: float) -> Phase:
+    """Read the newest state, check it, and send a command; return the phase.
+
+    Args:
+      now: Present time on the clock of the robot's states [s].
+    """
+    try:
+      self._tick(now)
+    except Exception as error:
+      # Nothing that fails here may leave the robot with its last command.
+      self.stop(f"{type(error).__name__}: {error}")
+    return self.phase
+
+  def _tick(self, now: float) -> None:
+    state = self.robot.read()
+    if self.phase == "damping":
+      self._write(self.targets, 0.0)
+      return
+    if state is None or now - state.time > self.safety.limits.stale_after:
+      self.stop(f"no state for {now - state.time:.3f} s" if state is not None else "no state")
+      return
+    if state.sequence != self._sequence:
+      self._sequence, self._state = state.sequence, state
+      if (problem := self.safety.check_message(state)) is not None:
+        self.stop(problem)
+        return
+    if self.phase == "stand":
+      self._stand(now, state)
+    else:
+      self._run_policy(now, state)
+
+  def _stand(self, now: float, state: RobotState) -> None:
+    share = min((now - self._phase_start) / max(self._stand_time, 1e-6), 1.0)
+    self.targets = self._from + share * (self._default - self._from)
+    # Gains grow within the first half, so that nothing jumps.
+    self._write(self.safety.limited(self.targets, self.targets, state), min(2.0 * share, 1.0))
+    if share >= 1.0:
+      self.policy.reset()
+      if self.motion is not None:
+        self.motion.reset()
+        self.motion.align(state.readings.get(self._anchor("position"), np.zeros(3)), self._orientation(state))
+      self._enter("policy", now)
+
+  def _run_policy(self, now: float, state: RobotState) -> None:
+    if now + 1e-9 >= self._next_step:
+      self._next_step += self.description.timing.control_dt
+      # After a pause steps are not made up for.
+      self._next_step = max(self._next_step, now + 0.5 * self.description.timing.control_dt)
+      step = self.policy.step(self._readings(state))
+      wanted = step.targets[self.description.targets[0].name]
+      if not np.isfinite(wanted).all():
+        self.stop("the policy's action is not finite")
+        return
+      targets = self._default.copy()
+      targets[self._columns] = wanted
+      self.targets = self.safety.limited(targets, self.targets, state)
+      if self.motion is not None:
+        self.motion.advance()
+    self._write(self.targets, 1.0)
+
+  def _readings(self, state: RobotState) -> Mapping[str, np.ndarray]:
+    w, x, y, z = state.orientation
+    readings = {
+      "joint/position": state.position,
+      "joint/velocity": state.velocity,
+      "imu/gyro": state.gyro,
+      "imu/projected_gravity": -np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)]),
+    }
+    for item in self.description.commands:
+      value = self.command[item.input].astype(float)
+      for i, (low, high) in enumerate(item.ranges.values()):
+        if i < len(value):
+          value[i] = min(max(value[i], low), high)
+      readings[item.input] = value
+    if self.motion is not None:
+      readings |= self.motion.readings()
+    return readings | state.readings
+
+  def _anchor(self, quantity: str) -> str:
+    body = self.description.motion.anchor_body if self.description.motion is not None else ""
+    return f"{'estimate' if quantity == 'position' else 'imu'}/{body}/{quantity}"
+
+  def _orientation(self, state: RobotState) -> np.ndarray:
+    return state.readings.get(self._anchor("orientation"), state.orientation)
+
+  def _enter(self, phase: Phase, now: float) -> None:
+    self.phase, self.reason = phase, ""
+    self._phase_start = self._next_step = now
+
+  def _write(self, targets: np.ndarray, gain: float) -> None:
+    self.robot.write(
+      RobotCommand(position=targets.copy(), stiffness=gain * self._stiffness, damping=self._damping.copy())
+    )

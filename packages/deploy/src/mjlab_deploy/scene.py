@@ -1,0 +1,84 @@
+"""The MuJoCo model of a bundle: `scene.xml`, and in `scene.npz` the numbers that six digits of XML do not hold."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mjlab_deploy.arrays import Arrays, write_arrays
+from mjlab_deploy.bundle import Bundle
+from mjlab_deploy.errors import DeployError
+
+
+def write_scene(spec: mujoco.MjSpec, folder: Path, fields: Mapping[str, np.ndarray] | None = None) -> bool:
+  """Write the model of a spec, without meshes that are only drawn; return False if it needs other files.
+
+  Args:
+    spec: Spec of the model; not changed.
+    folder: Folder of the bundle.
+    fields: Fields of the model that differ from the spec's; those of other shapes are left out.
+
+  Raises:
+    DeployError: XML cannot hold the model.
+  """
+  spec = spec.copy()
+  for geom in list(spec.geoms):
+    if geom.type == mujoco.mjtGeom.mjGEOM_MESH and not (geom.contype or geom.conaffinity):
+      spec.delete(geom)
+  drawn = {geom.meshname for geom in spec.geoms}
+  for mesh in list(spec.meshes):
+    if mesh.name not in drawn:
+      spec.delete(mesh)
+  if any(part.file for part in (*spec.meshes, *spec.hfields, *spec.textures, *spec.skins)):
+    return False
+  model = spec.compile()
+  for name, value in (fields or {}).items():
+    if name in _fields(model) and getattr(model, name).shape == value.shape:
+      getattr(model, name)[...] = value
+  text = spec.to_xml()
+  (folder / "scene.xml").write_text(text, encoding="utf-8")
+  write_arrays(folder / "scene.npz", _differences(model, mujoco.MjModel.from_xml_string(text)))
+  return True
+
+
+def load_scene(bundle: Bundle) -> mujoco.MjModel:
+  """Return the model of a bundle.
+
+  Raises:
+    DeployError: It is missing, MuJoCo refuses it, or its numbers do not fit it.
+  """
+  if not bundle.has("scene.xml"):
+    raise DeployError("the bundle has no scene.xml")
+  text = bundle.read_bytes("scene.xml").decode("utf-8", errors="replace")
+  if "<include" in text or "file=" in text or "<plugin" in text:
+    raise DeployError("scene.xml: refers to other files or plugins, which is not read")
+  try:
+    model = mujoco.MjModel.from_xml_string(text)
+  except (ValueError, mujoco.FatalError) as error:
+    raise DeployError(f"scene.xml: {str(error).strip()[:160]}") from error
+  if bundle.has("scene.npz"):
+    fields = _fields(model)
+    for name, value in bundle.arrays("scene.npz").items():
+      target = getattr(model, name) if name in fields else np.empty(0)
+      if target.shape != value.shape or value.dtype.kind != "f" or not np.isfinite(value).all():
+        raise DeployError(f"scene.npz: {name[:60]!r} does not fit scene.xml")
+      target[...] = value
+  return model
+
+
+def _differences(wanted: mujoco.MjModel, read: mujoco.MjModel) -> Arrays:
+  found: Arrays = {}
+  for name in _fields(wanted):
+    mine, theirs = getattr(wanted, name), getattr(read, name)
+    if mine.shape != theirs.shape:
+      raise DeployError(f"the model cannot be written as XML: its {name} changes from {mine.shape} to {theirs.shape}")
+    if not np.array_equal(mine, theirs, equal_nan=True):
+      found[name] = np.array(mine)
+  return found
+
+
+def _fields(model: mujoco.MjModel) -> set[str]:
+  """Return the names of the model's arrays of floating-point numbers."""
+  names = (name for name in dir(model) if not name.startswith("_"))
+  return {name for name in names if isinstance(v := getattr(model, name), np.ndarray) and v.dtype.kind == "f"}

@@ -1,0 +1,60 @@
+"""`mjlab-deploy run` drives the loopback robot of a bundle."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from deploy_bundles import DESCRIPTION, write_bundle
+from mjlab_deploy import open_bundle
+from mjlab_deploy.arrays import read_arrays
+from mjlab_deploy.command import main
+from mjlab_deploy.simulated_run import SimulatedRun
+
+
+def test_a_run_is_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  folder, log = write_bundle(tmp_path / "bundle", golden=False), tmp_path / "log.npz"
+  words = ["run", str(folder), "--seconds", "2", "--command", "0.4", "--latency", "4ms", "--log", str(log)]
+  assert main(words) == 0
+  assert "ran 2.0 s; joints are" in capsys.readouterr().out
+  rows = read_arrays(log, 2**24)
+  assert rows["position"].shape == rows["target"].shape
+  assert rows["is_policy"][-1] == 1.0
+  assert rows["position"][-1, 0] > 0.2
+
+
+@pytest.mark.parametrize(
+  ("words", "message"),
+  [
+    (["--command", "1,2"], "command/angle has 1 numbers, got 2"),
+    (["--log"], "expected one argument"),
+    (["--latency", "3h"], "invalid _seconds value"),
+  ],
+)
+def test_a_mistake_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:
+  folder = write_bundle(tmp_path / "bundle", golden=False)
+  try:
+    code = main(["run", str(folder), *words])
+  except SystemExit as error:
+    code = error.code
+  assert code in (1, 2)
+  assert message in capsys.readouterr().err
+
+
+def test_a_robot_that_is_let_go_ends_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  (joint,) = DESCRIPTION.robot.joints
+  slow = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(replace(joint, velocity_limit=1e-3),)))
+  assert main(["run", str(write_bundle(tmp_path / "bundle", slow, golden=False)), "--seconds", "3"]) == 1
+  assert "let go after" in capsys.readouterr().out
+
+
+def test_keys_change_the_command_within_its_range(tmp_path: Path) -> None:
+  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as bundle:
+    run = SimulatedRun(bundle)
+    for _ in range(20):
+      run.press(265)
+    np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
+    run.press(264)
+    np.testing.assert_allclose(run.runner.command["command/angle"], 0.4)
+    run.press(32)
+    assert run.runner.reason == "stopped by the operator"

@@ -1,0 +1,204 @@
+"""The runner drives a loopback robot, and lets it go within 20 ms when anything is wrong."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from deploy_bundles import DESCRIPTION, write_bundle
+from mjlab_deploy import Bundle, DeployError, open_bundle
+from mjlab_deploy.loopback import LoopbackRobot, decode, encode
+from mjlab_deploy.robot_io import RobotInfo
+from mjlab_deploy.runner import Runner
+
+MESSAGE = 0.002  # s
+IN_TIME = 0.020  # s
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Any:
+  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as opened:
+    yield opened
+
+
+def advance(robot: LoopbackRobot, runner: Runner | None, seconds: float) -> None:
+  for _ in range(round(seconds / MESSAGE)):
+    robot.advance()
+    if runner is not None:
+      runner.tick(robot.time)
+
+
+def driven(bundle: Bundle, **options: Any) -> tuple[LoopbackRobot, Runner]:
+  """A robot that the policy drives."""
+  robot = LoopbackRobot(bundle, **options)
+  runner = Runner(bundle, robot, stand_time=0.5)
+  advance(robot, runner, 0.02)
+  assert robot.is_damped
+  runner.start()
+  advance(robot, runner, 0.02)
+  assert runner.phase == "stand"
+  advance(robot, runner, 0.5)
+  assert runner.phase == "policy", runner.reason
+  return robot, runner
+
+
+@pytest.mark.parametrize(("delay", "loss"), [(0, 0.0), (1, 0.0), (0, 0.003)])
+def test_the_policy_follows_commands_through_the_loopback(bundle: Bundle, delay: int, loss: float) -> None:
+  robot, runner = driven(bundle, delay=delay, loss=loss)
+  for command in (0.4, -0.4, 9.0):
+    runner.command["command/angle"][:] = command
+    advance(robot, runner, 1.5)
+    assert runner.phase == "policy", runner.reason
+    # The policy settles where its linear law balances; 9 is limited to 0.5, the end of the range.
+    where = float(robot.data.qpos[0])
+    assert np.sign(where - 0.1) == np.sign(command), where
+    if command == 9.0:
+      assert where < 0.5
+  runner.stop()
+  advance(robot, runner, 0.01)
+  assert robot.is_damped
+
+
+def lose_messages(robot: LoopbackRobot) -> None:
+  robot.loss = 1.0
+
+
+def freeze(robot: LoopbackRobot) -> None:
+  robot.frozen = robot.read()
+
+
+def break_measurement(robot: LoopbackRobot) -> None:
+  state = robot.read()
+  assert state is not None
+  robot.frozen = replace(state, gyro=np.array([0.0, np.nan, 0.0]))
+
+
+def too_fast(robot: LoopbackRobot) -> None:
+  robot.data.qvel[0] = 40.0
+
+
+@pytest.mark.parametrize(
+  ("fault", "reason"),
+  [
+    (lose_messages, "no state for"),
+    (freeze, "sensors are frozen"),
+    (break_measurement, "a measurement is not finite"),
+    (too_fast, "joint 'hinge' moves at"),
+  ],
+)
+def test_a_fault_of_the_robot_ends_in_damping(
+  bundle: Bundle, fault: Callable[[LoopbackRobot], None], reason: str
+) -> None:
+  robot, runner = driven(bundle)
+  fault(robot)
+  advance(robot, runner, IN_TIME)
+  assert runner.phase == "damping"
+  assert reason in runner.reason
+  assert robot.is_damped
+  # It stays there until an operator starts it again.
+  robot.loss, robot.frozen = 0.0, None
+  advance(robot, runner, 0.1)
+  assert robot.is_damped
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_losing_every_twentieth_message_ends_in_damping(bundle: Bundle, seed: int) -> None:
+  robot, runner = driven(bundle, seed=seed)
+  robot.loss = 0.05
+  last, lost, exceeded = robot.read(), [], None
+  for _ in range(2000):
+    robot.advance()
+    state = robot.read()
+    assert state is not None
+    assert last is not None
+    if state.sequence != last.sequence:
+      lost += [True] * (state.sequence - last.sequence - 1) + [False]
+      last = state
+    if sum(lost[-100:]) >= 5 and exceeded is None:
+      exceeded = robot.time
+    runner.tick(robot.time)
+    if robot.is_damped:
+      break
+  assert exceeded is not None
+  assert robot.time - exceeded <= IN_TIME
+  assert "messages were lost" in runner.reason
+
+
+def test_an_action_that_is_not_finite_ends_in_damping(bundle: Bundle) -> None:
+  robot, runner = driven(bundle)
+  (memory,) = runner.policy._memory.values()
+  memory[:] = np.nan
+  advance(robot, runner, 0.02 + IN_TIME)
+  assert runner.reason == "the policy's action is not finite"
+  assert robot.is_damped
+
+
+def test_an_error_inside_the_runner_ends_in_damping(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+  robot, runner = driven(bundle)
+  monkeypatch.setattr(runner.policy, "step", lambda readings: 1 / 0)
+  advance(robot, runner, 0.02 + IN_TIME)
+  assert "ZeroDivisionError" in runner.reason
+  assert robot.is_damped
+
+
+def test_a_killed_runner_ends_in_damping(bundle: Bundle) -> None:
+  """The robot itself must notice: its drives damp when commands stop."""
+  robot, _ = driven(bundle)
+  assert not robot.is_damped
+  advance(robot, None, IN_TIME + MESSAGE)
+  assert robot.is_damped
+
+
+@pytest.mark.parametrize(
+  ("info", "message"),
+  [
+    ({"joint_names": ("elbow",)}, "joint 0 is 'hinge' in the bundle and 'elbow' on the robot"),
+    ({"joint_names": ("hinge", "knee")}, "the bundle has 1 joints, the robot 2"),
+    ({"stiffness": (21.0,)}, "stiffness of 'hinge' is 20 in the bundle and 21 on the robot"),
+    ({"damping": (0.5,)}, "damping of 'hinge' is 2 in the bundle and 0.5 on the robot"),
+    ({"rate": 20.0}, "the policy runs at 50 Hz, the robot sends 20 messages a second"),
+  ],
+)
+def test_another_robot_is_refused(
+  bundle: Bundle, monkeypatch: pytest.MonkeyPatch, info: dict[str, Any], message: str
+) -> None:
+  robot = LoopbackRobot(bundle)
+  changed: RobotInfo = replace(robot.info(), **info)
+  monkeypatch.setattr(robot, "info", lambda: changed)
+  with pytest.raises(DeployError) as caught:
+    Runner(bundle, robot)
+  assert message in str(caught.value)
+
+
+def test_a_policy_that_needs_what_no_sensor_gives_is_refused(tmp_path: Path) -> None:
+  first, *rest = DESCRIPTION.inputs
+  estimate = replace(first, name="joint/position", origin=None)
+  folder = write_bundle(tmp_path / "bundle", replace(DESCRIPTION, inputs=(estimate, *rest), commands=()), golden=False)
+  with open_bundle(folder) as bundle, pytest.raises(DeployError, match="does not supply command/angle"):
+    Runner(bundle, LoopbackRobot(bundle))
+
+
+def test_targets_stay_within_ranges_torques_and_steps(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+  robot, runner = driven(bundle)
+  state = robot.read()
+  assert state is not None
+  asked = runner.safety.limited(np.array([50.0]), np.array([0.0]), state)
+  # Effort limit 5 at kp 20: a target more than 0.25 rad away asks for nothing more; kd shifts its centre.
+  assert asked[0] == pytest.approx(state.position[0] + 0.1 * state.velocity[0] + 0.25)
+  assert (
+    abs(runner.safety.limited(np.array([50.0]), np.array([0.0]), replace(state, position=np.array([1.95])))[0]) <= 2.0
+  )
+
+
+def test_damaged_messages_are_not_read() -> None:
+  message = encode(b"MJS1", 3, 0.5, np.arange(4.0))
+  found = decode(b"MJS1", message, 4)
+  assert found is not None
+  np.testing.assert_allclose(found[2], np.arange(4.0))
+  for i in range(len(message)):
+    damaged = bytearray(message)
+    damaged[i] ^= 0x10
+    assert decode(b"MJS1", bytes(damaged), 4) is None
+  assert decode(b"MJS1", message[:-1], 4) is None

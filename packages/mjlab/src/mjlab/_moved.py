@@ -1,0 +1,53 @@
+"""Modules of mjlab 1.x, which are packages of their own here: importing one names its new place."""
+
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from typing import Any
+
+MOVED = {
+  "mjlab.actuator": "mjlab_actuators",
+  "mjlab.asset_zoo": "mjlab_robots",
+  "mjlab.entity": "mjlab_scene",
+  "mjlab.envs": "mjlab_envs",
+  "mjlab.envs.mdp": "mjlab_envs.mdp",
+  "mjlab.envs.mdp.dr": "mjlab_dr",
+  "mjlab.managers": "mjlab_managers",
+  "mjlab.rl": "mjlab_rl",
+  "mjlab.scene": "mjlab_scene",
+  "mjlab.scripts": "mjlab.cli",
+  "mjlab.sensor": "mjlab_sensors",
+  "mjlab.sim": "mjlab_sim",
+  "mjlab.tasks": "mjlab.registry",
+  "mjlab.tasks.cartpole": "mjlab_cartpole",
+  "mjlab.tasks.manipulation": "mjlab_manipulation",
+  "mjlab.tasks.tracking": "mjlab_tracking",
+  "mjlab.tasks.velocity": "mjlab_velocity",
+  "mjlab.terrains": "mjlab_terrain",
+  "mjlab.utils": "mjlab_core",
+  "mjlab.viewer": "mjlab_viewer",
+}
+"""New module by former one."""
+
+
+class MovedModules(MetaPathFinder):
+  """Finder that is asked last, for modules that no other finder has found."""
+
+  def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> None:
+    """Return nothing.
+
+    Raises:
+      ModuleNotFoundError: the module has another name here. Python imports a package before its modules, so the message
+        names the new places of all modules in it.
+    """
+    del path, target
+    within = {old: new for old, new in MOVED.items() if old == fullname or old.startswith(f"{fullname}.")}
+    if within and fullname.startswith("mjlab."):
+      places = ", ".join(f"{old} is now {new}" for old, new in within.items())
+      raise ModuleNotFoundError(f"No module named {fullname!r}: {places}. See docs/migration.md.", name=fullname)
+
+
+def announce_moved_modules() -> None:
+  """Let imports of former modules say where they are."""
+  if not any(isinstance(finder, MovedModules) for finder in sys.meta_path):
+    sys.meta_path.append(MovedModules())

@@ -1,0 +1,89 @@
+"""Clips in a viewer or a film: a robot takes one pose after another, without physics."""
+
+import math
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import torch
+from mjlab_motions import Kinematics, Motion
+from mjlab_scene import EntityCfg, Scene, SceneCfg
+from mjlab_terrain import PlaneCfg
+
+if TYPE_CHECKING:
+  from mjlab_viewer import OffscreenRenderer, Replay
+
+MOST_FRAMES = 30
+"""Limit of the frames per second of a film; of faster clips every n-th frame is shown [Hz]."""
+
+
+class Preview:
+  """Scene with a robot, on flat ground unless its model contains a plane.
+
+  Args:
+    spec: The robot.
+  """
+
+  def __init__(self, spec: mujoco.MjSpec) -> None:
+    has_ground = any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.worldbody.geoms)
+    robot = EntityCfg(spec_fn=spec.copy)
+    self.model = Scene(SceneCfg(terrain=None if has_ground else PlaneCfg(), entities={"robot": robot})).spec.compile()
+    self._kinematics = Kinematics(self.model, "robot/")
+
+  def replay(self, motion: Motion) -> "Replay":
+    """Return the clip as an environment that viewers play, with one world."""
+    from mjlab_viewer import Replay
+
+    model, robot = self.model, self._kinematics
+    qpos = np.tile(model.qpos0, (motion.num_frames, 1))
+    root = int(model.jnt_qposadr[model.body_jntadr[model.body(f"robot/{robot.root_body}").id]])
+    qpos[:, root : root + 7] = torch.cat((motion.root_pos, motion.root_quat), 1)
+    # A motion that was read for this robot has its joints, in its order.
+    qpos[:, model.jnt_qposadr[robot.joint_ids]] = motion.joint_pos
+    time = np.arange(motion.num_frames)[:, None] / motion.rate
+    return Replay(model, {"qpos": qpos[:, None], "time": time}, 1.0 / motion.rate)
+
+  @contextmanager
+  def renderer(self) -> Generator["OffscreenRenderer"]:
+    """Open a renderer for films.
+
+    Raises:
+      RenderingError: OpenGL does not work here.
+    """
+    from mjlab_viewer import OffscreenRenderer
+
+    with OffscreenRenderer(self.model) as renderer:
+      yield renderer
+
+  def film(self, motion: Motion, path: Path, renderer: "OffscreenRenderer") -> None:
+    """Film a clip in real time, and show the progress on a terminal."""
+    every = math.ceil(motion.rate / MOST_FRAMES)
+    frames = len(range(0, motion.num_frames, every))
+
+    def show(frame: int) -> None:
+      if sys.stderr.isatty():
+        end = "\n" if frame == frames else ""
+        print(f"\rfilming {motion.name}: {frame} of {frames} frames", end=end, file=sys.stderr, flush=True)
+
+    self.replay(motion).film(path, renderer, every=every, on_frame=show)
+
+  def browse(self, motion: Motion, *, host: str, port: int) -> None:
+    """Play a clip in a browser, again and again, until Ctrl-C.
+
+    Raises:
+      MjlabError: The address or port is not available.
+    """
+    from mjlab_viewer import BrowserViewer, Playback, ZeroPolicy
+
+    replay = self.replay(motion)
+    playback = Playback(replay, ZeroPolicy(1, 0, replay.sim.device))
+    with BrowserViewer(replay, playback=playback, host=host, port=port, label=motion.name) as viewer:
+      print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
+      try:
+        viewer.run()
+      except KeyboardInterrupt:
+        print()

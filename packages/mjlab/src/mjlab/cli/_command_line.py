@@ -1,0 +1,167 @@
+"""Command lines of one form: `COMMAND WORDS [flags]`, where the words are a task, a file or nothing."""
+
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Callable, Generator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core import MjlabError, UsageError, unknown
+
+from mjlab import environments
+from mjlab.cli._help import command_help
+from mjlab.registry import list_tasks, load_task
+
+if TYPE_CHECKING:
+  from mjlab_rl import RunManifest, TaskCfg
+
+_HELP = ("-h", "--help")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CommandLine:
+  """Form of a command: its words, its flags and its help."""
+
+  name: str
+  words: str
+  """Words before the flags, as the help shows them: "TASK", "FILE", "[KEYWORD]" or ""."""
+  purpose: str
+  """Description, for the help."""
+  arguments: Any
+  """Dataclass of the flags; a field of type Any is a part of a task."""
+  notes: str = ""
+  """Text below the flags, for the help."""
+
+  @property
+  def usage(self) -> str:
+    return " ".join(
+      part for part in (self.name, self.words, "[flags]" * bool(dataclasses.fields(self.arguments))) if part
+    )
+
+  def wants_help(self, words: Sequence[str]) -> bool:
+    """Print the help if it is asked for; return True then."""
+    if not any(word in _HELP for word in words):
+      return False
+    print(command_help(self.usage, self.purpose, self.arguments, notes=self.notes), end="")
+    return True
+
+  def split(self, words: Sequence[str], most: int | None = 1) -> tuple[list[str], list[str]]:
+    """Return the words before the flags, at most `most`, and the rest.
+
+    Raises:
+      UsageError: There are no such words, although the command needs some.
+    """
+    leading = list(itertools.takewhile(lambda word: not word.startswith("-"), words))[:most]
+    if not leading and self.words and not self.words.startswith("["):
+      raise UsageError(f"no {self.words.split()[0]} given. usage: {self.usage}")
+    return leading, list(words[len(leading) :])
+
+
+def run_with_task(
+  line: CommandLine,
+  words: list[str],
+  action: "Callable[[str, TaskCfg[Any], list[str]], int]",
+  configs: "Callable[[TaskCfg[Any]], dict[str, Any]]" = lambda task: {"env": task.env},
+) -> int:
+  """Run a command of the form `COMMAND TASK [flags]`, or print its help; return the exit code.
+
+  Args:
+    line: Form of the command.
+    words: Words after the name of the command.
+    action: Function of the task's id, the task, and the flags.
+    configs: Parts of the task among the fields of `line.arguments`.
+
+  Raises:
+    UsageError: The task is missing, does not come first, or does not exist.
+  """
+  if words and words[0] in _HELP:
+    tasks = "".join(f"\n  {name}" for name in list_tasks()) or "\n  (none is installed)"
+    notes = f"  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192.\n{line.notes}"
+    dataclasses.replace(line, notes=f"{notes}\ntasks:{tasks}").wants_help(words)
+    return 0
+  if not words:
+    raise UsageError(f"no task given. usage: {line.usage}; list-envs lists the tasks")
+  if words[0].startswith("-"):
+    raise UsageError(f"the task comes first. usage: {line.usage}")
+  name, given = words[0], words[1:]
+  environments.share_cores()
+  task = load_named_task(name)
+  if not any(word in _HELP for word in given):
+    return action(name, task, given)
+  from mjlab.cli._flags import print_help
+
+  word = _help_word(given)
+  about = "" if word else f"{line.name} {name} --help WORD shows the flags that have WORD in their names."
+  print_help(line.arguments(**configs(task)), prog=f"{line.name} {name}", description=about, word=word)
+  return 0
+
+
+def _help_word(words: list[str]) -> str:
+  """Return the words after `--help`, joined; empty if there are none."""
+  after = itertools.dropwhile(lambda word: word not in _HELP, words)
+  return "-".join(itertools.takewhile(lambda word: word not in _HELP, itertools.islice(after, 1, None)))
+
+
+def output_file(flag: str, path: str | Path, ending: str, *, force: bool, makes_folder: bool = False) -> Path:
+  """Return the file that a flag names for writing.
+
+  Raises:
+    UsageError: It has another ending, is a folder or in none (unless the command makes the folder), or exists and may
+      not be overwritten.
+  """
+  path = Path(path)
+  if path.is_dir():
+    raise UsageError(f"{flag}: {path} is a folder; name a file in it")
+  if path.suffix.lower() != ending:
+    raise UsageError(f"{flag}: {path} does not end in {ending}")
+  if not makes_folder and not path.parent.is_dir():
+    raise UsageError(f"{flag}: folder {path.parent} does not exist")
+  if path.exists() and not force:
+    raise UsageError(f"{flag}: {path} exists; --force overwrites it")
+  return path
+
+
+def load_named_task(name: str) -> "TaskCfg[Any]":
+  """Load the task that a command line names.
+
+  Raises:
+    UsageError: The task does not exist. Nothing heavy is imported in this case.
+  """
+  if name not in list_tasks():
+    raise UsageError(unknown("task", name, list_tasks()))
+  return load_task(name)
+
+
+def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any:
+  """Build the environment of a task or a run from a configuration.
+
+  Raises:
+    MjlabError: The configuration cannot be built.
+  """
+  from mjlab_rl import RunManifest
+
+  with building(from_file=isinstance(parts, RunManifest)):
+    return (parts.make_env or environments.standard_env)(cfg, device=device)
+
+
+@contextlib.contextmanager
+def building(*, from_file: bool = False) -> Generator[None]:
+  """Turn errors that other libraries raise about a configuration, such as MuJoCo, into MjlabError.
+
+  Args:
+    from_file: The configuration is read from a run, so that any failure may be the file's.
+  """
+  try:
+    yield
+  except Exception as error:
+    if isinstance(error, (MjlabError, MemoryError)) or not (from_file or isinstance(error, (ValueError, OSError))):
+      raise
+    kind = "" if isinstance(error, (ValueError, OSError)) else f"the configuration fails with {type(error).__name__}: "
+    raise MjlabError(f"{kind}{error}") from error
+
+
+def plot_problem() -> str:
+  """Return the reason why no plot can be drawn; empty if one can."""
+  return "" if find_spec("matplotlib") else "they need matplotlib, the extra 'plot' of mjlab"

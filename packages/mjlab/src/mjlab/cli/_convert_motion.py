@@ -1,0 +1,260 @@
+"""`convert-motion CLIP ... [flags]`: check motion clips and convert them."""
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from mjlab_core import UsageError, safe_name, unknown
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, plot_problem
+
+if TYPE_CHECKING:
+  import mujoco
+  from mjlab_motions import Kinematics, Motion, Statement
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the clips."""
+
+  robot: str = "g1"
+  """Robot: g1, go1, or the path of an MJCF."""
+  rate: float | None = None
+  """Fact that the file lacks: frames per second [Hz]."""
+  quaternion: Literal["wxyz", "xyzw"] | None = None
+  """Fact that the file lacks: order of quaternions; None: proven, or refused."""
+  joint_names: str | None = None
+  """Fact that the file lacks: names of the joint columns, as a,b,c or in a text file."""
+  body_names: str | None = None
+  """Fact that the file lacks: names of the bodies of a seven-key .npz, likewise."""
+  joint_map: str | None = None
+  """JSON file: {"robot joint": "column" or a constant angle, ...}."""
+  crop: tuple[float, float] | None = None
+  """Edit 1: keep the part between two times [s]."""
+  output_rate: float | None = None
+  """Edit 2: resample [Hz]. Training resamples itself."""
+  mirror: bool = False
+  """Edit 3: exchange left and right."""
+  concatenate: float | None = None
+  """Edit 4: join the clips, blended over this time [s]."""
+  smooth: float | None = None
+  """Edit 5: smooth with a Gaussian of this standard deviation [s]."""
+  ground: bool = False
+  """Edit 6: shift the clip vertically until the feet are on the ground."""
+  output: str | None = None
+  """Motion file to write, an .npz; for several clips a folder."""
+  report: str | None = None
+  """Picture of the report, a .png; for several clips a folder."""
+  video: str | None = None
+  """Film of the clip, an .mp4; for several clips a folder."""
+  source: str | None = None
+  """Origin of the clip, stored in the motion file."""
+  license: str | None = None
+  """Terms of the clip, e.g. CC-BY-4.0, stored in the motion file."""
+  compact: bool = False
+  """Write root and joints only, without arrays that follow from them."""
+  accept_errors: bool = False
+  """Write despite errors in the report."""
+  force: bool = False
+  """Replace existing files."""
+  preview: bool = False
+  """Then play the clip in a browser."""
+  host: str = "127.0.0.1"
+  """Address of the preview; 0.0.0.0 admits other machines."""
+  port: int = 8080
+  """Port of the preview, or the next free one."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_LINE = CommandLine(
+  name="convert-motion",
+  words="CLIP [MORE ...]",
+  purpose="Reads clips (.csv, .npz, or the name of a clip that ships), edits them, reports on them, and writes them.",
+  arguments=Arguments,
+  notes="""\
+exit codes: 0 written, or only reported; 1 a clip cannot be read or has errors, and is not written; 2 wrong command line
+
+examples:
+  convert-motion dance.csv --rate 60 --ground --output dance.npz --report dance.png
+  convert-motion walk.npz                                    a report, nothing written
+  convert-motion march_in_place --preview                    a clip that ships, in a browser
+  convert-motion clips/*.csv --rate 30 --output library/     a folder of clips
+  convert-motion a.csv --rate 30 --robot my_robot.xml --joint-map map.json --output a.npz
+""",
+)
+
+
+def run(words: list[str]) -> int:
+  """Convert; return the exit code."""
+  if _LINE.wants_help(words):
+    return 0
+  clips, flags = _LINE.split(words, most=None)
+  environments.share_cores()
+  from mjlab.cli._flags import parse
+
+  return _convert(clips, parse(Arguments(), flags))
+
+
+def _convert(clips: list[str], wanted: Arguments) -> int:
+  from mjlab_motions import (
+    Kinematics,
+    check_quality,
+    concatenate,
+    derived_arrays,
+    plot_quality,
+    read_motion,
+    save_motion,
+  )
+
+  from mjlab.cli._clip_preview import Preview
+
+  if wanted.report is not None and (problem := plot_problem()):
+    raise UsageError(f"--report: no plots: {problem}")
+
+  spec = robot_spec(wanted.robot)
+  robot = Kinematics(spec.compile())
+  said = _statement(wanted)
+  motions = [_edited(read_motion(_found(clip), robot, said), robot, wanted) for clip in clips]
+  if wanted.concatenate is not None:
+    motions = [concatenate(motions, blend=wanted.concatenate)]
+  motions = [_finished(motion, robot, wanted) for motion in motions]
+  if wanted.preview and len(motions) > 1:
+    raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
+  targets, pictures, films = (
+    _targets(path, motions, ending, wanted.force)
+    for path, ending in ((wanted.output, ".npz"), (wanted.report, ".png"), (wanted.video, ".mp4"))
+  )
+  preview = Preview(spec) if wanted.preview or wanted.video is not None else None
+  # Opened before anything is written: without OpenGL no part of the work is done.
+  with contextlib.nullcontext() if preview is None or wanted.video is None else preview.renderer() as renderer:
+    has_errors = False
+    for motion, target, picture, film in zip(motions, targets, pictures, films, strict=True):
+      report = check_quality(motion, robot)
+      print(report.table())
+      if picture is not None:
+        plot_quality(report, picture)
+        print(f"drew {picture}")
+      if report.severity == "error" and not wanted.accept_errors:
+        has_errors = True
+        if target is not None:
+          print(f"not written: {target}, because of the errors above; --accept-errors writes it", file=sys.stderr)
+      elif target is not None:
+        save_motion(motion, target, None if wanted.compact else derived_arrays(motion, robot))
+        print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
+      if preview is not None and renderer is not None and film is not None:
+        preview.film(motion, film, renderer)
+        print(f"filmed {film}")
+      print()
+  if preview is not None and wanted.preview:
+    preview.browse(motions[0], host=wanted.host, port=wanted.port)
+  return int(has_errors)
+
+
+def robot_spec(name: str) -> "mujoco.MjSpec":
+  """Return a robot by name (g1, go1) or by the path of its MJCF.
+
+  Raises:
+    UsageError: There is no such robot.
+    FileError: The file is not an MJCF.
+  """
+  import mujoco
+  from mjlab_core import FileError
+  from mjlab_robots import g1_spec, go1_spec
+
+  specs = {"g1": g1_spec, "go1": go1_spec}
+  if name in specs:
+    return specs[name](meshes="never")
+  if not Path(name).is_file():
+    raise UsageError(f"--robot: {unknown('robot', name, list(specs))} It may also be the path of an .xml.")
+  try:
+    spec = mujoco.MjSpec.from_file(name)
+    spec.compile()
+  except ValueError as error:
+    raise FileError(f"robot {name}: {error}") from error
+  return spec
+
+
+def _statement(wanted: Arguments) -> "Statement":
+  from mjlab_motions import Statement
+  from mjlab_motions.reading import read_json
+
+  example = '{"robot joint": "column" or a number, ...}'
+  return Statement(
+    rate=wanted.rate,
+    quaternion=wanted.quaternion,
+    joint_names=_names(wanted.joint_names),
+    body_names=_names(wanted.body_names),
+    joint_map=None if wanted.joint_map is None else read_json(wanted.joint_map, dict[str, str | float], example),
+  )
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+  """Return names given as a,b,c or in a text file."""
+  from mjlab_motions.reading import read_text
+
+  if text is None:
+    return None
+  words = read_text(text).replace(",", " ").split() if Path(text).is_file() else text.split(",")
+  return tuple(word.strip() for word in words if word.strip())
+
+
+def _found(clip: str) -> Path:
+  """Return the file of a clip: this one, or that of a clip that ships."""
+  from mjlab_motions import shipped_clips
+
+  path, shipped = Path(clip), shipped_clips()
+  if not path.is_file() and clip in shipped:
+    return shipped[clip]
+  if path.is_dir():
+    raise UsageError(f"{clip} is a folder; name the clips in it: {clip}/*")
+  if not path.exists() and not path.suffix:
+    raise UsageError(f"{unknown('clip', clip, list(shipped))} It may also be the path of a .csv or .npz.")
+  return path
+
+
+def _edited(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Motion":
+  """Return a clip with the edits that come before clips are joined."""
+  from mjlab_motions import crop, mirror, resample
+
+  if wanted.crop is not None:
+    motion = crop(motion, *wanted.crop)
+  if wanted.output_rate is not None:
+    motion = resample(motion, wanted.output_rate)
+  return mirror(motion, robot) if wanted.mirror else motion
+
+
+def _finished(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Motion":
+  """Return a clip with the edits that come after clips are joined."""
+  from mjlab_motions import smooth, to_ground
+
+  if wanted.smooth is not None:
+    motion = smooth(motion, wanted.smooth)
+  if wanted.ground:
+    motion = to_ground(motion, robot)
+  if wanted.source is not None:
+    motion = motion.changed("source stated", source=wanted.source)
+  if wanted.license is not None:
+    motion = motion.changed("licence stated", license=wanted.license)
+  return motion
+
+
+def _targets(given: str | None, motions: "Sequence[Motion]", ending: str, force: bool) -> list[Path | None]:
+  """Return the file of each motion, and refuse to replace a file unasked."""
+  if given is None:
+    return [None] * len(motions)
+  path = Path(given)
+  if path.suffix not in ("", ending):
+    raise UsageError(f"{path}: expected a file that ends in {ending}, or a folder")
+  if path.suffix and len(motions) > 1:
+    raise UsageError(f"{path}: {len(motions)} clips need a folder, not a file; --concatenate joins them")
+  targets = [path] if path.suffix else [path / f"{safe_name(motion.name)}{ending}" for motion in motions]
+  if (taken := [target for target in targets if target.exists()]) and not force:
+    raise UsageError(f"{taken[0]} exists; --force replaces it")
+  if len(set(targets)) < len(targets):
+    raise UsageError(f"two clips would have the same file name in {path}; rename one of them")
+  return [*targets]

@@ -1,0 +1,151 @@
+"""`export RUN [flags]`: a trained policy as a bundle for mjlab-deploy."""
+
+import dataclasses
+import json
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+from mjlab_core import UsageError
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, build_env, building, load_named_task
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the run."""
+
+  output: str | None = None
+  """Folder to write, and a zip beside it; None: bundle below the run."""
+  steps: int = 500
+  """Steps of the record golden.npz; 0: none."""
+  task: str | None = None
+  """Task of the policy; None: what the manifest of its run says."""
+  others: bool = False
+  """Also write OUTPUT-others: policy.onnx with the metadata of mjlab 1.x, and deploy.yaml for Unitree's runner."""
+  force: bool = False
+  """Replace an existing bundle."""
+  log_root: str = "logs"
+  """Folder of all runs."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_LINE = CommandLine(
+  name="export",
+  words="RUN|CHECKPOINT",
+  purpose=(
+    "Writes the policy of a run, or of a checkpoint, as a bundle: a graph from sensors to joint targets, its "
+    "description, the robot's model, and a record of the training environment. mjlab-deploy verify checks it."
+  ),
+  arguments=Arguments,
+)
+
+
+def run(words: list[str]) -> int:
+  """Export; return the exit code."""
+  if _LINE.wants_help(words):
+    return 0
+  (source,), flags = _LINE.split(words)
+  from mjlab.cli._flags import parse
+
+  wanted = parse(Arguments(), flags)
+  if wanted.steps < 0:
+    raise UsageError(f"--steps must not be negative, got {wanted.steps}")
+  environments.share_cores()
+  from mjlab_rl import find_checkpoint
+
+  checkpoint = find_checkpoint(source, log_root=Path(wanted.log_root), experiment="")
+  folder = Path(wanted.output) if wanted.output is not None else checkpoint.parent / "bundle"
+  if folder.exists() and not wanted.force and wanted.output is not None:
+    raise UsageError(f"{folder} exists; --force replaces it, --output names another folder")
+  if folder.exists() and not (folder / "bundle.json").is_file():
+    raise UsageError(f"{folder} is not a bundle (it has no bundle.json), so it is not replaced")
+  return _export(checkpoint, folder, wanted)
+
+
+def _export(checkpoint: Path, folder: Path, wanted: Arguments) -> int:
+  from mjlab_core import seed_everything
+  from mjlab_rl import CheckpointPolicy
+  from mjlab_rl.policy_bundle import BundleWriter, record, without_noise, write_zip
+  from mjlab_rl.reference_policy import write_for_others
+
+  parts, name = _parts(checkpoint, wanted.task)
+  others: Path | None = None
+  with building():
+    cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
+  env = build_env(parts, cfg, "cpu")
+  try:
+    policy = CheckpointPolicy(env, parts.agent, parts.runner)
+    policy.load(checkpoint)
+    seed_everything(0)
+    env.reset(seed=0)
+    # Named first if it cannot be exported, before anything is recorded.
+    writer = BundleWriter(env, parts.agent, name)
+    golden = record(env, parts.agent, policy.network, policy, wanted.steps) if wanted.steps else None
+    description = writer.write(
+      folder,
+      policy.network,
+      training=_training(checkpoint, parts),
+      evaluation=_evaluation(checkpoint),
+      golden=golden,
+      picture=_picture(env),
+    )
+    if wanted.others:
+      others = write_for_others(folder.with_name(f"{folder.name}-others"), policy.network, description)
+  finally:
+    env.close()
+  archive = write_zip(folder)
+  if wanted.others:
+    print(f"wrote {others}")
+  print(f"wrote {folder} and {archive}; check it with: mjlab-deploy verify {folder}")
+  return 0
+
+
+def _parts(checkpoint: Path, task: str | None) -> tuple[Any, str]:
+  """Return the run of a checkpoint, or the task that is named, and its id."""
+  from mjlab_rl import load_run
+
+  if task is not None:
+    return load_named_task(task), task
+  try:
+    manifest = load_run(checkpoint)
+  except FileNotFoundError:
+    raise UsageError(f"{checkpoint.parent} has no manifest; name the task with --task") from None
+  return manifest, manifest.task
+
+
+def _training(checkpoint: Path, parts: Any) -> dict[str, Any]:
+  from mjlab_rl.trained_policy import read_trained_policy
+
+  found = read_trained_policy(checkpoint).record
+  summary: dict[str, Any] = {} if found is None else {"iterations": found.iterations, "sha256": found.sha256}
+  names = ("seed", "created", "git")
+  return {"checkpoint": checkpoint.name, **summary, **{name: getattr(parts, name, None) for name in names}}
+
+
+def _evaluation(checkpoint: Path) -> dict[str, Any]:
+  path = checkpoint.parent / "evaluation" / checkpoint.stem / "evaluation.json"
+  try:
+    return dict(json.loads(path.read_text(encoding="utf-8")).get("groups", {}))
+  except (OSError, ValueError, AttributeError, TypeError):
+    return {}
+
+
+def _picture(env: Any) -> bytes | None:
+  from mjlab_core.errors import RenderingError
+
+  try:
+    env.render_mode = "rgb_array"
+    picture = env.render()
+  except (RenderingError, RuntimeError) as error:
+    print(f"no picture: {error}")
+    return None
+  height, width, _ = picture.shape
+  lines = b"".join(b"\0" + row.tobytes() for row in picture)
+  header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+  chunks = (b"IHDR" + header, b"IDAT" + zlib.compress(lines), b"IEND")
+  parts = (struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks)
+  return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

@@ -1,0 +1,292 @@
+"""Flags of a configuration: `--env.rewards.foot-slip.weight -0.2`. tyro reads, completes and explains them.
+
+A flag is the path to a value, with hyphens for underscores; keys of dictionaries and indices of tuples are parts of it.
+Setting a flag copies the objects along its path, so that functions, shared parts and other values stay the same
+objects. The flag of a term or part that may be `None` takes `None`, which removes it.
+
+tyro alone does not offer this: it rebuilds the whole configuration, has no flag that removes a part, takes a second or
+more for the hundreds of flags of a task, and cannot search its help.
+"""
+
+import contextlib
+import copy
+import dataclasses
+import enum
+import functools
+import io
+import itertools
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeVar, Union
+
+import tyro
+from mjlab_core import UsageError, nearest
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from mjlab.cli._help import field_docs
+
+ConfigT = TypeVar("ConfigT")
+
+# The flag of a whole term or part.
+_PART: Any = Literal["on", "None"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Flag:
+  """One value of a configuration that can be set."""
+
+  path: tuple[Any, ...]
+  """Attribute names, keys and indices from the root."""
+  value: Any
+  """Present value; "on" for a whole part."""
+  kind: Any
+  """Type that tyro reads."""
+  about: str = ""
+  """Meaning of the value."""
+
+  @functools.cached_property
+  def parts(self) -> tuple[str, ...]:
+    """The steps of the name. A dot at the end of a pattern is left out, because it would make an empty step."""
+    return tuple(str(part).strip(".").replace("_", "-") for part in self.path)
+
+  @property
+  def name(self) -> str:
+    """Name without the two hyphens: "env.rewards.foot-slip.weight"."""
+    return ".".join(self.parts)
+
+  @property
+  def negative(self) -> str:
+    """Name that switches a switch off: "env.sim.no-capture"."""
+    return ".".join([*self.parts[:-1], f"no-{self.parts[-1]}"])
+
+
+def flags(config: Any) -> list[Flag]:
+  """Return all flags of a configuration, in the order of its fields; of equal names only the last."""
+  return list({flag.name: flag for flag in _walk(config, (), Any, "")}.values())
+
+
+def replaced(config: Any, path: Sequence[Any], new: Any) -> Any:
+  """Return a copy of `config` with another value at `path`; objects off the path are shared with the original."""
+  if not path:
+    return new
+  head, rest = path[0], path[1:]
+  if isinstance(config, tuple):
+    return tuple(replaced(item, rest, new) if i == head else item for i, item in enumerate(config))
+  changed = copy.copy(config)
+  if dataclasses.is_dataclass(config):
+    # Frozen classes too; checks run again when the environment is built.
+    object.__setattr__(changed, head, replaced(getattr(config, head), rest, new))
+  else:
+    changed[head] = replaced(config[head], rest, new)
+  return changed
+
+
+def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
+  """Return a copy of `config` with the flags in `words` set.
+
+  Raises:
+    UsageError: A flag does not exist (the message names the nearest), or a value does not fit.
+  """
+  known = flags(config)
+  # tyro's time goes with the number of flags.
+  given = {word[2:].partition("=")[0].replace("_", "-") for word in words}
+  named = [flag for flag in known if flag.name in given or flag.negative in given]
+  parsed = _read(named, words)
+  if parsed is None:
+    raise UsageError(_mistake(known, words))
+  # From the back: values inside a part are set before the part is removed.
+  for flag, value in reversed(list(zip(named, _leaves(parsed), strict=True))):
+    if value is not flag.value:
+      config = replaced(config, flag.path, None if flag.kind is _PART else value)
+  return config
+
+
+def print_help(config: Any, *, prog: str, description: str, word: str = "") -> None:
+  """Print the flags of a configuration that have `word` in their names.
+
+  Raises:
+    UsageError: No flag has.
+  """
+  known = flags(config)
+  word = word.strip("-").replace("_", "-").replace(" ", "-").lower()
+  shown = [flag for flag in known if word in flag.name.lower()]
+  if not shown:
+    close = nearest(word, dict.fromkeys(part for flag in known for part in flag.parts))
+    raise UsageError(f"no flag has '{word}' in its name." + (f" Nearest: {', '.join(close)}." if close else ""))
+  with contextlib.suppress(SystemExit):
+    tyro.cli(_parser(shown), args=["--help"], prog=prog, description=description)
+
+
+def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[str]) -> None:
+  """Print or write the shell completion of a command that takes a key of `configs` and then flags.
+
+  Args:
+    configs: Configuration by first word.
+    prog: Name of the command.
+    words: `--tyro-print-completion SHELL` or `--tyro-write-completion SHELL FILE`.
+
+  Raises:
+    UsageError: The shell is unknown.
+  """
+  shells = ("bash", "zsh", "tcsh", "fish")
+  if len(words) < 2 or words[1] not in shells:
+    raise UsageError(f"{words[0]}: expected {'|'.join(shells)}, got {' '.join(words[1:]) or 'nothing'}")
+  commands: list[Any] = []
+  for name, config in configs.items():
+    parser: Any = _parser(flags(config))
+    commands.append(Annotated[parser, tyro.conf.subcommand(name, prefix_name=False)])
+  command: Any = Union[tuple(commands)]  # noqa: UP007
+  with contextlib.suppress(SystemExit):
+    tyro.cli(command, args=words, prog=prog)
+
+
+def _walk(value: Any, path: tuple[Any, ...], annotation: Any, about: str) -> Iterator[Flag]:
+  if dataclasses.is_dataclass(value) and not isinstance(value, type):
+    if type(None) in typing.get_args(annotation):
+      yield Flag(path=path, value="on", kind=_PART, about="None removes it.")
+    hints, docs = _hints(type(value)), field_docs(type(value))
+    for field in dataclasses.fields(value):
+      if field.init and not field.name.startswith("_"):
+        kind, doc = hints.get(field.name, Any), docs.get(field.name, "")
+        yield from _walk(getattr(value, field.name), (*path, field.name), kind, doc)
+  elif isinstance(value, Mapping):
+    for key, item in value.items():
+      if isinstance(key, (str, int)):
+        yield from _walk(item, (*path, key), _item_annotation(annotation), "")
+  elif (kind := _kind(annotation, value)) is not None:
+    yield Flag(path=path, value=value, kind=kind, about=about)
+  elif isinstance(value, (tuple, list)):
+    for index, item in enumerate(value):
+      yield from _walk(item, (*path, index), Any, "")
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+  try:
+    return typing.get_type_hints(cls)
+  except (NameError, TypeError, AttributeError):
+    # Types that only the type checker imports; the present values say enough.
+    return {}
+
+
+def _item_annotation(annotation: Any) -> Any:
+  """Return the type of the values of a dictionary; Any if the annotation has no dictionary."""
+  tables = (kind for kind in (annotation, *typing.get_args(annotation)) if typing.get_origin(kind) in (dict, Mapping))
+  return next((typing.get_args(kind)[1] for kind in tables), Any)
+
+
+def _kind(annotation: Any, value: Any) -> Any:
+  """Return the annotation if tyro can read it and the value is such a one, else the type of the value, else None."""
+  members = typing.get_args(annotation) if typing.get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+  kinds = [_tuple_of(*typing.get_args(kind), ...) if typing.get_origin(kind) is Sequence else kind for kind in members]
+  # The first that fits is taken, and every word is a string.
+  kind = Union[tuple(sorted(kinds, key=lambda kind: str in (kind, *typing.get_args(kind))))]  # noqa: UP007
+  spec = _spec(kind)
+  return kind if spec is not None and spec.is_instance(value) else _type_of(value)
+
+
+@functools.cache
+def _spec(kind: Any) -> PrimitiveConstructorSpec[Any] | None:
+  """Return how tyro reads a type; None if it cannot."""
+  spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kind, set()))
+  return spec if isinstance(spec, PrimitiveConstructorSpec) else None
+
+
+def _type_of(value: Any) -> Any:
+  """Return the type of a value without annotation, such as a parameter of a term; None if it cannot be typed."""
+  if isinstance(value, enum.Enum):
+    return type(value)
+  if type(value) in (bool, int, float, str):
+    # A whole number may be set to a fraction.
+    return int | float if type(value) is int else type(value)
+  if isinstance(value, (tuple, list)) and value:
+    kinds = [_type_of(item) for item in value]
+    if None in kinds:
+      return None
+    if isinstance(value, list):
+      return types.GenericAlias(list, kinds[0])
+    # The length of a tuple of numbers has a meaning, that of a tuple of names has none.
+    return _tuple_of(str, ...) if kinds[0] is str else _tuple_of(*kinds)
+  return None
+
+
+def _tuple_of(*kinds: Any) -> Any:
+  return types.GenericAlias(tuple, kinds)
+
+
+class _Part:
+  """Part of a parser; its fields are flags and parts."""
+
+
+def _parser(known: Sequence[Flag], depth: int = 0) -> Any:
+  """Return a class for tyro with one field for each flag, nested as the names are."""
+  fields: list[tuple[str, Any, Any]] = []
+  for (head, is_leaf), group in itertools.groupby(known, key=lambda f: (f.parts[depth], len(f.parts) == depth + 1)):
+    inside = list(group)
+    if is_leaf:
+      (flag,) = inside
+      kind, about, default = flag.kind, flag.about or None, flag.value
+    else:
+      kind, about = _parser(inside, depth + 1), None
+      default = kind()
+    # A part and its switch have the same name. A factory, because a list may not be a default.
+    field = dataclasses.field(default_factory=lambda default=default: default)
+    fields.append((f"field_{len(fields)}", Annotated[kind, tyro.conf.arg(name=head, help=about)], field))
+  # tyro reads the source of a class for comments, except of a built-in class; that takes a second in all.
+  return dataclasses.make_dataclass("Flags", fields, bases=(_Part,), namespace={"__module__": "builtins"})
+
+
+def _leaves(part: _Part) -> Iterator[Any]:
+  for value in vars(part).values():
+    if isinstance(value, _Part):
+      yield from _leaves(value)
+    else:
+      yield value
+
+
+def _read(known: Sequence[Flag], words: Sequence[str]) -> _Part | None:
+  """Return what tyro reads; None if it refuses a word or leaves one."""
+  # tyro's own message is a box of many lines.
+  with contextlib.redirect_stderr(io.StringIO()):
+    try:
+      parsed, left = tyro.cli(_parser(known), args=words, return_unknown_args=True)
+    except SystemExit:
+      return None
+  return None if left else parsed
+
+
+def _mistake(known: Sequence[Flag], words: Sequence[str]) -> str:
+  """Return a message about the first flag in `words` that is refused."""
+  spelled = {flag.name: flag for flag in known}
+  spelled |= {flag.negative: flag for flag in known if flag.kind is bool}
+  given: list[list[str]] = []
+  for word in words:
+    if word.startswith("--"):
+      given.append([word])
+    elif given:
+      given[-1].append(word)
+    else:
+      return f"'{word}': not a flag"
+  for first, *rest in given:
+    name, equals, value = first[2:].partition("=")
+    flag = spelled.get(name.replace("_", "-"))
+    if flag is None:
+      return _unknown(name.replace("_", "-"), list(spelled))
+    if _read([flag], [first, *rest]) is None:
+      got = " ".join([value, *rest] if equals else rest) or "nothing"
+      spec = _spec(flag.kind)
+      expected = spec.metavar if flag.kind is not bool and spec else f"no value (--{flag.negative} switches it off)"
+      return f"--{flag.name}: expected {expected}, got {got}"
+  return f"{' '.join(words)}: not understood"
+
+
+def _unknown(name: str, known: Sequence[str]) -> str:
+  inside = [flag for flag in known if flag.startswith(f"{name}.")]
+  if inside:
+    shown = ", ".join(f"--{flag}" for flag in inside[:3]) + (", ..." if len(inside) > 3 else "")
+    return f"--{name}: not a single value; its options are {shown}"
+  # A flag of the same last name elsewhere is more likely meant than one that is only spelled alike.
+  last = name.rpartition(".")[2]
+  close = nearest(name, [flag for flag in known if flag.rpartition(".")[2] == last] or known)
+  return f"--{name}: no such option." + (f" Did you mean --{close[0]}?" if close else "")

@@ -1,0 +1,79 @@
+"""Help of a command before a task is named: it reads dataclasses and imports neither tyro nor torch."""
+
+import ast
+import dataclasses
+import functools
+import inspect
+import itertools
+import textwrap
+import typing
+from typing import Any, Literal
+
+_WIDTH = 120
+_INDENT = 28
+
+
+def command_help(usage: str, purpose: str, arguments: Any, *, notes: str = "") -> str:
+  """Return the help text of a command.
+
+  Args:
+    usage: Name of the command and its words: "train TASK [flags]".
+    purpose: Description of the command.
+    arguments: Dataclass of the flags; a field without a plain value is a part of a task and is left out.
+    notes: Text below the flags.
+  """
+  docs = field_docs(arguments)
+  lines = [f"usage: {usage}\n", *_wrapped(purpose, ""), "\nflags:"]
+  for field in dataclasses.fields(arguments):
+    if field.type is not Any:
+      name = f"  --{field.name.replace('_', '-')} {_metavar(field.type)}".rstrip()
+      if len(name) > _INDENT - 2:
+        lines.append(name)
+        name = ""
+      lines += _wrapped(f"{docs.get(field.name, '')} [{_shown(field)}]", f"{name:<{_INDENT}}")
+  lines += _wrapped("Show this text.", f"{'  --help':<{_INDENT}}")
+  return "\n".join([*lines, *([f"\n{notes}"] if notes else [])]) + "\n"
+
+
+def _wrapped(text: str, lead: str) -> list[str]:
+  return textwrap.wrap(text, _WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
+
+
+def _metavar(kind: Any) -> str:
+  """Return a word for the values of a type; none for a switch."""
+  arguments = [part for part in typing.get_args(kind) if part not in (type(None), Ellipsis)]
+  if typing.get_origin(kind) is Literal:
+    return "{" + ",".join(map(str, arguments)) + "}"
+  if typing.get_origin(kind) is tuple:
+    return f"{_metavar(arguments[0])} ..."
+  if arguments:
+    return "|".join(map(_metavar, arguments))
+  return "" if kind is bool else {str: "TEXT", int: "INT"}.get(kind, "NUMBER")
+
+
+def _shown(field: dataclasses.Field[Any]) -> str:
+  if field.default is dataclasses.MISSING:
+    return "required"
+  if isinstance(field.default, bool):
+    return "on" if field.default else "off"
+  return " ".join(map(str, field.default)) if isinstance(field.default, tuple) else str(field.default) or "empty"
+
+
+@functools.cache
+def field_docs(cls: type) -> dict[str, str]:
+  """Return the first paragraph of the string under each field of a dataclass and its bases."""
+  docs: dict[str, str] = {}
+  for base in reversed(cls.__mro__):
+    if not dataclasses.is_dataclass(base):
+      continue
+    try:
+      tree = ast.parse(textwrap.dedent(inspect.getsource(base)))
+    except (OSError, TypeError, SyntaxError):
+      continue
+    body = typing.cast(ast.ClassDef, tree.body[0]).body
+    for field, text in itertools.pairwise(body):
+      if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+        continue
+      if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str):
+        docs[field.target.id] = " ".join(text.value.value.partition("\n\n")[0].split())
+  return docs

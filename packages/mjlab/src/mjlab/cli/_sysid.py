@@ -1,0 +1,181 @@
+"""`sysid RECORD ... --task TASK --fit PATTERN ... [flags]`: fit parameters of a task's robot to its records."""
+
+import dataclasses
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from mjlab_core import MjlabError, UsageError, unknown
+
+from mjlab import environments
+from mjlab.cli._command_line import CommandLine, load_named_task
+from mjlab.cli._train_actuator import stop_on_ctrl_c
+
+if TYPE_CHECKING:
+  from mjlab_sysid import Progress, Range, Record, Robot
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the records."""
+
+  task: str = ""
+  """Task whose robot was recorded."""
+  fit: tuple[str, ...] = ()
+  """Parameters, each FIELD[.AXIS]:PATTERN[=LO..HI][,shared]: armature:.*_calf_joint."""
+  held_out: tuple[str, ...] = ()
+  """Records that are only scored."""
+  entity: str = "robot"
+  """Name of the robot in the task's scene."""
+  output: str = "identified.json"
+  """Overlay file, for --env.scene.entities.robot.overlay of any command."""
+  report: str | None = None
+  """Report as HTML; None: that of the overlay, with suffix .html."""
+  force: bool = False
+  """Overwrite existing files."""
+  height: float = 1.0
+  """Height of the held base above the world's origin [m]."""
+  floor: float | None = None
+  """Height of a floor that the robot touched [m]; None for no floor."""
+  window: float = 0.3
+  """Length of the windows that are rolled out, each from a measured state [s]."""
+  solver: Literal["gauss-newton", "cma"] = "gauss-newton"
+  """Solver; cma needs no gradient, for records full of contacts."""
+  iterations: int = 40
+  """Largest number of iterations of a pass."""
+  tell: float = 0.1
+  """Standard deviation, in units of half the bounds' width, above which a parameter stays at its prior."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_LINE = CommandLine(
+  name="sysid",
+  words="RECORD [RECORD ...]",
+  purpose=(
+    "Fits parameters of a robot, held by its base, to records of its commands and motion. Writes an overlay file that "
+    "any task applies, and a report. Parameters that the records cannot tell are named and stay at their prior. Ctrl-C "
+    "ends the fit and writes what was found; a second Ctrl-C writes nothing."
+  ),
+  arguments=Arguments,
+  notes="""\
+records are .csv, .npz or .mcap files; fields are rows of the catalogue of mjlab-dr, the actuators' stiffness, damping,
+effort_limit and delay [s], and encoder_bias. Default bounds are those of the task's randomisation, or 0.25 to 4 times
+the model's value.
+""",
+)
+
+
+def run(words: list[str]) -> int:
+  """Identify; return the exit code."""
+  if _LINE.wants_help(words):
+    return 0
+  paths, flags = _LINE.split(words, most=None)
+  environments.share_cores()
+  from mjlab.cli._flags import parse
+
+  wanted = parse(Arguments(), flags)
+  if not wanted.task:
+    raise UsageError("no --task given; list-envs lists the tasks")
+  if not wanted.fit:
+    raise UsageError("no --fit given, such as --fit armature:.* delay:.*,shared")
+  output = Path(wanted.output)
+  report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
+  for flag, path in (("output", output), ("report", report)):
+    if path.is_dir() or not path.absolute().parent.is_dir():
+      raise UsageError(f"--{flag}: {path} is a folder, or lies in one that does not exist")
+    if path.exists() and not wanted.force:
+      raise UsageError(f"--{flag}: {path} exists; name another file, or overwrite it with --force")
+  task = load_named_task(wanted.task)
+  return _identify(paths, wanted, task.env, output, report)
+
+
+def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, report: Path) -> int:
+  from mjlab_sysid import IdentifyCfg, identify, parse_term, read_records, write_report
+
+  terms = [parse_term(text) for text in wanted.fit]
+  cfg = IdentifyCfg(window=wanted.window, solver=wanted.solver, iterations=wanted.iterations, tell=wanted.tell)
+  records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
+  _describe([*records, *held_out])
+  robot = stand_of(env, wanted.entity, height=wanted.height, floor=wanted.floor)
+  progress = _Progress()
+  with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
+    warnings.simplefilter("always")
+    found = identify(
+      robot,
+      records,
+      terms,
+      cfg,
+      held_out=held_out,
+      ranges=task_ranges(env),
+      on_iteration=lambda seen: progress.show(seen) or bool(stopped),
+    )
+  progress.end()
+  for text in dict.fromkeys(str(entry.message) for entry in caught):
+    print(f"warning: {text}")
+  if found.stopped:
+    print("stopped (Ctrl-C) before the fit converged")
+  print(found.summary())
+  found.save(output)
+  print(f"overlay: {output}; apply it with --env.scene.entities.{wanted.entity}.overlay {output}")
+  write_report(found, report)
+  print(f"report: {report}")
+  return 0
+
+
+def _describe(records: "list[Record]") -> None:
+  for record in records:
+    print(f"{record.source}: {record.num_rows} rows every {record.period:g} s, joints {', '.join(record.joints)}")
+    if record.ignored:
+      print(f"not read: {', '.join(record.ignored)}")
+
+
+def stand_of(env: Any, entity: str, *, height: float, floor: float | None) -> "Robot":
+  """Return the robot of a task's environment, held by its base.
+
+  Raises:
+    UnknownNameError: The scene has no such entity.
+    MjlabError: The entity has no actuator models.
+  """
+  from mjlab_sysid import robot_on_stand
+
+  entities = env.scene.entities
+  if entity not in entities:
+    raise MjlabError(unknown("entity", entity, entities))
+  built = entities[entity].build(entity)
+  if built.actuators is None:
+    raise MjlabError(f"entity '{entity}' has no actuator models, so nothing commands it")
+  env.sim.apply(built.spec)
+  pose = {name: values[0] for name, values in built.initial_state.joint_pos.items() if len(values) == 1}
+  return robot_on_stand(built.spec, built.actuators.cfgs, pose=pose, height=height, floor=floor)
+
+
+def task_ranges(env: Any) -> "dict[str, Range]":
+  """Return operation and bounds of the scalar fields that a task's events randomise."""
+  from mjlab_dr import FIELDS, FieldRandomizer
+
+  found: dict[str, Range] = {}
+  for event in env.events.values():
+    for value in getattr(event, "params", {}).values():
+      if isinstance(value, FieldRandomizer) and len(FIELDS[value.field].axes) == 1 and not FIELDS[value.field].integer:
+        lo, hi = next(iter(value.values.values())).support()
+        found[value.field] = (value.operation, lo, hi)
+  return found
+
+
+class _Progress:
+  """Progress line, rewritten in place on a terminal and one line an iteration elsewhere."""
+
+  def __init__(self) -> None:
+    self._live = sys.stdout.isatty()
+    self._shown = False
+
+  def show(self, seen: "Progress") -> None:
+    self._shown = True
+    text = f"{seen.stage}: iteration {seen.iteration}, cost {seen.cost:.5g}"
+    print(f"\r\033[K{text}" if self._live else text, end="" if self._live else "\n", flush=True)
+
+  def end(self) -> None:
+    if self._live and self._shown:
+      print()

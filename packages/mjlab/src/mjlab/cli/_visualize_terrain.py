@@ -1,0 +1,164 @@
+"""`visualize-terrain [TYPE ...] [flags]`: a terrain in the browser, or in a picture."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import textwrap
+from typing import TYPE_CHECKING, Literal
+
+from mjlab_core import UsageError, unknown
+
+from mjlab.cli._command_line import CommandLine, output_file
+
+if TYPE_CHECKING:
+  from mjlab_terrain import TerrainGridCfg, TileCfg
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the types."""
+
+  difficulty: tuple[float, ...] = (0.0, 1.0)
+  """Easiest and hardest difficulty, or one for all tiles, from 0 to 1."""
+  seed: int = 0
+  """Seed of the terrain."""
+  rows: int = 5
+  """Number of tiles along x, from easy to hard."""
+  columns: int | None = None
+  """Number of tiles along y; None: as the types need."""
+  tile_size: tuple[float, float] = (8.0, 8.0)
+  """Size of a tile along x and y [m]."""
+  border: float = 1.0
+  """Width of the ground around the grid [m]."""
+  layout: Literal["curriculum", "random"] = "curriculum"
+  """Order of the tiles: types by column and difficulty by row, or random."""
+  color: Literal["height", "type"] = "height"
+  """Meaning of the colors."""
+  set: tuple[str, ...] = ()
+  """Settings [TYPE.]SETTING=VALUE of one type or of all that have it, e.g. stairs_up.step_height=0,0.3."""
+  image: str | None = None
+  """Picture to write instead of showing a page: FILE.png."""
+  image_size: tuple[int, int] = (1600, 900)
+  """Width and height of the picture [px]."""
+  plot: bool = False
+  """Draw a map of heights instead of rendering; it needs no OpenGL."""
+  port: int = 8080
+  """Port of the page."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_LINE = CommandLine(
+  name="visualize-terrain",
+  words="[TYPE ...]",
+  purpose="Shows terrain in the browser, or in a picture.",
+  arguments=Arguments,
+)
+
+
+def run(words: list[str]) -> int:
+  """Show terrain; return the exit code."""
+  from mjlab_terrain import all_types
+
+  types = textwrap.fill(f"types (default: walking): all, walking, {', '.join(all_types())}", 120)
+  line = dataclasses.replace(_LINE, notes=f"{types}\n")
+  if line.wants_help(words):
+    return 0
+  names, flags = line.split(words, most=None)
+  from mjlab.cli._flags import parse
+
+  wanted = parse(Arguments(), _with_all_settings(flags))
+  cfg = _grid(names, wanted)
+  if wanted.image is not None:
+    return _write_image(cfg, wanted, words)
+  from mjlab_terrain.view.page import serve
+
+  serve(cfg, wanted.port)
+  return 0
+
+
+def _with_all_settings(flags: list[str]) -> list[str]:
+  """Return flags with the values of all `--set` behind one; of a flag that is given again only the last counts."""
+  others, settings, flag = [], [], ""
+  for word in flags:
+    is_flag = word.startswith("--")
+    flag = word if is_flag else flag
+    if flag.partition("=")[0] != "--set":
+      others.append(word)
+    elif not is_flag or "=" in word:
+      settings.append(word.removeprefix("--set="))
+  return [*others, "--set", *settings] if settings else flags
+
+
+def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
+  from mjlab_terrain import TerrainGridCfg
+  from mjlab_terrain.view.settings import apply_settings
+
+  if not 1 <= len(wanted.difficulty) <= 2:
+    raise UsageError(f"--difficulty: expected one number or two, got {len(wanted.difficulty)}")
+  low, high = wanted.difficulty[0], wanted.difficulty[-1]
+  try:
+    types = _types(names or ["walking"])
+    apply_settings(types, wanted.set)
+    cfg = TerrainGridCfg(
+      types=types,
+      tile_size=wanted.tile_size,
+      rows=1 if len(types) == 1 and low == high else wanted.rows,
+      columns=wanted.columns,
+      layout=wanted.layout,
+      difficulty=(low, high),
+      seed=wanted.seed,
+      color=wanted.color,
+      border_width=wanted.border,
+    )
+    cfg.check()
+  except ValueError as error:
+    raise UsageError(str(error)) from error
+  return cfg
+
+
+def _types(names: list[str]) -> "dict[str, TileCfg]":
+  """Return types of tile by name; "all" and "walking" are sets of them."""
+  from mjlab_terrain import all_types, walking_types
+
+  known, chosen = all_types(), {}
+  sets = {"all": all_types(), "walking": walking_types()}
+  for name in names:
+    if name not in known and name not in sets:
+      raise UsageError(unknown("type", name, [*sets, *known]))
+    chosen |= sets[name] if name in sets else {name: known[name]}
+  return chosen
+
+
+def _write_image(cfg: "TerrainGridCfg", wanted: Arguments, words: list[str]) -> int:
+  """Write a picture: a rendering, or a plot if that is wanted or OpenGL does not work."""
+  path = output_file("--image", wanted.image or "", ".png", force=True, makes_folder=True)
+  size = wanted.image_size
+  if min(size) < 1:
+    raise UsageError(f"--image-size must be at least 1 1, got {size[0]} {size[1]}")
+  # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
+  is_headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ
+  if is_headless and not wanted.plot:
+    code = "import sys; from mjlab.cli import main; sys.exit(main(['visualize-terrain', *sys.argv[1:]]))"
+    command = [sys.executable, "-c", code, *words]
+    done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False)
+    if done.returncode == 0:
+      print(done.stdout, end="")
+      return 0
+  import numpy as np
+  from mjlab_terrain.view.picture import plot, render
+  from PIL import Image
+
+  pixels, kind = None, "rendering"
+  if not (wanted.plot or is_headless):
+    try:
+      pixels = render(cfg, size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0)
+    except Exception as error:  # The class of the error depends on the system.
+      print(f"no OpenGL ({type(error).__name__}: {error}); plotting heights instead", file=sys.stderr)
+  if pixels is None:
+    pixels, kind = plot(cfg, size), "plot"
+  path.parent.mkdir(parents=True, exist_ok=True)
+  Image.fromarray(np.ascontiguousarray(pixels)).save(path)
+  print(f"{path} ({kind})")
+  return 0

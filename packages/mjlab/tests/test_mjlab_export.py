@@ -1,0 +1,178 @@
+"""`export` writes bundles of the pendulum's runs."""
+
+import io
+import json
+from collections.abc import Generator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import mjlab
+import mjlab_pendulum
+import numpy as np
+import pytest
+import torch
+from mjlab import cli
+from mjlab.cli import _export
+from mjlab_deploy import Policy, open_bundle
+from mjlab_envs import mdp
+from mjlab_managers import ObservationTermCfg
+from mjlab_rl import CheckpointPolicy, policy_bundle, policy_graph
+from PIL import Image
+
+TASK = mjlab_pendulum.TASK
+
+
+@pytest.fixture(autouse=True)
+def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
+  monkeypatch.chdir(tmp_path)
+  with mjlab_pendulum.registered():
+    yield
+
+
+def trained(*words: str) -> Path:
+  assert cli.main(["train", TASK, "--device", "cpu", "--quiet", *words]) == 0
+  (run,) = Path("logs/pendulum").iterdir()
+  return run
+
+
+def test_a_run_becomes_a_bundle_that_repeats_its_record(capsys: pytest.CaptureFixture[str]) -> None:
+  run = trained("--env.observations.actor.terms.velocity.history-length", "3", "--agent.clip-actions", "0.5")
+  assert cli.main(["export", str(run), "--output", "out", "--steps", "30"]) == 0
+  assert "mjlab-deploy verify out" in capsys.readouterr().out
+  for path in ("out", "out.zip"):
+    with open_bundle(path) as bundle:
+      description, golden, policy = bundle.description, bundle.arrays("golden.npz"), Policy(bundle)
+      for i in range(30):
+        if golden["episode_start"][i]:
+          policy.reset()
+        step = policy.step({name[6:]: row[i] for name, row in golden.items() if name.startswith("input/")})
+        np.testing.assert_allclose(step.action, golden["action"][i], atol=1e-5)
+        np.testing.assert_allclose(step.observations["actor"], golden["observation/actor"][i], atol=1e-5)
+        np.testing.assert_allclose(step.targets["target/effort"], step.action, atol=1e-6)
+  assert [joint.name for joint in description.robot.joints] == ["hinge"]
+  assert [(term.name, term.sources) for term in description.observations] == [
+    ("position", ("joint/position",)),
+    ("velocity", ("joint/velocity",)),
+  ]
+  assert description.training["iterations"] == 3
+  assert description.timing.decimation == 2
+
+
+def test_the_action_that_acts_is_the_one_that_the_graph_remembers(
+  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  """Rounding that a policy amplifies through its last action is no wrong source of an observation."""
+
+  def task() -> Any:
+    made = mjlab_pendulum.pendulum()
+    group = made.env.observations["actor"]
+    assert group is not None
+    group.terms["last"] = ObservationTermCfg(mdp.last_action)
+    return made
+
+  mjlab.register_task("Test-Last", task)
+  assert cli.main(["train", "Test-Last", "--device", "cpu", "--quiet"]) == 0
+  (run,) = Path("logs/pendulum").iterdir()
+  call = CheckpointPolicy.__call__
+  monkeypatch.setattr(CheckpointPolicy, "__call__", lambda self, obs: call(self, obs) + 1e-3)
+  assert cli.main(["export", str(run), "--output", "out", "--steps", "5"]) == 0, capsys.readouterr().err
+
+
+def test_a_picture_is_a_png() -> None:
+  pixels = np.arange(72, dtype=np.uint8).reshape(6, 4, 3)
+  data = _export._picture(SimpleNamespace(render_mode=None, render=lambda: pixels))
+  assert data is not None
+  np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)
+
+
+def test_an_existing_folder_is_not_replaced_unasked(capsys: pytest.CaptureFixture[str]) -> None:
+  run = trained()
+  Path("mine").mkdir()
+  assert cli.main(["export", str(run), "--output", "mine", "--steps", "0"]) == 2
+  assert "mine exists; --force" in capsys.readouterr().err
+  assert cli.main(["export", str(run), "--output", "mine", "--steps", "0", "--force"]) == 2
+  assert "is not a bundle" in capsys.readouterr().err
+  assert not list(Path("mine").iterdir())
+
+
+@pytest.mark.parametrize(
+  ("words", "message"),
+  [
+    ([], "no RUN|CHECKPOINT given"),
+    (["gone"], "'gone' is neither a checkpoint nor a run"),
+    (["gone", "--steps", "-1"], "--steps must not be negative"),
+  ],
+)
+def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.main(["export", *words]) in (1, 2)
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+
+
+def unsourced(env: Any) -> torch.Tensor:
+  return torch.zeros(env.num_envs, 2)
+
+
+@pytest.mark.parametrize("source", [None, "pole/strain"])
+def test_a_term_without_a_source_is_refused_by_name(
+  source: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  def task() -> Any:
+    made = mjlab_pendulum.pendulum()
+    group = made.env.observations["actor"]
+    assert group is not None
+    group.terms["strain"] = ObservationTermCfg(unsourced, source=source)
+    group.terms["last"] = ObservationTermCfg(mdp.last_action)
+    return made
+
+  mjlab.register_task("Test-Strain", task)
+  assert cli.main(["train", "Test-Strain", "--device", "cpu", "--quiet"]) == 0
+  (run,) = Path("logs/pendulum").iterdir()
+  code = cli.main(["export", str(run), "--output", "out", "--steps", "5"])
+  if source is None:
+    assert code == 1
+    assert "term 'actor/strain' declares no source" in capsys.readouterr().err
+    assert not Path("out").exists()
+  else:
+    assert code == 0
+    data = json.loads(Path("out/bundle.json").read_text())
+    assert data["inputs"][2]["name"] == "pole/strain"
+    assert data["memories"][0]["input"] == "memory/last_action"
+
+
+def test_a_training_keeps_its_newest_policy_as_a_bundle(monkeypatch: pytest.MonkeyPatch) -> None:
+  exported: list[Any] = []
+
+  def counted(graph: Any) -> Any:
+    exported.append(graph)
+    return policy_graph.export_graph(graph)
+
+  monkeypatch.setattr(policy_bundle, "export_graph", counted)
+  run = trained("--agent.save-interval", "2", "--agent.actor.obs-normalization")
+  # Traced once at iteration 2; iteration 3 brought only new weights.
+  assert len(exported) == 1
+  with open_bundle(run / "bundle") as bundle:
+    assert bundle.description.training == {"checkpoint": "model_3.pt", "iterations": 3}
+    newest = Policy(bundle)
+  assert cli.main(["export", str(run), "--output", "out", "--steps", "0"]) == 0
+  with open_bundle("out") as bundle:
+    again = Policy(bundle)
+  readings = {"joint/position": np.array([0.3]), "joint/velocity": np.array([-1.0])}
+  np.testing.assert_allclose(newest.step(readings).action, again.step(readings).action, atol=1e-6)
+  assert len(exported) == 2
+
+
+def test_a_training_whose_policy_cannot_be_exported_says_so_and_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+  def task() -> Any:
+    made = mjlab_pendulum.pendulum()
+    group = made.env.observations["actor"]
+    assert group is not None
+    group.terms["strain"] = ObservationTermCfg(unsourced)
+    return made
+
+  mjlab.register_task("Test-Strain", task)
+  assert cli.main(["train", "Test-Strain", "--device", "cpu", "--agent.save-interval", "1"]) == 0
+  shown = capsys.readouterr().out
+  assert shown.count("no policy bundle is written: ObservationManager: term 'actor/strain' declares no source") == 1

@@ -1,0 +1,177 @@
+"""`sysid`: from records of a task's robot to an overlay that the task applies."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mjlab import cli
+from mjlab_core import MjlabError
+from mjlab_robots.go1 import go1
+from mjlab_scene import EntityCfg, read_overlay
+from mjlab_sysid import Identified, IdentifyCfg, Record, identify, parse_term, robot_on_stand, write_record
+
+CALF, THIGH = "FR_calf_joint", "FR_thigh_joint"
+TERMS = (
+  f"armature:{CALF}=0.001..0.05",
+  f"stiffness:{THIGH}",
+  "pseudo_inertia.alpha:FR_calf",
+  f"delay:({THIGH}|{CALF}),shared",
+  f"encoder_bias:{CALF}",
+)
+
+
+def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Record]:
+  """The Go1 on a stand at 5 ms a step; its right front leg moves, with a delay of two steps."""
+  cfg = go1(meshes="never")
+  entity = cfg.build("robot")
+  assert cfg.articulation is not None
+  entity.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+  pose = {name: values[0] for name, values in entity.initial_state.joint_pos.items()}
+  robot = robot_on_stand(entity.spec, cfg.articulation.actuators, pose=pose, timestep=0.005, height=1.0)
+  model = robot.model
+  model.dof_armature[model.joint(CALF).dofadr[0]] *= 1.5
+  data = mujoco.MjData(model)
+  data.qpos[:] = robot.pose
+  time = 0.01 * np.arange(round(seconds / 0.01))
+  addresses, _ = robot.addresses([THIGH, CALF])
+  waves = np.stack([np.sin(9.0 * time) + np.sin(23.0 * time), np.sin(7.0 * time) + np.sin(17.0 * time)], 1)
+  commands = robot.pose[addresses] + 0.1 * waves
+  places = [model.actuator(name).id for name in (THIGH, CALF)]
+  data.ctrl[:] = [robot.pose[robot.addresses([model.actuator(i).name])[0][0]] for i in range(model.nu)]
+  rows = []
+  for step in range(2 * len(time)):
+    if step % 2 == 0:
+      rows.append(data.qpos[addresses])
+    data.ctrl[places] = commands[max(0, step - 2) // 2]
+    mujoco.mj_step(model, data)
+  signals = {"position": np.array(rows), "position_target": commands}
+  return cfg, Record(source="leg", joints=(THIGH, CALF), time=time, signals=signals)
+
+
+@pytest.fixture(scope="module")
+def leg() -> tuple[EntityCfg, Record, Identified]:
+  cfg, record = leg_record()
+  entity = cfg.build("robot")
+  assert cfg.articulation is not None
+  entity.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+  pose = {name: values[0] for name, values in entity.initial_state.joint_pos.items()}
+  robot = robot_on_stand(entity.spec, cfg.articulation.actuators, pose=pose, timestep=0.005, height=1.0)
+  return cfg, record, identify(robot, [record], [parse_term(text) for text in TERMS], IdentifyCfg(iterations=10))
+
+
+def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
+  leg: tuple[EntityCfg, Record, Identified], tmp_path: Path
+) -> None:
+  cfg, _, found = leg
+  found.save(tmp_path / "identified.json")
+  assert found.told.all(), found.reasons
+  assert found.value(f"delay:({THIGH}|{CALF})") == pytest.approx(0.01, rel=0.05)
+  plain = cfg.build("robot").spec.compile()
+  cfg.overlay = str(tmp_path / "identified.json")
+  entity = cfg.build("robot")
+  model = entity.spec.compile()
+  armature = model.joint(CALF).armature[0]
+  assert armature == pytest.approx(1.5 * plain.joint(CALF).armature[0], rel=0.02)
+  assert armature == pytest.approx(found.value(f"dof_armature:{CALF}"))
+  assert model.joint("FL_calf_joint").armature == plain.joint("FL_calf_joint").armature
+  assert model.actuator(THIGH).gainprm[0] == pytest.approx(found.value(f"stiffness:{THIGH}"))
+  assert model.actuator("FL_thigh_joint").gainprm[0] == plain.actuator("FL_thigh_joint").gainprm[0]
+  alpha = found.value("pseudo_inertia.alpha:FR_calf")
+  for name in ("mass", "inertia"):
+    np.testing.assert_allclose(
+      getattr(model.body("FR_calf"), name), getattr(plain.body("FR_calf"), name) * np.exp(2 * alpha), rtol=1e-6
+    )
+  assert entity.actuators is not None
+  lags = {cfg.target_names_expr: (cfg.delay_min_lag, cfg.delay_max_lag) for cfg in entity.actuators.cfgs}
+  assert set(lags.values()) == {(2, 2)}
+  assert entity.overlay.encoder_bias[CALF] == pytest.approx(0.0, abs=4.0 * found.spread[-1])
+
+
+def test_the_command_writes_an_overlay_and_a_report(
+  leg: tuple[EntityCfg, Record, Identified], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  _, record, _ = leg
+  records, output = tmp_path / "leg.npz", tmp_path / "identified.json"
+  write_record(record, records)
+  words = [str(records), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(output)]
+  words += ["--fit", f"armature:{CALF}", "--iterations", "2"]
+  assert cli.sysid(words) == 0
+  shown = capsys.readouterr().out
+  assert f"dof_armature:{CALF}" in shown
+  assert "fit: iteration 1, cost" in shown
+  assert f"--env.scene.entities.robot.overlay {output}" in shown
+  assert set(read_overlay(output).model) == {"dof_armature"}
+  page = output.with_suffix(".html").read_text()
+  assert "data:image/png;base64," in page
+  assert "http" not in page
+  assert cli.sysid(words) == 2
+  assert "identified.json exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+  ("words", "code", "message"),
+  [
+    ([], 2, "no RECORD given"),
+    (["a.csv"], 2, "no --task given"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1"], 2, "no --fit given"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go", "--fit", "armature:.*"], 2, "task 'Mjlab-Velocity-Flat"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armour:.*"], 1, "field 'armour' does not exist"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armature:.*"], 1, "record a.csv: no such file"),
+  ],
+)
+def test_a_mistake_on_the_command_line_is_one_line(
+  tmp_path: Path,
+  monkeypatch: pytest.MonkeyPatch,
+  capsys: pytest.CaptureFixture[str],
+  words: list[str],
+  code: int,
+  message: str,
+) -> None:
+  monkeypatch.chdir(tmp_path)
+  assert cli.sysid(words) == code
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+
+
+def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg, Record, Identified]) -> None:
+  found = leg[2]
+  randomizers = {randomizer.field: randomizer for randomizer in found.randomizers(width=2.0)}
+  assert set(randomizers) == {"dof_armature", "stiffness", "pseudo_inertia", "encoder_bias"}
+  (armature,) = randomizers["dof_armature"].values.values()
+  low, high = armature.support()
+  value = found.value(f"dof_armature:{CALF}")
+  assert low < value < high
+  assert high - value == pytest.approx(2.0 * found.spread[0])
+
+
+@pytest.mark.parametrize(
+  ("content", "message"),
+  [
+    ("{", "overlay .*a.json: "),
+    ("[]", "expected an object with format 'mjlab overlay 1'"),
+    ({"model": {"dof_armatur": {"knee": 1.0}}}, "field 'dof_armatur' does not exist. Nearest: dof_armature"),
+    ({"model": {"geom_friction": {"foot": [1.0]}}}, "geom_friction must have 3 finite numbers"),
+    ({"model": {"dof_armature": {"knee": 1.0}}}, "joint 'knee' does not exist"),
+    ({"actuators": {"gain": {}}}, "actuator parameter 'gain' does not exist"),
+    ({"actuators": {"stiffness": {"knee": 1.0}}}, "no actuator config has the stiffness of 'knee'"),
+    ({"delay": {"FR_calf_joint": 0.1}}, "delays must lie between 0 and 1000 timesteps of 0 s"),
+    ({"encoder_bias": {"FR_calf_joint": float("nan")}}, "a number is not finite"),
+  ],
+)
+def test_a_wrong_overlay_is_refused_in_one_line(tmp_path: Path, content: object, message: str) -> None:
+  text = json.dumps({"format": "mjlab overlay 1"} | content) if isinstance(content, dict) else str(content)
+  path = tmp_path / "a.json"
+  path.write_text(text)
+  cfg = go1(meshes="never")
+  cfg.overlay = str(path)
+  with pytest.raises(MjlabError, match=message) as raised:
+    cfg.build("robot")
+  assert "\n" not in str(raised.value)
+
+
+def test_a_missing_overlay_is_named(tmp_path: Path) -> None:
+  with pytest.raises(MjlabError, match=r"overlay .*nowhere\.json: no such file"):
+    read_overlay(tmp_path / "nowhere.json")

@@ -1,0 +1,36 @@
+"""System identification: from records of a robot to the parameters of its simulation."""
+
+from mjlab_sysid.identified import Identified, Score, Trace
+from mjlab_sysid.identify import IdentifyCfg, Progress, identify
+from mjlab_sysid.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
+from mjlab_sysid.parameters import FitTerm, Parameter, Range, parse_term
+from mjlab_sysid.reading import read_records
+from mjlab_sysid.records import Record, check_joints, uniform, write_record
+from mjlab_sysid.report import write_report
+from mjlab_sysid.robot import Robot, robot_on_stand
+
+__all__ = [
+  "FitProgress",
+  "FitTerm",
+  "Identified",
+  "IdentifyCfg",
+  "MotorFit",
+  "MotorFitCfg",
+  "Parameter",
+  "Progress",
+  "Range",
+  "Record",
+  "Robot",
+  "Score",
+  "Trace",
+  "check_joints",
+  "fit_motor",
+  "identify",
+  "parse_term",
+  "read_records",
+  "require_matplotlib",
+  "robot_on_stand",
+  "uniform",
+  "write_record",
+  "write_report",
+]

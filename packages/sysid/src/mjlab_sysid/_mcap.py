@@ -1,0 +1,107 @@
+"""Records from MCAP files of ROS 2 or of JSON messages, read by the library `mcap`."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mjlab_core.errors import FileError
+from mjlab_core.files import printable, reading
+from mjlab_core.names import unknown
+
+from mjlab_sysid.records import BODY_SIGNALS, JOINT_SIGNALS, Record
+
+STATES, COMMANDS, IMU = "/joint_states", "/joint_commands", "/imu"
+"""Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), and one of `sensor_msgs/Imu`."""
+
+_MAX_MESSAGES = 5_000_000
+
+
+def read_mcap(path: Path) -> Record:
+  """Return the record in an MCAP file: measurements at their times, with the latest command before each.
+
+  Raises:
+    FileError: The file is damaged, lacks a topic, or messages of one topic differ in their joints.
+    ModuleNotFoundError: The library is not installed; the message says how to get it.
+  """
+  try:
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+  except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+      "an MCAP file needs the library mcap: install mjlab-sysid with its extra 'mcap'", name="mcap"
+    ) from error
+  series: dict[str, list[tuple[float, Any]]] = {STATES: [], COMMANDS: [], IMU: []}
+  with reading("record", path), path.open("rb") as file:
+    reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+    present: set[str] = set()
+    for schema, channel, message in reader.iter_messages():
+      present.add(channel.topic)
+      if channel.topic not in series:
+        continue
+      if sum(map(len, series.values())) >= _MAX_MESSAGES:
+        raise FileError(f"more than {_MAX_MESSAGES} messages")
+      if channel.message_encoding == "json":
+        content = json.loads(message.data)
+      else:
+        decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
+        if decode is None:
+          raise FileError(
+            f"topic {channel.topic} is encoded as {printable(channel.message_encoding, 40)!r}; expected cdr or json"
+          )
+        content = decode(message.data)
+      series[channel.topic].append((message.log_time * 1e-9, content))
+    for topic in (STATES, COMMANDS):
+      if not series[topic]:
+        raise FileError(unknown("topic", topic, [printable(name, 80) for name in sorted(present)]))
+    return _merged(printable(path, 200), series)
+
+
+def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
+  joints, time, measured = _joint_series(STATES, series[STATES])
+  commanded, sent, commands = _joint_series(COMMANDS, series[COMMANDS])
+  # Rows before the first command have no target.
+  first = int(np.searchsorted(time, sent[0]))
+  time, measured = time[first:], {name: values[first:] for name, values in measured.items()}
+  latest = np.searchsorted(sent, time, side="right") - 1
+  names = tuple(dict.fromkeys((*joints, *commanded)))
+  signals = {name: _spread(values, joints, names) for name, values in measured.items()}
+  signals |= {f"{name}_target": _spread(values[latest], commanded, names) for name, values in commands.items()}
+  if series[IMU]:
+    at = np.array([stamp for stamp, _ in series[IMU]])
+    for name in BODY_SIGNALS:
+      values = np.array([[_get(_get(message, name), axis) for axis in "xyz"] for _, message in series[IMU]], np.float64)
+      signals[name] = np.stack([np.interp(time, at, column) for column in values.T], 1)
+  return Record(source=source, joints=names, time=time - time[0] if len(time) else time, signals=signals)
+
+
+def _joint_series(
+  topic: str, messages: Iterable[tuple[float, Any]]
+) -> tuple[tuple[str, ...], np.ndarray, dict[str, np.ndarray]]:
+  messages = list(messages)
+  joints = tuple(printable(name, 120) for name in _get(messages[0][1], "name"))
+  if any(list(_get(message, "name")) != list(joints) for _, message in messages):
+    raise FileError(f"topic {topic}: messages name different joints")
+  signals = {}
+  for name in dict.fromkeys(JOINT_SIGNALS.values()):
+    rows = [_get(message, name, ()) for _, message in messages]
+    if any(len(row) for row in rows):
+      if any(len(row) != len(joints) for row in rows):
+        raise FileError(f"topic {topic}: {name} has another number of values than there are joints")
+      signals[name] = np.array(rows, np.float64)
+  return joints, np.array([stamp for stamp, _ in messages]), signals
+
+
+def _spread(values: np.ndarray, joints: tuple[str, ...], names: tuple[str, ...]) -> np.ndarray:
+  """Columns of `joints` in their places among `names`; NaN elsewhere."""
+  out = np.full((len(values), len(names)), np.nan)
+  out[:, [names.index(joint) for joint in joints]] = values
+  return out
+
+
+def _get(message: Any, name: str, *default: Any) -> Any:
+  """Return a field of a decoded message: an attribute in ROS 2, an item in JSON."""
+  if isinstance(message, dict):
+    return message.get(name, *default) if default else message[name]
+  return getattr(message, name, *default)

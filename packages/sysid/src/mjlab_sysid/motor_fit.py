@@ -1,0 +1,331 @@
+"""Training of a network on records of a motor, for `mjlab_actuators.LearnedMlpActuatorCfg`."""
+
+import copy
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, get_args
+
+import numpy as np
+import torch
+from mjlab_actuators.network_file import ACTIVATIONS, Activation
+from mjlab_core.errors import MjlabError
+from mjlab_core.files import AtomicWrite
+from mjlab_core.names import unknown
+
+from mjlab_sysid.records import Record, uniform
+
+if TYPE_CHECKING:
+  from matplotlib.figure import Figure
+
+
+@dataclass(kw_only=True)
+class MotorFitCfg:
+  """Settings of the network and of its training."""
+
+  history_length: int = 3
+  """Samples of position error and velocity that the network sees, the present one included."""
+  hidden: tuple[int, ...] = (32, 32)
+  """Widths of the hidden layers."""
+  activation: Activation = "softsign"
+  """Between the layers."""
+  epochs: int = 100
+  """Passes over the records."""
+  batch_size: int = 128
+  """Samples of one step of Adam."""
+  learning_rate: float = 1e-2
+  """At the beginning; it falls to zero along a cosine."""
+  held_out: float = 0.2
+  """Share at the end of each segment that is never trained on."""
+  joints: str = ".*"
+  """Pattern of the joints whose motors the network stands for."""
+  seed: int = 0
+  """Of the first weights and of the order of the samples."""
+
+  def validate(self) -> None:
+    """Refuse impossible settings by name.
+
+    Raises:
+      MjlabError: A setting is impossible.
+    """
+    for name in ("history_length", "epochs", "batch_size"):
+      if getattr(self, name) < 1:
+        raise MjlabError(f"{name} is {getattr(self, name)}; it must be 1 or more")
+    if not self.hidden or min(self.hidden) < 1:
+      raise MjlabError(f"hidden is {self.hidden}; give the width of at least one layer, 1 or more")
+    if self.activation not in get_args(Activation):
+      raise MjlabError(unknown("activation", self.activation, get_args(Activation)))
+    if not self.learning_rate > 0.0:
+      raise MjlabError(f"learning_rate is {self.learning_rate}; it must be positive")
+    if not 0.0 < self.held_out < 1.0:
+      raise MjlabError(f"held_out is {self.held_out}; it must lie between 0 and 1")
+
+
+class FitProgress(NamedTuple):
+  """Progress of a training after an epoch."""
+
+  epoch: int
+  """Epochs done."""
+  train_error: float
+  """Root mean square over the epoch [N or N m]."""
+  held_out_error: float
+  """Root mean square over the held-out samples [N or N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorFit:
+  """A trained network and how good it is; errors are root mean squares over samples [N or N m]."""
+
+  cfg: MotorFitCfg
+  period: float
+  """Period of the samples [s]."""
+  network: torch.nn.Sequential
+  """From rows as `LearnedMlpActuatorCfg` describes them, all its scales one, to efforts [N or N m]."""
+  curve: tuple[FitProgress, ...]
+  """Errors after each epoch."""
+  train_error: float
+  held_out_error: float
+  pd_error: float
+  """Held-out error of the best ideal PD law on the same records, for comparison."""
+  pd_gains: tuple[float, float]
+  """Stiffness and damping of that law."""
+  held_out: torch.Tensor
+  """Efforts of the held-out samples, measured and of the network, (samples, 2) [N or N m]."""
+
+  def save(self, path: str | Path) -> None:
+    """Write the state dict that `LearnedMlpActuatorCfg.network_file` names; a file of that name is replaced whole."""
+    with AtomicWrite(path) as temporary:
+      torch.save(self.network.state_dict(), temporary)
+
+  def save_plot(self, path: str | Path) -> None:
+    """Draw errors over epochs and held-out efforts as a PNG; a file of that name is replaced whole.
+
+    Raises:
+      ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
+    """
+    figure = self._figure()
+    with AtomicWrite(path) as temporary:
+      figure.savefig(temporary, format="png", dpi=120)
+
+  def config(self, network_file: str | Path) -> str:
+    """Return the Python of a config that loads this network."""
+    return (
+      f"LearnedMlpActuatorCfg(target_names_expr=(...,), network_file={str(network_file)!r}, "
+      f"history_length={self.cfg.history_length}, sample_period={self.period!r}, activation={self.cfg.activation!r})"
+    )
+
+  def _figure(self) -> "Figure":
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    errors, efforts, scatter = figure.subplots(1, 3)
+    epochs = [point.epoch for point in self.curve]
+    errors.semilogy(epochs, [point.train_error for point in self.curve], label="train")
+    errors.semilogy(epochs, [point.held_out_error for point in self.curve], label="held out")
+    errors.axhline(self.pd_error, color="gray", linestyle="--", label="best PD law, held out")
+    errors.set(title="error (root mean square)", xlabel="epoch")
+    errors.legend()
+    measured, learned = self.held_out.numpy().T
+    shown = slice(0, min(len(measured), 500))
+    time = self.period * np.arange(len(measured))[shown]
+    efforts.plot(time, measured[shown], label="measured", color="lightgray", linewidth=4.0)
+    efforts.plot(time, learned[shown], label="learned", linewidth=1.0)
+    efforts.set(title="held-out effort", xlabel="held-out time [s]")
+    efforts.legend(loc="upper right")
+    scatter.plot(measured, learned, ".", markersize=2.0)
+    ends = [min(measured.min(), learned.min()), max(measured.max(), learned.max())]
+    scatter.plot(ends, ends, color="black", linewidth=0.8)
+    scatter.set(title="held-out effort", xlabel="measured", ylabel="learned")
+    return figure
+
+
+def require_matplotlib() -> None:
+  """Check that plots can be drawn.
+
+  Raises:
+    ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
+  """
+  if find_spec("matplotlib") is None:
+    raise ModuleNotFoundError(
+      "a plot needs matplotlib: install it, or mjlab-sysid with its extra 'plot'", name="matplotlib"
+    )
+
+
+def fit_motor(
+  records: Sequence[Record],
+  cfg: MotorFitCfg | None = None,
+  on_epoch: Callable[[FitProgress], bool | None] | None = None,
+) -> MotorFit:
+  """Train a network to give the efforts of the records from the recent past of position errors and velocities.
+
+  Windows never reach across segments, nor from held-out samples back into trained ones. The scales of inputs and
+  outputs are folded into the first and last layer.
+
+  Args:
+    records: Position target, position, velocity and effort of the joints.
+    cfg: What is learned, and how; None for the defaults.
+    on_epoch: Called after every epoch; what it returns, if true, ends the training there.
+
+  Raises:
+    MjlabError: A setting is impossible, a segment is too short, or the efforts never change.
+  """
+  cfg = MotorFitCfg() if cfg is None else cfg
+  cfg.validate()
+  period, tables = _tables(records, cfg)
+  (x, y), (x_held, y_held) = _split(tables, cfg)
+  if y.std() == 0.0:
+    raise MjlabError("signal 'effort' never changes, so there is nothing to learn")
+  generator = torch.Generator().manual_seed(cfg.seed)
+  standard = _Standard.of(x, y, cfg.history_length)
+  inputs, wanted = x @ standard.inputs.T - standard.center, (y - standard.effort_center) / standard.effort_scale
+  network = _network(cfg, generator)
+  optimizer = torch.optim.Adam(network.parameters(), lr=cfg.learning_rate)
+  schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, cfg.epochs)
+
+  result = network
+  curve: list[FitProgress] = []
+  for epoch in range(1, cfg.epochs + 1):
+    squares = 0.0
+    with _one_thread():
+      for rows in torch.randperm(len(x), generator=generator).split(cfg.batch_size):
+        loss = (network(inputs[rows])[:, 0] - wanted[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        squares += loss.item() * len(rows)
+    schedule.step()
+    result = standard.folded_into(network)
+    train_error = (squares / len(x)) ** 0.5 * standard.effort_scale.item()
+    curve.append(FitProgress(epoch, train_error, _error(result, x_held, y_held)))
+    if on_epoch is not None and on_epoch(curve[-1]):
+      break
+  pd_gains, pd_error = _best_pd(x, y, x_held, y_held, cfg.history_length)
+  with torch.no_grad():
+    held_out = torch.stack((y_held, result(x_held)[:, 0]), dim=1)
+  return MotorFit(
+    cfg=cfg,
+    period=period,
+    network=result,
+    curve=tuple(curve),
+    train_error=_error(result, x, y),
+    held_out_error=_error(result, x_held, y_held),
+    pd_error=pd_error,
+    pd_gains=pd_gains,
+    held_out=held_out,
+  )
+
+
+Samples = tuple[torch.Tensor, torch.Tensor]
+
+
+def _tables(records: Sequence[Record], cfg: MotorFitCfg) -> tuple[float, list[np.ndarray]]:
+  """Return the period, and one table (rows, 4) for each joint and stretch: target, position, velocity, effort."""
+  if not records:
+    raise MjlabError("no record is given")
+  period, tables = records[0].period, []
+  for record in records:
+    for part in uniform(record.select(cfg.joints), period):
+      columns = [part.of(name, part.joints) for name in ("position_target", "position", "velocity", "effort")]
+      tables += list(np.stack(columns, 2).swapaxes(0, 1))
+  return period, tables
+
+
+def _split(tables: Sequence[np.ndarray], cfg: MotorFitCfg) -> tuple[Samples, Samples]:
+  """Return rows (m, 2 history_length) and efforts (m,) to train on, and those held out."""
+  trained, held = [], []
+  for index, segment in enumerate(tables):
+    begin = len(segment) - round(cfg.held_out * len(segment))
+    for part, samples in ((segment[:begin], trained), (segment[begin:], held)):
+      if len(part) < cfg.history_length:
+        raise MjlabError(
+          f"stretch {index + 1} of {len(tables)} has {len(segment)} rows; with history_length "
+          f"{cfg.history_length} and held_out {cfg.held_out} each of its two parts needs {cfg.history_length} or more"
+        )
+      samples.append(_windows(part, cfg.history_length))
+  return _stacked(trained), _stacked(held)
+
+
+def _windows(rows: np.ndarray, length: int) -> np.ndarray:
+  """One table (windows, 2 length + 1): errors newest first, velocities newest first, effort."""
+  errors, velocities = rows[:, 0] - rows[:, 1], rows[:, 2]
+  past = [np.lib.stride_tricks.sliding_window_view(series, length)[:, ::-1] for series in (errors, velocities)]
+  return np.concatenate((*past, rows[length - 1 :, 3:]), axis=1)
+
+
+def _stacked(tables: list[np.ndarray]) -> Samples:
+  table = torch.tensor(np.concatenate(tables), dtype=torch.float32)
+  return table[:, :-1], table[:, -1]
+
+
+def _network(cfg: MotorFitCfg, generator: torch.Generator) -> torch.nn.Sequential:
+  widths = (2 * cfg.history_length, *cfg.hidden, 1)
+  layers: list[torch.nn.Module] = []
+  for inputs, outputs in pairwise(widths):
+    layer = torch.nn.Linear(inputs, outputs)
+    bound = inputs**-0.5
+    with torch.no_grad():
+      for parameter in layer.parameters():
+        parameter.uniform_(-bound, bound, generator=generator)
+    layers += [layer, ACTIVATIONS[cfg.activation]()]
+  return torch.nn.Sequential(*layers[:-1])
+
+
+class _Standard(NamedTuple):
+  """The linear map to what the network is trained on: samples close in time differ little, but that is what tells."""
+
+  inputs: torch.Tensor
+  """From rows to the newest sample and the differences between successive ones, of unit variance each."""
+  center: torch.Tensor
+  effort_center: torch.Tensor
+  effort_scale: torch.Tensor
+
+  @staticmethod
+  def of(x: torch.Tensor, y: torch.Tensor, length: int) -> "_Standard":
+    older = torch.arange(2 * length) % length > 0
+    differences = torch.eye(2 * length) - torch.diag(torch.ones(2 * length - 1), -1) * older[:, None]
+    scale = (x @ differences.T).std(0).clamp(min=1e-9)
+    inputs = differences / scale[:, None]
+    return _Standard(inputs, inputs @ x.mean(0), y.mean(), y.std())
+
+  def folded_into(self, network: torch.nn.Sequential) -> torch.nn.Sequential:
+    """Return the network for rows and efforts in their own units."""
+    result = copy.deepcopy(network)
+    first, last = result[0], result[-1]
+    assert isinstance(first, torch.nn.Linear)
+    assert isinstance(last, torch.nn.Linear)
+    with torch.no_grad():
+      first.bias.sub_(first.weight @ self.center)
+      first.weight.copy_(first.weight @ self.inputs)
+      last.weight.mul_(self.effort_scale)
+      last.bias.mul_(self.effort_scale).add_(self.effort_center)
+    return result.eval().requires_grad_(False)
+
+
+def _error(network: torch.nn.Module, x: torch.Tensor, y: torch.Tensor) -> float:
+  with torch.no_grad():
+    return (network(x)[:, 0] - y).square().mean().sqrt().item()
+
+
+def _best_pd(
+  x: torch.Tensor, y: torch.Tensor, x_held: torch.Tensor, y_held: torch.Tensor, length: int
+) -> tuple[tuple[float, float], float]:
+  """Gains that fit the trained samples best in the least squares, and their held-out error."""
+  newest = [0, length]
+  gains = torch.linalg.lstsq(x[:, newest], y[:, None]).solution[:, 0]
+  error = (x_held[:, newest] @ gains - y_held).square().mean().sqrt().item()
+  return (gains[0].item(), -gains[1].item()), error
+
+
+@contextmanager
+def _one_thread() -> Generator[None, None, None]:
+  """Tiny matrices: a second thread would only wait for the first."""
+  before = torch.get_num_threads()
+  torch.set_num_threads(1)
+  try:
+    yield
+  finally:
+    torch.set_num_threads(before)

@@ -1,0 +1,224 @@
+"""Records of a robot: commands and measurements of its joints over time, by name and in SI units."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mjlab_core.errors import FileError
+from mjlab_core.files import AtomicWrite, printable
+from mjlab_core.names import match_names, unknown
+
+JOINT_SIGNALS: dict[str, str] = {
+  "position_target": "position",
+  "velocity_target": "velocity",
+  "effort_target": "effort",
+  "position": "position",
+  "velocity": "velocity",
+  "effort": "effort",
+}
+"""Quantity of each signal that joints have; targets are commands, the others are measured."""
+
+BODY_SIGNALS: dict[str, str] = {"angular_velocity": "velocity", "linear_acceleration": "acceleration"}
+"""Quantity of each signal of the IMU, in its own frame, (rows, 3)."""
+
+UNITS: dict[str, dict[str, float]] = {
+  "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+  "position": {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3, "rev": 2.0 * math.pi},
+  "velocity": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "m/s": 1.0, "mm/s": 1e-3, "rpm": math.pi / 30.0},
+  "effort": {"N m": 1.0, "N": 1.0, "mN m": 1e-3},
+  "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+}
+"""Factors to SI units by quantity; the first unit of each is the default."""
+
+# A clock jitters; a sample may be late by this share of the period.
+_JITTER = 0.1
+# A longer interval, in periods, is an interruption.
+_GAP = 3.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+  """Signals of some joints at common times."""
+
+  source: str
+  """Name for messages, such as the file."""
+  joints: tuple[str, ...]
+  """Names of the joints, in the order of columns."""
+  time: np.ndarray
+  """Times of the rows, rising, (rows,) [s]."""
+  signals: Mapping[str, np.ndarray] = field(repr=False)
+  """Signals by name, (rows, joints) or (rows, 3), in SI units; NaN where a joint lacks one."""
+  ignored: tuple[str, ...] = ()
+  """Columns or arrays of the file that were not read."""
+
+  def __post_init__(self) -> None:
+    for name, values in self.signals.items():
+      if name not in (*JOINT_SIGNALS, *BODY_SIGNALS):
+        raise FileError(unknown("signal", printable(name, 80), (*JOINT_SIGNALS, *BODY_SIGNALS), owner=self.source))
+      width = len(self.joints) if name in JOINT_SIGNALS else 3
+      if values.shape != (len(self.time), width):
+        raise FileError(f"{self.source}: signal '{name}' is {values.shape}, expected {(len(self.time), width)}")
+    if len(set(self.joints)) < len(self.joints):
+      raise FileError(f"{self.source}: a joint is there twice: {', '.join(self.joints)}")
+    if len(self.time) < 2:
+      raise FileError(f"{self.source}: {len(self.time)} rows; a record has at least two")
+    late = np.flatnonzero(~(np.diff(self.time) > 0.0))
+    if late.size or not math.isfinite(self.time[0]):
+      row = int(late[0]) + 1 if late.size else 0
+      raise FileError(
+        f"{self.source}, row {row + 1}: time {self.time[row]:g} s does not follow the row before; sort it"
+      )
+    for name, values in self.signals.items():
+      if name in BODY_SIGNALS and np.isnan(values).any():
+        raise FileError(f"{self.source}: {name} is not finite, or lacks one of x, y, z")
+      # A joint may lack a signal altogether, but not now and then.
+      broken = ~np.isfinite(values) & ~np.isnan(values).all(0)
+      if broken.any():
+        row, column = (int(index) for index in np.argwhere(broken)[0])
+        element = self.joints[column] if name in JOINT_SIGNALS else "xyz"[column]
+        raise FileError(f"{self.source}, row {row + 1}: {name} of '{element}' is not a finite number")
+
+  @property
+  def num_rows(self) -> int:
+    """Number of rows."""
+    return len(self.time)
+
+  @property
+  def period(self) -> float:
+    """Time between two rows, the median [s]."""
+    # Written times are rounded; over many rows that averages out.
+    steps = np.diff(self.time)
+    middle = float(np.median(steps))
+    return float(f"{steps[np.abs(steps - middle) <= _JITTER * middle].mean():.6g}")
+
+  def has(self, signal: str, joint: str) -> bool:
+    """Return True if the joint has the signal."""
+    return signal in self.signals and not np.isnan(self.signals[signal][0, self.joints.index(joint)])
+
+  def of(self, signal: str, joints: Sequence[str]) -> np.ndarray:
+    """Return a signal of some joints, (rows, len(joints)).
+
+    Raises:
+      FileError: A joint lacks the signal.
+    """
+    for joint in joints:
+      if joint not in self.joints:
+        raise FileError(unknown("joint", joint, self.joints, owner=self.source))
+      if not self.has(signal, joint):
+        others = f"; not read: {', '.join(self.ignored)}" if self.ignored else ""
+        raise FileError(f"{self.source}: joint '{joint}' has no signal '{signal}'{others}")
+    return self.signals[signal][:, [self.joints.index(joint) for joint in joints]]
+
+  def rows(self, rows: slice) -> "Record":
+    """Return a part of the record."""
+    return replace(self, time=self.time[rows], signals={name: values[rows] for name, values in self.signals.items()})
+
+  def select(self, patterns: str | Sequence[str]) -> "Record":
+    """Return the record of the joints that a pattern matches.
+
+    Raises:
+      UnknownNameError: A pattern matches no joint.
+    """
+    columns, names = match_names(patterns, self.joints, what="joint", owner=self.source)
+    signals = {name: v[:, columns] if name in JOINT_SIGNALS else v for name, v in self.signals.items()}
+    return replace(self, joints=tuple(names), signals=signals)
+
+
+def write_record(record: Record, path: str | Path) -> None:
+  """Write a record as .csv or .npz; a file of that name is replaced whole."""
+  path = Path(path)
+  if path.suffix == ".npz":
+    with AtomicWrite(path) as temporary, temporary.open("wb") as file:
+      arrays: dict[str, Any] = {"time": record.time, "joints": np.array(record.joints, dtype=str), **record.signals}
+      np.savez_compressed(file, **arrays)
+    return
+  if path.suffix != ".csv":
+    raise FileError(f"record {path}: expected a name that ends in .csv or .npz")
+  columns = {"time": record.time}
+  for name, values in record.signals.items():
+    elements = record.joints if name in JOINT_SIGNALS else tuple("xyz")
+    for element, column in zip(elements, values.T, strict=True):
+      if not np.isnan(column).all():
+        columns[f"{name}/{element}"] = column
+  with AtomicWrite(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+    file.write(",".join(columns) + "\n")
+    np.savetxt(file, np.stack(list(columns.values()), 1), delimiter=",", fmt="%.9g")
+
+
+def uniform(record: Record, period: float | None = None) -> list[Record]:
+  """Return the uninterrupted stretches of a record, resampled to one period with a warning where it is uneven.
+
+  Measurements are interpolated, targets are held. A gap of several periods begins a new stretch; stretches of fewer
+  than two rows are dropped.
+
+  Args:
+    record: Rows at any rising times.
+    period: Wanted period [s]; None for the record's own.
+  """
+  own = record.period
+  period = own if period is None else period
+  steps = np.diff(record.time)
+  cuts = np.flatnonzero(steps > _GAP * own) + 1
+  if cuts.size:
+    longest = float(steps.max())
+    warnings.warn(
+      f"{record.source}: {cuts.size} gaps, the longest of {longest:.3g} s, while rows are {own:.3g} s apart; "
+      "each begins a new stretch",
+      stacklevel=2,
+    )
+  if np.any(np.abs(np.delete(steps, cuts - 1) - own) > _JITTER * own):
+    share = float(np.mean(np.abs(steps - own) > _JITTER * own))
+    warnings.warn(
+      f"{record.source}: {share:.0%} of the rows are not {own:.3g} s apart; they are resampled", stacklevel=2
+    )
+  out = []
+  for begin, end in zip([0, *cuts], [*cuts, len(record.time)], strict=True):
+    if end - begin >= 2 and (resampled := _resampled(record.rows(slice(begin, end)), period)) is not None:
+      out.append(resampled)
+  return out
+
+
+def _resampled(record: Record, period: float) -> Record | None:
+  count = math.floor((record.time[-1] - record.time[0]) / period * (1.0 + 1e-9) + _JITTER) + 1
+  if count < 2:
+    return None
+  time = record.time[0] + period * np.arange(count)
+  if count == record.num_rows and np.all(np.abs(time - record.time) <= _JITTER * period):
+    return replace(record, time=time)
+  held = np.clip(np.searchsorted(record.time, time + _JITTER * period, side="right") - 1, 0, None)
+  signals = {}
+  for name, values in record.signals.items():
+    if name.endswith("_target"):
+      signals[name] = values[held]
+    else:
+      signals[name] = np.stack([np.interp(time, record.time, column) for column in values.T], 1)
+  return replace(record, time=time, signals=signals)
+
+
+def check_joints(record: Record, ranges: Mapping[str, tuple[float, float]]) -> None:
+  """Check names and units of a record against the joints of a robot.
+
+  Args:
+    record: The record.
+    ranges: Range of each joint [rad or m]; infinite without limits.
+
+  Raises:
+    FileError: A joint does not exist, or positions lie so far outside its range that the unit must be wrong.
+  """
+  for joint in record.joints:
+    if joint not in ranges:
+      raise FileError(unknown("joint", joint, ranges, owner=record.source))
+    low, high = ranges[joint]
+    span = high - low
+    if not record.has("position", joint) or not math.isfinite(span):
+      continue
+    values = record.signals["position"][:, record.joints.index(joint)]
+    if values.min() < low - span or values.max() > high + span:
+      raise FileError(
+        f"{record.source}: positions of '{joint}' reach {values[np.abs(values).argmax()]:.3g}, but its range is "
+        f"[{low:.3g}, {high:.3g}]; name the unit, such as 'position/{joint} [deg]', or correct the offset"
+      )

@@ -1,0 +1,120 @@
+"""Small robots on stands, and records of them that MuJoCo's own loop makes."""
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from mjlab_actuators import ActuatorCfg, ActuatorSet, NativePositionActuatorCfg
+from mjlab_sysid import Record, Robot, robot_on_stand
+
+TIMESTEP, PERIOD = 0.002, 0.01
+SERVOS: tuple[ActuatorCfg, ...] = (
+  NativePositionActuatorCfg(
+    target_names_expr=(".*",), stiffness=20.0, damping=0.5, effort_limit=30.0, armature=0.02, frictionloss=0.1
+  ),
+)
+ARM = """
+<mujoco>
+  <option integrator="implicitfast"/>
+  <worldbody>
+    <body name="upper" pos="0 0 1">
+      <freejoint/>
+      <geom type="box" size="0.05 0.05 0.05" mass="5"/>
+      <body name="thigh">
+        <joint name="hip" axis="0 1 0" damping="0.1" range="-120 120"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.25" mass="1" contype="0" conaffinity="0"/>
+        <body name="shank" pos="0 0 -0.25">
+          <joint name="knee" axis="0 1 0" damping="0.1" range="-150 150"/>
+          <geom type="capsule" size="0.015" fromto="0 0 0 0 0 -0.2" mass="0.4" contype="0" conaffinity="0"/>
+          <geom name="foot" type="sphere" size="0.02" pos="0 0 -0.22" mass="0.1" condim="3"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def arm(actuators: tuple[ActuatorCfg, ...] = SERVOS, **stand: Any) -> Robot:
+  spec = mujoco.MjSpec.from_string(ARM)
+  ActuatorSet(actuators).edit_spec(spec)
+  settings: dict[str, Any] = {"timestep": TIMESTEP} | stand
+  return robot_on_stand(spec, actuators, **settings)
+
+
+def changed(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
+  """Model of the robot with fields of elements multiplied: {"dof_armature:hip": 1.5}."""
+  model = copy.copy(robot.model)
+  for name, factor in factors.items():
+    field, element = name.split(":")
+    if field == "stiffness":
+      index = model.actuator(element).id
+      model.actuator_gainprm[index, 0] *= factor
+      model.actuator_biasprm[index, 1] *= factor
+      continue
+    kind = "joint" if field.startswith("dof") else field.partition("_")[0]
+    index = model.joint(element).dofadr[0] if kind == "joint" else getattr(model, kind)(element).id
+    getattr(model, field)[index] *= factor
+  mujoco.mj_setConst(model, mujoco.MjData(model))
+  return model
+
+
+def sines(robot: Robot, seed: int, seconds: float, size: float = 0.12) -> np.ndarray:
+  """Set-points at every row: sums of sines about the pose that begin there."""
+  random = np.random.default_rng(seed)
+  addresses, _ = robot.addresses(robot.joints)
+  count = len(robot.joints)
+  rate, phase = random.uniform(0.3, 4.0, (6, count)), random.uniform(0.0, 2.0 * np.pi, (6, count))
+  gain = random.uniform(0.3, 1.0, (6, count)) * size
+  time = PERIOD * np.arange(round(seconds / PERIOD))[:, None, None]
+  waves = gain * (np.sin(2.0 * np.pi * rate * time + phase) - np.sin(phase))
+  return robot.pose[addresses] + waves.sum(1) * np.minimum(1.0, time[..., 0])
+
+
+def record(
+  robot: Robot,
+  model: mujoco.MjModel,
+  commands: np.ndarray,
+  *,
+  delay: int = 0,
+  noise: float = 0.0,
+  quantum: float = 0.0,
+  bias: float = 0.0,
+  source: str = "record",
+  signals: tuple[str, ...] = ("position", "velocity"),
+  law: Callable[..., np.ndarray] | None = None,
+) -> Record:
+  """Record of a model, stepped alone; `delay` in timesteps, `bias` of all encoders.
+
+  `law` of set-points, positions and velocities gives the controls of motors; without it set-points are controls.
+  """
+  data = mujoco.MjData(model)
+  data.qpos[:] = robot.pose
+  addresses, dofs = robot.addresses(robot.joints)
+  substeps = round(PERIOD / model.opt.timestep)
+  order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
+  held = np.repeat(commands, substeps, 0)[:, order]
+  rows: list[Any] = []
+  for step in range(len(held)):
+    if step % substeps == 0:
+      rows.append(np.concatenate((data.qpos[addresses], data.qvel[dofs])))
+    data.ctrl[:] = held[max(0, step - delay)] - bias
+    if law is not None:
+      data.ctrl[:] = law(data.ctrl, data.qpos[addresses][order], data.qvel[dofs][order])
+    mujoco.mj_step(model, data)
+    if step % substeps == 0:
+      rows[-1] = np.concatenate((rows[-1], data.qfrc_actuator[dofs]))
+  position, velocity, effort = np.split(np.array(rows, dtype=np.float64), 3, axis=1)
+  random = np.random.default_rng(99)
+  position = position + bias + noise * random.normal(size=position.shape)
+  position = np.round(position / quantum) * quantum if quantum else position
+  velocity = velocity + 20.0 * noise * random.normal(size=velocity.shape)
+  measured = {"position": position, "velocity": velocity, "effort": effort}
+  return Record(
+    source=source,
+    joints=robot.joints,
+    time=PERIOD * np.arange(len(rows)),
+    signals={"position_target": commands, **{name: measured[name] for name in signals}},
+  )

@@ -1,0 +1,193 @@
+"""Known parameters are found again in simulated records, and those that cannot be are named."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from mjlab_actuators import DcMotorActuatorCfg, IdealPdActuatorCfg
+from mjlab_core import MjlabError
+from mjlab_sysid import Identified, IdentifyCfg, Record, Robot, identify, parse_term
+from sysid_robots import arm, changed, record, sines
+
+FACTORS = {
+  "dof_armature:hip": 1.6,
+  "dof_armature:knee": 0.6,
+  "dof_frictionloss:hip": 3.0,
+  "dof_frictionloss:knee": 1.7,
+  "dof_damping:hip": 2.0,
+  "stiffness:knee": 0.7,
+}
+TERMS = ("armature:.*", "frictionloss:.*", "viscous_damping:hip", "stiffness:knee")
+
+
+def fit(robot: Robot, records: list[Record], *terms: str, **more: Any) -> Identified:
+  return identify(robot, records, [parse_term(text) for text in terms], **more)
+
+
+def numbers(found: Identified) -> dict[str, float]:
+  return {parameter.name: float(number) for parameter, number in zip(found.parameters, found.numbers, strict=True)}
+
+
+def agree(found: Identified, wanted: Mapping[str, float], share: float) -> None:
+  assert numbers(found).keys() == wanted.keys()
+  for name, number in numbers(found).items():
+    assert number == pytest.approx(wanted[name], rel=share), name
+
+
+def test_parameters_are_found_again_without_noise() -> None:
+  robot = arm()
+  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 3.0))]
+  agree(fit(robot, records, *TERMS), FACTORS, 0.005)
+
+
+@pytest.mark.parametrize("timestep", [0.001, 0.002])
+def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> None:
+  # 7 ms are 3.5 of the longer timestep.
+  robot = arm(timestep=timestep)
+  true = changed(robot, FACTORS)
+  true.opt.timestep = 0.001
+  more: dict[str, Any] = {"delay": 7, "noise": 5e-4, "quantum": 4e-4}
+  made = [record(robot, true, sines(robot, seed, 10.0), source=str(seed), **more) for seed in (0, 1)]
+  found = fit(robot, made[:1], *TERMS, "delay:.*,shared", held_out=made[1:])
+  agree(found, FACTORS | {"delay:.*": 0.007}, 0.05)
+  assert found.told.all()
+  held_out = [score for score in found.scores if score.is_held_out]
+  assert {score.record for score in held_out} == {"1"}
+  for score in held_out:
+    assert score.after < 1e-3 < 5e-3 < score.before
+  wanted = np.array([*FACTORS.values(), 0.007])
+  # The error that is stated is the error that there is, but for another timestep's.
+  if timestep == true.opt.timestep:
+    assert np.abs((found.numbers - wanted) / found.spread).max() < 4.0
+
+
+def test_what_records_cannot_tell_is_named_and_stays() -> None:
+  robot = arm()
+  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 6.0), noise=1e-4)]
+  # Both dampers of a servo's joint act as one, and nothing reaches its limit of effort.
+  found = fit(robot, records, *TERMS, "damping:hip", "effort_limit:knee=20..60")
+  told = dict(zip(numbers(found), zip(found.told, found.reasons, strict=True), strict=True))
+  assert told["effort_limit:knee"] == (False, "the records hardly depend on it")
+  assert numbers(found)["effort_limit:knee"] == 30.0
+  twins = {name: told[name] for name in ("dof_damping:hip", "damping:hip")}
+  ((lost, (_, reason)),) = [(name, entry) for name, entry in twins.items() if not entry[0]]
+  kept = next(name for name in twins if name != lost)
+  assert reason == f"the records tell it only together with {kept}"
+  assert numbers(found)[lost] == 1.0
+  # What is told is not spoilt by what is not: their sum is right.
+  total = 0.1 * numbers(found)["dof_damping:hip"] + 0.5 * numbers(found)["damping:hip"]
+  assert total == pytest.approx(0.1 * 2.0 + 0.5, rel=0.01)
+  assert numbers(found)["dof_armature:hip"] == pytest.approx(1.6, rel=0.01)
+  assert "hardly depend" in found.summary()
+
+
+def test_contact_friction_is_found_where_a_foot_slides() -> None:
+  robot = arm(pose={"hip": 0.3, "knee": -0.6}, floor=0.56)
+  true = changed(robot, {"geom_friction:foot": 0.5})
+  made = record(robot, true, sines(robot, 2, 4.0, size=0.05), noise=1e-5)
+  found = fit(robot, [made], "geom_friction:foot", cfg=IdentifyCfg(window=0.1))
+  assert found.told.all()
+  assert found.value("geom_friction.sliding:foot") == pytest.approx(0.5, rel=0.05)
+
+
+def test_encoder_offsets_and_masses_are_found_through_gravity() -> None:
+  robot = arm(pose={"hip": 0.5, "knee": 0.5})
+  made = record(robot, changed(robot, {"body_mass:shank": 1.5}), sines(robot, 3, 4.0), bias=0.03)
+  found = fit(robot, [made], "encoder_bias:.*,shared", "body_mass:shank")
+  assert numbers(found)["encoder_bias:.*"] == pytest.approx(0.03, rel=0.03)
+  assert numbers(found)["body_mass:shank"] == pytest.approx(1.5, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["ideal", "dc"])
+def test_laws_that_torch_computes_are_fitted_too(kind: str) -> None:
+  more: dict[str, Any] = {"target_names_expr": (".*",), "stiffness": 20.0, "damping": 0.5, "armature": 0.02}
+  law = (
+    IdealPdActuatorCfg(**more)
+    if kind == "ideal"
+    else DcMotorActuatorCfg(**more, saturation_effort=40.0, velocity_limit=200.0)
+  )
+  robot = arm((law,))
+  gains = np.array([26.0, 20.0])
+  made = record(
+    robot,
+    changed(robot, {"dof_armature:knee": 1.5}),
+    sines(robot, 0, 3.0),
+    law=lambda target, position, velocity: gains * (target - position) - 0.5 * velocity,
+  )
+  found = fit(robot, [made], "stiffness:hip", "armature:knee")
+  agree(found, {"stiffness:hip": 1.3, "dof_armature:knee": 1.5}, 0.005)
+
+
+def test_inertia_moves_as_one_and_stays_physical() -> None:
+  robot = arm(pose={"hip": 0.4, "knee": 0.4})
+  made = record(robot, changed(robot, {"body_mass:shank": 1.4, "body_inertia:shank": 1.4}), sines(robot, 0, 3.0))
+  found = fit(robot, [made], "pseudo_inertia.alpha:shank")
+  assert numbers(found)["pseudo_inertia.alpha:shank"] == pytest.approx(0.5 * np.log(1.4), rel=0.01)
+
+
+def test_efforts_tell_what_motion_does_not() -> None:
+  robot = arm(pose={"hip": 0.4, "knee": 0.4})
+  factors = {"stiffness:hip": 1.3}
+  made = record(robot, changed(robot, factors), sines(robot, 0, 3.0), signals=("position", "effort"))
+  agree(fit(robot, [made], "stiffness:hip"), factors, 0.005)
+
+
+def test_cma_needs_no_gradient() -> None:
+  robot = arm()
+  factors = {"dof_armature:hip": 1.6, "dof_frictionloss:hip": 3.0}
+  made = record(robot, changed(robot, factors), sines(robot, 0, 2.0))
+  found = fit(robot, [made], "armature:hip", "frictionloss:hip", cfg=IdentifyCfg(solver="cma", iterations=25))
+  agree(found, factors, 0.02)
+
+
+def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
+  robot = arm()
+  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 2.0))
+  found = fit(robot, [made], *TERMS, on_iteration=lambda progress: progress.iteration == 2)
+  assert found.stopped
+  assert all(score.after < score.before for score in found.scores)
+
+
+@pytest.mark.parametrize(
+  ("terms", "message"),
+  [
+    (["armature"], r"fit 'armature': expected FIELD\[\.AXIS\]:PATTERN"),
+    (["armatur:.*"], "field 'armatur' does not exist. Nearest: armature"),
+    (["geom_friction.slide:foot"], "axis 'slide' does not exist. Nearest: sliding"),
+    (["armature:ankle"], "pattern 'ankle' matches no joint"),
+    (["stiffness:ankle"], "pattern 'ankle' matches no driven joint"),
+    (["armature:hip=2..1"], r"bounds 2\.\.1 must rise"),
+    (["armature:hip", "dof_armature:.*"], "dof_armature of 'hip' is named twice"),
+    (["armature:hip=-1..1"], "below the physical minimum 0"),
+    (["geom_matid:foot"], "it is a choice"),
+    ([], "no parameter to fit is given"),
+  ],
+)
+def test_a_wrong_parameter_is_refused_by_name(terms: list[str], message: str) -> None:
+  robot = arm()
+  made = record(robot, robot.model, sines(robot, 0, 1.0))
+  with pytest.raises(MjlabError, match=message):
+    fit(robot, [made], *terms)
+
+
+def test_records_that_do_not_fit_the_robot_are_refused() -> None:
+  robot = arm()
+  made = record(robot, robot.model, sines(robot, 0, 1.0))
+  for signals, joints, message in (
+    ({**made.signals, "position": made.signals["position"] * 0.0 + 573.0}, made.joints, "name the unit"),
+    (made.signals, ("hip", "ankle"), "joint 'ankle' does not exist"),
+    ({"position": made.signals["position"]}, made.joints, "no joint has a command"),
+    ({"position_target": made.signals["position"]}, made.joints, "joint 'hip' has no signal 'position'"),
+  ):
+    wrong = Record(source="test", joints=joints, time=made.time, signals=signals)
+    with pytest.raises(MjlabError, match=message):
+      fit(robot, [wrong], "armature:hip")
+  with pytest.raises(MjlabError, match=r"windows of 5 s are longer than the records, of at most 0\.99 s"):
+    fit(robot, [made], "armature:hip", cfg=IdentifyCfg(window=5.0))
+
+
+def test_the_base_of_a_robot_on_its_stand_does_not_touch_its_limbs() -> None:
+  robot = arm()
+  assert robot.model.nv == 2
+  assert robot.model.nexclude == 1

@@ -1,0 +1,225 @@
+"""A motor with friction and delay is recovered from its records."""
+
+import csv
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab_actuators import ActuatorSet, IdealPdActuatorCfg, LearnedMlpActuatorCfg
+from mjlab_core import MjlabError
+from mjlab_sysid import MotorFit, MotorFitCfg, fit_motor, read_records
+
+PERIOD = 0.005
+PENDULUM = f"""
+<mujoco>
+  <option timestep="{PERIOD}"/>
+  <worldbody><body><joint name="hinge" axis="0 1 0" armature="0.02" damping="0.05"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3"/></body></worldbody>
+</mujoco>
+"""
+KP, KD, LIMIT, FRICTION, DELAY = 12.0, 0.6, 4.0, 0.8, 2
+HEADER = ("time", "position_target", "position", "velocity", "effort")
+
+
+def motor(error: float, velocity: float) -> float:
+  """Effort of the hidden motor, of an error that is DELAY samples old."""
+  drive = min(max(KP * error - KD * velocity, -LIMIT), LIMIT)
+  return drive - FRICTION * math.tanh(velocity / 0.3)
+
+
+def drive(law: Any, seed: int, steps: int) -> np.ndarray:
+  """Rows of HEADER while `law` (target, position, velocity) -> effort moves the pendulum after steps and sweeps."""
+  spec = mujoco.MjSpec.from_string(PENDULUM)
+  spec.add_actuator(name="m", target="hinge", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
+  model = spec.compile()
+  data, random = mujoco.MjData(model), np.random.default_rng(seed)
+  rows, level, speed = [], 0.0, 1.0
+  for step in range(steps):
+    if step % 80 == 0:
+      level, speed = random.uniform(-1.0, 1.0), random.uniform(2.0, 15.0)
+    target = level + 0.3 * math.sin(speed * data.time)
+    mujoco.mj_forward(model, data)
+    position, velocity = data.qpos[0], data.qvel[0]
+    effort = law(target, position, velocity)
+    rows.append((data.time, target, position, velocity, effort))
+    data.ctrl[0] = effort
+    mujoco.mj_step(model, data)
+  return np.array(rows)
+
+
+def hidden_motor() -> Any:
+  late: list[float] = []
+
+  def law(target: float, position: float, velocity: float) -> float:
+    late.append(target)
+    return motor(late[max(len(late) - 1 - DELAY, 0)] - position, velocity)
+
+  return law
+
+
+def write(path: Path, rows: Any, header: tuple[str, ...] = HEADER) -> Path:
+  with path.open("w", newline="") as file:
+    writer = csv.writer(file)
+    writer.writerow(header)
+    writer.writerows(rows)
+  return path
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  return write(tmp_path_factory.mktemp("motor") / "records.csv", drive(hidden_motor(), seed=0, steps=8000))
+
+
+@pytest.fixture(scope="module")
+def fitted(recorded: Path) -> MotorFit:
+  return fit_motor(read_records([recorded]), MotorFitCfg(history_length=4, epochs=60))
+
+
+def test_a_motor_with_friction_and_delay_is_recovered_far_better_than_by_a_pd_law(fitted: MotorFit) -> None:
+  effort = fitted.held_out[:, 0]
+  assert effort.square().mean().sqrt() > 1.0
+  # In N m, of a motor that gives up to 4.
+  assert fitted.held_out_error < 0.06
+  assert fitted.train_error < 0.06
+  # The best PD law that there is for these records, not the hidden one's gains.
+  assert fitted.pd_error > 15.0 * fitted.held_out_error
+  assert fitted.curve[-1].held_out_error < 0.2 * fitted.curve[0].held_out_error
+
+
+def test_the_learned_motor_moves_a_joint_as_the_real_one_does_on_targets_never_seen(
+  fitted: MotorFit, tmp_path: Path
+) -> None:
+  fitted.save(tmp_path / "motor.pt")
+  learned = LearnedMlpActuatorCfg(
+    target_names_expr=("hinge",),
+    network_file=tmp_path / "motor.pt",
+    history_length=4,
+    sample_period=fitted.period,
+    activation=fitted.cfg.activation,
+  )
+  kp, kd = fitted.pd_gains
+  ideal = IdealPdActuatorCfg(target_names_expr=("hinge",), stiffness=kp, damping=kd)
+
+  def law(cfg: Any) -> Any:
+    spec = mujoco.MjSpec.from_string(PENDULUM)
+    actuators = ActuatorSet([cfg])
+    actuators.edit_spec(spec)
+    actuators.build(spec.compile(), num_envs=1, device="cpu", dtype=torch.float64)
+
+    def effort(*numbers: float) -> float:
+      target, position, velocity = (torch.tensor([[number]], dtype=torch.float64) for number in numbers)
+      zero = torch.zeros_like(target)
+      return actuators.compute(target, zero, zero, position, velocity).item()
+
+    return effort
+
+  real, like, pd = (drive(which, seed=7, steps=1600)[:, 2] for which in (hidden_motor(), law(learned), law(ideal)))
+  assert np.sqrt(np.mean(np.square(like - real))) < 0.01
+  assert np.sqrt(np.mean(np.square(pd - real))) > 8.0 * np.sqrt(np.mean(np.square(like - real)))
+
+
+def test_the_stored_network_gives_the_very_efforts_that_were_reported(fitted: MotorFit, tmp_path: Path) -> None:
+  fitted.save(tmp_path / "motor.pt")
+  assert [path.name for path in tmp_path.iterdir()] == ["motor.pt"]
+  cfg = LearnedMlpActuatorCfg(target_names_expr=("x",), network_file=tmp_path / "motor.pt", history_length=4)
+  law: Any = cfg.build(target_names=["x"], num_envs=1, device="cpu", dtype=torch.float32)
+  rows = torch.randn(5, 8)
+  torch.testing.assert_close(law.network(rows), fitted.network(rows))
+
+
+def test_the_config_that_is_shown_can_be_pasted(fitted: MotorFit, tmp_path: Path) -> None:
+  fitted.save(tmp_path / "motor.pt")
+  shown = fitted.config(tmp_path / "motor.pt").replace("(...,)", "('hinge',)")
+  cfg = eval(shown, {"LearnedMlpActuatorCfg": LearnedMlpActuatorCfg})
+  assert (cfg.sample_period, cfg.history_length) == (PERIOD, 4)
+  cfg.validate(["hinge"])
+
+
+def test_the_same_seed_gives_the_same_network(recorded: Path) -> None:
+  records = read_records([recorded])
+  one, same, other = (fit_motor(records, MotorFitCfg(epochs=1, seed=seed)) for seed in (1, 1, 2))
+  assert torch.equal(one.held_out, same.held_out)
+  assert not torch.equal(one.held_out, other.held_out)
+
+
+def test_training_ends_where_it_is_told_to(recorded: Path) -> None:
+  fit = fit_motor(read_records([recorded]), MotorFitCfg(epochs=50), lambda progress: progress.epoch == 2)
+  assert [point.epoch for point in fit.curve] == [1, 2]
+  assert fit.held_out_error == fit.curve[-1].held_out_error
+
+
+def test_held_out_samples_are_never_trained_on_and_windows_stay_in_their_segment(tmp_path: Path) -> None:
+  # The efforts of what is held out are nonsense that training would have to follow if it saw them.
+  rows = drive(hidden_motor(), seed=3, steps=400)
+  clean = write(tmp_path / "clean.csv", rows[:320])
+  rows[320:, 4] = 1e3
+  spoilt = write(tmp_path / "spoilt.csv", rows)
+  cfg = MotorFitCfg(epochs=2, held_out=0.2)
+  fit = fit_motor(read_records([spoilt]), cfg)
+  assert fit.train_error < 10.0
+  assert fit.held_out_error > 100.0
+  two = fit_motor(read_records([clean, clean]), MotorFitCfg(epochs=1, history_length=5, held_out=0.25))
+  assert len(two.held_out) == 2 * (80 - 4)
+
+
+def test_a_plot_shows_errors_and_efforts(fitted: MotorFit, tmp_path: Path) -> None:
+  fitted.save_plot(tmp_path / "motor.png")
+  assert (tmp_path / "motor.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+  assert [path.name for path in tmp_path.iterdir()] == ["motor.png"]
+
+
+def test_without_matplotlib_a_plot_says_what_to_install(
+  fitted: MotorFit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setitem(sys.modules, "matplotlib", None)
+  with pytest.raises(ModuleNotFoundError, match="mjlab-sysid with its extra 'plot'"):
+    fitted.save_plot(tmp_path / "motor.png")
+  assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_write_leaves_the_old_file(fitted: MotorFit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  path = tmp_path / "motor.pt"
+  path.write_text("old")
+
+  def fail(state: object, file: Path) -> None:
+    Path(file).write_text("half")
+    raise OSError("disk full")
+
+  monkeypatch.setattr(torch, "save", fail)
+  with pytest.raises(OSError, match="disk full"):
+    fitted.save(path)
+  assert path.read_text() == "old"
+  assert [file.name for file in tmp_path.iterdir()] == ["motor.pt"]
+
+
+def table(rows: int = 12) -> list[list[float]]:
+  return [[PERIOD * k, 0.1 * k, 0.05 * k, 0.2, math.sin(k)] for k in range(rows)]
+
+
+@pytest.mark.parametrize(
+  ("changes", "message"),
+  [
+    ({"history_length": 0}, "history_length is 0"),
+    ({"epochs": 0}, "epochs is 0"),
+    ({"hidden": ()}, r"hidden is \(\)"),
+    ({"activation": "relo"}, "activation 'relo' does not exist. Nearest: relu"),
+    ({"learning_rate": 0.0}, "learning_rate is 0.0"),
+    ({"held_out": 1.0}, "held_out is 1.0"),
+    ({"history_length": 5}, "stretch 1 of 1 has 12 rows; with history_length 5 and held_out 0.2 each of its two parts"),
+  ],
+)
+def test_impossible_settings_are_refused_by_name(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+  records = read_records([write(tmp_path / "a.csv", table())])
+  with pytest.raises(MjlabError, match=message):
+    fit_motor(records, MotorFitCfg(**changes))
+
+
+def test_a_motor_that_never_gave_anything_teaches_nothing(tmp_path: Path) -> None:
+  records = read_records([write(tmp_path / "a.csv", [[*row[:4], 1.5] for row in table(40)])])
+  with pytest.raises(MjlabError, match="'effort' never changes"):
+    fit_motor(records)
