@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 from manipulation_worlds import COLOURS, lift, room_in_sight, three_cubes
+from mjlab_core.errors import ConfigError
 from mjlab_dr import randomize_field
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import ConfigError, EventTermCfg, SceneEntityCfg
+from mjlab_managers import EventTermCfg, SceneEntityCfg
 from mjlab_manipulation import lift_cube_env, multi_cube_seg_env
 from mjlab_manipulation.mdp import Region
 from mjlab_manipulation.objects import CUBE_EDGE
@@ -137,12 +138,12 @@ def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
   [
     ({"objects": ()}, "objects must name at least one entity"),
     ({"objects": ("ball",)}, "ball"),
-    ({"objects": ("robot",)}, "'robot' cannot be lifted: its base does not float"),
+    ({"objects": ("robot",)}, "'robot' cannot be lifted: its base is fixed"),
     ({"min_distance": 0.5, "objects": ("cube", "cube")}, "0.206 m wide, too little for 2 objects 0.5 m apart"),
-    ({"min_distance": 0.05, "objects": ("cube", "cube")}, "min_distance is 0.05 m, and objects may touch below 0.0565"),
-    ({"goal": Region(x=(0.5, 0.3), y=(0.0, 0.0), z=(0.2, 0.4))}, "goal.x"),
+    ({"min_distance": 0.05, "objects": ("cube", "cube")}, "min_distance is 0.05 m, but objects may touch below 0.0565"),
+    ({"goal": Region(x=(0.5, 0.3), y=(0.0, 0.0), z=(0.2, 0.4))}, "goal: x must not fall"),
     ({"goal_time_range": (0.0, 1.0)}, "goal_time_range"),
-    ({"resampling_time_range": (1.0, 2.0)}, "objects are placed at resets"),
+    ({"resampling_time_range": (1.0, 2.0)}, "resets draw the command"),
   ],
   ids=lambda value: "" if isinstance(value, str) else next(iter(value)),
 )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from manipulation_worlds import image_cfg, images, in_mujoco, lift
+from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
-from mjlab_managers import ConfigError
 from mjlab_manipulation import (
   lift_cube_depth,
   lift_cube_depth_env,
@@ -175,7 +175,7 @@ def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) 
     ({"channels": ("colour",)}, "channel 'colour' does not exist"),
     ({"channels": ()}, "channels must name at least one of: rgb, depth, valid, object"),
     ({"channels": ("rgb",)}, "channel 'rgb' needs 'rgb' among the data_types of sensor 'wrist_camera'"),
-    ({"depth_range": (0.5, 0.1)}, "depth_range must begin at 0 or more and end above"),
+    ({"depth_range": (0.5, 0.1)}, "depth_range must be 0 <= near < far"),
     ({"command": "lift"}, "lift_height"),
   ],
   ids=["channel", "none", "data", "range", "command"],
@@ -197,4 +197,4 @@ def test_three_cubes_have_room_and_colours_of_their_own() -> None:
   colours = [env.sim.mj_model.geom(f"{name}/cube").rgba[:3] for name in CUBES]
   assert [int(np.argmax(colour)) for colour in colours] == [0, 1, 2]
   assert (term.cfg.start.x, term.cfg.goal.z) == ((0.25, 0.4), (0.2, 0.4))
-  assert isinstance(env.cfg.commands[COMMAND], type(term.cfg))
+  assert isinstance(term.cfg, type(env.cfg.commands[COMMAND]))

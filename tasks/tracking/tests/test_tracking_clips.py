@@ -8,13 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_motions.editing import mirror, twin_name
+from mjlab_motions.kinematics import Kinematics
+from mjlab_motions.motion import Motion
+from mjlab_motions.motion_file import load_motion
+from mjlab_motions.quality import check_quality
+from mjlab_motions.timeline import derivative
 from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec, go1_spec
-from mjlab_tracking.kinematics import Kinematics
-from mjlab_tracking.motion import Motion, load_motion
-from mjlab_tracking.quality import check_quality
-from mjlab_tracking.timeline import derivative
 
-CLIPS = sorted(Path(str(files("mjlab_tracking") / "clips")).glob("*.npz"))
+CLIPS = sorted(Path(str(files("mjlab_motions") / "clips")).glob("*.npz"))
 DIRECTIONS = torch.stack([torch.tensor([math.cos(a), math.sin(a)]) for a in np.linspace(0, 2 * np.pi, 72)]).double()
 
 
@@ -108,3 +110,42 @@ def test_in_a_clip_that_ships_the_robot_touches_itself_nowhere(clip: Motion, rob
     mujoco.mj_fwdPosition(robot.model, data)
     touched |= {tuple(robot.model.geom(int(geom)).name for geom in contact.geom) for contact in data.contact}
   assert touched == set()
+
+
+def test_the_g1_is_symmetric_to_a_tenth_of_a_millimetre(robot: Kinematics) -> None:
+  torch.manual_seed(0)
+  joints = 0.5 * torch.randn(8, 29, dtype=torch.float64)
+  motion = Motion(
+    name="random",
+    rate=50.0,
+    root_body="pelvis",
+    joint_names=robot.joint_names,
+    root_pos=torch.zeros(8, 3, dtype=torch.float64),
+    root_quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(8, 1),
+    joint_pos=joints,
+  )
+  mirrored = mirror(motion, robot)
+  pos, _ = robot.poses(motion.root_pos, motion.root_quat, motion.joint_pos)
+  pos_m, _ = robot.poses(mirrored.root_pos, mirrored.root_quat, mirrored.joint_pos)
+  twins = [robot.body_names.index(twin_name(name)) for name in robot.body_names]
+  flip = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+  assert (pos_m - pos[:, twins] * flip).abs().max() < 1e-4
+
+
+def test_bodies_of_the_g1_are_and_move_as_mujoco_has_them(robot: Kinematics) -> None:
+  model, rng = robot.model, np.random.default_rng(3)
+  data = mujoco.MjData(model)
+  data.qpos[:] = rng.normal(size=model.nq) * 0.4
+  data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+  data.qvel[:] = rng.normal(size=model.nv)
+  mujoco.mj_forward(model, data)
+  mujoco.mju_rotVecQuat(spin := np.empty(3), data.qvel[3:6], data.qpos[3:7])
+  root_pos, root_quat, joints = (torch.from_numpy(part.copy())[None] for part in np.split(data.qpos, (3, 7)))
+  pos, quat = robot.poses(root_pos, root_quat, joints)
+  rates = (torch.from_numpy(np.array(part))[None] for part in (data.qvel[:3], spin, data.qvel[6:]))
+  linear, angular = robot.velocities(pos, quat, *rates)
+  expected = np.empty((model.nbody - 1, 6))
+  for body, row in enumerate(expected, start=1):
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, row, 0)
+  np.testing.assert_allclose(pos[0], data.xpos[1:], atol=1e-12)
+  np.testing.assert_allclose(np.hstack((angular[0], linear[0])), expected, atol=1e-12)

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from mjlab_core.errors import ConfigError
 from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul, quat_yaw
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_managers import ConfigError, TerminationTermCfg
+from mjlab_managers import TerminationTermCfg
+from mjlab_motions.clips import shipped_clips
+from mjlab_motions.motion_file import load_motion, save_motion
+from mjlab_motions.timeline import resample
 from mjlab_rl import RslRlVecEnvWrapper
 from mjlab_tracking import TrackingEvaluation
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS
-from mjlab_tracking.library import shipped_clips
 from mjlab_tracking.mdp import MotionCommand, bad_anchor_height
-from mjlab_tracking.motion import load_motion, save_motion
-from mjlab_tracking.timeline import resample
 from tracking_env import clips, command, make, still, without_failures, zeros
 
 
@@ -278,11 +279,11 @@ def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uni
     ({"motion": "squat_and_wawe"}, "motion 'squat_and_wawe' does not exist. Nearest: squat_and_wave"),
     ({"anchor_body": "head"}, "anchor_body 'head' is not among bodies"),
     ({"bodies": ("torso_link", "left_nee_link")}, "body 'left_nee_link' does not exist. Nearest: left_knee_link"),
-    ({"sampling": "adaptve"}, "sampling must be one of adaptive, uniform, start, each, got 'adaptve'"),
-    ({"preview": (0,)}, "preview counts steps ahead"),
+    ({"sampling": "adaptve"}, "sampling 'adaptve' does not exist. Nearest: adaptive"),
+    ({"preview": (0,)}, "preview must be at least 1, got (0,)"),
     ({"pose_range": {"jaw": (0.0, 1.0)}}, "axis 'jaw' does not exist"),
-    ({"joint_position_range": (0.1, -0.1)}, "joint_position_range"),
-    ({"entity": "robbot"}, "entity 'robbot' does not exist; the scene has: robot"),
+    ({"joint_position_range": (0.1, -0.1)}, "joint_position_range must not fall"),
+    ({"entity": "robbot"}, "entity 'robbot' does not exist. Nearest: robot"),
   ],
 )
 def test_a_mistake_is_named_at_build(change: dict, message: str) -> None:

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from mjlab_core.errors import ConfigError
 from mjlab_core.rotations import quat_apply, quat_conjugate, quat_error_magnitude, quat_mul, quat_yaw
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
-from mjlab_rl import EvaluationError, play_first_episodes
+from mjlab_rl import play_first_episodes
 from mjlab_tracking import TrackingEvaluation
 from mjlab_tracking.evaluation import UNITS
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS, g1_flat_env
@@ -153,5 +154,5 @@ def test_two_evaluations_with_one_seed_are_the_same(folder: Path) -> None:
 def test_a_task_without_a_motion_is_refused() -> None:
   cfg = g1_flat_env()
   cfg.commands = {}
-  with pytest.raises(EvaluationError, match="'motion' is no motion command"):
+  with pytest.raises(ConfigError, match="'motion' is not a motion command"):
     evaluator().configure(cfg)

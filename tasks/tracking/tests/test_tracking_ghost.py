@@ -1,69 +1,13 @@
 """The reference in viewers: the robot's shapes where the reference has them, and a target that can be held."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-import mujoco
-import numpy as np
 import pytest
 import torch
-from mjlab_tracking.kinematics import Kinematics
-from mjlab_tracking.mdp.ghost import Ghost
+from mjlab_motions import Ghost
 from tracking_env import clips, command, make, still, without_failures, zeros
-from tracking_robot import XML
-
-
-class Canvas:
-  """Notes what is drawn, row by row."""
-
-  def __init__(self, worlds: tuple[int, ...] = (0,)) -> None:
-    self.worlds = worlds
-    self.drawn: list[tuple[str, tuple[Any, ...]]] = []
-
-  def __getattr__(self, name: str) -> Any:
-    return lambda *arguments: self.drawn.append((name, arguments))
-
-
-def test_each_shape_is_where_mujoco_has_it() -> None:
-  spec = mujoco.MjSpec.from_string(XML)
-  tetrahedron = [[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.05, 0.05, 0.4]]
-  spec.add_mesh(name="hat", uservert=np.ravel(tetrahedron))
-  spec.body("arm").add_geom(
-    type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hat", pos=(0.1, 0.2, 0.3), euler=(20, 30, 40), mass=0
-  )
-  spec.body("arm").add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.05, 0.1, 0), mass=0)
-  model = spec.compile()
-  data = mujoco.MjData(model)
-  rng = np.random.default_rng(0)
-  data.qpos[:] = rng.normal(size=model.nq)
-  data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-  mujoco.mj_kinematics(model, data)
-  canvas: Any = Canvas()
-  qpos = torch.from_numpy(data.qpos)[None]
-  Ghost(Kinematics(model)).draw(canvas, qpos[:, :3], qpos[:, 3:7], qpos[:, 7:])
-  own = [g for g in range(model.ngeom) if model.geom(g).name != "ground"]
-  assert len(canvas.drawn) == len(own)
-  for geom, (name, arguments) in zip(own, canvas.drawn, strict=True):
-    matrix = data.geom_xmat[geom].reshape(3, 3)
-    if name == "lines":
-      start, end, _, radius = arguments
-      np.testing.assert_allclose((start + end)[0] / 2, data.geom_xpos[geom], atol=1e-9)
-      np.testing.assert_allclose((end - start)[0] / 2, matrix[:, 2] * model.geom_size[geom][1], atol=1e-9)
-      assert radius == model.geom_size[geom][0]
-    elif name == "meshes":
-      mesh, origin, quat, _ = arguments
-      assert mesh == "hat"
-      turn = np.empty(9)
-      mujoco.mju_quat2Mat(turn, quat[0].numpy())
-      # The first vertex of the file is its origin; MuJoCo has moved it.
-      index = model.geom_dataid[geom]
-      vertices = model.mesh_vert[model.mesh_vertadr[index] :][:4]
-      seen = sorted(map(tuple, np.round(vertices @ matrix.T + data.geom_xpos[geom], 5)))
-      drawn = sorted(map(tuple, np.round(np.array(tetrahedron) @ turn.reshape(3, 3).T + origin[0].numpy(), 5)))
-      np.testing.assert_allclose(drawn, seen, atol=2e-5)
-    else:
-      np.testing.assert_allclose(arguments[0][0], data.geom_xpos[geom], atol=1e-9)
-  assert {name for name, _ in canvas.drawn} == {"spheres", "lines", "ellipsoids", "meshes"}
 
 
 @pytest.fixture(scope="module")
@@ -71,29 +15,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
   return clips(tmp_path_factory.mktemp("clips"))
 
 
-def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(
-  folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-  # Of primitives, whose places are told, also where there are meshes.
-  monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
-  cfg = without_failures(still(folder))
-  env, term = make(cfg)
-  canvas: Any = Canvas((2, 0))
-  term.debug_draw(canvas)
-  model = env.sim.mj_model
-  data = mujoco.MjData(model)
-  root = term.library.body_names.index("pelvis")
-  for row, world in enumerate((2, 0)):
-    data.qpos[:3] = term.body_pos_w[world, root]
-    data.qpos[3:7] = term.body_quat_w[world, root]
-    data.qpos[7:] = term.joint_pos[world]
-    mujoco.mj_kinematics(model, data)
-    centers = [data.geom_xpos[g] for g in range(model.ngeom) if model.geom_group[g] == 2]
-    drawn = [
-      (arguments[0] + arguments[1])[row] / 2 if name == "lines" else arguments[0][row]
-      for name, arguments in canvas.drawn
-    ]
-    np.testing.assert_allclose(np.array([point.numpy() for point in drawn]), centers, atol=1e-5)
+def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  env, term = make(without_failures(still(folder)))
+  # The tests of mjlab-motions show that a ghost has its shapes where MuJoCo has them.
+  drawn: list[torch.Tensor] = []
+  monkeypatch.setattr(Ghost, "draw", lambda _, draw, *pose: drawn.extend(pose))
+  worlds: Any = SimpleNamespace(worlds=(2, 0))
+  term.debug_draw(worlds)
+  pelvis = term.library.body_names.index("pelvis")
+  expected = term.body_pos_w[[2, 0], pelvis], term.body_quat_w[[2, 0], pelvis], term.joint_pos[[2, 0]]
+  torch.testing.assert_close(drawn, list(expected), rtol=0, atol=0)
+  assert not torch.equal(drawn[0][0], drawn[0][1])
   assert "command motion" in env.drawers()
 
 

@@ -10,11 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab_motions.formats import read_motion
+from mjlab_motions.kinematics import Kinematics, derived_arrays
+from mjlab_motions.motion import Motion
+from mjlab_motions.statement import Statement
+from mjlab_motions.timeline import resample
 from mjlab_robots import g1_spec
-from mjlab_tracking.formats import Statement, read_motion
-from mjlab_tracking.kinematics import Kinematics, derived_arrays
-from mjlab_tracking.motion import Motion, load_arrays
-from mjlab_tracking.timeline import resample
 
 pytestmark = pytest.mark.skipif(
   "MJLAB_MOTIONS" not in os.environ, reason="set MJLAB_MOTIONS to a folder with g1-moves and kimodo to test real clips"
@@ -48,7 +49,7 @@ def test_a_clip_is_read_in_the_right_order_and_its_bodies_are_where_mujoco_has_t
 
 @pytest.mark.parametrize("path", ROLLOUTS, ids=lambda path: path.stem)
 def test_a_rollout_of_mujoco_is_read_with_nothing_stated(path: Path, robot: Kinematics) -> None:
-  motion, arrays = read_motion(path, robot), load_arrays(path)
+  motion, arrays = read_motion(path, robot), dict(np.load(path))
   assert motion.rate == pytest.approx((arrays["times"].size - 1) / np.ptp(arrays["times"]))
   assert motion.joint_names == robot.joint_names
   read = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1)
@@ -67,7 +68,7 @@ def assert_bodies_are_where_mujoco_has_them(motion: Motion, robot: Kinematics) -
 
 def test_a_seven_key_file_and_our_reading_of_its_csv_are_the_same(robot: Kinematics) -> None:
   path = FOLDER / "g1-moves" / "B_HandsUp.mjlab.npz"
-  theirs, read = load_arrays(path), read_motion(path, robot)
+  theirs, read = dict(np.load(path)), read_motion(path, robot)
   assert read.rate == 60.0
   csv = read_motion(path.with_name("B_HandsUp.csv"), robot, Statement(rate=60.0))
   ours = {"joint_pos": csv.joint_pos.numpy(), **derived_arrays(csv, robot)}
@@ -80,3 +81,29 @@ def test_a_seven_key_file_and_our_reading_of_its_csv_are_the_same(robot: Kinemat
     np.testing.assert_allclose(ours[key][:frames], theirs[key], atol=bound, err_msg=key)
   for key in ("joint_vel", "body_lin_vel_w", "body_ang_vel_w"):
     np.testing.assert_allclose(ours[key][inner], theirs[key][inner], atol=2e-3, err_msg=key)
+
+
+def test_velocities_at_the_ends_agree_with_displacements_where_the_published_ones_do_not(robot: Kinematics) -> None:
+  path = FOLDER / "g1-moves" / "B_HandsUp.mjlab.npz"
+  csv = read_motion(path.with_name("B_HandsUp.csv"), robot, Statement(rate=60.0))
+  ours, theirs = derived_arrays(csv, robot), dict(np.load(path))
+  moved = (ours["body_pos_w"][1] - ours["body_pos_w"][0]) * 60.0
+  ankle = robot.body_names.index("left_ankle_roll_link")
+  assert np.abs(ours["body_lin_vel_w"][0] - moved).max() < 2e-4
+  assert np.abs(theirs["body_lin_vel_w"][0, ankle] - moved[ankle]).max() == pytest.approx(0.056, abs=1e-3)
+
+
+@pytest.mark.parametrize(("angle", "distance", "speed"), [(0.0455, 0.8e-3, 0.024), (0.097, 1.7e-3, 0.051)])
+def test_one_other_reading_of_an_ankle_pitch_moves_the_ankle_alone(
+  robot: Kinematics, angle: float, distance: float, speed: float
+) -> None:
+  csv = read_motion(FOLDER / "g1-moves" / "B_HandsUp.csv", robot, Statement(rate=60.0))
+  joints = csv.joint_pos.clone()
+  joints[200, robot.joint_names.index("left_ankle_pitch_joint")] += angle
+  one, other = (derived_arrays(motion, robot) for motion in (csv, csv.changed("", joint_pos=joints)))
+  moved = np.linalg.norm(one["body_pos_w"] - other["body_pos_w"], axis=-1).max(0)
+  assert [name for name, by in zip(robot.body_names, moved, strict=True) if by > 1e-6] == ["left_ankle_roll_link"]
+  assert moved.max() == pytest.approx(distance, rel=0.02)
+  faster = np.linalg.norm(one["body_lin_vel_w"] - other["body_lin_vel_w"], axis=-1)
+  assert faster.max() == pytest.approx(speed, rel=0.02)
+  assert set(np.nonzero(faster > 1e-4)[0]) <= {199, 200, 201}

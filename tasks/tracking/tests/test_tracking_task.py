@@ -209,7 +209,7 @@ def test_rewards_and_errors_are_their_closed_forms(played: tuple[ManagerBasedRlE
     }
     for name, value in expected.items():
       cfg = env.reward_manager.get_term_cfg(name)
-      found = cfg.func(env, **cfg.params)[world].item()
+      found = env.reward_manager.term(name)()[world].item()
       assert 0.01 < found < 0.9999, name
       assert found == pytest.approx(math.exp(-value / cfg.params["std"] ** 2), rel=1e-5), name
     means = {"body_pos": distance, "body_rot": turned, "body_lin_vel": speed, "body_ang_vel": spin}
@@ -226,9 +226,8 @@ def test_terminations_are_true_from_their_thresholds_on(folder: Path) -> None:
   robot = env.scene["robot"]
   pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1).clone()
 
-  def ended(name: str, **params: Any) -> list[bool]:
-    cfg = env.termination_manager.get_term_cfg(name)
-    return cfg.func(env, **(cfg.params | params)).tolist()
+  def ended(name: str) -> list[bool]:
+    return env.termination_manager.term(name)().tolist()
 
   for name in ("anchor_pos", "anchor_ori", "ee_body_pos"):
     assert ended(name) == [False] * 4
@@ -275,16 +274,16 @@ def test_contacts_are_rewarded_where_the_reference_has_them(folder: Path) -> Non
   env, term = make(cfg)
   for _ in range(2):
     env.step(zeros(env))
-  reward = env.reward_manager.get_term_cfg("contact")
+  reward = env.reward_manager.term("contact")
   squat = term.clip == 0
   assert squat.any()
   # In the squat both feet stand, and so do the robot's.
-  assert reward.func(env, **reward.params)[squat].tolist() == [1.0] * int(squat.sum())
+  assert reward()[squat].tolist() == [1.0] * int(squat.sum())
   robot = env.scene["robot"]
   pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
   robot.write_root_pose(pose + torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], dtype=pose.dtype))
   env.step(zeros(env))
-  assert reward.func(env, **reward.params)[squat].tolist() == [0.0] * int(squat.sum())
+  assert reward()[squat].tolist() == [0.0] * int(squat.sum())
 
 
 class Waits(TorchDispatchMode):

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import torch
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
-from mjlab_tracking.editing import crop
+from mjlab_motions.clips import shipped_clips
+from mjlab_motions.editing import crop
+from mjlab_motions.motion_file import load_motion, save_motion
 from mjlab_tracking.g1 import g1_flat_env
-from mjlab_tracking.library import shipped_clips
 from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
-from mjlab_tracking.motion import load_motion, save_motion
 
 
 def clips(folder: Path) -> Path:

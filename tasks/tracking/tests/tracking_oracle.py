@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_tracking.motion import load_motion
+from mjlab_motions.motion_file import load_motion
 
 BODIES = (
   "pelvis",

@@ -245,14 +245,14 @@ def test_a_share_that_is_none_is_refused_by_name(name: str) -> None:
 
 
 def test_inverted_ranges_are_refused_by_name() -> None:
-  assert "ranges.lin_vel_y" in refused(ranges=VelocityRanges(lin_vel_y=(1.0, -1.0)))
+  assert "ranges: lin_vel_y must not fall, got (1.0, -1.0)" in refused(ranges=VelocityRanges(lin_vel_y=(1.0, -1.0)))
   stages = [VelocityStage(step=0), VelocityStage(step=5, ang_vel_z=(0.5, -0.5))]
   assert "stage at step 5: ang_vel_z" in refused(stages)
 
 
 def test_stages_that_do_not_follow_each_other_from_the_start_are_refused() -> None:
   for steps in ((), (1,), (0, 5, 5)):
-    assert f"got steps {list(steps)}" in refused([VelocityStage(step=step) for step in steps])
+    assert f"must begin at 0 and rise, got {list(steps)}" in refused([VelocityStage(step=step) for step in steps])
 
 
 def test_a_command_given_by_hand_holds_in_its_world_until_it_is_taken_back() -> None:

@@ -1,4 +1,4 @@
-"""The README's examples run and print what they say; its tables are those of the configs."""
+"""The README's examples run and print what they say; the tables of the reference are those of the configs."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,9 @@ from mjlab_velocity.rough import rough_terrain
 from velocity_facts import TASKS
 from velocity_rollout import make_env
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+README, REFERENCE = (
+  (Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in ("README.md", "REFERENCE.md")
+)
 COLUMNS = {
   "Go1 flat": "Mjlab-Velocity-Flat-Unitree-Go1",
   "Go1 rough": "Mjlab-Velocity-Rough-Unitree-Go1",
@@ -24,7 +26,7 @@ COLUMNS = {
 def tables(first: str, second: str) -> list[list[dict[str, str]]]:
   """Rows, by column, of each table whose first two columns are called so."""
   found = []
-  for text in re.findall(rf"^\| {first} \| {second} \|.*\n(?:\|.*\n)+", README, re.MULTILINE):
+  for text in re.findall(rf"^\| {first} \| {second} \|.*\n(?:\|.*\n)+", README + REFERENCE, re.MULTILINE):
     rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in text.splitlines()]
     found.append([dict(zip(rows[0], row, strict=True)) for row in rows[2:]])
   return found

@@ -220,8 +220,7 @@ def test_a_go1_that_lies_along_the_slope_is_upright_and_one_that_stands_level_is
   env.sim.data.qpos[:, 3:7] = torch.tensor(
     [[1.0, 0.0, 0.0, 0.0], [np.cos(half), 0.0, np.sin(half), 0.0]], dtype=torch.float64
   )
-  term = env.reward_manager.get_term_cfg("upright")
-  level, along = term.func(env, **term.params).tolist()
+  level, along = env.reward_manager.term("upright")().tolist()
   assert level < 0.15
   assert along > 0.85
 

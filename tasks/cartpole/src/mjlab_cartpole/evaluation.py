@@ -1,4 +1,4 @@
-"""How well a policy does cartpole: its return, on the scale of 0 to 1000."""
+"""Evaluation of a cartpole policy: its return on the scale of 0 to 1000."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ class CartpoleEvaluation:
 
   episodes: int = 100
   seed: int = 0
-  """Of starts."""
+  """Seed of starts."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     cfg.scene.num_envs, cfg.seed = self.episodes, self.seed
@@ -44,7 +44,7 @@ class CartpoleEvaluation:
 
 
 def is_upright(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """1 where the pole is within 18 degrees of upright, (num_envs,)."""
+  """Return 1 where the pole is within 18 degrees of upright, (num_envs,)."""
   pole = env.scene["cartpole"]
   angle = pole.data.joint_pos[:, pole.joint_names.index("hinge")]
   return (angle.cos() > UPRIGHT).float()

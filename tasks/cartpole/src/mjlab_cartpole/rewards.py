@@ -1,10 +1,10 @@
-"""The reward of both cartpole tasks."""
+"""Reward of both cartpole tasks."""
 
 import math
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_managers import ManagerTermBase, RewardTermCfg, SceneEntityCfg
+from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -14,12 +14,12 @@ _GAUSSIAN = math.sqrt(-2.0 * math.log(_AT_MARGIN))
 
 
 def gaussian(x: torch.Tensor, margin: float) -> torch.Tensor:
-  """exp(-x^2 / 2) scaled to be 1 at 0 and 0.1 at `margin`."""
+  """Return exp(-x^2 / 2) scaled to be 1 at 0 and 0.1 at `margin`."""
   return torch.exp(-0.5 * (x * (_GAUSSIAN / margin)).square())
 
 
 def quadratic(x: torch.Tensor, margin: float) -> torch.Tensor:
-  """max(0, 1 - 0.9 (x / margin)^2): 1 at 0 and 0.1 at `margin`."""
+  """Return max(0, 1 - 0.9 (x / margin)^2): 1 at 0 and 0.1 at `margin`."""
   return (1.0 - (1.0 - _AT_MARGIN) * (x / margin).square()).clamp(min=0.0)
 
 
@@ -30,15 +30,18 @@ class smooth_balance(ManagerTermBase):
   suite's cartpole (Tassa et al. 2018, arXiv:1801.00690).
   """
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    joints = env.scene[cfg.params["asset"].name].joint_names
+  env: "ManagerBasedRlEnv"
+
+  def __init__(self, env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> None:
+    super().__init__(env)
+    self._entity = env.scene[asset.name]
+    joints = self._entity.joint_names
     self._slider, self._hinge = joints.index("slider"), joints.index("hinge")
 
-  def __call__(self, env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> torch.Tensor:
-    data = env.scene[asset.name].data
+  def __call__(self) -> torch.Tensor:
+    data = self._entity.data
     upright = (torch.cos(data.joint_pos[:, self._hinge]) + 1.0) / 2.0
     centred = (1.0 + gaussian(data.joint_pos[:, self._slider], 2.0)) / 2.0
-    small = (4.0 + quadratic(env.action_manager.action[:, 0], 1.0)) / 5.0
+    small = (4.0 + quadratic(self.env.action_manager.action[:, 0], 1.0)) / 5.0
     slow = (1.0 + gaussian(data.joint_vel[:, self._hinge], 5.0)) / 2.0
     return upright * centred * small * slow

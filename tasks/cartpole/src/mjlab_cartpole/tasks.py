@@ -1,4 +1,4 @@
-"""Cartpole: keep a pole upright, or swing it up first."""
+"""Cartpole tasks: keep a pole upright, or swing it up first."""
 
 import math
 from importlib.resources import files
@@ -26,27 +26,28 @@ from mjlab_cartpole.rewards import smooth_balance
 PHYSICS_DT = 0.01  # s
 DECIMATION = 5
 EPISODE_LENGTH = 50.0  # s
+FORCE = 10.0  # N per unit of action
 
-# Where episodes begin: ranges about the default pose [m, rad]
+# Start of episodes: ranges about the default pose [m, rad]
 BALANCE_SLIDER, SWINGUP_SLIDER = (-0.1, 0.1), (0.0, 0.0)
 HINGE = (-0.034, 0.034)
 VELOCITY = (-0.01, 0.01)
 
 
 def cartpole_spec() -> mujoco.MjSpec:
-  """The cart on its rail and the pole on the cart."""
+  """Return the spec of the cart on its rail and the pole on the cart."""
   return mujoco.MjSpec.from_string(files("mjlab_cartpole").joinpath("cartpole.xml").read_text())
 
 
 def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The pole begins upright and is to stay so."""
+  """Return the task whose pole starts upright and is kept there."""
   return TaskCfg(
     env=_env(hinge=0.0, slider_range=BALANCE_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
   )
 
 
 def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The pole begins hanging and is to be swung up and kept there."""
+  """Return the task whose pole hangs at the start, is swung up, and kept upright."""
   return TaskCfg(
     env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
   )
@@ -67,7 +68,7 @@ def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEn
         )
       },
     ),
-    actions={"effort": mdp.JointEffortActionCfg(entity="cartpole", actuators="slider")},
+    actions={"effort": mdp.JointEffortActionCfg(entity="cartpole", actuators="slider", scale=FORCE)},
     observations={"actor": _observations(), "critic": _observations()},
     rewards={"smooth_balance": RewardTermCfg(smooth_balance, weight=1.0, params={"asset": SceneEntityCfg("cartpole")})},
     terminations={"time_out": TerminationTermCfg(mdp.time_out, time_out=True)},
@@ -100,7 +101,7 @@ def _observations() -> ObservationGroupCfg:
 
 
 def _play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: episodes without end."""
+  """Turn a training config into one for watching: endless episodes."""
   cfg.episode_length_s = 1e10
   return cfg
 

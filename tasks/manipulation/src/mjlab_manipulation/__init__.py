@@ -1,4 +1,4 @@
-"""An arm lifts cubes to where it is told."""
+"""Manipulation tasks: an arm lifts an object to a goal."""
 
 from mjlab_manipulation.distillation import (
   distillation_agent,

@@ -1,11 +1,12 @@
-"""How well a policy lifts: how often, how fast, how gently."""
+"""Evaluation of a lifting policy: success, time and forces."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg
-from mjlab_rl import Evaluation, EvaluationError, Policy, Progress, play_first_episodes, summarize
+from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 from mjlab_scene import VariantEntity
 
 from mjlab_manipulation.mdp import LiftCommand, LiftCommandCfg, lift_command
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
 MAX_WIDTHS = 6
-"""Widths of objects that are each a group of their own."""
+"""Largest number of object widths with separate groups."""
 
 _SUCCESS = ("held", "time_to_success")
 _MEASURED = (*_SUCCESS, "lifted", "dropped", "finger_force", "position_error")
@@ -22,31 +23,33 @@ _MEASURED = (*_SUCCESS, "lifted", "dropped", "finger_force", "position_error")
 
 @dataclass(kw_only=True)
 class LiftEvaluation:
-  """One goal for each world, with training's noise and randomisation, by object, by its width, and by where it began:
+  """Evaluation with one goal for each world and the noise and randomisation of training.
+
+  Groups are the objects, their widths, and their places at the start. Metrics:
 
   - `success_rate`: share of episodes in which the object was held at its goal;
-  - `time_to_success`: of those, how long it took;
-  - `lift_rate`: share in which it was lifted at all; `drop_rate`: share of these in which it fell again;
+  - `time_to_success`: time until then, of these episodes;
+  - `lift_rate`: share in which it was lifted; `drop_rate`: share of these in which it fell again;
   - `failure_rate`: share that ended in failure;
   - `peak_force`: greatest force of a finger on the object;
-  - `final_error`: from the object to its goal at the end.
+  - `final_error`: distance of the object from its goal at the end.
   """
 
   episodes: int = 256
   seconds: float = 10.0
   """Time for each goal [s]."""
   seed: int = 0
-  """Of randomisation, starts, goals and noise."""
+  """Seed of randomisation, starts, goals and noise."""
   command: str = "lift_height"
   """Name of the lift command."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     command = cfg.commands.get(self.command)
     if not isinstance(command, LiftCommandCfg):
-      raise EvaluationError(f"command '{self.command}' is no lift command; there are: {', '.join(cfg.commands)}")
+      raise ConfigError(f"command '{self.command}' is not a lift command; commands: {', '.join(cfg.commands)}")
     missing = [name for name in _MEASURED if cfg.metrics.get(name) is None]
     if missing:
-      raise EvaluationError(f"metrics {', '.join(missing)} are measured, and the task has none of that name")
+      raise ConfigError(f"the evaluation needs metrics {', '.join(missing)}, which the task does not have")
     self._check_success(cfg)
     command.goal_time_range = (self.seconds, self.seconds)
     cfg.episode_length_s = max(cfg.episode_length_s, self.seconds)
@@ -59,11 +62,9 @@ class LiftEvaluation:
     for name in held.keys() & timed.keys():
       if held[name] != timed[name]:
         what = f"{name} is {held[name]} and {timed[name]}"
-        raise EvaluationError(f"metrics {' and '.join(_SUCCESS)} mean another success: {what}")
+        raise ConfigError(f"metrics {' and '.join(_SUCCESS)} define different successes: {what}")
     if held.get("hold", 0.0) > self.seconds:
-      raise EvaluationError(
-        f"success is to be held for {held['hold']:g} s, and every goal is over after {self.seconds:g} s"
-      )
+      raise ConfigError(f"success must be held for {held['hold']:g} s, but a goal lasts {self.seconds:g} s")
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
     term = lift_command(env, self.command)
@@ -77,7 +78,7 @@ class LiftEvaluation:
       begin=lambda: groups.update(_groups(env, term)),
       progress=progress,
     )
-    # What counts is the greatest of an episode; of all but force and error that is what it had come to in the end.
+    # The maximum over an episode; stages only rise, so theirs is the value at the end.
     most = {name: played.values[name].nan_to_num(nan=0.0).amax(0) for name in _MEASURED}
     held, lifted = most["held"] > 0, most["lifted"] > 0
     last = (played.length - 1).clamp(min=0)
@@ -100,7 +101,7 @@ class LiftEvaluation:
 
 
 def _groups(env: "ManagerBasedRlEnv", term: LiftCommand) -> dict[str, torch.Tensor]:
-  """Which worlds are alike in what is to be lifted and where it is, bool (num_envs,) by name."""
+  """Return groups of worlds with a similar object or start, bool (num_envs,) by name."""
   place, region = (term.object_pos_w - env.scene.env_origins).cpu(), term.cfg.start
   far, left = place[:, 0] > 0.5 * sum(region.x), place[:, 1] > 0.5 * sum(region.y)
   groups = {"near": ~far, "far": far, "left": left, "right": ~left}
@@ -111,12 +112,12 @@ def _groups(env: "ManagerBasedRlEnv", term: LiftCommand) -> dict[str, torch.Tens
       groups |= {kind: is_meant & (entity.variant == i).cpu() for i, kind in kinds}
     else:
       groups[name] = is_meant
-  # What the fingers have to span.
+  # The fingers span the smallest edge.
   return groups | _by_width(term.object_size.amin(1).cpu())
 
 
 def _by_width(width: torch.Tensor) -> dict[str, torch.Tensor]:
-  """A group for each width [m] where there are a few, or else for each third of the worlds."""
+  """Return a group for each width [m] if there are few, else for each third of the worlds."""
   millimetres = (width * 1e3).round()
   found = millimetres.unique().tolist()
   if len(found) <= MAX_WIDTHS:
@@ -128,5 +129,5 @@ def _by_width(width: torch.Tensor) -> dict[str, torch.Tensor]:
     f"{edges[0]} to {edges[1]} mm": (width > low) & (width <= high),
     f"above {edges[1]} mm": width > high,
   }
-  # Where many are alike.
+  # A third is empty if many widths are equal.
   return {name: members for name, members in thirds.items() if members.any()}

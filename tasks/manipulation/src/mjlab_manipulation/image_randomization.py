@@ -1,8 +1,9 @@
-"""Images that differ from world to world, as those of real cameras over real tables do."""
+"""Randomisation of camera images between worlds: light, ground, texture, camera pose, delay."""
 
 from dataclasses import replace
 
 import mujoco
+from mjlab_core.errors import MjlabError
 from mjlab_dr import Categorical, FieldRandomizer, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
@@ -16,7 +17,7 @@ from mjlab_managers import (
 
 from mjlab_manipulation import mdp as lifting
 
-# The camera of a world, for good: no mount and no lens is like another.
+# Camera of a world, drawn once: tolerances of mount and lens
 CAMERA_SHIFT = 0.005  # m, along each axis
 CAMERA_TURN = 0.035  # rad, about each axis
 FOCAL_LENGTH = (0.97, 1.03)  # of what is compiled
@@ -35,7 +36,7 @@ DISPARITY_STEP = (0.0, 0.01)  # of the inverse of the range of depth
 HOLE_SHARE = (0.0, 0.1)
 MAX_LAG = 2  # steps
 
-# Grey, for the colour of what has them is mixed in: pattern, mark, darker grey
+# Grey, because the colour of the object is mixed in: pattern, mark, darker grey
 TEXTURES = {
   "look_plain": ("FLAT", "NONE", 1.0),
   "look_checkered": ("CHECKER", "NONE", 0.35),
@@ -45,29 +46,28 @@ TEXTURES = {
   "look_speckled": ("FLAT", "RANDOM", 1.0),
 }
 LOOK = "look"
-"""Name of the material of what floats, after the prefix of its entity."""
+"""Name of the material of a free object, after the prefix of its entity."""
 IMAGE_EVENTS = "image_"
-"""How names of events begin that only images are changed by."""
+"""Prefix of events that change images only."""
 
 _CAMERA, _LIGHT, _GROUND = "camera_d405", "spotlight", "terrain"
 _COLORS = ("red", "green", "blue")
 
 
 def randomize_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """Let images differ from world to world, and from clean ones: `cfg`, changed.
+  """Randomise the images of each world; return `cfg`, changed.
 
-  Each world has a camera of its own, moved by up to 5 mm and turned by up to 2 degrees about each axis, with a focal
-  length within 3 %. Images come up to two steps late, by the same in all of an episode. Where there are colours, each
-  episode has its brightness, its exposure, the texture and tint of its ground, and the texture of its object, beside
-  its colour; pixels are noisy. Depth is noisy, comes in steps, and has holes, which are far, not valid, and not of the
-  object.
+  The camera of each world is moved by up to 5 mm and turned by up to 2 degrees about each axis, with a focal length
+  within 3 %. Images are up to two steps late, constant over an episode. With colours, each episode draws brightness,
+  exposure, texture and tint of the ground, and texture of the object, and pixels are noisy. Depth is noisy, quantised,
+  and has holes, which are far, not valid, and not part of the object.
 
   Raises:
-    ValueError: there are no images, or colours in a scene that has a `spec_fn` already.
+    MjlabError: There are no images, or there are colours in a scene that has a `spec_fn`.
   """
   group, image = _images(cfg)
   if group is None or image is None:
-    raise ValueError("there are no images to randomise: no term 'image' in a group 'camera' of the observations")
+    raise MjlabError("images are randomised in term 'image' of observation group 'camera', which does not exist")
   channels: tuple[lifting.Channel, ...] = image.params["channels"]
   focal = randomize_field("cam_intrinsic", _CAMERA, FOCAL_LENGTH, axes=("fx", "fy"), operation="scale", isotropic=True)
   cfg.events |= {
@@ -83,7 +83,7 @@ def randomize_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def plain_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """Clean images of one camera, light, ground and texture in every world after all, without delay; `cfg`, changed."""
+  """Remove the randomisation and delay of images; return `cfg`, changed."""
   cfg.events = {name: event for name, event in cfg.events.items() if not name.startswith(IMAGE_EVENTS)}
   _, image = _images(cfg)
   if image is not None and isinstance(image.noise, CameraNoiseCfg):
@@ -92,7 +92,7 @@ def plain_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def add_looks(spec: mujoco.MjSpec) -> None:
-  """Add grey textures, and give each thing that floats a material to hold one of them; its colour stays its own."""
+  """Add grey textures, and give each free object a material for one of them; its colour is kept."""
   for name, (pattern, mark, dark) in TEXTURES.items():
     spec.add_texture(
       name=name,
@@ -118,7 +118,7 @@ def add_looks(spec: mujoco.MjSpec) -> None:
 
 def _vary_looks(cfg: ManagerBasedRlEnvCfg) -> None:
   if cfg.scene.spec_fn is not None:
-    raise ValueError("the scene has a spec_fn already: call add_looks in it, and add events for what it made")
+    raise MjlabError("the scene has a spec_fn; call add_looks in it, and add the events")
   cfg.scene.spec_fn = add_looks
   texture = {"rgb": Categorical(tuple(TEXTURES))}
   light = randomize_field("light_diffuse", _LIGHT, BRIGHTNESS, operation="scale", isotropic=True)

@@ -1,4 +1,4 @@
-"""The YAM lifts a cube: by its joints, or by moving its hand."""
+"""Lift tasks of the YAM with one cube, with joint or Cartesian actions."""
 
 from dataclasses import replace
 
@@ -30,9 +30,9 @@ from mjlab_manipulation.objects import cube_spec
 # Timing
 PHYSICS_DT = 0.005  # s
 DECIMATION = 4
-EPISODE_LENGTH = 20.0  # s; goals are over before
+EPISODE_LENGTH = 20.0  # s; goals end before
 
-# Joints: what each can do [rad, m]
+# Range of each joint [rad, m]
 JOINT_RANGE = {
   "joint1": (-2.61799, 3.05433),
   "joint2": (0.0, 3.66519),
@@ -44,10 +44,10 @@ JOINT_RANGE = {
 }
 ARM = tuple(joint for joint in JOINT_RANGE if joint.startswith("joint"))
 FINGERS = ("link_left_finger", "link_right_finger")
-# One unit of action never asks for more than half the range.
+# One unit of action is at most half the range.
 ACTION_SCALE = {joint: min(YAM_ACTION_SCALE[joint], 0.5 * (hi - lo)) for joint, (lo, hi) in JOINT_RANGE.items()}
 
-# By the hand: change of pose per unit of action and step, and how far the gripper opens
+# Cartesian actions: change of pose per unit of action and step, and opening of the gripper
 HAND_STEP = 0.02  # m
 HAND_TURN = 0.1  # rad
 GRIPPER_OPEN, GRIPPER_CLOSED = 0.0375, 0.0  # m
@@ -55,7 +55,7 @@ GRIPPER_OPEN, GRIPPER_CLOSED = 0.0375, 0.0  # m
 # Rewards
 REACHING_STD, BRINGING_STD, PRECISE_STD = 0.2, 0.3, 0.05  # m
 MAX_JOINT_SPEED = 0.5  # rad/s
-JOINT_SPEED_STAGES = [(0, -0.01), (500 * 24, -0.1), (1000 * 24, -1.0)]  # environment step, weight
+JOINT_SPEED_WEIGHTS = {0: -0.01, 500 * 24: -0.1, 1000 * 24: -1.0}  # from environment steps on
 
 # Success and its stages
 TOLERANCE = 0.05  # m
@@ -63,10 +63,10 @@ HOLD = 1.0  # s
 REACHED = 0.05  # m
 LIFTED, FALLEN = 0.06, 0.01  # m, height of the object's lowest point
 
-# Pressing harder on the ground ends the episode
+# A greater force on the ground ends the episode
 MAX_GROUND_FORCE = 10.0  # N
 
-# Noise of what the policy sees
+# Noise of the observations
 NOISE_JOINT_POS = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
 NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
 NOISE_POSITION = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
@@ -76,22 +76,22 @@ _TIPS = "[lr]f_down([6-9]|10|11)_collision"
 
 
 def lift_cube() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts a cube to a goal by setting its joints."""
+  """Return the task of lifting a cube to a goal with joint position actions."""
   return TaskCfg(env=lift_cube_env(), play=play, agent=agent("yam_lift_cube", 5_000), evaluator=LiftEvaluation())
 
 
 def lift_cube_ik() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts a cube to a goal by moving its hand; inverse kinematics sets the joints."""
+  """Return the task of lifting a cube to a goal with Cartesian actions through inverse kinematics."""
   return TaskCfg(env=lift_cube_ik_env(), play=play, agent=agent("yam_lift_cube_ik", 5_000), evaluator=LiftEvaluation())
 
 
 def lift_cube_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training by joints. Whoever gets it may change it: it shares no part with another."""
+  """Return the training environment with joint actions; each call returns an independent copy."""
   return lift_env({"cube": EntityCfg(spec_fn=cube_spec)})
 
 
 def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training by the hand."""
+  """Return the training environment with Cartesian actions."""
   cfg = lift_cube_env()
   cfg.actions = {
     "hand": mdp.DifferentialIKActionCfg(
@@ -112,7 +112,7 @@ def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
 
 
 def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
-  """The YAM on a plane lifts one of `objects`, entities by name of one body each, by joints."""
+  """Return the environment of a YAM on a plane with `objects`, entities of one body each, and joint actions."""
   return ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
@@ -147,7 +147,11 @@ def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
     },
     curriculum={
       "joint_vel_hinge_weight": CurriculumTermCfg(
-        lifting.reward_weight, params={"reward": "joint_vel_hinge", "stages": list(JOINT_SPEED_STAGES)}
+        mdp.reward_curriculum,
+        params={
+          "reward": "joint_vel_hinge",
+          "stages": [mdp.Stage(step=step, weight=weight) for step, weight in JOINT_SPEED_WEIGHTS.items()],
+        },
       )
     },
     metrics=_metrics(),
@@ -155,7 +159,7 @@ def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
 
 
 def hand() -> SceneEntityCfg:
-  """The site between the finger tips."""
+  """Return the site between the finger tips."""
   return SceneEntityCfg("robot", site_names="grasp_site")
 
 
@@ -172,7 +176,7 @@ def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
       primary=ContactMatch(mode="subtree", pattern=FINGERS, entity="robot", preserve_order=True),
       secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/.*" for name in objects), preserve_order=True),
       fields=("found", "force"),
-      # All that a finger exerts, through however many contacts.
+      # The force of a finger, summed over its contacts.
       reduce="netforce",
       history_length="decimation",
     ),
@@ -180,7 +184,7 @@ def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
 
 
 def proprioception() -> dict[str, ObservationTermCfg | None]:
-  """What the arm knows of itself: both fingers' positions among 8 joints, and its last action."""
+  """Return proprioceptive terms: 8 joints, with both fingers, and the last action."""
   return {
     "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=replace(NOISE_JOINT_POS)),
     "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=replace(NOISE_JOINT_VEL)),
@@ -189,7 +193,7 @@ def proprioception() -> dict[str, ObservationTermCfg | None]:
 
 
 def state_observations(*, corrupt: bool) -> ObservationGroupCfg:
-  """The arm and where object and goal are."""
+  """Return terms of the arm, the object and the goal."""
   terms = proprioception()
   places: dict[str, ObservationTermCfg | None] = {
     "ee_to_cube": ObservationTermCfg(
@@ -215,7 +219,7 @@ def _rewards() -> dict[str, RewardTermCfg | None]:
     "joint_pos_limits": RewardTermCfg(mdp.joint_pos_limits, weight=-10.0),
     "joint_vel_hinge": RewardTermCfg(
       lifting.joint_vel_hinge,
-      weight=JOINT_SPEED_STAGES[0][1],
+      weight=JOINT_SPEED_WEIGHTS[0],
       params={"max_vel": MAX_JOINT_SPEED, "asset": SceneEntityCfg("robot", joint_names=ARM)},
     ),
   }
@@ -242,7 +246,7 @@ def _metrics() -> dict[str, MetricsTermCfg | None]:
 
 
 def _tip_friction() -> dict[str, EventTermCfg | None]:
-  # Each world draws one value for all its finger tips: they are made of one material.
+  # One value for all finger tips of a world, which are of one material.
   randomizers = {
     "slide": geom_friction(_TIPS, (0.3, 1.5), axes=(0,), shared=True),
     "spin": geom_friction(_TIPS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
@@ -254,7 +258,7 @@ def _tip_friction() -> dict[str, EventTermCfg | None]:
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: a new goal every 4 s, what the policy sees without noise and, if images, alike in all worlds."""
+  """Return the play config: a new goal every 4 s, no noise, and the same images in all worlds."""
   plain_images(cfg)
   cfg.episode_length_s = 1e9
   for group in cfg.observations.values():
@@ -268,7 +272,7 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
-  """The learner of policies that are told where the object is."""
+  """Return the learner of policies that observe the pose of the object."""
   actor = RslRlModelCfg(
     hidden_dims=(512, 256, 128),
     obs_normalization=True,

@@ -1,4 +1,4 @@
-"""The YAM lifts objects of many sizes, shapes, weights and surfaces, a different one in each world."""
+"""Lift tasks with objects of many sizes, shapes, weights and surfaces, a different one in each world."""
 
 from dataclasses import replace
 
@@ -18,26 +18,26 @@ from mjlab_manipulation.vision import see, vision_agent
 OBJECT = "object"
 """Name of the entity."""
 
-# Where objects begin: where the wrist camera sees all of the largest of them.
+# Start positions at which the wrist camera sees all of the largest object
 START = lifting.Region(x=(0.24, 0.38), y=(-0.09, 0.09), z=(0.0, 0.03))
 
-# Per world, of what each object has
+# Per world, relative to the values of the object
 MASS = (-0.35, 0.35)  # half the logarithm of the factor: half to twice as heavy
 FRICTION = (0.5, 1.5)
 
 
 def lift_objects() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts whatever object its world has, and is told its size, where it is and how it lies."""
+  """Return the task of lifting the object of each world, with its size and pose observed."""
   return TaskCfg(env=lift_objects_env(), play=play, agent=agent("yam_lift_objects", 5_000), evaluator=LiftEvaluation())
 
 
 def lift_objects_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts whatever object its world has, whose distance it sees through a camera as they are."""
+  """Return the task of lifting the object of each world from randomised depth images."""
   return _seeing(lift_objects_depth_env())
 
 
 def lift_objects_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts whatever object its world has, which it sees in colour, over a ground and in a light of its own."""
+  """Return the task of lifting the object of each world from colour images with randomised ground and light."""
   return _seeing(lift_objects_rgb_env())
 
 
@@ -46,7 +46,7 @@ def _seeing(env: ManagerBasedRlEnvCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 
 def lift_objects_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training with many objects."""
+  """Return the training environment with many objects."""
   cfg = lift_env({OBJECT: VariantEntityCfg(variants=dict(OBJECTS))})
   command = cfg.commands[COMMAND]
   assert isinstance(command, lifting.LiftCommandCfg)
@@ -65,14 +65,14 @@ def lift_objects_env() -> ManagerBasedRlEnvCfg:
 
 
 def lift_objects_depth_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training with many objects from depth that differs from world to world."""
+  """Return the training environment with many objects and randomised depth images."""
   cfg = lift_objects_env()
   see(cfg, ("depth",))
   return randomize_images(cfg)
 
 
 def lift_objects_rgb_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training with many objects from colours that differ from world to world."""
+  """Return the training environment with many objects and randomised colour images."""
   cfg = lift_objects_env()
   see(cfg, ("rgb",))
   color = randomize_field("geom_rgba", ".*", (0.0, 1.0), axes=("red", "green", "blue"), shared=True)

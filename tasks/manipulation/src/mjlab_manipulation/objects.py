@@ -1,4 +1,4 @@
-"""What is lifted."""
+"""Objects to lift."""
 
 import colorsys
 import math
@@ -11,64 +11,64 @@ CUBE_EDGE = 0.04
 CUBE_MASS = 0.05
 """Mass of the cube [kg]."""
 DENSITY = CUBE_MASS / CUBE_EDGE**3
-"""That of the cube, and of all other objects [kg/m^3]."""
+"""Density of the cube and of all other objects [kg/m^3]."""
 
 Rgba = tuple[float, float, float, float]
 
 
 def cube_spec(rgba: Rgba = (0.85, 0.35, 0.2, 1.0)) -> mujoco.MjSpec:
-  """A cube that nothing holds; friction and contact parameters are MuJoCo's defaults."""
+  """Return a free cube with MuJoCo's default friction and contact parameters."""
   half = 0.5 * CUBE_EDGE
   return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (half, half, half), rgba)[0]
 
 
 def red_cube_spec() -> mujoco.MjSpec:
-  """A red cube."""
+  """Return a red cube."""
   return cube_spec(_hue(0.0))
 
 
 def green_cube_spec() -> mujoco.MjSpec:
-  """A green cube."""
+  """Return a green cube."""
   return cube_spec(_hue(1 / 3))
 
 
 def blue_cube_spec() -> mujoco.MjSpec:
-  """A blue cube."""
+  """Return a blue cube."""
   return cube_spec(_hue(2 / 3))
 
 
 def small_cube_spec() -> mujoco.MjSpec:
-  """A cube of 3 cm."""
+  """Return a cube of 3 cm."""
   return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (0.015, 0.015, 0.015), _hue(0.55))[0]
 
 
 def large_cube_spec() -> mujoco.MjSpec:
-  """A cube of 5 cm."""
+  """Return a cube of 5 cm."""
   return _object("cube", mujoco.mjtGeom.mjGEOM_BOX, (0.025, 0.025, 0.025), _hue(0.1))[0]
 
 
 def brick_spec() -> mujoco.MjSpec:
-  """A brick of 6 x 4 x 3 cm that lies flat."""
+  """Return a brick of 6 x 4 x 3 cm that lies flat."""
   return _object("brick", mujoco.mjtGeom.mjGEOM_BOX, (0.03, 0.02, 0.015), _hue(0.0))[0]
 
 
 def small_ball_spec() -> mujoco.MjSpec:
-  """A ball of 4 cm that does not roll for ever."""
+  """Return a ball of 4 cm with rolling friction."""
   return _round(*_object("ball", mujoco.mjtGeom.mjGEOM_SPHERE, (0.02, 0.0, 0.0), _hue(0.3)))
 
 
 def large_ball_spec() -> mujoco.MjSpec:
-  """A ball of 5 cm that does not roll for ever."""
+  """Return a ball of 5 cm with rolling friction."""
   return _round(*_object("ball", mujoco.mjtGeom.mjGEOM_SPHERE, (0.025, 0.0, 0.0), _hue(0.4)))
 
 
 def cylinder_spec() -> mujoco.MjSpec:
-  """A cylinder of 4 cm that stands, 6 cm high."""
+  """Return a cylinder of 4 cm that stands, 6 cm high."""
   return _object("cylinder", mujoco.mjtGeom.mjGEOM_CYLINDER, (0.02, 0.03, 0.0), _hue(0.75))[0]
 
 
 def capsule_spec() -> mujoco.MjSpec:
-  """A capsule of 3.5 cm that lies, 7 cm long, and does not roll for ever."""
+  """Return a capsule of 3.5 cm that lies, 7 cm long, with rolling friction."""
   spec, geom = _object("capsule", mujoco.mjtGeom.mjGEOM_CAPSULE, (0.0175, 0.0175, 0.0), _hue(0.9))
   geom.quat = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
   return _round(spec, geom)
@@ -90,7 +90,7 @@ OBJECTS: dict[str, Callable[[], mujoco.MjSpec]] = {
 def _object(
   name: str, kind: mujoco.mjtGeom, size: tuple[float, float, float], rgba: Rgba
 ) -> tuple[mujoco.MjSpec, mujoco.MjsGeom]:
-  """One geom that nothing holds, of the cube's density."""
+  """Return a free body of one geom with the cube's density."""
   spec = mujoco.MjSpec()
   body = spec.worldbody.add_body(name=name)
   body.add_freejoint(name=name)
@@ -98,11 +98,11 @@ def _object(
 
 
 def _round(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> mujoco.MjSpec:
-  """With rolling friction."""
+  """Add rolling friction to an object."""
   geom.condim, geom.friction = 6, (1.0, 0.005, 0.001)
   return spec
 
 
 def _hue(share: float) -> Rgba:
-  """A strong colour from round the colour circle."""
+  """Return a saturated colour of the colour circle."""
   return (*colorsys.hsv_to_rgb(share, 0.8, 0.9), 1.0)

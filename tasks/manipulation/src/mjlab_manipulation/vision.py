@@ -1,4 +1,4 @@
-"""The YAM lifts cubes that it sees with the camera at its wrist."""
+"""Lift tasks from images of the wrist camera."""
 
 import copy
 from dataclasses import replace
@@ -20,7 +20,7 @@ from mjlab_manipulation.objects import blue_cube_spec, green_cube_spec, red_cube
 CAMERA = "wrist_camera"
 PIXELS = 32  # of each side
 DEPTH_RANGE = (0.01, 0.5)  # m
-# What is seen: ground and cubes, and the robot's collision shapes, which no mesh file changes.
+# Visible groups: ground, cubes, and the robot's collision shapes, which do not depend on mesh files.
 GEOM_GROUPS = (0, 3)
 
 # Cubes beside one another
@@ -40,17 +40,17 @@ ITERATIONS = 3_000
 
 
 def lift_cube_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts a cube whose distance it sees."""
+  """Return the task of lifting a cube from depth images."""
   return _task(lift_cube_depth_env(), "yam_lift_cube_vision")
 
 
 def lift_cube_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts a cube that it sees in colour, a colour of its own in every episode."""
+  """Return the task of lifting a cube from colour images, with a random cube colour in each episode."""
   return _task(lift_cube_rgb_env(), "yam_lift_cube_vision")
 
 
 def multi_cube_seg() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The YAM lifts the one of three cubes that is marked in what it sees."""
+  """Return the task of lifting the marked one of three cubes."""
   return _task(multi_cube_seg_env(), "yam_multi_cube_seg")
 
 
@@ -59,14 +59,14 @@ def _task(env: ManagerBasedRlEnvCfg, experiment_name: str) -> TaskCfg[ManagerBas
 
 
 def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training from depth."""
+  """Return the training environment with depth images."""
   cfg = lift_cube_env()
   see(cfg, ("depth",))
   return cfg
 
 
 def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training from colours."""
+  """Return the training environment with colour images."""
   cfg = lift_cube_env()
   see(cfg, ("rgb",))
   cfg.events["cube_color"] = EventTermCfg(
@@ -83,7 +83,7 @@ def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
 
 
 def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training with three cubes, from depth and a mask of the one to be lifted."""
+  """Return the training environment with three cubes, depth images and a mask of the target."""
   cfg = lift_env({name: EntityCfg(spec_fn=spec_fn) for name, spec_fn in CUBES.items()})
   cfg.sim.nconmax = 415
   command = cfg.commands[COMMAND]
@@ -94,7 +94,7 @@ def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
 
 
 def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> None:
-  """Give the actor a camera and the goal in place of what it was told of the cube; the critic is still told."""
+  """Replace the actor's cube terms by a camera and the goal; the critic keeps its terms."""
   cfg.scene.sensors[CAMERA] = CameraSensorCfg(
     camera="robot/camera_d405",
     width=PIXELS,
@@ -103,7 +103,7 @@ def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> Non
     geom_groups=GEOM_GROUPS,
   )
   if "rgb" in channels:
-    # The robot's own lamp is enough: with the ground's light, bright colours would all be white.
+    # The robot has a lamp; with the light of the ground, bright colours would be white.
     cfg.scene.terrain = PlaneCfg(light=False)
   terms = proprioception()
   terms["goal_position"] = ObservationTermCfg(lifting.goal_in_hand, params={"command": COMMAND, "hand": hand()})
@@ -119,7 +119,7 @@ def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> Non
 
 
 def vision_agent(experiment_name: str) -> RslRlOnPolicyRunnerCfg:
-  """The learner of policies that see: the actor through an encoder of its own, the critic knows where things are."""
+  """Return the learner of vision policies: the actor has an image encoder, the critic observes poses."""
   cfg = agent(experiment_name, ITERATIONS)
   cfg.actor = replace(
     cfg.actor,

@@ -1,15 +1,22 @@
-"""How well a policy follows clips: every clip from its first frame to its last, many times."""
+"""Evaluation of a tracking policy: whole clips, many times."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.rotations import quat_error_magnitude
+from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import MetricsTermCfg
-from mjlab_rl import Evaluation, EvaluationError, Policy, Progress, play_first_episodes, summarize
+from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 
-from mjlab_tracking.mdp import MotionCommandCfg, motion
+from mjlab_tracking.mdp import (
+  MotionCommandCfg,
+  body_orientation_error,
+  body_position_error,
+  motion,
+  mpkpe,
+  root_relative_mpkpe,
+)
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -39,42 +46,39 @@ class TrackingEvaluation:
   """
 
   end_effectors: tuple[str, ...]
-  """Bodies whose errors are told apart."""
+  """Bodies with separate errors."""
   repeats: int = 64
   """Episodes of each clip."""
   seed: int = 0
-  """Of randomisation, perturbations and noise."""
+  """Seed of randomisation, perturbations and noise."""
   push: bool = False
   """Push as in training."""
   command: str = "motion"
   """Name of the motion command."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-    """Every clip in turn, whole, one world for each episode."""
-    from mjlab_tracking.library import find_clips
+    """Return the config that plays every clip as a whole, with one world for each episode."""
+    from mjlab_motions import find_clips
 
     term = cfg.commands.get(self.command)
     if not isinstance(term, MotionCommandCfg):
-      raise EvaluationError(f"command '{self.command}' is no motion command; there are: {', '.join(cfg.commands)}")
+      raise ConfigError(f"command '{self.command}' is not a motion command; commands: {', '.join(cfg.commands)}")
     term.sampling = "each"
     cfg.scene.num_envs = self.repeats * len(find_clips(term.motion, term.split))
     cfg.seed = self.seed
     cfg.terminations["time_out"] = None
     if not self.push:
       cfg.events["push_robot"] = None
-    params = {"command": self.command}
-    feet = {**params, "bodies": self.end_effectors}
-    cfg.metrics = {
-      "mpkpe": MetricsTermCfg(mpkpe, params=dict(params)),
-      "r_mpkpe": MetricsTermCfg(root_relative_mpkpe, params=dict(params)),
-      "joint_vel_error": MetricsTermCfg(joint_vel_error, params=dict(params)),
-      "ee_pos_error": MetricsTermCfg(body_position_error, params=dict(feet)),
-      "ee_ori_error": MetricsTermCfg(body_orientation_error, params=dict(feet)),
-    }
+    metrics = {"mpkpe": mpkpe, "r_mpkpe": root_relative_mpkpe, "joint_vel_error": joint_vel_error}
+    of_ends = {"ee_pos_error": body_position_error, "ee_ori_error": body_orientation_error}
+    params: dict[str, Any] = {"command": self.command}
+    cfg.metrics = {name: MetricsTermCfg(func, params=dict(params)) for name, func in metrics.items()}
+    params["bodies"] = self.end_effectors
+    cfg.metrics |= {name: MetricsTermCfg(func, params=dict(params)) for name, func in of_ends.items()}
     return cfg
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
-    """One episode of every world."""
+    """Run one episode in every world and return the metrics."""
     term = motion(env, self.command)
     names = [name for name in UNITS if name != "survived"]
     # Each world plays the same clip again and again.
@@ -99,38 +103,7 @@ class TrackingEvaluation:
     return summarize(metrics, groups, units=UNITS, values=curves, steps_per_second=steps)
 
 
-def mpkpe(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
-  """Mean distance of the followed bodies from the reference in the world, (num_envs,) [m]."""
-  term = motion(env, command)
-  return torch.linalg.vector_norm(term.body_pos_w - term.robot_body_pos_w, dim=-1).mean(-1)
-
-
-def root_relative_mpkpe(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
-  """The same with the reference moved onto the robot's anchor and turned to its heading, (num_envs,) [m]."""
-  term = motion(env, command)
-  lift = (term.robot_anchor_pos_w - term.anchor_pos_w)[:, None, 2:]
-  difference = term.body_pos_relative_w - term.robot_body_pos_w
-  moved = torch.cat((difference[..., :2], difference[..., 2:] + lift), -1)
-  return torch.linalg.vector_norm(moved, dim=-1).mean(-1)
-
-
 def joint_vel_error(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
-  """Root mean square over joints of the error of joint velocities, (num_envs,) [rad/s]."""
+  """Return the root mean square over joints of the error of joint velocities, (num_envs,) [rad/s]."""
   term = motion(env, command)
   return (term.joint_vel - term.robot.data.joint_vel).square().mean(-1).sqrt()
-
-
-def body_position_error(env: "ManagerBasedRlEnv", *, command: str, bodies: tuple[str, ...]) -> torch.Tensor:
-  """Mean distance of some bodies from the reference laid over the robot, (num_envs,) [m]."""
-  term = motion(env, command)
-  at = [term.cfg.bodies.index(body) for body in bodies]
-  difference = term.body_pos_relative_w - term.robot_body_pos_w
-  return torch.stack([torch.linalg.vector_norm(difference[:, i], dim=-1) for i in at], 1).mean(-1)
-
-
-def body_orientation_error(env: "ManagerBasedRlEnv", *, command: str, bodies: tuple[str, ...]) -> torch.Tensor:
-  """Mean angle of some bodies to the reference laid over the robot, (num_envs,) [rad]."""
-  term = motion(env, command)
-  at = [term.cfg.bodies.index(body) for body in bodies]
-  angles = [quat_error_magnitude(term.body_quat_relative_w[:, i], term.robot_body_quat_w[:, i]) for i in at]
-  return torch.stack(angles, 1).mean(-1)

@@ -1,4 +1,4 @@
-"""The Unitree G1 follows clips on a plane: its numbers, and its two tasks."""
+"""Tracking tasks of the Unitree G1 on a plane."""
 
 import copy
 from collections.abc import Callable
@@ -87,12 +87,12 @@ NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
 
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """G1 follows a clip and knows where it is."""
+  """Return the task of following a clip with state estimation."""
   return TaskCfg(env=g1_flat_env(), play=play, agent=agent(), evaluator=evaluator())
 
 
 def g1_flat_no_state_estimation() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """G1 follows a clip by what its own sensors say: neither position nor linear velocity of its base is known."""
+  """Return the task of following a clip without position and linear velocity of the base."""
   cfg = g1_flat_env()
   actor = cfg.observations["actor"]
   assert actor is not None
@@ -102,7 +102,7 @@ def g1_flat_no_state_estimation() -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 
 def g1_flat_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training. Whoever gets it may change it: it shares no part with another."""
+  """Return the training environment; each call returns an independent copy."""
   cfg = ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
@@ -152,7 +152,7 @@ def _apart(terms: dict[str, T]) -> dict[str, T]:
 
 
 def _self_collision() -> ContactSensorCfg:
-  """The strongest contact of the robot with itself in each substep."""
+  """Return the sensor of the strongest self-contact in each substep."""
   robot = ContactMatch(mode="subtree", pattern="pelvis", entity="robot")
   return ContactSensorCfg(
     primary=robot,
@@ -247,7 +247,7 @@ def _events() -> dict[str, EventTermCfg | None]:
 
 
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: from the beginning of clips to their end, without pushes, perturbations or noise."""
+  """Return the play config: whole clips without pushes, perturbations or noise."""
   cfg.episode_length_s = 1e9
   actor, motion = cfg.observations["actor"], cfg.commands["motion"]
   if actor is not None:
@@ -260,12 +260,12 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def evaluator() -> TrackingEvaluation:
-  """Judges both tasks."""
+  """Return the evaluator of both tasks."""
   return TrackingEvaluation(end_effectors=END_EFFECTORS)
 
 
 def agent() -> RslRlOnPolicyRunnerCfg:
-  """The learner of both tasks."""
+  """Return the learner of both tasks."""
   actor = RslRlModelCfg(
     hidden_dims=(512, 256, 128),
     obs_normalization=True,

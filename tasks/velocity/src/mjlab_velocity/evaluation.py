@@ -1,13 +1,14 @@
-"""How well a policy follows velocity commands: a grid of them, with pushes of graded size."""
+"""Evaluation of a velocity policy: a grid of commands, with pushes of several sizes."""
 
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.masking import fill_, where_
+from mjlab_core.errors import ConfigError
+from mjlab_core.indexing import fill_, where_
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
-from mjlab_rl import Evaluation, EvaluationError, Policy, Progress, play_first_episodes, summarize
+from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 
 from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
 
@@ -30,12 +31,12 @@ GRID: tuple[Command, ...] = (
 )
 GRAVITY = 9.81
 WALKING = 0.3
-"""Commanded speed from which on the cost of transport means something [m/s]."""
+"""Least commanded speed at which the cost of transport is measured [m/s]."""
 
 
 @dataclass(kw_only=True)
 class CommandGridCfg(UniformVelocityCommandCfg):
-  """A fixed command for each world, from a list in turn."""
+  """Velocity command that is fixed for each world, from a list in turn."""
 
   grid: tuple[Command, ...]
   resampling_time_range: tuple[float, float] | None = None
@@ -45,9 +46,7 @@ class CommandGridCfg(UniformVelocityCommandCfg):
 
 
 class CommandGrid(UniformVelocityCommand):
-  """See `CommandGridCfg`."""
-
-  _constants = frozenset({"_grid"})
+  """Velocity command of `CommandGridCfg`."""
 
   def __init__(self, cfg: CommandGridCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
@@ -61,23 +60,22 @@ class CommandGrid(UniformVelocityCommand):
 
 
 class push_by_level(ManagerTermBase):
-  """Add a horizontal velocity to the root, of a size that the world keeps, in a random direction.
+  """Add a horizontal velocity in a random direction to the root; its size is constant in a world.
 
   World i has level (i // block) mod len(levels) of `levels` [m/s].
   """
 
-  _constants = frozenset({"_size"})
+  env: "ManagerBasedRlEnv"
 
-  def __init__(self, cfg: EventTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    levels = torch.tensor(cfg.params["levels"], device=env.device, dtype=env.sim.dtype)
+  def __init__(self, env: "ManagerBasedRlEnv", *, levels: tuple[float, ...], block: int, entity: str = "robot") -> None:
+    super().__init__(env)
+    sizes = torch.tensor(levels, device=env.device, dtype=env.sim.dtype)
     world = torch.arange(env.num_envs, device=env.device)
-    self._size = levels[(world // cfg.params["block"]) % len(levels)]
+    self._size = sizes[(world // block) % len(sizes)]
+    self._entity = entity
 
-  def __call__(
-    self, env: "ManagerBasedRlEnv", mask: torch.Tensor, *, levels: tuple[float, ...], block: int, entity: str = "robot"
-  ) -> None:
-    del levels, block  # Resolved at build.
+  def __call__(self, mask: torch.Tensor) -> None:
+    env, entity = self.env, self._entity
     angle = 2.0 * torch.pi * torch.rand(env.num_envs, generator=env.rng, device=env.device, dtype=env.sim.dtype)
     push = torch.stack((angle.cos(), angle.sin()), 1) * self._size[:, None]
     robot = env.scene[entity]
@@ -89,11 +87,11 @@ class push_by_level(ManagerTermBase):
 class VelocityEvaluation:
   """Falls, errors and effort over a grid of commands and pushes.
 
-  Every command is played with every push, with training's noise and randomisation, on its terrain:
+  Every command is played with every push, with the noise, randomisation and terrain of training. Metrics:
 
   - `fall_rate`: share of episodes that ended in failure;
   - `lin_vel_rmse`, `yaw_rate_rmse`: root mean square errors of the root's velocity in its own frame, while alive;
-  - `cost_of_transport`: mean of |torque x joint velocity| over mass, gravity and mean speed, where it is to walk.
+  - `cost_of_transport`: mean of |torque x joint velocity| over mass, gravity and mean speed, for commands to walk.
   """
 
   grid: tuple[Command, ...] = GRID
@@ -106,7 +104,7 @@ class VelocityEvaluation:
   seconds: float = 10.0
   """Length of an episode [s]."""
   seed: int = 0
-  """Of randomisation, starts, noise and the directions of pushes."""
+  """Seed of randomisation, starts, noise and directions of pushes."""
   command: str = "twist"
   """Name of the velocity command."""
   entity: str = "robot"
@@ -114,15 +112,15 @@ class VelocityEvaluation:
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     term = cfg.commands.get(self.command)
     if not isinstance(term, UniformVelocityCommandCfg):
-      raise EvaluationError(f"command '{self.command}' is no velocity command; there are: {', '.join(cfg.commands)}")
+      raise ConfigError(f"command '{self.command}' is not a velocity command; commands: {', '.join(cfg.commands)}")
     if not self.grid or not self.pushes or self.repeats < 1:
-      raise EvaluationError("eval.grid, eval.pushes and eval.repeats must not be empty")
+      raise ConfigError("eval.grid, eval.pushes and eval.repeats must not be empty")
     kept = {field.name: getattr(term, field.name) for field in fields(UniformVelocityCommandCfg)}
     kept["resampling_time_range"] = None
     cfg.commands[self.command] = CommandGridCfg(grid=self.grid, **kept)
     cfg.scene.num_envs = len(self.grid) * len(self.pushes) * self.repeats
     cfg.seed, cfg.episode_length_s = self.seed, self.seconds
-    # Curricula would move the goal while it is measured.
+    # Curricula would change the task during the measurement.
     cfg.curriculum = {}
     cfg.events["push_robot"] = EventTermCfg(
       push_by_level,
@@ -155,7 +153,7 @@ class VelocityEvaluation:
     groups |= {f"push {size:g} m/s": level == i for i, size in enumerate(self.pushes)}
     wanted = torch.tensor(self.grid, dtype=torch.float64)[command, :2].norm(dim=-1)
     entity = env.scene[self.entity]
-    # Where masses are drawn, each world has its own.
+    # Masses may be randomised.
     mass = env.sim.model.body_subtreemass[:, entity.indexing.root_body].double().cpu()
     cost = played.mean("power") / (mass * GRAVITY * played.mean("speed"))
     metrics = {
@@ -187,23 +185,23 @@ def _said(command: Command) -> str:
 
 
 def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
-  """|v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
+  """Return |v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
   velocity = env.scene[entity].data.root_link_lin_vel_b
   return (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
 
 
 def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
-  """(w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
+  """Return (w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
   velocity = env.scene[entity].data.root_link_ang_vel_b
   return (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
 
 
 def mechanical_power(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
-  """Sum over joints of |torque x velocity|, (num_envs,) [W]."""
+  """Return the sum over joints of |torque x velocity|, (num_envs,) [W]."""
   data = env.scene[entity].data
   return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
 
 
 def horizontal_speed(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
-  """Horizontal speed of the root, (num_envs,) [m/s]."""
+  """Return the horizontal speed of the root, (num_envs,) [m/s]."""
   return torch.linalg.vector_norm(env.scene[entity].data.root_link_lin_vel_w[:, :2], dim=-1)

@@ -1,4 +1,4 @@
-"""The Unitree G1: its numbers, and its tasks on flat and rough ground."""
+"""Velocity tasks of the Unitree G1 on flat and rough ground."""
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -12,7 +12,7 @@ from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
 
-# How far joints may stray from the default pose [rad]
+# Allowed deviation of joints from the default pose [rad]
 STD_STANDING = {".*": 0.05}
 STD_WALKING = {
   ".*_hip_pitch_joint": 0.3,
@@ -69,31 +69,31 @@ def _robot() -> LeggedRobot:
       ls_iterations=20,
       ccd_iterations=50,
       nconmax=32,
-      # Random play wants up to 13 contacts and 113 rows a world.
+      # Random actions need up to 13 contacts and 113 constraint rows in a world.
       njmax=192,
     ),
   )
 
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """G1 follows velocity commands on a plane."""
+  """Return the task of a G1 that follows velocity commands on a plane."""
   return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation())
 
 
 def g1_flat_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training on a plane."""
+  """Return the training environment on a plane."""
   return _with_self_collision(flat_env(_robot()))
 
 
 def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """G1 follows velocity commands over stairs, slopes and rough ground."""
+  """Return the task of a G1 that follows velocity commands over stairs, slopes and rough ground."""
   return TaskCfg(
     env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation()
   )
 
 
 def g1_rough_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training on rough ground."""
+  """Return the training environment on rough ground."""
   cfg = _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
   cfg.sim.nconmax, cfg.sim.njmax = 70, 640
   return cfg

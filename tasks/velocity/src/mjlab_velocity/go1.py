@@ -1,4 +1,4 @@
-"""The Unitree Go1: its numbers, and its tasks on flat and rough ground."""
+"""Velocity tasks of the Unitree Go1 on flat and rough ground."""
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -16,7 +16,7 @@ from mjlab_velocity.rough import ground_contact, play_rough, rough_env, self_col
 FEET = ("FR", "FL", "RR", "RL")
 _FOOT_GEOMS = ".*_foot_collision"
 
-# How far joints may stray from the default pose [rad]
+# Allowed deviation of joints from the default pose [rad]
 STD_STANDING = {".*_(hip|thigh)_joint": 0.05, ".*_calf_joint": 0.1}
 STD_MOVING = {".*_(hip|thigh)_joint": 0.3, ".*_calf_joint": 0.6}
 
@@ -36,7 +36,7 @@ def _robot() -> LeggedRobot:
       geom_friction(_FOOT_GEOMS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
       geom_friction(_FOOT_GEOMS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
     ),
-    # The default pose reaches 16.5 mm below its root's origin, so feet begin 1 to 5 cm above the ground.
+    # The default pose reaches 16.5 mm below z = 0, so feet begin 1 to 5 cm above the ground.
     start_height=(0.0265, 0.0665),
     std_standing=STD_STANDING,
     std_walking=STD_MOVING,
@@ -48,7 +48,7 @@ def _robot() -> LeggedRobot:
       iterations=10,
       ls_iterations=20,
       ccd_iterations=50,
-      # Random play wants up to 6 contacts and 36 rows a world; what would not fit is counted and reported.
+      # Random actions need up to 6 contacts and 36 constraint rows in a world; an overflow is counted and reported.
       nconmax=16,
       njmax=128,
     ),
@@ -56,26 +56,26 @@ def _robot() -> LeggedRobot:
 
 
 def go1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Go1 follows velocity commands on a plane."""
+  """Return the task of a Go1 that follows velocity commands on a plane."""
   return TaskCfg(
     env=go1_flat_env(), play=play_flat, agent=agent("go1_velocity", 10_000), evaluator=VelocityEvaluation()
   )
 
 
 def go1_flat_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training on a plane."""
+  """Return the training environment on a plane."""
   return flat_env(_robot())
 
 
 def go1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Go1 follows velocity commands over stairs, slopes and rough ground."""
+  """Return the task of a Go1 that follows velocity commands over stairs, slopes and rough ground."""
   return TaskCfg(
     env=go1_rough_env(), play=play_rough, agent=agent("go1_velocity", 10_000), evaluator=VelocityEvaluation()
   )
 
 
 def go1_rough_env() -> ManagerBasedRlEnvCfg:
-  """The environment of training on rough ground."""
+  """Return the training environment on rough ground."""
   cfg = rough_env(_robot(), scan_body="trunk")
   cfg.sim.nconmax, cfg.sim.njmax = 35, 384
   cfg.scene.sensors |= {
@@ -93,7 +93,7 @@ def go1_rough_env() -> ManagerBasedRlEnvCfg:
     ("trunk_head_collision", "trunk_ground_touch"),
   ):
     cfg.rewards[reward] = RewardTermCfg(mdp.contact_count, weight=-0.1, params={"sensor": sensor})
-  # A leg may slip without ending the episode; the weight of the robot on its thighs does.
+  # A slipping leg does not end the episode; the weight of the robot on a thigh does.
   cfg.terminations["fell_over"] = None
   cfg.terminations["illegal_contact"] = TerminationTermCfg(mdp.illegal_contact, params={"sensor": "thigh_ground_touch"})
   return cfg

@@ -1,4 +1,4 @@
-"""What all velocity tasks share: the environment of a legged robot on a plane, and its learner."""
+"""Velocity task of a legged robot on a plane, and the learner of all velocity tasks."""
 
 import copy
 import math
@@ -29,6 +29,9 @@ from mjlab_velocity import mdp as velocity
 
 T = TypeVar("T")
 
+FRICTION_AXES = ("slide", "spin", "roll")
+"""Names of the axes of friction in MuJoCo's order."""
+
 # Timing
 PHYSICS_DT = 0.005  # s
 DECIMATION = 4
@@ -42,7 +45,7 @@ COMMAND_STAGES = [
 ]
 
 # Gait
-MOVING = 0.05  # commanded speed above which the gait is judged
+MOVING = 0.05  # m/s, commanded speed above which gait rewards count
 SWING_HEIGHT = 0.1  # m, centre of the foot above the ground
 MAX_TILT = math.radians(70.0)
 
@@ -56,7 +59,7 @@ PUSH = {
   "yaw": (-0.78, 0.78),
 }
 
-# Noise of what the policy sees
+# Noise of the actor's observations
 NOISE_LIN_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
 NOISE_ANG_VEL = UniformNoiseCfg(n_min=-0.2, n_max=0.2)
 NOISE_GRAVITY = UniformNoiseCfg(n_min=-0.05, n_max=0.05)
@@ -66,26 +69,29 @@ NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
 
 @dataclass(kw_only=True)
 class LeggedRobot:
-  """What a velocity task must know of a robot."""
+  """Numbers of a robot that the velocity tasks need."""
 
   entity: Callable[[], EntityCfg]
   action_scale: dict[str, float]
-  """Set-point shift of one unit of action by joint pattern [rad]."""
+  """Shift of the target per unit of action by joint pattern [rad]."""
   torso: str
-  """Body that is to stay upright and whose centre of mass is randomised."""
+  """Body that the reward keeps upright and whose centre of mass is randomised."""
   feet: tuple[str, ...]
   """Sites of the feet."""
   foot_contact: ContactMatch
-  """What touches the ground, one for each of `feet` in their order."""
+  """Bodies or geoms that touch the ground, one for each of `feet` in their order."""
   foot_rays: RingPatternCfg
-  """Where the ground under a foot is looked for."""
+  """Pattern of the rays that find the ground under a foot."""
   foot_friction: tuple[FieldRandomizer, ...]
+  """Randomisers of friction: sliding, then torsional, then rolling."""
   start_height: tuple[float, float]
   """Range of the root's height above its default at the start of an episode [m]."""
   std_standing: dict[str, float]
-  """How far joints may stray from the default pose while standing, by joint pattern [rad]."""
+  """Allowed deviation of joints from the default pose while standing, by joint pattern [rad]."""
   std_walking: dict[str, float]
+  """Allowed deviation while walking, likewise."""
   std_running: dict[str, float]
+  """Allowed deviation while running, likewise."""
   weights: dict[str, float] = field(default_factory=dict)
   """Reward weights that differ from those of `_rewards`."""
   sim: SimulationCfg
@@ -93,7 +99,7 @@ class LeggedRobot:
 
 
 def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
-  """The robot follows velocity commands on a plane. Whoever gets it may change it: it shares no part with another."""
+  """Return the config of a robot that follows velocity commands on a plane; it shares no part with another config."""
   cfg = ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
@@ -113,7 +119,7 @@ def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
     },
     metrics={"mean_action_acc": MetricsTermCfg(mdp.mean_action_acc)},
   )
-  # Constants and arguments stay behind; and term by term, so that not even two terms of it share a part.
+  # Copied term by term, so that a change of one term changes no other term and no constant of this module.
   cfg.actions, cfg.events = _apart(cfg.actions), _apart(cfg.events)
   cfg.curriculum, cfg.rewards = _apart(cfg.curriculum), _apart(cfg.rewards)
   for group in cfg.observations.values():
@@ -229,7 +235,8 @@ def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
   start = {"x": (-0.5, 0.5), "y": (-0.5, 0.5), "z": robot.start_height, "yaw": (-math.pi, math.pi)}
   com = body_com_offset(robot.torso, {"x": (-0.025, 0.025), "y": (-0.025, 0.025), "z": (-0.03, 0.03)})
   # Each world draws one value for all its feet.
-  friction = {f"foot_friction_{axis}": randomizer for axis, randomizer in zip(AXES, robot.foot_friction, strict=False)}
+  axes = zip(FRICTION_AXES, robot.foot_friction, strict=False)
+  friction = {f"foot_friction_{axis}": randomizer for axis, randomizer in axes}
   return {
     "reset_base": EventTermCfg(mdp.reset_root_state_uniform, mode="reset", params={"pose_range": start}),
     "reset_robot_joints": EventTermCfg(
@@ -246,12 +253,8 @@ def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
   }
 
 
-AXES = ("slide", "spin", "roll")
-"""Names of the axes of friction, in MuJoCo's order."""
-
-
 def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: episodes without end, what the policy sees without noise, nobody pushes."""
+  """Turn a training config into one for watching: endless episodes, no observation noise, no pushes, no curriculum."""
   cfg.episode_length_s = 1e9
   actor = cfg.observations["actor"]
   if actor is not None:
@@ -262,7 +265,7 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching, with faster commands than training begins with."""
+  """Turn a flat training config into one for watching, with faster commands than at the start of training."""
   cfg = play(cfg)
   twist = cfg.commands["twist"]
   if isinstance(twist, velocity.UniformVelocityCommandCfg):
@@ -271,7 +274,7 @@ def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
-  """The learner of all velocity tasks."""
+  """Return the learner of all velocity tasks."""
   actor = RslRlModelCfg(
     hidden_dims=(512, 256, 128),
     obs_normalization=True,

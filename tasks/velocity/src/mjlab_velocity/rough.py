@@ -1,4 +1,4 @@
-"""What makes a velocity task one on rough ground: terrain, height scan, levels."""
+"""Velocity task on rough ground: terrain, height scan, terrain levels."""
 
 import copy
 
@@ -23,13 +23,13 @@ from mjlab_terrain import (
 from mjlab_velocity import mdp as velocity
 from mjlab_velocity.legged import LeggedRobot, flat_env, play
 
-RIM = 0.2  # m, level edge of tiles that are height fields
+RIM = 0.2  # m, level edge of tiles made of height fields
 SCAN_DISTANCE = 5.0  # m
 SCAN_NOISE = UniformNoiseCfg(n_min=-0.1, n_max=0.1)  # m, before scaling
 
 
 def rough_terrain() -> TerrainGridCfg:
-  """Ten levels of seven kinds of ground, each kind with its share of worlds."""
+  """Return ten levels of seven kinds of ground, each kind with its share of worlds."""
   return TerrainGridCfg(
     tile_size=(8.0, 8.0),
     rows=10,
@@ -41,7 +41,7 @@ def rough_terrain() -> TerrainGridCfg:
       "stairs_down": PyramidStairsCfg(share=0.2, step_height=(0.0, 0.1), inverted=True),
       "slope_up": PyramidSlopeCfg(share=0.1, slope=(0.0, 1.0), curved=True, border=RIM),
       "slope_down": PyramidSlopeCfg(share=0.1, slope=(0.0, 1.0), curved=True, border=RIM, inverted=True),
-      # As rough on the hardest level as heights of 2 to 10 cm in steps of 2 are.
+      # The hardest level is as rough as heights of 2 to 10 cm in steps of 2 cm.
       "random_rough": RandomRoughCfg(share=0.1, amplitude=(0.0, 0.05), border=RIM),
       "waves": WavesCfg(share=0.1, amplitude=(0.0, 0.2), border=RIM),
     },
@@ -49,7 +49,7 @@ def rough_terrain() -> TerrainGridCfg:
 
 
 def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
-  """The flat task, on tiles that grow harder as the robot gets better, with a scan of the ground around `scan_body`."""
+  """Return the flat task on tiles that become harder with success, with a scan of the ground around `scan_body`."""
   cfg = flat_env(robot)
   cfg.scene.terrain = rough_terrain()
   cfg.scene.max_init_terrain_level = 5
@@ -60,7 +60,7 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
     pattern=GridPatternCfg(size=(1.6, 1.0), resolution=0.1),
     alignment="yaw",
     max_distance=SCAN_DISTANCE,
-    # The steepest slope rises to the body's own height within the scan: rays start above it.
+    # The steepest slope rises to the height of the body within the scan, so rays start above the body.
     start_height=1.0,
     geom_groups=(0,),
   )
@@ -70,7 +70,7 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
     scan = ObservationTermCfg(
       mdp.height_scan, noise=copy.copy(noise), scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
     )
-    # Behind the command, where the actor's terms end.
+    # After the command, the last of the actor's other terms.
     before = list(group.terms).index("command") + 1
     terms = list(group.terms.items())
     group.terms = dict([*terms[:before], ("height_scan", scan), *terms[before:]])
@@ -80,7 +80,7 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
 
 
 def self_collision(root: str) -> ContactSensorCfg:
-  """The strongest contact of the robot with itself, over the substeps of a step."""
+  """Return a sensor of the strongest contact of the robot with itself over the substeps of a step."""
   robot = ContactMatch(mode="subtree", pattern=root, entity="robot")
   return ContactSensorCfg(
     primary=robot, secondary=robot, fields=("found", "force"), reduce="maxforce", history_length="decimation"
@@ -88,7 +88,7 @@ def self_collision(root: str) -> ContactSensorCfg:
 
 
 def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
-  """The strongest contact of each of `primary` with the ground, over the substeps of a step."""
+  """Return a sensor of the strongest contact of each `primary` with the ground over the substeps of a step."""
   return ContactSensorCfg(
     primary=primary,
     secondary=ContactMatch(mode="body", pattern="terrain"),
@@ -99,7 +99,7 @@ def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
 
 
 def play_rough(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """For watching: on fewer tiles in random order, another one in each episode."""
+  """Turn a rough training config into one for watching: fewer tiles in random order, another tile in each episode."""
   cfg = play(cfg)
   cfg.terminations["out_of_terrain_bounds"] = None
   if isinstance(cfg.scene.terrain, TerrainGridCfg):
@@ -107,6 +107,6 @@ def play_rough(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     cfg.scene.terrain.rows = cfg.scene.terrain.columns = 5
     cfg.scene.terrain.border_width = 10.0
     cfg.scene.max_init_terrain_level = None
-  # First the tile, then the place on it.
+  # The tile is drawn before the place on it.
   cfg.events = {"randomize_terrain": EventTermCfg(velocity.randomize_terrain, mode="reset"), **cfg.events}
   return cfg

@@ -1,7 +1,6 @@
 """Terms that only manipulation tasks need."""
 
 from mjlab_manipulation.mdp.command import LiftCommand, LiftCommandCfg, Region
-from mjlab_manipulation.mdp.curricula import reward_weight
 from mjlab_manipulation.mdp.images import DATA_OF_CHANNEL, Channel, camera_image
 from mjlab_manipulation.mdp.observations import (
   goal_in_hand,
@@ -53,7 +52,6 @@ __all__ = [
   "object_to_goal",
   "position_error",
   "reached",
-  "reward_weight",
   "time_to_success",
   "touched",
 ]

@@ -1,12 +1,14 @@
-"""The lift command: which object is to go where, and for how long it is asked for."""
+"""Lift command: the object to lift, its goal, and the time for it."""
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.masking import where_
+from mjlab_core.constraints import Ascending, Limits, NonNegative, check_fields
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import where_
 from mjlab_core.sampling import check_range
 from mjlab_managers import CommandTerm, CommandTermCfg
 
@@ -15,12 +17,12 @@ from mjlab_manipulation.mdp.extent import Extent
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
-Range = tuple[float, float]
+Range = Annotated[tuple[float, float], Limits(), Ascending()]
 
 
 @dataclass(kw_only=True)
 class Region:
-  """A box about the origin of each world [m]."""
+  """Box relative to the origin of each world [m]."""
 
   x: Range
   y: Range
@@ -29,120 +31,115 @@ class Region:
 
 @dataclass(kw_only=True)
 class LiftCommandCfg(CommandTermCfg):
-  """At each reset draws which object is to be lifted, where to, where all objects begin, and how long there is for it.
+  """Lift command: each reset draws the object to lift, its goal, the time for it, and the start of all objects.
 
-  A goal holds for a whole episode, which `goal_over` ends: nothing moves by itself within one.
+  A goal lasts for the episode, which the termination `goal_over` ends.
 
-  Objects stand in a row: along y any two centres are at least `min_distance` apart, drawn uniformly among all rows for
-  which that holds, in an order of their own in every world. So none overlaps another, and no draw is ever rejected.
-  Worlds whose objects were made larger since keep them as far apart as these need, at worst beyond the ends of `start`.
+  Objects stand in a row along y, in a random order, with at least `min_distance` between centres. The draw is uniform
+  over all such rows, without rejection. If objects are enlarged after the build, their distances grow with them, if
+  necessary beyond the ends of `start`.
   """
 
   resampling_time_range: tuple[float, float] | None = None
   debug_vis: bool = True
   objects: tuple[str, ...] = ("cube",)
-  """Entities that are there; each world is to lift one of them."""
+  """Entities that can be lifted; each world lifts one of them."""
   goal: Region = field(default_factory=lambda: Region(x=(0.3, 0.5), y=(-0.2, 0.2), z=(0.2, 0.4)))
-  """Where the centre of the object is to go."""
+  """Goals of the object's centre."""
   start: Region = field(default_factory=lambda: Region(x=(0.22, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03)))
-  """Where objects begin, x and y of their origins and z of their lowest points: where the wrist camera sees all of a
-  cube of 4 cm from the pose "home"."""
+  """Start of objects: x and y of origins, z of lowest points. With the default, the wrist camera sees all of a cube of
+  4 cm from the pose "home"."""
   start_yaw: Range = (-math.pi, math.pi)
-  """How objects are turned at the beginning [rad]."""
-  min_distance: float = 0.06
-  """Least distance between two objects' origins along y [m]; at least what keeps any two apart, however turned."""
+  """Yaw of objects at the start [rad]."""
+  min_distance: NonNegative = 0.06
+  """Least distance between the origins of two objects along y [m]; it must keep them apart for every yaw."""
   goal_time_range: Range = (8.0, 12.0)
-  """How long a goal is asked for [s]."""
+  """Time for a goal [s]."""
 
   def build(self, env: Any) -> "LiftCommand":
     return LiftCommand(self, env)
 
 
 class LiftCommand(CommandTerm):
-  """See `LiftCommandCfg`.
+  """Lift command of `LiftCommandCfg`.
 
   Raises:
-    ValueError: no object, one that does not exist, does not float or has no extent, an inverted range, or no room for
-      all objects.
+    MjlabError: There is no object; an object does not exist, has a fixed base or has no extent; a range is inverted;
+      or the objects do not fit into `start`.
   """
 
   cfg: LiftCommandCfg
 
   def __init__(self, cfg: LiftCommandCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
+    check_fields(cfg, "LiftCommandCfg")
+    for name, region in (("goal", cfg.goal), ("start", cfg.start)):
+      check_fields(region, name)
     if cfg.resampling_time_range is not None:
-      raise ValueError("resampling_time_range must be None: objects are placed at resets; see goal_time_range")
+      raise MjlabError("resampling_time_range must be None: resets draw the command; goal_time_range sets its time")
     self._objects = [env.scene[name] for name in cfg.objects]
     if not self._objects:
-      raise ValueError("objects must name at least one entity")
+      raise MjlabError("objects must name at least one entity")
     for name, entity in zip(cfg.objects, self._objects, strict=True):
       if entity.is_fixed_base:
-        raise ValueError(f"entity '{name}' cannot be lifted: its base does not float")
-    bounds = {
-      f"{region}.{axis}": getattr(getattr(cfg, region), axis)
-      for region in ("goal", "start")
-      for axis in ("x", "y", "z")
-    }
-    for name, (lo, hi) in {**bounds, "start_yaw": cfg.start_yaw}.items():
-      check_range(name, lo, hi)
+        raise MjlabError(f"entity '{name}' cannot be lifted: its base is fixed")
     check_range("goal_time_range", *cfg.goal_time_range, minimum=env.step_dt)
     count = len(self._objects)
     width = cfg.start.y[1] - cfg.start.y[0]
     if width < (count - 1) * cfg.min_distance:
-      raise ValueError(f"start.y is {width:g} m wide, too little for {count} objects {cfg.min_distance:g} m apart")
+      raise MjlabError(f"start.y is {width:g} m wide, too little for {count} objects {cfg.min_distance:g} m apart")
     self._extents = [Extent(env, entity) for entity in self._objects]
-    self._check_distance()
-    like: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
-    n = self.num_envs
-    self._goal = torch.zeros(n, 3, **like)
-    self.target = torch.zeros(n, dtype=torch.int64, device=env.device)
-    """Which of the objects is to be lifted, (num_envs,)."""
-    self.goal_time = torch.zeros(n, dtype=torch.float64, device=env.device)
-    """How long after its reset a world is given a new goal, (num_envs,) [s]."""
+    if count > 1 and cfg.min_distance < (needed := float(self._apart().max())):
+      raise MjlabError(f"min_distance is {cfg.min_distance:g} m, but objects may touch below {needed:.4g} m")
+    self._goal = self.state((3,), dtype=env.sim.dtype)
+    self.target = self.state(dtype=torch.int64)
+    """Index of the object to lift, (num_envs,)."""
+    self.goal_time = self.state(dtype=torch.float64)
+    """Time from the reset to the end of the goal, (num_envs,) [s]."""
 
   @property
   def command(self) -> torch.Tensor:
-    """Where the centre of the object is to go, from the origin of its world, (num_envs, 3) [m]."""
+    """Goal of the object's centre relative to the origin of its world, (num_envs, 3) [m]."""
     return self._goal
 
   @property
   def goal_pos_w(self) -> torch.Tensor:
-    """Where the centre of the object is to go, world frame, (num_envs, 3) [m]."""
+    """Goal of the object's centre, world frame, (num_envs, 3) [m]."""
     return self._goal + self.env.scene.env_origins
 
   @property
   def object_pos_w(self) -> torch.Tensor:
-    """Centre of the object that is to be lifted, world frame, (num_envs, 3) [m]."""
+    """Centre of the object to lift, world frame, (num_envs, 3) [m]."""
     return self._of_target([entity.data.root_link_pos_w for entity in self._objects])
 
   @property
   def object_quat_w(self) -> torch.Tensor:
-    """Orientation of that object, world frame, (num_envs, 4)."""
+    """Orientation of the object to lift, world frame, (num_envs, 4)."""
     return self._of_target([entity.data.root_link_quat_w for entity in self._objects])
 
   @property
   def object_height(self) -> torch.Tensor:
-    """Height of its centre above the origin of its world, (num_envs,) [m]."""
+    """Height of the object's centre above the origin of its world, (num_envs,) [m]."""
     return self.object_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
 
   @property
   def object_clearance(self) -> torch.Tensor:
-    """Height of its lowest point above the origin of its world, (num_envs,) [m]."""
+    """Height of the object's lowest point above the origin of its world, (num_envs,) [m]."""
     return self._of_target([extent.lowest() for extent in self._extents]) - self.env.scene.env_origins[:, 2]
 
   @property
   def object_size(self) -> torch.Tensor:
-    """Edges of the box about it, in the frame of its body, (num_envs, 3) [m]."""
+    """Edges of the object's bounding box, in the frame of its body, (num_envs, 3) [m]."""
     boxes = [extent.box() for extent in self._extents]
     return self._of_target([(high - low).expand(self.num_envs, 3) for low, high in boxes])
 
   @property
   def distance(self) -> torch.Tensor:
-    """From its centre to the goal, (num_envs,) [m]."""
+    """Distance of the object's centre from the goal, (num_envs,) [m]."""
     return torch.linalg.vector_norm(self.goal_pos_w - self.object_pos_w, dim=-1)
 
   def of_target(self, values: torch.Tensor) -> torch.Tensor:
-    """Of one value for each object (num_envs, objects, ...) that of the object to be lifted, (num_envs, ...)."""
+    """Return the value of the object to lift, (num_envs, ...), among those of all objects (num_envs, objects, ...)."""
     if values.shape[1] == 1:
       return values[:, 0]
     index = self.target.view(-1, 1, *[1] * (values.dim() - 2)).expand(-1, 1, *values.shape[2:])
@@ -176,7 +173,7 @@ class LiftCommand(CommandTerm):
       entity.write_root_state(state[:, i], mask)
 
   def _in_a_row(self, place: torch.Tensor, order: torch.Tensor) -> torch.Tensor:
-    """Where objects are along y, (num_envs, objects) [m], of as many uniform numbers for places and for their order."""
+    """Return y of objects [m] for uniform numbers that set places and order, (num_envs, objects) each."""
     cfg, count = self.cfg, len(self._objects)
     if count == 1:
       return _between(place, cfg.start.y)
@@ -187,16 +184,13 @@ class LiftCommand(CommandTerm):
     return y.gather(1, order.argsort(dim=1))
 
   def _apart(self) -> torch.Tensor:
-    """How far apart no two objects can touch, with the sizes they have now, (num_envs or 1, 1) [m]."""
+    """Return the distance at which no two objects can touch, for their present sizes, (num_envs or 1, 1) [m]."""
     boxes = [extent.box() for extent in self._extents]
     reach = torch.stack(torch.broadcast_tensors(*(torch.maximum(-low, high)[:, :2] for low, high in boxes)), dim=1)
     return torch.linalg.vector_norm(reach, dim=-1).sort(dim=1).values[:, -2:].sum(1, keepdim=True)
 
-  def _check_distance(self) -> None:
-    """Checks, at build, that no two objects can touch."""
-    needed = float(self._apart().max())
-    if len(self._objects) > 1 and self.cfg.min_distance < needed:
-      raise ValueError(f"min_distance is {self.cfg.min_distance:g} m, and objects may touch below {needed:.4g} m")
+  def reset(self, mask: torch.Tensor) -> None:
+    """Leave all state to `resample`, which draws it."""
 
   def update(self) -> None:
     if self.by_hand is not None:
@@ -211,7 +205,7 @@ class LiftCommand(CommandTerm):
     return [("goal x [m]", *goal.x), ("goal y [m]", *goal.y), ("goal z [m]", *goal.z)]
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """A green ball where the object is to go, and a line to it from the object."""
+    """Draw the goal as a green ball, and a line from the object to it."""
     worlds = torch.tensor(draw.worlds, device=self.device)
     goal, place = self.goal_pos_w[worlds], self.object_pos_w[worlds]
     draw.spheres(goal, 0.012, (0.2, 0.7, 0.3, 0.8))

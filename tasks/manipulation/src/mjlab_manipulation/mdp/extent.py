@@ -1,9 +1,10 @@
-"""How far objects reach: primitives exactly, meshes by the box about them."""
+"""Extent of objects: exact for primitives, the bounding box for meshes."""
 
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
+from mjlab_core.errors import MjlabError
 from mjlab_core.rotations import matrix_from_quat
 from mjlab_scene import Entity, VariantEntity
 
@@ -17,8 +18,7 @@ _ROD, _DISC = torch.zeros(3, 3), torch.zeros(3, 3)
 _ROD[1, 2] = _DISC[0, 0] = _DISC[0, 1] = 1.0
 _NOTHING = torch.zeros(3, 3)
 
-# A primitive is the sum of a box and an ellipsoid. Which of its sizes, by row, are half edges, and which semi-axes, by
-# column.
+# A primitive is the sum of a box and an ellipsoid. Rows are its sizes, columns the half edges and the semi-axes.
 _SHAPES = {
   int(_G.mjGEOM_SPHERE): (_NOTHING, _ROUND),
   int(_G.mjGEOM_CAPSULE): (_ROD, _ROUND),
@@ -30,33 +30,33 @@ _SHAPES = {
 
 
 class Extent:
-  """How far the geoms of an object of one body reach, of those that it has in each world, with the sizes they have now.
+  """Extent of an object of one body in each world, for its present geoms and sizes.
 
   Raises:
-    ValueError: more than one body, a geom of a kind that has no extent, or a world in which there is nothing.
+    MjlabError: There are several bodies, a geom without extent, or a world without a geom.
   """
 
   def __init__(self, env: "ManagerBasedRlEnv", entity: Entity) -> None:
     self._sim, model, ids = env.sim, env.sim.mj_model, entity.indexing.ids["geom"]
     if len(set(model.geom_bodyid[ids].tolist())) != 1:
-      raise ValueError(f"entity '{entity.name}' must have its geoms on one body, to be lifted as one object")
+      raise MjlabError(f"entity '{entity.name}' must have its geoms on one body")
     for geom in ids:
       if int(model.geom_type[geom]) not in _SHAPES:
-        raise ValueError(f"geom '{model.geom(int(geom)).name}' has no extent")
+        raise MjlabError(f"geom '{model.geom(int(geom)).name}' has no extent")
     like: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
     self._geoms = entity.indexing.index["geom"]
     edges, axes = zip(*(_SHAPES[int(model.geom_type[geom])] for geom in ids), strict=True)
     self._edges, self._axes = torch.stack(edges).to(**like), torch.stack(axes).to(**like)
-    # A mesh has a size too, but not of what is about the frame of its geom.
+    # The size of a mesh is not relative to the frame of its geom.
     boxes = torch.as_tensor(model.geom_aabb[ids].copy(), **like)
     is_mesh = torch.as_tensor(model.geom_type[ids] == _G.mjGEOM_MESH, device=env.device)[:, None]
     self._mesh = (boxes[:, :3].abs() + boxes[:, 3:]) * is_mesh
     self._is_there = entity.geom_is_there if isinstance(entity, VariantEntity) else None
     if self._is_there is not None and not bool(self._is_there.any(1).all()):
-      raise ValueError(f"entity '{entity.name}' is nothing in some worlds, and nothing cannot be lifted")
+      raise MjlabError(f"entity '{entity.name}' has no geom in some worlds, so it cannot be lifted there")
 
   def box(self) -> tuple[torch.Tensor, torch.Tensor]:
-    """Least and greatest coordinates in the frame of the body, each (num_envs or 1, 3) [m]."""
+    """Return the least and the greatest coordinates in the frame of the body, each (num_envs or 1, 3) [m]."""
     model = self._sim.model
     rotation = matrix_from_quat(model.geom_quat[:, self._geoms])
     position = model.geom_pos[:, self._geoms]
@@ -65,14 +65,14 @@ class Extent:
     return low.amin(1), high.amax(1)
 
   def lowest(self) -> torch.Tensor:
-    """Height of the lowest point, world frame, (num_envs,) [m]."""
+    """Return the height of the lowest point, world frame, (num_envs,) [m]."""
     data = self._sim.data
     up = data.geom_xmat[:, self._geoms][..., 2:, :]
     height = data.geom_xpos[:, self._geoms, 2]
     return self._of_those_there(height - self._reach(up)[..., 0], torch.inf).amin(1)
 
   def _reach(self, directions: torch.Tensor) -> torch.Tensor:
-    """How far geoms reach from their centres along directions in their frames, (..., num_geoms, n, 3) to (..., n)."""
+    """Return the reach of geoms along directions in their frames, (..., num_geoms, n, 3) to (..., n)."""
     size = self._sim.model.geom_size[:, self._geoms, :, None]
     edges, axes = (self._edges * size).sum(-2) + self._mesh, (self._axes * size).sum(-2)
     box = (directions.abs() * edges[..., None, :]).sum(-1)

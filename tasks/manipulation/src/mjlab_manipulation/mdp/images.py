@@ -1,11 +1,12 @@
-"""What a policy sees through a camera, channels first."""
+"""Camera images as observations, channels first."""
 
 from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
 import torch
+from mjlab_core.errors import MjlabError, UnknownNameError
 from mjlab_core.names import unknown
-from mjlab_managers import ManagerTermBase, ObservationTermCfg
+from mjlab_managers import ManagerTermBase, Reading, TermSource
 from mjlab_sim import DataType
 
 from mjlab_manipulation.mdp.rewards import lift_command
@@ -21,46 +22,24 @@ DATA_OF_CHANNEL: dict[Channel, DataType] = {
   "valid": "depth",
   "object": "segmentation",
 }
-"""What a camera must draw for each channel."""
+"""Data type of the camera for each channel."""
 
 
 class camera_image(ManagerTermBase):
   """Channels of an image in their order, each in [0, 1], (num_envs, channels, height, width).
 
   - "rgb": three channels, colour / 255;
-  - "depth": along the optical axis, limited to `depth_range` [m] and over its upper end; 1, far, where nothing is seen;
-  - "valid": 1 where anything is seen within `depth_range`, 0 elsewhere;
-  - "object": 1 where the object of the lift command is seen.
+  - "depth": along the optical axis, clamped to `depth_range` [m], over its upper end; 1 without a surface;
+  - "valid": 1 where a surface is visible within `depth_range`, 0 elsewhere;
+  - "object": 1 where the object of the lift command is visible.
 
   Raises:
-    ValueError: a channel that does not exist or that the sensor does not draw, an empty range, or no command.
+    MjlabError: A channel does not exist or is not in the sensor's data, the range is empty, or the command is missing.
   """
 
-  _constants = frozenset({"_is_geom_of"})
+  env: "ManagerBasedRlEnv"
 
-  def __init__(self, cfg: ObservationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    sensor, (near, far) = cfg.params["sensor"], cfg.params["depth_range"]
-    for channel in cfg.params["channels"]:
-      if channel not in get_args(Channel):
-        raise ValueError(unknown("channel", channel, get_args(Channel)))
-      if DATA_OF_CHANNEL[channel] not in env.scene[sensor].cfg.data_types:
-        raise ValueError(
-          f"channel '{channel}' needs '{DATA_OF_CHANNEL[channel]}' among the data_types of sensor '{sensor}'"
-        )
-    if not cfg.params["channels"]:
-      raise ValueError(f"channels must name at least one of: {', '.join(get_args(Channel))}")
-    if not 0.0 <= near < far:
-      raise ValueError(f"depth_range must begin at 0 or more and end above, got {(near, far)}")
-    if "object" in cfg.params["channels"]:
-      if cfg.params["command"] is None:
-        raise ValueError("channel 'object' needs the lift command: give command")
-      objects = lift_command(env, cfg.params["command"]).cfg.objects
-      self._is_geom_of = torch.zeros(1, len(objects), env.sim.mj_model.ngeom, dtype=torch.bool, device=env.device)
-      for i, name in enumerate(objects):
-        self._is_geom_of[0, i, env.scene[name].indexing.ids["geom"].tolist()] = True
-
-  def __call__(
+  def __init__(
     self,
     env: "ManagerBasedRlEnv",
     *,
@@ -68,10 +47,60 @@ class camera_image(ManagerTermBase):
     channels: tuple[Channel, ...],
     depth_range: tuple[float, float] = (0.01, 0.5),
     command: str | None = None,
-  ) -> torch.Tensor:
-    data, (near, far) = env.scene[sensor].data, depth_range
-    images: list[torch.Tensor] = []
+  ) -> None:
+    super().__init__(env)
+    near, far = depth_range
     for channel in channels:
+      if channel not in get_args(Channel):
+        raise UnknownNameError(unknown("channel", channel, get_args(Channel)))
+      if DATA_OF_CHANNEL[channel] not in env.scene[sensor].cfg.data_types:
+        raise MjlabError(
+          f"channel '{channel}' needs '{DATA_OF_CHANNEL[channel]}' among the data_types of sensor '{sensor}'"
+        )
+    if not channels:
+      raise MjlabError(f"channels must name at least one of: {', '.join(get_args(Channel))}")
+    if not 0.0 <= near < far:
+      raise MjlabError(f"depth_range must be 0 <= near < far, got ({near}, {far})")
+    self._sensor, self._channels, self._depth_range = env.scene[sensor], channels, depth_range
+    if "object" in channels:
+      if command is None:
+        raise MjlabError("channel 'object' requires `command`, the name of the lift command")
+      self._lift = lift_command(env, command)
+      objects = self._lift.cfg.objects
+      self._is_geom_of = torch.zeros(1, len(objects), env.sim.mj_model.ngeom, dtype=torch.bool, device=env.device)
+      for i, name in enumerate(objects):
+        self._is_geom_of[0, i, env.scene[name].indexing.ids["geom"].tolist()] = True
+
+  def source(self) -> TermSource:
+    (near, far), channels = self._depth_range, self._channels
+    name = f"camera/{self._sensor.name}"
+    needed: dict[str, Reading] = {}
+    if "rgb" in channels:
+      needed["rgb"] = Reading(name=f"{name}/rgb", read=lambda: self._sensor.data.rgb_float, unit="1")
+    if {"depth", "valid"} & set(channels):
+      needed["depth"] = Reading(name=f"{name}/depth", read=lambda: self._sensor.data.depth, unit="m")
+    if "object" in channels:
+      start = sum(3 if channel == "rgb" else 1 for channel in channels[: channels.index("object")])
+      needed["object"] = Reading(name=f"{name}/object_mask", read=lambda: self()[:, start : start + 1])
+
+    def compute(*images: torch.Tensor) -> torch.Tensor:
+      seen = dict(zip(needed, images, strict=True))
+      parts: list[torch.Tensor] = []
+      for channel in channels:
+        if channel == "depth":
+          parts.append(torch.where(seen["depth"] < 0.0, far, seen["depth"]).clamp(near, far) / far)
+        elif channel == "valid":
+          parts.append(((seen["depth"] >= near) & (seen["depth"] <= far)).float())
+        else:
+          parts.append(seen[channel])
+      return torch.cat(parts, dim=1)
+
+    return TermSource(readings=tuple(needed.values()), compute=compute)
+
+  def __call__(self) -> torch.Tensor:
+    data, (near, far) = self._sensor.data, self._depth_range
+    images: list[torch.Tensor] = []
+    for channel in self._channels:
       if channel == "rgb":
         images.append(data.rgb_float)
       elif channel == "depth":
@@ -79,8 +108,7 @@ class camera_image(ManagerTermBase):
       elif channel == "valid":
         images.append(((data.depth >= near) & (data.depth <= far)).float())
       else:
-        assert command is not None
-        target = lift_command(env, command).of_target(self._is_geom_of.expand(env.num_envs, -1, -1))
+        target = self._lift.of_target(self._is_geom_of.expand(self.num_envs, -1, -1))
         number, kind = data.segmentation.unbind(1)
         is_of_target = target.gather(1, number.flatten(1).clamp(0, target.shape[1] - 1).long()).view_as(number)
         images.append((is_of_target & (kind == int(mujoco.mjtObj.mjOBJ_GEOM))).float()[:, None])

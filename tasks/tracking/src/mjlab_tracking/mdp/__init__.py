@@ -1,7 +1,15 @@
 """Terms that only tracking needs."""
 
 from mjlab_tracking.mdp.command import MotionCommand, MotionCommandCfg
-from mjlab_tracking.mdp.errors import QUANTITIES, Quantity, motion_error
+from mjlab_tracking.mdp.errors import (
+  QUANTITIES,
+  Quantity,
+  body_orientation_error,
+  body_position_error,
+  motion_error,
+  mpkpe,
+  root_relative_mpkpe,
+)
 from mjlab_tracking.mdp.observations import (
   motion,
   motion_anchor_ori_b,
@@ -22,7 +30,9 @@ from mjlab_tracking.mdp.terminations import (
   bad_anchor_drift,
   bad_anchor_height,
   bad_anchor_ori,
+  bad_anchor_pos,
   bad_body_height,
+  bad_motion_body_pos,
   motion_end,
 )
 
@@ -34,7 +44,11 @@ __all__ = [
   "bad_anchor_drift",
   "bad_anchor_height",
   "bad_anchor_ori",
+  "bad_anchor_pos",
   "bad_body_height",
+  "bad_motion_body_pos",
+  "body_orientation_error",
+  "body_position_error",
   "motion",
   "motion_anchor_ori_b",
   "motion_anchor_pos_b",
@@ -47,6 +61,8 @@ __all__ = [
   "motion_error",
   "motion_global_root_ori",
   "motion_global_root_pos",
+  "mpkpe",
   "robot_body_ori_b",
   "robot_body_pos_b",
+  "root_relative_mpkpe",
 ]

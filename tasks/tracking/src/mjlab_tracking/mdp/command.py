@@ -1,12 +1,16 @@
-"""The motion command: which pose the robot is to be in, frame by frame."""
+"""Motion command: poses that the robot is to follow, frame by frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.masking import where_
+from mjlab_core.constraints import Ascending, Limits, PositiveCount, check_fields
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.indexing import where_
+from mjlab_core.names import unknown
 from mjlab_core.rotations import (
   quat_apply,
   quat_apply_inverse,
@@ -15,16 +19,14 @@ from mjlab_core.rotations import (
   quat_mul,
   quat_yaw,
 )
-from mjlab_core.sampling import check_range, uniform
+from mjlab_core.sampling import uniform
 from mjlab_envs.mdp.events import axis_bounds
-from mjlab_managers import CommandTerm, CommandTermCfg
+from mjlab_managers import CommandTerm, CommandTermCfg, Reading, TermSource
+from mjlab_motions.ghost import Ghost
+from mjlab_motions.kinematics import Kinematics
+from mjlab_motions.library import load_library
+from mjlab_motions.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
 from mjlab_scene.quantities import QuantityCache, cached_quantity
-
-from mjlab_tracking.kinematics import Kinematics
-from mjlab_tracking.library import load_library
-from mjlab_tracking.mdp.ghost import Ghost
-from mjlab_tracking.motion import MotionError
-from mjlab_tracking.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -34,32 +36,32 @@ Range = tuple[float, float]
 
 @dataclass(kw_only=True)
 class MotionCommandCfg(CommandTermCfg):
-  """Follow clips: each world has a clip and a frame, which advances by one in every step.
+  """Motion command: each world follows a clip, one frame in every step.
 
-  After a reset to frame t the robot is in the pose of frame t, but for the perturbations, and the first target is frame
-  t + 1. The clip's end is a matter of the termination `motion_end`.
+  After a reset to frame t the robot is in the pose of frame t, perturbed, and the first target is frame t + 1. The
+  termination `motion_end` ends the episode with the clip.
   """
 
   motion: str
   """Name of a clip that ships, a motion file, or a folder of them."""
   anchor_body: str
-  """Body by which robot and reference are laid over one another."""
+  """Body at which the reference is laid over the robot."""
   bodies: tuple[str, ...]
   """Bodies to follow, in the order of all quantities."""
   split: str | None = None
-  """Of a folder, only clips of this split."""
+  """Split of a folder whose clips are used; None: all clips."""
   entity: str = "robot"
   sampling: SamplingMode = "adaptive"
-  """Where episodes start: where the policy fails, anywhere, or at the beginning of clips, drawn or each in turn."""
+  """Distribution of starts: frequent failures, all moments, or first frames, of random clips or of each in turn."""
   adaptive: AdaptiveSamplingCfg = field(default_factory=AdaptiveSamplingCfg)
-  preview: tuple[int, ...] = ()
+  preview: tuple[PositiveCount, ...] = ()
   """Further frames whose joints the command shows, in steps ahead of the present target; the last frame is repeated."""
   pose_range: dict[str, Range] = field(default_factory=dict)
   """Perturbation of the root at the start by axis, world frame [m, rad]."""
   velocity_range: dict[str, Range] = field(default_factory=dict)
   """Perturbation of the root's velocity at the start by axis, world frame [m/s, rad/s]."""
-  joint_position_range: Range = (0.0, 0.0)
-  """Perturbation of joint positions at the start [rad]; it leads no joint out of its soft limits."""
+  joint_position_range: Annotated[Range, Limits(), Ascending()] = (0.0, 0.0)
+  """Perturbation of joint positions at the start [rad]; it moves no joint beyond its soft limits."""
   resampling_time_range: Range | None = None
   debug_vis: bool = True
 
@@ -68,57 +70,50 @@ class MotionCommandCfg(CommandTermCfg):
 
 
 class MotionCommand(CommandTerm):
-  """See `MotionCommandCfg`.
+  """Motion command of `MotionCommandCfg`.
 
-  What the reference is lies in one row of a table per world, fetched once a step. Quantities that need the robot's
-  state too are computed when asked for, from the state that is.
+  Each step fetches one row of the library's table per world. Quantities that also need the robot's state are computed
+  on demand from the present state.
   """
 
   cfg: MotionCommandCfg
-  _children = ("sampler",)
-  _constants = frozenset({"_pose_lo", "_pose_hi", "_vel_lo", "_vel_hi", "body_ids"})
 
   def __init__(self, cfg: MotionCommandCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    if problems := cfg.adaptive.problems():
-      raise MotionError("; ".join(problems))
-    if cfg.sampling not in get_args(SamplingMode):
-      raise MotionError(f"sampling must be one of {', '.join(get_args(SamplingMode))}, got {cfg.sampling!r}")
+    check_fields(cfg, "MotionCommandCfg")
+    check_fields(cfg.adaptive, "AdaptiveSamplingCfg")
     if cfg.anchor_body not in cfg.bodies:
-      raise MotionError(f"anchor_body '{cfg.anchor_body}' is not among bodies: {', '.join(cfg.bodies)}")
-    if any(step < 1 for step in cfg.preview):
-      raise MotionError(f"preview counts steps ahead, from 1 on, got {cfg.preview}")
-    check_range("joint_position_range", *cfg.joint_position_range)
+      raise MjlabError(f"anchor_body '{cfg.anchor_body}' is not among bodies: {', '.join(cfg.bodies)}")
     if cfg.entity not in env.scene.entities:
-      raise MotionError(f"entity '{cfg.entity}' does not exist; the scene has: {', '.join(env.scene.entities)}")
+      raise UnknownNameError(unknown("entity", cfg.entity, env.scene.entities, owner="the scene"))
     self.robot = env.scene[cfg.entity]
     kinematics = Kinematics(env.sim.mj_model, self.robot.prefix, self.device)
     if kinematics.joint_names != self.robot.joint_names:
-      raise MotionError(f"entity '{cfg.entity}' has joints outside of its floating tree")
-    # The root's state is needed for starting, whether it is followed or not.
-    self._root = kinematics.root_body
+      raise MjlabError(f"entity '{cfg.entity}' has joints outside of its floating tree")
     self._ghost = Ghost(kinematics)
-    extra = () if self._root in cfg.bodies else (self._root,)
+    # A start needs the root's state, also if the root is not followed.
+    bodies = tuple(dict.fromkeys((*cfg.bodies, kinematics.root_body)))
+    self._root = bodies.index(kinematics.root_body)
     self.library = load_library(
-      cfg.motion, kinematics, (*cfg.bodies, *extra), rate=1.0 / env.step_dt, split=cfg.split, dtype=env.sim.dtype
+      cfg.motion, kinematics, bodies, rate=1.0 / env.step_dt, split=cfg.split, dtype=env.sim.dtype
     )
     """The clips, at the rate of control."""
     n, device = self.num_envs, self.device
     self.sampler = MotionSampler(self.library, cfg.adaptive, cfg.sampling, n)
-    self.clip = torch.zeros(n, dtype=torch.int64, device=device)
+    self.clip = self.state(dtype=torch.int64)
     """Clip of each world, int64 (num_envs,)."""
-    self.frame = torch.zeros(n, dtype=torch.int64, device=device)
+    self.frame = self.state(dtype=torch.int64)
     """Frame of its clip that is the target of the present step, int64 (num_envs,)."""
-    self._row = self.library.table[:1].repeat(n, 1)
+    self._row = self.state_of(self.library.table[:1].repeat(n, 1))
     self._joints = 2 * len(self.library.joint_names)
-    self._command = torch.zeros(n, self._joints * (1 + len(cfg.preview)), device=device)
+    self._command = self.state((self._joints * (1 + len(cfg.preview)),))
     self._pose_lo, self._pose_hi = axis_bounds(cfg.pose_range, "pose_range", env)
     self._vel_lo, self._vel_hi = axis_bounds(cfg.velocity_range, "velocity_range", env)
     names = self.robot.body_names
     self.body_ids = torch.tensor([names.index(body) for body in cfg.bodies], dtype=torch.int64, device=device)
     """Columns of the followed bodies among those of the entity, int64 (bodies,)."""
     self.anchor = cfg.bodies.index(cfg.anchor_body)
-    """Number of the anchor among the followed bodies."""
+    """Index of the anchor among the followed bodies."""
     self._num_bodies = len(cfg.bodies)
     self.cache = QuantityCache(env.sim)
     self._fetch()
@@ -132,6 +127,29 @@ class MotionCommand(CommandTerm):
     (num_envs, 2 joints (1 + k)) [rad, rad/s], absolute, in the order of the entity's joints.
     """
     return self._command
+
+  def source(self) -> TermSource:
+    joints = tuple(self.library.joint_names)
+    readings = [
+      Reading(name="motion/joint_position", read=lambda: self.joint_pos, unit="rad, m", columns=joints),
+      Reading(name="motion/joint_velocity", read=lambda: self.joint_vel, unit="rad/s, m/s", columns=joints),
+    ]
+    if self.cfg.preview:
+      readings.append(Reading(name="motion/preview", read=lambda: self._command[:, self._joints :]))
+    return TermSource(readings=tuple(readings), compute=lambda *parts: torch.cat(parts, dim=-1))
+
+  def clip_arrays(self) -> dict[str, np.ndarray]:
+    """Return the clip that the first world follows: joints, and the anchor in the world, frame by frame."""
+    library, clip = self.library, int(self.clip[0])
+    first = int(library.offsets[clip])
+    rows = library.table[first : first + int(library.lengths[clip])].cpu()
+    of_anchor = {
+      name: rows[:, library.columns[column]].unflatten(1, (len(library.body_names), -1))[:, self.anchor]
+      for name, column in (("anchor_position", "body_pos"), ("anchor_orientation", "body_quat"))
+    }
+    of_anchor["anchor_position"] = of_anchor["anchor_position"] + self.env.scene.env_origins[:1].cpu()
+    joints = {f"joint_{name}": rows[:, library.columns[f"joint_{name[:3]}"]] for name in ("position", "velocity")}
+    return {name: value.numpy().astype(np.float64) for name, value in {**joints, **of_anchor}.items()}
 
   @property
   def num_frames(self) -> torch.Tensor:
@@ -155,18 +173,18 @@ class MotionCommand(CommandTerm):
 
   @property
   def body_quat_w(self) -> torch.Tensor:
-    """Their orientations, (num_envs, bodies, 4)."""
-    return self._of_bodies("body_quat")[:, : self._num_bodies]
+    """Orientations of the same bodies, (num_envs, bodies, 4)."""
+    return self._part("body_quat")[:, : self._num_bodies]
 
   @property
   def body_lin_vel_w(self) -> torch.Tensor:
-    """Their linear velocities at their origins, world frame, (num_envs, bodies, 3) [m/s]."""
-    return self._of_bodies("lin_vel")[:, : self._num_bodies]
+    """Linear velocities of their origins, world frame, (num_envs, bodies, 3) [m/s]."""
+    return self._part("lin_vel")[:, : self._num_bodies]
 
   @property
   def body_ang_vel_w(self) -> torch.Tensor:
-    """Their angular velocities, world frame, (num_envs, bodies, 3) [rad/s]."""
-    return self._of_bodies("ang_vel")[:, : self._num_bodies]
+    """Angular velocities of the same bodies, world frame, (num_envs, bodies, 3) [rad/s]."""
+    return self._part("ang_vel")[:, : self._num_bodies]
 
   @property
   def anchor_pos_w(self) -> torch.Tensor:
@@ -175,16 +193,27 @@ class MotionCommand(CommandTerm):
 
   @property
   def anchor_quat_w(self) -> torch.Tensor:
-    """Its orientation, (num_envs, 4)."""
-    return self._of_bodies("body_quat")[:, self.anchor]
+    """Orientation of the anchor, (num_envs, 4)."""
+    return self._part("body_quat")[:, self.anchor]
 
   @cached_quantity
   def _placed(self) -> torch.Tensor:
-    """Positions of all kept bodies where the world is, (num_envs, bodies, 3) [m]."""
-    return self._of_bodies("body_pos") + self.env.scene.env_origins[:, None]
+    """Positions of the followed bodies and the root, world frame, (num_envs, bodies, 3) [m]."""
+    return self._part("body_pos") + self.env.scene.env_origins[:, None]
 
-  def _of_bodies(self, name: str) -> torch.Tensor:
+  def _part(self, name: str) -> torch.Tensor:
     return self._row[:, self.library.columns[name]].unflatten(1, (len(self.library.body_names), -1))
+
+  def of_bodies(self, values: torch.Tensor, bodies: Sequence[str]) -> torch.Tensor:
+    """Return the columns of `bodies` in a quantity of the followed bodies, (N, bodies, ...).
+
+    Raises:
+      UnknownNameError: A body is not followed.
+    """
+    followed = self.cfg.bodies
+    if missing := [body for body in bodies if body not in followed]:
+      raise UnknownNameError(unknown("body", missing[0], followed, owner="followed bodies"))
+    return torch.stack([values[:, followed.index(body)] for body in bodies], 1)
 
   # The robot
 
@@ -195,17 +224,17 @@ class MotionCommand(CommandTerm):
 
   @cached_quantity
   def robot_body_quat_w(self) -> torch.Tensor:
-    """Their orientations, (num_envs, bodies, 4)."""
+    """Orientations of the same bodies, (num_envs, bodies, 4)."""
     return self.robot.data.body_link_quat_w.index_select(1, self.body_ids)
 
   @cached_quantity
   def robot_body_lin_vel_w(self) -> torch.Tensor:
-    """Their linear velocities at their origins, world frame, (num_envs, bodies, 3) [m/s]."""
+    """Linear velocities of their origins, world frame, (num_envs, bodies, 3) [m/s]."""
     return self.robot.data.body_link_lin_vel_w.index_select(1, self.body_ids)
 
   @cached_quantity
   def robot_body_ang_vel_w(self) -> torch.Tensor:
-    """Their angular velocities, world frame, (num_envs, bodies, 3) [rad/s]."""
+    """Angular velocities of the same bodies, world frame, (num_envs, bodies, 3) [rad/s]."""
     return self.robot.data.body_link_ang_vel_w.index_select(1, self.body_ids)
 
   @property
@@ -215,10 +244,10 @@ class MotionCommand(CommandTerm):
 
   @property
   def robot_anchor_quat_w(self) -> torch.Tensor:
-    """Its orientation, (num_envs, 4)."""
+    """Orientation of the anchor, (num_envs, 4)."""
     return self.robot_body_quat_w[:, self.anchor]
 
-  # The reference laid over the robot: turned about the vertical and shifted on the ground until the anchors meet.
+  # The reference laid over the robot: turned about the vertical and shifted on the ground until the anchors meet
 
   @cached_quantity
   def _turn(self) -> torch.Tensor:
@@ -236,10 +265,10 @@ class MotionCommand(CommandTerm):
 
   @cached_quantity
   def body_quat_relative_w(self) -> torch.Tensor:
-    """Their orientations, (num_envs, bodies, 4)."""
+    """Orientations of the same bodies, (num_envs, bodies, 4)."""
     return quat_mul(self._turn, self.body_quat_w)
 
-  # What the command manager asks
+  # Interface of the command manager
 
   def resample(self, mask: torch.Tensor) -> None:
     clip, start = self.sampler.draw(self.env.rng)
@@ -247,7 +276,7 @@ class MotionCommand(CommandTerm):
     where_(self.frame, mask, start)
     self._fetch()
     self._write_state(mask)
-    # The first target is what comes after the pose that it starts in.
+    # The first target follows the pose of the start.
     self.frame.add_(mask).clamp_(max=self.num_frames - 1)
     self._fetch()
 
@@ -255,33 +284,31 @@ class MotionCommand(CommandTerm):
     moved = ~self.env.command_manager.fresh
     self.sampler.count_step(self.clip, self.frame, moved)
     torch.minimum(self.frame + moved, self.num_frames - 1, out=self.frame)
-    self._follow_hand()
+    self._follow_viewer()
     self._fetch()
 
   @property
   def axes(self) -> list[tuple[str, float, float]]:
-    """What can be given by hand: the time of the target within the longest clip [s]."""
+    """Value that a viewer can set: the time of the target within the longest clip [s]."""
     return [("time [s]", 0.0, (int(self.library.lengths.max()) - 1) / self.library.rate)]
 
   def steer(self, world: int, values: Sequence[float] | None) -> None:
     super().steer(world, values)
-    # At once, so that the reference follows the hand while nothing is stepped.
-    self._follow_hand()
+    # Here too, because a viewer may be paused.
+    self._follow_viewer()
     self._fetch()
 
-  def _follow_hand(self) -> None:
-    """Holds the target where it is given by hand, within the world's clip."""
+  def _follow_viewer(self) -> None:
+    """Hold the target at the time that a viewer has set, within the world's clip."""
     if self.by_hand is not None:
       held, time = self.by_hand
       where_(self.frame, held, torch.minimum((time[:, 0] * self.library.rate).round().long(), self.num_frames - 1))
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """The reference as a ghost of the robot, where it is in the world."""
+    """Draw the reference as a ghost of the robot."""
     worlds = torch.tensor(draw.worlds, device=self.device)
-    root = self.library.body_names.index(self._root)
-    self._ghost.draw(
-      draw, self._placed[worlds, root], self._of_bodies("body_quat")[worlds, root], self.joint_pos[worlds]
-    )
+    quat = self._part("body_quat")[worlds, self._root]
+    self._ghost.draw(draw, self._placed[worlds, self._root], quat, self.joint_pos[worlds])
 
   def reset(self, mask: torch.Tensor) -> None:
     played = mask & (self.env.episode_length_buf > 0)
@@ -293,12 +320,12 @@ class MotionCommand(CommandTerm):
   def load_progress(self, state: Any) -> None:
     saved = state.get("sampler", {})
     mine = self.sampler.state_dict()
-    # Books of other clips say nothing about these.
+    # Counts of other clips do not apply.
     if all(name in saved and saved[name].shape == value.shape for name, value in mine.items()):
       self.sampler.load_state_dict(saved)
 
   def _fetch(self) -> None:
-    """Brings the rows of the present frames."""
+    """Fetch the rows of the present frames."""
     library = self.library
     first = library.offsets[self.clip]
     torch.index_select(library.table, 0, first + self.frame, out=self._row)
@@ -306,25 +333,24 @@ class MotionCommand(CommandTerm):
     for i, ahead in enumerate(self.cfg.preview, start=1):
       at = first + torch.minimum(self.frame + ahead, self.num_frames - 1)
       self._command[:, i * self._joints : (i + 1) * self._joints] = library.table[:, : self._joints][at]
-    # The state of the simulation may be the same, the reference is another.
+    # The reference changes also without a change of the simulation.
     self.cache = QuantityCache(self.env.sim)
 
   def _write_state(self, mask: torch.Tensor) -> None:
-    """Puts the robots of masked worlds into the pose of the present frame, perturbed."""
+    """Write the pose of the present frame, perturbed, to the robots of masked worlds."""
     cfg, robot = self.cfg, self.robot
     draw = {"generator": self.env.rng, "device": self.device, "dtype": self.env.sim.dtype}
     offset = uniform(self._pose_lo, self._pose_hi, (self.num_envs, 6), **draw)
     twist = uniform(self._vel_lo, self._vel_hi, (self.num_envs, 6), **draw)
-    root = self.library.body_names.index(self._root)
-    pos = self._placed[:, root] + offset[:, :3]
-    quat = quat_mul(quat_from_euler_xyz(*offset[:, 3:].unbind(-1)), self._of_bodies("body_quat")[:, root])
-    velocity = torch.cat((self._of_bodies("lin_vel")[:, root], self._of_bodies("ang_vel")[:, root]), -1) + twist
+    pos = self._placed[:, self._root] + offset[:, :3]
+    quat = quat_mul(quat_from_euler_xyz(*offset[:, 3:].unbind(-1)), self._part("body_quat")[:, self._root])
+    linear = self._part("lin_vel")[:, self._root] + twist[:, :3]
+    angular = self._part("ang_vel")[:, self._root] + twist[:, 3:]
     robot.write_root_pose(torch.cat((pos, quat), -1), mask)
-    # As the simulation has it: linear in the world, angular in the link; so nothing is asked of the state just written.
-    linear = quat_apply_inverse(quat, velocity[:, :3])
-    angular = quat_apply_inverse(quat, velocity[:, 3:])
-    robot.write_root_velocity_b(torch.cat((linear, angular), -1), mask)
-    # A clip beyond the soft limits is started where it is, but nobody is perturbed out of them.
+    # In the link's frame, so that the state just written need not be read.
+    local = torch.cat((quat_apply_inverse(quat, linear), quat_apply_inverse(quat, angular)), -1)
+    robot.write_root_velocity_b(local, mask)
+    # A clip beyond the soft limits starts as it is; perturbations do not leave the limits.
     limits, wanted = robot.data.soft_joint_pos_limits, self.joint_pos
     low, high = torch.minimum(limits[..., 0], wanted), torch.maximum(limits[..., 1], wanted)
     joints = (wanted + uniform(*cfg.joint_position_range, wanted.shape, **draw)).clamp(low, high)

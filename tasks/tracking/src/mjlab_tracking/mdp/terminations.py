@@ -1,11 +1,10 @@
-"""When a tracking episode ends: the clip is over, or the robot is too far from it."""
+"""Ends of a tracking episode: the clip is over, or the robot is too far from the reference."""
 
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.rotations import quat_apply_inverse
-from mjlab_managers import ManagerTermBase, TerminationTermCfg
 
+from mjlab_tracking.mdp.errors import body_distance, norm
 from mjlab_tracking.mdp.observations import motion
 
 if TYPE_CHECKING:
@@ -13,56 +12,56 @@ if TYPE_CHECKING:
 
 
 def motion_end(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
-  """Whether the target of this step was the last frame of the clip, (num_envs,). A time-out, not a failure."""
+  """Return True where the target of this step was the last frame of the clip, (num_envs,). Use it as a time-out."""
   term = motion(env, command)
   return term.frame >= term.num_frames - 1
 
 
 def bad_anchor_height(env: "ManagerBasedRlEnv", *, command: str, threshold: float) -> torch.Tensor:
-  """Whether the anchors' heights differ by more than `threshold` [m], (num_envs,)."""
+  """Return True where the anchors' heights differ by more than `threshold` [m], (num_envs,)."""
   term = motion(env, command)
   return (term.anchor_pos_w - term.robot_anchor_pos_w)[:, 2].abs() > threshold
 
 
 def bad_anchor_drift(env: "ManagerBasedRlEnv", *, command: str, threshold: float) -> torch.Tensor:
-  """Whether the anchors are further apart than `threshold` [m] on the ground, (num_envs,)."""
+  """Return True where the anchors are further apart than `threshold` [m] on the ground, (num_envs,)."""
   term = motion(env, command)
-  return torch.linalg.vector_norm((term.anchor_pos_w - term.robot_anchor_pos_w)[:, :2], dim=-1) > threshold
+  return norm((term.anchor_pos_w - term.robot_anchor_pos_w)[:, :2]) > threshold
 
 
-class bad_anchor_ori(ManagerTermBase):
-  """Whether the z components of gravity seen in both anchors differ by more than `threshold`, (num_envs,)."""
-
-  _constants = frozenset({"_down"})
-
-  def __init__(self, cfg: TerminationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._down = torch.tensor([[0.0, 0.0, -1.0]], device=env.device, dtype=env.sim.dtype)
-
-  def __call__(self, env: "ManagerBasedRlEnv", *, command: str, threshold: float) -> torch.Tensor:
-    term = motion(env, command)
-    down = self._down.expand(env.num_envs, 3)
-    wanted = quat_apply_inverse(term.anchor_quat_w, down)[:, 2]
-    return (wanted - quat_apply_inverse(term.robot_anchor_quat_w, down)[:, 2]).abs() > threshold
+def bad_anchor_ori(env: "ManagerBasedRlEnv", *, command: str, threshold: float) -> torch.Tensor:
+  """Return True where the z components of gravity in both anchors differ by more than `threshold`, (num_envs,)."""
+  term = motion(env, command)
+  return (_gravity_z(term.anchor_quat_w) - _gravity_z(term.robot_anchor_quat_w)).abs() > threshold
 
 
-class bad_body_height(ManagerTermBase):
-  """Whether any of `bodies` is off by more than `threshold` [m] in height from the reference, (num_envs,)."""
+def bad_body_height(
+  env: "ManagerBasedRlEnv", *, command: str, threshold: float, bodies: tuple[str, ...]
+) -> torch.Tensor:
+  """Return True where any of `bodies` differs by more than `threshold` [m] in height, (num_envs,)."""
+  term = motion(env, command)
+  error = (term.body_pos_relative_w - term.robot_body_pos_w)[..., 2]
+  return (term.of_bodies(error, bodies).abs() > threshold).any(-1)
 
-  _constants = frozenset({"_columns"})
 
-  def __init__(self, cfg: TerminationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    followed = motion(env, cfg.params["command"]).cfg.bodies
-    bodies = cfg.params["bodies"]
-    if unknown := [body for body in bodies if body not in followed]:
-      raise ValueError(f"bodies: '{unknown[0]}' is not followed; these are: {', '.join(followed)}")
-    self._columns = torch.tensor([followed.index(body) for body in bodies], device=env.device)
+def bad_anchor_pos(env: "ManagerBasedRlEnv", *, command: str, threshold: float) -> torch.Tensor:
+  """Return True where the anchors are further apart than `threshold` [m] in space, (num_envs,)."""
+  term = motion(env, command)
+  return norm(term.anchor_pos_w - term.robot_anchor_pos_w) > threshold
 
-  def __call__(
-    self, env: "ManagerBasedRlEnv", *, command: str, threshold: float, bodies: tuple[str, ...]
-  ) -> torch.Tensor:
-    del bodies  # Resolved at build.
-    term = motion(env, command)
-    error = (term.body_pos_relative_w - term.robot_body_pos_w).index_select(1, self._columns)
-    return (error[..., 2].abs() > threshold).any(-1)
+
+def bad_motion_body_pos(
+  env: "ManagerBasedRlEnv", *, command: str, threshold: float, bodies: tuple[str, ...] | None = None
+) -> torch.Tensor:
+  """Return True where any of `bodies` is further than `threshold` [m] from the reference laid over the robot.
+
+  Bool (num_envs,). Without `bodies`, all followed ones count.
+  """
+  term = motion(env, command)
+  distance = body_distance(term)
+  return (distance if bodies is None else term.of_bodies(distance, bodies)).amax(-1) > threshold
+
+
+def _gravity_z(quat: torch.Tensor) -> torch.Tensor:
+  """Return the z component of gravity's direction in frames, (N, 4) to (N,)."""
+  return 2.0 * quat[:, 1:3].square().sum(-1) - 1.0

@@ -1,21 +1,22 @@
-"""The velocity command: what forward, sideways and turning speed the robot is to walk at."""
+"""Velocity command: forward, sideways and turning speed."""
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.frames import heading
-from mjlab_core.masking import fill_, where_
-from mjlab_core.rotations import quat_apply, quat_apply_inverse, quat_yaw, wrap_to_pi
-from mjlab_core.sampling import check_range
-from mjlab_managers import CommandTerm, CommandTermCfg
+from mjlab_core.config import Config
+from mjlab_core.constraints import Ascending, Limits, check_fields
+from mjlab_core.indexing import fill_, where_
+from mjlab_core.rotations import heading, quat_apply, quat_apply_inverse, quat_yaw, wrap_to_pi
+from mjlab_managers import CommandTerm, CommandTermCfg, Reading, TermSource
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
-Range = tuple[float, float]
+Range = Annotated[tuple[float, float], Limits(), Ascending()]
+Share = Annotated[float, Limits(ge=0, le=1)]
 
 # Arrows in viewers
 ARROW_HEIGHT = 0.25  # above the root [m]
@@ -23,8 +24,8 @@ ARROW_SCALE = 0.4  # [m per m/s]
 
 
 @dataclass(kw_only=True)
-class VelocityRanges:
-  """Ranges that commands are drawn from, in the root's frame."""
+class VelocityRanges(Config):
+  """Ranges of commands, in the root's frame."""
 
   lin_vel_x: Range = (-1.0, 1.0)
   """Forward [m/s]."""
@@ -47,14 +48,18 @@ class UniformVelocityCommandCfg(CommandTermCfg):
   resampling_time_range: Range | None = (3.0, 8.0)
   debug_vis: bool = True
   ranges: VelocityRanges = field(default_factory=VelocityRanges)
-  standing_fraction: float = 0.1
+  standing_fraction: Share = 0.1
   """Share of draws whose command is zero."""
-  heading_fraction: float = 0.3
+  heading_fraction: Share = 0.3
   """Share of draws that turn towards a heading target instead of at a drawn rate."""
-  forward_fraction: float = 0.2
+  forward_fraction: Share = 0.2
   """Share of draws that go straight ahead."""
   min_forward_speed: float = 0.3
-  """Least speed of those [m/s]."""
+  """Least speed of draws that go straight ahead [m/s]."""
+  world_fraction: Share = 0.0
+  """Share of draws whose velocity is along the axes of the world, whatever way the root turns."""
+  initial_velocity_fraction: Share = 0.0
+  """Share of episodes that begin with the robot at the drawn velocity."""
   heading_stiffness: float = 0.5
   """Turning rate per heading error [1/s]."""
 
@@ -63,32 +68,25 @@ class UniformVelocityCommandCfg(CommandTermCfg):
 
 
 class UniformVelocityCommand(CommandTerm):
-  """See `UniformVelocityCommandCfg`. Works on state alone, so that following it costs no forward pass."""
+  """Velocity command of `UniformVelocityCommandCfg`. It reads state only, so its update needs no forward kinematics."""
 
-  _constants = frozenset({"_shares"})
-  _extra_state = ("ranges",)
   cfg: UniformVelocityCommandCfg
 
   def __init__(self, cfg: UniformVelocityCommandCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    for name in ("standing_fraction", "heading_fraction", "forward_fraction"):
-      if not 0.0 <= getattr(cfg, name) <= 1.0:
-        raise ValueError(f"{name} must be in [0, 1], got {getattr(cfg, name)}")
-    ranges = []
-    for name in ("lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"):
-      check_range(f"ranges.{name}", *getattr(cfg.ranges, name))
-      ranges.append(getattr(cfg.ranges, name))
+    check_fields(cfg, "UniformVelocityCommandCfg")
+    check_fields(cfg.ranges, "ranges")
+    ranges = [cfg.ranges.lin_vel_x, cfg.ranges.lin_vel_y, cfg.ranges.ang_vel_z, cfg.ranges.heading]
     self._robot = env.scene[cfg.entity]
     n, device = self.num_envs, self.device
-    self.ranges = torch.tensor(ranges, device=device)
+    self.ranges = self.state_of(torch.tensor(ranges, device=device), shared=True)
     """Lower and upper bound of forward, sideways and turning speed and heading, (4, 2); curricula write here."""
-    self._drawn = torch.zeros(n, 3, device=device)
-    self._command = torch.zeros(n, 3, device=device)
-    self._speed = torch.zeros(n, device=device)
-    self._heading_target = torch.zeros(n, device=device)
-    self._stands = torch.zeros(n, dtype=torch.bool, device=device)
-    self._holds_heading = torch.zeros(n, dtype=torch.bool, device=device)
-    self._steps = torch.zeros(n, device=device)
+    self._drawn, self._command = self.state((3,)), self.state((3,))
+    self._speed, self._heading_target = self.state(), self.state()
+    self._stands, self._holds_heading = self.state(dtype=torch.bool), self.state(dtype=torch.bool)
+    if cfg.world_fraction > 0.0:
+      self._in_world = self.state(dtype=torch.bool)
+    self._steps = self.state()
     self._shares = torch.tensor([[cfg.standing_fraction, cfg.heading_fraction, cfg.forward_fraction]], device=device)
     self.metrics["error_vel_xy"] = torch.zeros(n, device=device)
     self.metrics["error_vel_yaw"] = torch.zeros(n, device=device)
@@ -114,17 +112,44 @@ class UniformVelocityCommand(CommandTerm):
     where_(self._heading_target, mask, drawn[:, 3])
     where_(self._stands, mask, stands)
     where_(self._holds_heading, mask, holds & ~forward)
+    if self.cfg.world_fraction > 0.0:
+      where_(self._in_world, mask, self._chance(self.cfg.world_fraction))
+    if self.cfg.initial_velocity_fraction > 0.0:
+      starts = mask & (self.command_counter == 1) & self._chance(self.cfg.initial_velocity_fraction)
+      self._follow()
+      planar, turning = self._command.split((2, 1), -1)
+      at_rest = torch.zeros_like(self._command)
+      self._robot.write_root_velocity_b(torch.cat((planar, at_rest, turning), -1), starts)
+
+  def _chance(self, share: float) -> torch.Tensor:
+    """Return True in this share of worlds, drawn at random, (num_envs,)."""
+    return torch.rand(self.num_envs, generator=self.env.rng, device=self.device) < share
 
   def update(self) -> None:
+    self._follow()
+    command = self._command
+    if self.by_hand is not None:
+      where_(command, *self.by_hand)
+    torch.add(torch.linalg.vector_norm(command[:, :2], dim=-1), command[:, 2].abs(), out=self._speed)
+
+  def _follow(self) -> None:
+    """Write what was drawn into the command, as the root is turned now."""
     error = wrap_to_pi(self._heading_target - heading(self._robot.data.root_link_quat_w))
     turn = (self.cfg.heading_stiffness * error).clamp(self.ranges[2, 0], self.ranges[2, 1])
     command = self._command
     command.copy_(self._drawn)
+    if self.cfg.world_fraction > 0.0:
+      planar = torch.nn.functional.pad(self._drawn[:, :2], (0, 1)).to(self.env.sim.dtype)
+      turned = quat_apply_inverse(quat_yaw(self._robot.data.root_link_quat_w), planar)
+      where_(command[:, :2], self._in_world, turned[:, :2])
     where_(command[:, 2], self._holds_heading, turn.to(command.dtype))
     fill_(command, self._stands, 0.0)
-    if self.by_hand is not None:
-      where_(command, *self.by_hand)
-    torch.add(torch.linalg.vector_norm(command[:, :2], dim=-1), command[:, 2].abs(), out=self._speed)
+
+  def source(self) -> TermSource:
+    columns = tuple(name for name, *_ in self.axes)
+    frame = self._robot.root_body_name
+    reading = Reading(name="command/velocity", read=lambda: self._command, unit="m/s", frame=frame, columns=columns)
+    return TermSource(readings=(reading,))
 
   @property
   def axes(self) -> list[tuple[str, float, float]]:
@@ -134,7 +159,7 @@ class UniformVelocityCommand(CommandTerm):
     return [(name, *limits) for name, limits in zip(names, ranges, strict=False)]
 
   def debug_draw(self, draw: DebugDraw) -> None:
-    """Above each robot an arrow for the velocity it is to have, green, and one for that it has, blue; 0.4 m per m/s."""
+    """Draw the commanded velocity (green) and the actual one (blue) as arrows above each robot, 0.4 m per m/s."""
     worlds = torch.tensor(draw.worlds, device=self.device)
     data = self._robot.data
     start = data.root_link_pos_w[worlds].clone()
@@ -146,7 +171,7 @@ class UniformVelocityCommand(CommandTerm):
     draw.arrows(start, start + ARROW_SCALE * actual, (0.2, 0.4, 0.9, 1.0), 0.012)
 
   def update_metrics(self) -> None:
-    """Running means over the episode of |v_xy error| [m/s] and |w_z error| [rad/s]; the reset step does not count."""
+    """Update means over the episode of |v_xy error| [m/s] and |w_z error| [rad/s], without the reset step."""
     data = self._robot.data
     velocity = quat_apply_inverse(data.root_link_quat_w, data.root_link_lin_vel_w)
     counts = ~self.env.command_manager.fresh

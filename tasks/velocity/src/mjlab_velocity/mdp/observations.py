@@ -1,4 +1,4 @@
-"""Observations of legged robots: what their feet are doing."""
+"""Observations of the feet of legged robots."""
 
 from typing import TYPE_CHECKING
 
@@ -9,21 +9,21 @@ if TYPE_CHECKING:
 
 
 def foot_height(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """Height of each foot above the ground, (num_envs, feet) [m]."""
+  """Return the height of each foot above the ground, (num_envs, feet) [m]."""
   return env.scene[sensor].data.heights
 
 
 def foot_air_time(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """How long each foot has been in the air, (num_envs, feet) [s]."""
+  """Return the time that each foot has been in the air, (num_envs, feet) [s]."""
   return env.scene[sensor].data.current_air_time
 
 
 def foot_contact(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """1 for each foot on the ground, (num_envs, feet)."""
+  """Return 1 for each foot on the ground, (num_envs, feet)."""
   return (env.scene[sensor].data.found > 0).float()
 
 
 def foot_contact_forces(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """sign(f) log(1 + |f|) of the net contact force of each foot, world frame, (num_envs, 3 feet) [log N]."""
+  """Return sign(f) log(1 + |f|) of the net contact force of each foot, world frame, (num_envs, 3 feet) [log N]."""
   force = env.scene[sensor].data.force.flatten(1)
   return torch.sign(force) * torch.log1p(force.abs())

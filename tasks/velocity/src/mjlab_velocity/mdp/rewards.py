@@ -1,11 +1,12 @@
-"""Rewards of velocity tracking. The gate of a gait term is the command: a robot told to stand is not judged by it."""
+"""Rewards of velocity tracking. Gait terms are 0 while the commanded speed is at most `threshold`."""
 
 from typing import TYPE_CHECKING, cast
 
 import torch
-from mjlab_core.masking import fill_
+from mjlab_core.errors import MjlabError
+from mjlab_core.indexing import fill_
 from mjlab_envs.mdp.rewards import inverse_variance
-from mjlab_managers import ManagerTermBase, RewardTermCfg, SceneEntityCfg
+from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 from mjlab_velocity.mdp.command import UniformVelocityCommand
 
@@ -18,7 +19,7 @@ _ROBOT = SceneEntityCfg("robot")
 def track_linear_velocity(
   env: "ManagerBasedRlEnv", *, command: str, std: float, asset: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-  """exp(-(|v_xy - u_xy|^2 + v_z^2) / std^2), root velocity in the root frame, (num_envs,)."""
+  """Return exp(-(|v_xy - u_xy|^2 + v_z^2) / std^2), root velocity in the root frame, (num_envs,)."""
   velocity = env.scene[asset.name].data.root_link_lin_vel_b
   error = (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
   return torch.exp((error + velocity[:, 2].square()) / -(std**2))
@@ -27,7 +28,7 @@ def track_linear_velocity(
 def track_angular_velocity(
   env: "ManagerBasedRlEnv", *, command: str, std: float, asset: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-  """exp(-((w_z - u_z)^2 + |w_xy|^2) / std^2), root angular velocity in the root frame, (num_envs,)."""
+  """Return exp(-((w_z - u_z)^2 + |w_xy|^2) / std^2), root angular velocity in the root frame, (num_envs,)."""
   velocity = env.scene[asset.name].data.root_link_ang_vel_b
   error = (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
   return torch.exp((error + velocity[:, :2].square().sum(-1)) / -(std**2))
@@ -36,48 +37,41 @@ def track_angular_velocity(
 class upright(ManagerTermBase):
   """exp(-|g_xy|^2 / std^2) of the unit direction of gravity in the frame of one body, (num_envs,)."""
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    asset: SceneEntityCfg = cfg.params["asset"]
+  env: "ManagerBasedRlEnv"
+
+  def __init__(self, env: "ManagerBasedRlEnv", *, std: float, asset: SceneEntityCfg) -> None:
+    super().__init__(env)
+    self._std = std
     names = cast("tuple[str, ...]", asset.body_names)
     if len(names) != 1:
-      raise ValueError(f"one body is to stay upright, but {len(names)} are selected: {', '.join(names)}")
+      raise MjlabError(f"`asset` must select one body, selects {len(names)}: {', '.join(names)}")
     self._body = int(env.scene[asset.name].indexing.ids["body"][env.scene[asset.name].body_names.index(names[0])])
 
-  def __call__(self, env: "ManagerBasedRlEnv", *, std: float, asset: SceneEntityCfg) -> torch.Tensor:
-    del asset  # Resolved at build.
+  def __call__(self) -> torch.Tensor:
     # The last row of a rotation matrix is the world's z axis in the body.
-    return torch.exp(env.sim.data.xmat[:, self._body, 2, :2].square().sum(-1) / -(std**2))
+    return torch.exp(self.env.sim.data.xmat[:, self._body, 2, :2].square().sum(-1) / -(self._std**2))
 
 
 def body_ang_vel_xy_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> torch.Tensor:
-  """w_x^2 + w_y^2 of bodies, world frame, summed over bodies, (num_envs,) [rad^2/s^2]."""
+  """Return w_x^2 + w_y^2 of bodies, world frame, summed over bodies, (num_envs,) [rad^2/s^2]."""
   return env.scene[asset.name].data.body_link_ang_vel_w[:, asset.body_ids, :2].square().sum((-1, -2))
 
 
 def angular_momentum_l2(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
-  """Squared norm of the angular momentum about the centre of mass, (num_envs,) [kg^2 m^4/s^2]."""
+  """Return the squared norm of the angular momentum about the centre of mass, (num_envs,) [kg^2 m^4/s^2]."""
   return env.scene[sensor].data.square().sum(-1)
 
 
 class variable_posture(ManagerTermBase):
   """exp(-mean_j((q_j - q_default_j)^2 / std_j^2)), with deviations for standing, walking and running, (num_envs,).
 
-  Which ones apply follows the commanded speed |v_xy| + |w_z|: walking from `walking_threshold`, running from
+  The commanded speed |v_xy| + |w_z| selects them: walking from `walking_threshold`, running from
   `running_threshold`.
   """
 
-  _constants = frozenset({"_table", "_thresholds"})
+  env: "ManagerBasedRlEnv"
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    asset, params = cfg.params["asset"], cfg.params
-    self._table = torch.cat(
-      [inverse_variance(params[f"std_{gait}"], asset, env) for gait in ("standing", "walking", "running")]
-    )
-    self._thresholds = torch.tensor([[params["walking_threshold"], params["running_threshold"]]], device=env.device)
-
-  def __call__(
+  def __init__(
     self,
     env: "ManagerBasedRlEnv",
     *,
@@ -88,18 +82,24 @@ class variable_posture(ManagerTermBase):
     walking_threshold: float = 0.05,
     running_threshold: float = 1.5,
     asset: SceneEntityCfg = _ROBOT,
-  ) -> torch.Tensor:
-    del std_standing, std_walking, std_running, walking_threshold, running_threshold  # Resolved at build.
-    data = env.scene[asset.name].data
-    error = data.joint_pos[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
-    gait = (_speed(env, command)[:, None] >= self._thresholds).sum(-1)
+  ) -> None:
+    super().__init__(env)
+    stds = (std_standing, std_walking, std_running)
+    self._table = torch.cat([inverse_variance(std, asset, env) for std in stds])
+    self._thresholds = torch.tensor([[walking_threshold, running_threshold]], device=env.device, dtype=torch.float32)
+    self._command, self._entity, self._joints = command, env.scene[asset.name], asset.joint_ids
+
+  def __call__(self) -> torch.Tensor:
+    data = self._entity.data
+    error = data.joint_pos[:, self._joints] - data.default_joint_pos[:, self._joints]
+    gait = (_speed(self.env, self._command)[:, None] >= self._thresholds).sum(-1)
     return torch.exp(-(error.square() * self._table.index_select(0, gait)).mean(-1))
 
 
 def feet_air_time(
   env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float, lo: float = 0.05, hi: float = 0.5
 ) -> torch.Tensor:
-  """Number of feet that have been in the air for lo to hi [s], (num_envs,); gated by `threshold`."""
+  """Return the number of feet that have been in the air for lo to hi [s], (num_envs,)."""
   air = env.scene[sensor].data.current_air_time
   return ((air > lo) & (air < hi)).sum(-1, dtype=air.dtype) * _moves(env, command, threshold)
 
@@ -107,7 +107,7 @@ def feet_air_time(
 def feet_clearance(
   env: "ManagerBasedRlEnv", *, heights: str, command: str, threshold: float, target: float, feet: SceneEntityCfg
 ) -> torch.Tensor:
-  """sum_f |h_f - target| |v_xy,f|, heights above the ground, (num_envs,) [m^2/s]; gated by `threshold`."""
+  """Return sum_f |h_f - target| |v_xy,f|, heights above the ground, (num_envs,) [m^2/s]."""
   error = (env.scene[heights].data.heights - target).abs()
   speed = torch.linalg.vector_norm(_feet_velocity(env, feet), dim=-1)
   return (error * speed).sum(-1) * _moves(env, command, threshold)
@@ -116,71 +116,66 @@ def feet_clearance(
 class feet_swing_height(ManagerTermBase):
   """sum over landing feet of (peak / target - 1)^2, peak being the swing's greatest height, (num_envs,).
 
-  A swing begins where the foot leaves the ground: the drop at the start of an episode is none, and what a foot did in
-  the episode before does not count.
+  A swing begins when the foot leaves the ground. The drop at the start of an episode and swings of the episode before
+  do not count.
   """
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    feet = env.scene[cfg.params["sensor"]].num_primaries
-    if env.scene[cfg.params["heights"]].num_frames != feet:
-      raise ValueError(f"sensors '{cfg.params['sensor']}' and '{cfg.params['heights']}' see different numbers of feet")
-    self._peak = torch.zeros(env.num_envs, feet, device=env.device, dtype=env.sim.dtype)
+  env: "ManagerBasedRlEnv"
 
-  def __call__(
-    self,
-    env: "ManagerBasedRlEnv",
-    *,
-    sensor: str,
-    heights: str,
-    command: str,
-    threshold: float,
-    target: float,
-  ) -> torch.Tensor:
-    contact = env.scene[sensor]
-    torch.maximum(self._peak, env.scene[heights].data.heights, out=self._peak)
-    cost = ((self._peak / target - 1.0).square() * _landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
-    fill_(self._peak, contact.data.found > 0, 0.0)
+  def __init__(
+    self, env: "ManagerBasedRlEnv", *, sensor: str, heights: str, command: str, threshold: float, target: float
+  ) -> None:
+    super().__init__(env)
+    self._sensor, self._heights, self._command = sensor, env.scene[heights], command
+    self._threshold, self._target = threshold, target
+    feet = env.scene[sensor].num_primaries
+    if self._heights.num_frames != feet:
+      raise MjlabError(f"sensors '{sensor}' and '{heights}' must have the same number of feet")
+    self._peak = self.state((feet,), dtype=env.sim.dtype)
+
+  def __call__(self) -> torch.Tensor:
+    env, peak = self.env, self._peak
+    torch.maximum(peak, self._heights.data.heights, out=peak)
+    error = (peak / self._target - 1.0).square()
+    cost = (error * _landed(env, self._sensor)).sum(-1) * _moves(env, self._command, self._threshold)
+    fill_(peak, env.scene[self._sensor].data.found > 0, 0.0)
     return cost
-
-  def reset(self, mask: torch.Tensor) -> None:
-    fill_(self._peak, mask, 0.0)
 
 
 def feet_slip(
   env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float, feet: SceneEntityCfg
 ) -> torch.Tensor:
-  """Squared horizontal speed of feet in contact, summed over feet, (num_envs,) [m^2/s^2]; gated by `threshold`."""
+  """Return the squared horizontal speed of feet in contact, summed over feet, (num_envs,) [m^2/s^2]."""
   slip = _feet_velocity(env, feet).square().sum(-1)
   return (slip * (env.scene[sensor].data.found > 0)).sum(-1) * _moves(env, command, threshold)
 
 
 def soft_landing(env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float) -> torch.Tensor:
-  """Net contact force of feet that just landed, summed over feet, (num_envs,) [N]; gated by `threshold`.
+  """Return the net contact force of feet that just landed, summed over feet, (num_envs,) [N].
 
-  The drop at the start of an episode is no landing.
+  The drop at the start of an episode does not count.
   """
   force = torch.linalg.vector_norm(env.scene[sensor].data.force, dim=-1)
   return (force * _landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
 
 
 def _landed(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
-  """Which feet came down in this step, having taken off in the same episode, (num_envs, feet) bool."""
+  """Return True for feet that landed in this step and had taken off in the same episode, (num_envs, feet)."""
   contact = env.scene[sensor]
-  # Only a take-off leaves behind a time of contact.
+  # A time of contact is stored at take-off only.
   return contact.compute_first_contact(env.step_dt) & (contact.data.last_contact_time > 0)
 
 
 def _moves(env: "ManagerBasedRlEnv", command: str, threshold: float) -> torch.Tensor:
-  """Whether the commanded speed exceeds `threshold`, (num_envs,)."""
+  """Return True where the commanded speed exceeds `threshold`, (num_envs,)."""
   return _speed(env, command) > threshold
 
 
 def _speed(env: "ManagerBasedRlEnv", command: str) -> torch.Tensor:
-  """|v_xy| + |w_z| of a velocity command, (num_envs,)."""
+  """Return |v_xy| + |w_z| of a velocity command, (num_envs,)."""
   return cast("UniformVelocityCommand", env.command_manager.get_term(command)).speed
 
 
 def _feet_velocity(env: "ManagerBasedRlEnv", feet: SceneEntityCfg) -> torch.Tensor:
-  """Horizontal velocity of the feet's sites, world frame, (num_envs, feet, 2) [m/s]."""
+  """Return the horizontal velocity of the feet's sites, world frame, (num_envs, feet, 2) [m/s]."""
   return env.scene[feet.name].data.site_lin_vel_w[:, feet.site_ids, :2]

@@ -1,9 +1,10 @@
-"""Terms of rough ground: levels, bounds, and the slope underfoot."""
+"""Terms of rough ground: levels, bounds, and slope of the ground."""
 
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_managers import CurriculumTermCfg, ManagerTermBase, RewardTermCfg, SceneEntityCfg, TerminationTermCfg
+from mjlab_core.errors import MjlabError
+from mjlab_managers import ManagerTermBase, SceneEntityCfg
 from mjlab_scene import TerrainLevels
 
 if TYPE_CHECKING:
@@ -13,90 +14,83 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 class terrain_levels(ManagerTermBase):
-  """At the end of an episode: one row up after walking half a tile, one down after less than half of what was asked.
+  """Level of each world: one row up after half a tile in an episode, one down after less than half the commanded way.
 
-  What was asked is the last command's horizontal speed over a full episode. A world above the hardest row draws any.
-  Logs the mean and the highest level, and the mean of each type of ground.
+  The commanded way is the last command's horizontal speed over a full episode. Above the hardest row, the row is
+  random. Logs the mean and the highest level, and the mean of each type of ground.
   """
 
-  _constants = frozenset({"_on_type"})
+  env: "ManagerBasedRlEnv"
 
-  def __init__(self, cfg: CurriculumTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
+  def __init__(self, env: "ManagerBasedRlEnv", *, command: str, asset: SceneEntityCfg = _ROBOT) -> None:
+    super().__init__(env)
+    self._command, self._entity = command, env.scene[asset.name]
     levels = _levels(env)
     self._types = tuple(dict.fromkeys(levels.column_types))
     on_type = [[float(column == kind) for column in levels.column_types] for kind in self._types]
     self._on_type = torch.tensor(on_type, device=env.device)
     self._far = 0.5 * levels.tile_size[0]
 
-  def __call__(
-    self, env: "ManagerBasedRlEnv", mask: torch.Tensor, *, command: str, asset: SceneEntityCfg = _ROBOT
-  ) -> dict[str, torch.Tensor]:
-    levels = _levels(env)
-    walked = torch.linalg.vector_norm(
-      env.scene[asset.name].data.root_link_pos_w[:, :2] - env.scene.env_origins[:, :2], dim=-1
-    )
-    speed = torch.linalg.vector_norm(env.command_manager.get_command(command)[:, :2], dim=-1)
+  def __call__(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
+    env, levels = self.env, _levels(self.env)
+    walked = torch.linalg.vector_norm(self._entity.data.root_link_pos_w[:, :2] - env.scene.env_origins[:, :2], dim=-1)
+    speed = torch.linalg.vector_norm(env.command_manager.get_command(self._command)[:, :2], dim=-1)
     up = walked > self._far
     down = ~up & (walked < 0.5 * speed * env.max_episode_length_s)
-    # An episode that has not begun proves nothing.
+    # Episodes that have not begun do not count.
     levels.move(mask & (env.episode_length_buf > 0), up, down)
     now = levels.levels.float()
-    # Worlds may have been put onto other columns, by an event or by a run that was resumed.
+    # Events and resumed runs may have changed the columns of worlds.
     members = self._on_type.index_select(1, levels.columns)
     by_type = (members * now).sum(1) / members.sum(1).clamp(min=1.0)
     return {"mean": now.mean(), "max": now.max()} | dict(zip(self._types, by_type.unbind(), strict=True))
 
 
 def randomize_terrain(env: "ManagerBasedRlEnv", mask: torch.Tensor) -> None:
-  """Put masked worlds onto any tile of the terrain, with what stands there; events behind this one place the rest."""
+  """Move masked worlds to random tiles, with their fixed entities; later events place the others."""
   _levels(env).randomize(mask)
   env.scene.place_fixed_bases(mask)
 
 
 class out_of_terrain_bounds(ManagerTermBase):
-  """Whether the root is beyond the terrain, its border included, less `margin` [m], (num_envs,)."""
+  """True where the root is less than `margin` [m] inside the outer edge of the terrain, or beyond, (num_envs,)."""
 
-  _constants = frozenset({"_bounds"})
-
-  def __init__(self, cfg: TerminationTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
+  def __init__(self, env: "ManagerBasedRlEnv", *, margin: float = 0.3, asset: SceneEntityCfg = _ROBOT) -> None:
+    super().__init__(env)
+    self._entity = env.scene[asset.name]
     levels = _levels(env)
     border = getattr(env.scene.cfg.terrain, "border_width", 0.0)
     sides = (levels.num_rows * levels.tile_size[0], levels.num_columns * levels.tile_size[1])
-    reach = [[0.5 * side + border - cfg.params["margin"] for side in sides]]
-    self._bounds = torch.tensor(reach, device=env.device, dtype=env.sim.dtype)
+    reach = torch.tensor([[0.5 * side + border for side in sides]], device=env.device, dtype=env.sim.dtype)
+    self._reach, self._margin = reach, margin
 
-  def __call__(self, env: "ManagerBasedRlEnv", *, margin: float = 0.3, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    del margin  # Resolved at build.
-    return (env.scene[asset.name].data.root_link_pos_w[:, :2].abs() > self._bounds).any(-1)
+  def __call__(self) -> torch.Tensor:
+    return (self._entity.data.root_link_pos_w[:, :2].abs() > self._reach - self._margin).any(-1)
 
 
 class upright_on_terrain(ManagerTermBase):
   """exp(-|t_xy|^2 / std^2), t the ground's normal in the root frame, (num_envs,).
 
-  The normal is that of the plane z = a x + b y + c that fits every sixth hit of a height scan best; it is vertical
-  where fewer than three rays hit, or all hits lie on a line.
+  The normal is that of the least-squares plane through every sixth hit of a height scan. It is vertical if fewer than
+  three rays hit, or if all hits lie on a line.
   """
 
-  def __init__(self, cfg: RewardTermCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._sensor = env.scene[cfg.params["sensor"]]
+  env: "ManagerBasedRlEnv"
 
-  def __call__(
-    self, env: "ManagerBasedRlEnv", *, std: float, sensor: str, asset: SceneEntityCfg = _ROBOT
-  ) -> torch.Tensor:
-    del sensor  # Resolved at build.
+  def __init__(self, env: "ManagerBasedRlEnv", *, std: float, sensor: str, asset: SceneEntityCfg = _ROBOT) -> None:
+    super().__init__(env)
+    self._sensor, self._entity, self._std = env.scene[sensor], env.scene[asset.name], std
+
+  def __call__(self) -> torch.Tensor:
     scan = self._sensor.data
     normal = plane_normal(scan.hit_pos_w[:, ::6], scan.valid[:, ::6])
-    root = env.scene[asset.name]
-    matrix = env.sim.data.xmat[:, root.indexing.root_body]
+    matrix = self.env.sim.data.xmat[:, self._entity.indexing.root_body]
     tilt = (matrix[:, :, :2] * normal[:, :, None]).sum(1)
-    return torch.exp(tilt.square().sum(-1) / -(std**2))
+    return torch.exp(tilt.square().sum(-1) / -(self._std**2))
 
 
 def plane_normal(points: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-  """Upward unit normal of the least-squares plane z = a x + b y + c through valid points (N, P, 3), (N, 3)."""
+  """Return the upward unit normal of the least-squares plane through valid points, (N, P, 3) to (N, 3)."""
   weight = valid.to(points.dtype)[..., None]
   count = weight.sum(1).clamp(min=1.0)
   centred = (points - ((points * weight).sum(1) / count)[:, None]) * weight
@@ -115,5 +109,5 @@ def plane_normal(points: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
 def _levels(env: "ManagerBasedRlEnv") -> TerrainLevels:
   levels = env.scene.terrain_levels
   if levels is None:
-    raise ValueError("the terrain has no tiles; give the scene a TerrainGridCfg")
+    raise MjlabError("the terrain has no tiles; give the scene a TerrainGridCfg")
   return levels
