@@ -6,8 +6,7 @@ from typing import Any
 
 import mjlab
 import pytest
-from mjlab.cli._config_flags import flags
-from mjlab.cli._flag_parser import parse
+from mjlab.cli._flags import flags, parse
 
 Path = tuple[Any, ...]
 

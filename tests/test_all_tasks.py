@@ -11,7 +11,7 @@ import mujoco
 import pytest
 import torch
 from mjlab import cli
-from mjlab.making import make
+from mjlab.environments import make
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import ReturnEvaluation
 from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_manifest

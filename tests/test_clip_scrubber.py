@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab.cli._clip_preview import Preview
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_tracking import Motion, load_motion, resample, shipped_clips
+from mjlab_motions import Motion, load_motion, resample, shipped_clips
 from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
-from mjlab_tracking.preview import Preview
-from mjlab_viewer import BrowserViewer, Playback, PlayedEnv, ZeroPolicy
+from mjlab_viewer import BrowserViewer, Playback, ViewedEnv, ZeroPolicy
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
@@ -53,7 +53,7 @@ def chromium() -> Iterator[Browser]:
 class Shown:
   """An environment under a viewer in a thread of its own, and the page of it."""
 
-  def __init__(self, env: PlayedEnv, num_actions: int, browser: Browser) -> None:
+  def __init__(self, env: ViewedEnv, num_actions: int, browser: Browser) -> None:
     self.playback = Playback(env, ZeroPolicy(env.num_envs, num_actions, env.sim.device))
     self.viewer = BrowserViewer(env, playback=self.playback, port=8400)
     self._browser = browser
@@ -116,7 +116,7 @@ def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
   motion = clip()
   with env, Shown(env, 29, chromium) as shown:
     page = shown.page
-    page.get_by_label("By hand").check()
+    page.get_by_label("Manual").check()
     # Once while the worlds run, once while they are paused.
     for time, frame, is_next in ((12.4, 620, True), (3.0, 150, False)):
       slide(page, "time [s]", time)
@@ -135,7 +135,7 @@ def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
         shown.pause()
     # The other world was not asked to.
     assert term.frame[1] != 150
-    page.get_by_label("By hand").uncheck()
+    page.get_by_label("Manual").uncheck()
     page.get_by_role("button", name="Play", exact=True).click()
     eventually(lambda: term.frame[0] > 150, "the clip does not go on")
     assert shown.playback.error is None
@@ -156,7 +156,7 @@ def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chro
   with Shown(Preview(robot).replay(motion), 0, chromium) as shown:
     page = shown.page
     eventually(lambda: red(page).sum() > 1000, "the flag is not seen")
-    page.get_by_label("By hand").check()
+    page.get_by_label("Manual").check()
     for time, frame in ((0.4, 20), (3.2, 160)):
       slide(page, "time [s]", time)
       eventually(lambda frame=frame: shown.viewer.history[-1].data["qpos"][0, 7] == lift[frame].item())

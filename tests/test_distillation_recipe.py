@@ -1,4 +1,4 @@
-"""The commands by which a student that sees learns from a teacher that is told, as the README gives them, in small."""
+"""Commands of the README for distillation, with small settings."""
 
 import json
 import re
@@ -10,7 +10,7 @@ import mjlab
 import pytest
 import torch
 from mjlab import cli
-from mjlab.making import standard_env
+from mjlab.environments import standard_env
 from mjlab_manipulation import LiftEvaluation
 from mjlab_manipulation.mdp import lift_command
 from mjlab_rl import Console, RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlVecEnvWrapper, load_run
@@ -28,7 +28,7 @@ SMALL = {
 
 
 def recipe() -> list[list[str]]:
-  (block,) = re.findall(r"\*\*Distillation\.\*\*.*?```bash\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+  (block,) = re.findall(r"## Distil a policy.*?```bash\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
   return [shlex.split(line, comments=True) for line in block.splitlines()]
 
 
@@ -93,7 +93,7 @@ def test_teacher_and_student_are_judged_on_the_same_starts_and_goals() -> None:
     ([STUDENT], "no teacher: no run of Mjlab-Lift-Cube-Yam with a checkpoint in logs/yam_lift_cube. Train one with"),
     ([STUDENT, "--teacher", "nowhere"], "no teacher: 'nowhere' is neither a checkpoint nor a run"),
     ([STUDENT, "--teacher", "x", "--resume", "y"], "exclude each other"),
-    (["Mjlab-Lift-Cube-Yam-Depth", "--teacher", "x"], "Mjlab-Lift-Cube-Yam-Depth imitates nobody; `list-envs distill`"),
+    (["Mjlab-Lift-Cube-Yam-Depth", "--teacher", "x"], "--teacher applies to distillation tasks only"),
   ],
 )
 def test_what_cannot_be_taught_is_said_in_one_line(

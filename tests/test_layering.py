@@ -1,4 +1,4 @@
-"""The floors hold, and every member declares what it imports."""
+"""Layers of the workspace: floors, declared requirements, no circles, and private names in one module per library."""
 
 import ast
 import re
@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from typing import Any
 
+import measure_source
 import pytest
 
 ROOT = Path(__file__).parents[1]
+
 PROJECTS = sorted([*ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tasks/*/pyproject.toml")])
 MEMBERS = {path.parent.name: path.parent for path in PROJECTS}
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -121,3 +124,38 @@ def test_lock_knows_what_every_member_requires() -> None:
     declared = {group: names(extra) for group, extra in project(member).get("dependency-groups", {}).items()}
     found = {group: {entry["name"] for entry in extra} for group, extra in metadata.get("requires-dev", {}).items()}
     assert found == declared, f"{member}: run `uv lock`"
+
+
+@pytest.mark.parametrize("member", measure_source.members(), ids=lambda member: member.name)
+def test_modules_of_a_member_do_not_import_each_other_in_a_circle(member: Any) -> None:
+  circles = measure_source.import_circles(member)
+  assert not circles
+
+
+@pytest.mark.parametrize("member", measure_source.members(), ids=lambda member: member.name)
+def test_private_names_are_used_in_one_module_per_library(member: Any) -> None:
+  stray = measure_source.stray_private_names(member)
+  assert not stray, "\n".join(stray)
+
+
+def test_there_are_few_exception_classes_and_protocols() -> None:
+  modules = [module for member in measure_source.members() for module in member.modules]
+  errors = [name for module in modules for name in measure_source.exception_classes(module)]
+  protocols = [name for module in modules for name in measure_source.protocols(module)]
+  assert len(errors) <= 9, errors
+  assert len(protocols) <= 13, protocols
+
+
+def test_the_measure_finds_circles_of_type_hints_and_private_names(tmp_path: Path) -> None:
+  folder = tmp_path / "src" / "mjlab_x"
+  folder.mkdir(parents=True)
+  (folder / "__init__.py").write_text("")
+  (folder / "a.py").write_text("from mjlab_x import b\nimport torch\ntorch._C.f()\n")
+  (folder / "b.py").write_text("def f():\n  from mjlab_x.c import _hidden\n")
+  (folder / "c.py").write_text(
+    "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n  from mjlab_x.a import A\n_hidden = 1\n"
+  )
+  member = measure_source.Member("x", tmp_path)
+  assert measure_source.import_circles(member) == [["mjlab_x.a", "mjlab_x.b", "mjlab_x.c"]]
+  found = {name for _, _, _, name in measure_source.private_names(member)}
+  assert found == {"torch._C", "mjlab_x.c._hidden"}

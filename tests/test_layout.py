@@ -58,16 +58,32 @@ def test_member_declares_name_version_licence_and_description(member: Path) -> N
   assert re.fullmatch(r"\d+\.\d+\.\d+", project["version"])
 
 
+def versions() -> dict[str, str]:
+  projects = [tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"] for member in MEMBERS]
+  return {project["name"]: project["version"] for project in projects}
+
+
 @each_member
-def test_siblings_are_required_at_their_present_version(member: Path) -> None:
-  versions = {}
-  for other in MEMBERS:
-    project = tomllib.loads((other / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    versions[project["name"]] = project["version"]
-  for requirement in tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]:
-    name, _, version = requirement.partition("==")
-    if name in versions:
-      assert version == versions[name], requirement
+def test_siblings_are_required_by_a_range_that_holds_their_present_version(member: Path) -> None:
+  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  extras = project.get("optional-dependencies", {}).values()
+  for requirement in [*project["dependencies"], *(entry for extra in extras for entry in extra)]:
+    if (name := re.split(r"[^\w-]", requirement)[0]) in versions():
+      found = re.fullmatch(r"[\w-]+(?:\[[\w,-]+\])?>=([\d.]+),<([\d.]+)", requirement)
+      assert found, f"{requirement}: expected a range such as >=0.2,<0.3"
+      low, version, high = (tuple(map(int, text.split("."))) for text in (found[1], versions()[name], found[2]))
+      assert low <= version < high, requirement
+
+
+@each_member
+def test_member_has_a_changelog_with_its_version(member: Path) -> None:
+  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  text = (member / "CHANGELOG.md").read_text(encoding="utf-8")
+  assert text.startswith(f"# Changelog of {project['name']}\n")
+  headings = re.findall(r"^## \[(.+?)\](?: - \d{4}-\d\d-\d\d)?$", text, re.MULTILINE)
+  assert headings[:2] == ["Unreleased", project["version"]]
+  kinds = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+  assert set(re.findall(r"^### (.+)$", text, re.MULTILINE)) <= kinds
 
 
 @each_member
@@ -156,8 +172,8 @@ def test_no_file_is_large() -> None:
 
 
 def test_readme_gives_the_test_command_that_ci_runs() -> None:
-  assert "\nuv run pytest\n" in (ROOT / "README.md").read_text(encoding="utf-8")
-  assert "uv run pytest\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+  assert "\nuv run pytest -n 2\n" in (ROOT / "README.md").read_text(encoding="utf-8")
+  assert "uv run pytest -n 2 " in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 def test_root_readme_names_every_member() -> None:

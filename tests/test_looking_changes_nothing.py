@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab.making import make
+from mjlab.environments import make
+from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_sensors import RayCastSensor
-from mjlab_viewer import BrowserViewer, RenderingError, SnapshotTaker, TrainingVideo
+from mjlab_viewer import BrowserViewer, SnapshotTaker, TrainingVideo
 from torch.utils._python_dispatch import TorchDispatchMode
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
@@ -101,9 +102,9 @@ def test_what_a_picture_costs_depends_on_the_worlds_shown_not_on_those_there_are
     with make(TASK, num_envs=worlds, device="cpu") as env:
       env.reset(seed=0)
       taker = SnapshotTaker(env)
-      taker.take((0, 1, 2), drawers=env.drawn_at_first())
+      taker.take((0, 1, 2), drawers=env.default_drawers())
       with CountElements() as count:
-        taker.take((0, 1, 2), drawers=env.drawn_at_first())
+        taker.take((0, 1, 2), drawers=env.default_drawers())
       made.append(count.made)
   assert made[0] == made[1] > 0
 

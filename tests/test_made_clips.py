@@ -6,10 +6,10 @@ from types import ModuleType
 
 import pytest
 import torch
-from mjlab_tracking import load_motion
+from mjlab_motions import load_motion
 
 ROOT = Path(__file__).parents[1]
-FOLDER = ROOT / "tasks/tracking/src/mjlab_tracking/clips"
+FOLDER = ROOT / "packages/motions/src/mjlab_motions/clips"
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,7 @@ def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_pat
   with page_of(chromium, tmp_path, "demo", "--port", "8720", "--num-envs", "1", "--device", "cpu") as page:
     # The floor is light.
     eventually(lambda: (seen(page).max(axis=2) < 130).sum() > 1000, "the robot is not seen")
-    page.get_by_label("By hand").check()
+    page.get_by_label("Manual").check()
     forward = row(page, "forward").locator("input[inputmode]")
     forward.fill("0.8")
     forward.press("Enter")
@@ -144,7 +144,7 @@ def test_the_demo_lifts_to_where_the_sliders_of_its_page_say(
     with stepping(viewer):
       page = opened(chromium, viewer.url)
       slide(page, "World", 1)
-      page.get_by_label("By hand").check()
+      page.get_by_label("Manual").check()
       for axis, place in zip("xyz", goal.tolist(), strict=True):
         slide(page, f"goal {axis} [m]", place)
       eventually(lambda: torch.equal(command.command[1], goal), "the goal is not given by hand")

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_dr import FIELDS, LEFT_OUT, RandomizeField, apply_all, randomize_field
+from mjlab_dr import FIELDS, LEFT_OUT, FieldRandomizer, RandomizeField, apply_all, followers_of, randomize_field
+from mjlab_scene import Scene, SceneCfg
 from mjlab_sim import PER_WORLD, Simulation, SimulationCfg
 from mjlab_sim.fields import closure
 
@@ -73,7 +74,7 @@ def test_the_documented_table_is_the_one_in_the_code() -> None:
 def test_what_the_catalogue_derives_is_expanded_with_its_source_by_the_simulation() -> None:
   model = mujoco.MjModel.from_xml_string(EVERYTHING)
   for name in IN_MODEL:
-    assert set(FIELDS[name].derived) & PER_WORLD <= set(closure(list(written_by(name)), model)), name
+    assert set(followers_of(name)) & PER_WORLD <= set(closure(list(written_by(name)), model)), name
 
 
 @pytest.mark.parametrize("name", IN_MODEL)
@@ -124,6 +125,64 @@ def test_a_field_first_randomised_after_steps_counts_from_the_next_step(engine: 
   assert gained[1] == gained[3]
   assert torch.equal(gained.argsort(stable=True), pull.argsort(stable=True))
   torch.testing.assert_close((gained[[0, 2]] - gained[1]) / sim.timestep, pull[[0, 2]], rtol=0.2, atol=0.0)
+  sim.close()
+
+
+PUCK = """<mujoco><worldbody><body name="puck">
+  <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/><joint name="turn"/>
+  <inertial pos="0 0 0" mass="2" diaginertia=".1 .1 .2"/>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+@pytest.mark.parametrize(
+  "cfg",
+  [
+    randomize_field("jnt_pos", "turn", (0.1, 0.3)),
+    randomize_field("jnt_axis", ".*", (-0.3, 0.3)),
+    randomize_field("body_ipos", ".*", (-0.3, 0.3)),
+    randomize_field("body_iquat", ".*", (-0.5, 0.5)),
+  ],
+  ids=lambda cfg: cfg.field,
+)
+def test_a_planar_puck_of_a_scene_moves_as_if_recompiled(
+  engine: Literal["native", "warp"], cfg: FieldRandomizer
+) -> None:
+  """For every field that a body compiled as simple would ignore; scenes compile no body so, whoever adds it."""
+  scene = Scene(SceneCfg(num_envs=2, spec_fn=lambda spec: spec.worldbody.add_frame().attach_body(puck().body("puck"))))
+  sim = Simulation(2, scene.spec, SimulationCfg(engine=engine, integrator=None, num_threads=1), "cpu")
+  term = RandomizeField(cfg, sim, generator=torch.Generator().manual_seed(0))
+  term.apply(torch.ones(2, dtype=torch.bool))
+  qpos, qvel = torch.tensor([0.1, -0.2, 0.5]), torch.tensor([1.0, -2.0, 3.0])
+  sim.data.qpos[:], sim.data.qvel[:] = qpos, qvel
+  sim.data.qfrc_applied[:] = torch.tensor([1.0, 2.0, -0.5])
+  sim.step()
+  for world in range(2):
+    spec = puck()
+    model = spec.compile()
+    getattr(model, cfg.field)[:] = sim.model[cfg.field][world]
+    spec.body("puck").simple = False
+    spec.copy_back(model)
+    data = mujoco.MjData(spec.compile())
+    data.qpos[:], data.qvel[:], data.qfrc_applied[:] = qpos, qvel, (1.0, 2.0, -0.5)
+    mujoco.mj_forward(data.model, data)
+    tolerance = 1e-9 if engine == "native" else 1e-4
+    torch.testing.assert_close(
+      sim.data.qacc[world].double(), torch.tensor(data.qacc), rtol=tolerance, atol=100 * tolerance
+    )
+  sim.close()
+
+
+def puck() -> mujoco.MjSpec:
+  return mujoco.MjSpec.from_string(PUCK)
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_a_simple_body_of_a_foreign_model_is_refused_by_name_in_a_simulation(engine: Literal["native", "warp"]) -> None:
+  sim = Simulation(2, puck(), SimulationCfg(engine=engine, integrator=None, num_threads=1), "cpu")
+  for field in ("jnt_pos", "jnt_axis", "body_ipos"):
+    with pytest.raises(ValueError, match="body 'puck' was compiled as simple"):
+      RandomizeField(randomize_field(field, ".*", (0.1, 0.3)), sim)
   sim.close()
 
 

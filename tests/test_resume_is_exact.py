@@ -7,7 +7,7 @@ from typing import Any
 import mjlab
 import pytest
 import torch
-from mjlab.making import standard_env
+from mjlab.environments import standard_env
 from mjlab_rl import Console, TrainingResult, train
 
 WORLDS = 8

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
 from mjlab_command import running
-from viewer_page import SIZE, eventually, headless_chromium
+from viewer_page import eventually, headless_chromium, patient_page
 
 TRAIN = "import sys; from mjlab.cli import train; sys.exit(train(sys.argv[1:]))"
 FLAGS = """--viewer --viewer-port 8730 --device cpu --env.scene.num-envs 1 --agent.algorithm.num-mini-batches 1
@@ -31,7 +31,7 @@ def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tm
     headless_chromium() as chromium,
     running(TRAIN, "Mjlab-Velocity-Flat-Unitree-Go1", *FLAGS, folder=tmp_path, OMP_NUM_THREADS="1") as training,
   ):
-    page = chromium.new_page(viewport=SIZE)
+    page = patient_page(chromium)
     page.goto(training.wait_for(r"watch at (http://\S+)\n")[1])
 
     def picture() -> np.ndarray:

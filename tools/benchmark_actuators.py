@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def in_torch(servo: ActuatorCfg, delay: dict[str, int]) -> ActuatorCfg:
-  """The PD law that a servo of the task is, computed in torch."""
+  """Return the PD actuator that computes in torch what a servo of the task does."""
   assert isinstance(servo, NativePositionActuatorCfg)
   return IdealPdActuatorCfg(
     target_names_expr=servo.target_names_expr,
@@ -91,7 +91,7 @@ def measure(args: argparse.Namespace, delay: dict[str, int] | None) -> dict[str,
 
 
 def write(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
-  """The rows as a Markdown table."""
+  """Return the rows as a Markdown table."""
   args.output.mkdir(parents=True, exist_ok=True)
   lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
   lines += ["| " + " | ".join(map(str, row.values())) + " |" for row in rows]

@@ -64,7 +64,7 @@ def measure(statement: str, repeats: int) -> Cost:
 
 
 def processor() -> str:
-  """The processor's name where the system tells it, else its architecture."""
+  """Return the processor's name if the system states it, else its architecture."""
   info = Path("/proc/cpuinfo")
   lines = info.read_text().splitlines() if info.exists() else []
   models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -65,7 +65,7 @@ def student(sees: str, model: RslRlModelCfg) -> RslRlDistillationRunnerCfg:
 
 
 def trained(env: ManagerBasedRlEnvCfg, agent: Any, folder: Path, teacher: Path | None = None) -> Path:
-  """The last checkpoint."""
+  """Return the last checkpoint."""
   task = TaskCfg(env=env, agent=agent)
   console = Console("quiet")
   run = train(task, name=TASK, make_env=ManagerBasedRlEnv, log_root=folder, teacher=teacher, console=console)

@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def make(task: str, num_envs: int, device: str, *, kind: str) -> Any:
-  """The task's environment: "plain" without any randomisation, "full" with all of it at every reset."""
+  """Build the task's environment: "plain" has no randomisation, "full" has all of it at every reset."""
   from mjlab.registry import load_task
   from mjlab_envs import ManagerBasedRlEnv, mdp
   from mjlab_managers import EventTermCfg
@@ -96,7 +96,7 @@ def make(task: str, num_envs: int, device: str, *, kind: str) -> Any:
 
 
 def cost_of_events(task: str, num_envs: int, device: str, repeats: int) -> list[str]:
-  """A table of every event's time."""
+  """Return a table of every event's time."""
   lines = ["| event | numbers per world | draw and write [ms] | with what follows [ms] | in few worlds [ms] |"]
   lines += ["|---|---|---|---|---|"]
   for name, cfg in EVENTS.items():
@@ -117,7 +117,7 @@ def cost_of_events(task: str, num_envs: int, device: str, repeats: int) -> list[
 
 
 def step_rates(task: str, num_envs: int, device: str, steps: int, repeats: int) -> list[str]:
-  """A table of step rates without and with randomisation, the two taken by turns."""
+  """Return a table of step rates without and with randomisation, measured in turns."""
   envs = {kind: make(task, num_envs, device, kind=kind) for kind in ("plain", "full")}
   samples: dict[str, list[float]] = {kind: [] for kind in envs}
   action = torch.zeros(num_envs, envs["plain"].action_manager.total_action_dim, device=envs["plain"].device)

@@ -86,7 +86,7 @@ def main() -> None:
 
 
 def configure(names: list[str], size: int) -> dict[str, SensorCfg]:
-  """The sensors of these names; rays through pixels bring the camera whose pixels they are."""
+  """Return the sensors of these names; rays through pixels also need their camera."""
   sensors: dict[str, SensorCfg] = {name: OTHERS[name] for name in names if name in OTHERS}
   for name in IMAGES:
     if name in names or (name == "depth" and "camera rays" in names):
@@ -103,7 +103,7 @@ def configure(names: list[str], size: int) -> dict[str, SensorCfg]:
 def measure(
   num_envs: int, device: str, ground: str, names: list[str], size: int, steps: int, repeats: int
 ) -> list[dict[str, Any]]:
-  """A row for physics alone and one for each sensor: milliseconds of a step with its reading, and what that adds."""
+  """Return a row for physics alone and one per sensor: milliseconds of a step with its reading, and the difference."""
   sensors = configure(names, size)
   blocks = TerrainGridCfg(rows=5, columns=5, border_width=5.0, types={"blocks": RandomGridCfg()})
   terrain = PlaneCfg() if ground == "plane" else blocks
@@ -130,7 +130,7 @@ def measure(
 
 
 def write(folder: Path, device: str, rows: list[dict[str, Any]]) -> None:
-  """The rows as a Markdown table."""
+  """Return the rows as a Markdown table."""
   folder.mkdir(parents=True, exist_ok=True)
   lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
   lines += ["| " + " | ".join(str(value) for value in row.values()) + " |" for row in rows]

@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def make(task: str, num_envs: int, device: str, engine: str, capture: bool):
-  """The task's training environment."""
+  """Build the task's training environment."""
   from mjlab.registry import load_task
   from mjlab_envs import ManagerBasedRlEnv
 
@@ -136,7 +136,7 @@ def heading(title: str, device: str) -> str:
 
 
 def write(folder: Path, task: str, device: str, rows: list[dict[str, Any]]) -> None:
-  """The rows as a Markdown table."""
+  """Return the rows as a Markdown table."""
   folder.mkdir(parents=True, exist_ok=True)
   columns = [name for name in rows[0] if name not in ("task", "overflow")]
   lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]

@@ -22,7 +22,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from mjlab.making import cpu_cores, make, resolve_device
+from mjlab.environments import cpu_cores, make, resolve_device
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_viewer import BrowserViewer, CameraCfg, PictureCfg, SnapshotTaker, TrainingVideo
 
@@ -82,7 +82,7 @@ def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
   for drawn in DRAWN:
     if drawn <= env.num_envs:
       with BrowserViewer(env, max_worlds=drawn, port=8400) as viewer:
-        taker, worlds, names = SnapshotTaker(env, contacts=True), viewer.drawn_worlds(), tuple(env.drawers())
+        taker, worlds, names = SnapshotTaker(env, contacts=True), viewer.selection.worlds, tuple(env.drawers())
         show = partial(picture, viewer, taker, worlds, names)
         found[drawn] = least_ms(show, repeats)
   return found

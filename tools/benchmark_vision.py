@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def measure(task: str, num_envs: int, device: str, steps: int) -> dict[str, Any]:
-  """Times of a step, and of rendering in it."""
+  """Measure a step, and rendering in it."""
   env = make(task, num_envs, device, "auto", capture=True)
   env.reset()
   action = torch.zeros(num_envs, env.action_manager.total_action_dim, device=env.device)

@@ -24,12 +24,17 @@ WARP = ("warp", "mujoco_warp")
 # Modules that must not even be installed beside a member.
 ABSENT = {
   "core": ("mujoco", "scipy", *WARP),
+  "deploy": ("torch", "onnx", *WARP),
   "terrain": ("torch", *WARP),
   "dr": WARP,
   "actuators": WARP,
+  "sysid": WARP,
   "managers": ("mujoco", *WARP),
-  "rl": ("mujoco", *WARP),
+  "motions": WARP,
+  "rl": WARP,
 }
+# Size of all that a member installs, without compiled bytecode [bytes].
+LARGEST = {"deploy": 200e6}
 # Imports the module and everything in it that needs no argument, without looking at what else is installed.
 PROBE = """
 import importlib.util, sys
@@ -51,7 +56,7 @@ def module_of(member: str) -> str:
 
 
 def call(step: str, command: list[str | Path], cwd: Path = ROOT, show: bool = False) -> None:
-  """Runs a command, quietly unless `show` or it fails. Raises CheckError."""
+  """Run a command, quietly unless `show` or it fails. Raises CheckError."""
   environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
   output = None if show else subprocess.PIPE
   run = subprocess.run(
@@ -68,13 +73,13 @@ def call(step: str, command: list[str | Path], cwd: Path = ROOT, show: bool = Fa
 
 
 def build(folder: Path) -> dict[str, Path]:
-  """Wheels of all members, by module: siblings may be required by any of them."""
+  """Build the wheels of all members; returns them by module, since any member may require any other."""
   call("building the wheels", ["uv", "build", "--quiet", "--all-packages", "--wheel", "--out-dir", folder])
   return {wheel.name.partition("-")[0]: wheel for wheel in folder.glob("*.whl")}
 
 
 def check(member: str, wheels: dict[str, Path], folder: Path, with_tests: bool) -> None:
-  """Installs one member in a new environment below `folder` and tests it there. Raises CheckError."""
+  """Install one member in a new environment below `folder` and test it there. Raises CheckError."""
   project = tomllib.loads((MEMBERS[member] / "pyproject.toml").read_text(encoding="utf-8"))
   module, environment = module_of(member), folder / member
   # A member is never taken from an index, where another project may own its name.
@@ -87,6 +92,10 @@ def check(member: str, wheels: dict[str, Path], folder: Path, with_tests: bool) 
   call("installing the wheel", [*install, project["project"]["name"]])
   probe = PROBE.format(module=module, absent=ABSENT.get(member, ()))
   call("importing it alone", [python, "-I", "-c", probe], cwd=folder)
+  packages = [path for path in environment.rglob("site-packages/**/*") if path.is_file() and path.suffix != ".pyc"]
+  size = sum(path.stat().st_size for path in packages)
+  if size > LARGEST.get(member, float("inf")):
+    raise CheckError(f"it installs {size / 1e6:.0f} MB, more than {LARGEST[member] / 1e6:.0f} MB")
   if with_tests:
     extra = project.get("dependency-groups", {}).get("test", [])
     call("installing what its tests need", [*install, "pytest", *extra])

@@ -14,8 +14,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import torch
+from mjlab_motions import Kinematics, Motion, check_quality, save_motion, to_ground
 from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec
-from mjlab_tracking import Kinematics, Motion, check_quality, save_motion, to_ground
 
 RATE = 50.0  # Hz
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
@@ -42,7 +42,7 @@ class Score:
   keys: dict[str, list[tuple[float, tuple[float, ...]]]] = field(default_factory=dict)
 
   def at(self, channel: str, time: float, *value: float) -> None:
-    """Sets a keyframe; times of a channel rise."""
+    """Set a keyframe; times of a channel rise."""
     self.keys.setdefault(channel, []).append((time, value))
 
   def value(self, channel: str, time: float, default: tuple[float, ...]) -> np.ndarray:
@@ -237,7 +237,7 @@ def make(name: str) -> Motion:
 
 def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__)
-  here = Path(__file__).parents[1] / "tasks" / "tracking" / "src" / "mjlab_tracking" / "clips"
+  here = Path(__file__).parents[1] / "packages" / "motions" / "src" / "mjlab_motions" / "clips"
   parser.add_argument("folder", nargs="?", type=Path, default=here)
   folder = parser.parse_args().folder
   kinematics = Kinematics(g1_spec(meshes="never").compile())

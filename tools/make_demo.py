@@ -16,7 +16,7 @@ from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_manipulation import LiftEvaluation
 from mjlab_rl import CheckpointPolicy, RunManifest
-from mjlab_rl.checkpoint import FORMAT, read_checkpoint, write_checkpoint
+from mjlab_rl.checkpoint import read_checkpoint, write_checkpoint
 from mjlab_rl.manifest import package_versions, write_manifest
 from mjlab_velocity.mdp import UniformVelocityCommandCfg, VelocityRanges
 
@@ -73,12 +73,9 @@ def main() -> None:
   if isinstance(twist, UniformVelocityCommandCfg):
     twist.ranges = RANGES
   cfg.scene.num_envs, cfg.seed = WORLDS, 0
-  actor = {
-    "actor_state_dict": state["actor_state_dict"],
-    "iter": state["iter"],
-    "infos": None,
-    "mjlab": {"format": FORMAT},
-  }
+  # In rsl-rl's form, which counts iterations from 0.
+  iterations = state["iter"] + (0 if state.get("mjlab") else 1)
+  actor = {"actor_state_dict": state["actor_state_dict"], "iter": iterations - 1, "infos": None}
   folder.mkdir(exist_ok=True)
   # Beside what is there, which may be what was given.
   candidate = folder / "candidate.pt"
@@ -92,7 +89,7 @@ def main() -> None:
       raise SystemExit("it is not good enough; nothing was kept")
     for old in folder.glob("model_*.pt"):
       old.unlink()
-    candidate.rename(folder / f"model_{state['iter']}.pt")
+    candidate.rename(folder / f"model_{iterations}.pt")
   finally:
     candidate.unlink(missing_ok=True)
   cfg.seed = None

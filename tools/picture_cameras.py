@@ -112,7 +112,7 @@ def colored_depth(depth: np.ndarray) -> Image.Image:
 
 
 def colored_objects(numbers: np.ndarray, model: mujoco.MjModel) -> Image.Image:
-  """A colour for each geom that is seen, strong for those that move and pale for the ground; the sky is white."""
+  """Return a colour for each visible geom, strong for those that move and pale for the ground; the sky is white."""
   page = np.full((*numbers.shape, 3), 255, dtype=np.uint8)
   for geom in np.unique(numbers[numbers >= 0]):
     moves = model.body_weldid[model.geom_bodyid[geom]] != 0

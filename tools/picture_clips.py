@@ -6,8 +6,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import torch
+from mjlab_motions import load_motion, shipped_clips
 from mjlab_robots import g1_spec, go1_spec
-from mjlab_tracking import load_motion, shipped_clips
 from picture_robots import OVERSAMPLING, stage
 from PIL import Image
 

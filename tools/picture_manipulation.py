@@ -52,7 +52,7 @@ PICTURES: dict[str, list[tuple[str, Callable[[], ManagerBasedRlEnvCfg], int, Row
 
 
 def look(make: Callable[[], ManagerBasedRlEnvCfg], num_envs: int) -> np.ndarray:
-  """What each world sees as it begins, (num_envs, channels, height, width) in [0, 1]."""
+  """Return the first image of each world, (num_envs, channels, height, width) in [0, 1]."""
   cfg = make()
   cfg.scene.num_envs, cfg.seed = num_envs, 3
   with ManagerBasedRlEnv(cfg, device="cpu") as env:

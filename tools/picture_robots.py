@@ -20,7 +20,7 @@ OVERSAMPLING = 2
 
 
 def stage(spec: mujoco.MjSpec, size: tuple[int, int]) -> mujoco.MjModel:
-  """The robot on a floor, under a sky, in a light of its own; `stat.extent` stays that of the robot alone."""
+  """Return the robot on a floor with sky and light; `stat.extent` stays that of the robot alone."""
   spec.stat.extent = spec.compile().stat.extent
   for light in list(spec.lights):
     spec.delete(light)
@@ -58,10 +58,7 @@ def stage(spec: mujoco.MjSpec, size: tuple[int, int]) -> mujoco.MjModel:
 
 
 def stand(model: mujoco.MjModel) -> mujoco.MjData:
-  """The first keyframe; what floats is raised or lowered until its lowest colliding shape touches the floor.
-
-  What does not float stands where its entity does.
-  """
+  """Return the first keyframe, with the lowest colliding shape of a floating robot on the floor."""
   data = mujoco.MjData(model)
   mujoco.mj_resetDataKeyframe(model, data, 0)
   if model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:

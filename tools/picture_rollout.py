@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def strip(run: Path, args: argparse.Namespace) -> Image.Image:
-  """The frames of one policy beside one another, under its task's name."""
+  """Join the frames of one policy side by side, under its task's name."""
   checkpoint = run if run.is_file() else checkpoints(run)[-1]
   manifest = load_run(checkpoint)
   play = load_task(manifest.task).play
@@ -67,7 +67,7 @@ def strip(run: Path, args: argparse.Namespace) -> Image.Image:
     wanted = [round(float(time) / env.step_dt) for time in times]
     for step in range(wanted[-1] + 1):
       if step in wanted:
-        frames.append(renderer.render(taker.take((0,), drawers=env.drawn_at_first())))
+        frames.append(renderer.render(taker.take((0,), drawers=env.default_drawers())))
         if "camera" in observations:
           seen.append(torch.as_tensor(observations["camera"])[0].cpu().numpy())
       with torch.no_grad():

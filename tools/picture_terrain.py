@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from mjlab_terrain import TerrainGridCfg, all_types
-from mjlab_terrain.picture import PAPER, render
+from mjlab_terrain.view.picture import PAPER, render
 from PIL import Image, ImageDraw, ImageFont
 
 GRID_SIZE = (1600, 600)

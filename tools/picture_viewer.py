@@ -45,7 +45,7 @@ def contacts(env: ManagerBasedRlEnv, taker: SnapshotTaker, out: Path) -> None:
   cfg = PictureCfg(width=1280, height=720, camera=camera, contacts=True)
   model = env.sim.mj_model
   with OffscreenRenderer(model, cfg) as renderer:
-    picture = renderer.render(taker.take((0,), drawers=env.drawn_at_first()))
+    picture = renderer.render(taker.take((0,), drawers=env.default_drawers()))
   Image.fromarray(picture).resize((960, 540), Image.Resampling.LANCZOS).save(out / "viewer_contacts.png", optimize=True)
 
 

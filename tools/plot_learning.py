@@ -1,6 +1,6 @@
-"""Learning curves of runs as a picture and a small CSV, with the reference's published points beside them.
+r"""Learning curves of runs as a picture and a small CSV, with the reference's published points beside them.
 
-  python tools/plot_learning.py gpu=logs/go1_velocity/RUN cpu=logs/go1_velocity/OTHER --title "Go1 flat" \\
+  python tools/plot_learning.py gpu=logs/go1_velocity/RUN cpu=logs/go1_velocity/OTHER --title "Go1 flat" \
     --reference 100:56 200:62 460:87 --output docs/benchmarks/go1_flat
 
 A run is a directory with `progress.csv`, as `train` writes it, under the name it is to have in the picture; a run that
@@ -81,7 +81,7 @@ def smooth(values: np.ndarray) -> np.ndarray:
 
 
 def read(directories: list[str], columns: dict[str, str]) -> list[dict[str, float]]:
-  """The rows of a run under their short names; what a row does not have is left out."""
+  """Return the rows of a run under their short names, without missing values."""
   rows = []
   for directory in directories:
     with (Path(directory) / "progress.csv").open(newline="") as file:

@@ -10,8 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import torch
-from mjlab_robots import g1_spec
-from mjlab_tracking import (
+from mjlab_motions import (
   Kinematics,
   Motion,
   Statement,
@@ -22,7 +21,8 @@ from mjlab_tracking import (
   resample,
   to_ground,
 )
-from mjlab_tracking.quality import LIMITS
+from mjlab_motions.quality import LIMITS
+from mjlab_robots import g1_spec
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -32,19 +32,19 @@ SOURCES = {
   "mujoco_warp": ("shuffle_dance.npz", None, "google-deepmind/mujoco_warp, Apache-2.0: a rollout of a simulation"),
 }
 HEAD = """\
-# Clips of other people, converted
+# Public clips, converted
 
-What the quality report of `convert-motion` looks like on nine clips of the Unitree G1 that are not part of this
-repository. For a clip of your own, with a film of it:
+Quality reports of `convert-motion` for nine clips of the Unitree G1 that are not part of this repository. For a clip
+of your own, with a film of it:
 
 ```bash
 uv run convert-motion my_clip.csv --rate 60 --output-rate 50 --ground --report my_clip.png --video my_clip.mp4
 ```
 
-Each clip below was read with nothing stated but its rate (of the rollout not even that: it says its times), resampled
-to 50 Hz and put on the ground, as above. "Order" is that of the quaternions in the file, which was proven, or MuJoCo's
-in the rollout. "Off" is how far the furthest body in any frame is from where MuJoCo C has it. "Worst" names the checks
-that warn, with their largest value.
+Each clip below was read with its rate stated (the rollout contains its times), resampled to 50 Hz and put on the
+ground, as above. "Order" is the order of the quaternions in the file: proven, or that of MuJoCo for the rollout.
+"Off" is the largest distance of a body from MuJoCo C's kinematics. "Worst" names the checks that warn, with their
+largest value.
 
 | clip | from | frames | order | off | report | worst |
 |---|---|---|---|---|---|---|
@@ -52,17 +52,54 @@ that warn, with their largest value.
 READING = """
 ## How to read a report
 
-Each picture has one row for each check, over the time of the clip: green where all is well, orange where the check
-warns, red where it fails. The dotted line is the limit of the warning, the dashed one, where it is in sight, that of
-the failure; [the README](../tasks/tracking/README.md) has them as a table. A clip with a failure is not written unless
-`--accept-errors` says so; one with warnings is.
+Each picture has one row for each check, over the time of the clip: green for no finding, orange for a warning, red
+for an error. The dotted line is the limit of the warning, the dashed one is the value with a score of 1. [The
+README](../packages/motions/README.md) has them as a table. A clip with a warning is written. A clip with an error is
+not written without `--accept-errors`, because a simulation cannot start in such a frame.
 
-- `joint_limit`: the clip asks for a pose that the robot cannot take. No option mends that.
+- `joint_limit`: the clip has a pose that the robot cannot take. No option changes that.
 - `joint_speed`, `root_speed`, `root_turning`: single spikes are faults of a recording, which `--smooth 0.02` flattens
-  or `--crop` cuts off; broad hills are fast motions.
-- `penetration`, `floating`: all the time, the clip is too low or too high, which `--ground` mends; now and then, feet
-  do not meet the ground as they should, which no option does.
-- `foot_skate`: feet slide while they carry the robot. No option mends that.
+  or `--crop` removes; broad hills are fast motions.
+- `penetration`, `floating`: if constant, the clip is too low or too high, which `--ground` changes; if occasional,
+  the feet do not meet the ground, which no option changes.
+- `foot_skate`: feet slide while they carry the robot. No option changes that. Policies can track such clips: B_Fence1
+  of G1 Moves has a foot skate of 0.575 m/s, and a published policy tracks it for 32 s in 64 of 64 episodes.
+
+## Comparison with published npz files
+
+G1 Moves publishes each clip as CSV and as the `.npz` of the converter of mjlab. `B_HandsUp`, converted here at 60 Hz:
+
+| quantity | frames | largest difference |
+|---|---|---|
+| joint positions | all | 8e-6 rad |
+| body positions | all | 1.7e-6 m |
+| body velocities | all but the first and the last | 5e-5 m/s |
+| body velocities | first, left ankle | 0.056 m/s |
+| body velocities | last | 0.019 m/s |
+
+- The small differences come from single precision: the published converter interpolates at rounded times.
+- The published file lacks the last frame.
+- At both ends the published converter repeats the angular velocity of the neighbouring frame, but takes one-sided
+  differences for positions and joints. Here all are one-sided. The conversion here is right: the first displacement
+  of the left ankle, divided by the time step, agrees with it within 2e-4 m/s, and differs from the published velocity
+  by 0.056 m/s.
+
+Two other clips were reported to differ at the left ankle in a few frames: body positions by 0.8 and 1.7 mm,
+velocities by 0.02 and 0.05 m/s. Their files were not available here, so the cause is inferred:
+
+- Reproduced, and held by a test: one reading of `left_ankle_pitch_joint` that differs by 0.0455 or 0.097 rad in a
+  single frame moves only `left_ankle_roll_link`, by 0.80 or 1.70 mm, and changes its velocity in the frames around it
+  by 0.024 or 0.051 m/s.
+- A different quaternion interpolation, root order or time of sampling moves all bodies. The converter of the
+  reference, repeated in single precision on five clips at 60 and 50 Hz, differs by at most 5e-6 m.
+- Joint limits do not explain it: the described method does not clamp angles, and none of the five CSV files exceeds a
+  limit.
+- CSV files of the dataset were revised: the public history of `M_ShortMove14.csv` has two versions with different arm
+  angles. So the CSV and the npz of a clip may come from different revisions.
+
+Hence in those clips the CSV and the npz most likely hold different joint angles, and each conversion is right for its
+own file. To compare with a published policy, read the npz that it was trained on; `read_motion` proves that its
+joints and bodies agree.
 """
 
 

@@ -76,7 +76,7 @@ def _time_on_gpu(
 
   def wrapped(method: str) -> Callable[..., object]:
     def call(*arguments: object) -> object:
-      recorder = env.sim._recorder
+      recorder = env.sim._recordings.recorder
       if recorder is None:
         return originals[method](*arguments)
       # Straight to the recorder: a mark neither reads nor writes state.

@@ -6,7 +6,7 @@ A test holds the file against what this would write.
 import math
 from pathlib import Path
 
-from mjlab_dr import FIELDS, LEFT_OUT, Field
+from mjlab_dr import FIELDS, LEFT_OUT, Field, followers_of, needs_constants
 
 FILE = Path(__file__).parents[1] / "packages" / "dr" / "CATALOGUE.md"
 
@@ -28,12 +28,17 @@ Operations are `absolute`, `add` and `scale`, from the compiled default every ti
 MuJoCo keeps for each degree of freedom is drawn once for a joint. What *follows* gets a value per world together with
 the field, and is derived anew after every change; "bookkeeping" is MuJoCo's own, such as bounds of bodies.
 
+A body is *simple* where MuJoCo's compiler finds its part of the inertia matrix diagonal and constant: a free box, or a
+puck of two slides and a hinge. Both engines then store the diagonal alone, so fields that would add to the rest act
+wrongly. Scenes of mjlab compile no body as simple. In other models such a body is left out of a pattern with a warning,
+and refused where nothing else matches; compile it with `simple="false"` (`MjSpec.body(name).simple = False`) instead.
+
 GROUPS
 """
 
 
 def table() -> str:
-  """The whole document."""
+  """Return the whole document."""
   groups = "\n".join(f"- {group}: {', '.join(f'`{name}`' for name in names)}" for group, names in _GROUPS.items())
   lines = [
     _HEAD.replace("GROUPS", groups),
@@ -41,7 +46,7 @@ def table() -> str:
     "|---|---|---|---|---|---|---|",
   ]
   for name, field in FIELDS.items():
-    cells = (f"`{name}`", field.kind, _axes(field), _admissible(field), field.operation, _follows(field), _notes(field))
+    cells = (f"`{name}`", field.kind, _axes(field), _admissible(field), field.operation, _follows(name), _notes(field))
     lines.append("| " + " | ".join(cells) + " |")
   lines += [
     "",
@@ -68,7 +73,9 @@ def _axes(field: Field) -> str:
 
 def _admissible(field: Field) -> str:
   if field.integer:
-    return f"names or ids of {field.names}s" if field.names else "0 or 1"
+    if field.names:
+      return f"names or ids of {field.names}s"
+    return "0 or 1" if field.maximum == (1.0,) else "whole, from 0"
   bounds = {field.bounds(axis) for axis in range(len(field.axes))}
   parts = []
   for lo, hi in sorted(bounds):
@@ -92,16 +99,17 @@ def _bound(field: Field, axis: int) -> str:
   return f"{field.axes[axis]} {'above' if field.positive else 'from'} {lo:g}" + (f" to {hi:g}" if hi < math.inf else "")
 
 
-def _follows(field: Field) -> str:
+def _follows(row: str) -> str:
+  field = FIELDS[row]
   names = [field.moves_with] if field.moves_with else []
-  names += field.derived
+  names += followers_of(row)
   cells: list[str] = []
   for group, members in _GROUPS.items():
     if set(members) <= set(names):
       cells.append(group)
       names = [name for name in names if name not in members]
   cells = [f"`{name}`" for name in names] + cells
-  return ", ".join(cells) or ("bookkeeping" if field.constants else "-")
+  return ", ".join(cells) or ("bookkeeping" if needs_constants(row) else "-")
 
 
 def _notes(field: Field) -> str:
