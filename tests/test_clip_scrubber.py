@@ -23,7 +23,7 @@ from playwright.sync_api import Browser, Page
 # The page as the viewer's own tests drive it.
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
-from viewer_page import eventually, headless_chromium, opened, slide, stepping
+from viewer_page import closing_pages, eventually, headless_chromium, opened, slide, stepping
 
 CLIP = "side_step_dance"
 # A mast whose red flag hangs down at 0 and stands level at pi/2.
@@ -45,8 +45,14 @@ FLAG = """
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
+def launched() -> Iterator[Browser]:
   with headless_chromium() as browser:
+    yield browser
+
+
+@pytest.fixture
+def chromium(launched: Browser) -> Iterator[Browser]:
+  with closing_pages(launched) as browser:
     yield browser
 
 

@@ -24,14 +24,20 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
 from mjlab_command import running
-from viewer_page import eventually, headless_chromium, opened, slide, stepping
+from viewer_page import closing_pages, eventually, headless_chromium, opened, slide, stepping
 
 DECIMATION = 2
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
+def launched() -> Iterator[Browser]:
   with headless_chromium() as browser:
+    yield browser
+
+
+@pytest.fixture
+def chromium(launched: Browser) -> Iterator[Browser]:
+  with closing_pages(launched) as browser:
     yield browser
 
 

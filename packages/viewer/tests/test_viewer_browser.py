@@ -22,14 +22,20 @@ from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, Mu
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import BoxEnv
-from viewer_page import choose, eventually, headless_chromium, opened, row, slide, stepping
+from viewer_page import choose, closing_pages, eventually, headless_chromium, opened, press_until, row, slide, stepping
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
+def launched() -> Iterator[Browser]:
   with headless_chromium() as browser:
+    yield browser
+
+
+@pytest.fixture
+def chromium(launched: Browser) -> Iterator[Browser]:
+  with closing_pages(launched) as browser:
     yield browser
 
 
@@ -107,8 +113,7 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     eventually(lambda: 3 not in env.command.manual)
 
     page.get_by_text("Push").click()
-    page.get_by_role("button", name="left").click()
-    eventually(lambda: env.sim.data.qvel[3, 1] > 0.99)
+    press_until(page.get_by_role("button", name="left"), lambda: env.sim.data.qvel[3, 1] > 0.99)
     assert env.sim.data.qvel[[0, 1, 2, 4, 5, 6], 1].abs().max() < 1e-6
 
     assert not viewer.history[-1].drawings[0].shapes

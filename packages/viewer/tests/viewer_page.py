@@ -4,7 +4,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from mjlab_viewer import BrowserViewer
@@ -30,6 +30,16 @@ def headless_chromium() -> Generator[Browser]:
     browser.close()
 
 
+@contextmanager
+def closing_pages(browser: Browser) -> Generator[Browser]:
+  """Close the pages that a test opened: one that stays connects to the next server on its port."""
+  try:
+    yield browser
+  finally:
+    for context in browser.contexts:
+      context.close()
+
+
 def eventually(holds: Callable[[], object], what: str = "", seconds: float = PATIENCE) -> None:
   """Waits until something holds; the browser is slow where it has no GPU."""
   end = time.monotonic() + seconds
@@ -47,6 +57,12 @@ def stepping(viewer: BrowserViewer) -> Generator[None]:
   thread.start()
   try:
     yield
+  except BaseException:
+    playback = viewer.playback
+    print(f"loop runs: {thread.is_alive()}, clients: {len(viewer.server.get_clients())}, error: {viewer.error}")
+    if playback is not None:
+      print(f"paused: {playback.paused}, steps: {playback.step_count}, error: {playback.error}")
+    raise
   finally:
     is_over.set()
     thread.join(PATIENCE)
@@ -54,9 +70,18 @@ def stepping(viewer: BrowserViewer) -> Generator[None]:
     assert not thread.is_alive(), "the viewer's loop does not end"
 
 
+# A click is lost if its target moves between press and release. Transitions still end with their event.
+STILL = """addEventListener("DOMContentLoaded", () => {
+  const style = document.createElement("style");
+  style.textContent = "*, ::before, ::after { transition-duration: 1ms !important; transition-delay: 0s !important }";
+  document.head.append(style);
+})"""
+
+
 def patient_page(browser: Browser) -> Page:
-  """Open an empty page; without a limit of its own, Playwright gives up after 30 s."""
-  page = browser.new_page(viewport=SIZE)
+  """Open an empty page without slow transitions; without a limit of its own, Playwright gives up after 30 s."""
+  page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
+  page.add_init_script(STILL)
   page.set_default_timeout(1000 * PATIENCE)
   return page
 
@@ -66,6 +91,15 @@ def opened(browser: Browser, url: str) -> Page:
   page.goto(url)
   page.get_by_role("button", name="Reset").wait_for()
   return page
+
+
+def press_until(button: Locator, holds: Callable[[], object]) -> None:
+  """Press a button until something holds; a press while the connection is down is lost."""
+  for _ in range(10):
+    button.click()
+    with suppress(AssertionError):
+      return eventually(holds, seconds=PATIENCE / 10)
+  raise AssertionError("the button does nothing")
 
 
 def row(page: Page, label: str) -> Locator:
