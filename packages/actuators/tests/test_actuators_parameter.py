@@ -50,6 +50,9 @@ class Worlds:
   def default_field(self, name: str) -> torch.Tensor:
     return torch.as_tensor(getattr(self.mj_model, name))[None].clone()
 
+  def recompute_constants(self, mask: torch.Tensor | None = None) -> None:
+    raise AssertionError("no constant follows from gains, limits or delays")
+
 
 def build(*cfgs: ActuatorCfg, own: str = "") -> tuple[ActuatorSet, Worlds]:
   spec = mujoco.MjSpec.from_string(ARM % own)

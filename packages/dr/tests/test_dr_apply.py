@@ -10,6 +10,7 @@ import mujoco
 import pytest
 import torch
 from mjlab_core import (
+  ModelFields,
   euler_xyz_from_quat,
   make_generator,
   matrix_from_quat,
@@ -23,7 +24,6 @@ from mjlab_dr import (
   Custom,
   Distribution,
   FieldRandomizer,
-  ModelFields,
   RandomizeField,
   Uniform,
   agreement,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_cartpole import balance, swingup
-from mjlab_cartpole.rewards import gaussian, quadratic
+from mjlab_cartpole.terms import gaussian, quadratic
 from mjlab_envs import ManagerBasedRlEnv
 
 TASKS = {"Mjlab-Cartpole-Balance": balance, "Mjlab-Cartpole-Swingup": swingup}

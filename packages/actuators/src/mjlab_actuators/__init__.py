@@ -2,7 +2,7 @@
 
 from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField, DelaySettings, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
-from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName, PerWorldModel
+from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName
 from mjlab_actuators.actuator_set import ActuatorSet
 from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
 from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
@@ -59,7 +59,6 @@ __all__ = [
   "PassThrough",
   "PdGains",
   "PerTarget",
-  "PerWorldModel",
   "SiteGear",
   "Target",
   "TorqueSpeedEnvelope",

@@ -3,12 +3,13 @@
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import mujoco
 import torch
 from mjlab_core.errors import MjlabError, UnknownNameError
 from mjlab_core.indexing import where_
+from mjlab_core.model_fields import ModelFields
 from mjlab_core.names import match_names, unknown
 
 from mjlab_actuators.actuator import Actuator
@@ -22,24 +23,6 @@ ParameterName = Literal["stiffness", "damping", "effort_limit"]
 # Where MuJoCo keeps the gains of controllers.
 _DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm", 6)}
 _PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)}
-
-
-class PerWorldModel(Protocol):
-  """Model fields of a simulation of `num_envs` worlds."""
-
-  @property
-  def num_envs(self) -> int: ...
-  @property
-  def device(self) -> torch.device: ...
-  @property
-  def mj_model(self) -> mujoco.MjModel: ...
-  @property
-  def model(self) -> Any:
-    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory."""
-    ...
-
-  def expand_model_fields(self, names: Iterable[str], /) -> None: ...
-  def default_field(self, name: str, /) -> torch.Tensor: ...
 
 
 @dataclass(frozen=True)
@@ -75,7 +58,7 @@ class ActuatorParameter:
   def __init__(
     self,
     actuators: ActuatorSet,
-    sim: PerWorldModel,
+    sim: ModelFields,
     name: ParameterName,
     patterns: str | Sequence[str] = ".*",
     transmission: Transmission = "joint",
@@ -219,7 +202,7 @@ def _claims(name: str, targets: Iterable[Target]) -> dict[tuple[str, Hashable], 
 
 
 def _find(
-  actuators: ActuatorSet, sim: PerWorldModel, name: str, target: Target, index: int
+  actuators: ActuatorSet, sim: ModelFields, name: str, target: Target, index: int
 ) -> tuple[float, list[_Place]]:
   """Return the configured value of a parameter of one target, and all places that hold it."""
   owner = f"{actuators.owner}: {name} of {target.transmission} {target.name!r}".removeprefix(": ")

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
   )
   from mjlab_core.files import AtomicWrite, printable, reading, remove_leftovers, safe_name
   from mjlab_core.indexing import Index, as_index, as_slice, fill_, rows_of_worlds, select, where_
+  from mjlab_core.model_fields import ModelFields
   from mjlab_core.names import (
     check_name,
     match_names,
@@ -110,6 +111,7 @@ __all__ = [
   "Items",
   "Limits",
   "MjlabError",
+  "ModelFields",
   "NonNegative",
   "Positive",
   "PositiveCount",
@@ -193,6 +195,7 @@ __getattr__, __dir__ = lazy_exports(
     ".errors": "ConfigError DivergedError FileError MjlabError RenderingError StateError UnknownNameError UsageError",
     ".files": "AtomicWrite printable reading remove_leftovers safe_name",
     ".indexing": "Index as_index as_slice fill_ rows_of_worlds select where_",
+    ".model_fields": "ModelFields",
     ".names": "check_name match_names match_values match_values_full nearest unknown",
     ".rotations": (
       "combine_frames heading subtract_frames transform_points velocity_at cross euler_xyz_from_quat "

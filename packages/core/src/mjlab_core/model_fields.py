@@ -4,6 +4,14 @@ Options are named `opt.<name>`. `mj_setConst` derives the followers from a field
 its source differs per world would hold one world's value for all.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+  import torch
+
 _INVERSE = ("body_invweight0", "dof_invweight0", "dof_M0", "tendon_invweight0", "actuator_acc0")
 _LENGTH = ("tendon_length0", "actuator_length0")
 _CAMERA = ("cam_pos0", "cam_poscom0", "cam_mat0")
@@ -71,6 +79,42 @@ PER_WORLD = frozenset(
   """.split()
 )
 """Model fields that both engines of mjlab-sim can hold per world."""
+
+
+class ModelFields(Protocol):
+  """Model fields of a simulation of `num_envs` worlds."""
+
+  @property
+  def num_envs(self) -> int:
+    """Number of worlds."""
+    ...
+
+  @property
+  def device(self) -> torch.device:
+    """Device of the fields."""
+    ...
+
+  @property
+  def mj_model(self) -> Any:
+    """The compiled `mujoco.MjModel`; never written."""
+    ...
+
+  @property
+  def model(self) -> Any:
+    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory; options `opt.<name>`."""
+    ...
+
+  def expand_model_fields(self, names: Iterable[str], /) -> None:
+    """Give these fields, and those that derive from them, one value per world."""
+    ...
+
+  def default_field(self, name: str, /) -> torch.Tensor:
+    """Return the compiled value, (1, ...), or one for each world, (num_envs, ...), in fixed memory."""
+    ...
+
+  def recompute_constants(self, mask: torch.Tensor | None = None, /) -> None:
+    """Recompute the derived fields of the masked worlds, bool (num_envs,)."""
+    ...
 
 
 def followers(name: str) -> tuple[str, ...]:

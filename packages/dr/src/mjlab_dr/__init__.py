@@ -1,6 +1,6 @@
 """Domain randomisation of MuJoCo models: one model, tensors for any engine, or a running simulation."""
 
-from mjlab_dr.apply import ModelFields, Quantity, RandomizeField, apply_all
+from mjlab_dr.apply import Quantity, RandomizeField, apply_all
 from mjlab_dr.binding import Component
 from mjlab_dr.catalogue import FIELDS, LEFT_OUT, followers_of, needs_constants
 from mjlab_dr.distributions import (
@@ -39,7 +39,6 @@ __all__ = [
   "FieldRandomizer",
   "Gaussian",
   "LogUniform",
-  "ModelFields",
   "Operation",
   "Quantity",
   "Randomization",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Hashable, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Container, Hashable, Mapping, Sequence
+from typing import Protocol
 
-import mujoco
 import numpy as np
 import torch
 from mjlab_core import as_slice, normalize, quat_from_euler_xyz, quat_mul, where_
 from mjlab_core.errors import MjlabError
+from mjlab_core.model_fields import ModelFields
 from torch import Tensor
 
 from mjlab_dr.binding import Binding, Component, bind, result_problems, with_ids
@@ -17,42 +17,6 @@ from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import joint_sampler, try_out
 from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
-
-
-class ModelFields(Protocol):
-  """Model fields of a simulation of `num_envs` worlds."""
-
-  @property
-  def num_envs(self) -> int:
-    """Number of worlds."""
-    ...
-
-  @property
-  def device(self) -> torch.device:
-    """Device of the fields."""
-    ...
-
-  @property
-  def mj_model(self) -> mujoco.MjModel:
-    """The compiled model; never written."""
-    ...
-
-  @property
-  def model(self) -> Any:
-    """Fields of MjModel as attributes: tensors (num_envs, ...) once expanded, in fixed memory; options `opt.<name>`."""
-    ...
-
-  def expand_model_fields(self, names: Iterable[str], /) -> None:
-    """Give these fields, and those that derive from them, one value per world."""
-    ...
-
-  def default_field(self, name: str, /) -> Tensor:
-    """Return the compiled value, (1, ...), or one for each world, (num_envs, ...), in fixed memory."""
-    ...
-
-  def recompute_constants(self, mask: Tensor | None = None, /) -> None:
-    """Recompute the derived fields of the masked worlds, bool (num_envs,)."""
-    ...
 
 
 class Quantity(Protocol):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
+import numpy as np
 import torch
 from mjlab_core import DebugDraw, NonNegative
 
-from mjlab_sensors._flat_ground import plane_height
 from mjlab_sensors.patterns import RayPatternCfg, RingPatternCfg
 from mjlab_sensors.rays import RayAlignment, RayReach, RaySensor, RaySensorCfg
 from mjlab_sensors.sensor import GeomGroups
@@ -75,7 +75,7 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     if self._points_down:
       groups = range(mujoco.mjNGROUP) if cfg.geom_groups is None else cfg.geom_groups
       excludes = cfg.exclude_parent_body or cfg.exclude_own_tree
-      self._plane = plane_height(sim, groups, self._frames.body_ids if excludes else [], trees=cfg.exclude_own_tree)
+      self._plane = _plane_height(sim, groups, self._frames.body_ids if excludes else [], trees=cfg.exclude_own_tree)
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
@@ -128,3 +128,29 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     torch.le(above, self.cfg.max_distance, out=self._valid)
     torch.clamp(above, 0.0, self.cfg.max_distance, out=self._heights)
     return TerrainHeightData(heights=self._heights, valid=self._valid)
+
+
+def _plane_height(sim: Simulation, geom_groups: Iterable[int], excluded: list[int], *, trees: bool) -> float | None:
+  """World height of the only geom in `geom_groups` if it is a fixed, infinite, horizontal plane [m]; else None.
+
+  Geoms of bodies in `excluded`, or of their kinematic `trees`, through which some rays pass, do not count where all
+  rays pass through the same.
+  """
+  model = sim.mj_model
+  owner = model.body_rootid if trees else np.arange(model.nbody)
+  through = {int(owner[body]) for body in excluded}
+  unseen = through if len(through) == 1 else set()
+  owners = owner[model.geom_bodyid]
+  seen = [g for g in range(model.ngeom) if model.geom_group[g] in geom_groups and owners[g] not in unseen]
+  if len(seen) != 1 or owners[seen[0]] in through:
+    return None
+  geom = seen[0]
+  body = int(model.geom_bodyid[geom])
+  is_fixed = model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
+  is_infinite = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and not model.geom_size[geom, :2].any()
+  if not (is_fixed and is_infinite):
+    return None
+  data = mujoco.MjData(model)
+  mujoco.mj_kinematics(model, data)
+  is_level = np.allclose(data.geom_xmat[geom].reshape(3, 3)[:, 2], (0.0, 0.0, 1.0), atol=1e-9)
+  return float(data.geom_xpos[geom, 2]) if is_level else None

@@ -52,7 +52,7 @@ class _Bound:
 
 
 class Worlds:
-  """So many worlds of a robot; satisfies `mjlab_dr.ModelFields` and `mjlab_actuators.PerWorldModel`."""
+  """So many worlds of a robot; satisfies `mjlab_core.model_fields.ModelFields`."""
 
   def __init__(self, robot: Robot, num_worlds: int, threads: int = 0) -> None:
     self.robot, self.num_envs, self.device, self.mj_model = robot, num_worlds, torch.device("cpu"), robot.model

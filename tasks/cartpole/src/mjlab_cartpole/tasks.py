@@ -19,8 +19,7 @@ from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene
 from mjlab_sim import SimulationCfg
 
 from mjlab_cartpole.evaluation import CartpoleEvaluation
-from mjlab_cartpole.observations import joint_angle_cos_sin
-from mjlab_cartpole.rewards import smooth_balance
+from mjlab_cartpole.terms import joint_angle_cos_sin, smooth_balance
 
 # Timing
 PHYSICS_DT = 0.01  # s

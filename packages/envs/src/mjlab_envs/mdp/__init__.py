@@ -34,7 +34,6 @@ from mjlab_envs.mdp.events import (
   reset_root_state_uniform,
   reset_scene_to_default,
 )
-from mjlab_envs.mdp.metrics import mean_action_acc
 from mjlab_envs.mdp.observations import (
   base_ang_vel,
   base_lin_vel,
@@ -69,6 +68,7 @@ from mjlab_envs.mdp.rewards import (
   joint_pos_limits,
   joint_torques_l2,
   joint_vel_l2,
+  mean_action_acc,
   posture,
 )
 from mjlab_envs.mdp.terminations import bad_orientation, nan_detection, root_height_below_minimum, time_out

@@ -1,4 +1,4 @@
-"""Rewards that any task can use."""
+"""Rewards and metrics that any task can use."""
 
 from typing import TYPE_CHECKING, Any, cast
 
@@ -31,6 +31,12 @@ def action_acc_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return |a_t - 2 a_{t-1} + a_{t-2}|^2 of raw actions, (num_envs,)."""
   manager = env.action_manager
   return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).square().sum(-1)
+
+
+def mean_action_acc(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """Return mean_j |a_t - 2 a_{t-1} + a_{t-2}| of raw actions, (num_envs,)."""
+  manager = env.action_manager
+  return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).abs().mean(-1)
 
 
 def joint_torques_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
