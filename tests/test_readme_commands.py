@@ -13,7 +13,13 @@ from mjlab.cli import train
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted(
-  [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("packages/*/*.md"), *ROOT.glob("tasks/*/*.md")]
+  [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *ROOT.glob("packages/*/*.md"),
+    *ROOT.glob("tasks/*/*.md"),
+    *ROOT.glob("docs/**/*.md"),
+  ]
 )
 SCRIPTS = tomllib.loads((ROOT / "packages/mjlab/pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
 

@@ -1,0 +1,36 @@
+"""Settings of Sphinx; `mjlab_docs.build` lays out the pages that it reads."""
+
+project = "mjlab"
+author = "The mjlab developers"
+html_title = "mjlab"
+
+extensions = ["myst_parser", "sphinx.ext.viewcode", "sphinx_design"]
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 4
+# A docstring writes code in single backticks, an address of a page as a link.
+default_role = "code"
+add_module_names = False
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 90
+toc_object_entries_show_parents = "hide"
+highlight_language = "text"
+# Reading order of a member's source is by line, and one without an importable module has no source page.
+viewcode_line_numbers = True
+
+html_theme = "pydata_sphinx_theme"
+html_theme_options = {
+  "header_links_before_dropdown": 8,
+  "navigation_with_keys": False,
+  "show_nav_level": 1,
+  "show_toc_level": 2,
+  "navbar_end": ["theme-switcher"],
+  "footer_start": [],
+  "footer_end": [],
+}
+html_sidebars = {"index": []}
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sphinx = False
+html_show_copyright = False
+html_last_updated_fmt = ""

@@ -1,0 +1,44 @@
+"""The documentation site: pages, links and forms for language models."""
+
+from pathlib import Path
+
+from mjlab_docs import check, llms, pages
+
+
+def test_links_between_files_lead_between_pages(tmp_path: Path) -> None:
+  site = pages.Site(tmp_path)
+  text = "[a](../packages/rl#run-directories)\n```\n[c](../packages/rl)\n```\n![d](pictures/g1.png)"
+  assert site.linked(text, "docs/architecture.md", "architecture.md") == (
+    "[a](reference/packages/rl.md#run-directories)\n```\n[c](../packages/rl)\n```\n![d](pictures/g1.png)"
+  )
+
+
+def test_a_file_without_a_page_becomes_one(tmp_path: Path) -> None:
+  site = pages.Site(tmp_path)
+  assert site.linked("[script](../.ci/run)", "docs/faq.md", "faq.md") == "[script](source/.ci/run.md)"
+  site.lay_out()
+  assert "uv sync" in (tmp_path / "source/.ci/run.md").read_text(encoding="utf-8")
+
+
+def test_wrong_links_and_files_of_other_hosts_are_found(tmp_path: Path) -> None:
+  (tmp_path / "a.html").write_text(
+    '<h1 id="top">A</h1><a href="b.html#below">b</a><a href="https://x.org">x</a>', "utf-8"
+  )
+  (tmp_path / "b.html").write_text(
+    '<a href="a.html#top">a</a><a href="c.html">c</a><script src="https://x.org/s.js"></script>', "utf-8"
+  )
+  assert check.problems(tmp_path) == [
+    "a.html: b.html#below has no such anchor",
+    "b.html: loads https://x.org/s.js",
+    "b.html: c.html does not exist",
+  ]
+
+
+def test_a_page_for_language_models_is_markdown() -> None:
+  page = (
+    "# T\n\n::::{py:class} A(x)\n:module: m\n\nText {py:obj}`B <m.B>`.\n\n:::{py:attribute} b\n:type: int\n\nBit.\n"
+  )
+  page += ":::\n::::\n\n```{toctree}\nother\n```\n\n```python\nx: int\n```\n"
+  assert llms.plain(page) == (
+    "# T\n\n### class `A(x)`\n\nText `B`.\n\n#### attribute `b`\n- type: `int`\n\nBit.\n\n```python\nx: int\n```\n"
+  )
