@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import sys
 import warnings
@@ -102,7 +103,7 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
   ("words", "message"),
   [
     (["--agent", "zero", "--require", "length>25"], "expected [GROUP:]METRIC>=NUMBER"),
-    (["--agent", "zero", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
+    (["--agent", "zero", "--quiet", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
     (["--agent", "zero", "--require", ""], "expected [GROUP:]METRIC>=NUMBER"),
     (["--agent", "zero", "--env.scene.num-envs", "3"], "--env.scene.num-envs: an evaluation plays one episode in each"),
     (["--checkpoint", "gone.onnx"], "policy gone.onnx: no such file"),
@@ -122,9 +123,15 @@ def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.Ca
   assert error.count("\n") == 1
 
 
-def test_progress_is_said_now_and_then_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-  assert evaluate("--agent", "zero", "--env.episode-length-s", "4.1") == 0
-  assert capsys.readouterr().err == "step 100: 0 of 6 episodes done\nstep 200: 0 of 6 episodes done\n"
+def test_progress_is_said_now_and_then_where_there_is_no_terminal(
+  capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setattr("mjlab.cli._progress.INTERVAL", 0.0)
+  assert evaluate("--agent", "zero") == 0
+  lines = capsys.readouterr().err.splitlines()
+  # 25 steps; the result follows the last one.
+  assert len(lines) == 24
+  assert re.fullmatch(r"evaluating: 48 %, 0 of 6 episodes done, ETA 0:\d\d:\d\d", lines[11])
 
 
 @pytest.mark.parametrize("agent", ["trained", "random"])

@@ -1,6 +1,8 @@
 import errno
 import io
 import os
+import re
+import sys
 
 import pytest
 from mjlab_rl import Console, IterationReport
@@ -9,6 +11,21 @@ from mjlab_rl import Console, IterationReport
 class Terminal(io.StringIO):
   def isatty(self) -> bool:
     return True
+
+
+@pytest.fixture(autouse=True)
+def _size(monkeypatch: pytest.MonkeyPatch) -> None:
+  for name, value in (("TERM", "xterm"), ("COLUMNS", "100"), ("LINES", "30")):
+    monkeypatch.setenv(name, value)
+
+
+SCALARS = {
+  "Loss/value": 0.123456789,
+  "Perf/total_fps": 1.0,
+  "Episode_Metrics/height": 0.3,
+  "Episode_Reward/track_velocity": 1.25,
+  "Episode_Reward/energy": -0.5,
+}
 
 
 def report(iteration: int, reward: float | None = 1.5) -> IterationReport:
@@ -23,32 +40,64 @@ def report(iteration: int, reward: float | None = 1.5) -> IterationReport:
     eta=3725.0,
     mean_reward=reward,
     mean_episode_length=None if reward is None else 812.4,
-    scalars={"Loss/value": 0.123456789},
+    scalars=SCALARS,
   )
 
 
-def test_a_terminal_shows_one_line_that_is_overwritten() -> None:
+def screen(stream: io.StringIO) -> list[str]:
+  """The text on a terminal after what was written; knows the two commands that move the cursor up or clear a line."""
+  lines, row = [""], 0
+  for part in re.split(r"(\x1b\[[0-9;?]*[A-Za-z]|\r|\n)", stream.getvalue()):
+    if part == "\n":
+      row += 1
+      lines += [""] * (row - len(lines) + 1)
+    elif part.endswith("A") and part.startswith("\x1b"):
+      row -= int(part[2:-1])
+    elif part == "\x1b[2K":
+      lines[row] = ""
+    elif part != "\r" and not part.startswith("\x1b"):
+      lines[row] += part
+  return [line.rstrip() for line in lines]
+
+
+def test_a_terminal_shows_progress_speed_and_all_terms_in_place() -> None:
   stream = Terminal()
   console = Console("normal", stream)
-  console.show(report(0, reward=None))
-  console.show(report(1))
+  with console.live():
+    console.show(report(0, reward=None))
+    console.say("saved model_1.pt")
+    print("watch at [::1]", file=sys.stdout)
+    console.show(report(999))
   console.say("done")
-  assert stream.getvalue() == (
-    "\r\x1b[2K   1/1000  215k steps/s  no episode finished yet  ETA 1:02:05"
-    "\r\x1b[2K   2/1000  215k steps/s  reward 1.50  episode 812 steps  ETA 1:02:05\ndone\n"
-  )
+  shown = screen(stream)
+  # Messages stand above the display, which is there once.
+  assert shown[:2] == ["saved model_1.pt", "watch at [::1]"]
+  assert shown[2].split() == ["1000/1000", "━" * 40, "100", "%", "ETA", "1:02:05"]
+  assert shown[3] == "215k steps/s  reward 1.50  episode 812 steps"
+  assert [" ".join(line.split()) for line in shown[4:]] == [
+    "reward terms metrics loss",
+    "track_velocity 1.25 height 0.3 value 0.1235",
+    "energy -0.5",
+    "done",
+    "",
+  ]
 
 
-def test_a_narrow_terminal_keeps_what_matters_most(monkeypatch: pytest.MonkeyPatch) -> None:
-  for columns, line in (
-    (60, "   2/1000  215k steps/s  reward 1.50  ETA 1:02:05"),
-    (42, "   2/1000  215k steps/s  ETA 1:02:05"),
-    (10, "   2/1000  ETA 1:02:05"),
-  ):
-    monkeypatch.setattr("shutil.get_terminal_size", lambda columns=columns: os.terminal_size((columns, 24)))
-    stream = Terminal()
-    Console("normal", stream).show(report(1))
-    assert stream.getvalue() == "\r\x1b[2K" + line
+def test_a_display_higher_than_the_terminal_is_cut_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setenv("LINES", "4")
+  stream = Terminal()
+  console = Console("normal", stream)
+  with console.live():
+    console.show(report(999))
+    assert len(screen(stream)) == 4
+  assert screen(stream)[4].split() == ["energy", "-0.5"]
+
+
+def test_a_terminal_that_cannot_move_its_cursor_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setenv("TERM", "dumb")
+  stream = Terminal()
+  Console("normal", stream).show(report(1))
+  assert stream.getvalue() == "   2/1000  215k steps/s  reward 1.50  episode 812 steps  ETA 1:02:05\n"
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EPIPE])
@@ -58,8 +107,9 @@ def test_a_terminal_or_a_reader_that_is_gone_stops_nothing(number: int) -> None:
       raise OSError(number, os.strerror(number))
 
   console = Console("normal", Gone())
-  console.show(report(0))
-  console.say("done")
+  with console.live():
+    console.show(report(0))
+    console.say("done")
 
 
 def test_a_file_gets_the_first_line_the_last_and_few_between() -> None:
@@ -74,7 +124,7 @@ def test_a_file_gets_the_first_line_the_last_and_few_between() -> None:
 def test_all_values_are_shown_only_where_asked_for(verbosity: str, shown: bool) -> None:
   stream = io.StringIO()
   Console(verbosity, stream).show(report(5))  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
-  assert ("Loss/value  0.12346" in stream.getvalue()) == shown
+  assert (re.search(r"Loss/value +0\.12346\n", stream.getvalue()) is not None) == shown
 
 
 def test_quiet_says_nothing() -> None:

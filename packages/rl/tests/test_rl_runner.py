@@ -27,6 +27,7 @@ from mjlab_rl import (
   train,
 )
 from mjlab_rl.run_directory import create_run_directory
+from mjlab_rl.scalar_log import IterationReport
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -268,9 +269,38 @@ def test_a_policy_that_is_not_finite_is_not_trained_on_and_not_saved(tmp_path: P
   diverging = runner(tmp_path, agent(save_interval=1))
   diverging.learn(1)
   diverging.alg.value_loss_coef = float("nan")
-  with pytest.raises(DivergedError, match=r"iteration 2: .*not finite.* the last checkpoint is .*model_1\.pt"):
+  with pytest.raises(DivergedError, match=r"iteration 2: .*not finite.* checkpoint is .*model_1\.pt\. Cause: "):
     diverging.learn(5)
   assert all(value.isfinite().all() for value in learner(checkpoints(tmp_path)[-1])["actor_state_dict"].values())
+
+
+@pytest.mark.parametrize(
+  ("scalars", "cause"),
+  [
+    ({"Nonfinite/reward/energy": 3.0}, "Cause: not finite before the update: reward/energy (3 values)."),
+    ({"Episode_Reward/alive": 1.0, "Episode_Reward/energy": -2e9}, "the largest reward term is energy (2e+09), "),
+    (
+      {"Episode_Reward/alive": float("nan"), "Loss/learning_rate": 0.5},
+      "term is alive (nan), the learning rate is 0.5",
+    ),
+    ({}, "learning rate is nan"),
+  ],
+)
+def test_a_divergence_names_its_cause(scalars: dict[str, float], cause: str) -> None:
+  report = IterationReport(
+    iteration=0,
+    end=1,
+    total_steps=0,
+    steps_per_second=1.0,
+    collect_time=1.0,
+    learn_time=1.0,
+    elapsed=1.0,
+    eta=0.0,
+    mean_reward=None,
+    mean_episode_length=None,
+    scalars=scalars,
+  )
+  assert cause in report.cause_of_divergence()
 
 
 @pytest.mark.parametrize("name", ["actor", "critic"])
@@ -511,11 +541,12 @@ def test_impossible_settings_are_named_as_flags_name_them(change: Callable[[Any]
     cfg.to_rsl_rl()
 
 
-def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path) -> None:
+def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   class Terminal(io.StringIO):
     def isatty(self) -> bool:
       return True
 
+  monkeypatch.setenv("TERM", "xterm")
   stream = Terminal()
   broken = runner(tmp_path, agent(), console=Console("normal", stream))
   step, calls = broken.env.step, []
@@ -529,7 +560,8 @@ def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path) -
   broken.env.step = stepping
   with pytest.raises(RuntimeError, match="out of luck"):
     broken.learn(50)
-  assert stream.getvalue().endswith("\n")
+  # The last command shows the cursor again.
+  assert stream.getvalue().endswith("\n\x1b[?25h")
 
 
 def test_all_impossible_settings_are_named_at_once() -> None:

@@ -155,7 +155,7 @@ def test_many_worlds_at_once_share_one_file_of_bounded_size(make_sim: MakeSim, t
   assert [line.split(":")[0] for line in lines[:3]] == [
     "world 0 diverged",
     "world 1 diverged",
-    "1 more worlds diverged",
+    "1 more world of 4 diverged",
   ]
   assert lines[-1] == "worlds that diverge from now on are only counted (--env.sim.nan-guard.max-dumps)"
   assert [world.index for world in only_dump(guard, tmp_path).worlds] == [0, 1]
@@ -166,6 +166,18 @@ def test_many_worlds_at_once_share_one_file_of_bounded_size(make_sim: MakeSim, t
   run(sim, guard, 1)
   assert guard.report() == []
   assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_worlds_that_diverge_again_and_again_are_counted_once(make_sim: MakeSim) -> None:
+  sim = make_sim()
+  guard = make_guard(sim, None, max_envs_to_dump=2)
+  for _ in range(5):
+    sim.data.qvel[:, 0] = torch.nan
+    run(sim, guard, 1)
+    sim.reset()
+    run(sim, guard, 1)
+  assert guard.report()[2:] == ["2 more worlds of 4 diverged", "they diverged 20 times in all"]
+  assert guard.report() == []
 
 
 def test_a_world_that_stays_so_is_told_once(make_sim: MakeSim) -> None:

@@ -2,33 +2,38 @@
 
 import contextlib
 import errno
-import shutil
+import os
 import sys
 import time
 from collections.abc import Generator
-from typing import Literal, TextIO
+from typing import TYPE_CHECKING, Literal, TextIO, cast
 
 from mjlab_rl.scalar_log import IterationReport
+
+if TYPE_CHECKING:
+  from mjlab_rl.live_table import LiveTable
 
 Verbosity = Literal["quiet", "normal", "verbose"]
 
 _PLAIN_INTERVAL = 5.0
+_LIVE_INTERVAL = 0.25
 
 
 class Console:
-  """Progress on a terminal: one live line; elsewhere a plain line every five seconds.
+  """Progress on a terminal: a live display; elsewhere a plain line every five seconds.
 
   Args:
-    verbosity: quiet: nothing; verbose: all values of every iteration.
+    verbosity: quiet: nothing; verbose: all values of every iteration, line by line.
     stream: Where to write; None: standard output.
   """
 
   def __init__(self, verbosity: Verbosity = "normal", stream: TextIO | None = None):
     self._verbosity = verbosity
-    self._stream = stream if stream is not None else sys.stdout
-    self._is_live = verbosity == "normal" and self._stream.isatty()
-    self._line_open = False
-    self._last_line = -_PLAIN_INTERVAL
+    self._stream = cast("TextIO", _Surviving(stream if stream is not None else sys.stdout))
+    is_terminal = self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
+    self._is_live = verbosity == "normal" and is_terminal
+    self._table: LiveTable | None = None
+    self._last_shown = -_PLAIN_INTERVAL
 
   @property
   def is_verbose(self) -> bool:
@@ -36,68 +41,96 @@ class Console:
     return self._verbosity == "verbose"
 
   def say(self, text: str) -> None:
-    """Write one message on lines of its own."""
+    """Write one message on lines of its own, above a live display."""
     if self._verbosity == "quiet":
       return
-    self.end_line()
-    self._write(text + "\n")
+    if self._table is not None:
+      self._table.say(text)
+    else:
+      self._stream.write(text + "\n")
 
   def show(self, report: IterationReport) -> None:
     """Show one iteration."""
     if self._verbosity == "quiet":
       return
     if self._verbosity == "verbose":
-      self._write(_block(report) + "\n")
-    elif self._is_live:
-      self._write("\r\x1b[2K" + summary(report, shutil.get_terminal_size().columns - 1))
-      self._line_open = True
-    else:
-      now = time.monotonic()
-      is_last = report.iteration + 1 == report.end
-      if is_last or now - self._last_line >= _PLAIN_INTERVAL:
-        self._last_line = now
-        self._write(summary(report) + "\n")
+      self._stream.write(_block(report) + "\n")
+      return
+    now = time.monotonic()
+    is_last = report.iteration + 1 == report.end
+    if is_last or now - self._last_shown >= (_LIVE_INTERVAL if self._is_live else _PLAIN_INTERVAL):
+      self._last_shown = now
+      if self._is_live:
+        self._draw(report)
+      else:
+        self._stream.write(summary(report) + "\n")
 
   @contextlib.contextmanager
   def live(self) -> Generator[None]:
-    """End the live line on leaving, so that later text begins a new one."""
+    """End the live display on leaving, so that later text begins below it."""
     try:
       yield
     finally:
-      self.end_line()
+      if self._table is not None:
+        self._table.close()
+        self._table = None
 
-  def end_line(self) -> None:
-    """End the live line; later text begins below it."""
-    if self._line_open:
-      self._line_open = False
-      self._write("\n")
+  def _draw(self, report: IterationReport) -> None:
+    if self._table is None:
+      # Imported here: most runs of a command never draw.
+      from mjlab_rl.live_table import LiveTable
 
-  def _write(self, text: str) -> None:
+      self._table = LiveTable(self._stream)
+    self._table.show(
+      done=report.iteration + 1,
+      total=report.end,
+      eta=duration(report.eta),
+      line="  ".join(_figures(report)),
+      scalars=report.scalars,
+    )
+
+
+class _Surviving:
+  """Stream whose end, a closed terminal or the reader of a pipe that is gone, does not end the run."""
+
+  def __init__(self, stream: TextIO) -> None:
+    self._inner: TextIO | None = stream
+    self.encoding = stream.encoding
+
+  def flush(self) -> None:
+    """Do nothing: every write is flushed."""
+
+  def isatty(self) -> bool:
+    return self._inner is not None and self._inner.isatty()
+
+  def write(self, text: str, /) -> int:
     try:
-      self._stream.write(text)
-      self._stream.flush()
+      if self._inner is not None:
+        self._inner.write(text)
+        self._inner.flush()
     except OSError as error:
       if error.errno not in (errno.EIO, errno.EPIPE):
         raise
-      # The terminal or the reader of the pipe is gone; the run goes on.
-      self._verbosity = "quiet"
+      self._inner = None
+    return len(text)
 
 
-def summary(report: IterationReport, width: int | None = None) -> str:
-  """Return one line of iteration, speed, reward, episode length and remaining time, shortened to `width`."""
+def summary(report: IterationReport) -> str:
+  """Return one line of iteration, speed, reward, episode length and remaining time."""
   digits = len(str(report.end))
-  parts = [f"{report.iteration + 1:>{digits}}/{report.end}", f"{_count(report.steps_per_second)} steps/s"]
+  parts = [f"{report.iteration + 1:>{digits}}/{report.end}", *_figures(report), f"ETA {duration(report.eta)}"]
+  return "  ".join(parts)
+
+
+def _figures(report: IterationReport) -> list[str]:
+  parts = [f"{_count(report.steps_per_second)} steps/s"]
   if report.mean_reward is not None and report.mean_episode_length is not None:
     parts += [f"reward {report.mean_reward:.2f}", f"episode {report.mean_episode_length:.0f} steps"]
   else:
     parts += ["no episode finished yet"]
   if (loss := report.scalars.get("Loss/behavior")) is not None:
     parts += [f"teacher error {loss:.3g}"]
-  parts += [f"ETA {_duration(report.eta)}"]
-  while width is not None and len("  ".join(parts)) > width and len(parts) > 2:
-    # Iteration and remaining time stay; speed is dropped last.
-    del parts[-2]
-  return "  ".join(parts)
+  return parts
 
 
 def _block(report: IterationReport) -> str:
@@ -111,7 +144,8 @@ def _count(value: float) -> str:
   return f"{value / 1e3:.0f}k" if value >= 10_000 else f"{value:.0f}"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+  """Return a time as hours, minutes and seconds."""
   minutes, second = divmod(int(seconds), 60)
   hours, minute = divmod(minutes, 60)
   return f"{hours}:{minute:02d}:{second:02d}"

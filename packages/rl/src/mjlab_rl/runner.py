@@ -158,7 +158,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         for log in logs:
           log.write(report)
         self.console.show(report)
-        self._check_finite(iteration, figures)
+        self._check_finite(report, figures)
 
         # Read once: a later signal waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
@@ -191,12 +191,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
           self.console.say(f"{type(error).__name__} in a step or update; saved {path}, which --resume takes")
       raise
 
-  def _check_finite(self, iteration: int, values: Mapping[str, float]) -> None:
+  def _check_finite(self, report: IterationReport, values: Mapping[str, float]) -> None:
     if broken := [name for name, value in values.items() if not math.isfinite(value)]:
       last = f"; the last checkpoint is {self._last_saved}" if self._last_saved else ""
       raise DivergedError(
-        f"iteration {iteration + 1}: {', '.join(broken)} not finite, so the state is not saved{last}. Common causes: "
-        "unbounded rewards, or a learning rate that is too large (agent.algorithm.learning_rate)."
+        f"iteration {report.iteration + 1}: {', '.join(broken)} not finite, so the state is not saved{last}. "
+        f"{report.cause_of_divergence()}"
       )
 
   def checkpoint_path(self) -> Path:

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import io
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping
@@ -55,6 +56,23 @@ class IterationReport:
       self.scalars["Train/mean_reward"] = self.mean_reward
       self.scalars["Train/mean_episode_length"] = self.mean_episode_length
     self.scalars |= {name if "/" in name else f"Episode/{name}": value for name, value in env_log.items()}
+
+  def cause_of_divergence(self) -> str:
+    """Return the likely cause of losses or weights that are not finite, from the values of this iteration."""
+    broken = {tag: value for tag, value in self.scalars.items() if tag.startswith("Nonfinite/") and value > 0}
+    if broken:
+      found = ", ".join(f"{tag.removeprefix('Nonfinite/')} ({value:.0f} values)" for tag, value in broken.items())
+      return f"Cause: not finite before the update: {found}."
+    prefix = "Episode_Reward/"
+    terms = {tag.removeprefix(prefix): abs(v) for tag, v in self.scalars.items() if tag.startswith(prefix)}
+    # A NaN counts as the largest.
+    largest = max(terms, key=lambda name: terms[name] if math.isfinite(terms[name]) else math.inf, default=None)
+    rewards = "" if largest is None else f"the largest reward term is {largest} ({terms[largest]:.3g}), "
+    rate = self.scalars.get("Loss/learning_rate", math.nan)
+    return (
+      f"Cause: rewards that are too large, or steps of the learner: {rewards}the learning rate is {rate:.3g} "
+      "(agent.algorithm.learning_rate)."
+    )
 
 
 class ScalarLog(ABC):

@@ -1,8 +1,7 @@
 """Clips in a viewer or a film: a robot takes one pose after another, without physics."""
 
 import math
-import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,17 +58,12 @@ class Preview:
     with OffscreenRenderer(self.model) as renderer:
       yield renderer
 
-  def film(self, motion: Motion, path: Path, renderer: "OffscreenRenderer") -> None:
-    """Film a clip in real time, and show the progress on a terminal."""
+  def film(self, motion: Motion, path: Path, renderer: "OffscreenRenderer", show: Callable[[float], None]) -> None:
+    """Film a clip in real time, and call `show` with the share that is done."""
     every = math.ceil(motion.rate / MOST_FRAMES)
     frames = len(range(0, motion.num_frames, every))
 
-    def show(frame: int) -> None:
-      if sys.stderr.isatty():
-        end = "\n" if frame == frames else ""
-        print(f"\rfilming {motion.name}: {frame} of {frames} frames", end=end, file=sys.stderr, flush=True)
-
-    self.replay(motion).film(path, renderer, every=every, on_frame=show)
+    self.replay(motion).film(path, renderer, every=every, on_frame=lambda frame: show(frame / frames))
 
   def browse(self, motion: Motion, *, host: str, port: int) -> None:
     """Play a clip in a browser, again and again, until Ctrl-C.

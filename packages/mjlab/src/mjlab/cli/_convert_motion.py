@@ -11,6 +11,7 @@ from mjlab_core import UsageError, safe_name, unknown
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, plot_problem
+from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
   import mujoco
@@ -119,7 +120,11 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   spec = robot_spec(wanted.robot)
   robot = Kinematics(spec.compile())
   said = _statement(wanted)
-  motions = [_edited(read_motion(_found(clip), robot, said), robot, wanted) for clip in clips]
+  motions: list[Motion] = []
+  with ProgressBar("reading", len(clips)) as bar:
+    for clip in clips:
+      motions.append(_edited(read_motion(_found(clip), robot, said), robot, wanted))
+      bar.show(len(motions), motions[-1].name)
   if wanted.concatenate is not None:
     motions = [concatenate(motions, blend=wanted.concatenate)]
   motions = [_finished(motion, robot, wanted) for motion in motions]
@@ -131,9 +136,13 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   )
   preview = Preview(spec) if wanted.preview or wanted.video is not None else None
   # Opened before anything is written: without OpenGL no part of the work is done.
-  with contextlib.nullcontext() if preview is None or wanted.video is None else preview.renderer() as renderer:
+  with (
+    contextlib.nullcontext() if preview is None or wanted.video is None else preview.renderer() as renderer,
+    ProgressBar("converting", len(motions)) as bar,
+  ):
     has_errors = False
-    for motion, target, picture, film in zip(motions, targets, pictures, films, strict=True):
+    for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
+      bar.show(index, motion.name)
       report = check_quality(motion, robot)
       print(report.table())
       if picture is not None:
@@ -147,7 +156,7 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
         save_motion(motion, target, None if wanted.compact else derived_arrays(motion, robot))
         print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
       if preview is not None and renderer is not None and film is not None:
-        preview.film(motion, film, renderer)
+        preview.film(motion, film, renderer, lambda share, done=index: bar.show(done + share, "filming"))
         print(f"filmed {film}")
       print()
   if preview is not None and wanted.preview:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ from mjlab_core import AtomicWrite, UsageError
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, build_env, building, plot_problem, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
+from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
   from mjlab_rl import Evaluation, Evaluator, TaskCfg
@@ -104,7 +104,10 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       print(f"{name}: {what}, {env.num_envs} episodes on {device}", flush=True)
     # Random actions are the same in every evaluation.
     seed_everything(getattr(evaluator, "seed", 0))
-    evaluation = evaluator.run(env, policy, None if wanted.quiet else _show)
+    if wanted.quiet:
+      evaluation = evaluator.run(env, policy, None)
+    else:
+      evaluation = _with_progress(evaluator, env, policy)
   finally:
     env.close()
   print(evaluation.table())
@@ -135,12 +138,15 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   return folder
 
 
-def _show(step: int, left: int, total: int) -> None:
-  text = f"step {step}: {total - left} of {total} episodes done"
-  if sys.stderr.isatty() and (step % 10 == 0 or left == 0):
-    print(f"\r{text}", end="\n" if left == 0 else "", file=sys.stderr, flush=True)
-  elif step % 100 == 0:
-    print(text, file=sys.stderr, flush=True)
+def _with_progress(evaluator: "Evaluator", env: Any, policy: Any) -> "Evaluation":
+  steps = int(env.max_episode_length)
+  with ProgressBar("evaluating", steps) as bar:
+
+    def show(step: int, left: int, total: int) -> None:
+      # All episodes may end before their longest time.
+      bar.show(steps if left == 0 else min(step, steps), f"{total - left} of {total} episodes done")
+
+    return evaluator.run(env, policy, show)
 
 
 def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:

@@ -57,6 +57,8 @@ class NanGuard:
     self._num_steps = torch.zeros(1, dtype=torch.int64, device=device)
     self._num_kept = torch.zeros((), dtype=torch.int64, device=device)
     self._diverged = torch.zeros(n, dtype=torch.bool, device=device)
+    # Worlds that diverged since the last report, however often.
+    self._since_report = torch.zeros(n, dtype=torch.bool, device=device)
     self._order = torch.arange(cfg.buffer_size, device=device)
     self._ranks = torch.arange(min(slots, n), device=device)
     # Of many worlds the first by number are found.
@@ -94,6 +96,7 @@ class NanGuard:
       return
     fresh = diverged & ~self._diverged
     self._diverged.copy_(diverged)
+    self._since_report |= fresh
     found, worlds = torch.topk(fresh * self._priority, len(self._ranks))
     slots = torch.where(found > 0, self._num_kept + self._ranks, len(self._kept) - 1).clamp_(max=len(self._kept) - 1)
     newest_last = (self._num_steps + self._order) % self._cfg.buffer_size
@@ -123,14 +126,19 @@ class NanGuard:
     """
     total = int(self._num_kept)
     self._num_kept.zero_()
+    num_worlds = int(self._since_report.sum()) if total else 0
+    self._since_report.zero_()
     if not total or self._num_reports == self._cfg.max_dumps:
       return []
     self._num_reports += 1
     rows = range(min(total, len(self._kept) - 1))
     contents = self._contents(rows)
-    lines = [f"world {world.index} diverged: {world.describe_first()}" for world in NanDump(contents).worlds]
-    if total > len(rows):
-      lines.append(f"{total - len(rows)} more worlds diverged")
+    worlds = NanDump(contents).worlds
+    lines = [f"world {world.index} diverged: {world.describe_first()}" for world in worlds]
+    if more := num_worlds - len({world.index for world in worlds}):
+      lines.append(f"{more} more world{'s' * (more > 1)} of {self._sim.num_envs} diverged")
+    if total > num_worlds:
+      lines.append(f"they diverged {total} times in all")
     folder = self._cfg.output_dir or (run_dir and run_dir / "nan_dumps")
     if folder is not None:
       try:

@@ -1,0 +1,48 @@
+import os
+import pty
+import select
+import subprocess
+import sys
+
+WORK = """
+import sys
+from mjlab.cli._progress import ProgressBar
+with ProgressBar("evaluating", 4) as bar:
+  for done in range(1, 4):
+    bar.show(done, f"{done} episodes")
+    print("result", done)
+print("the end", file=sys.stderr)
+"""
+
+
+def on_a_terminal(code: str) -> tuple[str, str]:
+  """Standard output of a program, and its errors as a terminal of 80 columns gets them."""
+  terminal, theirs = pty.openpty()
+  size = {"TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+  process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=theirs, env=os.environ | size)
+  os.close(theirs)
+  shown = b""
+  while True:
+    select.select([terminal], [], [])
+    try:
+      part = os.read(terminal, 4096)
+    except OSError:  # Linux says so where macOS returns nothing.
+      break
+    if not part:
+      break
+    shown += part
+  os.close(terminal)
+  output, _ = process.communicate()
+  assert process.returncode == 0
+  return output.decode(), shown.decode()
+
+
+def test_a_terminal_shows_a_bar_with_remaining_time_and_results_stay_on_their_own_stream() -> None:
+  output, shown = on_a_terminal(WORK)
+  assert output == "result 1\nresult 2\nresult 3\n"
+  assert "evaluating" in shown
+  assert "75%" in shown
+  assert "3 episodes" in shown
+  assert "ETA" in shown
+  # The bar is gone when the work is done.
+  assert shown.rpartition("\x1b[2K")[2].strip() == "the end"
