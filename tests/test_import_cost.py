@@ -33,6 +33,7 @@ def imported_by(statement: str) -> set[str]:
     "from mjlab.cli import list_envs; assert list_envs([]) == 0",
     "from mjlab.cli import viz_nan; assert viz_nan(['--help']) == 0",
     "from mjlab.cli import train_actuator; assert train_actuator(['--help']) == 0",
+    "from mjlab.cli import new; assert new(['--help']) == 0",
     "from mjlab.cli import inspect_dr; assert inspect_dr(['--help']) == 0",
   ],
 )

@@ -28,6 +28,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "export-scene": ("_export_scene", "TASK [flags]", "write the model of a task with its assets"),
   "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
   "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
+  "new": ("_new", "robot FILE [flags]", "write a package for a robot"),
   "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
 
@@ -93,6 +94,7 @@ export_scene = _command("export-scene")
 viz_nan = _command("viz-nan")
 sysid = _command("sysid")
 train_actuator = _command("train-actuator")
+new = _command("new")
 
 
 def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:

@@ -1,0 +1,90 @@
+"""`new robot FILE` and `new task NAME`: packages of one's own."""
+
+import dataclasses
+import shlex
+import sys
+from pathlib import Path
+from typing import Literal
+
+from mjlab_core import UsageError, unknown
+
+from mjlab.cli._command_line import CommandLine, building
+from mjlab.cli._help import command_help
+
+
+@dataclasses.dataclass(kw_only=True)
+class RobotArguments:
+  """All that can be given after the model file."""
+
+  name: str = ""
+  """Name of the package; empty: that of the file."""
+  output: str | None = None
+  """Folder to write, which must not exist; None: the name of the package."""
+  base: Literal["file", "floating", "fixed"] = "file"
+  """Base of the robot; "file" takes what an MJCF says, and guesses for a URDF."""
+  motors: tuple[str, ...] = ()
+  """PATTERN=EFFORT[,ARMATURE[,SPEED]] of joints [N m, kg m^2, rad/s], in place of what the file says."""
+  home: tuple[str, ...] = ()
+  """PATTERN=POSITION of joints [rad, m]; others take the file's first keyframe."""
+  torso: str = ""
+  """Body of the torso; empty: the heaviest."""
+  feet: tuple[str, ...] = ()
+  """Patterns of the bodies of feet; none: the last links that reach the ground."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_ROBOT = CommandLine(
+  name="new robot",
+  words="FILE",
+  purpose=(
+    "Reads a robot from an .xml (MJCF) or .urdf file and writes a Python package: its entity with servos from the file "
+    "or from motor data, collision set, feet and torso, a home pose that settled under gravity, a picture, and a test "
+    "that it stands."
+  ),
+  arguments=RobotArguments,
+)
+_KINDS = {"robot": _ROBOT}
+
+
+def run(words: list[str]) -> int:
+  """Write a package; return the exit code."""
+  kind = words[0] if words else ""
+  if kind in ("-h", "--help"):
+    for line in _KINDS.values():
+      print(command_help(line.usage, line.purpose, line.arguments))
+    return 0
+  if kind not in _KINDS:
+    usage = "; ".join(line.usage for line in _KINDS.values())
+    raise UsageError(f"{unknown('kind', kind, list(_KINDS)) if kind else 'nothing given'}. usage: {usage}")
+  line = _KINDS[kind]
+  if line.wants_help(words):
+    return 0
+  given, flags = line.split(words[1:])
+  return _new_robot(given[0], flags)
+
+
+def _new_robot(file: str, flags: list[str]) -> int:
+  from mjlab.cli._flags import parse
+
+  wanted = parse(RobotArguments(), flags)
+  from mjlab.new.package import check_new_package, package_name, write_package
+
+  name = wanted.name or package_name(Path(file).stem)
+  folder = Path(wanted.output or name)
+  check_new_package(name, folder)
+  from mjlab.new.robot import read_robot, robot_files
+
+  with building(from_file=True):
+    new = read_robot(
+      Path(file), base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
+    )
+    files = robot_files(new, name)
+  write_package(folder, files)
+  for line in new.report():
+    print(line)
+  if "robot.png" in files:
+    print(f"look at {folder / 'robot.png'}")
+  print(f"wrote {folder}; next: uv pip install -e {shlex.quote(str(folder))} && pytest {shlex.quote(str(folder))}")
+  sys.stdout.flush()
+  return 0

@@ -1,0 +1,80 @@
+"""Picture of a robot in its home pose, as drawn and as its collision set with the guesses in colours."""
+
+import io
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mjlab_viewer.pictures.opengl import make_context
+from PIL import Image, ImageDraw, ImageFont
+
+from mjlab.new.limbs import Foot, colliding
+from mjlab.new.settling import Home
+
+WIDTH, HEIGHT = 560, 480
+_TORSO, _FOOT, _SOLID = (0.20, 0.45, 0.85, 1.0), (0.95, 0.55, 0.10, 1.0), (0.62, 0.66, 0.70, 1.0)
+_HIDDEN_GROUP = 5
+
+
+def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
+  """Return a PNG file.
+
+  Raises:
+    RenderingError: OpenGL does not work.
+  """
+  model = home.model
+  data = mujoco.MjData(model)
+  data.qpos[:] = home.qpos
+  mujoco.mj_forward(model, data)
+  model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.45, 0.6
+  model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
+  left = _render(model, data)
+  soles = {name for foot in feet for name in foot.geoms}
+  solid = set(colliding(model))
+  for i in range(model.ngeom):
+    if not model.geom(i).name.startswith("robot/"):
+      continue
+    body = model.body(model.geom_bodyid[i]).name
+    is_sole = model.geom(i).name.removeprefix("robot/") in soles
+    model.geom_group[i] = 0 if i in solid else _HIDDEN_GROUP
+    model.geom_matid[i] = -1
+    model.geom_rgba[i] = _FOOT if is_sole else _TORSO if body == f"robot/{torso}" else _SOLID
+  right = _render(model, data)
+  image = Image.fromarray(np.hstack((left, right)))
+  draw, font = ImageDraw.Draw(image), ImageFont.load_default(18)
+  draw.text((12, 10), "home pose", fill="black", font=font, stroke_width=2, stroke_fill="white")
+  labels = [("colliding geoms", _SOLID), (f"torso: {torso}", _TORSO), *((f"foot: {foot.body}", _FOOT) for foot in feet)]
+  for row, (text, colour) in enumerate(labels):
+    top = 10 + 24 * row
+    fill = tuple(round(255 * part) for part in colour[:3])
+    draw.rectangle((WIDTH + 12, top + 3, WIDTH + 28, top + 19), fill=fill, outline="black")
+    draw.text((WIDTH + 36, top), text[:50], fill="black", font=font, stroke_width=2, stroke_fill="white")
+  file = io.BytesIO()
+  image.save(file, format="PNG", optimize=True)
+  return file.getvalue()
+
+
+def _render(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+  points = [data.geom_xpos[i] for i in range(model.ngeom) if model.geom(i).name.startswith("robot/")]
+  low, high = np.min(points, axis=0), np.max(points, axis=0)
+  camera = mujoco.MjvCamera()
+  camera.lookat[:] = 0.5 * (low + high)
+  camera.distance = max(0.3, 1.9 * float(np.linalg.norm(high - low)))
+  camera.azimuth, camera.elevation = 130.0, -18.0
+  options = mujoco.MjvOption()
+  options.geomgroup[:] = (1, 1, 1, int(not (model.geom_group == 2).any()), 0, 0)
+  scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
+  scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+  mujoco.mjv_updateScene(model, data, options, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+  gl = make_context(WIDTH, HEIGHT)
+  try:
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+    mujoco.mjr_render(rectangle, scene, context)
+    pixels = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    mujoco.mjr_readPixels(pixels, None, rectangle, context)
+    context.free()
+  finally:
+    gl.free()
+  return np.flipud(pixels)

@@ -1,0 +1,256 @@
+"""Servos of a robot: read from the actuators of its file, from effort limits, or from motor data of the user."""
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from typing import Literal
+
+import mujoco
+import numpy as np
+from mjlab_actuators import (
+  ActuatorCfg,
+  NativePositionActuatorCfg,
+  NativeVelocityActuatorCfg,
+  XmlActuatorCfg,
+  gains_from_frequency,
+)
+from mjlab_core import MjlabError, UsageError, printable
+from mjlab_core.names import match_names
+
+from mjlab.new.model_file import RobotModel
+
+# A servo whose gains nobody gives
+FULL_EFFORT_ERROR = {mujoco.mjtJoint.mjJNT_HINGE: 1.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
+"""Position error at which it gives its full effort [rad, m]."""
+FULL_EFFORT_SPEED = 10.0
+"""Speed error at which the servo of a wheel gives its full effort [rad/s]."""
+SERVO_FREQUENCY, SERVO_DAMPING_RATIO = 10.0, 2.0
+"""Servo on a known rotor inertia: natural frequency [Hz] and damping ratio."""
+ACTION_EFFORT_SHARE = 0.25
+"""Share of the effort limit that action 1 asks for from rest."""
+ACTION_RANGE = 0.25
+"""Action 1 of a servo without effort limit [rad, m]."""
+
+Transmissions = {
+  mujoco.mjtTrn.mjTRN_TENDON: "tendon",
+  mujoco.mjtTrn.mjTRN_SITE: "site",
+  mujoco.mjtTrn.mjTRN_JOINT: "joint",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Servo:
+  """Servo of one joint."""
+
+  joint: str
+  kind: Literal["position", "velocity"] = "position"
+  stiffness: float = 0.0
+  """[N m/rad or N/m]."""
+  damping: float
+  """[N m s/rad or N s/m]."""
+  effort_limit: float | None = None
+  velocity_limit: float | None = None
+  armature: float | None = None
+  is_guess: bool = False
+  """True if only the effort is known."""
+
+  @property
+  def numbers(self) -> tuple[object, ...]:
+    """All but the joint: servos of equal numbers are one group."""
+    return (self.kind, self.stiffness, self.damping, self.effort_limit, self.velocity_limit, self.armature)
+
+  @property
+  def action_scale(self) -> float:
+    """Shift of the target per unit of action [rad, m]."""
+    if self.effort_limit is None or not self.stiffness:
+      return ACTION_RANGE
+    return min(1.0, ACTION_EFFORT_SHARE * self.effort_limit / self.stiffness)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drives:
+  """All that moves a robot."""
+
+  servos: tuple[Servo, ...]
+  kept: tuple[tuple[str, str], ...] = ()
+  """(transmission, target) of actuators that stay as the file has them."""
+  replaced: frozenset[str] = frozenset()
+  """Actuators of the file that servos replace."""
+
+  def groups(self) -> list[tuple[Servo, ...]]:
+    """Return servos of equal numbers together, in the order of joints."""
+    found: dict[tuple[object, ...], list[Servo]] = {}
+    for servo in self.servos:
+      found.setdefault(servo.numbers, []).append(servo)
+    return [tuple(group) for group in found.values()]
+
+  def stiffer(self, factor: float) -> "Drives":
+    """Return the same with guessed stiffness times `factor`, and damping to match."""
+    servos = (
+      dataclasses.replace(servo, stiffness=factor * servo.stiffness, damping=factor**0.5 * servo.damping)
+      if servo.is_guess
+      else servo
+      for servo in self.servos
+    )
+    return dataclasses.replace(self, servos=tuple(servos))
+
+  def configs(self) -> tuple[ActuatorCfg, ...]:
+    """Return actuator configs."""
+    made: list[ActuatorCfg] = []
+    for group in self.groups():
+      one, names = group[0], tuple(re.escape(servo.joint) for servo in group)
+      if one.kind == "velocity":
+        made.append(
+          NativeVelocityActuatorCfg(
+            target_names_expr=names, damping=one.damping, effort_limit=one.effort_limit, armature=one.armature
+          )
+        )
+      else:
+        made.append(
+          NativePositionActuatorCfg(
+            target_names_expr=names,
+            stiffness=one.stiffness,
+            damping=one.damping,
+            effort_limit=one.effort_limit,
+            velocity_limit=one.velocity_limit,
+            armature=one.armature,
+          )
+        )
+    for transmission, target in self.kept:
+      made.append(XmlActuatorCfg(target_names_expr=(re.escape(target),), transmission_type=transmission))  # type: ignore
+    return tuple(made)
+
+
+def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str]) -> Drives:
+  """Return servos for the joints of a robot.
+
+  A joint takes the motor data of the user; else the actuator of the file, which a servo replaces if it is a position
+  or velocity servo or a motor; else its effort limit, if no joint has an actuator.
+
+  Args:
+    robot: The robot.
+    motors: PATTERN=EFFORT[,ARMATURE[,SPEED]] of the user.
+    wheels: Joints without range that end at the ground: their motors become velocity servos.
+
+  Raises:
+    UsageError: Motor data cannot be read, or names no joint.
+    MjlabError: No joint has an effort limit.
+  """
+  model = robot.compiled()
+  given = _motor_data(motors, [joint.name for joint in robot.joints])
+  servos: dict[str, Servo] = {}
+  kept: list[tuple[str, str]] = []
+  replaced: set[str] = set()
+  for i in range(model.nu):
+    kind = mujoco.mjtTrn(model.actuator_trntype[i])
+    name, target = model.actuator(i).name, robot.spec.actuators[i].target
+    if kind == mujoco.mjtTrn.mjTRN_JOINT and target in given:
+      replaced.add(name)
+      continue
+    servo = _servo_of(model, i, target, target in wheels) if kind == mujoco.mjtTrn.mjTRN_JOINT else None
+    if servo is not None and target not in servos:
+      servos[target] = servo
+      replaced.add(name)
+    elif kind in Transmissions:
+      kept.append((Transmissions[kind], target))
+    else:
+      raise MjlabError(f"actuator '{printable(name)}' drives neither a joint nor a tendon nor a site; remove it")
+  for joint, (effort, armature, speed) in given.items():
+    servos[joint] = _motor(model, joint, effort, armature, speed, joint in wheels)
+  if not servos and not kept:
+    for joint in robot.joints:
+      limit = _joint_effort(model, joint.name)
+      if limit is not None:
+        servos[joint.name] = _motor(model, joint.name, limit, None, None, joint.name in wheels)
+  if not servos and not kept:
+    raise MjlabError(
+      f"{robot.source}: no joint has an actuator or an effort limit; give motor data: --motors '.*=EFFORT'. "
+      f"Joints: {', '.join(printable(joint.name) for joint in robot.joints[:12])}"
+    )
+  order = [joint.name for joint in robot.joints]
+  passive = [name for name in order if name not in servos and ("joint", name) not in kept]
+  if passive:
+    robot.notes.append(f"passive joints: {', '.join(map(printable, passive[:12]))}")
+  if kept:
+    robot.notes.append(f"kept as in the file: actuators of {', '.join(printable(target) for _, target in kept[:12])}")
+  return Drives(
+    servos=tuple(servos[name] for name in order if name in servos), kept=tuple(kept), replaced=frozenset(replaced)
+  )
+
+
+def _motor_data(motors: Sequence[str], joints: list[str]) -> dict[str, tuple[float, float | None, float | None]]:
+  found: dict[str, tuple[float, float | None, float | None]] = {}
+  for text in motors:
+    pattern, _, values = text.rpartition("=")
+    try:
+      numbers = [float(value) for value in values.split(",")]
+      _, names = match_names(pattern, joints, what="joint", owner="--motors")
+    except MjlabError as error:
+      raise UsageError(str(error)) from error
+    except (ValueError, re.error) as error:
+      raise UsageError(f"--motors: {text!r} must be PATTERN=EFFORT[,ARMATURE[,SPEED]]") from error
+    if not 1 <= len(numbers) <= 3 or not all(np.isfinite(number) and number > 0 for number in numbers):
+      raise UsageError(f"--motors: {text!r}: expected one to three positive numbers after the '='")
+    armature, speed = (*numbers[1:], None, None)[:2]
+    for name in names:
+      found[name] = (numbers[0], armature, speed)
+  return found
+
+
+def _servo_of(model: mujoco.MjModel, i: int, joint: str, is_wheel: bool) -> Servo | None:
+  """Return the servo that stands for an actuator of the file; None if it is something else."""
+  gain, bias, gear = model.actuator_gainprm[i], model.actuator_biasprm[i], abs(model.actuator_gear[i, 0])
+  is_plain = (
+    mujoco.mjtJoint(model.jnt_type[model.joint(joint).id]) in FULL_EFFORT_ERROR
+    and model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+    and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
+    and gain[0] > 0
+    and gear > 0
+  )
+  if not is_plain:
+    return None
+  limits = [_joint_effort(model, joint)]
+  if model.actuator_forcelimited[i]:
+    limits.append(float(np.abs(model.actuator_forcerange[i]).max()) * gear)
+  is_affine = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
+  if not is_affine and model.actuator_ctrllimited[i]:
+    limits.append(float(gain[0] * np.abs(model.actuator_ctrlrange[i]).max()) * gear)
+  effort = min((limit for limit in limits if limit), default=None)
+  if is_affine and bias[1] == -gain[0]:
+    return Servo(joint=joint, stiffness=gain[0] * gear**2, damping=-bias[2] * gear**2, effort_limit=effort)
+  if is_affine and bias[1] == 0.0 and bias[2] == -gain[0]:
+    return Servo(joint=joint, kind="velocity", damping=gain[0] * gear**2, effort_limit=effort)
+  if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE and effort:
+    return _motor(model, joint, effort, None, None, is_wheel)
+  return None
+
+
+def _joint_effort(model: mujoco.MjModel, joint: str) -> float | None:
+  i = model.joint(joint).id
+  limit = float(np.abs(model.jnt_actfrcrange[i]).max())
+  return limit if model.jnt_actfrclimited[i] and limit > 0 else None
+
+
+def _motor(
+  model: mujoco.MjModel, joint: str, effort: float, armature: float | None, speed: float | None, is_wheel: bool
+) -> Servo:
+  """Return the servo of a motor of which only data is known."""
+  i = model.joint(joint).id
+  if is_wheel:
+    damping = effort / FULL_EFFORT_SPEED
+    return Servo(joint=joint, kind="velocity", damping=damping, effort_limit=effort, armature=armature)
+  if armature is not None:
+    stiffness, damping = gains_from_frequency(armature, SERVO_FREQUENCY, SERVO_DAMPING_RATIO)
+  else:
+    stiffness = effort / FULL_EFFORT_ERROR[mujoco.mjtJoint(model.jnt_type[i])]
+    # Critically damped on the limb that it moves.
+    damping = 2.0 * float(np.sqrt(stiffness * model.dof_M0[model.jnt_dofadr[i]]))
+  return Servo(
+    joint=joint,
+    stiffness=stiffness,
+    damping=damping,
+    effort_limit=effort,
+    velocity_limit=speed,
+    armature=armature,
+    is_guess=armature is None,
+  )
