@@ -7,15 +7,15 @@ html_title = "mjlab"
 extensions = ["myst_parser", "sphinx.ext.viewcode", "sphinx_design"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4
-# A docstring writes code in single backticks, an address of a page as a link.
-default_role = "code"
 add_module_names = False
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 90
 toc_object_entries_show_parents = "hide"
 highlight_language = "text"
-# Reading order of a member's source is by line, and one without an importable module has no source page.
 viewcode_line_numbers = True
+
+# Types in signatures are links where a name is unique, and plain where it is not.
+suppress_warnings = ["ref.python"]
 
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {

@@ -36,7 +36,7 @@ def test_wrong_links_and_files_of_other_hosts_are_found(tmp_path: Path) -> None:
 
 def test_a_page_for_language_models_is_markdown() -> None:
   page = (
-    "# T\n\n::::{py:class} A(x)\n:module: m\n\nText {py:obj}`B <m.B>`.\n\n:::{py:attribute} b\n:type: int\n\nBit.\n"
+    '# T\n\n::::{py:class} A(x)\n:module: m\n\nText {py:obj}`B <m.B>`.\n\n:::{py:attribute} b\n:type: "int"\n\nBit.\n'
   )
   page += ":::\n::::\n\n```{toctree}\nother\n```\n\n```python\nx: int\n```\n"
   assert llms.plain(page) == (

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from sphinx.cmd.build import build_main
 
-from mjlab_docs import check, llms, pages
+from mjlab_docs import api, check, commands, llms, pages, tasks
 
 FOLDER = pages.ROOT / "build" / "docs"
 
@@ -25,6 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
   source, built = FOLDER / "source", FOLDER / "html"
   site = pages.Site(source)
   site.lay_out()
+  homes = api.write(site)
+  commands.write(site)
+  tasks.write(site, homes)
   site.close()
   if options.check:
     shutil.rmtree(built, ignore_errors=True)

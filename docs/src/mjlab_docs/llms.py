@@ -1,5 +1,6 @@
 """Forms of the site for language models: each page as Markdown, and `llms.txt`, which lists them."""
 
+import json
 import re
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def plain(text: str) -> str:
       if found[2].startswith("py:") and name not in ("module", "currentmodule"):
         level = "###" if name in ("class", "function", "data", "exception") else "####"
         kept += ["", f"{level} {name} `{found[3]}`"]
-      elif found[3] and name != "toctree":
+      elif found[3] and name not in ("toctree", "module"):
         kept.append(f"**{found[3]}**")
       continue
     if inside and line.rstrip() == inside[-1][0]:
@@ -59,7 +60,7 @@ def plain(text: str) -> str:
     if inside and options and line.startswith(":") and not line.startswith(":::"):
       option = re.match(r":(type|value): (.*)", line)
       if option:
-        kept.append(f"- {option[1]}: `{option[2]}`")
+        kept.append(f"- {option[1]}: `{json.loads(option[2])}`")
       continue
     options = options and not line.strip()
     if inside and inside[-1][1] == "toctree":
@@ -74,7 +75,7 @@ def _summary(text: str) -> tuple[str, str]:
   """Return the title of a page and the first sentence of its first paragraph."""
   title = re.search(r"^# (.+)$", text, re.MULTILINE)
   paragraphs = (" ".join(part.split()) for part in text.split("\n\n"))
-  first = next((part for part in paragraphs if part[:1].isalnum()), "")
+  first = next((part for part in paragraphs if part.lstrip("*")[:1].isalnum()), "")
   sentence = re.match(r".*?[.:](?= |$)", first)
   return title[1] if title else "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", sentence[0] if sentence else first).rstrip(
     ":"
