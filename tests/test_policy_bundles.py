@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab.environments import standard_env
-from mjlab.registry import load_task
+from mjlab.registry import list_tasks, load_task
 from mjlab_core.errors import MjlabError
 from mjlab_deploy import Bundle, open_bundle
 from mjlab_deploy.simulated_run import SimulatedRun
@@ -16,6 +16,15 @@ from mjlab_rl.policy_bundle import BundleWriter, record, without_noise
 from mjlab_rl.reference_policy import write_for_others
 
 STEPS = 110
+MEASURED = {
+  "imu/gyro",
+  "imu/projected_gravity",
+  "joint/position",
+  "joint/velocity",
+  "last_action",
+  "command/velocity",
+}
+"""Sources that every legged robot has."""
 
 
 def exported(task: str, folder: Path) -> Path:
@@ -53,6 +62,7 @@ def sources(bundle: Bundle) -> set[str]:
       },
     ),
     ("Mjlab-Velocity-Rough-Unitree-G1", {"terrain/terrain_scan", "command/velocity"}),
+    ("Mjlab-Velocity-Flat-Unitree-G1-Blind", MEASURED),
     (
       "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
       {"motion/joint_position", "motion/joint_velocity", "motion/anchor_orientation", "imu/torso_link/orientation"},
@@ -72,6 +82,15 @@ def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory(
   assert report.passed, report.failures
   assert report.notes[0].startswith(f"replay: {STEPS} steps")
   assert bundle.description.has_scene == ("Rough" not in task)
+
+
+@pytest.mark.parametrize("task", [name for name in list_tasks() if name.endswith("-Blind")])
+def test_a_blind_policy_needs_only_sensors_that_the_robot_has(task: str, tmp_path: Path) -> None:
+  parts = load_task(task)
+  with standard_env(without_noise(parts.env), device="cpu") as env:
+    policy = CheckpointPolicy(env, parts.agent, parts.runner)
+    description = BundleWriter(env, parts.agent, task).write(tmp_path / "bundle", policy.network)
+  assert {source for term in description.observations for source in term.sources} == MEASURED
 
 
 def test_a_legged_robot_stands_up_and_walks_until_it_is_stopped(tmp_path: Path) -> None:

@@ -342,7 +342,7 @@ def without_noise(env: Any) -> Any:
   env.recorders = {}
   if hasattr(env.scene.terrain, "rows"):
     # The easiest row stands for all.
-    env.scene.terrain.rows = 1
+    env.scene.terrain.rows, env.scene.max_init_terrain_level = 1, None
   for entity in env.scene.entities.values():
     for actuator in getattr(getattr(entity, "articulation", None), "actuators", ()):
       actuator.delay_min_lag = actuator.delay_max_lag = 0

@@ -8,6 +8,7 @@ from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
+from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
@@ -80,6 +81,11 @@ def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation())
 
 
+def g1_flat_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return the flat task for a G1 that has only encoders and an IMU: `blind`."""
+  return blind(g1_flat())
+
+
 def g1_flat_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment on a plane."""
   return _with_self_collision(flat_env(_robot()))
@@ -90,6 +96,11 @@ def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
   return TaskCfg(
     env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation()
   )
+
+
+def g1_rough_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return the rough task for a G1 that has only encoders and an IMU: `blind`."""
+  return blind(g1_rough())
 
 
 def g1_rough_env() -> ManagerBasedRlEnvCfg:

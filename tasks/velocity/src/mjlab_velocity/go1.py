@@ -9,6 +9,7 @@ from mjlab_sensors import ContactMatch, ContactSensorCfg, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
+from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import ground_contact, play_rough, rough_env, self_collision
@@ -62,6 +63,11 @@ def go1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   )
 
 
+def go1_flat_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return the flat task for a Go1 that has only encoders and an IMU: `blind`."""
+  return blind(go1_flat())
+
+
 def go1_flat_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment on a plane."""
   return flat_env(_robot())
@@ -72,6 +78,11 @@ def go1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
   return TaskCfg(
     env=go1_rough_env(), play=play_rough, agent=agent("go1_velocity", 10_000), evaluator=VelocityEvaluation()
   )
+
+
+def go1_rough_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return the rough task for a Go1 that has only encoders and an IMU: `blind`."""
+  return blind(go1_rough())
 
 
 def go1_rough_env() -> ManagerBasedRlEnvCfg:
