@@ -1,11 +1,18 @@
-"""Program of one process of a run: `torchrun --nproc-per-node 2 rl_rank_program.py FOLDER [CHECKPOINT]`."""
+"""Program of one process of a run: `torchrun --nproc-per-node 2 rl_rank_program.py FOLDER`."""
 
 import sys
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mjlab_rl
 import torch
+from mjlab_rl.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg
+from torch import distributed
+
+COLLECTIVES = ("all_reduce", "broadcast", "all_gather_object", "gather_object", "barrier")
 
 
 class KeepingRunner(mjlab_rl.MjlabOnPolicyRunner):
@@ -16,23 +23,63 @@ class KeepingRunner(mjlab_rl.MjlabOnPolicyRunner):
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
     starts = self.env.get_observations()["actor"].clone()
     super().learn(num_learning_iterations, init_at_random_ep_len)
-    kept = {"starts": starts, "learner": self.alg.save(), "steps": self._total_steps, "draw": torch.rand(4)}
-    torch.save(kept, self.folder / f"rank_{self.ranks.rank}.pt")
+    assert self.log_dir is not None
+    kept = {
+      "starts": starts,
+      "learner": self.alg.save(),
+      "env": self.env.unwrapped.state_dict(),
+      "steps": self._total_steps,
+      "rate": self.alg.learning_rate,
+      "draw": torch.rand(4),
+    }
+    torch.save(kept, self.folder / f"{self.log_dir.name.split('_')[-1]}_{self.ranks.rank}.pt")
 
 
-def main(folder: Path, resume: Path | None) -> None:
+def train(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
+  """Train; return the last checkpoint."""
+  agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name=name, run_name=name)
+  agent.max_iterations = iterations
+  agent.save_interval = 100
+  agent.actor.obs_normalization = agent.critic.obs_normalization = True
+  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingRunner)
+  mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)
+  (run,) = (folder / "logs" / name).iterdir()
+  return run / f"model_{iterations}.pt"
+
+
+def counted(name: str, call: Callable[..., Any], counts: Counter[str]) -> Callable[..., Any]:
+  """Return a collective operation that counts its calls."""
+
+  def counting(*args: Any, **options: Any) -> Any:
+    counts[name] += 1
+    return call(*args, **options)
+
+  return counting
+
+
+def main(folder: Path) -> None:
   torch.set_num_threads(1)
   for module in ("rl_point_env", "rl_rank_program"):
     mjlab_rl.trust_package(module)
   KeepingRunner.folder = folder
-  agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name="point")
-  agent.max_iterations = 3 if resume is None else 5
-  agent.actor.obs_normalization = True
-  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingRunner)
-  mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)
+  ranks = Ranks.launched()
+  with ranks.joined("cpu"):
+    first = train(folder, "half", 3)
+    train(folder, "resumed", 5, resume=first)
+    train(folder, "whole", 5)
+    if (alone := folder / "alone.pt").exists():
+      train(folder, "alone", 5, resume=alone)
+    counts: Counter[str] = Counter()
+    for name in COLLECTIVES:
+      setattr(distributed, name, counted(name, getattr(distributed, name), counts))
+    train(folder, "short", 2)
+    before = dict(counts)
+    counts.clear()
+    train(folder, "long", 5)
+    torch.save((before, dict(counts)), folder / f"counts_{ranks.rank}.pt")
 
 
 if __name__ == "__main__":
   import rl_rank_program
 
-  rl_rank_program.main(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)
+  rl_rank_program.main(Path(sys.argv[1]))

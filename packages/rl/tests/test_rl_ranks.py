@@ -1,6 +1,7 @@
 """Runs of several processes: seeds, one normaliser, averaged gradients, one run directory."""
 
 import csv
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -8,41 +9,130 @@ from typing import Any
 
 import pytest
 import torch
+from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
-from mjlab_rl import checkpoints
-from mjlab_rl.ranks import Ranks, mean_of
+from mjlab_rl import (
+  Console,
+  MjlabOnPolicyRunner,
+  RslRlOnPolicyRunnerCfg,
+  RslRlVecEnvWrapper,
+  TaskCfg,
+  checkpoints,
+  train,
+)
+from mjlab_rl.ranks import Ranks
+from rl_point_env import PointEnv, PointEnvCfg
 from test_rl_runner import assert_same
+from torch import distributed
 
 PROGRAM = Path(__file__).parent / "rl_rank_program.py"
 
 
-def launch(folder: Path, *words: str | Path) -> tuple[list[dict[str, Any]], str]:
-  """Train in two processes; return what each kept, and what was printed."""
+@pytest.fixture(scope="module")
+def launched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+  """Trainings of two processes: their folder, and what they printed."""
+  folder = tmp_path_factory.mktemp("ranks")
+  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=2)
+  agent.actor.obs_normalization = agent.critic.obs_normalization = True
+  alone = train(TaskCfg(env=PointEnvCfg(), agent=agent), name="Point", make_env=PointEnv, log_root=folder / "one")
+  assert alone.checkpoint is not None
+  alone.checkpoint.rename(folder / "alone.pt")
   command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", PROGRAM, folder]
-  done = subprocess.run([*command, *words], capture_output=True, text=True, check=False, timeout=500)
+  done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
   assert done.returncode == 0, done.stderr
-  return [torch.load(folder / f"rank_{rank}.pt") for rank in range(2)], done.stdout
+  return folder, done.stdout
+
+
+def kept(folder: Path, name: str) -> list[dict[str, Any]]:
+  """Return what each process of a training kept."""
+  return [torch.load(folder / f"{name}_{rank}.pt") for rank in range(2)]
 
 
 @pytest.mark.slow
-def test_two_processes_train_one_policy_in_worlds_of_their_own(tmp_path: Path) -> None:
-  (first, second), shown = launch(tmp_path)
+def test_two_processes_train_one_policy_in_worlds_of_their_own(launched: tuple[Path, str]) -> None:
+  folder, shown = launched
+  first, second = kept(folder, "half")
   assert_same(first["learner"], second["learner"])
-  assert int(first["learner"]["actor_state_dict"]["obs_normalizer.count"]) == 2 * 4 * 6 * 3
+  assert first["rate"] == second["rate"] != 1e-3
+  for network in ("actor", "critic"):
+    assert int(first["learner"][f"{network}_state_dict"]["obs_normalizer.count"]) == 2 * 4 * 6 * 3
   assert first["steps"] == second["steps"] == 2 * 4 * 6 * 3
   for name in ("starts", "draw"):
     assert not torch.isclose(first[name], second[name]).any(), name
-  (run,) = (tmp_path / "logs" / "point").iterdir()
+  (run,) = (folder / "logs" / "half").iterdir()
   assert [path.name for path in checkpoints(run)] == ["model_3.pt"]
   with (run / "progress.csv").open() as file:
     assert [row["total_steps"] for row in csv.DictReader(file)] == ["48", "96", "144"]
   assert shown.count("3/3") == 1
 
-  (first, second), shown = launch(tmp_path, run / "model_3.pt")
+
+@pytest.mark.slow
+def test_a_resumed_run_of_two_processes_equals_an_uninterrupted_one(launched: tuple[Path, str]) -> None:
+  folder, _ = launched
+  for resumed, whole in zip(kept(folder, "resumed"), kept(folder, "whole"), strict=True):
+    del resumed["starts"], whole["starts"]
+    assert_same(resumed, whole)
+
+
+@pytest.mark.slow
+def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launched: tuple[Path, str]) -> None:
+  folder, shown = launched
+  assert "World state was not restored: it was saved by 1 process, there are 2 now" in shown
+  first, second = kept(folder, "alone")
   assert_same(first["learner"], second["learner"])
-  assert first["steps"] == second["steps"] == 2 * 4 * 6 * 5
+  assert first["steps"] == 4 * 6 * 2 + 2 * 4 * 6 * 3
   assert not torch.isclose(first["starts"], second["starts"]).any()
-  assert "World state was not restored: a checkpoint holds the worlds of one process" in shown
+
+  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=4)
+  agent.actor.obs_normalization = agent.critic.obs_normalization = True
+  text = io.StringIO()
+  task = TaskCfg(env=PointEnvCfg(), agent=agent)
+  (run,) = (folder / "logs" / "half").iterdir()
+  train(
+    task, name="Point", make_env=PointEnv, log_root=None, resume=run / "model_3.pt", console=Console("normal", text)
+  )
+  assert "World state was not restored: it was saved by 2 processes, there is 1 now" in text.getvalue()
+
+
+@pytest.mark.slow
+def test_an_iteration_sends_one_message_per_update_and_one_of_figures(launched: tuple[Path, str]) -> None:
+  folder, _ = launched
+  agent = RslRlOnPolicyRunnerCfg()
+  updates = agent.algorithm.num_learning_epochs * agent.algorithm.num_mini_batches
+  for rank in range(2):
+    short, long = torch.load(folder / f"counts_{rank}.pt")
+    assert long["all_reduce"] - short["all_reduce"] == 3 * (updates + 1)
+    assert {name: long[name] for name in long if name != "all_reduce"} == {
+      name: short[name] for name in short if name != "all_reduce"
+    }
+
+
+def test_two_processes_with_the_same_worlds_learn_what_one_learns(monkeypatch: pytest.MonkeyPatch) -> None:
+  """Gradients, adaptive learning rate, normalisers and figures, against rsl-rl's own update in one process."""
+
+  def trained() -> tuple[dict[str, Any], list[str]]:
+    agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=3)
+    agent.actor.obs_normalization = agent.critic.obs_normalization = True
+    seed_everything(1)
+    console = Console("verbose", text := io.StringIO())
+    env = RslRlVecEnvWrapper(PointEnv(PointEnvCfg(episode_steps=3)))
+    runner = MjlabOnPolicyRunner(env, agent, console=console)
+    runner.learn(3)
+    names = [line.split()[0] for line in text.getvalue().splitlines()]
+    return runner.alg.save() | {"rate": torch.tensor(runner.alg.learning_rate)}, names
+
+  one, one_names = trained()
+  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
+  monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
+  monkeypatch.setattr(distributed, "all_reduce", lambda numbers: numbers.mul_(2))
+  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
+  two, two_names = trained()
+  for network in ("actor", "critic"):
+    counts = [state[f"{network}_state_dict"].pop("obs_normalizer.count") for state in (one, two)]
+    assert 2 * counts[0] == counts[1]
+  torch.testing.assert_close(two, one, rtol=1e-4, atol=1e-5)
+  assert one["rate"] != 1e-3
+  assert two_names == one_names
 
 
 def test_seeds_of_ranks_are_derived_from_that_of_the_run() -> None:
@@ -69,7 +159,3 @@ def test_a_launcher_that_numbers_wrongly_is_named(
   monkeypatch.setenv("WORLD_SIZE", world_size)
   with pytest.raises(ConfigError, match=message):
     Ranks.launched()
-
-
-def test_figures_are_averaged_over_the_ranks_that_have_them() -> None:
-  assert mean_of([{"a": 1.0, "b": 2.0}, {"a": 3.0}]) == {"a": 2.0, "b": 2.0}

@@ -1,13 +1,11 @@
 """Checkpoint files: complete on disk or absent, and read without running code."""
 
-import random
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
-import numpy as np
 import torch
 from mjlab_core import printable
 from mjlab_core.errors import FileError, MjlabError
@@ -31,16 +29,24 @@ class _Generators(Struct):
   cuda: Tensor | None = None
 
 
-class _Worlds(Struct):
-  format: Literal[1]
-  num_envs: _Count
+class _Rank(Struct, kw_only=True):
+  """State of one process: its worlds and random generators."""
+
   env: dict[str, Any]
   statistics: _Tensors
   hidden_states: list[Any]
   rng: _Generators
+
+
+class _Worlds(_Rank, kw_only=True):
+  """State of the first process, what is common to all, and the state of the others."""
+
+  format: Literal[1]
+  num_envs: _Count
   elapsed: Annotated[float, Meta(ge=0)]
   total_steps: _Count
   shapes_seen: dict[str, list[list[_Count]]] = {}
+  other_ranks: list[_Rank] = []
 
 
 class _Optimizer(Struct):
@@ -231,52 +237,6 @@ def optimizer_problems(saved: Mapping[str, Any], present: torch.optim.Optimizer)
     for name, value in theirs[0].items():
       if name != "params" and type(value) is not type(ours[0][name]):
         yield f"optimiser: {printable(name, 60)} is a {type(value).__name__}"
-
-
-def hidden_state_problems(saved: Sequence[Any], networks: Mapping[str, Any], num_envs: int) -> Iterator[str]:
-  """Yield a line for each network that its saved hidden state does not fit."""
-  if len(saved) != len(networks):
-    yield f"{len(saved)} hidden states for {len(networks)} networks"
-    return
-  for hidden, (name, network) in zip(saved, networks.items(), strict=True):
-    rnn = getattr(getattr(network, "rnn", None), "rnn", None)
-    parts = hidden if isinstance(hidden, (tuple, list)) else (hidden,)
-    shape = None if rnn is None else (rnn.num_layers, num_envs, rnn.hidden_size)
-    count = 2 if isinstance(rnn, torch.nn.LSTM) else 1
-    if hidden is not None and (shape is None or len(parts) != count or any(_shape(part) != shape for part in parts)):
-      yield f"hidden state of {name}"
-
-
-def restore_hidden_states(saved: Sequence[Any], networks: Mapping[str, Any], device: torch.device) -> None:
-  """Set the hidden states of networks, which `hidden_state_problems` has compared."""
-  for hidden, network in zip(saved, networks.values(), strict=True):
-    if hidden is not None:
-      is_pair = isinstance(hidden, (tuple, list))
-      network.reset(hidden_state=tuple(part.to(device) for part in hidden) if is_pair else hidden.to(device))
-
-
-def rng_state(device: torch.device) -> dict[str, Any]:
-  """Return the state of every generator: torch on the host and on `device`, NumPy's and Python's global ones."""
-  name, keys, position, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002
-  state: dict[str, Any] = {
-    "torch": torch.get_rng_state(),
-    "numpy": (name, torch.from_numpy(np.asarray(keys, dtype=np.int64)), int(position), int(has_gauss), float(cached)),
-    "python": random.getstate(),
-  }
-  if device.type == "cuda":
-    state["cuda"] = torch.cuda.get_rng_state(device)
-  return state
-
-
-def restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
-  """Restore every generator; the generator of a device of another kind is left unchanged."""
-  torch.set_rng_state(state["torch"])
-  name, keys, position, has_gauss, cached = state["numpy"]
-  np.random.set_state((name, keys.numpy().astype(np.uint32), position, has_gauss, cached))  # noqa: NPY002
-  version, internal, gauss = state["python"]
-  random.setstate((version, tuple(internal), gauss))
-  if device.type == "cuda" and "cuda" in state:
-    torch.cuda.set_rng_state(state["cuda"], device)
 
 
 def _shape(value: Any) -> tuple[int, ...]:

@@ -1,12 +1,12 @@
 """Processes of one training run, as `torchrun`, Slurm and other launchers start them.
 
-Each process (rank) has its own environment. rsl-rl averages gradients and normalisers over all ranks; rank 0 writes the
-run directory.
+Each process (rank) has its own environment. Gradients and normalisers are averaged over all ranks; rank 0
+writes the run directory.
 """
 
 import contextlib
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
@@ -74,8 +74,8 @@ class Ranks:
 
   @contextlib.contextmanager
   def joined(self, device: str) -> Generator[None]:
-    """Connect the processes while entered: NCCL between GPUs, gloo between CPUs."""
-    if self.world_size == 1:
+    """Connect the processes while entered: NCCL between GPUs, gloo between CPUs; connected ones stay so."""
+    if self.world_size == 1 or distributed.is_initialized():
       yield
       return
     is_cuda = torch.device(device).type == "cuda"
@@ -95,9 +95,10 @@ class Ranks:
     distributed.all_gather_object(values, value)
     return values
 
-
-def mean_of(values: list[Mapping[str, float]]) -> dict[str, float]:
-  """Return the mean of each entry over the dictionaries that have it."""
-  names = dict.fromkeys(name for each in values for name in each)
-  having = {name: [each[name] for each in values if name in each] for name in names}
-  return {name: sum(found) / len(found) for name, found in having.items()}
+  def collect(self, value: T) -> list[T]:
+    """Return the values of all processes on the first one, and an empty list elsewhere; every process must call it."""
+    if self.world_size == 1:
+      return [value]
+    values: list[Any] | None = [None] * self.world_size if self.is_first else None
+    distributed.gather_object(value, values)
+    return values or []

@@ -23,7 +23,9 @@ from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.console import Console
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
-from mjlab_rl.ranks import Ranks, mean_of
+from mjlab_rl.process_state import ProcessState, pack, unpack
+from mjlab_rl.rank_averages import RankAverages
+from mjlab_rl.ranks import Ranks
 from mjlab_rl.scalar_log import IterationReport, open_logs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -89,7 +91,9 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self.alg.compile(cfg.torch_compile_mode)
     if self.console.is_verbose:
       self.console.say(chatter.getvalue().rstrip())
+    self._averages = RankAverages(self.alg, self.networks, self.ranks, torch.device(device))
     self.statistics = EpisodeStatistics(env.num_envs, device)
+    self._process = ProcessState(env.unwrapped, self.statistics, self.networks, torch.device(device))
     self.stopped_by: str | None = None
     """Name of the signal that ended the last `learn` early; None if it ran to its end."""
     self.is_world_state_restored = False
@@ -102,11 +106,6 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._elapsed = 0.0
     self._total_steps = 0
     self._last_saved: Path | None = None
-
-  @property
-  def output_dir(self) -> Path | None:
-    """Folder that this process writes logs and checkpoints to; None for all but the first process of a run."""
-    return self.log_dir if self.ranks.is_first else None
 
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
     """Run more iterations.
@@ -126,7 +125,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     if self.ranks.world_size > 1:
       self.alg.broadcast_parameters()
     with (
-      open_logs(self.output_dir, self.agent_cfg, self.cfg) as logs,
+      open_logs(self.log_dir if self.ranks.is_first else None, self.agent_cfg, self.cfg) as logs,
       StopSignals() as stop,
       self.console.live(),
     ):
@@ -146,25 +145,27 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         self.current_learning_iteration = iteration + 1
         self._elapsed = before + learned - started
         report = self._report(iteration, start, end, collected - began, learned - collected, learned - started)
-        # The only traffic besides gradients and normalisers. Ranks agree on it, so that they stop together.
-        own = (losses | {"mean_std": action_std} | largest_weights(self.networks), means, env_log, stop.received)
-        values, rank_means, env_logs, signals = zip(*self.ranks.gather(own), strict=True)
-        figures = mean_of(list(values))
-        if ended := [pair for pair in rank_means if pair is not None]:
-          report.mean_reward, report.mean_episode_length = (
-            sum(column) / len(ended) for column in zip(*ended, strict=True)
-          )
-        report.add_scalars({name: figures[name] for name in losses}, figures["mean_std"], mean_of(list(env_logs)))
+        own = {
+          "loss": losses,
+          "check": {"mean_std": action_std} | largest_weights(self.networks),
+          "episode": {} if means is None else {"reward": means[0], "length": means[1]},
+          "log": env_log,
+        }
+        # Ranks agree on the signal, so that they stop together.
+        figures, received = self._averages.reduce(own, stop.received)
+        if ended := figures["episode"]:
+          report.mean_reward, report.mean_episode_length = ended["reward"], ended["length"]
+        report.add_scalars(figures["loss"], figures["check"]["mean_std"], figures["log"])
         for log in logs:
           log.write(report)
         self.console.show(report)
-        self._check_finite(report, figures)
+        self._check_finite(report, figures["loss"] | figures["check"])
 
         # Read once: a later signal waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
-        self.stopped_by = None if is_end else next(filter(None, signals), None)
+        self.stopped_by = None if is_end else received
         is_last = is_end or self.stopped_by is not None
-        if self.output_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
+        if self.log_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
           path = self.checkpoint_path()
           self.save(str(path))
           self._last_saved = path
@@ -177,14 +178,14 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
   @contextlib.contextmanager
   def _emergency_checkpoint(self) -> Generator[None]:
-    """Save the state if a step or an update fails; the error goes on."""
+    """Save the learner and the worlds of this process if a step or an update fails; the error goes on."""
     try:
       yield
     except Exception as error:
-      if self.output_dir is not None:
-        path = self.output_dir / f"emergency_{self.current_learning_iteration}.pt"
+      if self.log_dir is not None:
+        path = self.log_dir / f"emergency_{self.current_learning_iteration}.pt"
         try:
-          self.save(str(path))
+          checkpoint.write_checkpoint(path, self._state([self._process.state_dict()]))
         except Exception as unsaved:
           self.console.say(f"{type(error).__name__} in a step or update; {path.name} not saved: {printable(unsaved)}")
         else:
@@ -205,12 +206,19 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     return self.log_dir / f"model_{self.current_learning_iteration}.pt"
 
   def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-    """Write a checkpoint; the file appears whole or not at all.
+    """Write a checkpoint; the file appears whole or not at all. Every rank must call it, the first one writes.
 
     Args:
       path: File to write.
       infos: Plain values to keep with it, returned by `load`.
     """
+    own = self._process.state_dict()
+    others = self.ranks.collect(b"" if self.ranks.is_first else pack(own))[1:]
+    if self.ranks.is_first:
+      checkpoint.write_checkpoint(Path(path), self._state([own, *map(unpack, others)], infos))
+
+  def _state(self, ranks: list[dict[str, Any]], infos: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the content of a checkpoint with the states of processes."""
     state = self.alg.save()
     # rsl-rl's own loader continues at "iter", so this is the next iteration, not the last one.
     state |= {"iter": self.current_learning_iteration, "infos": infos}
@@ -218,14 +226,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       "format": checkpoint.FORMAT,
       "num_envs": self.env.num_envs,
       "shapes_seen": self._shapes_seen,
-      "env": self.env.unwrapped.state_dict(),
-      "statistics": self.statistics.state_dict(),
-      "hidden_states": [network.get_hidden_state() for network in self.networks.values()],
-      "rng": checkpoint.rng_state(self._torch_device),
       "elapsed": self._elapsed,
       "total_steps": self._total_steps,
+      **ranks[0],
+      "other_ranks": ranks[1:],
     }
-    checkpoint.write_checkpoint(Path(path), state)
+    return state
 
   def load(
     self,
@@ -315,30 +321,24 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     checkpoint.refuse(f"checkpoint {path}", [*seen, *sizes], hint)
 
   def _load_worlds(self, state: dict[str, Any]) -> None:
-    is_restored = False
-    hidden_states = checkpoint.hidden_state_problems(state["hidden_states"], self.networks, state["num_envs"])
-    checkpoint.refuse("its world state", hidden_states)
-    if self.ranks.world_size > 1:
-      reason = "a checkpoint holds the worlds of one process"
+    saved = [state, *state.get("other_ranks", [])]
+    was, now, reason = len(saved), self.ranks.world_size, ""
+    if was != now:
+      reason = f"it was saved by {was} process{'es' * (was > 1)}, there {'are' if now > 1 else 'is'} {now} now"
     elif state["num_envs"] != self.env.num_envs:
       reason = f"it was saved with {state['num_envs']} worlds, there are {self.env.num_envs} now"
-    else:
-      try:
-        self.env.unwrapped.load_state_dict(state["env"])
-        is_restored, reason = True, ""
-      except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
-        reason = printable(error)
-        self.env.reset()
-    if not is_restored:
+    own = state if reason else saved[self.ranks.rank]
+    self._process.check(own, state["num_envs"])
+    # All processes or none, because they share the counters.
+    reasons = self.ranks.gather(reason or self._process.load_worlds(own))
+    if reason := next(filter(None, reasons), ""):
+      self._process.load_progress(own)
       self.console.say(f"World state was not restored: {reason}. Learner and counters were.")
-      self.env.unwrapped.load_progress(state["env"])
-    self.statistics.load_state_dict(state["statistics"], same_worlds=is_restored)
-    self.is_world_state_restored = is_restored
+    else:
+      self._process.load_rest(own)
+    self.is_world_state_restored = not reason
     self._elapsed = state["elapsed"]
     self._total_steps = state["total_steps"]
-    if is_restored:
-      checkpoint.restore_hidden_states(state["hidden_states"], self.networks, self._torch_device)
-      checkpoint.restore_rng_state(state["rng"], self._torch_device)
 
   def _collect(self, obs: TensorDict) -> TensorDict:
     # Not inference mode: the environment could not write later to tensors that it makes there.
@@ -360,7 +360,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
     # For the update alone: rotations and rewards of the environment need full float32.
     precision = self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get()
-    with _set_for_now(get, set_to, precision):
+    with _set_for_now(get, set_to, precision), self._averages.replacing():
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
 

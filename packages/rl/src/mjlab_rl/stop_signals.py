@@ -10,8 +10,8 @@ from typing import Any, Self
 
 _MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
 _LAST_WORD = b"\nStopped at once; progress since the last checkpoint is lost.\n"
-# Ctrl-C, the signal of schedulers, and that of a closing terminal.
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Ctrl-C, the signal of schedulers, and that of a closing terminal."""
 # Launchers repeat a Ctrl-C that the terminal has sent to all processes; within this time it counts once [s].
 _ECHO = 0.5
 
@@ -30,7 +30,7 @@ class StopSignals:
 
   def __enter__(self) -> Self:
     if threading.current_thread() is threading.main_thread():
-      for number in (getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)):
+      for number in (getattr(signal, name) for name in SIGNALS if hasattr(signal, name)):
         if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
           self._previous[number] = signal.signal(number, self._on_signal)
     return self

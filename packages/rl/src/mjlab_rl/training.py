@@ -135,7 +135,9 @@ def train(
     if log_root is not None and ranks.is_first:
       directory = create_run_directory(Path(log_root), agent.experiment_name, agent.run_name)
       write_manifest(directory, manifest)
-      runner.log_dir = env.output_dir = directory
+      env.output_dir = directory
+    # All processes have its name: one that fails saves the learner there.
+    runner.log_dir = ranks.gather(directory)[0]
     if on_ready is not None:
       on_ready(env, directory)
     if watch is not None:

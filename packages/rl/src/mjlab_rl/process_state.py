@@ -1,0 +1,127 @@
+"""State of one process of a run: worlds, statistics, hidden states of networks and random generators."""
+
+import io
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from mjlab_core import printable
+
+from mjlab_rl.checkpoint import refuse
+from mjlab_rl.env_protocol import RlEnv
+from mjlab_rl.episode_statistics import EpisodeStatistics
+
+
+class ProcessState:
+  """All that a process has besides the learner, which all processes share.
+
+  Args:
+    env: Its environment.
+    statistics: Its episodes.
+    networks: Networks with hidden states.
+    device: Device of the learner.
+  """
+
+  def __init__(
+    self, env: RlEnv, statistics: EpisodeStatistics, networks: Mapping[str, Any], device: torch.device
+  ) -> None:
+    self._env, self._statistics, self._networks, self._device = env, statistics, networks, device
+
+  def state_dict(self) -> dict[str, Any]:
+    """Return everything, as tensors and plain values."""
+    return {
+      "env": self._env.state_dict(),
+      "statistics": self._statistics.state_dict(),
+      "hidden_states": [network.get_hidden_state() for network in self._networks.values()],
+      "rng": _rng_state(self._device),
+    }
+
+  def check(self, state: Mapping[str, Any], num_envs: int) -> None:
+    """Compare the hidden states with the networks.
+
+    Raises:
+      FileError: They do not fit; nothing has been changed then.
+    """
+    refuse("its world state", _hidden_state_problems(state["hidden_states"], self._networks, num_envs))
+
+  def load_worlds(self, state: Mapping[str, Any]) -> str:
+    """Restore the worlds; return the reason if they do not fit."""
+    try:
+      self._env.load_state_dict(state["env"])
+    except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
+      return printable(error)
+    return ""
+
+  def load_rest(self, state: Mapping[str, Any]) -> None:
+    """Restore what belongs to the worlds that `load_worlds` has restored."""
+    self._statistics.load_state_dict(state["statistics"])
+    _restore_hidden_states(state["hidden_states"], self._networks, self._device)
+    _restore_rng_state(state["rng"], self._device)
+
+  def load_progress(self, state: Mapping[str, Any]) -> None:
+    """Restore counters and past episodes alone; all worlds start new."""
+    self._env.reset()
+    self._env.load_progress(state["env"])
+    self._statistics.load_state_dict(state["statistics"], same_worlds=False)
+
+
+def pack(state: dict[str, Any]) -> bytes:
+  """Return tensors and plain values as bytes, to send to another process."""
+  packed = io.BytesIO()
+  torch.save(state, packed)
+  return packed.getvalue()
+
+
+def unpack(packed: bytes) -> dict[str, Any]:
+  """Return the state of `pack`, on the host."""
+  return torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True)
+
+
+def _hidden_state_problems(saved: Sequence[Any], networks: Mapping[str, Any], num_envs: int) -> Iterator[str]:
+  """Yield a line for each network that its saved hidden state does not fit."""
+  if len(saved) != len(networks):
+    yield f"{len(saved)} hidden states for {len(networks)} networks"
+    return
+  for hidden, (name, network) in zip(saved, networks.items(), strict=True):
+    rnn = getattr(getattr(network, "rnn", None), "rnn", None)
+    parts = hidden if isinstance(hidden, (tuple, list)) else (hidden,)
+    shape = None if rnn is None else (rnn.num_layers, num_envs, rnn.hidden_size)
+    count = 2 if isinstance(rnn, torch.nn.LSTM) else 1
+    if hidden is not None and (
+      shape is None or len(parts) != count or any(getattr(part, "shape", None) != shape for part in parts)
+    ):
+      yield f"hidden state of {name}"
+
+
+def _restore_hidden_states(saved: Sequence[Any], networks: Mapping[str, Any], device: torch.device) -> None:
+  """Set the hidden states of networks, which `_hidden_state_problems` has compared."""
+  for hidden, network in zip(saved, networks.values(), strict=True):
+    if hidden is not None:
+      is_pair = isinstance(hidden, (tuple, list))
+      network.reset(hidden_state=tuple(part.to(device) for part in hidden) if is_pair else hidden.to(device))
+
+
+def _rng_state(device: torch.device) -> dict[str, Any]:
+  """Return the state of every generator: torch on the host and on `device`, NumPy's and Python's global ones."""
+  name, keys, position, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002
+  state: dict[str, Any] = {
+    "torch": torch.get_rng_state(),
+    "numpy": (name, torch.from_numpy(np.asarray(keys, dtype=np.int64)), int(position), int(has_gauss), float(cached)),
+    "python": random.getstate(),
+  }
+  if device.type == "cuda":
+    state["cuda"] = torch.cuda.get_rng_state(device)
+  return state
+
+
+def _restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
+  """Restore every generator; the generator of a device of another kind is left unchanged."""
+  torch.set_rng_state(state["torch"])
+  name, keys, position, has_gauss, cached = state["numpy"]
+  np.random.set_state((name, keys.numpy().astype(np.uint32), position, has_gauss, cached))  # noqa: NPY002
+  version, internal, gauss = state["python"]
+  random.setstate((version, tuple(internal), gauss))
+  if device.type == "cuda" and "cuda" in state:
+    torch.cuda.set_rng_state(state["cuda"], device)
