@@ -155,11 +155,13 @@ class RslRlPpoAlgorithmCfg(Config):
   symmetry_cfg: dict[str, Any] | None = None
   """Symmetry augmentation, rsl-rl's settings; None: off."""
   class_name: str = "PPO"
-  """rsl-rl's "PPO", or "module:Class"."""
+  """rsl-rl's "PPO", on a GPU as a CUDA graph, or "module:Class"; "rsl_rl.algorithms:PPO" is rsl-rl's own."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
     """Return the arguments of the algorithm class, without the optional parts that are off."""
     algorithm = dict(vars(self))
+    if self.class_name == "PPO":
+      algorithm["class_name"] = "mjlab_rl.captured_ppo:CapturedPPO"
     for name in ("rnd_cfg", "symmetry_cfg"):
       if algorithm[name] is None:
         del algorithm[name]

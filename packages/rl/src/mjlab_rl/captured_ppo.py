@@ -1,0 +1,150 @@
+"""PPO whose mini-batch step is recorded once as a CUDA graph."""
+
+import contextlib
+from collections.abc import Callable, Generator, Iterator
+from itertools import chain
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from torch import Tensor, nn
+
+
+class CapturedPPO(PPO):
+  """rsl-rl's PPO, without a host sync inside an update; on a GPU, a mini-batch step is one CUDA graph.
+
+  The results are those of rsl-rl's PPO within float rounding. The first two updates run without a graph, to create the
+  optimiser's state and to choose kernels. Recurrent and compiled networks, curiosity, symmetry, several processes, and
+  optimisers other than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
+  """
+
+  def __init__(self, *args: Any, **kwargs: Any) -> None:
+    super().__init__(*args, **kwargs)
+    self._is_on_gpu = torch.device(self.device).type == "cuda"
+    # Fused Adam reads a single-precision learning rate.
+    self._rate = torch.zeros((), dtype=torch.float32 if self._is_on_gpu else torch.float64, device=self.device)
+    self._sums = torch.zeros(3, dtype=self._rate.dtype, device=self.device)
+    self._advantages = torch.empty_like(self.storage.advantages)
+    size = self.storage.num_envs * self.storage.num_transitions_per_env // self.num_mini_batches
+    self._rows = torch.zeros(size, dtype=torch.int64, device=self.device)
+    self._graph: torch.cuda.CUDAGraph | None = None
+    self._addresses: tuple[int, ...] = ()
+
+  def update(self) -> dict[str, float]:
+    """Run the epochs over the stored rollout; return mean losses, which is the only wait for the device."""
+    is_covered = (
+      isinstance(self.optimizer, torch.optim.Adam)
+      and not (self.rnd or self.symmetry or self.is_multi_gpu or self.actor.is_recurrent or self.critic.is_recurrent)
+      and self.actor is self.get_policy()
+    )
+    if not is_covered:
+      return super().update()
+    storage = self.storage
+    # compute_returns makes a new tensor; a graph needs fixed memory.
+    storage.advantages = self._advantages.copy_(storage.advantages)
+    size = len(self._rows)
+    rows = torch.randperm(self.num_mini_batches * size, device=self.device).view(self.num_mini_batches, size)
+    self._sums.zero_()
+    with self._rate_on_device():
+      step = self._recorded_step()
+      for _ in range(self.num_learning_epochs):
+        for mini_batch in rows:
+          self._rows.copy_(mini_batch)
+          step()
+      value, surrogate, entropy, self.learning_rate = torch.cat(
+        (self._sums.double(), self._rate.double()[None])
+      ).tolist()
+    observations = storage.observations.flatten(0, 1)
+    self.actor.update_normalization(observations)
+    self.critic.update_normalization(observations)
+    storage.clear()
+    steps = self.num_learning_epochs * self.num_mini_batches
+    return {"value": value / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
+
+  @contextlib.contextmanager
+  def _rate_on_device(self) -> Generator[None]:
+    """Let the optimiser read its learning rate from a tensor; outside, and in checkpoints, it is a plain number."""
+    self._rate.fill_(self.learning_rate)
+    for group in self.optimizer.param_groups:
+      group |= {"lr": self._rate, "capturable": self._is_on_gpu, "fused": self._is_on_gpu or None}
+    if self._is_on_gpu:
+      for state in self.optimizer.state.values():
+        state["step"] = state["step"].to(self.device)
+    try:
+      yield
+    finally:
+      for group in self.optimizer.param_groups:
+        group |= {"lr": self.learning_rate, "capturable": False, "fused": None}
+
+  def _recorded_step(self) -> Callable[[], None]:
+    """Return the mini-batch step: the graph, recorded anew where memory has moved since, or the plain function."""
+    if not self._is_on_gpu:
+      return self._step
+    addresses = tuple(tensor.data_ptr() for tensor in self._tensors())
+    if addresses != self._addresses:
+      self._addresses, self._graph = addresses, None
+      return self._step
+    if self._graph is None:
+      # Gradients are made in the graph's memory.
+      self.optimizer.zero_grad(set_to_none=True)
+      self._graph = torch.cuda.CUDAGraph()
+      with torch.cuda.graph(self._graph):
+        self._step()
+    return self._graph.replay
+
+  def _tensors(self) -> Iterator[Tensor]:
+    """Yield the tensors that a step reads or writes, except those that it makes and those of this class."""
+    yield from chain(self.actor.parameters(), self.actor.buffers(), self.critic.parameters(), self.critic.buffers())
+    for state in self.optimizer.state.values():
+      yield from state.values()
+    storage = self.storage
+    yield from (storage.observations[group] for group in storage.observations.keys())  # noqa: SIM118 - of a TensorDict
+    yield from (storage.actions, storage.values, storage.returns, storage.actions_log_prob)
+    yield from storage.distribution_params or ()
+
+  def _step(self) -> None:
+    """Do one step of the optimiser on the rows of the rollout in `_rows`, as rsl-rl's PPO does."""
+    storage, rows = self.storage, self._rows
+
+    def batch(values: Any) -> Any:
+      return values.flatten(0, 1)[rows]
+
+    advantages = batch(storage.advantages)
+    if self.normalize_advantage_per_mini_batch:
+      advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    advantages = advantages.squeeze()
+    device_type = torch.device(self.device).type
+    with torch.autocast(device_type, torch.bfloat16, enabled=self.use_mixed_precision, cache_enabled=False):
+      observations = batch(storage.observations)
+      self.actor(observations, stochastic_output=True)
+      log_prob = self.actor.get_output_log_prob(batch(storage.actions))
+      values = self.critic(observations)
+      entropy = self.actor.output_entropy.mean()
+      if self.schedule == "adaptive":
+        with torch.no_grad():
+          old = tuple(batch(parameter) for parameter in storage.distribution_params or ())
+          self._adapt_rate(self.actor.get_kl_divergence(old, self.actor.output_distribution_params).mean())
+
+      ratio = torch.exp(log_prob - batch(storage.actions_log_prob).squeeze())
+      clipped_ratio = ratio.clamp(1.0 - self.clip_param, 1.0 + self.clip_param)
+      surrogate_loss = torch.max(-advantages * ratio, -advantages * clipped_ratio).mean()
+      old_values, returns = batch(storage.values), batch(storage.returns)
+      value_loss = (values - returns).square()
+      if self.use_clipped_value_loss:
+        clipped = old_values + (values - old_values).clamp(-self.clip_param, self.clip_param)
+        value_loss = torch.max(value_loss, (clipped - returns).square())
+      value_loss = value_loss.mean()
+      loss = surrogate_loss + self.value_loss_coef * value_loss - self.entropy_coef * entropy
+
+    self.optimizer.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
+    nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
+    self.optimizer.step()
+    self._sums += torch.stack((value_loss.detach(), surrogate_loss.detach(), entropy.detach()))
+
+  def _adapt_rate(self, kl: Tensor) -> None:
+    """Divide the learning rate by 1.5 above twice the desired KL divergence, multiply it below half."""
+    rate, desired = self._rate, self.desired_kl
+    slower, faster = (rate / 1.5).clamp(min=1e-5), (rate * 1.5).clamp(max=1e-2)
+    rate.copy_(torch.where(kl > 2.0 * desired, slower, torch.where((kl < 0.5 * desired) & (kl > 0.0), faster, rate)))
