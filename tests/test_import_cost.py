@@ -3,10 +3,12 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 HEAVY = {"torch", "warp", "mujoco", "mujoco_warp", "numpy", "scipy", "gymnasium", "rsl_rl", "tensordict"}
+HEAVY |= {"rich", "tyro", "viser"}
 
 
 def imported_by(statement: str) -> set[str]:
@@ -35,10 +37,31 @@ def imported_by(statement: str) -> set[str]:
     "from mjlab.cli import train_actuator; assert train_actuator(['--help']) == 0",
     "from mjlab.cli import new; assert new(['--help']) == 0",
     "from mjlab.cli import inspect_dr; assert inspect_dr(['--help']) == 0",
+    "from mjlab.cli import convert_motion; assert convert_motion(['--help']) == 0",
+    "from mjlab.cli import export; assert export(['--help']) == 0",
+    "from mjlab.cli import sysid; assert sysid(['--help']) == 0",
   ],
 )
 def test_help_and_listing_import_nothing_heavy(statement: str) -> None:
   assert not imported_by(statement) & HEAVY
+
+
+def test_help_on_a_word_imports_the_task_once_and_then_nothing_heavy(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+  statement = "from mjlab.cli import train; assert train(['Mjlab-Cartpole-Balance', '--help', 'seed']) == 0"
+  assert "torch" in imported_by(statement)
+  assert not imported_by(statement) & HEAVY
+  # A module of the task that changed is read again.
+  (kept,) = tmp_path.rglob("*.json")
+  text = kept.read_text()
+  contents = json.loads(text)
+  assert any("mjlab_cartpole" in file for file in contents["files"])
+  contents["files"][next(iter(contents["files"]))][1] += 1
+  for stale in (json.dumps(contents), text[:100], "[]"):
+    kept.write_text(stale)
+    assert "torch" in imported_by(statement)
 
 
 def test_a_misspelt_task_is_refused_before_anything_heavy_is_imported() -> None:

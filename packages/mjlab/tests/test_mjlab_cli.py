@@ -179,27 +179,27 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     (["--verbose", "yes"], 2, "--verbose: expected no value (--no-verbose switches it off), got yes"),
     (["--verbose", "--quiet"], 2, "exclude each other"),
     (["--seed", "x"], 2, "--seed: expected {None}|INT, got x"),
-    (["--resume", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
-    (["--init-from", "nothing"], 1, "'nothing' is neither a checkpoint nor a run"),
+    (["--resume", "nothing"], 2, "'nothing' is neither a checkpoint nor a run"),
+    (["--init-from", "nothing"], 2, "'nothing' is neither a checkpoint nor a run"),
     (["--init-from", "x", "--resume", "y"], 2, "exclude each other: a resumed run keeps its policy"),
-    (["--init-from", "Test-Pendulun"], 1, "Nearest task: Test-Pendulum"),
+    (["--init-from", "Test-Pendulun"], 2, "Nearest task: Test-Pendulum"),
     (["--seed", "1", "--resume"], 2, "exclude each other: a resumed run keeps its random numbers"),
     (["--seed", str(2**64)], 1, "does not fit into 64 bits"),
     # More than any machine has addresses for: it must not be tried.
     (["--env.scene.num-envs", str(10**15)], 1, "not enough memory"),
     (["--agent.num-steps-per-env", str(10**15)], 1, "not enough memory"),
     (["--agent.torch-compile-mode", "maximal"], 2, "--agent.torch-compile-mode: expected {None,default,"),
-    (["--viewer", "--viewer-port", "99999"], 1, "port 99999 does not exist; use 1 to 65535"),
+    (["--viewer", "--viewer-port", "99999"], 2, "port 99999 does not exist; use 1 to 65535"),
     (["--viewer", "--viewer-host", "192.0.2.1"], 1, "cannot listen on 192.0.2.1"),
     (
       ["--video", "--video-interval", "5"],
       2,
       "--video-length 200: must be from 1 to --video-interval (5)",
     ),
-    (["--device", "cuda:77"], 1, "device 'cuda:77' does not exist; there is cpu"),
-    (["--env.actions.torque.actuators", "hings"], 1, "Nearest: hinge"),
-    (["--env.decimation", "0"], 1, "decimation must be at least 1"),
-    (["--agent.obs-groups.actor", "acto"], 1, "acto"),
+    (["--device", "cuda:77"], 2, "device 'cuda:77' does not exist; there is cpu"),
+    (["--env.actions.torque.actuators", "hings"], 2, "Nearest: hinge"),
+    (["--env.decimation", "0"], 2, "decimation must be at least 1"),
+    (["--agent.obs-groups.actor", "acto"], 2, "acto"),
   ],
 )
 def test_a_mistake_is_one_line_and_an_exit_code(
@@ -285,7 +285,7 @@ def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(tmp_path: Pat
 
 
 def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  assert train(tmp_path, "--env.decimation", "0", "--traceback") == 1
+  assert train(tmp_path, "--env.decimation", "0", "--traceback") == 2
   assert "Traceback" in capsys.readouterr().err
 
 

@@ -1,6 +1,7 @@
 """Command line: `mjlab COMMAND`, and each command under its own name.
 
-Exit codes: 0 done (also after Ctrl-C, SIGTERM or SIGHUP, if the work was saved), 1 failed, 2 wrong command line.
+Exit codes: 0 done (also after Ctrl-C, SIGTERM or SIGHUP, if the work was saved), 1 failed, 2 wrong command line: a word
+or flag that does not exist, a value that is not allowed, or a task, run, file or device that does not exist.
 """
 
 import contextlib
@@ -32,6 +33,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
 
+_CONFIGS = ("--env.", "--agent.", "--eval.")
 _LONGEST = 5000  # characters of a message
 _NO_MEMORY = re.compile(r"out of memory|can't allocate memory|failed to allocate", re.IGNORECASE)
 
@@ -107,9 +109,6 @@ def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
   try:
     with _interruptible():
       return command(words)
-  except UsageError as error:
-    print(f"error: {printable(error, _LONGEST)}", file=sys.stderr)
-    return 2
   except KeyboardInterrupt:
     print("interrupted", file=sys.stderr)
     return 130
@@ -118,7 +117,8 @@ def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
   except Exception as error:
-    if "--traceback" in words or not (isinstance(error, MjlabError | OSError) or _is_out_of_memory(error)):
+    is_expected = isinstance(error, MjlabError | OSError) or _is_out_of_memory(error)
+    if not is_expected or ("--traceback" in words and not isinstance(error, UsageError)):
       import traceback
 
       traceback.print_exc()
@@ -128,7 +128,19 @@ def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
     if _is_out_of_memory(error):
       message = f"not enough memory; use fewer environments: {(message.splitlines() or [''])[0]}"
     print(f"error: {message}", file=sys.stderr)
-    return 1
+    return 2 if _is_wrong_line(error, words) else 1
+
+
+def _is_wrong_line(error: Exception, words: Sequence[str]) -> bool:
+  """Return True if another command line would have avoided an error, whatever the files hold."""
+  from mjlab_core import ConfigError, FileError, UnknownNameError, UsageError
+
+  if isinstance(error, UsageError | UnknownNameError):
+    return True
+  if isinstance(error, FileError):
+    return isinstance(error.__cause__, FileNotFoundError)
+  # A configuration that flags changed; one that is wrong without them is the task's mistake.
+  return isinstance(error, ConfigError) and any(word.startswith(_CONFIGS) for word in words)
 
 
 def _is_out_of_memory(error: BaseException) -> bool:

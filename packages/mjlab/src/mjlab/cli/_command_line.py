@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import MjlabError, UsageError, unknown
 
 from mjlab import environments
-from mjlab.cli._help import command_help
+from mjlab.cli._help import FlagRow, command_help
+from mjlab.cli._task_help import task_help
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
@@ -86,16 +87,20 @@ def run_with_task(
   if words[0].startswith("-"):
     raise UsageError(f"the task comes first. usage: {line.usage}")
   name, given = words[0], words[1:]
+  check_named_task(name)
+  if any(word in _HELP for word in given):
+    print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs)), end="")
+    return 0
   environments.share_cores()
-  task = load_named_task(name)
-  if not any(word in _HELP for word in given):
-    return action(name, task, given)
-  from mjlab.cli._flags import print_help
+  return action(name, load_task(name), given)
 
-  word = _help_word(given)
-  about = "" if word else f"{line.name} {name} --help WORD shows the flags that have WORD in their names."
-  print_help(line.arguments(**configs(task)), prog=f"{line.name} {name}", description=about, word=word)
-  return 0
+
+def _rows(line: CommandLine, name: str, configs: "Callable[[TaskCfg[Any]], dict[str, Any]]") -> list[FlagRow]:
+  environments.share_cores()
+  task = load_task(name)
+  from mjlab.cli._flags import help_rows
+
+  return help_rows(line.arguments(**configs(task)))
 
 
 def _help_word(words: list[str]) -> str:
@@ -129,9 +134,18 @@ def load_named_task(name: str) -> "TaskCfg[Any]":
   Raises:
     UsageError: The task does not exist. Nothing heavy is imported in this case.
   """
+  check_named_task(name)
+  return load_task(name)
+
+
+def check_named_task(name: str) -> None:
+  """Check that the task that a command line names exists.
+
+  Raises:
+    UsageError: It does not. Nothing heavy is imported in this case.
+  """
   if name not in list_tasks():
     raise UsageError(unknown("task", name, list_tasks()))
-  return load_task(name)
 
 
 def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any:

@@ -3,11 +3,11 @@
 import contextlib
 import dataclasses
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_core import UsageError, safe_name, unknown
+from mjlab_core import MjlabError, UsageError, safe_name, unknown
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, plot_problem
@@ -123,11 +123,14 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   motions: list[Motion] = []
   with ProgressBar("reading", len(clips)) as bar:
     for clip in clips:
-      motions.append(_edited(read_motion(_found(clip), robot, said), robot, wanted))
+      motion = read_motion(_found(clip), robot, said)
+      with _edits():
+        motions.append(_edited(motion, robot, wanted))
       bar.show(len(motions), motions[-1].name)
-  if wanted.concatenate is not None:
-    motions = [concatenate(motions, blend=wanted.concatenate)]
-  motions = [_finished(motion, robot, wanted) for motion in motions]
+  with _edits():
+    if wanted.concatenate is not None:
+      motions = [concatenate(motions, blend=wanted.concatenate)]
+    motions = [_finished(motion, robot, wanted) for motion in motions]
   if wanted.preview and len(motions) > 1:
     raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
   targets, pictures, films = (
@@ -162,6 +165,15 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   if preview is not None and wanted.preview:
     preview.browse(motions[0], host=wanted.host, port=wanted.port)
   return int(has_errors)
+
+
+@contextlib.contextmanager
+def _edits() -> Generator[None]:
+  """Turn the refusal of an edit, which flags ask for, into UsageError."""
+  try:
+    yield
+  except MjlabError as error:
+    raise UsageError(str(error)) from error
 
 
 def robot_spec(name: str) -> "mujoco.MjSpec":
@@ -223,6 +235,8 @@ def _found(clip: str) -> Path:
     raise UsageError(f"{clip} is a folder; name the clips in it: {clip}/*")
   if not path.exists() and not path.suffix:
     raise UsageError(f"{unknown('clip', clip, list(shipped))} It may also be the path of a .csv or .npz.")
+  if not path.exists():
+    raise UsageError(f"{path}: no such file")
   return path
 
 

@@ -24,7 +24,7 @@ import tyro
 from mjlab_core import UsageError, nearest
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from mjlab.cli._help import field_docs
+from mjlab.cli._help import FlagRow, field_docs
 
 ConfigT = TypeVar("ConfigT")
 
@@ -102,20 +102,22 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   return config
 
 
-def print_help(config: Any, *, prog: str, description: str, word: str = "") -> None:
-  """Print the flags of a configuration that have `word` in their names.
+def help_rows(config: Any) -> list[FlagRow]:
+  """Return the flags of a configuration for a help text."""
+  return [FlagRow(flag.name, _choices(flag), _shown(flag.value), flag.about) for flag in flags(config)]
 
-  Raises:
-    UsageError: No flag has.
-  """
-  known = flags(config)
-  word = word.strip("-").replace("_", "-").replace(" ", "-").lower()
-  shown = [flag for flag in known if word in flag.name.lower()]
-  if not shown:
-    close = nearest(word, dict.fromkeys(part for flag in known for part in flag.parts))
-    raise UsageError(f"no flag has '{word}' in its name." + (f" Nearest: {', '.join(close)}." if close else ""))
-  with contextlib.suppress(SystemExit):
-    tyro.cli(_parser(shown), args=["--help"], prog=prog, description=description)
+
+def _choices(flag: Flag) -> str:
+  spec = _spec(flag.kind)
+  return f"| --{flag.negative}" if flag.kind is bool else spec.metavar if spec is not None else ""
+
+
+def _shown(value: Any) -> str:
+  if isinstance(value, bool):
+    return "on" if value else "off"
+  if isinstance(value, (tuple, list)):
+    return " ".join(map(_shown, value)) or "empty"
+  return value.name if isinstance(value, enum.Enum) else str(value) or "empty"
 
 
 def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""Help of a command before a task is named: it reads dataclasses and imports neither tyro nor torch."""
+"""Help of commands, from dataclasses or from a list of flags; it imports neither tyro nor torch."""
 
 import ast
 import dataclasses
@@ -7,10 +7,24 @@ import inspect
 import itertools
 import textwrap
 import typing
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 _WIDTH = 120
-_INDENT = 28
+_INDENT = 44
+
+
+class FlagRow(NamedTuple):
+  """One flag in a help text."""
+
+  name: str
+  """Name without the two hyphens."""
+  choices: str
+  """Type or possible values; empty for a switch."""
+  default: str
+  """Present value."""
+  about: str
+  """Meaning."""
 
 
 def command_help(usage: str, purpose: str, arguments: Any, *, notes: str = "") -> str:
@@ -23,14 +37,23 @@ def command_help(usage: str, purpose: str, arguments: Any, *, notes: str = "") -
     notes: Text below the flags.
   """
   docs = field_docs(arguments)
-  lines = [f"usage: {usage}\n", *_wrapped(purpose, ""), "\nflags:"]
-  for field in dataclasses.fields(arguments):
-    if field.type is not Any:
-      name = f"  --{field.name.replace('_', '-')} {_metavar(field.type)}".rstrip()
-      if len(name) > _INDENT - 2:
-        lines.append(name)
-        name = ""
-      lines += _wrapped(f"{docs.get(field.name, '')} [{_shown(field)}]", f"{name:<{_INDENT}}")
+  rows = [
+    FlagRow(field.name.replace("_", "-"), _metavar(field.type), _shown(field), docs.get(field.name, ""))
+    for field in dataclasses.fields(arguments)
+    if field.type is not Any
+  ]
+  return flags_help(usage, purpose, rows, notes=notes)
+
+
+def flags_help(usage: str, purpose: str, rows: Sequence[FlagRow], *, notes: str = "") -> str:
+  """Return the help text for flags: a line with name, choices and default each, and the meaning beside or below it."""
+  lines = [f"usage: {usage}", "", *textwrap.wrap(purpose, _WIDTH), *([""] if purpose else []), "flags:"]
+  for row in rows:
+    lead = " ".join(part for part in (f"  --{row.name}", row.choices, f"[{row.default}]") if part)
+    if len(lead) > _INDENT - 2:
+      lines.append(lead)
+      lead = ""
+    lines += _wrapped(row.about, f"{lead:<{_INDENT}}") or ([lead] if lead else [])
   lines += _wrapped("Show this text.", f"{'  --help':<{_INDENT}}")
   return "\n".join([*lines, *([f"\n{notes}"] if notes else [])]) + "\n"
 
@@ -56,7 +79,8 @@ def _shown(field: dataclasses.Field[Any]) -> str:
     return "required"
   if isinstance(field.default, bool):
     return "on" if field.default else "off"
-  return " ".join(map(str, field.default)) if isinstance(field.default, tuple) else str(field.default) or "empty"
+  shown = " ".join(map(str, field.default)) if isinstance(field.default, tuple) else str(field.default)
+  return shown or "empty"
 
 
 @functools.cache

@@ -2,17 +2,18 @@
 
 import socket
 
-from mjlab_core import MjlabError
+from mjlab_core import MjlabError, UsageError
 
 
 def check_address(host: str, port: int) -> None:
   """Check that this machine can listen on an address; the server would wait for a foreign one without end.
 
   Raises:
-    MjlabError: it cannot.
+    UsageError: There is no such port.
+    MjlabError: It cannot listen.
   """
   if not 0 < port < 65536:
-    raise MjlabError(f"port {port} does not exist; use 1 to 65535")
+    raise UsageError(f"port {port} does not exist; use 1 to 65535")
   try:
     # The server itself takes the next port where this one is taken.
     with socket.create_server((host, 0)):
