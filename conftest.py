@@ -10,6 +10,9 @@ import pytest
 # Kernels are compiled once and kept between runs. Warp reads this when it is first imported.
 os.environ.setdefault("WARP_CACHE_PATH", str(Path(__file__).parent / ".cache" / "warp"))
 
+# Tensors of tests are tiny. Threads of one process that wait for each other on a busy machine cost ten times the work.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 def pytest_unconfigure(config: pytest.Config) -> None:
   """What tests left behind, such as a thread, has as long to end as a test has."""
