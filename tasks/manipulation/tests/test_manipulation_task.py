@@ -10,7 +10,8 @@ import torch
 from manipulation_worlds import lift, place
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_objects_env
-from mjlab_manipulation.lift import ACTION_SCALE, ARM, COMMAND, JOINT_RANGE
+from mjlab_manipulation.arm import ACTION_SCALE, ARM, JOINT_RANGE
+from mjlab_manipulation.lift import COMMAND
 from mjlab_rl import Console, train
 from mjlab_robots import YAM_ACTION_SCALE
 

@@ -1,5 +1,6 @@
 """Manipulation tasks: an arm lifts an object to a goal."""
 
+from mjlab_manipulation.arm import LiftingArm, yam_arm
 from mjlab_manipulation.distillation import (
   distillation_agent,
   lift_cube_depth_distill,
@@ -9,7 +10,7 @@ from mjlab_manipulation.distillation import (
 )
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images, randomize_images
-from mjlab_manipulation.lift import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env
+from mjlab_manipulation.lift import agent, lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_env, play
 from mjlab_manipulation.lift_objects import (
   lift_objects,
   lift_objects_depth,
@@ -29,6 +30,8 @@ from mjlab_manipulation.vision import (
 
 __all__ = [
   "LiftEvaluation",
+  "LiftingArm",
+  "agent",
   "distillation_agent",
   "lift_cube",
   "lift_cube_depth",
@@ -52,5 +55,7 @@ __all__ = [
   "multi_cube_seg",
   "multi_cube_seg_env",
   "plain_images",
+  "play",
   "randomize_images",
+  "yam_arm",
 ]

@@ -1,4 +1,4 @@
-"""Lift tasks of the YAM with one cube, with joint or Cartesian actions."""
+"""Lift tasks: the environment of any arm, and those of the YAM with one cube, with joint or Cartesian actions."""
 
 from dataclasses import replace
 
@@ -16,13 +16,13 @@ from mjlab_managers import (
   UniformNoiseCfg,
 )
 from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg
-from mjlab_robots import YAM_ACTION_SCALE, yam
 from mjlab_scene import EntityCfg, SceneCfg
 from mjlab_sensors import ContactMatch, ContactSensorCfg, SensorCfg
 from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_manipulation import mdp as lifting
+from mjlab_manipulation.arm import ARM, JOINT_RANGE, LiftingArm, yam_arm
 from mjlab_manipulation.evaluation import LiftEvaluation
 from mjlab_manipulation.image_randomization import plain_images
 from mjlab_manipulation.objects import cube_spec
@@ -31,21 +31,6 @@ from mjlab_manipulation.objects import cube_spec
 PHYSICS_DT = 0.005  # s
 DECIMATION = 4
 EPISODE_LENGTH = 20.0  # s; goals end before
-
-# Range of each joint [rad, m]
-JOINT_RANGE = {
-  "joint1": (-2.61799, 3.05433),
-  "joint2": (0.0, 3.66519),
-  "joint3": (0.0, 3.66519),
-  "joint4": (-1.5708, 1.5708),
-  "joint5": (-1.5708, 1.5708),
-  "joint6": (-2.0944, 2.0944),
-  "left_finger": (-0.00205, 0.037524),
-}
-ARM = tuple(joint for joint in JOINT_RANGE if joint.startswith("joint"))
-FINGERS = ("link_left_finger", "link_right_finger")
-# One unit of action is at most half the range.
-ACTION_SCALE = {joint: min(YAM_ACTION_SCALE[joint], 0.5 * (hi - lo)) for joint, (lo, hi) in JOINT_RANGE.items()}
 
 # Cartesian actions: change of pose per unit of action and step, and opening of the gripper
 HAND_STEP = 0.02  # m
@@ -72,7 +57,6 @@ NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
 NOISE_POSITION = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
 
 COMMAND = "lift_height"
-_TIPS = "[lr]f_down([6-9]|10|11)_collision"
 
 
 def lift_cube() -> TaskCfg[ManagerBasedRlEnvCfg]:
@@ -111,8 +95,14 @@ def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
   return cfg
 
 
-def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
-  """Return the environment of a YAM on a plane with `objects`, entities of one body each, and joint actions."""
+def lift_env(objects: dict[str, EntityCfg], arm: LiftingArm | None = None) -> ManagerBasedRlEnvCfg:
+  """Return the environment of an arm on a plane with joint actions; it shares no part with another config.
+
+  Args:
+    objects: Entities of one body each; every world lifts one of them.
+    arm: The arm; None: a YAM.
+  """
+  arm = yam_arm() if arm is None else arm
   return ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
@@ -122,14 +112,19 @@ def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
     scene=SceneCfg(
       env_spacing=1.0,
       terrain=PlaneCfg(),
-      entities={"robot": yam(collision="gripper_only"), **objects},
-      sensors=_sensors(tuple(objects)),
+      entities={"robot": arm.entity(), **objects},
+      sensors=_sensors(tuple(objects), arm),
       extent=1.0,
     ),
-    actions={"joint_pos": mdp.JointPositionActionCfg(actuators=".*", scale=dict(ACTION_SCALE), clip=dict(JOINT_RANGE))},
+    actions={
+      "joint_pos": mdp.JointPositionActionCfg(actuators=".*", scale=dict(arm.action_scale), clip=dict(arm.joint_range))
+    },
     commands={COMMAND: lifting.LiftCommandCfg(objects=tuple(objects))},
-    observations={"actor": state_observations(corrupt=True), "critic": state_observations(corrupt=False)},
-    rewards=_rewards(),
+    observations={
+      "actor": state_observations(arm.hand_site, corrupt=True),
+      "critic": state_observations(arm.hand_site, corrupt=False),
+    },
+    rewards=_rewards(arm),
     terminations={
       "time_out": TerminationTermCfg(mdp.time_out, time_out=True),
       "goal_over": TerminationTermCfg(lifting.goal_over, time_out=True, params={"command": COMMAND}),
@@ -143,7 +138,7 @@ def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
         mode="reset",
         params={"position_range": (0.0, 0.0), "velocity_range": (0.0, 0.0)},
       ),
-      **_tip_friction(),
+      **_tip_friction(arm.finger_tips),
     },
     curriculum={
       "joint_vel_hinge_weight": CurriculumTermCfg(
@@ -154,26 +149,26 @@ def lift_env(objects: dict[str, EntityCfg]) -> ManagerBasedRlEnvCfg:
         },
       )
     },
-    metrics=_metrics(),
+    metrics=_metrics(arm.hand_site),
   )
 
 
-def hand() -> SceneEntityCfg:
-  """Return the site between the finger tips."""
-  return SceneEntityCfg("robot", site_names="grasp_site")
+def hand(site: str = "grasp_site") -> SceneEntityCfg:
+  """Return the site between the finger tips; by default the YAM's."""
+  return SceneEntityCfg("robot", site_names=site)
 
 
-def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
+def _sensors(objects: tuple[str, ...], arm: LiftingArm) -> dict[str, SensorCfg]:
   return {
     "ee_ground_collision": ContactSensorCfg(
-      primary=ContactMatch(mode="subtree", pattern="link_6", entity="robot"),
+      primary=ContactMatch(mode="subtree", pattern=arm.wrist, entity="robot"),
       secondary=ContactMatch(mode="body", pattern="terrain"),
       fields=("found", "force"),
       reduce="maxforce",
       history_length="decimation",
     ),
     "fingers": ContactSensorCfg(
-      primary=ContactMatch(mode="subtree", pattern=FINGERS, entity="robot", preserve_order=True),
+      primary=ContactMatch(mode="subtree", pattern=arm.fingers, entity="robot", preserve_order=True),
       secondary=ContactMatch(mode="body", pattern=tuple(f"{name}/.*" for name in objects), preserve_order=True),
       fields=("found", "force"),
       # The force of a finger, summed over its contacts.
@@ -184,7 +179,7 @@ def _sensors(objects: tuple[str, ...]) -> dict[str, SensorCfg]:
 
 
 def proprioception() -> dict[str, ObservationTermCfg | None]:
-  """Return proprioceptive terms: 8 joints, with both fingers, and the last action."""
+  """Return proprioceptive terms: joints, those of the fingers too, and the last action."""
   return {
     "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=replace(NOISE_JOINT_POS)),
     "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=replace(NOISE_JOINT_VEL)),
@@ -192,12 +187,12 @@ def proprioception() -> dict[str, ObservationTermCfg | None]:
   }
 
 
-def state_observations(*, corrupt: bool) -> ObservationGroupCfg:
+def state_observations(hand_site: str, *, corrupt: bool) -> ObservationGroupCfg:
   """Return terms of the arm, the object and the goal."""
   terms = proprioception()
   places: dict[str, ObservationTermCfg | None] = {
     "ee_to_cube": ObservationTermCfg(
-      lifting.hand_to_object, noise=replace(NOISE_POSITION), params={"command": COMMAND, "hand": hand()}
+      lifting.hand_to_object, noise=replace(NOISE_POSITION), params={"command": COMMAND, "hand": hand(hand_site)}
     ),
     "cube_to_goal": ObservationTermCfg(
       lifting.object_to_goal, noise=replace(NOISE_POSITION), params={"command": COMMAND}
@@ -207,12 +202,17 @@ def state_observations(*, corrupt: bool) -> ObservationGroupCfg:
   return ObservationGroupCfg(corrupt=corrupt, terms={name: (terms | places)[name] for name in order})
 
 
-def _rewards() -> dict[str, RewardTermCfg | None]:
+def _rewards(arm: LiftingArm) -> dict[str, RewardTermCfg | None]:
   return {
     "lift": RewardTermCfg(
       lifting.lift,
       weight=1.0,
-      params={"command": COMMAND, "reaching_std": REACHING_STD, "bringing_std": BRINGING_STD, "hand": hand()},
+      params={
+        "command": COMMAND,
+        "reaching_std": REACHING_STD,
+        "bringing_std": BRINGING_STD,
+        "hand": hand(arm.hand_site),
+      },
     ),
     "lift_precise": RewardTermCfg(lifting.lift_precise, weight=1.0, params={"command": COMMAND, "std": PRECISE_STD}),
     "action_rate_l2": RewardTermCfg(mdp.action_rate_l2, weight=-0.01),
@@ -220,18 +220,20 @@ def _rewards() -> dict[str, RewardTermCfg | None]:
     "joint_vel_hinge": RewardTermCfg(
       lifting.joint_vel_hinge,
       weight=JOINT_SPEED_WEIGHTS[0],
-      params={"max_vel": MAX_JOINT_SPEED, "asset": SceneEntityCfg("robot", joint_names=ARM)},
+      params={"max_vel": MAX_JOINT_SPEED, "asset": SceneEntityCfg("robot", joint_names=arm.arm_joints)},
     ),
   }
 
 
-def _metrics() -> dict[str, MetricsTermCfg | None]:
+def _metrics(hand_site: str) -> dict[str, MetricsTermCfg | None]:
   command = {"command": COMMAND}
   touch = {**command, "sensor": "fingers"}
   goal = {**command, "within": TOLERANCE}
   success = {**goal, "hold": HOLD}
   return {
-    "reached": MetricsTermCfg(lifting.reached, reduce="max", params={**command, "hand": hand(), "within": REACHED}),
+    "reached": MetricsTermCfg(
+      lifting.reached, reduce="max", params={**command, "hand": hand(hand_site), "within": REACHED}
+    ),
     "touched": MetricsTermCfg(lifting.touched, reduce="max", params=dict(touch)),
     "grasped": MetricsTermCfg(lifting.grasped, reduce="max", params=dict(touch)),
     "lifted": MetricsTermCfg(lifting.lifted, reduce="max", params={**command, "height": LIFTED}),
@@ -245,12 +247,14 @@ def _metrics() -> dict[str, MetricsTermCfg | None]:
   }
 
 
-def _tip_friction() -> dict[str, EventTermCfg | None]:
+def _tip_friction(tips: str | None) -> dict[str, EventTermCfg | None]:
+  if tips is None:
+    return {}
   # One value for all finger tips of a world, which are of one material.
   randomizers = {
-    "slide": geom_friction(_TIPS, (0.3, 1.5), axes=(0,), shared=True),
-    "spin": geom_friction(_TIPS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
-    "roll": geom_friction(_TIPS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
+    "slide": geom_friction(tips, (0.3, 1.5), axes=(0,), shared=True),
+    "spin": geom_friction(tips, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
+    "roll": geom_friction(tips, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
   }
   return {
     f"fingertip_friction_{axis}": mdp.randomize_at_startup(randomizer) for axis, randomizer in randomizers.items()

@@ -4,10 +4,15 @@ from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.g1 import g1_flat, g1_flat_blind, g1_flat_env, g1_rough, g1_rough_blind, g1_rough_env
 from mjlab_velocity.go1 import go1_flat, go1_flat_blind, go1_flat_env, go1_rough, go1_rough_blind, go1_rough_env
+from mjlab_velocity.legged import LeggedRobot, agent, flat_env, play_flat
+from mjlab_velocity.rough import ground_contact, play_rough, rough_env, rough_terrain, self_collision
 
 __all__ = [
+  "LeggedRobot",
   "VelocityEvaluation",
+  "agent",
   "blind",
+  "flat_env",
   "g1_flat",
   "g1_flat_blind",
   "g1_flat_env",
@@ -20,4 +25,10 @@ __all__ = [
   "go1_rough",
   "go1_rough_blind",
   "go1_rough_env",
+  "ground_contact",
+  "play_flat",
+  "play_rough",
+  "rough_env",
+  "rough_terrain",
+  "self_collision",
 ]

@@ -69,7 +69,10 @@ NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
 
 @dataclass(kw_only=True)
 class LeggedRobot:
-  """Numbers of a robot that the velocity tasks need."""
+  """Numbers of a robot that the velocity tasks need.
+
+  It has the sensors `imu_lin_vel`, `imu_ang_vel` (of the base) and `root_angmom`.
+  """
 
   entity: Callable[[], EntityCfg]
   action_scale: dict[str, float]
@@ -80,22 +83,24 @@ class LeggedRobot:
   """Sites of the feet."""
   foot_contact: ContactMatch
   """Bodies or geoms that touch the ground, one for each of `feet` in their order."""
-  foot_rays: RingPatternCfg
+  foot_rays: RingPatternCfg = field(default_factory=lambda: RingPatternCfg(radius=0.03, num_samples=4))
   """Pattern of the rays that find the ground under a foot."""
-  foot_friction: tuple[FieldRandomizer, ...]
+  foot_friction: tuple[FieldRandomizer, ...] = ()
   """Randomisers of friction: sliding, then torsional, then rolling."""
-  start_height: tuple[float, float]
+  start_height: tuple[float, float] = (0.01, 0.05)
   """Range of the root's height above its default at the start of an episode [m]."""
-  std_standing: dict[str, float]
+  std_standing: dict[str, float] = field(default_factory=lambda: {".*": 0.05})
   """Allowed deviation of joints from the default pose while standing, by joint pattern [rad]."""
-  std_walking: dict[str, float]
+  std_walking: dict[str, float] = field(default_factory=lambda: {".*": 0.3})
   """Allowed deviation while walking, likewise."""
-  std_running: dict[str, float]
+  std_running: dict[str, float] = field(default_factory=lambda: {".*": 0.5})
   """Allowed deviation while running, likewise."""
   weights: dict[str, float] = field(default_factory=dict)
-  """Reward weights that differ from those of `_rewards`."""
-  sim: SimulationCfg
-  """Solver and buffers; its time step is that of the tasks."""
+  """Reward weights that differ from those of the family."""
+  sim: SimulationCfg = field(
+    default_factory=lambda: SimulationCfg(timestep=PHYSICS_DT, iterations=10, ls_iterations=20)
+  )
+  """Solver and buffers; its time step is that of the tasks, `PHYSICS_DT`."""
 
 
 def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
