@@ -3,6 +3,7 @@
 import errno
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NoReturn
@@ -22,6 +23,7 @@ from mjlab_viewer import (
   VideoFile,
 )
 from mjlab_viewer.pictures.offscreen import tiles
+from mjlab_viewer.snapshot import Snapshot
 from viewer_env import BoxEnv
 
 SMALL = PictureCfg(width=96, height=72, shadows=False)
@@ -213,6 +215,34 @@ def test_a_drawing_that_fails_ends_the_films_of_a_training_and_not_the_training(
   said = "training goes on without films: drawing: ZeroDivisionError: a drawing"
   assert [record.getMessage() for record in caplog.records] == [said]
   assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("room", [1, 32])
+def test_films_in_quick_succession_are_all_made_by_one_thread_and_have_their_length(
+  opengl: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, room: int
+) -> None:
+  monkeypatch.setattr("mjlab_viewer.pictures.video._ROOM", room)
+  threads: set[int] = set()
+  render = OffscreenRenderer.render
+
+  def look(self: OffscreenRenderer, snapshot: Snapshot) -> np.ndarray:
+    threads.add(threading.get_ident())
+    return render(self, snapshot)
+
+  monkeypatch.setattr(OffscreenRenderer, "render", look)
+  env = BoxEnv(1)
+  films = TrainingVideo(env, tmp_path, interval=4, length=3, cfg=SMALL)
+  for _ in range(42):
+    env.step(torch.zeros(1, 1))
+    films.after_step()
+  films.close()
+  assert not films.is_off
+  assert {path.name for path in tmp_path.iterdir()} == {f"step_{step}.mp4" for step in range(0, 42, 4)}
+  lengths = [len(frames(tmp_path / f"step_{step}.mp4")) for step in range(0, 42, 4)]
+  # The last film was cut by the end.
+  assert lengths == [3] * 10 + [2]
+  assert len(threads) == 1
+  assert not [thread for thread in threading.enumerate() if thread.name == "video"]
 
 
 def test_torchs_compiler_can_be_loaded_after_a_picture(opengl: None) -> None:

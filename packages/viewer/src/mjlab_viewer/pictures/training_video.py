@@ -21,8 +21,9 @@ MOST_TILES = 4
 class TrainingVideo:
   """Films the first worlds as tiles: `length` steps, every `interval` steps.
 
-  `after_step` copies a few worlds to the host. Rendering and encoding run in the background, which drops frames instead
-  of delaying the training. If rendering or a drawing fails, one warning is logged and filming stops.
+  `after_step` copies a few worlds to the host. One thread renders and encodes all films in the background. If it cannot
+  keep up, it repeats frames instead of delaying the training; only the first frame of a film waits for room, so that no
+  film is lost. If rendering or a drawing fails, one warning is logged and filming stops.
 
   Args:
     env: The environment.
@@ -55,30 +56,31 @@ class TrainingVideo:
     self._step += 1
     if self.is_off or phase >= self._length:
       return
-    if phase == 0:
-      path = self._folder / f"step_{self._step - 1}.mp4"
-      self._film = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, self._cfg)
     if self._film is None:
-      return
+      path = self._path(self._step - 1)
+      self._film = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, self._cfg)
     try:
       snapshot = self._taker.take(self._worlds, drawers=self._env.default_drawers(), apart=True)
     except Exception as error:
       # A drawing of a task must not end a training.
       self._give_up(one_line("drawing", error))
       return
-    self._film.add(snapshot)
+    self._film.add(snapshot, wait=phase == 0)
     if phase == self._length - 1:
-      self._film.finish()
+      self._film.begin(self._path(self._step + self._interval - self._length))
     if self._film.error is not None:
       self._give_up(str(self._film.error))
 
   def close(self) -> None:
-    """Finish the film that is being made."""
+    """Wait until all films are written."""
     if self._film is not None:
       self._film.close()
       if self._film.error is not None and not self.is_off:
         self._give_up(str(self._film.error))
       self._film = None
+
+  def _path(self, step: int) -> Path:
+    return self._folder / f"step_{step}.mp4"
 
   def _give_up(self, why: str) -> None:
     self.is_off = True

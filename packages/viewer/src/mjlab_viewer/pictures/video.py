@@ -74,11 +74,16 @@ class VideoFile:
         write.discard()
 
 
+_ROOM = 32
+"""Snapshots that wait to be rendered."""
+
+
 class BackgroundVideo:
   """Renders and encodes snapshots in a thread of its own, so that the simulation does not wait.
 
-  If rendering fails, `error` holds the exception and nothing is raised. If the thread cannot keep up, `add` waits with
-  `wait`, and otherwise drops frames and counts them in `num_dropped`.
+  One thread and one renderer serve any number of films, one after another. If rendering fails, `error` holds the
+  exception and nothing is raised. If the thread cannot keep up, `add` waits with `wait`. Otherwise it drops frames and
+  counts them in `num_dropped`; the frame before is shown for their time, so that the film keeps its length.
 
   Args:
     path: Path of the mp4.
@@ -105,27 +110,37 @@ class BackgroundVideo:
     self._is_finished = False
     self._wait = wait
     self._on_error = on_error
-    self._queue: queue.Queue[Snapshot | None] = queue.Queue(maxsize=32)
+    self._missed = 0
+    self._fps = fps
+    # A snapshot, the next film, or the end; with the number of frames that were dropped before it.
+    self._queue: queue.Queue[tuple[Snapshot | VideoFile | None, int]] = queue.Queue(maxsize=_ROOM)
     self._thread = threading.Thread(target=self._run, args=(model, cfg), name="video", daemon=True)
     self._thread.start()
 
-  def add(self, snapshot: Snapshot) -> None:
-    """Add a frame."""
+  def add(self, snapshot: Snapshot, *, wait: bool = False) -> None:
+    """Add a frame; `wait` makes this one wait for room."""
     if self.error is not None:
       return
-    if self._wait:
-      self._queue.put(snapshot)
+    if self._wait or wait:
+      self._put(snapshot)
       return
     try:
-      self._queue.put_nowait(snapshot)
+      self._queue.put_nowait((snapshot, self._missed))
+      self._missed = 0
     except queue.Full:
       self.num_dropped += 1
+      self._missed += 1
+
+  def begin(self, path: str | os.PathLike[str]) -> None:
+    """Finish the film in the background; further frames belong to the film of `path`."""
+    self.file = VideoFile(path, self._fps)
+    self._put(self.file)
 
   def finish(self) -> None:
     """Finish the file in the background; no more frames are added."""
     if not self._is_finished:
       self._is_finished = True
-      self._queue.put(None)
+      self._put(None)
 
   def close(self) -> Path | None:
     """Wait for all frames, finish the file, and return its path, or None if there is no file."""
@@ -133,22 +148,36 @@ class BackgroundVideo:
     self._thread.join()
     return self.file.path if self.error is None and self.file.num_frames else None
 
+  def _put(self, item: Snapshot | VideoFile | None) -> None:
+    self._queue.put((item, self._missed))
+    self._missed = 0
+
   def _run(self, model: mujoco.MjModel, cfg: PictureCfg | None) -> None:
     is_over = False
+    file, picture = self.file, None
     try:
       with OffscreenRenderer(model, cfg) as renderer:
-        while (snapshot := self._queue.get()) is not None:
-          self.file.add(renderer.render(snapshot))
-      is_over = True
-      self.file.close()
+        while not is_over:
+          item, missed = self._queue.get()
+          if picture is not None:
+            for _ in range(missed):
+              file.add(picture)
+          if isinstance(item, Snapshot):
+            picture = renderer.render(item)
+            file.add(picture)
+            continue
+          is_over = item is None
+          file.close()
+          if item is not None:
+            file, picture = item, None
     except Exception as error:
       self.error = error
-      self.file.discard()
+      file.discard()
       if self._on_error is not None:
         self._on_error(error)
       # A caller that waits for room must not wait without end.
-      while not is_over and self._queue.get() is not None:
-        pass
+      while not is_over:
+        is_over = self._queue.get()[0] is None
 
 
 def check_video_path(path: str | os.PathLike[str]) -> Path:
