@@ -9,12 +9,17 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_robots import YAM_DEFAULT_HEIGHT, MeshMode, g1_spec, go1_spec, yam_spec
+from mjlab_robots import YAM_DEFAULT_HEIGHT, MeshMode, g1_spec, go1_spec, go2_spec, yam_spec
 from PIL import Image
 
-ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {"go1": go1_spec, "g1": g1_spec, "yam": yam_spec}
+ROBOTS: dict[str, Callable[[MeshMode], mujoco.MjSpec]] = {
+  "go1": go1_spec,
+  "go2": go2_spec,
+  "g1": g1_spec,
+  "yam": yam_spec,
+}
 # Width and height in pixels: as wide as the robot is.
-SIZES = {"go1": (1200, 700), "g1": (800, 900), "yam": (1000, 800)}
+SIZES = {"go1": (1200, 700), "go2": (1200, 700), "g1": (800, 900), "yam": (1000, 800)}
 # Rendered larger and averaged: smoother edges than the renderer's own multisampling.
 OVERSAMPLING = 2
 

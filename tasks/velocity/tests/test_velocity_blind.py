@@ -8,12 +8,14 @@ import torch
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab_rl import TaskCfg
-from mjlab_velocity import blind, g1_flat, g1_rough, go1_flat, go1_rough
+from mjlab_velocity import blind, g1_flat, g1_rough, go1_flat, go1_rough, go2_flat, go2_rough
 
 Make = Callable[[], TaskCfg[ManagerBasedRlEnvCfg]]
 SIGHTED: dict[str, Make] = {
   "Mjlab-Velocity-Flat-Unitree-G1-Blind": g1_flat,
   "Mjlab-Velocity-Flat-Unitree-Go1-Blind": go1_flat,
+  "Mjlab-Velocity-Flat-Unitree-Go2-Blind": go2_flat,
+  "Mjlab-Velocity-Rough-Unitree-Go2-Blind": go2_rough,
   "Mjlab-Velocity-Rough-Unitree-G1-Blind": g1_rough,
   "Mjlab-Velocity-Rough-Unitree-Go1-Blind": go1_rough,
 }

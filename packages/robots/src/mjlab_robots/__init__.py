@@ -18,6 +18,15 @@ from mjlab_robots.go1 import (
   go1,
   go1_spec,
 )
+from mjlab_robots.go2 import (
+  GO2_ACTION_SCALE,
+  GO2_ACTUATORS,
+  GO2_DEFAULT_HEIGHT,
+  GO2_DEFAULT_JOINT_POS,
+  GO2_SOFT_JOINT_POS_LIMIT_FACTOR,
+  go2,
+  go2_spec,
+)
 from mjlab_robots.meshes import MeshMode, download_meshes, find_meshes
 from mjlab_robots.motors import Motor
 from mjlab_robots.yam import (
@@ -41,6 +50,11 @@ __all__ = [
   "GO1_DEFAULT_HEIGHT",
   "GO1_DEFAULT_JOINT_POS",
   "GO1_SOFT_JOINT_POS_LIMIT_FACTOR",
+  "GO2_ACTION_SCALE",
+  "GO2_ACTUATORS",
+  "GO2_DEFAULT_HEIGHT",
+  "GO2_DEFAULT_JOINT_POS",
+  "GO2_SOFT_JOINT_POS_LIMIT_FACTOR",
   "YAM_ACTION_SCALE",
   "YAM_ACTUATORS",
   "YAM_DEFAULT_HEIGHT",
@@ -54,6 +68,8 @@ __all__ = [
   "g1_spec",
   "go1",
   "go1_spec",
+  "go2",
+  "go2_spec",
   "yam",
   "yam_spec",
 ]
