@@ -57,8 +57,10 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
   assert first[0].startswith(f"{TASK}: 8 environments (--env.scene.num-envs sets it) on cpu (")
   assert first[1] == "engine native, every step runs eagerly"
   versions = first[2].split(", ")
-  for package in ("mjlab", "mujoco", "mujoco-warp", "torch", "rsl-rl-lib"):
+  for package in ("mjlab", "mujoco", "mujoco-warp", "rsl-rl-lib"):
     assert f"{package} {metadata.version(package)}" in versions
+  backend = f"CUDA {torch.version.cuda}" if torch.version.cuda else "CPUs"
+  assert f"torch {metadata.version('torch')} (built for {backend})" in versions
   assert f"done: 3 iterations, {directory / 'model_3.pt'}" in shown
 
 

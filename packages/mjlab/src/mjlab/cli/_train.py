@@ -309,8 +309,13 @@ def _environment_line(env: Any) -> str:
 
 
 def _versions_line() -> str:
+  import torch
   from mjlab_rl.manifest import package_versions
 
   versions = package_versions()
+  backend = (
+    f"CUDA {torch.version.cuda}" if torch.version.cuda else f"ROCm {hip}" if (hip := torch.version.hip) else "CPUs"
+  )
+  versions["torch"] += f" (built for {backend})"
   wanted = ("mjlab", "mujoco", "mujoco-warp", "torch", "rsl-rl-lib", "python")
   return ", ".join(f"{name} {versions[name]}" for name in wanted if name in versions)
