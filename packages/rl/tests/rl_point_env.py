@@ -53,6 +53,7 @@ class PointEnvCfg:
   output_dir: str | None = None
   seed: int | None = None
   is_finite_horizon: bool = False
+  capture_terminal_observations: bool = False
 
 
 @dataclass
@@ -92,8 +93,9 @@ class PointEnv:
     terminated = self.state[:, 0].abs() > 1.0
     truncated = self.episode_length_buf >= self.max_episode_length
     self._log += reward.mean()
+    final = {"final_obs": self.get_observations()} if self.cfg.capture_terminal_observations else {}
     self._restart(terminated | truncated)
-    return self.get_observations(), reward, terminated, truncated, {}
+    return self.get_observations(), reward, terminated, truncated, final
 
   def get_observations(self) -> dict[str, torch.Tensor]:
     return {"actor": self.state.clone(), "critic": torch.cat((self.state, self.episode_length_buf[:, None] / 12), 1)}

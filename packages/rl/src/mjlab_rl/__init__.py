@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     wilson,
   )
   from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
+  from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
+  from mjlab_rl.offpolicy.presets import with_agent
+  from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
   from mjlab_rl.onnx_policy import OnnxPolicy
   from mjlab_rl.policies import CheckpointPolicy, FinitePolicy
   from mjlab_rl.references import trust_package
@@ -53,7 +56,10 @@ __all__ = [
   "Interval",
   "IterationReport",
   "MjlabDistillationRunner",
+  "MjlabOffPolicyRunner",
   "MjlabOnPolicyRunner",
+  "OffPolicyModelCfg",
+  "OffPolicyRunnerCfg",
   "OnnxPolicy",
   "Policy",
   "PolicyRecord",
@@ -68,6 +74,7 @@ __all__ = [
   "RslRlPpoAlgorithmCfg",
   "RslRlVecEnvWrapper",
   "RunManifest",
+  "SacCfg",
   "TaskCfg",
   "Threshold",
   "TrainedPolicy",
@@ -83,6 +90,7 @@ __all__ = [
   "train",
   "trust_package",
   "wilson",
+  "with_agent",
 ]
 
 # rsl-rl imports GitPython, which complains at import where there is no git binary.
@@ -104,6 +112,9 @@ __getattr__, __dir__ = lazy_exports(
       "play_first_episodes summarize wilson"
     ),
     ".manifest": "PolicyRecord RunManifest load_run",
+    ".offpolicy.config": "OffPolicyModelCfg OffPolicyRunnerCfg SacCfg",
+    ".offpolicy.presets": "with_agent",
+    ".offpolicy.runner": "MjlabOffPolicyRunner",
     ".onnx_policy": "OnnxPolicy",
     ".policies": "CheckpointPolicy FinitePolicy",
     ".references": "trust_package",

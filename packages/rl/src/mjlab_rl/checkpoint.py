@@ -117,7 +117,7 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     ours = state.get("mjlab")
     if isinstance(ours, dict) and ours.get("format") != FORMAT:
       raise FileError(f"written by another version of mjlab-rl; this one reads format {FORMAT}")
-    msgspec.convert(state, _Checkpoint, dec_hook=_tensor)
+    msgspec.convert(state, _Checkpoint, dec_hook=as_tensor)
     for name in wanted:
       if name in state and not state[name]:
         raise FileError(f"{name!r} is empty")
@@ -132,7 +132,8 @@ def _check_archive(path: Path) -> None:
         raise FileError("holds compressed records, which torch does not write")
 
 
-def _tensor(kind: type, value: Any) -> Any:
+def as_tensor(kind: type, value: Any) -> Any:
+  """Return a dense tensor as it is; the `dec_hook` of schemas."""
   if kind is not torch.Tensor or not isinstance(value, torch.Tensor) or value.layout != torch.strided:
     raise TypeError(f"expected a dense {kind.__name__.lower()}, got {type(value).__name__}")
   return value

@@ -277,6 +277,13 @@ class RslRlBaseRunnerCfg(Config):
       ConfigError: It does not.
     """
 
+  def prepare_env(self, cfg: Any) -> None:
+    """Set what the learner needs in the configuration of an environment to train in.
+
+    Raises:
+      ConfigError: The environment cannot give it.
+    """
+
   def for_inference(self) -> Self:
     """Return a copy for a policy that only acts, in any number of worlds, with the smallest storage.
 
@@ -392,6 +399,8 @@ class TaskCfg(Config, Generic[EnvCfgT]):
   """Function from a copy of the training configuration to the one for watching; None: no change."""
   agent: RslRlBaseRunnerCfg = field(default_factory=RslRlOnPolicyRunnerCfg)
   """Learner configuration."""
+  agents: dict[str, RslRlBaseRunnerCfg] = field(default_factory=dict)
+  """Other learners by name, such as "flashsac"; they replace the presets of these names."""
   runner: type[Any] | None = None
   """Subclass of MjlabOnPolicyRunner to train with; None: the standard one of the learner."""
   make_env: Callable[..., Any] | None = None

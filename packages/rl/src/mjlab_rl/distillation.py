@@ -7,6 +7,8 @@ from rsl_rl.algorithms import Distillation
 from tensordict import TensorDict
 
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
+from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
+from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.trained_policy import TrainedPolicy
 
@@ -55,4 +57,6 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
 
 def runner_class(agent: RslRlBaseRunnerCfg) -> type[MjlabOnPolicyRunner]:
   """Return the standard runner of a learner."""
+  if isinstance(agent, OffPolicyRunnerCfg):
+    return MjlabOffPolicyRunner
   return MjlabDistillationRunner if isinstance(agent, RslRlDistillationRunnerCfg) else MjlabOnPolicyRunner

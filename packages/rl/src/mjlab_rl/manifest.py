@@ -183,9 +183,10 @@ def _learner_problems(values: Mapping[str, Any], where: str) -> Iterator[str]:
 
 
 def _is_learner_class(found: Any) -> bool:
-  """Return True for subclasses of torch's modules and of rsl-rl's classes, without importing either."""
+  """Return True for subclasses of torch's modules, rsl-rl's classes and our algorithms, without importing any."""
   return isinstance(found, type) and any(
-    base.__module__.partition(".")[0] in ("torch", "rsl_rl") for base in found.__mro__
+    base.__module__.partition(".")[0] in ("torch", "rsl_rl") or base.__module__ == "mjlab_rl.offpolicy.algorithm"
+    for base in found.__mro__
   )
 
 

@@ -344,7 +344,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     # Not inference mode: the environment could not write later to tensors that it makes there.
     # On a CPU physics has its own threads, and the tensors of a rollout are small.
     threads = 1 if self._torch_device.type == "cpu" else torch.get_num_threads()
-    with torch.no_grad(), _set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
+    with torch.no_grad(), set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
       for _ in range(self.agent_cfg.num_steps_per_env):
         actions = self.alg.act(obs)
         obs, rewards, dones, extras = self.env.step(actions)
@@ -360,7 +360,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
     # For the update alone: rotations and rewards of the environment need full float32.
     precision = self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get()
-    with _set_for_now(get, set_to, precision), self._averages.replacing():
+    with set_for_now(get, set_to, precision), self._averages.replacing():
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
 
@@ -390,7 +390,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
 
 @contextlib.contextmanager
-def _set_for_now(get: Callable[[], Any], set_to: Callable[[Any], None], value: Any) -> Generator[None]:
+def set_for_now(get: Callable[[], Any], set_to: Callable[[Any], None], value: Any) -> Generator[None]:
   """Change a setting of torch on entering, and back on leaving."""
   before = get()
   set_to(value)

@@ -110,6 +110,7 @@ def train(
   )
   if log_root is not None:
     encode_manifest(manifest)
+  agent.prepare_env(env_cfg)
 
   with contextlib.ExitStack() as stack:
     stack.enter_context(ranks.joined(device))

@@ -184,6 +184,12 @@ class AffineAction(DrivenTargets):
 class JointPositionAction(AffineAction, DrivenJoints):
   """See `JointPositionActionCfg`."""
 
+  @property
+  def reach(self) -> torch.Tensor:
+    """Absolute raw action whose target is the farther limit of a joint, infinite without limits, (1, targets)."""
+    limits = self._entity.data.default_joint_pos_limits[:, self._q]
+    return (limits - self._offset[:1, :, None]).abs().amax(-1) / self._scale.abs()
+
   def _default_offset(self) -> torch.Tensor:
     return self._entity.data.default_joint_pos[:, self._q].clone()
 

@@ -67,6 +67,7 @@ _LINE = CommandLine(
   purpose="Trains a policy.",
   arguments=Arguments,
   notes="""\
+  --agent NAME              Learner: ppo (or what the task has), flashsac or fastsac.
   --agent.PATH VALUE        Any value of the learner, e.g. --agent.max-iterations 10_000.
   --help WORD               After a task: its flags, all or those that have WORD in their names.
 
@@ -80,7 +81,7 @@ def run(words: list[str]) -> int:
   if words and words[0].startswith("--tyro-"):
     _print_completion(words)
     return 0
-  return run_with_task(_LINE, words, _train, lambda task: {"agent": task.agent, "env": task.env})
+  return run_with_task(_LINE, words, _train, lambda task: {"agent": _chosen(task, words)[0].agent, "env": task.env})
 
 
 def _print_completion(words: list[str]) -> None:
@@ -99,13 +100,38 @@ def _with_latest(given: list[str]) -> list[str]:
   return words
 
 
-def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+def _chosen(task: "TaskCfg[Any]", words: list[str]) -> "tuple[TaskCfg[Any], list[str]]":
+  """Return the task with the learner of `--agent NAME`, and the other words.
+
+  Raises:
+    UsageError: There is no such learner, no name, or another run is resumed.
+  """
+  number = next((i for i, word in enumerate(words) if word.partition("=")[0] == "--agent"), None)
+  if number is None:
+    return task, words
+  from mjlab_core import MjlabError
+  from mjlab_rl.offpolicy import with_agent
+
+  _, equals, name = words[number].partition("=")
+  rest = words[number + (1 if equals else 2) :]
+  name = name if equals else next(iter(words[number + 1 : number + 2]), "")
+  if not name or name.startswith("--"):
+    raise UsageError("--agent: expected the name of a learner, such as flashsac; --agent.PATH VALUE sets a value")
+  if any(word.partition("=")[0] == "--resume" for word in words):
+    raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
+  try:
+    return with_agent(task, name), words[:number] + rest
+  except MjlabError as error:
+    raise UsageError(f"--agent: {error}") from error
+
+
+def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   from mjlab_rl import Console
   from mjlab_rl.ranks import Ranks
 
   from mjlab.cli._flags import parse, replaced
 
-  given = _with_latest(given)
+  task, given = _chosen(task, _with_latest(words))
   # First to find the run to start from; again below, with the configuration of that run as the default.
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if wanted.verbose and wanted.quiet:
@@ -169,7 +195,7 @@ def _train(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       teacher=teacher,
       init_from=beginning,
       console=console,
-      command=["train", name, *given],
+      command=["train", name, *_with_latest(words)],
       code=task_file(name),
       on_ready=on_ready,
       watch=watchers.open if ranks.is_first and (wanted.viewer or wanted.video) else None,

@@ -1,0 +1,289 @@
+"""Base of off-policy algorithms: collection into the replay memory, interleaved updates, state."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from mjlab_core.errors import ConfigError
+from rsl_rl.utils import resolve_callable
+from tensordict import TensorDict
+from torch import distributed
+
+from mjlab_rl.offpolicy.config import SacCfg
+from mjlab_rl.offpolicy.mirror import Reflection
+from mjlab_rl.offpolicy.networks import Actor, Critic
+from mjlab_rl.offpolicy.recording import Recorded
+from mjlab_rl.offpolicy.replay import Replay, Transitions
+from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, reset_to
+
+
+class OffPolicyAlgorithm(ABC):
+  """Algorithm that learns from a replay memory: `collect` a step, `update`, `state_dict`.
+
+  A subclass gives `round`, the updates for one update of the policy, and its own state. A round has fixed shapes and
+  reads nothing back, because a GPU records it as one graph.
+
+  Args:
+    actor: The policy.
+    critic: The estimate of returns.
+    groups: Width of each observation group that either network sees.
+    env: Environment, a VecEnv of rsl-rl.
+    cfg: Settings.
+    total_steps: Steps of all worlds in the whole run, for the step size.
+    device: Device of everything.
+  """
+
+  learning_rate: float
+  """Present step size."""
+
+  def __init__(
+    self,
+    actor: Actor,
+    critic: Critic,
+    groups: Mapping[str, int],
+    env: Any,
+    cfg: SacCfg,
+    total_steps: int,
+    device: torch.device | str,
+  ) -> None:
+    self.cfg, self.total_steps, self.device = cfg, total_steps, torch.device(device)
+    self.actor, self.critic = actor.to(device), critic.to(device)
+    self._groups = tuple(groups)
+    ends = torch.tensor([0, *groups.values()]).cumsum(0).tolist()
+    columns = {name: slice(*ends[i : i + 2]) for i, name in enumerate(groups)}
+    self._actor_columns = [columns[name] for name in actor.obs_groups]
+    self._critic_columns = [columns[name] for name in critic.obs_groups]
+    self.actor.squash.bound.copy_(action_bounds(env.unwrapped, env.num_actions, cfg))
+    self.replay = Replay(env.num_envs, cfg.replay_steps, ends[-1], env.num_actions, device, is_half=cfg.replay_half)
+    self.noise = RepeatedNoise(env.num_envs, env.num_actions, cfg.noise_repetition).to(device)
+    self.scale = ReturnScale(env.num_envs, cfg.gamma, cfg.value_limit).to(device) if cfg.return_scaling else None
+    self.reflection: Reflection | None = None
+    if cfg.symmetry is not None:
+      self.reflection = Reflection(cfg.symmetry(env.unwrapped), self._groups, device)
+    self.rounds_done = 0
+    """Rounds of updates so far."""
+    self.steps_done = 0
+    """Steps of all worlds so far, on which the step size depends."""
+    self._due = 0.0
+    self._lr = torch.tensor(cfg.learning_rate, device=device)
+    self.optimizer = self._make_optimizer()
+    # Collectives of several processes stay outside of recordings.
+    is_eager = not cfg.capture or distributed.is_initialized()
+    self._recorded_round = Recorded(self.round, self.device, is_eager=is_eager)
+    self.set_learning_rate()
+
+  @classmethod
+  def construct_algorithm(cls, obs: TensorDict, env: Any, cfg: dict[str, Any], device: str) -> "OffPolicyAlgorithm":
+    """Build networks and algorithm; rsl-rl's name for it."""
+    algorithm: SacCfg = cfg["algorithm"]["cfg"]
+    extra = {"num_actions": env.num_actions, "num_atoms": algorithm.num_atoms, "value_limit": algorithm.value_limit}
+    actor, critic = (_network(obs, cfg, name) for name in ("actor", "critic"))
+    groups = {name: obs[name].shape[-1] for part in cfg["obs_groups"].values() for name in part}
+    total = cfg["num_steps_per_env"] * cfg["max_iterations"]
+    return cls(actor(env.num_actions), critic(**extra), groups, env, algorithm, total, device)
+
+  # The parts of a subclass.
+
+  @abstractmethod
+  def round(self) -> None:
+    """Update the critic `cfg.policy_every` times and the policy once."""
+
+  @abstractmethod
+  def parameter_groups(self) -> list[dict[str, Any]]:
+    """Return the groups of parameters of the optimiser."""
+
+  @abstractmethod
+  def figures(self) -> dict[str, torch.Tensor]:
+    """Return figures of the last round by name, 0-d tensors on the device."""
+
+  # Collection.
+
+  @torch.no_grad()
+  def collect(self, env: Any, obs: TensorDict) -> tuple[TensorDict, torch.Tensor, torch.Tensor]:
+    """Make one step of all worlds and keep it; return observations, rewards and dones.
+
+    Raises:
+      ConfigError: The environment does not give the last observations of episodes that run out of time.
+    """
+    seen = self._flat(obs)
+    self.actor.learn_statistics(self.of_actor(seen))
+    self.critic.learn_statistics(self.of_critic(seen))
+    self.actor.eval()
+    output = self.actor.output(self.of_actor(seen))
+    self.actor.squash.update(output)
+    action = self.actor.squash.act(output, self.noise.next())
+    obs, rewards, dones, extras = env.step(action)
+    timed_out = extras.get("time_outs")
+    following = self._flat(obs)
+    if timed_out is None:
+      timed_out = torch.zeros_like(dones, dtype=torch.bool)
+    elif (final := extras.get("final_obs")) is None:
+      raise ConfigError('an off-policy learner needs extras["final_obs"] of a step; the environment does not give it')
+    else:
+      following = torch.where(timed_out[:, None], self._flat(final), following)
+    if self.scale is not None:
+      self.scale.add(rewards, dones)
+    self.replay.add(seen, action, rewards, following, (dones > 0) & ~timed_out, timed_out)
+    self.steps_done += 1
+    return obs, rewards, dones
+
+  def _flat(self, obs: Any) -> torch.Tensor:
+    return torch.cat([obs[name] for name in self._groups], -1) if len(self._groups) > 1 else obs[self._groups[0]]
+
+  # Updates.
+
+  def update(self) -> None:
+    """Make the rounds that are due after a step."""
+    if not self.replay.is_ready(max(self.cfg.learning_starts, self.cfg.n_step)):
+      return
+    self._due += self.cfg.updates_per_step / self.cfg.policy_every
+    while self._due >= 1.0:
+      self._due -= 1.0
+      self._recorded_round()
+      self.rounds_done += 1
+
+  def sample(self) -> Transitions:
+    """Draw a batch, with mirror images after it, and rewards in the scale of the critic."""
+    batch = self.replay.sample(self.cfg.batch_size, self.cfg.n_step, self.cfg.gamma)
+    reward = batch.reward if self.scale is None else batch.reward / self.scale.divisor()
+    obs, next_obs, action, discount = batch.obs, batch.next_obs, batch.action, batch.discount
+    if self.reflection is not None:
+      obs, next_obs, action = self.reflection.obs(obs), self.reflection.obs(next_obs), self.reflection.action(action)
+      reward, discount = reward.repeat(2), discount.repeat(2)
+    return Transitions(obs=obs, action=action, reward=reward, discount=discount, next_obs=next_obs)
+
+  def of_actor(self, obs: torch.Tensor) -> torch.Tensor:
+    """Return the columns of observations that the policy sees."""
+    return _take(obs, self._actor_columns)
+
+  def of_critic(self, obs: torch.Tensor) -> torch.Tensor:
+    """Return the columns of observations that the critic sees."""
+    return _take(obs, self._critic_columns)
+
+  def step(self, loss: torch.Tensor, parameters: Sequence[torch.nn.Parameter]) -> None:
+    """Follow the gradient of a loss, averaged over all processes, for these parameters alone."""
+    gradients = torch.autograd.grad(loss, parameters)
+    if distributed.is_initialized():
+      flat = torch.cat([gradient.flatten() for gradient in gradients])
+      distributed.all_reduce(flat)
+      parts = (flat / distributed.get_world_size()).split([gradient.numel() for gradient in gradients])
+      gradients = [part.view_as(gradient) for part, gradient in zip(parts, gradients, strict=True)]
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+      parameter.grad = gradient
+    self.optimizer.step()
+    for parameter in parameters:
+      parameter.grad = None
+
+  def _make_optimizer(self) -> torch.optim.AdamW:
+    is_cuda = self.device.type == "cuda"
+    options: dict[str, Any] = {"lr": self._lr, "betas": self.cfg.betas, "weight_decay": self.cfg.weight_decay}
+    return torch.optim.AdamW(self.parameter_groups(), fused=is_cuda, capturable=is_cuda, **options)
+
+  def set_learning_rate(self) -> None:
+    """Set the step size for the steps done so far."""
+    start, end = self.cfg.learning_rate, self.cfg.final_learning_rate
+    progress = min(1.0, self.steps_done / max(1, self.total_steps))
+    last = start if end is None else end
+    self.learning_rate = last + 0.5 * (start - last) * (1.0 + math.cos(math.pi * progress))
+    self._lr.fill_(self.learning_rate)
+
+  # State; the names are those of rsl-rl's algorithms.
+
+  @property
+  def modules(self) -> dict[str, torch.nn.Module]:
+    """Parts with state besides actor and critic."""
+    parts: dict[str, torch.nn.Module | None] = {"noise": self.noise, "scale": self.scale}
+    return {name: part for name, part in parts.items() if part is not None}
+
+  def state_dict(self) -> dict[str, Any]:
+    """Return the state without the replay memory."""
+    return {
+      "rounds_done": self.rounds_done,
+      "due": self._due,
+      "steps_done": self.steps_done,
+      "modules": {name: part.state_dict() for name, part in self.modules.items()},
+    }
+
+  def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    """Restore a `state_dict`; parts for each world stay new if their number differs."""
+    self.rounds_done, self._due = int(state["rounds_done"]), float(state["due"])
+    self.steps_done = int(state["steps_done"])
+    self.set_learning_rate()
+    for name, part in self.modules.items():
+      reset_to(part, state["modules"][name])
+
+  def save(self) -> dict[str, Any]:
+    """Return the state of networks, optimiser and algorithm."""
+    return {
+      "actor_state_dict": self.actor.state_dict(),
+      "critic_state_dict": self.critic.state_dict(),
+      "optimizer_state_dict": self.optimizer.state_dict(),
+      "algorithm_state_dict": self.state_dict(),
+    }
+
+  def load(self, state: Mapping[str, Any], load_cfg: Mapping[str, bool] | None, strict: bool) -> bool:
+    """Restore the parts of a `save` that are wanted, all by default; return True if iterations count on."""
+    wanted = load_cfg or {"actor": True, "critic": True, "optimizer": True, "iteration": True}
+    for name in ("actor", "critic"):
+      if wanted.get(name):
+        getattr(self, name).load_state_dict(state[f"{name}_state_dict"], strict=strict)
+    if wanted.get("optimizer"):
+      saved = state["optimizer_state_dict"]
+      ours = self.optimizer.param_groups[0]
+      # What depends on the device is that of this run, and the step size stays a tensor that a recording reads.
+      kept = {name: ours[name] for name in ("fused", "capturable", "lr")}
+      groups = [group | {"fused": kept["fused"], "capturable": kept["capturable"]} for group in saved["param_groups"]]
+      self.optimizer.load_state_dict({**saved, "param_groups": groups})
+      for group in self.optimizer.param_groups:
+        group.update(kept)
+      self.load_state_dict(state["algorithm_state_dict"])
+    self._recorded_round.clear()
+    return bool(wanted.get("iteration"))
+
+  def get_policy(self) -> Actor:
+    """Return the policy."""
+    return self.actor
+
+  def train_mode(self) -> None:  # noqa: B027
+    """Do nothing: updates and collection choose the mode themselves."""
+
+  def eval_mode(self) -> None:
+    """Put both networks into evaluation mode."""
+    self.actor.eval()
+    self.critic.eval()
+
+  def compile(self, mode: str | None) -> None:  # noqa: B027
+    """Do nothing: a GPU records the updates as a graph."""
+
+  def broadcast_parameters(self) -> None:
+    """Give all processes the networks of the first."""
+    for module in (self.actor, self.critic, *self.modules.values()):
+      for value in module.state_dict().values():
+        distributed.broadcast(value, src=0)
+
+
+def action_bounds(env: Any, num_actions: int, cfg: SacCfg) -> torch.Tensor:
+  """Return the largest absolute value of each action, (1, num_actions).
+
+  The action terms of an environment that know the limits of their joints have `reach`; others get `cfg.action_bound`.
+  """
+  bounds = torch.full((1, num_actions), cfg.action_bound)
+  slices = getattr(env.action_manager, "term_slices", dict)() if cfg.joint_limits else {}
+  for name, columns in slices.items():
+    reach = getattr(env.action_manager.get_term(name), "reach", None)
+    if reach is not None:
+      bounds[:, columns] = torch.where(reach.isfinite(), reach, cfg.action_bound).cpu().float()
+  return bounds
+
+
+def _take(obs: torch.Tensor, columns: Sequence[slice]) -> torch.Tensor:
+  return obs[:, columns[0]] if len(columns) == 1 else torch.cat([obs[:, part] for part in columns], -1)
+
+
+def _network(obs: TensorDict, cfg: dict[str, Any], name: str) -> Any:
+  """Return the constructor of a network without its last arguments."""
+  options = dict(cfg[name])
+  kind: Any = resolve_callable(options.pop("class_name"))
+  return lambda *args, **extra: kind(obs, cfg["obs_groups"], name, *args, **extra, **options)

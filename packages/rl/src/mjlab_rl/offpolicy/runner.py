@@ -1,0 +1,166 @@
+"""Training loop of off-policy learners."""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import msgspec
+import torch
+from mjlab_core import printable
+from mjlab_core.errors import FileError
+from mjlab_core.files import reading
+from msgspec import Meta, Struct
+from tensordict import TensorDict
+
+from mjlab_rl import checkpoint
+from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
+from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
+from mjlab_rl.runner import MjlabOnPolicyRunner, set_for_now
+from mjlab_rl.scalar_log import IterationReport
+
+REPLAY_NAME = "replay.pt"
+_MAX_BYTES = 128 * 2**30
+_Count = Annotated[int, Meta(ge=0)]
+
+
+class _State(Struct):
+  """Schema of the state of an algorithm; others may have more."""
+
+  rounds_done: _Count
+  steps_done: _Count
+  due: Annotated[float, Meta(ge=0)]
+  modules: dict[str, dict[str, torch.Tensor]]
+
+
+class _Rows(Struct):
+  num_steps: _Count
+  steps_added: _Count
+  count: torch.Tensor
+  rows: torch.Tensor
+  reward: torch.Tensor
+  marks: torch.Tensor
+
+
+class _ReplayFile(Struct):
+  format: Literal[1]
+  checkpoint: str
+  replay: _Rows
+
+
+class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
+  """`MjlabOnPolicyRunner` for an `OffPolicyAlgorithm`: updates follow each step of all worlds.
+
+  An iteration is `num_steps_per_env` steps with their updates; the device is waited for at its end.
+  """
+
+  agent_cfg: OffPolicyRunnerCfg
+
+  def __init__(self, *args: Any, **options: Any) -> None:
+    super().__init__(*args, **options)
+    self._spans: list[Callable[[], float]] = []
+
+  @property
+  def algorithm(self) -> OffPolicyAlgorithm:
+    """The algorithm."""
+    return cast("OffPolicyAlgorithm", self.alg)
+
+  def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
+    replay, cfg = self.algorithm.replay, self.agent_cfg.algorithm
+    saved = "saved with checkpoints" if self.agent_cfg.save_replay else "not saved"
+    self.console.say(
+      f"replay memory: {replay.num_steps} steps of {replay.num_envs} worlds, {replay.num_bytes / 1e9:.2f} GB on "
+      f"{self.device}, {saved}; {cfg.updates_per_step:g} updates of {cfg.batch_size} transitions a step"
+    )
+    super().learn(num_learning_iterations, init_at_random_ep_len)
+
+  def _collect(self, obs: TensorDict) -> TensorDict:
+    algorithm, is_cpu = self.algorithm, self._torch_device.type == "cpu"
+    # On a CPU physics has its own threads, and small tensors need no more than one.
+    threads = 1 if is_cpu else torch.get_num_threads()
+    get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
+    precision = get() if is_cpu else self.agent_cfg.matmul_precision
+    with set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
+      for _ in range(self.agent_cfg.num_steps_per_env):
+        obs, rewards, dones = algorithm.collect(self.env, obs)
+        self.statistics.add(rewards, dones)
+        if self.after_step is not None:
+          self.after_step()
+        with set_for_now(get, set_to, precision):
+          self._time(algorithm.update)
+    return obs
+
+  def _time(self, update: Callable[[], None]) -> None:
+    """Call a function, and keep how its time [s] is read once the device has been waited for."""
+    if self._torch_device.type != "cuda":
+      start = time.perf_counter()
+      update()
+      duration = time.perf_counter() - start
+      self._spans.append(lambda: duration)
+      return
+    events = [torch.cuda.Event(enable_timing=True) for _ in range(2)]
+    events[0].record()
+    update()
+    events[1].record()
+    self._spans.append(lambda: events[0].elapsed_time(events[1]) / 1e3)
+
+  def _report(
+    self, iteration: int, start: int, end: int, collect: float, learn: float, running: float
+  ) -> IterationReport:
+    updates = min(collect, sum(span() for span in self._spans))
+    self._spans.clear()
+    return super()._report(iteration, start, end, collect - updates, learn + updates, running)
+
+  def _update(self, obs: TensorDict) -> dict[str, float]:
+    del obs
+    figures = self.algorithm.figures()
+    values = torch.stack(list(figures.values())).tolist()
+    rate = self.algorithm.learning_rate
+    self.algorithm.set_learning_rate()
+    return dict(zip(figures, values, strict=True)) | {"learning_rate": rate}
+
+  def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+    super().save(path, infos)
+    if self.agent_cfg.save_replay:
+      file = Path(path)
+      state = {"format": 1, "checkpoint": file.name, "replay": self.algorithm.replay.state_dict()}
+      checkpoint.write_checkpoint(file.parent / REPLAY_NAME, state)
+
+  def _load(self, path: Path, load_cfg: dict[str, bool] | None, strict: bool) -> dict[str, Any]:
+    self._check_algorithm(path)
+    infos = super()._load(path, load_cfg, strict)
+    if load_cfg is None and not self._load_replay(path):
+      steps = max(self.agent_cfg.algorithm.learning_starts, self.agent_cfg.algorithm.n_step)
+      self.console.say(f"Learning goes on after {steps} steps, with a new replay memory.")
+    return infos
+
+  def _check_algorithm(self, path: Path) -> None:
+    state = checkpoint.read_checkpoint(path, self.agent_cfg.policy).get("algorithm_state_dict")
+    if state is None:
+      raise FileError(f"checkpoint {path}: it is not of an off-policy run; --init-from takes its policy alone")
+    msgspec.convert(state, _State, dec_hook=checkpoint.as_tensor)
+    problems = []
+    for name, part in self.algorithm.modules.items():
+      own = part.state_dict()
+      theirs = dict(state["modules"].get(name, {}))
+      # Parts for each world are new if there are others.
+      theirs |= {key: own[key] for key in theirs if key in own and name in ("noise", "scale")}
+      problems += checkpoint.network_problems(name, theirs, own)
+    checkpoint.refuse(f"checkpoint {path}", problems)
+
+  def _load_replay(self, checkpoint_path: Path) -> bool:
+    """Restore the replay memory if the one of this checkpoint is there and fits; return True then."""
+    path = checkpoint_path.parent / REPLAY_NAME
+    if not path.is_file() or not self.is_world_state_restored:
+      return False
+    with reading("replay memory", path, _MAX_BYTES):
+      found: Mapping[str, Any] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+      msgspec.convert(found, _ReplayFile, dec_hook=checkpoint.as_tensor)
+      if found["checkpoint"] != checkpoint_path.name:
+        self.console.say(f"{path} is that of {printable(found['checkpoint'], 60)}, so it is not loaded.")
+        return False
+      if problem := self.algorithm.replay.problem(found["replay"]):
+        self.console.say(f"{path} does not fit and is not loaded: {problem}.")
+        return False
+      self.algorithm.replay.load_state_dict(found["replay"])
+    return True
