@@ -124,7 +124,12 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     if self.agent_cfg.save_replay:
       file = Path(path)
       state = {"format": 1, "checkpoint": file.name, "replay": self.algorithm.replay.state_dict()}
-      checkpoint.write_checkpoint(file.parent / REPLAY_NAME, state)
+      checkpoint.write_checkpoint(file.parent / self._replay_name, state)
+
+  @property
+  def _replay_name(self) -> str:
+    """Name of the file of this process."""
+    return REPLAY_NAME if self.ranks.is_first else f"replay_{self.ranks.rank}.pt"
 
   def _load(self, path: Path, load_cfg: dict[str, bool] | None, strict: bool) -> dict[str, Any]:
     self._check_algorithm(path)
@@ -150,7 +155,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
 
   def _load_replay(self, checkpoint_path: Path) -> bool:
     """Restore the replay memory if the one of this checkpoint is there and fits; return True then."""
-    path = checkpoint_path.parent / REPLAY_NAME
+    path = checkpoint_path.parent / self._replay_name
     if not path.is_file() or not self.is_world_state_restored:
       return False
     with reading("replay memory", path, _MAX_BYTES):
