@@ -134,6 +134,20 @@ def test_progress_is_said_now_and_then_where_there_is_no_terminal(
   assert re.fullmatch(r"evaluating: 48 %, 0 of 6 episodes done, ETA 0:\d\d:\d\d", lines[11])
 
 
+def test_the_report_on_a_policy_that_ships_is_written_where_the_user_is(
+  run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  package, here = tmp_path / "package", tmp_path / "here"
+  here.mkdir()
+  shutil.copytree(run, package / "policy")
+  (package / "__init__.py").write_text("")
+  monkeypatch.chdir(here)
+  before = sorted(package.rglob("*"))
+  assert evaluate("--checkpoint", str(package / "policy")) == 0
+  assert (here / "evaluation" / "model_3" / "evaluation.json").is_file()
+  assert sorted(package.rglob("*")) == before
+
+
 @pytest.mark.parametrize("agent", ["trained", "random"])
 @pytest.mark.usefixtures("run")
 def test_two_evaluations_of_one_policy_agree(agent: str) -> None:

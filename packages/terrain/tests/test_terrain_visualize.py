@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import runpy
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -121,3 +122,36 @@ def test_difficulty_seed_and_settings_change_the_ground_that_the_page_shows() ->
     assert shown[-1][:, 2].max() == pytest.approx(0.5 * steps[:, 2].max())
   finally:
     server.stop()
+
+
+def test_the_page_listens_on_loopback_names_every_tile_and_survives_a_stranger(
+  caplog: pytest.LogCaptureFixture,
+) -> None:
+  from mjlab_terrain.view.page import open_page
+
+  cfg = TerrainGridCfg(types={"flat": FlatCfg(), "stairs_up": PyramidStairsCfg()}, rows=2, columns=2)
+  server = open_page(cfg, "127.0.0.1", 8080)
+  try:
+    assert server.get_host() == "127.0.0.1"
+    labels = [
+      message.props.text
+      for message in server.scene._websock_interface._broadcast_buffer.message_from_id.values()
+      if type(message).__name__ == "LabelMessage"
+    ]
+    assert sorted(labels) == ["flat", "flat", "stairs up", "stairs up"]
+    with socket.create_connection(("127.0.0.1", server.get_port())) as stranger:
+      stranger.shutdown(socket.SHUT_WR)
+      while stranger.recv(4096):
+        pass
+  finally:
+    server.stop()
+  assert "handshake" not in caplog.text
+
+
+def test_a_plot_names_every_tile() -> None:
+  cfg = TerrainGridCfg(types={"flat": FlatCfg()}, rows=2, columns=2, border_width=0.0)
+  plain, named = plot(cfg, (200, 200)).astype(int), plot(cfg, (200, 200), names=True).astype(int)
+  changed = np.abs(named - plain).sum(-1) > 0
+  for rows in (slice(0, 100), slice(100, 200)):
+    for columns in (slice(0, 100), slice(100, 200)):
+      assert changed[rows, columns].any()

@@ -128,6 +128,12 @@ def output_file(flag: str, path: str | Path, ending: str, *, force: bool, makes_
   return path
 
 
+def beside(source: Path, name: str) -> Path:
+  """Return the path `name` in the folder of a file; in the working folder if the file is part of a Python package."""
+  is_installed = any((folder / "__init__.py").is_file() for folder in source.resolve().parents)
+  return Path(name) if is_installed else source.parent / name
+
+
 def load_named_task(name: str) -> "TaskCfg[Any]":
   """Load the task that a command line names.
 

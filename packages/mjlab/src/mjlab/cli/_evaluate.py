@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import AtomicWrite, UsageError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, build_env, building, plot_problem, run_with_task
+from mjlab.cli._command_line import CommandLine, beside, build_env, building, plot_problem, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
 from mjlab.cli._progress import ProgressBar
 
@@ -28,7 +28,8 @@ class Arguments:
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 if one is missed."""
   output: str | None = None
-  """Folder for evaluation.json, evaluation.txt and pictures; None: below the run, one per checkpoint."""
+  """Folder for evaluation.json, evaluation.txt and pictures; None: evaluation beside the policy; of a policy
+  that ships, in this folder."""
   force: bool = False
   """Replace an existing evaluation."""
   device: str = "auto"
@@ -131,7 +132,7 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   if wanted.output is not None:
     folder = Path(wanted.output)
   elif source is not None:
-    folder = source.parent / "evaluation" / source.stem
+    folder = beside(source, "evaluation") / source.stem
   else:
     return None
   if (folder / "evaluation.json").exists() and not wanted.force:

@@ -10,7 +10,7 @@ from typing import Any
 from mjlab_core import UsageError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, build_env, building, load_named_task
+from mjlab.cli._command_line import CommandLine, beside, build_env, building, load_named_task
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -58,7 +58,7 @@ def run(words: list[str]) -> int:
   from mjlab_rl import find_checkpoint
 
   checkpoint = find_checkpoint(source, log_root=Path(wanted.log_root), experiment="")
-  folder = Path(wanted.output) if wanted.output is not None else checkpoint.parent / "bundle"
+  folder = Path(wanted.output) if wanted.output is not None else beside(checkpoint, "bundle")
   if folder.exists() and not wanted.force and wanted.output is not None:
     raise UsageError(f"{folder} exists; --force replaces it, --output names another folder")
   if folder.exists() and not (folder / "bundle.json").is_file():

@@ -43,8 +43,10 @@ class Arguments:
   """Width and height of the picture [px]."""
   plot: bool = False
   """Draw a map of heights instead of rendering; it needs no OpenGL."""
+  host: str = "127.0.0.1"
+  """Address that the page listens on; 0.0.0.0 lets other machines connect."""
   port: int = 8080
-  """Port of the page."""
+  """Port of the page; the next free one if it is taken."""
   traceback: bool = False
   """Show the traceback of an error."""
 
@@ -73,8 +75,10 @@ def run(words: list[str]) -> int:
   if wanted.image is not None:
     return _write_image(cfg, wanted, words)
   from mjlab_terrain.view.page import serve
+  from mjlab_viewer import check_address
 
-  serve(cfg, wanted.port)
+  check_address(wanted.host, wanted.port)
+  serve(cfg, wanted.port, wanted.host)
   return 0
 
 
@@ -153,11 +157,11 @@ def _write_image(cfg: "TerrainGridCfg", wanted: Arguments, words: list[str]) -> 
   pixels, kind = None, "rendering"
   if not (wanted.plot or is_headless):
     try:
-      pixels = render(cfg, size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0)
+      pixels = render(cfg, size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0, names=True)
     except Exception as error:  # The class of the error depends on the system.
       print(f"no OpenGL ({type(error).__name__}: {error}); plotting heights instead", file=sys.stderr)
   if pixels is None:
-    pixels, kind = plot(cfg, size), "plot"
+    pixels, kind = plot(cfg, size, names=True), "plot"
   path.parent.mkdir(parents=True, exist_ok=True)
   Image.fromarray(np.ascontiguousarray(pixels)).save(path)
   print(f"{path} ({kind})")

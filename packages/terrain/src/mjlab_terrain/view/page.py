@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
+import logging
 from importlib import import_module
 from typing import Any
 
@@ -29,7 +32,9 @@ class Page:
     self._given, self._server = cfg, server
     self._types = dict(cfg.types)
     gui = server.gui
-    gui.configure_theme(control_width="large")
+    gui.configure_theme(control_width="large", show_share_button=False)
+    # Beside the terrain, not over it.
+    gui.main_panel.dock_right()
     self._choice = gui.add_dropdown("Terrain", (_GIVEN, _WALKING, _ALL, *all_types()), initial_value=_GIVEN)
     self._easiest = gui.add_slider("Easiest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[0])
     self._hardest = gui.add_slider("Hardest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[1])
@@ -41,6 +46,8 @@ class Page:
       "Color", ("height", "type"), initial_value="type" if cfg.color == "type" else "height"
     )
     self._spawns = gui.add_checkbox("Spawn points", True)
+    self._names = gui.add_checkbox("Names of tiles", True)
+    self._labels: list[Any] = []
     self._status = gui.add_markdown("")
     self._settings: dict[str, Any] = {}
     self._folder: Any = None
@@ -48,6 +55,7 @@ class Page:
     for control in (
       *(self._easiest, self._hardest, self._rows, self._seed, self._tile_size, self._layout, self._color),
       self._spawns,
+      self._names,
     ):
       control.on_update(lambda _: self.draw())
     self._choose()
@@ -118,19 +126,50 @@ class Page:
       "/spawns", spawns + np.array([0.0, 0.0, 0.05]), np.full((len(spawns), 3), (210, 40, 60)), point_size=0.1,
       visible=self._spawns.value,
     )  # fmt: skip
+    for label in self._labels:
+      label.remove()
+    self._labels.clear()
+    if self._names.value:
+      names = [name.replace("_", " ") for name in cfg.types]
+      for p in placed:
+        label = self._server.scene.add_label(
+          f"/names/{p.row}/{p.column}",
+          names[p.kind],
+          position=p.origin + np.array([0.0, 0.0, 0.6]),
+          anchor="bottom-center",
+          font_size_mode="scene",
+          font_scene_height=0.05 * cfg.tile_size[1],
+        )
+        self._labels.append(label)
     num_solids = sum(len(p.tile.solids) for p in placed)
     self._status.content = f"{len(placed)} tiles of {num_solids} solids, {len(faces)} triangles"
 
 
-def serve(cfg: TerrainGridCfg, port: int) -> None:
-  """Serve a page of `cfg` at `port` until interrupted."""
-  server = viser.ViserServer(port=port, label="terrain")
+def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
+  """Serve a page of `cfg`, at the next free port if this one is taken, and return its server."""
+  logging.getLogger("websockets.server").addFilter(_is_no_failed_handshake)
+  # viser prints a greeting, but standard output belongs to the caller.
+  with contextlib.redirect_stdout(io.StringIO()):
+    server = viser.ViserServer(host=host, port=port, label="terrain", verbose=False)
   server.scene.set_up_direction("+z")
   extent = cfg.tile_size[0] * cfg.rows
   server.initial_camera.position = (-0.8 * extent, -0.5 * extent, 0.7 * extent)
   server.initial_camera.look_at = (0.0, 0.0, 0.0)
   Page(cfg, server)
+  return server
+
+
+def serve(cfg: TerrainGridCfg, port: int, host: str = "127.0.0.1") -> None:
+  """Serve a page of `cfg` until interrupted, and print its address."""
+  server = open_page(cfg, host, port)
+  shown = "localhost" if host in ("0.0.0.0", "127.0.0.1") else host
+  print(f"open http://{shown}:{server.get_port()} (Ctrl-C ends)", flush=True)
   try:
     server.sleep_forever()
   except KeyboardInterrupt:
     server.stop()
+
+
+def _is_no_failed_handshake(record: logging.LogRecord) -> bool:
+  """Leave out the traceback of connections that are not from a browser, such as scans of ports."""
+  return record.getMessage() != "opening handshake failed"

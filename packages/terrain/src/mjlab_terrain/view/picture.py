@@ -23,7 +23,14 @@ _FOVY = 30.0
 _OVERSAMPLING = 2
 
 
-def render(cfg: TerrainGridCfg, size: tuple[int, int], *, azimuth: float = 0.0, elevation: float = -45.0) -> Pixels:
+def render(
+  cfg: TerrainGridCfg,
+  size: tuple[int, int],
+  *,
+  azimuth: float = 0.0,
+  elevation: float = -45.0,
+  names: bool = False,
+) -> Pixels:
   """Return a picture of the whole terrain under a pale sky, (height, width, 3).
 
   Args:
@@ -31,6 +38,7 @@ def render(cfg: TerrainGridCfg, size: tuple[int, int], *, azimuth: float = 0.0, 
     size: Width and height [pixels].
     azimuth: Direction of view, from x [deg].
     elevation: Direction of view, from the horizontal [deg].
+    names: Write the name of its type above each tile.
 
   Raises:
     Exception: there is no OpenGL; the kind of the exception depends on the system.
@@ -43,11 +51,24 @@ def render(cfg: TerrainGridCfg, size: tuple[int, int], *, azimuth: float = 0.0, 
   camera.distance = _distance(extent, size[0] / size[1], math.radians(azimuth), math.radians(elevation))
   camera.lookat[:] = (0.0, 0.0, -0.035 * camera.distance)
   width, height = (_OVERSAMPLING * s for s in size)
-  with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 100) as renderer:
+  font = mujoco.mjtFontScale.mjFONTSCALE_200
+  with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 1000, font_scale=font) as renderer:
     renderer.update_scene(data, camera)
+    if names:
+      _add_names(renderer.scene, cfg)
     pixels = np.asarray(renderer.render(), dtype=np.float64)
   blocks = pixels.reshape(size[1], _OVERSAMPLING, size[0], _OVERSAMPLING, 3)
   return np.round(blocks.mean((1, 3))).astype(np.uint8)
+
+
+def _add_names(scene: mujoco.MjvScene, cfg: TerrainGridCfg) -> None:
+  types = [name.replace("_", " ") for name in cfg.types]
+  for placed in cfg.tiles()[: scene.maxgeom - scene.ngeom]:
+    label = scene.geoms[scene.ngeom]
+    place = placed.origin + np.array([0.0, 0.0, 0.4])
+    mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, np.zeros(3), place, np.eye(3).ravel(), np.ones(4))
+    label.label = types[placed.kind]
+    scene.ngeom += 1
 
 
 def _stage(cfg: TerrainGridCfg, size: tuple[int, int]) -> tuple[mujoco.MjModel, tuple[float, float]]:
@@ -100,8 +121,11 @@ def _distance(extent: tuple[float, float], aspect: float, azimuth: float, elevat
   return 1.12 * needed + 0.8 * along * math.cos(elevation)
 
 
-def plot(cfg: TerrainGridCfg, size: tuple[int, int]) -> Pixels:
-  """Return a map of heights, shaded by slope, x up and y to the left, at most `size` pixels, (height, width, 3)."""
+def plot(cfg: TerrainGridCfg, size: tuple[int, int], *, names: bool = False) -> Pixels:
+  """Return a map of heights, shaded by slope, x up and y to the left, at most `size` pixels, (height, width, 3).
+
+  With `names`, each tile has the name of its type.
+  """
   placed = cfg.tiles()
   rows, columns = placed[-1].row + 1, placed[-1].column + 1
   scale = min(size[1] / (rows * cfg.tile_size[0]), size[0] / (columns * cfg.tile_size[1]))
@@ -117,4 +141,21 @@ def plot(cfg: TerrainGridCfg, size: tuple[int, int]) -> Pixels:
   # Light from the upper left, as on a map.
   slope = np.gradient(heights, x[1] - x[0], y[1] - y[0])
   shade = np.clip(1.0 - 0.35 * (slope[0] + slope[1]) / np.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), 0.3, 1.3)
-  return np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]
+  pixels = np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]
+  return _with_names(pixels, cfg) if names else pixels
+
+
+def _with_names(pixels: Pixels, cfg: TerrainGridCfg) -> Pixels:
+  """Return a map with the name of its type on each tile."""
+  from PIL import Image, ImageDraw, ImageFont
+
+  image = Image.fromarray(np.ascontiguousarray(pixels))
+  draw, placed = ImageDraw.Draw(image), cfg.tiles()
+  types = [name.replace("_", "\n") for name in cfg.types]
+  height, width = image.height / (placed[-1].row + 1), image.width / (placed[-1].column + 1)
+  font = ImageFont.load_default(size=max(8.0, 0.12 * min(height, width)))
+  for p in placed:
+    # x points up and y to the left.
+    middle = (image.width - (p.column + 0.5) * width, image.height - (p.row + 0.5) * height)
+    draw.text(middle, types[p.kind], font=font, fill="white", stroke_width=2, stroke_fill="black", anchor="mm")
+  return np.asarray(image)

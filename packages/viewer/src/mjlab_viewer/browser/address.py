@@ -1,5 +1,6 @@
 """Address of a page."""
 
+import logging
 import socket
 
 from mjlab_core import MjlabError, UsageError
@@ -22,3 +23,12 @@ def check_address(host: str, port: int) -> None:
     # Python repeats the address behind the system's own words.
     reason = (error.strerror or str(error)).partition(" (while ")[0]
     raise MjlabError(f"cannot listen on {host}: {reason}") from error
+
+
+def ignore_failed_handshakes() -> None:
+  """Keep the server from printing a traceback for connections that are not from a browser, such as scans of ports."""
+  logging.getLogger("websockets.server").addFilter(_is_no_failed_handshake)
+
+
+def _is_no_failed_handshake(record: logging.LogRecord) -> bool:
+  return record.getMessage() != "opening handshake failed"

@@ -13,7 +13,7 @@ from pathlib import Path
 import viser
 from mjlab_core import MjlabError
 
-from mjlab_viewer.browser.address import check_address
+from mjlab_viewer.browser.address import check_address, ignore_failed_handshakes
 from mjlab_viewer.browser.controls import HISTORY, PlaybackControls, WorldControls
 from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
@@ -85,6 +85,7 @@ class BrowserViewer:
     self._clock = time.perf_counter if playback is None else playback.clock
     self._due = {"frame": 0.0, "plot": 0.0, "status": 0.0}
     check_address(host, port)
+    ignore_failed_handshakes()
     # viser prints a greeting, but standard output belongs to the caller.
     with contextlib.redirect_stdout(io.StringIO()):
       self.server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
