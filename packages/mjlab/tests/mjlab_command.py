@@ -33,6 +33,10 @@ class Command:
   def exit_code(self) -> int | None:
     return self._process.poll()
 
+  @property
+  def pid(self) -> int:
+    return self._process.pid
+
   def wait_for(self, pattern: str, seconds: float = PATIENCE) -> re.Match[str]:
     """Waits until the command has said something; fails with what it said instead."""
     end = time.monotonic() + seconds

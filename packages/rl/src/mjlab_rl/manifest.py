@@ -76,6 +76,8 @@ class RunManifest:
   """Local time of the start, ISO 8601 with offset."""
   command: list[str] = dataclasses.field(default_factory=list)
   """Command line."""
+  launch: str = ""
+  """Id that the launcher gave to all processes, also after a restart; empty without one."""
   resumed_from: str | None = None
   """Checkpoint that the run continued."""
   teacher: PolicyRecord | None = None
@@ -192,12 +194,21 @@ def _is_learner_class(found: Any) -> bool:
 
 def task_of(directory: Path) -> str | None:
   """Return the task id of a run; None if its manifest is missing or cannot be read."""
+  return _entry(directory, "task")
+
+
+def launch_of(directory: Path) -> str | None:
+  """Return the id of the launch that started a run; None if its manifest is missing or cannot be read."""
+  return _entry(directory, "launch")
+
+
+def _entry(directory: Path, name: str) -> str | None:
   try:
     with reading("manifest", directory / MANIFEST_NAME, _MAX_BYTES) as path:
-      task = msgspec.json.decode(path.read_bytes(), type=dict[str, Any]).get("task")
+      value = msgspec.json.decode(path.read_bytes(), type=dict[str, Any]).get(name)
   except FileError:
     return None
-  return task if isinstance(task, str) else None
+  return value if isinstance(value, str) else None
 
 
 def package_versions() -> dict[str, str]:

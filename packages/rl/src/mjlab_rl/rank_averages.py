@@ -5,6 +5,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
 import torch
+from mjlab_core import printable
+from mjlab_core.errors import MjlabError
 from rsl_rl.models import MLPModel
 from torch import distributed
 
@@ -88,7 +90,7 @@ class RankAverages:
         *(value for pair in columns for value in pair),
       ]
       numbers = torch.cat((torch.tensor(head, dtype=torch.float64, device=self._device), *moments))
-      distributed.all_reduce(numbers)
+      self._sum(numbers)
       values = numbers[: len(head)].tolist()
       if not values[0]:
         break
@@ -106,6 +108,18 @@ class RankAverages:
         means[kind][name] = total / count
     return means, next((name for name, count in zip(SIGNALS, received, strict=True) if count), None)
 
+  def _sum(self, numbers: torch.Tensor) -> None:
+    """Sum numbers over the ranks in place.
+
+    Raises:
+      MjlabError: A process has ended or hangs.
+    """
+    try:
+      distributed.all_reduce(numbers)
+    except RuntimeError as error:
+      reason = printable((str(error).splitlines() or [""])[0], 200)
+      raise MjlabError(f"rank {self._ranks.rank}: another process of the run has ended or hangs ({reason})") from error
+
   def _remembering(self, generate: Callable[..., Iterable[Any]]) -> Callable[..., Iterator[Any]]:
     def batches(*args: Any) -> Iterator[Any]:
       for batch in generate(*args):
@@ -120,7 +134,7 @@ class RankAverages:
     groups = [group for optimizer in optimizers for group in optimizer.param_groups]
     grads = [parameter.grad for group in groups for parameter in group["params"] if parameter.grad is not None]
     flat = torch.cat([part.reshape(-1) for part in (*grads, *others)])
-    distributed.all_reduce(flat)
+    self._sum(flat)
     flat /= self._ranks.world_size
     parts = flat.split([grad.numel() for grad in grads] + [flat.numel() - sum(grad.numel() for grad in grads)])
     for grad, part in zip(grads, parts, strict=False):

@@ -5,9 +5,11 @@ writes the run directory.
 """
 
 import contextlib
+import faulthandler
 import os
 from collections.abc import Generator
 from dataclasses import dataclass
+from datetime import timedelta
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -17,6 +19,8 @@ from mjlab_core.errors import ConfigError
 from torch import distributed
 
 T = TypeVar("T")
+
+_PARENT = os.getppid()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +36,13 @@ class Ranks:
 
   @classmethod
   def launched(cls) -> Self:
-    """Return the place that the launcher gave this process in `RANK`, `LOCAL_RANK` and `WORLD_SIZE`.
+    """Return the place that the launcher gave this process in `RANK`, `LOCAL_RANK` and `WORLD_SIZE`, or that of `srun`.
 
     Raises:
       ConfigError: A variable is not such a number.
     """
+    if "RANK" not in os.environ and int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1:
+      _translate_slurm()
     texts = {name: os.environ.get(name.upper(), default) for name, default in (("rank", "0"), ("world_size", "1"))}
     texts["local_rank"] = os.environ.get("LOCAL_RANK", texts["rank"])
     wrong = [f"{name.upper()}={printable(text, 40)}" for name, text in texts.items() if not text.isdecimal()]
@@ -81,11 +87,21 @@ class Ranks:
     is_cuda = torch.device(device).type == "cuda"
     if is_cuda:
       torch.cuda.set_device(device)
-    distributed.init_process_group("nccl" if is_cuda else "gloo", rank=self.rank, world_size=self.world_size)
+    store, *_ = next(distributed.rendezvous("env://", self.rank, self.world_size))
+    # The store of torchrun outlives a restart, with the old addresses in it.
+    store = distributed.PrefixStore(f"attempt_{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
+    backend = "nccl" if is_cuda else "gloo"
+    distributed.init_process_group(backend, store=store, rank=self.rank, world_size=self.world_size)
     try:
       yield
     finally:
+      faulthandler.cancel_dump_traceback_later()
       distributed.destroy_process_group()
+
+  @property
+  def is_orphan(self) -> bool:
+    """True if the launcher of several processes has died."""
+    return self.world_size > 1 and os.getppid() != _PARENT
 
   def gather(self, value: T) -> list[T]:
     """Return the values of all processes, in their order; every process must call it."""
@@ -102,3 +118,40 @@ class Ranks:
     values: list[Any] | None = [None] * self.world_size if self.is_first else None
     distributed.gather_object(value, values)
     return values or []
+
+
+@dataclass
+class Patience:
+  """Limit of the time that the processes of a run wait for each other, in effect after `begin`."""
+
+  seconds: float | None = None
+  """Time without progress after which a process ends [s]; None: it waits."""
+  is_begun: bool = False
+
+  def begin(self) -> None:
+    """Set the limit, once all processes have compiled what they need."""
+    if self.seconds is not None and not self.is_begun and distributed.is_initialized():
+      self.is_begun = True
+      if hasattr(distributed, "set_timeout"):
+        distributed.set_timeout(timedelta(seconds=self.seconds))
+
+  def progress(self) -> None:
+    """Give this process more time; without progress it prints where each thread is, and ends.
+
+    Messages fail a little earlier, so that processes that wait for another one can save their work.
+    """
+    if self.is_begun and self.seconds is not None:
+      faulthandler.dump_traceback_later(1.25 * self.seconds, exit=True)
+
+
+def _translate_slurm() -> None:
+  """Set the variables that torch reads from those of `srun`; those that are set stay.
+
+  The processes meet at the first node of a batch job, on a port that follows from the job's number.
+  """
+  names = {"RANK": "SLURM_PROCID", "LOCAL_RANK": "SLURM_LOCALID", "WORLD_SIZE": "SLURM_STEP_NUM_TASKS"}
+  found = {name: os.environ[slurm] for name, slurm in names.items() if slurm in os.environ}
+  found["MASTER_ADDR"] = os.environ.get("SLURM_LAUNCH_NODE_IPADDR", "127.0.0.1")
+  found["MASTER_PORT"] = str(20000 + int(os.environ.get("SLURM_JOB_ID", "0")) % 20000)
+  for name, value in found.items():
+    os.environ.setdefault(name, value)

@@ -8,7 +8,7 @@ from pathlib import Path
 from mjlab_core.errors import UnknownNameError
 from mjlab_core.files import remove_leftovers, safe_name
 
-from mjlab_rl.manifest import task_of
+from mjlab_rl.manifest import launch_of, task_of
 
 _RUN = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:\.(\d+))?.*")
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
@@ -80,6 +80,16 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
       raise UnknownNameError(f"run {candidate} has no checkpoint{newest}")
   names = ", ".join(path.name for path in runs[:5]) or "none"
   raise UnknownNameError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
+
+
+def find_launch(launch: str, *, log_root: Path, experiment: str) -> Path | None:
+  """Return the newest checkpoint of the runs of one launch, which `torchrun` has restarted; None without one."""
+  folder = log_root / safe_name(experiment)
+  for directory in sorted((path for path in folder.glob("*") if path.is_dir()), key=_age, reverse=True):
+    found = checkpoints(directory)
+    if found and launch_of(directory) == launch:
+      return found[-1]
+  return None
 
 
 def _age(directory: Path) -> tuple[str, int]:

@@ -25,7 +25,7 @@ from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, unpack
 from mjlab_rl.rank_averages import RankAverages
-from mjlab_rl.ranks import Ranks
+from mjlab_rl.ranks import Patience, Ranks
 from mjlab_rl.scalar_log import IterationReport, open_logs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -102,6 +102,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     """Called with every checkpoint of `learn`."""
     self.after_step: Callable[[], None] | None = None
     """Function called after every step of a rollout, for viewers."""
+    self.patience = Patience()
     self._torch_device = torch.device(device)
     self._elapsed = 0.0
     self._total_steps = 0
@@ -145,14 +146,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         self.current_learning_iteration = iteration + 1
         self._elapsed = before + learned - started
         report = self._report(iteration, start, end, collected - began, learned - collected, learned - started)
-        own = {
-          "loss": losses,
-          "check": {"mean_std": action_std} | largest_weights(self.networks),
-          "episode": {} if means is None else {"reward": means[0], "length": means[1]},
-          "log": env_log,
-        }
+        own = {"loss": losses, "check": {"mean_std": action_std} | largest_weights(self.networks), "log": env_log}
+        own["episode"] = {} if means is None else {"reward": means[0], "length": means[1]}
         # Ranks agree on the signal, so that they stop together.
-        figures, received = self._averages.reduce(own, stop.received)
+        with self._emergency_checkpoint():
+          figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
+        self.patience.begin()
         if ended := figures["episode"]:
           report.mean_reward, report.mean_episode_length = ended["reward"], ended["length"]
         report.add_scalars(figures["loss"], figures["check"]["mean_std"], figures["log"])
@@ -342,7 +341,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
   def _collect(self, obs: TensorDict) -> TensorDict:
     # Not inference mode: the environment could not write later to tensors that it makes there.
-    # On a CPU physics has its own threads, and the tensors of a rollout are small.
+    # On a CPU physics has its own threads.
     threads = 1 if self._torch_device.type == "cpu" else torch.get_num_threads()
     with torch.no_grad(), set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
       for _ in range(self.agent_cfg.num_steps_per_env):
@@ -352,6 +351,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         self.statistics.add(rewards, dones)
         if self.after_step is not None:
           self.after_step()
+        self.patience.progress()
     return obs
 
   def _update(self, obs: TensorDict) -> dict[str, float]:

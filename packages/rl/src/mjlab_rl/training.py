@@ -52,6 +52,7 @@ def train(
   console: Console | None = None,
   command: list[str] | None = None,
   code: Path | None = None,
+  rank_timeout: float | None = 20.0,
   on_ready: Callable[[RlEnv, Path | None], None] | None = None,
   watch: Callable[[RlEnv, Path | None], Callable[[], None]] | None = None,
 ) -> TrainingResult:
@@ -72,6 +73,7 @@ def train(
     console: Output of progress; None: standard output.
     command: Command line, for the manifest.
     code: File of the task's code, whose commit goes into the manifest.
+    rank_timeout: Time after which several processes end if one of them makes no progress [s]; None: never.
     on_ready: Called with the environment and the run directory before the first iteration.
     watch: Called with the same arguments; the function that it returns is called after every step.
 
@@ -102,6 +104,7 @@ def train(
     device=device,
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
     command=list(command or []),
+    launch=os.environ.get("TORCHELASTIC_RUN_ID", ""),
     resumed_from=None if resume is None else str(resume.resolve()),
     teacher=None if teaching is None else teaching.record,
     init_from=None if beginning is None else beginning.record,
@@ -139,6 +142,7 @@ def train(
       env.output_dir = directory
     # All processes have its name: one that fails saves the learner there.
     runner.log_dir = ranks.gather(directory)[0]
+    runner.patience.seconds = rank_timeout
     if on_ready is not None:
       on_ready(env, directory)
     if watch is not None:

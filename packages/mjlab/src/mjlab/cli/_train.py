@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import UnknownNameError, UsageError
+from mjlab_core.errors import DivergedError
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, building, load_named_task, run_with_task
@@ -24,6 +25,17 @@ class Arguments:
 
   device: str = "auto"
   """Device of simulation and learning: cpu, cuda:0, or auto for a GPU if there is one."""
+  gpus: str | None = None
+  """GPUs of each host, with one process each: all, a number, or a list such as 0,1 (one GPU: 0,). With --device cpu a
+  number of processes."""
+  hosts: str | None = None
+  """Hosts to train on, such as a,b, reached by ssh; the current folder must exist on all of them."""
+  dry_run: bool = False
+  """Print processes, devices, environments and the torchrun command of --gpus and --hosts; train nothing."""
+  max_restarts: int = 0
+  """With --gpus: how often to start all processes again, from the newest checkpoint, after one has failed."""
+  rank_timeout: float = 20.0
+  """Time after which several processes end if one of them makes no progress [s]; 0: never."""
   seed: int | None = None
   """Seed of learner and environment; None: the seed of the task."""
   resume: str | None = None
@@ -130,6 +142,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   from mjlab_rl.ranks import Ranks
 
   from mjlab.cli._flags import parse, replaced
+  from mjlab.cli._launch import launch, restarted_from
 
   task, given = _chosen(task, _with_latest(words))
   # First to find the run to start from; again below, with the configuration of that run as the default.
@@ -140,9 +153,12 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
     if wanted.resume is not None and getattr(wanted, flag) is not None:
       raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
   ranks = Ranks.launched()
+  if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:
+    return launch(wanted, name, task, given)
   console = Console("quiet" if wanted.quiet or not ranks.is_first else "verbose" if wanted.verbose else "normal")
   device = ranks.device(environments.resolve_device(wanted.device))
-  checkpoint = _checkpoint(wanted, name)
+  restarted = restarted_from(Path(wanted.log_root), wanted.agent.experiment_name)
+  checkpoint = restarted or _checkpoint(wanted, name)
   run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
   if run is None:
     default = environments.default_num_envs(device, task.env.scene.num_envs)
@@ -151,6 +167,8 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
     default = None
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
+  if restarted is not None:
+    wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
   teacher = _teacher(wanted, name)
   beginning = _beginning(wanted)
   if wanted.seed is not None:
@@ -197,9 +215,15 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
       console=console,
       command=["train", name, *_with_latest(words)],
       code=task_file(name),
+      # A viewer can pause the training.
+      rank_timeout=None if wanted.viewer else wanted.rank_timeout or None,
       on_ready=on_ready,
       watch=watchers.open if ranks.is_first and (wanted.viewer or wanted.video) else None,
     )
+  except DivergedError:
+    if ranks.is_first:
+      raise
+    return 1  # The first process says it.
   except Exception as error:
     if is_built:
       raise

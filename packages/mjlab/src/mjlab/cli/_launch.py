@@ -1,0 +1,163 @@
+"""Processes of `train --gpus` and `--hosts`: torch's own launcher on this host, and on others by ssh."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core import MjlabError, UsageError
+
+from mjlab import environments
+
+if TYPE_CHECKING:
+  from mjlab_rl import TaskCfg
+
+_OURS = ("--gpus", "--hosts", "--max-restarts", "--dry-run")
+_PORT = 29400
+
+
+def launch(wanted: Any, name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+  """Start the processes of a training and wait for them; return the exit code.
+
+  torchrun passes a Ctrl-C to each process once, ends all if one fails, and starts them again up to `--max-restarts`
+  times. torchrunx, which needs a program to pickle, has no restarts and a licence (GPL-3) that does not fit.
+
+  Raises:
+    UsageError: There are no such GPUs.
+  """
+  device = environments.resolve_device(wanted.device)
+  gpus = _gpus(wanted.gpus or "all", device)
+  hosts = wanted.hosts.split(",") if wanted.hosts else []
+  train = ["train", name, *_without_launch(given)]
+  command = _torchrun(len(gpus), hosts, wanted.max_restarts)
+  num_envs = wanted.env.scene.num_envs
+  if not any(word.startswith("--env.scene.num-envs") for word in given):
+    num_envs = environments.default_num_envs(device, num_envs)
+  if wanted.dry_run:
+    for rank in range(len(gpus) * max(1, len(hosts))):
+      place = f"{hosts[rank // len(gpus)]} " if hosts else ""
+      print(f"rank {rank}: {place}{_device(gpus[rank % len(gpus)])}, {num_envs} environments")
+    for number in range(max(1, len(hosts))):
+      print(shlex.join(_on_host(command, number, hosts, ["--no-python", *train])))
+    return 0
+  environment = {} if device == "cpu" else {"CUDA_VISIBLE_DEVICES": ",".join(gpus)}
+  if hosts:
+    variables = [f"{key}={value}" for key, value in environment.items()]
+    lines = [
+      shlex.join(["env", *variables, *_on_host(command, number, hosts, ["--no-python", *train])])
+      for number in range(len(hosts))
+    ]
+    return _over_ssh(hosts, lines)
+  os.environ.update(environment)
+  os.environ.setdefault("OMP_NUM_THREADS", str(max(1, environments.cpu_cores() // len(gpus))))
+  return _locally([*command[1:], "--no-python", sys.executable, "-c", _PROGRAM, *train[1:]])
+
+
+def _locally(words: list[str]) -> int:
+  """Run torchrun in this process."""
+  from torch.distributed.elastic.multiprocessing import SignalException
+  from torch.distributed.elastic.multiprocessing.errors import ChildFailedError
+  from torch.distributed.run import parse_args, run
+
+  try:
+    run(parse_args(words))
+  except SignalException:
+    return 0  # All processes have saved their work.
+  except ChildFailedError as error:
+    rank, failure = error.get_first_failure()
+    how = f"exit code {failure.exitcode}" if failure.exitcode >= 0 else failure.signal_name()
+    raise MjlabError(f"process {rank} of the run failed ({how}), and all were ended; its message is above") from error
+  return 0
+
+
+_PROGRAM = "import sys; from mjlab.cli import train; sys.exit(train())"
+
+
+def restarted_from(log_root: Path, experiment: str) -> Path | None:
+  """Return the checkpoint to continue from after torchrun has started the processes again; None otherwise."""
+  if os.environ.get("TORCHELASTIC_RESTART_COUNT", "0") == "0":
+    return None
+  from mjlab_rl.run_directory import find_launch
+
+  return find_launch(os.environ["TORCHELASTIC_RUN_ID"], log_root=log_root, experiment=experiment)
+
+
+def _gpus(wanted: str, device: str) -> list[str]:
+  """Return the numbers of the GPUs that `--gpus` names; with a CPU as device, those of the processes."""
+  count = 0 if device == "cpu" else _gpu_count()
+  if wanted == "all":
+    numbers = list(range(count or 1))
+  elif wanted.isdecimal():
+    numbers = list(range(int(wanted)))
+  else:
+    parts = [part for part in wanted.split(",") if part]
+    if not all(part.isdecimal() for part in parts) or len(set(parts)) != len(parts):
+      raise UsageError(f"--gpus {wanted}: give all, a number of GPUs, or a list of their numbers such as 0,1")
+    numbers = [int(part) for part in parts]
+  if not numbers or (device != "cpu" and max(numbers) >= count):
+    raise UsageError(f"--gpus {wanted}: this host has {count} GPU{'s' * (count != 1)}")
+  return [str(number) if device != "cpu" else "cpu" for number in numbers]
+
+
+def _gpu_count() -> int:
+  import torch
+
+  return torch.cuda.device_count()
+
+
+def _device(gpu: str) -> str:
+  return gpu if gpu == "cpu" else f"cuda:{gpu}"
+
+
+def _without_launch(given: list[str]) -> list[str]:
+  """Return the flags without those of the launch."""
+  words: list[str] = []
+  remaining = iter(given)
+  for word in remaining:
+    flag, _, value = word.replace("_", "-").partition("=")
+    if flag not in _OURS:
+      words.append(word)
+    elif flag != "--dry-run" and not value:
+      next(remaining, None)
+  return words
+
+
+def _torchrun(processes: int, hosts: list[str], restarts: int) -> list[str]:
+  meeting = ["--nnodes", str(len(hosts)), "--master-addr", *hosts[:1], "--master-port", str(_PORT)]
+  where = [*meeting, "--rdzv-id", f"mjlab-{int(time.time())}"] if hosts else ["--standalone"]
+  again = ["--max-restarts", str(restarts)] if restarts else []
+  return ["torchrun", *where, "--nproc-per-node", str(processes), *again]
+
+
+def _on_host(command: list[str], number: int, hosts: list[str], words: list[str]) -> list[str]:
+  return [*command, *(["--node-rank", str(number)] if hosts else []), *words]
+
+
+def _over_ssh(hosts: list[str], lines: list[str]) -> int:
+  """Run a line on each host in the current folder; end all if one fails. Return the exit code."""
+  shell = (
+    f"cd {shlex.quote(str(Path.cwd()))} && export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH && exec "
+  )
+  # With a terminal (-tt), the processes of a host end with their connection.
+  started = [
+    subprocess.Popen(["ssh", "-tt", host, shell + line], stdin=subprocess.DEVNULL)
+    for host, line in zip(hosts, lines, strict=True)
+  ]
+  try:
+    while True:
+      codes = [process.poll() for process in started]
+      if failed := next((code for code in codes if code), 0):
+        return failed
+      if None not in codes:
+        return 0
+      time.sleep(0.2)
+  finally:
+    for process in started:
+      if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+    for process in started:
+      process.wait()
