@@ -38,7 +38,7 @@ def plain(text: str) -> str:
   inside: list[tuple[str, str]] = []  # fences of open directives, and their names
   options = False
   code = ""
-  for line in text.removeprefix("---\norphan: true\n---\n").splitlines():
+  for line in text.removeprefix("---\norphan: true\nnosearch: true\n---\n").splitlines():
     if code:
       code = "" if line.rstrip() == code else code
       kept.append(line)

@@ -58,7 +58,9 @@ class Site:
         PurePosixPath(source).suffix, "text"
       )
       text = (ROOT / source).read_text(encoding="utf-8")
-      self.write(f"source/{source}.md", f"---\norphan: true\n---\n\n# {source}\n\n`````{language}\n{text}`````\n")
+      self.write(
+        f"source/{source}.md", f"---\norphan: true\nnosearch: true\n---\n\n# {source}\n\n`````{language}\n{text}`````\n"
+      )
 
   def linked(self, text: str, path: str, place: str) -> str:
     """Return the text of a page with links that lead to pages of the site.
