@@ -249,3 +249,27 @@ def test_an_evaluation_with_actions_that_are_not_finite_fails(run: Path, capsys:
   assert evaluate("--output", "whole", "--checkpoint", str(run / "model_3.pt")) == 0
   assert cli.main(["train", TASK, "--device", "cpu", "--resume", str(run / "model_4.pt")]) == 1
   assert "model_4.pt: the file has NaN or infinite weights in actor" in capsys.readouterr().err
+
+
+def test_a_grid_gives_worlds_values_in_turn(capsys: pytest.CaptureFixture[str]) -> None:
+  words = ["Mjlab-Velocity-Flat-Unitree-Go1", "--agent", "zero", "--device", "cpu", "--quiet", "--eval.repeats", "1"]
+  words += ["--eval.seconds", "0.06", "--grid", "payload=0,2.5 foot_friction_slide=0.3"]
+  assert cli.main(["evaluate", *words]) == 0
+  table = capsys.readouterr().out
+  assert "payload 2.5" in table
+  assert "push 1 m/s, payload 2.5" in table
+
+
+@pytest.mark.parametrize(
+  ("task", "grid", "message"),
+  [
+    (TASK, "payload=1", "ReturnEvaluation, the evaluation of Test-Pendulum, has no levels"),
+    ("Mjlab-Velocity-Flat-Unitree-Go1", "payload", "'payload' is not of the form EVENT=NUMBER,NUMBER,..."),
+    ("Mjlab-Velocity-Flat-Unitree-Go1", "mass=1,2", "event 'mass' does not exist"),
+  ],
+)
+def test_a_grid_that_cannot_be_played_is_a_usage_error(
+  task: str, grid: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+  assert cli.main(["evaluate", task, "--agent", "zero", "--device", "cpu", "--quiet", "--grid", grid]) in (1, 2)
+  assert message in capsys.readouterr().err

@@ -7,6 +7,7 @@ from mjlab_velocity.go1 import go1_flat, go1_flat_blind, go1_flat_env, go1_rough
 from mjlab_velocity.go2 import go2_flat, go2_flat_blind, go2_flat_env, go2_rough, go2_rough_blind, go2_rough_env
 from mjlab_velocity.legged import LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import ground_contact, play_rough, rough_env, rough_terrain, self_collision
+from mjlab_velocity.sim_to_real import sim_to_real
 
 __all__ = [
   "LeggedRobot",
@@ -38,4 +39,5 @@ __all__ = [
   "rough_env",
   "rough_terrain",
   "self_collision",
+  "sim_to_real",
 ]

@@ -1,6 +1,8 @@
 """Evaluation of a velocity policy: a grid of commands, with pushes of several sizes."""
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, field, fields
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -10,6 +12,7 @@ from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 
+from mjlab_velocity.levels import set_level
 from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
 
 if TYPE_CHECKING:
@@ -87,7 +90,8 @@ class push_by_level(ManagerTermBase):
 class VelocityEvaluation:
   """Falls, errors and effort over a grid of commands and pushes.
 
-  Every command is played with every push, with the noise, randomisation and terrain of training. Metrics:
+  Every command is played with every push and all `levels`, with the noise, randomisation and terrain of training.
+  Metrics:
 
   - `fall_rate`: share of episodes that ended in failure;
   - `lin_vel_rmse`, `yaw_rate_rmse`: root mean square errors of the root's velocity in its own frame, while alive;
@@ -99,8 +103,13 @@ class VelocityEvaluation:
   """Sizes of pushes [m/s], one kind for each episode."""
   push_interval: float = 3.0
   """Time between pushes [s]."""
+  levels: dict[str, tuple[float, ...]] = field(default_factory=dict)
+  """Values of randomised quantities by event; worlds take them in turn instead of draws.
+
+  Any event that draws by a `randomizer` can be named, and "actuator_delay" [physics steps] and "payload" [kg]. Every
+  combination of levels, pushes and commands is played, and every pair of levels is a group of the results."""
   repeats: int = 8
-  """Episodes of each command with each push."""
+  """Episodes of each combination."""
   seconds: float = 10.0
   """Length of an episode [s]."""
   seed: int = 0
@@ -118,7 +127,12 @@ class VelocityEvaluation:
     kept = {field.name: getattr(term, field.name) for field in fields(UniformVelocityCommandCfg)}
     kept["resampling_time_range"] = None
     cfg.commands[self.command] = CommandGridCfg(grid=self.grid, **kept)
-    cfg.scene.num_envs = len(self.grid) * len(self.pushes) * self.repeats
+    axes = self._axes()
+    cfg.scene.num_envs = math.prod(len(values) for _, values in axes) * self.repeats
+    block = len(self.grid) * len(self.pushes)
+    for name, values in self.levels.items():
+      set_level(cfg, name, tuple(values), block)
+      block *= len(values)
     cfg.seed, cfg.episode_length_s = self.seed, self.seconds
     # Curricula would change the task during the measurement.
     cfg.curriculum = {}
@@ -137,6 +151,24 @@ class VelocityEvaluation:
     }
     return cfg
 
+  def _axes(self) -> list[tuple[str, list[str]]]:
+    """Return name and labels of each axis; the first changes fastest from world to world."""
+    pushes = [f"push {size:g} m/s" for size in self.pushes]
+    levels = [(name, [f"{name} {value:g}" for value in values]) for name, values in self.levels.items()]
+    return [("command", [_said(value) for value in self.grid]), ("push", pushes), *levels]
+
+  def _groups(self, num_envs: int) -> dict[str, torch.Tensor]:
+    world, block = torch.arange(num_envs), 1
+    axes: list[dict[str, torch.Tensor]] = []
+    for _, labels in self._axes():
+      axes.append({label: (world // block) % len(labels) == i for i, label in enumerate(labels)})
+      block *= len(labels)
+    groups = {label: mask for axis in axes for label, mask in axis.items()}
+    # Pairs of conditions; those with commands alone are many, and the same for each.
+    for one, other in combinations(axes[1:], 2):
+      groups |= {f"{a}, {b}": one[a] & other[b] for a in one for b in other}
+    return groups
+
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
     names = ("lin_vel_error2", "yaw_rate_error2", "power", "speed")
     played = play_first_episodes(
@@ -147,10 +179,8 @@ class VelocityEvaluation:
       seed=self.seed,
       progress=progress,
     )
-    world = torch.arange(env.num_envs)
-    command, level = world % len(self.grid), (world // len(self.grid)) % len(self.pushes)
-    groups = {_said(value): command == i for i, value in enumerate(self.grid)}
-    groups |= {f"push {size:g} m/s": level == i for i, size in enumerate(self.pushes)}
+    command = torch.arange(env.num_envs) % len(self.grid)
+    groups = self._groups(env.num_envs)
     wanted = torch.tensor(self.grid, dtype=torch.float64)[command, :2].norm(dim=-1)
     entity = env.scene[self.entity]
     # Masses may be randomised.

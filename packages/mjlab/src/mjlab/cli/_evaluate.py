@@ -27,6 +27,9 @@ class Arguments:
   """Source of actions: a trained policy, zeros, or random numbers."""
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 if one is missed."""
+  grid: str | None = None
+  """Values of randomised quantities by event, such as "actuator_delay=0,4,8 foot_friction_slide=0.3,1.2"; every
+  combination is played. For evaluations that have levels, such as those of velocity tasks."""
   output: str | None = None
   """Folder for evaluation.json, evaluation.txt and pictures; None: evaluation beside the policy; of a policy
   that ships, in this folder."""
@@ -88,6 +91,10 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   folder = _folder(wanted, source)
   device = environments.resolve_device(wanted.device)
   evaluator = wanted.eval
+  if wanted.grid is not None:
+    if not hasattr(evaluator, "levels"):
+      raise UsageError(f"--grid: {type(evaluator).__name__}, the evaluation of {name}, has no levels")
+    evaluator.levels = {**evaluator.levels, **_levels(wanted.grid)}
   num_envs, default = wanted.env.scene.num_envs, parts.env.scene.num_envs
   with building():
     cfg = evaluator.configure(wanted.env)
@@ -126,6 +133,17 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if broken:
     print(f"failed: {broken} actions of the policy were NaN or infinite, which the environment takes for zero")
   return int(broken > 0 or not all(reached for reached, _ in outcomes))
+
+
+def _levels(text: str) -> dict[str, tuple[float, ...]]:
+  levels = {}
+  for word in text.split():
+    event, _, values = word.partition("=")
+    try:
+      levels[event] = tuple(float(value) for value in values.split(","))
+    except ValueError:
+      raise UsageError(f"--grid: {word!r} is not of the form EVENT=NUMBER,NUMBER,...") from None
+  return levels
 
 
 def _folder(wanted: Arguments, source: Path | None) -> Path | None:

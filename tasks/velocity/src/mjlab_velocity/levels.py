@@ -1,0 +1,101 @@
+"""Levels of randomised quantities: worlds take fixed values in turn instead of draws."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from mjlab_core.errors import ConfigError
+from mjlab_dr import Categorical, FieldRandomizer, body_mass
+from mjlab_dr.distributions import SampleFunction
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+
+
+@dataclass(frozen=True)
+class ByWorld(Categorical):
+  """Values that worlds take in turn: world i has values[(i // block) mod len(values)], in every draw."""
+
+  block: int = 1
+
+  def prepared(self, *, device: torch.device, dtype: torch.dtype) -> SampleFunction:
+    """Return a function whose first axis is that of the worlds."""
+    table = torch.tensor(self.values, device=device, dtype=dtype)
+
+    def sample(shape: Any, *, generator: Any, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+      del generator, dtype
+      world = torch.arange(shape[0], device=device)
+      values = table[(world // self.block) % len(self.values)]
+      return values.reshape(-1, *(1,) * (len(shape) - 1)).expand(*shape)
+
+    return sample
+
+
+def set_level(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...], block: int) -> None:
+  """Replace the draws of event `name` by `values` in turn, `ByWorld`, in place.
+
+  The events "actuator_delay" and "payload" are made if they do not exist.
+
+  Raises:
+    ConfigError: There is no such event, or it draws nothing by a randomizer.
+  """
+  if not values:
+    raise ConfigError(f"levels of '{name}' are empty")
+  if cfg.events.get(name) is None or name == "actuator_delay":
+    add_axis(cfg, name, values)
+  event = cfg.events[name]
+  assert event is not None
+  randomizer = event.params.get("randomizer")
+  if not isinstance(randomizer, FieldRandomizer):
+    raise ConfigError(f"event '{name}' draws nothing by a randomizer; those that do: {', '.join(_drawn(cfg))}")
+  levels = {axis: ByWorld(values, block=block) for axis in randomizer.values}
+  event.params = {**event.params, "randomizer": replace(randomizer, values=levels)}
+
+
+def add_axis(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...]) -> None:
+  """Draw "actuator_delay" [physics steps] or "payload" [kg on the torso] from `values`, in place.
+
+  Raises:
+    ConfigError: There is no such axis, or the task lacks what it changes.
+  """
+  if name == "actuator_delay":
+    if any(value != round(value) or value < 0 for value in values):
+      raise ConfigError(f"actuator_delay: lags are whole numbers of physics steps, got {values}")
+    for actuator in actuators_of(cfg):
+      actuator.delay_min_lag, actuator.delay_max_lag = 0, max(1, round(max(values)))
+    cfg.events[name] = mdp.randomize_at_startup(
+      FieldRandomizer(field="delay", pattern=".*", values={0: Categorical(values)})
+    )
+  elif name == "payload":
+    randomizer = body_mass(torso_pattern(cfg), Categorical(values), operation="add")
+    # It moves the same number.
+    cfg.events["torso_inertia"] = None
+    cfg.events[name] = mdp.randomize_at_startup(randomizer)
+  else:
+    raise ConfigError(f"event '{name}' does not exist; drawn are {', '.join(_drawn(cfg))}, actuator_delay, payload")
+
+
+def torso_pattern(cfg: ManagerBasedRlEnvCfg) -> str:
+  """Return the body whose inertia the task draws.
+
+  Raises:
+    ConfigError: It draws none.
+  """
+  for name in ("base_com", "torso_inertia"):
+    if (event := cfg.events.get(name)) is not None:
+      return str(event.params["randomizer"].pattern)
+  raise ConfigError("the task has no event 'base_com' or 'torso_inertia', which say where a payload is")
+
+
+def _drawn(cfg: ManagerBasedRlEnvCfg) -> list[str]:
+  return [name for name, event in cfg.events.items() if event is not None and "randomizer" in event.params]
+
+
+def actuators_of(cfg: ManagerBasedRlEnvCfg) -> list[Any]:
+  """Return the actuator configs of the robot.
+
+  Raises:
+    ConfigError: There are none.
+  """
+  articulation = cfg.scene.entities["robot"].articulation
+  if articulation is None or not articulation.actuators:
+    raise ConfigError("entity 'robot' has no actuators")
+  return list(articulation.actuators)

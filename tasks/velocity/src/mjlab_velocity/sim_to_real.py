@@ -1,0 +1,87 @@
+"""Sim-to-real preset of velocity tasks."""
+
+from mjlab_actuators import DcMotorActuatorCfg, NativePositionActuatorCfg
+from mjlab_core.errors import ConfigError
+from mjlab_dr import pseudo_inertia, randomize_field
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_rl import TaskCfg
+
+from mjlab_velocity.levels import actuators_of, add_axis, torso_pattern
+
+# Ranges of the preset
+TORSO_ALPHA = (-0.05, 0.2)  # mass and inertia times e^(2 alpha): 0.90 to 1.49
+LINK_SCALE = 0.05
+COM_SHIFT = (-0.03, 0.03)  # m
+GAINS = (0.9, 1.1)
+ACTUATOR_DELAY = 4  # physics steps, at most: 20 ms
+SENSOR_DELAY = 1  # policy steps, at most: 20 ms
+PUSH_FACTOR = 2.0
+
+MEASURED = ("base_ang_vel", "projected_gravity", "joint_pos", "joint_vel")
+"""Observations of the actor that arrive late."""
+
+
+def sim_to_real(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return a velocity task that trains for a robot rather than for one model of it. The task is changed in place.
+
+  | part | change |
+  |---|---|
+  | `torso_inertia`, `link_inertia` | mass, centre of mass and inertia of all bodies; replace `base_com` |
+  | `stiffness`, `damping` | gains of each joint between 0.9 and 1.1 of their own |
+  | `actuator_delay` | targets arrive up to 20 ms late, constant in a world |
+  | sensors | encoders and IMU up to one step of the policy late, constant in a world |
+  | torque-speed line | native servos become DC motors whose torque falls to 0 at the top speed |
+  | pushes | twice as large |
+
+  Friction of the feet and errors of encoders are drawn by the task already.
+
+  Raises:
+    ConfigError: The task lacks a part that is to be changed; the message names it.
+  """
+  cfg = task.env
+  for name in ("base_com", "push_robot"):
+    if cfg.events.get(name) is None:
+      raise ConfigError(f"sim_to_real: the task has no event '{name}'")
+  torso = torso_pattern(cfg)
+  _limit_torque_by_speed(cfg)
+  cfg.events["base_com"] = None
+  cfg.events |= {
+    "torso_inertia": mdp.randomize_at_startup(pseudo_inertia(torso, alpha=TORSO_ALPHA, t=COM_SHIFT)),
+    "link_inertia": mdp.randomize_at_startup(pseudo_inertia(f"(?!({torso})$).*", scale=LINK_SCALE)),
+    "stiffness": mdp.randomize_at_startup(randomize_field("stiffness", ".*", GAINS, operation="scale")),
+    "damping": mdp.randomize_at_startup(randomize_field("damping", ".*", GAINS, operation="scale")),
+  }
+  add_axis(cfg, "actuator_delay", tuple(range(ACTUATOR_DELAY + 1)))
+  actor = cfg.observations["actor"]
+  for name in MEASURED:
+    term = None if actor is None else actor.terms.get(name)
+    if term is not None:
+      term.delay_max_lag = SENSOR_DELAY
+  push = cfg.events["push_robot"]
+  assert push is not None
+  ranges = push.params["velocity_range"]
+  push.params["velocity_range"] = {key: (PUSH_FACTOR * lo, PUSH_FACTOR * hi) for key, (lo, hi) in ranges.items()}
+  task.agent.experiment_name += "_sim_to_real"
+  return task
+
+
+def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
+  articulation = cfg.scene.entities["robot"].articulation
+  assert articulation is not None
+  motors = []
+  for servo in actuators_of(cfg):
+    if isinstance(servo, NativePositionActuatorCfg) and servo.velocity_limit and servo.effort_limit:
+      motors.append(
+        DcMotorActuatorCfg(
+          target_names_expr=servo.target_names_expr,
+          stiffness=servo.stiffness,
+          damping=servo.damping,
+          armature=servo.armature,
+          effort_limit=servo.effort_limit,
+          saturation_effort=servo.effort_limit,
+          velocity_limit=servo.velocity_limit,
+        )
+      )
+    else:
+      motors.append(servo)
+  articulation.actuators = tuple(motors)
