@@ -28,7 +28,6 @@ def run_tests(*packages: Path, installed: Path) -> None:
     "-q",
     "-p",
     "no:cacheprovider",
-    "--import-mode=importlib",
     "-c",
     os.devnull,
   ]

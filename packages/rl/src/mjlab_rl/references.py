@@ -18,6 +18,8 @@ from mjlab_core.errors import ConfigError, FileError
 
 TASK_GROUP = "mjlab.tasks"
 """Entry-point group of tasks. A distribution that offers one is trusted."""
+ROBOT_GROUP = "mjlab.robots"
+"""Entry-point group of robots, trusted likewise: runs name the functions of a robot's package."""
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)", re.A)
 _CACHED = type(functools.cache(str))
 _trusted_here: set[str] = set()
@@ -26,7 +28,7 @@ _trusted_here: set[str] = set()
 def trust_package(name: str) -> None:
   """Let files name functions and classes of an import package, in this process.
 
-  Members of mjlab and distributions with an entry point of group `mjlab.tasks` are trusted without it.
+  Members of mjlab, and distributions with an entry point of group `mjlab.tasks` or `mjlab.robots`, need no call.
 
   Args:
     name: Top-level import name, such as "my_robots".
@@ -85,7 +87,7 @@ def resolve(text: object, where: str, extra: frozenset[str] = frozenset()) -> An
   if package not in _trusted_here | _installed_packages() | extra:
     raise FileError(
       f"{shown} is refused: package '{package}' is not trusted. Members of mjlab and packages with an entry point of "
-      f"group '{TASK_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
+      f"group '{TASK_GROUP}' or '{ROBOT_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
     )
   found = _definition(_import(module_name, package, shown), name, shown)
   if not isinstance(found, (FunctionType, type, _CACHED)) and not _is_class_method(found):
@@ -116,10 +118,15 @@ def resolve_enum(text: object, member: object, where: str) -> Any:
   return members[member]
 
 
+def offered() -> list[metadata.EntryPoint]:
+  """Return the entry points of all tasks and robots."""
+  return [point for group in (TASK_GROUP, ROBOT_GROUP) for point in metadata.entry_points(group=group)]
+
+
 @functools.cache
 def _installed_packages() -> frozenset[str]:
-  """Return the import packages of all members and of all distributions that offer tasks."""
-  points = metadata.entry_points(group=TASK_GROUP)
+  """Return the import packages of all members and of all distributions that offer tasks or robots."""
+  points = offered()
   packages = {point.module.partition(".")[0] for point in points}
   offering = {point.dist.name for point in points if point.dist is not None}
   for distribution in metadata.distributions():

@@ -29,7 +29,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "export-scene": ("_export_scene", "TASK [flags]", "write the model of a task with its assets"),
   "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
   "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
-  "new": ("_new", "robot FILE [flags]", "write a package for a robot"),
+  "new": ("_new", "robot FILE|task NAME [flags]", "write a package for a robot or a task"),
   "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
 

@@ -1,15 +1,16 @@
-"""`new robot FILE` and `new task NAME`: packages of one's own."""
+"""`new robot FILE` and `new task NAME`: packages to begin with."""
 
 import dataclasses
 import shlex
-import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
-from mjlab_core import UsageError, unknown
+from mjlab_core import UsageError, printable, unknown
 
 from mjlab.cli._command_line import CommandLine, building
 from mjlab.cli._help import command_help
+from mjlab.registry import list_tasks
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -44,7 +45,33 @@ _ROBOT = CommandLine(
   ),
   arguments=RobotArguments,
 )
-_KINDS = {"robot": _ROBOT}
+
+
+@dataclasses.dataclass(kw_only=True)
+class TaskArguments:
+  """All that can be given after the name."""
+
+  like: Literal["velocity", "tracking", "lift", "empty"] = "empty"
+  """Family that the task begins with."""
+  robot: str = ""
+  """Installed package of a legged robot that `new robot` wrote, for velocity; empty: a robot of mjlab."""
+  output: str | None = None
+  """Folder to write, which must not exist; None: the name."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+_TASK = CommandLine(
+  name="new task",
+  words="NAME",
+  purpose=(
+    "Writes a Python package with a task: environment, a term of its own, learner, the entry point that offers it to "
+    "train and the other commands, a README, and a test that trains for two iterations. The package my_walk offers "
+    "the task My-Walk."
+  ),
+  arguments=TaskArguments,
+)
+_KINDS = {"robot": _ROBOT, "task": _TASK}
 
 
 def run(words: list[str]) -> int:
@@ -61,7 +88,7 @@ def run(words: list[str]) -> int:
   if line.wants_help(words):
     return 0
   given, flags = line.split(words[1:])
-  return _new_robot(given[0], flags)
+  return (_new_robot if kind == "robot" else _new_task)(given[0], flags)
 
 
 def _new_robot(file: str, flags: list[str]) -> int:
@@ -86,5 +113,24 @@ def _new_robot(file: str, flags: list[str]) -> int:
   if "robot.png" in files:
     print(f"look at {folder / 'robot.png'}")
   print(f"wrote {folder}; next: uv pip install -e {shlex.quote(str(folder))} && pytest {shlex.quote(str(folder))}")
-  sys.stdout.flush()
+  return 0
+
+
+def _new_task(name: str, flags: list[str]) -> int:
+  from mjlab.cli._flags import parse
+
+  wanted = parse(TaskArguments(), flags)
+  from mjlab.new.package import check_new_package, write_package
+  from mjlab.new.task import task_files, task_id
+
+  folder = Path(wanted.output or name)
+  check_new_package(name, folder)
+  if task_id(name) in list_tasks():
+    raise UsageError(f"a task '{task_id(name)}' exists already; choose another name")
+  if wanted.robot and wanted.like != "velocity":
+    raise UsageError("--robot: only tasks like velocity take a robot")
+  if wanted.robot and (not wanted.robot.isidentifier() or find_spec(wanted.robot) is None):
+    raise UsageError(f"--robot: no package {printable(wanted.robot)!r} is installed")
+  write_package(folder, task_files(name, wanted.like, wanted.robot))
+  print(f"wrote {folder}, which offers {task_id(name)}; next: uv pip install -e {shlex.quote(str(folder))}")
   return 0
