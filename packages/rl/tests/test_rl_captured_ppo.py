@@ -88,6 +88,23 @@ def test_fifty_updates_in_a_graph_on_a_gpu_are_those_of_rsl_rl(settings: dict[st
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda:0"])
+def test_memory_stays_so_that_a_step_is_recorded_once(device: str) -> None:
+  if device != "cpu" and not torch.cuda.is_available():
+    pytest.skip("needs a GPU")
+  learner = construct(CapturedPPO, device)
+  assert isinstance(learner, CapturedPPO)
+  found = []
+  for update in range(6):
+    roll_out(learner, update, device)
+    learner.update()
+    found.append(([tensor.data_ptr() for tensor in learner._tensors()], learner._graph))
+  assert all(addresses == found[2][0] for addresses, _ in found[2:])
+  graphs = {graph for _, graph in found[3:]}
+  assert len(graphs) == 1
+  assert (None in graphs) == (device == "cpu")
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda:0"])
 def test_a_restored_learner_goes_on_as_the_saved_one_with_and_without_a_gpu(device: str) -> None:
   if device != "cpu" and not torch.cuda.is_available():
     pytest.skip("needs a GPU")

@@ -29,6 +29,8 @@ class CapturedPPO(PPO):
     self._rows = torch.zeros(size, dtype=torch.int64, device=self.device)
     self._graph: torch.cuda.CUDAGraph | None = None
     self._addresses: tuple[int, ...] = ()
+    self._buffers: dict[tuple[nn.Module, str], Tensor] = {}
+    self._keep_buffers()
 
   def update(self) -> dict[str, float]:
     """Run the epochs over the stored rollout; return mean losses, which is the only wait for the device."""
@@ -57,6 +59,7 @@ class CapturedPPO(PPO):
     observations = storage.observations.flatten(0, 1)
     self.actor.update_normalization(observations)
     self.critic.update_normalization(observations)
+    self._keep_buffers()
     storage.clear()
     steps = self.num_learning_epochs * self.num_mini_batches
     return {"value": value / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
@@ -91,6 +94,14 @@ class CapturedPPO(PPO):
       with torch.cuda.graph(self._graph):
         self._step()
     return self._graph.replay
+
+  def _keep_buffers(self) -> None:
+    """Write buffers that were assigned anew, such as a normaliser's deviation, into the memory of the first ones."""
+    for module in chain(self.actor.modules(), self.critic.modules()):
+      for name, buffer in module.named_buffers(recurse=False):
+        first = self._buffers.setdefault((module, name), buffer)
+        if first is not buffer:
+          setattr(module, name, first.copy_(buffer))
 
   def _tensors(self) -> Iterator[Tensor]:
     """Yield the tensors that a step reads or writes, except those that it makes and those of this class."""
