@@ -1,11 +1,13 @@
 """`mjlab-deploy run` drives the loopback robot of a bundle."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, write_bundle
+from mcap.reader import make_reader
 from mjlab_deploy import open_bundle
 from mjlab_deploy.arrays import read_arrays
 from mjlab_deploy.command import main
@@ -23,12 +25,29 @@ def test_a_run_is_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
   assert rows["position"][-1, 0] > 0.2
 
 
+def test_a_log_as_mcap_has_states_commands_and_what_the_operator_wanted(tmp_path: Path) -> None:
+  folder, log = write_bundle(tmp_path / "bundle", golden=False), tmp_path / "log.mcap"
+  assert main(["run", str(folder), "--seconds", "1.2", "--command", "0.4", "--log", str(log)]) == 0
+  found: dict[str, list[tuple[int, dict[str, object]]]] = {}
+  with log.open("rb") as file:
+    for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+      found.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+  states, commands, wanted = (found[name] for name in ("/joint_states", "/joint_commands", "/operator_commands"))
+  assert len(states) == len(commands) == len(wanted) == 600
+  assert states[0][1].keys() == {"name", "position", "velocity"}
+  assert commands[-1][1]["name"] == ["hinge"]
+  assert wanted[-1][1] == {"is_policy": 1.0, "command_angle": [pytest.approx(0.4)]}
+  # Messages are 2 ms apart.
+  assert states[-1][0] - states[0][0] == pytest.approx(1.198e9, abs=10)
+
+
 @pytest.mark.parametrize(
   ("words", "message"),
   [
     (["--command", "1,2"], "command/angle has 1 numbers, got 2"),
     (["--log"], "expected one argument"),
     (["--latency", "3h"], "invalid _seconds value"),
+    (["--seconds", "0.02", "--log", "a.txt"], "a.txt: a log is a .npz or a .mcap file"),
   ],
 )
 def test_a_mistake_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:

@@ -37,7 +37,7 @@ def _parser() -> argparse.ArgumentParser:
   run.add_argument("--command", type=_numbers, default=[], metavar="X,Y,...", help="command, such as 0.5,0,0")
   run.add_argument("--latency", type=_seconds, default=0.0, metavar="10ms", help="delay of messages, each way")
   run.add_argument("--pushes", action="store_true", help="push a floating robot every 3 s, by up to 0.5 m/s")
-  run.add_argument("--log", help="file.npz of measured and commanded joints")
+  run.add_argument("--log", help="file.npz or file.mcap of measured and commanded joints")
   run.set_defaults(function=_run)
   return parser
 

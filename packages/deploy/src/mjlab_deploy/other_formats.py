@@ -10,9 +10,13 @@ _LEGS = [f"{side}_{joint}_joint" for side in ("left", "right") for joint in (
 _WAIST = [f"waist_{axis}_joint" for axis in ("yaw", "roll", "pitch")]
 _ARMS = [f"{side}_{joint}_joint" for side in ("left", "right") for joint in (
   "shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")]  # fmt: skip
-_QUADRUPED = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")]
-# Motors in the order of Unitree's SDK.
-_MOTORS = (_LEGS + _WAIST + _ARMS, _QUADRUPED)
+QUADRUPED_MOTORS = tuple(
+  f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")
+)
+"""Joints of a Go2 in the order of Unitree's SDK."""
+G1_MOTORS = tuple(_LEGS + _WAIST + _ARMS)
+"""Joints of a G1 with 29 joints in the order of Unitree's SDK."""
+_MOTORS = (G1_MOTORS, QUADRUPED_MOTORS)
 # Terms of Unitree's runner by the source that they are read from.
 _TERMS = {
   "imu/gyro": "base_ang_vel",

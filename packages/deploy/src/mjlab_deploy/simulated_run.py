@@ -11,6 +11,7 @@ from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
 from mjlab_deploy.loopback import LoopbackRobot
+from mjlab_deploy.mcap_log import write_mcap
 from mjlab_deploy.runner import Runner
 from mjlab_deploy.safety import SafetyLimits
 
@@ -120,5 +121,15 @@ class SimulatedRun:
     return f"ran {self.robot.time:.1f} s; joints are {mean:.3f} rad from their targets on average"
 
   def write_log(self, path: str) -> None:
-    """Write times, measured and commanded joints and commands, one row per message."""
-    write_arrays(Path(path), {name.replace("/", "_"): np.stack(values) for name, values in self._rows.items()})
+    """Write times, measured and commanded joints and commands, one row per message, as .npz or .mcap.
+
+    Raises:
+      DeployError: The ending is another one, or the file cannot be written.
+    """
+    rows = {name.replace("/", "_"): np.stack(values) for name, values in self._rows.items()}
+    if path.endswith(".mcap"):
+      write_mcap(Path(path), [joint.name for joint in self.runner.description.robot.joints], rows)
+    elif path.endswith(".npz"):
+      write_arrays(Path(path), rows)
+    else:
+      raise DeployError(f"{path}: a log is a .npz or a .mcap file")
