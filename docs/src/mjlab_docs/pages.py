@@ -46,9 +46,11 @@ class Site:
 
   def lay_out(self) -> None:
     """Write every page of the repository and every picture."""
+    contents = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").rglob("index.md"))]
+    listed = " ".join(block for text in contents for block in re.findall(r"```{toctree}.*?```", text, re.DOTALL))
     for path, place in self.addresses.items():
-      text = (ROOT / path).read_text(encoding="utf-8")
-      self.write(place, self.linked(text, path, place) + _TABLES.get(place, ""))
+      text = self.linked((ROOT / path).read_text(encoding="utf-8"), path, place) + _TABLES.get(place, "")
+      self.write(place, text + (_guides(listed) if place == "tutorials/index.md" else ""))
     for picture in sorted((ROOT / "docs").rglob("*")):
       if picture.suffix in _PICTURES or picture.parent.name == "_static":
         self.copy(picture, picture.relative_to(ROOT / "docs").as_posix())
@@ -112,6 +114,14 @@ class Site:
       self._sources.add(there)
       return f"source/{there}.md"
     return None
+
+
+def _guides(listed: str) -> str:
+  """Return contents for the pages directly below `docs` that no other contents name."""
+  names = [path.stem for path in sorted((ROOT / "docs").glob("*.md"))]
+  rest = [name for name in names if name != "index" and not re.search(rf"\b{name}\b", listed)]
+  lines = "".join(f"../{name}\n" for name in rest)
+  return f"\n```{{toctree}}\n:caption: More\n:maxdepth: 1\n:hidden:\n\n{lines}```\n" if rest else ""
 
 
 def members() -> list[Path]:
