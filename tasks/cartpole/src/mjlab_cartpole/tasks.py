@@ -14,7 +14,15 @@ from mjlab_managers import (
   SceneEntityCfg,
   TerminationTermCfg,
 )
-from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg
+from mjlab_rl import (
+  OffPolicyRunnerCfg,
+  RslRlBaseRunnerCfg,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  RslRlPpoAlgorithmCfg,
+  TaskCfg,
+)
+from mjlab_rl.offpolicy import fastsac, flashsac
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
@@ -41,14 +49,22 @@ def cartpole_spec() -> mujoco.MjSpec:
 def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task whose pole starts upright and is kept there."""
   return TaskCfg(
-    env=_env(hinge=0.0, slider_range=BALANCE_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
+    env=_env(hinge=0.0, slider_range=BALANCE_SLIDER),
+    play=_play,
+    agent=_agent(),
+    agents=_agents(),
+    evaluator=CartpoleEvaluation(),
   )
 
 
 def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task whose pole hangs at the start, is swung up, and kept upright."""
   return TaskCfg(
-    env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER), play=_play, agent=_agent(), evaluator=CartpoleEvaluation()
+    env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER),
+    play=_play,
+    agent=_agent(),
+    agents=_agents(),
+    evaluator=CartpoleEvaluation(),
   )
 
 
@@ -119,3 +135,19 @@ def _agent() -> RslRlOnPolicyRunnerCfg:
     max_iterations=500,
     save_interval=50,
   )
+
+
+def _agents() -> dict[str, RslRlBaseRunnerCfg]:
+  """Return the off-policy learners, with small networks and batches that suit a CPU and few worlds."""
+  return {"fastsac": _small(fastsac(_agent()), (32, 32)), "flashsac": _small(flashsac(_agent()), (32, 32))}
+
+
+def _small(agent: OffPolicyRunnerCfg, hidden: tuple[int, ...]) -> OffPolicyRunnerCfg:
+  agent.actor.hidden_dims = agent.critic.hidden_dims = hidden
+  agent.num_steps_per_env, agent.max_iterations, agent.save_interval, agent.save_replay = 50, 200, 20, True
+  algorithm = agent.algorithm
+  algorithm.batch_size, algorithm.learning_rate, algorithm.learning_starts = 128, 1e-3, 20
+  algorithm.updates_per_step, algorithm.policy_every, algorithm.tau, algorithm.gamma = 2.0, 2, 0.1, 0.97
+  # Rewards are small, so returns are brought to the values of the critic.
+  algorithm.return_scaling, algorithm.value_limit = True, 5.0
+  return agent

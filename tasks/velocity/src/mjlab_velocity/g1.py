@@ -3,7 +3,8 @@
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg
-from mjlab_rl import TaskCfg
+from mjlab_rl import RslRlBaseRunnerCfg, TaskCfg
+from mjlab_rl.offpolicy import fastsac
 from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
@@ -12,6 +13,7 @@ from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
+from mjlab_velocity.symmetry import left_right
 
 # Allowed deviation of joints from the default pose [rad]
 STD_STANDING = {".*": 0.05}
@@ -78,7 +80,12 @@ def _robot() -> LeggedRobot:
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of a G1 that follows velocity commands on a plane."""
-  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation())
+  ppo = agent("g1_velocity", 30_000)
+  mirrored = fastsac(ppo)
+  # With their mirror images 8192.
+  mirrored.algorithm.symmetry, mirrored.algorithm.batch_size = left_right, 4096
+  agents: dict[str, RslRlBaseRunnerCfg] = {"fastsac": mirrored}
+  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=ppo, agents=agents, evaluator=VelocityEvaluation())
 
 
 def g1_flat_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:

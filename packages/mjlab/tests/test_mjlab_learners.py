@@ -1,0 +1,54 @@
+"""`train --agent NAME`: another learner behind the same commands."""
+
+from collections.abc import Generator
+from pathlib import Path
+
+import mjlab_pendulum
+import pytest
+from mjlab import cli
+from mjlab_rl import OffPolicyRunnerCfg, load_run
+
+TASK = mjlab_pendulum.TASK
+SMALL = (
+  "--agent.actor.hidden-dims", "16", "16", "--agent.critic.hidden-dims", "16", "16",
+  "--agent.algorithm.batch-size", "32", "--agent.algorithm.learning-starts", "5", "--agent.num-steps-per-env", "10",
+  "--agent.save-replay", "--agent.logger", "none",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
+  monkeypatch.chdir(tmp_path)
+  with mjlab_pendulum.registered():
+    yield
+
+
+def run(*words: str) -> None:
+  assert cli.main(list(words)) == 0
+
+
+@pytest.mark.parametrize("name", ["fastsac", "flashsac"])
+def test_a_learner_trains_resumes_plays_is_evaluated_and_exported(
+  name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+  run("train", TASK, "--agent", name, "--device", "cpu", "--agent.max-iterations", "2", *SMALL)
+  assert "replay memory:" in capsys.readouterr().out
+  (first,) = Path("logs/pendulum").iterdir()
+  assert first.name.endswith(f"_{name}")
+  assert (first / "replay.pt").is_file()
+  assert isinstance(load_run(first).agent, OffPolicyRunnerCfg)
+  run("train", TASK, "--resume", "--device", "cpu", "--agent.max-iterations", "3", "--quiet")
+  second = next(path for path in Path("logs/pendulum").iterdir() if path != first)
+  assert (second / "model_3.pt").is_file()
+  run("evaluate", TASK, "--checkpoint", str(second), "--device", "cpu")
+  run("export", str(second), "--output", "out", "--steps", "5")
+  assert "mjlab-deploy verify out" in capsys.readouterr().out
+
+
+def test_a_wrong_learner_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+  assert cli.main(["train", TASK, "--agent", "flashsax"]) == 2
+  assert "learner 'flashsax' does not exist. Nearest: flashsac" in capsys.readouterr().err
+  assert cli.main(["train", TASK, "--agent", "--quiet"]) == 2
+  assert "--agent: expected the name of a learner" in capsys.readouterr().err
+  assert cli.main(["train", TASK, "--agent=fastsac", "--resume"]) == 2
+  assert "--agent and --resume exclude each other" in capsys.readouterr().err
