@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from deploy_bundles import DESCRIPTION, write_bundle
+from deploy_bundles import DESCRIPTION, SCENE, write_bundle
 from mcap.reader import make_reader
-from mjlab_deploy import open_bundle
+from mjlab_deploy import open_bundle, write_description
 from mjlab_deploy.arrays import read_arrays
 from mjlab_deploy.command import main
 from mjlab_deploy.simulated_run import SimulatedRun
@@ -65,6 +65,28 @@ def test_a_robot_that_is_let_go_ends_the_run(tmp_path: Path, capsys: pytest.Capt
   slow = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(replace(joint, velocity_limit=1e-3),)))
   assert main(["run", str(write_bundle(tmp_path / "bundle", slow, golden=False)), "--seconds", "3"]) == 1
   assert "let go after" in capsys.readouterr().out
+
+
+def test_motors_without_a_servo_are_driven_alike(tmp_path: Path) -> None:
+  """Actuator models of the training, such as one with a torque-speed line, are motors in the scene."""
+  reached = []
+  for name in ("servo", "motor"):
+    folder = write_bundle(tmp_path / name, golden=False)
+    if name == "motor":
+      servo = next(line for line in SCENE.splitlines() if "<position" in line)
+      (folder / "scene.xml").write_text(SCENE.replace(servo, '<motor name="robot/hinge" joint="robot/hinge"/>'))
+      write_description(folder, DESCRIPTION)
+    with open_bundle(folder) as bundle:
+      run = SimulatedRun(bundle, command=[0.4])
+      run.run(2.0)
+      assert run.runner.phase == "policy", run.runner.reason
+      reached.append(run.robot.data.qpos[0])
+      run.runner.stop()
+      for _ in range(5):
+        run.robot.advance()
+      assert run.robot.is_damped
+  assert reached[1] == pytest.approx(reached[0], abs=1e-3)
+  assert reached[0] > 0.2
 
 
 def test_keys_change_the_command_within_its_range(tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ class LoopbackRobot(RobotIO):
     self._extra = [item for item in self._loop.sensors.inputs if item.name not in measured]
     prefix = f"{self.description.robot.name}/"
     self._actuators = [_actuator(self.model, prefix + joint.name) for joint in self._joints]
+    self._is_servo = [self.model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE for i in self._actuators]
+    self._command = np.zeros((3, len(self._joints)))
     self._root = self.model.body(prefix + self.description.robot.root_body).id
     self._to_robot: deque[bytes] = deque()
     self._to_runner: deque[bytes] = deque([b""] * delay)
@@ -127,23 +129,37 @@ class LoopbackRobot(RobotIO):
         self._last_command = self.time
     if self.time - self._last_command >= self.watchdog - 1e-9:
       self._damp()
+    self._drive_motors()
     mujoco.mj_step(self.model, self.data)
     self._send()
 
   def _obey(self, command: np.ndarray) -> None:
     self.is_damped = not command[1].any()
-    for actuator, (target, kp, kd) in zip(self._actuators, command.T, strict=True):
-      if actuator >= 0:
+    self._command = command
+    for actuator, is_servo, (target, kp, kd) in zip(self._actuators, self._is_servo, command.T, strict=True):
+      if actuator >= 0 and is_servo:
         self.model.actuator_gainprm[actuator, 0] = kp
         self.model.actuator_biasprm[actuator, 1:3] = -kp, -kd
         self.data.ctrl[actuator] = target
 
   def _damp(self) -> None:
     self.is_damped = True
-    for actuator in self._actuators:
-      if actuator >= 0:
+    self._command[1] = 0.0
+    for actuator, is_servo in zip(self._actuators, self._is_servo, strict=True):
+      if actuator >= 0 and is_servo:
         self.model.actuator_gainprm[actuator, 0] = 0.0
         self.model.actuator_biasprm[actuator, 1] = 0.0
+
+  def _drive_motors(self) -> None:
+    """Compute the efforts of motors, which have no servo in the model."""
+    position = self.data.qpos[self._loop.sensors.qpos]
+    velocity = self.data.qvel[self._loop.sensors.qvel]
+    target, kp, kd = self._command
+    efforts = kp * (target - position) - kd * velocity
+    for joint, actuator, is_servo, effort in zip(self._joints, self._actuators, self._is_servo, efforts, strict=True):
+      if actuator >= 0 and not is_servo:
+        limit = np.inf if joint.effort_limit is None else joint.effort_limit
+        self.data.ctrl[actuator] = np.clip(effort, -limit, limit) / self.model.actuator_gear[actuator, 0]
 
   def _send(self) -> None:
     self._sequence += 1
@@ -183,11 +199,13 @@ class LoopbackRobot(RobotIO):
 
 
 def _actuator(model: mujoco.MjModel, joint: str) -> int:
-  """Return the position servo of a joint; -1 if nothing drives it."""
+  """Return the position servo or the motor of a joint; -1 if nothing drives it."""
   number = model.joint(joint).id
   found = np.flatnonzero((model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == number))
   if len(found) == 0:
     return -1
-  if model.actuator_biastype[found[0]] != mujoco.mjtBias.mjBIAS_AFFINE:
-    raise DeployError(f"{joint}: the loopback robot needs position servos")
+  gain, bias = model.actuator_gainprm[found[0], 0], model.actuator_biastype[found[0]]
+  is_motor = bias == mujoco.mjtBias.mjBIAS_NONE and gain == 1.0
+  if bias != mujoco.mjtBias.mjBIAS_AFFINE and not is_motor:
+    raise DeployError(f"{joint}: the loopback robot needs position servos or motors")
   return int(found[0])
