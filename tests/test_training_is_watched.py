@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 import sys
 from pathlib import Path
 
@@ -14,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests
 sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
 
 from mjlab_command import running
-from viewer_page import eventually, headless_chromium, patient_page
+from viewer_page import eventually, headless_chromium, patient_page, press_until
 
 TRAIN = "import sys; from mjlab.cli import train; sys.exit(train(sys.argv[1:]))"
 FLAGS = """--viewer --viewer-port 8730 --device cpu --env.scene.num-envs 1 --agent.algorithm.num-mini-batches 1
@@ -42,6 +43,8 @@ def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tm
     for _ in range(6):
       before = picture()
       eventually(lambda before=before: (np.abs(picture() - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
+    page.get_by_text(re.compile(r"Iteration \d+ of \d+")).wait_for()
+    assert page.get_by_text("Mjlab-Velocity-Flat-Unitree-Go1").first.is_visible()
     page.get_by_role("tab", name="Plots").click()
     page.get_by_text("track_linear_velocity").first.wait_for()
     seen = iterations()
@@ -49,4 +52,10 @@ def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tm
     page.close()
     left = iterations()
     eventually(lambda: iterations() > left, "a page that was closed stops the training")
-    assert "stopped (SIGINT) after" in training.interrupt()
+    page = patient_page(chromium)
+    page.goto(training.wait_for(r"watch at (http://\S+)\n")[1])
+    stop = page.get_by_role("button", name="Save and stop")
+    press_until(stop, lambda: "Stopping after this iteration" in training.said)
+    training.wait_for(r"stopped \(SIGTERM\) after \d+ iterations; saved")
+    eventually(lambda: training.exit_code is not None, "the training does not end")
+    assert training.exit_code == 0

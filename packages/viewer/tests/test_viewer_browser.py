@@ -136,9 +136,9 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     page.get_by_role("tab", name="Plots").click()
     page.locator(".uplot").first.wait_for()
     page.get_by_text("height").first.wait_for()
-    choose(page, "Group", "observations actor")
+    groups = [group for group, (names, _) in env.signals().items() if len(names)]
     page.get_by_text("above").first.wait_for()
-    row(page, "Filter").nth(1).locator("input").fill("cross")
+    row(page, "Filter").nth(groups.index("observations actor")).locator("input").fill("cross")
     eventually(lambda: page.get_by_text("above").count() == 0, "the filter leaves all curves")
     page.get_by_text("across").first.wait_for()
     page.get_by_role("tab", name="Controls").click()
@@ -487,6 +487,57 @@ def test_a_checkpoint_that_its_run_does_not_list_is_there_to_be_chosen(others: l
     assert isinstance(choice, viser.GuiDropdownHandle)
     assert choice.value == "best.pt"
     assert set(choice.options) == {"best.pt", *others}
+
+
+def test_the_status_is_that_of_the_moment_that_is_looked_at_and_play_returns_to_now(
+  monkeypatch: pytest.MonkeyPatch,
+) -> None:
+  env = BoxEnv(1)
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+    monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: None})
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    playback.pause()
+    for _ in range(10):
+      playback.step_once()
+      viewer._due["frame"] = 0.0
+      viewer.update()
+    assert viewer._controls is not None
+    viewer._controls.show_status()
+    assert "step 10, " in viewer._controls._status.content
+    inputs["Seconds back"].value = 4 * env.step_dt
+    viewer._due["frame"] = 0.0
+    viewer.update()
+    viewer._controls.show_status()
+    shown = viewer._controls._status.content
+    assert f"step 6, {6 * env.step_dt:.2f} s" in shown
+    assert "Play returns to now" in shown
+    inputs["Pause"].value = True
+    eventually(lambda: playback.tick() or not playback.paused, "Play does nothing")
+    assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
+
+
+@pytest.mark.parametrize(("rewards", "curve"), [((1.0,), "▁"), ((0.0, 7.0, 3.5, 7.0), "▁█▅█"), ((2.0, 2.0), "▁▁")])
+def test_the_panel_of_a_training_shows_its_state_and_stops_it_once(rewards: tuple[float, ...], curve: str) -> None:
+  stops: list[int] = []
+  with BrowserViewer(BoxEnv(1), port=8300, label="Task", on_stop=lambda: stops.append(1)) as viewer:
+    panel = viewer.training
+    assert panel is not None
+    common: dict[str, Any] = {"end": 300, "steps_per_second": 12345.6, "eta": "0:10:00"}
+    panel.show(iteration=1, reward=None, episode_length=None, terms={"success": 0.25}, **common)
+    assert "No episode has ended yet." in panel._text.content
+    for reward in rewards:
+      panel.show(iteration=2, reward=reward, episode_length=51.0, terms={"foot_slip": -0.1}, **common)
+    lines = panel._text.content.split("\n\n")
+    assert lines[0] == "**Iteration 2 of 300**, 12,346 steps/s, ETA 0:10:00"
+    assert lines[1:3] == [f"Reward **{rewards[-1]:.2f}**, episode 51 steps", curve]
+    assert "| success | 0.25 |\n| foot slip | -0.1 |" in lines[3]
+    for _ in range(2):
+      panel._press()
+    assert stops == [1]
+    assert panel._stop.disabled
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    assert viewer.training is None
 
 
 def test_reset_goes_back_to_now() -> None:

@@ -5,7 +5,7 @@ import errno
 import os
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Literal, TextIO, cast
 
 from mjlab_rl.scalar_log import IterationReport
@@ -34,6 +34,8 @@ class Console:
     self._is_live = verbosity == "normal" and is_terminal
     self._table: LiveTable | None = None
     self._last_shown = -_PLAIN_INTERVAL
+    self.on_report: list[Callable[[IterationReport], None]] = []
+    """Functions called with every report, such as that of a page; also of a quiet console."""
 
   @property
   def is_verbose(self) -> bool:
@@ -51,6 +53,8 @@ class Console:
 
   def show(self, report: IterationReport) -> None:
     """Show one iteration."""
+    for call in self.on_report:
+      call(report)
     if self._verbosity == "quiet":
       return
     if self._verbosity == "verbose":

@@ -2,7 +2,9 @@
 
 import dataclasses
 import itertools
+import os
 import shlex
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +18,8 @@ from mjlab.cli._policies import manifest_of
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
-  from mjlab_rl import RlEnv, TaskCfg
+  from mjlab_rl import Console, IterationReport, RlEnv, TaskCfg
+  from mjlab_viewer.browser.training_panel import TrainingPanel
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -187,7 +190,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   if beginning is not None:
     console.say(f"starting from {beginning}")
 
-  watchers = Watchers(wanted)
+  watchers = Watchers(wanted, name, console)
   # This import takes seconds, so it comes after the checks.
   from mjlab_rl import train
 
@@ -242,7 +245,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
 class Watchers:
   """Viewer and films of a running training."""
 
-  def __init__(self, wanted: Arguments) -> None:
+  def __init__(self, wanted: Arguments, name: str, console: "Console") -> None:
     if wanted.viewer:
       from mjlab_viewer import check_address
 
@@ -251,7 +254,7 @@ class Watchers:
       raise UsageError(
         f"--video-length {wanted.video_length}: must be from 1 to --video-interval ({wanted.video_interval})"
       )
-    self._wanted = wanted
+    self._wanted, self._name, self._console = wanted, name, console
     self._open: list[Any] = []
 
   def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
@@ -262,8 +265,18 @@ class Watchers:
     calls: list[Callable[[], None]] = []
     if wanted.viewer:
       camera = None if look is None else look.camera()
-      viewer = BrowserViewer(env, host=wanted.viewer_host, port=wanted.viewer_port, camera=camera)
+      viewer = BrowserViewer(
+        env,
+        host=wanted.viewer_host,
+        port=wanted.viewer_port,
+        camera=camera,
+        label=self._name,
+        # As by a scheduler: the training saves after the iteration.
+        on_stop=lambda: os.kill(os.getpid(), signal.SIGTERM),
+      )
       print(f"watch at {viewer.url}", flush=True)
+      if (panel := viewer.training) is not None:
+        self._console.on_report.append(lambda report: _show_on_page(panel, report))
       self._open.append(viewer)
       calls.append(viewer.update)
     if wanted.video and directory is not None:
@@ -283,6 +296,21 @@ class Watchers:
     """Close viewer and films."""
     while self._open:
       self._open.pop().close()
+
+
+def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:
+  from mjlab_rl.console import duration
+
+  shown = ("Episode_Reward/", "Episode_Metrics/", "Metrics/")
+  panel.show(
+    iteration=report.iteration + 1,
+    end=report.end,
+    reward=report.mean_reward,
+    episode_length=report.mean_episode_length,
+    steps_per_second=report.steps_per_second,
+    eta=duration(report.eta),
+    terms={tag.partition("/")[2]: value for tag, value in report.scalars.items() if tag.startswith(shown)},
+  )
 
 
 def _checkpoint(wanted: Arguments, task: str) -> Path | None:

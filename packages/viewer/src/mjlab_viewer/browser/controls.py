@@ -132,9 +132,14 @@ class PlaybackControls:
     state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
     if playback.is_capped:
       state += f" (this machine is too slow for {playback.speed:g})"
-    time = playback.step_count * playback.env.step_dt
+    shown = self._scene.shown
+    is_past = self.seconds_back > 0.0 and shown is not None
+    # The page may go back to before the last reset, where this count has no steps.
+    step = max(playback.step_count - (playback.total_steps - shown.step if is_past and shown else 0), 0)
+    if is_past:
+      state = f"looking back {self.seconds_back:.2f} s; Play returns to now"
     world = self._selection.world
-    line = f"<b>{state}</b><br>step {playback.step_count}, {time:.2f} s, world {world}"
+    line = f"<b>{state}</b><br>step {step}, {step * playback.env.step_dt:.2f} s, world {world}"
     note = playback.env.note(world) if isinstance(playback.env, Replay) else self._episode_end.reason
     if note:
       line += f"<br>{html.escape(note)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import viser
@@ -19,14 +19,13 @@ class SignalPlot:
 
   Args:
     server: Server of the page.
-    groups: Names of the signals by group; with more than one, the page shows a list to choose from.
+    group: Name of the group.
+    names: Names of its signals.
   """
 
-  def __init__(self, server: viser.ViserServer, groups: Mapping[str, Sequence[str]]) -> None:
+  def __init__(self, server: viser.ViserServer, group: str, names: Sequence[str]) -> None:
     self._server = server
-    self._groups = groups
-    self._group, self._word = next(iter(groups)), ""
-    self._choice = server.gui.add_dropdown("Group", list(groups)) if len(groups) > 1 else None
+    self._group, self._names, self._word = group, names, ""
     self._filter = server.gui.add_text("Filter", "", hint="Show only names that contain this")
     self._folder = server.gui.add_folder("Curves")
     self._shown: list[int] = []
@@ -36,9 +35,8 @@ class SignalPlot:
 
   def show(self, history: Sequence[Snapshot], step_dt: float) -> None:
     """Draw the signals of a run of snapshots of the same selected world."""
-    wanted = (self._group if self._choice is None else self._choice.value, self._filter.value)
-    if wanted != (self._group, self._word):
-      self._group, self._word = wanted
+    if self._filter.value != self._word:
+      self._word = self._filter.value
       self._make()
     if self._plot is None or not history:
       return
@@ -51,7 +49,7 @@ class SignalPlot:
       if part is not None:
         part.remove()
     self._plot = self._more = None
-    names = self._groups[self._group]
+    names = self._names
     found = [index for index, name in enumerate(names) if self._word.lower() in name.lower()]
     self._shown = found[:MOST_CURVES]
     with self._folder:

@@ -18,6 +18,7 @@ from mjlab_viewer.browser.controls import HISTORY, PlaybackControls, WorldContro
 from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.signal_plot import SignalPlot
+from mjlab_viewer.browser.training_panel import TrainingPanel
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
 from mjlab_viewer.playback import Playback, one_line
@@ -49,6 +50,7 @@ class BrowserViewer:
     max_worlds: Greatest number of worlds shown at once.
     video_folder: Folder of the films of the record button.
     label: Title of the page.
+    on_stop: Function that stops a training; the page then has a panel of the training, with a button that calls it.
 
   Raises:
     MjlabError: a number, body or address is impossible.
@@ -66,6 +68,7 @@ class BrowserViewer:
     max_worlds: int = 16,
     video_folder: Path = Path("videos"),
     label: str = "mjlab",
+    on_stop: Callable[[], None] | None = None,
   ) -> None:
     if max_worlds < 1:
       raise MjlabError(f"max_worlds must be at least 1, got {max_worlds}")
@@ -93,7 +96,9 @@ class BrowserViewer:
       self.scene = BrowserScene(self.server, env.sim.mj_model, resolved, self.selection.count)
       self.recorder = Recorder(env, self._taker, self.scene, self.selection, camera, video_folder)
       """Films of the selected world."""
-      self._make_page(checkpoints)
+      self.training: TrainingPanel | None = None
+      """Progress of the training that is watched, if the viewer has `on_stop`."""
+      self._make_page(checkpoints, on_stop)
       if playback is not None:
         playback.on_step.append(self._record)
     except BaseException:
@@ -121,6 +126,8 @@ class BrowserViewer:
       if self._controls is not None:
         self._controls.values.read()
         self._controls.buttons.read()
+      if self.training is not None:
+        self.training.buttons.read()
       if not self.server.get_clients():
         return
       self._show(now)
@@ -164,26 +171,26 @@ class BrowserViewer:
   def __exit__(self, *_: object) -> None:
     self.close()
 
-  def _make_page(self, checkpoints: CheckpointList | None) -> None:
+  def _make_page(self, checkpoints: CheckpointList | None, on_stop: Callable[[], None] | None) -> None:
     gui, scene = self.server.gui, self.scene
     gui.configure_theme(control_width="large", show_share_button=False)
     gui.main_panel.dock_right()
     self._controls = None
     tabs = gui.add_tab_group()
+    if on_stop is not None:
+      with tabs.add_tab("Training", icon=viser.Icon.SCHOOL):
+        self.training = TrainingPanel(self.server, on_stop)
     with tabs.add_tab("Controls", icon=viser.Icon.PLAYER_PLAY):
       if self.playback is not None:
         self._controls = PlaybackControls(self.server, self.playback, self.selection, scene, self.recorder, checkpoints)
       self._worlds = WorldControls(self.server, self.env, self.selection, scene)
       self.recorder.drawers = self._worlds.drawers
     signals = {group: tuple(names) for group, (names, _) in self.env.signals().items() if len(names)}
-    rewards = {group: names for group, names in signals.items() if group == "rewards"}
-    others = {group: names for group, names in signals.items() if group != "rewards"}
     self._plots: list[SignalPlot] = []
     with tabs.add_tab("Plots", icon=viser.Icon.CHART_LINE):
-      for title, groups in (("Rewards", rewards), ("Signals", others)):
-        if groups:
-          with gui.add_folder(title):
-            self._plots.append(SignalPlot(self.server, groups))
+      for group, names in signals.items():
+        with gui.add_folder(group.capitalize()):
+          self._plots.append(SignalPlot(self.server, group, names))
     with tabs.add_tab("Overlays", icon=viser.Icon.EYE):
       scene.scene.create_overlay_gui()
     with tabs.add_tab("Groups", icon=viser.Icon.LAYERS_INTERSECT):
