@@ -88,6 +88,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
           self.after_step()
         with set_for_now(get, set_to, precision):
           self._time(algorithm.update)
+        self.patience.progress()
     return obs
 
   def _time(self, update: Callable[[], None]) -> None:
