@@ -1,5 +1,6 @@
 """Untrained policies of every task family are exported, verified and, where a robot could run them, run."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from mjlab_deploy.verification import verify
 from mjlab_rl import CheckpointPolicy, OnnxPolicy
 from mjlab_rl.policy_bundle import BundleWriter, record, without_noise
 from mjlab_rl.reference_policy import write_for_others
+from mjlab_velocity import sim_to_real
 
 STEPS = 110
 MEASURED = {
@@ -27,10 +29,10 @@ MEASURED = {
 """Sources that every legged robot has."""
 
 
-def exported(task: str, folder: Path) -> Path:
+def exported(task: str, folder: Path, preset: Callable[[Any], Any] = lambda parts: parts) -> Path:
   """Export the policy of a task that was not trained, with a record."""
   torch.manual_seed(0)
-  parts = load_task(task)
+  parts = preset(load_task(task))
   cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
   with standard_env(cfg, device="cpu") as env:
     policy = CheckpointPolicy(env, parts.agent, parts.runner)
@@ -100,6 +102,16 @@ def test_a_legged_robot_stands_up_and_walks_until_it_is_stopped(tmp_path: Path) 
     # An untrained policy stands for a moment, which is enough to see that every joint is where it belongs.
     assert run.runner.phase == "policy", run.runner.reason
     assert not run.robot.is_damped
+
+
+def test_a_policy_of_the_sim_to_real_preset_is_verified_and_runs(tmp_path: Path) -> None:
+  folder = exported("Mjlab-Velocity-Flat-Unitree-Go2-Blind", tmp_path / "bundle", sim_to_real)
+  with open_bundle(folder) as bundle:
+    report = verify(bundle)
+    assert report.passed, report.failures
+    run = SimulatedRun(bundle, latency=0.004, command=[0.5, 0.0, 0.0])
+    run.run(1.2)
+    assert run.runner.phase == "policy", run.runner.reason
 
 
 def test_an_action_that_needs_the_robots_model_is_refused_by_name(tmp_path: Path) -> None:
