@@ -155,6 +155,14 @@ LINK = '<body name="b"><joint name="j"/><geom size="0.1"/></body>'
     ("a.xml", f"<mujoco><worldbody>{LINK}</worldbody></mujoco>", ["--feet", "c"], 2, "matches no body"),
     (
       "a.xml",
+      f"""<mujoco><worldbody><body name="a"><joint name="ball" type="ball"/><geom size="0.1"/>{LINK}</body></worldbody>
+      <actuator><motor name="m" joint="ball"/></actuator></mujoco>""",
+      [],
+      1,
+      "actuator 'm' drives neither a hinge nor a slide",
+    ),
+    (
+      "a.xml",
       '<mujoco><asset><mesh file="gone.stl"/></asset><worldbody><body name="b"/></worldbody></mujoco>',
       [],
       1,

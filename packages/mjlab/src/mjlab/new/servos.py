@@ -147,6 +147,8 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
     if kind == mujoco.mjtTrn.mjTRN_JOINT and target in given:
       replaced.add(name)
       continue
+    if kind == mujoco.mjtTrn.mjTRN_JOINT and not _is_single(model, target):
+      raise MjlabError(f"actuator '{printable(name)}' drives neither a hinge nor a slide; remove it, or the joint")
     servo = _servo_of(model, i, target, target in wheels) if kind == mujoco.mjtTrn.mjTRN_JOINT else None
     if servo is not None and target not in servos:
       servos[target] = servo
@@ -201,8 +203,7 @@ def _servo_of(model: mujoco.MjModel, i: int, joint: str, is_wheel: bool) -> Serv
   """Return the servo that stands for an actuator of the file; None if it is something else."""
   gain, bias, gear = model.actuator_gainprm[i], model.actuator_biasprm[i], abs(model.actuator_gear[i, 0])
   is_plain = (
-    mujoco.mjtJoint(model.jnt_type[model.joint(joint).id]) in FULL_EFFORT_ERROR
-    and model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+    model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
     and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
     and gain[0] > 0
     and gear > 0
@@ -223,6 +224,10 @@ def _servo_of(model: mujoco.MjModel, i: int, joint: str, is_wheel: bool) -> Serv
   if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE and effort:
     return _motor(model, joint, effort, None, None, is_wheel)
   return None
+
+
+def _is_single(model: mujoco.MjModel, joint: str) -> bool:
+  return mujoco.mjtJoint(model.jnt_type[model.joint(joint).id]) in FULL_EFFORT_ERROR
 
 
 def _joint_effort(model: mujoco.MjModel, joint: str) -> float | None:
