@@ -1,0 +1,69 @@
+"""Curves of learners over wall time, from `tools/benchmark_learners.py`, beside committed curves of PPO.
+
+  uv run python tools/plot_learners.py "fastsac, seed 1=OUT/g1_fastsac.npz" "PPO=docs/benchmarks/g1_flat_gpu.csv" \
+    --title "G1 on flat ground" --output docs/benchmarks/learners_g1_flat
+
+Writes OUTPUT.csv and OUTPUT.png, and prints a row for each curve: when five iterations on average have episodes of 950
+steps and a velocity error below 0.3 m/s, and where the curve ends.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from benchmark_learners import COLUMNS, LONG, seconds_to_target, smooth
+
+SHOWN = (
+  ("episode_length", "mean episode length [steps]"),
+  ("error_vel_xy", "velocity error [m/s]"),
+  ("reward", "mean reward per episode"),
+)
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+  """Return the curve of an .npz file, or of the first run in a .csv file."""
+  if path.suffix == ".npz":
+    with np.load(path, allow_pickle=False) as file:
+      return {name: file[name] for name in file.files}
+  with path.open(newline="") as file:
+    rows = list(csv.DictReader(file))
+  rows = [row for row in rows if row["run"] == rows[0]["run"]]
+  return {name: np.array([float(row[name] or "nan") for row in rows]) for name in COLUMNS}
+
+
+def main() -> None:
+  """Write the picture and the curves."""
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("curves", nargs="+", metavar="NAME=FILE")
+  parser.add_argument("--title", required=True)
+  parser.add_argument("--seconds", type=float, default=500.0, help="end of the picture")
+  parser.add_argument("--output", type=Path, required=True, help="path without suffix")
+  args = parser.parse_args()
+  figure, axes = plt.subplots(1, len(SHOWN), figsize=(12, 3.6), layout="constrained")
+  lines = [["run", *COLUMNS]]
+  for text in args.curves:
+    name, _, path = text.rpartition("=")
+    found = read(Path(path))
+    # Every fifth iteration is enough for a picture.
+    lines += [[name, *(f"{found[column][row]:.5g}" for column in COLUMNS)] for row in range(0, len(found["steps"]), 5)]
+    for axis, (column, label) in zip(axes, SHOWN, strict=True):
+      axis.plot(found["seconds"], smooth(found[column]), label=name)
+      axis.set(xlabel="wall time of training [s]", ylabel=label, xlim=(0, args.seconds))
+    reached = seconds_to_target(found)
+    last = [smooth(found[column])[-1] for column, _ in SHOWN]
+    time = "-" if reached is None else f"{reached:.0f}"
+    print(f"| {name} | {time} | {found['seconds'][-1]:.0f} | {last[0]:.0f} | {last[1]:.2f} |")
+  axes[0].axhline(LONG, color="0.7", linewidth=1)
+  axes[1].set_ylim(0, 1.2)
+  axes[1].axhline(0.3, color="0.7", linewidth=1)
+  axes[0].legend()
+  figure.suptitle(args.title)
+  figure.savefig(args.output.with_suffix(".png"), dpi=100)
+  with args.output.with_suffix(".csv").open("w", newline="") as file:
+    csv.writer(file, lineterminator="\n").writerows(lines)
+
+
+if __name__ == "__main__":
+  main()
