@@ -17,6 +17,10 @@ from mjlab_managers import EventTermCfg
 TASK = "Test-Randomised-Pendulum"
 
 
+def raise_ctrl(env: Any, mask: torch.Tensor, *, height: tuple[float, float]) -> None:
+  env.sim.data.qvel[:] = torch.linspace(*height, env.num_envs)[:, None].to(env.sim.data.qvel.dtype)
+
+
 def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> None:
   def task():
     cfg = mjlab_pendulum.pendulum()
@@ -31,6 +35,7 @@ def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> No
     (motor,) = articulation.actuators
     articulation.actuators = (replace(motor, delay_min_lag=0, delay_max_lag=3),)
     cfg.env.events["late"] = EventTermCfg(mdp.randomize_actuator_delay, mode="reset", params={"lag_range": (1, 3)})
+    cfg.env.events["raise"] = EventTermCfg(raise_ctrl, mode="reset", params={"height": (2.0, 3.0)})
     cfg.env.events["nothing"] = EventTermCfg(lambda env, mask: None, mode="step")
     return cfg
 
@@ -57,6 +62,9 @@ def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   least, mean, most = (float(cell) for cell in damping_row[-5:-2])
   assert 0.5 <= least < 0.6 < mean < 1.9 < most <= 2.0
   assert ["nothing", "step", "-", "NOTHING", "CHANGED"] in rows
+  # An event without distributions shows its parameters and what it wrote.
+  (raised,) = [row for row in rows if row[0] == "raise"]
+  assert raised == "raise reset qvel 1 height: 2 to 3 2 2.5 3 differs between worlds".split()
   (effort,) = [row for row in rows if row[0] == "effort"]
   assert effort[1:6] == ["reset", "effort_limit", "hinge", "scale", "Uniform(0.8,"]
   assert 0.8 <= float(effort[-5]) < 0.81 < 1.19 < float(effort[-3]) <= 1.2

@@ -53,8 +53,10 @@ class EventReport:
   name: str
   mode: str
   axes: list[AxisReport] = field(default_factory=list)
-  changed: dict[str, int] = field(default_factory=dict)
-  """Of an event that draws neither fields, gains nor delays: how many numbers it changed, by what they belong to."""
+  changed: dict[str, torch.Tensor] = field(default_factory=dict)
+  """Of an event without distributions: the numbers that it changed, (num_envs, how many), by what they belong to."""
+  params: dict[str, Any] = field(default_factory=dict)
+  """Parameters of such an event."""
 
 
 @dataclass(kw_only=True)
@@ -94,10 +96,13 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
       continue
     before = _snapshot(env)
     manager.fire(name)
+    report.params = dict(cfg.params)
     for what, now in _snapshot(env).items():
-      differs = (now != before[what]).any(0).sum().item() if what in before else now[0].numel()
-      if differs:
-        report.changed[what] = int(differs)
+      flat = now.reshape(len(now), -1)
+      old = before.get(what)
+      kept = torch.ones_like(flat[0], dtype=torch.bool) if old is None else (flat != old.reshape(flat.shape)).any(0)
+      if kept.any():
+        report.changed[what] = flat[:, kept]
   return reports
 
 
@@ -171,14 +176,15 @@ def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
   rows: list[tuple[str, ...]] = []
   for report in reports:
     lead = (report.name, report.mode)
-    if not report.axes:
-      what = ", ".join(f"{state} ({count})" for state, count in report.changed.items())
-      rows.append((*lead, what or "-", "", "", "", "", "", "" if what else "NOTHING CHANGED"))
+    if not report.axes and not report.changed:
+      rows.append((*lead, "-", "", "", "", "", "", "NOTHING CHANGED"))
+    for what, values in report.changed.items():
+      differs = "differs between worlds" if (values != values[:1]).any() else "same in all worlds"
+      rows.append((*lead, what, str(values.shape[1]), _given(report.params), *_span(values), differs))
+      lead = ("", "")
     for axis in report.axes:
-      drawn = axis.drawn.double()
-      numbers = [f"{x:.4g}" for x in (drawn.min(), drawn.mean(), drawn.max())] if drawn.numel() else ["-"] * 3
       what = f"{axis.field} {axis.axis}".strip()
-      rows.append((*lead, what, _listed(axis.elements), _asked(axis), *numbers, axis.verdict))
+      rows.append((*lead, what, _listed(axis.elements), _asked(axis), *_span(axis.drawn), axis.verdict))
       lead = ("", "")
   lines = [table(head, rows)]
   for name, mass in inertia.masses.items():
@@ -187,6 +193,26 @@ def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
       f"as compiled {inertia.compiled[name]:.4g}"
     )
   return "\n".join(lines)
+
+
+def _span(values: torch.Tensor) -> list[str]:
+  """Return least, mean and greatest of the finite values."""
+  found = values[values.isfinite()].double()
+  return [f"{x:.4g}" for x in (found.min(), found.mean(), found.max())] if found.numel() else ["-"] * 3
+
+
+def _given(params: Mapping[str, Any]) -> str:
+  """Return the numbers among the parameters of an event, such as ranges."""
+
+  def shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+      return ", ".join(f"{key} {text}" for key, item in value.items() if (text := shown(item)))
+    if isinstance(value, tuple | list) and value and all(isinstance(item, float | int) for item in value):
+      return " to ".join(f"{item:g}" for item in value)
+    return f"{value:g}" if isinstance(value, float | int) else ""
+
+  texts = {name: shown(value) for name, value in params.items()}
+  return "; ".join(f"{name}: {text}" for name, text in texts.items() if text) or "as written"
 
 
 def _asked(axis: AxisReport) -> str:
