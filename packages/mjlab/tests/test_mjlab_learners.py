@@ -52,3 +52,12 @@ def test_a_wrong_learner_is_one_line(capsys: pytest.CaptureFixture[str]) -> None
   assert "--agent: expected the name of a learner" in capsys.readouterr().err
   assert cli.main(["train", TASK, "--agent=fastsac", "--resume"]) == 2
   assert "--agent and --resume exclude each other" in capsys.readouterr().err
+
+
+def test_help_shows_the_flags_of_the_learner_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+  task = "Mjlab-Cartpole-Balance"
+  for words, flag in ((["--agent", "fastsac"], "combine"), ([], "clip-param"), (["--agent=flashsac"], "combine")):
+    run("train", task, *words, "--help", "algorithm")
+    assert f"--agent.algorithm.{flag}" in capsys.readouterr().out
+  run("train", task, "--help")
+  assert "--agent NAME" in capsys.readouterr().out

@@ -65,6 +65,7 @@ def run_with_task(
   words: list[str],
   action: "Callable[[str, TaskCfg[Any], list[str]], int]",
   configs: "Callable[[TaskCfg[Any]], dict[str, Any]]" = lambda task: {"env": task.env},
+  variant: str = "",
 ) -> int:
   """Run a command of the form `COMMAND TASK [flags]`, or print its help; return the exit code.
 
@@ -73,6 +74,7 @@ def run_with_task(
     words: Words after the name of the command.
     action: Function of the task's id, the task, and the flags.
     configs: Parts of the task among the fields of `line.arguments`.
+    variant: Name of the learner that `configs` takes in place of that of the task.
 
   Raises:
     UsageError: The task is missing, does not come first, or does not exist.
@@ -89,7 +91,8 @@ def run_with_task(
   name, given = words[0], words[1:]
   check_named_task(name)
   if any(word in _HELP for word in given):
-    print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs)), end="")
+    text = {"variant": variant, "notes": line.notes}
+    print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs), **text), end="")
     return 0
   environments.share_cores()
   return action(name, load_task(name), given)

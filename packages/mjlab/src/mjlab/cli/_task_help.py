@@ -20,7 +20,9 @@ from mjlab.registry import task_entries
 _LONGEST = 2000  # characters of a text from the file
 
 
-def task_help(command: str, task: str, word: str, rows: Callable[[], list[FlagRow]]) -> str:
+def task_help(
+  command: str, task: str, word: str, rows: Callable[[], list[FlagRow]], *, variant: str = "", notes: str = ""
+) -> str:
   """Return the help on flags that have `word` in their names.
 
   Args:
@@ -28,11 +30,13 @@ def task_help(command: str, task: str, word: str, rows: Callable[[], list[FlagRo
     task: Name of the task.
     word: Part of names; empty for all.
     rows: Function that builds the task and returns all flags; not called if the kept ones are up to date.
+    variant: Name of the learner, if it is not that of the task.
+    notes: Text below all flags.
 
   Raises:
     UsageError: No flag has `word` in its name.
   """
-  path = _path(command, task)
+  path = _path(f"{command} {variant}" if variant else command, task)
   known = None if path is None else _read(path)
   if known is None:
     known = rows()
@@ -44,7 +48,7 @@ def task_help(command: str, task: str, word: str, rows: Callable[[], list[FlagRo
     close = nearest(word, dict.fromkeys(part for row in known for part in row.name.split(".")))
     raise UsageError(f"no flag has '{word}' in its name." + (f" Nearest: {', '.join(close)}." if close else ""))
   about = "" if word else f"{command} {task} --help WORD shows the flags that have WORD in their names."
-  return flags_help(f"{command} {task} [flags]", about, shown)
+  return flags_help(f"{command} {task} [flags]", about, shown, notes="" if word else notes)
 
 
 def _path(command: str, task: str) -> Path | None:

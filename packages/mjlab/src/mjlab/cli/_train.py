@@ -96,7 +96,14 @@ def run(words: list[str]) -> int:
   if words and words[0].startswith("--tyro-"):
     _print_completion(words)
     return 0
-  return run_with_task(_LINE, words, _train, lambda task: {"agent": _chosen(task, words)[0].agent, "env": task.env})
+  given = list(itertools.takewhile(lambda word: word not in ("-h", "--help"), words))
+  variant = " ".join(after for word, after in itertools.pairwise([*given, ""]) if word == "--agent")
+  variant += "".join(word for word in given if word.startswith("--agent="))
+
+  def parts(task: "TaskCfg[Any]") -> dict[str, Any]:
+    return {"agent": _chosen(task, given)[0].agent, "env": task.env}
+
+  return run_with_task(_LINE, words, _train, parts, variant)
 
 
 def _print_completion(words: list[str]) -> None:
