@@ -45,7 +45,8 @@ def eventually(holds: Callable[[], object], what: str = "", seconds: float = PAT
   end = time.monotonic() + seconds
   while not holds():
     assert time.monotonic() < end, what or "it did not happen"
-    time.sleep(0.05)
+    # A screenshot costs a busy machine as much as a frame.
+    time.sleep(0.2)
 
 
 @contextmanager
