@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, write_bundle
-from mjlab_deploy import DeployError, open_bundle, unitree
+from mjlab_deploy import DeployError, open_bundle
 from mjlab_deploy.loopback import LoopbackRobot
 from mjlab_deploy.robot_io import RobotCommand
 from mjlab_deploy.runner import Runner
@@ -165,7 +165,7 @@ def test_a_missing_sdk_and_unknown_robots_and_motors_are_said(monkeypatch: pytes
   def missing(name: str) -> Any:
     raise ModuleNotFoundError(f"No module named '{name}'")
 
-  monkeypatch.setattr(unitree.importlib, "import_module", missing)
+  monkeypatch.setattr("importlib.import_module", missing)
   with pytest.raises(DeployError, match="install unitree-sdk2"):
     connect("g1", "eth0")
   with pytest.raises(DeployError, match="robot 'go1' is not known; there are g1, go2"):

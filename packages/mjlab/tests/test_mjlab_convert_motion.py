@@ -90,5 +90,5 @@ def test_a_preview_is_served_after_the_clip_is_written(
   monkeypatch.setattr(BrowserViewer, "run", interrupted)
   assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--preview", "--port", "8370"]) == 0
   assert "open http://localhost:83" in capsys.readouterr().out
-  assert main([CLIP, "--preview", "--port", "0"]) == 1
+  assert main([CLIP, "--preview", "--port", "0"]) == 2
   assert "port 0 does not exist" in capsys.readouterr().err

@@ -117,8 +117,8 @@ def test_the_command_writes_an_overlay_and_a_report(
     (["a.csv"], 2, "no --task given"),
     (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1"], 2, "no --fit given"),
     (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go", "--fit", "armature:.*"], 2, "task 'Mjlab-Velocity-Flat"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armour:.*"], 1, "field 'armour' does not exist"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armature:.*"], 1, "record a.csv: no such file"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armour:.*"], 2, "field 'armour' does not exist"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armature:.*"], 2, "record a.csv: no such file"),
   ],
 )
 def test_a_mistake_on_the_command_line_is_one_line(

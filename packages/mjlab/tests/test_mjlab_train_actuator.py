@@ -67,7 +67,7 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
     (["motor.csv", "--output", "."], 2, "--output: . is a folder"),
     (["motor.csv", "--output", "no/where.pt"], 2, "--output: folder no does not exist"),
     (["motor.csv", "--output", "a.png"], 2, "--plot: a.png is the network's own file"),
-    (["nowhere.csv"], 1, "record nowhere.csv: no such file"),
+    (["nowhere.csv"], 2, "record nowhere.csv: no such file"),
     (["broken.csv"], 1, "record broken.csv: line 3, column 'effort': 'much' is not a finite number"),
   ],
 )

@@ -1,7 +1,7 @@
 """Run of two processes of which the second one hangs: `torchrun --nproc-per-node 2 rl_fault_program.py FOLDER`."""
 
 import sys
-import time
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ class HangingEnv(PointEnv):
   """Environment whose step does not return after the second iteration."""
 
   def step(self, action: torch.Tensor) -> Any:
-    while Ranks.current().rank == 1 and int(self.steps) >= 12:
-      time.sleep(1.0)
+    if Ranks.current().rank == 1 and int(self.steps) >= 12:
+      threading.Event().wait()
     return super().step(action)
 
 

@@ -51,7 +51,7 @@ class Episodes:
 
 
 def expected(steps: list[Step], start: int, num_steps: int, gamma: float) -> tuple[float, float, np.ndarray]:
-  total, discount = 0.0, 1.0
+  total, discount, last = 0.0, 1.0, steps[start]
   for step in steps[start : start + num_steps]:
     total += discount * step.reward
     discount *= gamma

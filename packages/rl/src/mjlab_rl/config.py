@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
@@ -10,15 +10,13 @@ from mjlab_core.config import Config
 from mjlab_core.constraints import Finite, Limits, Positive, PositiveCount, field_problems
 from mjlab_core.errors import ConfigError
 
+from mjlab_rl.network_entries import Activation, DistributionEntries, encoder_problems, entry_problems
+
 if TYPE_CHECKING:
   from mjlab_rl.evaluation import Evaluator
 
-Activation = Literal[
-  "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
-]
 Optimizer = Literal["adam", "adamw", "sgd", "rmsprop"]
 Fraction = Annotated[float, Limits(ge=0, le=1)]
-Sizes = Annotated[int | tuple[int, ...], Limits(ge=1)]
 EnvCfgT = TypeVar("EnvCfgT")
 
 
@@ -62,56 +60,17 @@ class RslRlModelCfg(Config):
     """Yield a line for each value that a network cannot be built from; `where` names the network."""
     if not self.hidden_dims:
       yield f"{where}.hidden_dims is empty; a network has at least one hidden layer"
-    yield from _entry_problems(_DistributionEntries, self.distribution_cfg or {}, f"{where}.distribution_cfg")
+    yield from entry_problems(DistributionEntries, self.distribution_cfg or {}, f"{where}.distribution_cfg")
     encoders = self.cnn_cfg or {}
     if encoders and self.class_name in _WITHOUT_IMAGES:
       yield f"{where}.cnn_cfg is given, but {where}.class_name {self.class_name!r} takes no images"
     if not encoders or not all(isinstance(encoder, dict) for encoder in encoders.values()):
       encoders = {"": encoders}
     for group, encoder in encoders.items():
-      yield from _encoder_problems(encoder, f"{where}.cnn_cfg{group and '.'}{group}")
+      yield from encoder_problems(encoder, f"{where}.cnn_cfg{group and '.'}{group}")
 
 
 _WITHOUT_IMAGES = ("MLPModel", "RNNModel")
-
-
-@dataclass
-class _DistributionEntries:
-  """Constraints of `distribution_cfg`; other entries are free."""
-
-  init_std: Positive = 1.0
-
-
-@dataclass
-class _EncoderEntries:
-  """Constraints of `cnn_cfg`; other entries are free. rsl-rl takes an unknown padding for none."""
-
-  output_channels: Annotated[tuple[int, ...], Limits(ge=1)] = ()
-  kernel_size: Sizes = 1
-  stride: Sizes = 1
-  dilation: Sizes = 1
-  padding: Literal["none", "zeros", "reflect", "replicate", "circular"] = "none"
-  norm: Literal["none", "batch", "layer"] | tuple[Literal["none", "batch", "layer"], ...] = "none"
-  activation: Activation = "elu"
-  global_pool: Literal["none", "max", "avg"] = "none"
-  temperature: Positive = 1.0
-
-
-def _entry_problems(schema: type[Any], entries: dict[str, Any], where: str) -> Iterator[str]:
-  """Yield a line for each entry of a dictionary that breaks the constraint of its field in `schema`."""
-  names = {field.name for field in fields(schema)}
-  checked = schema(**{name: value for name, value in entries.items() if name in names})
-  yield from (f"{where}.{problem}" for problem in field_problems(checked))
-
-
-def _encoder_problems(encoder: dict[str, Any], where: str) -> Iterator[str]:
-  problems = list(_entry_problems(_EncoderEntries, encoder, where))
-  yield from problems
-  if not problems:
-    layers = len(encoder.get("output_channels", ()))
-    for name, value in encoder.items():
-      if isinstance(value, (tuple, list)) and len(value) != layers:
-        yield f"{where}.{name} has {len(value)} values, output_channels {layers}"
 
 
 @dataclass(kw_only=True)

@@ -17,6 +17,7 @@ import torch
 from mjlab_core import printable
 from mjlab_core.errors import ConfigError
 from torch import distributed
+from torch.distributed.rendezvous import rendezvous
 
 T = TypeVar("T")
 
@@ -87,9 +88,10 @@ class Ranks:
     is_cuda = torch.device(device).type == "cuda"
     if is_cuda:
       torch.cuda.set_device(device)
-    store, *_ = next(distributed.rendezvous("env://", self.rank, self.world_size))
+    store, *_ = next(rendezvous("env://", self.rank, self.world_size))
     # The store of torchrun outlives a restart, with the old addresses in it.
-    store = distributed.PrefixStore(f"attempt_{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
+    prefix: Any = getattr(distributed, "PrefixStore")  # noqa: B009 - public, but without a type
+    store = prefix(f"attempt_{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
     backend = "nccl" if is_cuda else "gloo"
     distributed.init_process_group(backend, store=store, rank=self.rank, world_size=self.world_size)
     try:

@@ -89,7 +89,12 @@ def resolve(text: object, where: str, extra: frozenset[str] = frozenset()) -> An
       f"{shown} is refused: package '{package}' is not trusted. Members of mjlab and packages with an entry point of "
       f"group '{TASK_GROUP}' or '{ROBOT_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
     )
-  found = _definition(_import(module_name, package, shown), name, shown)
+  try:
+    found = _definition(_import(module_name, package, shown), name, shown)
+  except FileError:
+    if (moved := _exported(module_name, name, package, shown)) is None:
+      raise
+    return moved
   if not isinstance(found, (FunctionType, type, _CACHED)) and not _is_class_method(found):
     raise FileError(f"{shown} is refused: it is a {type(found).__name__}, not a function or class")
   if (found.__module__, found.__qualname__) != (module_name, name):
@@ -154,6 +159,24 @@ def _import(module_name: str, package: str, shown: str) -> ModuleType:
     raise
   except Exception as error:
     raise FileError(f"{shown}: module '{module_name}' cannot be imported ({printable(error, 200)})") from error
+
+
+def _exported(module_name: str, name: str, package: str, shown: str) -> Any:
+  """Return the function or class of this name that the package of a module exports; None if there is none.
+
+  Definitions move between the modules of a package, whose public names stay.
+  """
+  parent = module_name.rpartition(".")[0]
+  if not parent:
+    return None
+  try:
+    module = _import(parent, package, shown)
+  except FileError:
+    return None
+  found: Any = getattr(module, name) if name in getattr(module, "__all__", ()) else None
+  if not isinstance(found, (FunctionType, type, _CACHED)) or found.__qualname__ != name:
+    return None
+  return found if found.__module__.partition(".")[0] == package else None
 
 
 def _definition(module: ModuleType, name: str, shown: str) -> Any:

@@ -9,10 +9,10 @@ from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
-from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import play_rough, rough_env, self_collision
+from mjlab_velocity.sim_to_real import blind
 from mjlab_velocity.symmetry import left_right
 
 # Allowed deviation of joints from the default pose [rad]

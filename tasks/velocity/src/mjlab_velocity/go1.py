@@ -9,10 +9,10 @@ from mjlab_sensors import ContactMatch, ContactSensorCfg, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.blind import blind
 from mjlab_velocity.evaluation import VelocityEvaluation
 from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
 from mjlab_velocity.rough import ground_contact, play_rough, rough_env, self_collision
+from mjlab_velocity.sim_to_real import blind
 
 FEET = ("FR", "FL", "RR", "RL")
 _FOOT_GEOMS = ".*_foot_collision"

@@ -1,13 +1,17 @@
-"""Sim-to-real preset of velocity tasks."""
+"""Velocity tasks for robots: actors that see what sensors measure, and a preset of randomisation and delays."""
 
 from mjlab_actuators import DcMotorActuatorCfg, NativePositionActuatorCfg
 from mjlab_core.errors import ConfigError
 from mjlab_dr import pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_rl import TaskCfg
+from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg
 
 from mjlab_velocity.levels import actuators_of, add_axis, torso_pattern
 
+UNMEASURED = ("base_lin_vel", "height_scan")
+"""Terms of the actor that encoders and an IMU do not give."""
+HISTORY = 5
+"""Frames that the actor sees, from which a network can estimate the velocity; the newest is the last of each term."""
 # Ranges of the preset
 TORSO_ALPHA = (-0.05, 0.2)  # mass and inertia times e^(2 alpha): 0.90 to 1.49
 LINK_SCALE = 0.05
@@ -85,3 +89,20 @@ def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
     else:
       motors.append(servo)
   articulation.actuators = tuple(motors)
+
+
+def blind(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return a velocity task whose actor sees `HISTORY` frames of encoders, IMU, command and its own actions.
+
+  The critic still sees everything. The task is changed in place.
+
+  Raises:
+    ConfigError: The task has no observation group "actor" or another kind of learner.
+  """
+  actor = task.env.observations.get("actor")
+  if actor is None or not isinstance(task.agent, RslRlOnPolicyRunnerCfg):
+    raise ConfigError("a blind task needs an observation group 'actor' and an RslRlOnPolicyRunnerCfg")
+  actor.terms = {name: term for name, term in actor.terms.items() if name not in UNMEASURED}
+  actor.history_length = HISTORY
+  task.agent.experiment_name += "_blind"
+  return task

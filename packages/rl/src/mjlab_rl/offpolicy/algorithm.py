@@ -130,7 +130,7 @@ class OffPolicyAlgorithm(ABC):
     return obs, rewards, dones
 
   def _flat(self, obs: Any) -> torch.Tensor:
-    return torch.cat([obs[name] for name in self._groups], -1) if len(self._groups) > 1 else obs[self._groups[0]]
+    return torch.cat([obs[name] for name in self._groups], -1)
 
   # Updates.
 
@@ -162,7 +162,7 @@ class OffPolicyAlgorithm(ABC):
     """Return the columns of observations that the critic sees."""
     return _take(obs, self._critic_columns)
 
-  def step(self, loss: torch.Tensor, parameters: Sequence[torch.nn.Parameter]) -> None:
+  def step(self, loss: torch.Tensor, parameters: Sequence[torch.Tensor]) -> None:
     """Follow the gradient of a loss, averaged over all processes, for these parameters alone."""
     gradients = torch.autograd.grad(loss, parameters)
     if distributed.is_initialized():

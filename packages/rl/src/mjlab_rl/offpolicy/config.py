@@ -9,7 +9,8 @@ from mjlab_core.config import Config
 from mjlab_core.constraints import Finite, Limits, Positive, PositiveCount
 from mjlab_core.errors import ConfigError
 
-from mjlab_rl.config import Activation, Fraction, RslRlBaseRunnerCfg, RslRlModelCfg
+from mjlab_rl.config import Fraction, RslRlBaseRunnerCfg, RslRlModelCfg
+from mjlab_rl.network_entries import Activation
 
 Rows = Annotated[int, Limits(ge=8)]
 

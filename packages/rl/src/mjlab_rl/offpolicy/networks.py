@@ -262,7 +262,7 @@ def renormalize(network: nn.Module) -> None:
     if isinstance(module, nn.Linear):
       module.weight.copy_(functional.normalize(module.weight, dim=-1))
     elif isinstance(module, (nn.BatchNorm1d, nn.RMSNorm)):
-      parts = [part for part in (module.weight, getattr(module, "bias", None)) if part is not None]
+      parts: list[torch.Tensor] = [part for part in (module.weight, getattr(module, "bias", None)) if part is not None]
       total = torch.cat(parts).square().sum()
       factor = math.sqrt(module.weight.numel()) * torch.rsqrt(total + 1e-8)
       for part in parts:

@@ -28,8 +28,8 @@ class Sac(OffPolicyAlgorithm):
     self._figures = {name: torch.zeros((), device=device) for name in _FIGURES}
     super().__init__(actor, critic, groups, env, cfg, total_steps, device)
     self._actor_parameters = list(self.actor.parameters())
-    self._critic_parameters = list(self.critic.parameters())
-    self._target_parameters = list(self.target.parameters())
+    self._critic_parameters: list[torch.Tensor] = list(self.critic.parameters())
+    self._target_parameters: list[torch.Tensor] = list(self.target.parameters())
     self._follow = get_ema_multi_avg_fn(1.0 - cfg.tau)
     # Networks of unit layers normalise batches, and their weights after each step.
     self._is_unit = {name: _has_batch_norm(net) for name, net in (("actor", self.actor), ("critic", self.critic))}
@@ -59,6 +59,7 @@ class Sac(OffPolicyAlgorithm):
   def _update_critic(self, batch: Transitions) -> None:
     obs, next_obs = self.of_critic(batch.obs), self.of_critic(batch.next_obs)
     is_unit = self._is_unit["critic"]
+    both, actions = next_obs, batch.action
     with self._autocast():
       with torch.no_grad():
         self.actor.eval()

@@ -1,0 +1,84 @@
+"""Viewer and films of a training that runs."""
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core import UsageError
+
+if TYPE_CHECKING:
+  from mjlab_rl import Console, IterationReport
+  from mjlab_viewer.browser.training_panel import TrainingPanel
+
+
+class Watchers:
+  """Viewer and films of a running training, as the flags of `train` ask for them."""
+
+  def __init__(self, wanted: Any, name: str, console: "Console") -> None:
+    if wanted.viewer:
+      from mjlab_viewer import check_address
+
+      check_address(wanted.viewer_host, wanted.viewer_port)
+    if wanted.video and not 1 <= wanted.video_length <= wanted.video_interval:
+      raise UsageError(
+        f"--video-length {wanted.video_length}: must be from 1 to --video-interval ({wanted.video_interval})"
+      )
+    self._wanted, self._name, self._console = wanted, name, console
+    self._open: list[Any] = []
+
+  def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
+    """Open viewer and films; return the function to call after every step."""
+    from mjlab_viewer import BrowserViewer, TrainingVideo
+
+    wanted, look = self._wanted, getattr(env.cfg, "viewer", None)
+    calls: list[Callable[[], None]] = []
+    if wanted.viewer:
+      camera = None if look is None else look.camera()
+      viewer = BrowserViewer(
+        env,
+        host=wanted.viewer_host,
+        port=wanted.viewer_port,
+        camera=camera,
+        label=self._name,
+        # As by a scheduler: the training saves after the iteration.
+        on_stop=lambda: os.kill(os.getpid(), signal.SIGTERM),
+      )
+      print(f"watch at {viewer.url}", flush=True)
+      if (panel := viewer.training) is not None:
+        self._console.on_report.append(lambda report: _show_on_page(panel, report))
+      self._open.append(viewer)
+      calls.append(viewer.update)
+    if wanted.video and directory is not None:
+      interval, length = wanted.video_interval, wanted.video_length
+      picture = None if look is None else look.picture()
+      video = TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
+      self._open.append(video)
+      calls.append(video.after_step)
+
+    def after_step() -> None:
+      for call in calls:
+        call()
+
+    return after_step
+
+  def close(self) -> None:
+    """Close viewer and films."""
+    while self._open:
+      self._open.pop().close()
+
+
+def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:
+  from mjlab_rl.console import duration
+
+  shown = ("Episode_Reward/", "Episode_Metrics/", "Metrics/")
+  panel.show(
+    iteration=report.iteration + 1,
+    end=report.end,
+    reward=report.mean_reward,
+    episode_length=report.mean_episode_length,
+    steps_per_second=report.steps_per_second,
+    eta=duration(report.eta),
+    terms={tag.partition("/")[2]: value for tag, value in report.scalars.items() if tag.startswith(shown)},
+  )
