@@ -126,6 +126,8 @@ def test_two_processes_with_the_same_worlds_learn_what_one_learns(monkeypatch: p
   monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
   monkeypatch.setattr(distributed, "all_reduce", lambda numbers: numbers.mul_(2))
   monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
+  # With which older versions of rsl-rl send the weights.
+  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
   two, two_names = trained()
   for network in ("actor", "critic"):
     counts = [state[f"{network}_state_dict"].pop("obs_normalizer.count") for state in (one, two)]
