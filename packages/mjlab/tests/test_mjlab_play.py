@@ -1,5 +1,6 @@
 """Watching: what is found, what it is built from, what is refused."""
 
+import contextlib
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from mjlab_motions import Kinematics, load_motion, shipped_clips
 from mjlab_robots import g1_spec
 from mjlab_scene.export import write_spec
 from mjlab_viewer import BackgroundVideo, Playback
+from mjlab_viewer.native.viewer import KEYS
 from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.snapshot import Snapshot
 
@@ -99,6 +101,21 @@ def test_a_window_is_opened_where_there_is_a_screen_and_a_page_elsewhere(
       monkeypatch.setenv(variable, screen)
     assert cli.main(["play", TASK, "--agent", "zero", "--device", "cpu", "--log-root", str(tmp_path)]) == 0
   assert opened == ["browser", "native", "native"]
+
+
+def test_the_keys_of_the_window_are_listed(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  class Window(contextlib.nullcontext[Any]):
+    def __init__(self, playback: Any, camera: Any) -> None:
+      super().__init__(SimpleNamespace(run=lambda: None))
+
+  monkeypatch.setattr("mjlab_viewer.NativeViewer", Window)
+  words = ["--agent", "zero", "--device", "cpu", "--viewer", "native", "--log-root", str(tmp_path)]
+  assert cli.main(["play", TASK, *words]) == 0
+  said = capsys.readouterr().out
+  for key, action in KEYS.items():
+    assert f"  {key.replace(' ', 'SPACE'):5}  {action}\n" in said
 
 
 def test_a_checkpoint_of_a_run_and_flags_of_the_environment_are_taken(logs: Path, watched: list[Any]) -> None:

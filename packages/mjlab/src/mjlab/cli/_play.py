@@ -230,9 +230,13 @@ def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "C
 
 def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
   from mjlab_viewer import NativeViewer
+  from mjlab_viewer.native.viewer import KEYS
 
   del name, checkpoints
   with NativeViewer(playback, camera=_camera(wanted, playback.env)) as viewer:
+    print("keys of the window, besides those of MuJoCo (F1):")
+    for key, action in KEYS.items():
+      print(f"  {'SPACE' if key == ' ' else key:5}  {action}", flush=True)
     return _until_interrupted(viewer.run)
 
 
