@@ -26,4 +26,4 @@ if __name__ == "__main__":
     mjlab_rl.trust_package(module)
   agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name="point")
   task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent)
-  mjlab_rl.train(task, name="Point", make_env=HangingEnv, log_root=Path(sys.argv[1]), rank_timeout=2.0)
+  mjlab_rl.train(task, name="Point", make_env=HangingEnv, log_root=Path(sys.argv[1]), rank_timeout=16.0)
