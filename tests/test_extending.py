@@ -22,7 +22,7 @@ def test_the_blocks_of_the_page_are_one_program() -> None:
 
 
 def of_a_command() -> set[str]:
-  """What subclasses of CommandTerm override or read."""
+  """Names of CommandTerm that subclasses override or read."""
   used_by_managers = {"load_progress", "log_values", "steer"}
   return {name for name in vars(CommandTerm) if not name.startswith("_")} - used_by_managers
 
