@@ -7,7 +7,7 @@ import torch
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import OffPolicyRunnerCfg
-from mjlab_velocity import g1_flat, g1_flat_env, g1_rough_env, go1_flat_env
+from mjlab_velocity import g1_flat, g1_flat_blind, g1_flat_env, g1_rough, g1_rough_blind, g1_rough_env, go1_flat_env
 from mjlab_velocity.symmetry import left_right, twin
 
 
@@ -79,13 +79,27 @@ def test_a_mirrored_state_and_action_give_mirrored_observations(robot: Any) -> N
         torch.testing.assert_close(found[keep], expected[keep], atol=0.02, rtol=0.02)
 
 
+def test_a_scan_is_mirrored_point_by_point() -> None:
+  cfg = quiet(g1_rough_env())
+  points = torch.as_tensor(cfg.scene.sensors["terrain_scan"].pattern.rays()[0])
+  with ManagerBasedRlEnv(cfg, device="cpu") as env:
+    mirrors = left_right(env)
+    for group in ("actor", "critic"):
+      (scan,) = (term for term in env.observation_manager.layout(group) if term.name == "height_scan")
+      columns = torch.tensor(mirrors[group][0])[scan.columns] - scan.columns.start
+      torch.testing.assert_close(points[columns], points * torch.tensor([1.0, -1.0, 1.0]))
+      assert set(mirrors[group][1][scan.columns]) == {1.0}
+
+
 def test_a_term_without_a_mirror_image_is_named() -> None:
-  with (
-    ManagerBasedRlEnv(quiet(g1_rough_env()), device="cpu") as env,
-    pytest.raises(ConfigError, match=r"'actor/height_scan' is not known"),
-  ):
+  cfg = quiet(g1_flat_env())
+  cfg.observations["actor"].terms["speed"] = cfg.observations["actor"].terms["base_lin_vel"]
+  with ManagerBasedRlEnv(cfg, device="cpu") as env, pytest.raises(ConfigError, match=r"'actor/speed' is not known"):
     left_right(env)
 
 
-def test_fastsac_of_the_g1_learns_from_mirror_images() -> None:
-  assert cast("OffPolicyRunnerCfg", g1_flat().agents["fastsac"]).algorithm.symmetry is left_right
+@pytest.mark.parametrize("task", [g1_flat, g1_rough, g1_flat_blind, g1_rough_blind])
+def test_fastsac_of_the_g1_learns_from_mirror_images(task: Any) -> None:
+  agent = cast("OffPolicyRunnerCfg", task().agents["fastsac"])
+  assert agent.algorithm.symmetry is left_right
+  assert agent.experiment_name.removesuffix("_fastsac") == task().agent.experiment_name

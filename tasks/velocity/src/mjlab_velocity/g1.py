@@ -1,5 +1,7 @@
 """Velocity tasks of the Unitree G1 on flat and rough ground."""
 
+from collections.abc import Callable
+
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg
@@ -80,12 +82,7 @@ def _robot() -> LeggedRobot:
 
 def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of a G1 that follows velocity commands on a plane."""
-  ppo = agent("g1_velocity", 30_000)
-  mirrored = fastsac(ppo)
-  # With their mirror images 8192.
-  mirrored.algorithm.symmetry, mirrored.algorithm.batch_size = left_right, 4096
-  agents: dict[str, RslRlBaseRunnerCfg] = {"fastsac": mirrored}
-  return TaskCfg(env=g1_flat_env(), play=play_flat, agent=ppo, agents=agents, evaluator=VelocityEvaluation())
+  return _task(g1_flat_env(), play_flat)
 
 
 def g1_flat_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
@@ -100,9 +97,7 @@ def g1_flat_env() -> ManagerBasedRlEnvCfg:
 
 def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of a G1 that follows velocity commands over stairs, slopes and rough ground."""
-  return TaskCfg(
-    env=g1_rough_env(), play=play_rough, agent=agent("g1_velocity", 30_000), evaluator=VelocityEvaluation()
-  )
+  return _task(g1_rough_env(), play_rough)
 
 
 def g1_rough_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
@@ -115,6 +110,17 @@ def g1_rough_env() -> ManagerBasedRlEnvCfg:
   cfg = _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
   cfg.sim.nconmax, cfg.sim.njmax = 70, 640
   return cfg
+
+
+def _task(
+  env: ManagerBasedRlEnvCfg, play: Callable[[ManagerBasedRlEnvCfg], ManagerBasedRlEnvCfg]
+) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  ppo = agent("g1_velocity", 30_000)
+  mirrored = fastsac(ppo)
+  # With their mirror images 8192.
+  mirrored.algorithm.symmetry, mirrored.algorithm.batch_size = left_right, 4096
+  agents: dict[str, RslRlBaseRunnerCfg] = {"fastsac": mirrored}
+  return TaskCfg(env=env, play=play, agent=ppo, agents=agents, evaluator=VelocityEvaluation())
 
 
 def _with_self_collision(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:

@@ -65,8 +65,7 @@ def sim_to_real(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEn
   assert push is not None
   ranges = push.params["velocity_range"]
   push.params["velocity_range"] = {key: (PUSH_FACTOR * lo, PUSH_FACTOR * hi) for key, (lo, hi) in ranges.items()}
-  task.agent.experiment_name += "_sim_to_real"
-  return task
+  return _named(task, "_sim_to_real")
 
 
 def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
@@ -104,5 +103,10 @@ def blind(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
     raise ConfigError("a blind task needs an observation group 'actor' and an RslRlOnPolicyRunnerCfg")
   actor.terms = {name: term for name, term in actor.terms.items() if name not in UNMEASURED}
   actor.history_length = HISTORY
-  task.agent.experiment_name += "_blind"
+  return _named(task, "_blind")
+
+
+def _named(task: TaskCfg[ManagerBasedRlEnvCfg], suffix: str) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  for agent in (task.agent, *task.agents.values()):
+    agent.experiment_name += suffix
   return task

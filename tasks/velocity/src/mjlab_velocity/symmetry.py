@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import torch
 from mjlab_core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def left_right(env: "ManagerBasedRlEnv") -> dict[str, Mirror]:
     "joint_pos": lambda: joints,
     "joint_vel": lambda: joints,
     "actions": lambda: actions,
+    "height_scan": lambda: _grid(torch.as_tensor(sensors["terrain_scan"].pattern.rays()[0])),
     "foot_height": lambda: _swapped(scanned, (1.0,)),
     "foot_air_time": lambda: _swapped(touched, (1.0,)),
     "foot_contact": lambda: _swapped(touched, (1.0,)),
@@ -77,6 +79,12 @@ def _swapped(parts: Sequence[str], signs: Sequence[float]) -> Mirror:
   """Return the mirror of `len(signs)` numbers of each part, in the order of the parts."""
   others, width = [parts.index(twin(part)) for part in parts], len(signs)
   return [other * width + i for other in others for i in range(width)], [*signs] * len(parts)
+
+
+def _grid(points: torch.Tensor) -> Mirror:
+  """Return the mirror of one number for each point, (n, 3), of a pattern that reaches as far to either side."""
+  images = points * points.new_tensor((1.0, -1.0, 1.0))
+  return torch.cdist(images, points).argmin(1).tolist(), [1.0] * len(points)
 
 
 def _joints(env: "ManagerBasedRlEnv", names: Sequence[str]) -> Mirror:
