@@ -9,9 +9,11 @@ import torch
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
+  IdealPdActuatorCfg,
   NativeDcMotorActuatorCfg,
   NativeGeneralActuatorCfg,
   NativeMuscleActuatorCfg,
+  NativePdActuatorCfg,
 )
 
 ARM = """
@@ -137,6 +139,41 @@ def test_the_inputs_of_many_motors_each_get_their_own_set_point() -> None:
   assert actuators.compute(*rows, *rows[:2])[0].tolist() == [11.0, 21.0, 31.0, 20.0]
 
 
+def pd(**changes: Any) -> NativePdActuatorCfg:
+  gains: dict[str, Any] = {"stiffness": 3.0, "damping": 0.2} | changes
+  return NativePdActuatorCfg(target_names_expr=("a",), **gains)
+
+
+def test_pd_in_mujoco_limits_the_sum_of_its_three_targets() -> None:
+  free = 3.0 * (TARGET - POSITION) + 0.2 * (RATE - VELOCITY) + EFFORT
+  assert applied(pd()) == pytest.approx(free)
+  # Each part alone is beyond the limit, the sum is not; then the other way round.
+  assert applied(pd(effort_limit=1.5), target=3.0, effort=-8.0) == pytest.approx(3.0 * 2.7 + 0.2 * (RATE - 0.7) - 8.0)
+  assert free > 1.5
+  assert applied(pd(effort_limit=1.5)) == pytest.approx(1.5)
+
+
+def test_pd_in_mujoco_is_the_pd_of_torch_at_a_small_timestep_and_is_stable_at_a_large_one() -> None:
+  """The implicit integrator knows the derivative of the force, so a stiff damper stays stable."""
+  ends: dict[tuple[str, float], np.ndarray] = {}
+  gains: dict[str, Any] = {"target_names_expr": (".*",), "stiffness": 40.0, "damping": 30.0, "effort_limit": 50.0}
+  for kind, cfg in (("native", NativePdActuatorCfg(**gains)), ("torch", IdealPdActuatorCfg(**gains))):
+    for timestep in (1e-4, 1e-2):
+      model, actuators = build(cfg)
+      model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+      model.opt.timestep = timestep
+      data = mujoco.MjData(model)
+      target = torch.tensor([[0.4, -0.3]], dtype=torch.float64)
+      for _ in range(round(0.5 / timestep)):
+        state = (torch.tensor(array[None]) for array in (data.qpos, data.qvel))
+        data.ctrl[:] = actuators.compute(target, 0.2 * target, 3.0 * target, *state)[0].numpy()
+        mujoco.mj_step(model, data)
+      ends[kind, timestep] = data.qpos.copy()
+  np.testing.assert_allclose(ends["native", 1e-4], ends["torch", 1e-4], atol=1e-4)
+  np.testing.assert_allclose(ends["native", 1e-2], ends["native", 1e-4], atol=0.02)
+  assert not np.abs(ends["torch", 1e-2] - ends["torch", 1e-4]).max() < 0.1
+
+
 def test_a_general_actuator_is_what_its_numbers_say() -> None:
   affine = general(
     gain_type="affine", gain_prm=(1.0, 2.0, 3.0), bias_type="affine", bias_prm=(0.5, -1.5, 0.25), gear=2.0
@@ -229,6 +266,8 @@ def test_a_muscle_from_a_config_is_the_muscle_of_the_mjcf() -> None:
     (muscle(time_constants=(0.01, 0.0)), "time_constants must be positive"),
     (muscle(vmax=0.0), "vmax must be positive"),
     (muscle(gear=0.0), "gear must not be zero"),
+    (pd(stiffness=0.0), "stiffness must be positive, got 0.0"),
+    (pd(velocity_limit=-1.0), "velocity_limit must be positive, got -1.0"),
     (muscle(target_names_expr=("elbow",)), "entity 'arm': pattern 'elbow' matches no joint"),
   ],
 )

@@ -18,6 +18,7 @@ from mjlab_actuators import (
   LearnedMlp,
   LearnedMlpActuatorCfg,
   NativeGeneralActuatorCfg,
+  NativePdActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
   ParameterName,
@@ -84,6 +85,25 @@ def test_a_scaled_servo_is_the_servo_of_a_config_with_those_numbers() -> None:
     for field in ("gainprm", "biasprm", "forcerange"):
       got = getattr(in_mujoco(sim, world), f"actuator_{field}")
       np.testing.assert_allclose(got, getattr(wanted, f"actuator_{field}"), rtol=1e-15)
+
+
+def test_scaled_gains_of_pd_in_mujoco_also_weigh_its_targets() -> None:
+  actuators, sim = build(NativePdActuatorCfg(target_names_expr=("b",), stiffness=2.0, damping=0.5, effort_limit=9.0))
+  factors: dict[ParameterName, float] = {"stiffness": 3.0, "damping": 4.0, "effort_limit": 0.5}
+  for name, factor in factors.items():
+    parameter = ActuatorParameter(actuators, sim, name)
+    for _ in range(2):
+      parameter.scale(torch.full((WORLDS, 1), factor).double(), MASK)
+    assert parameter.values()[0].item() == parameter.default.item() * factor
+  position, velocity, effort = (torch.full((WORLDS, 3), value).double() for value in (0.3, -0.4, 0.7))
+  ctrl = actuators.compute(position, velocity, effort, position, velocity)
+  for world, (kp, kd, limit) in enumerate([(6.0, 2.0, 4.5), (2.0, 0.5, 9.0), (6.0, 2.0, 4.5)]):
+    model = in_mujoco(sim, world)
+    data = mujoco.MjData(model)
+    data.qpos[1], data.qvel[1], data.ctrl[0] = 0.1, 0.2, ctrl[world, 0]
+    mujoco.mj_forward(model, data)
+    assert data.actuator_force[0] == pytest.approx(kp * (0.3 - 0.1) + kd * (-0.4 - 0.2) + 0.7)
+    assert model.actuator_forcerange[0, 1] == limit
 
 
 def test_each_target_gets_its_own_factor_wherever_its_number_lives() -> None:

@@ -304,6 +304,18 @@ def test_joints_beyond_their_soft_limits_are_penalised_by_the_distance(env: Any)
   np.testing.assert_allclose(observed(env, mdp.joint_pos_limits), [0.05, 0.2, 0.05, 0.0], atol=1e-9)
 
 
+def test_speeds_beyond_the_limits_of_the_actuators_are_penalised_by_the_excess(make: Callable[..., Any]) -> None:
+  cfg = hopper_cfg()
+  articulation = cfg.scene.entities["robot"].articulation
+  assert articulation is not None
+  articulation.actuators[0].velocity_limit = {"knee": 2.0}
+  env = make(cfg)
+  assert env.scene["robot"].data.joint_vel_limits.tolist() == [[np.inf, 2.0]]
+  env.sim.data.qvel[:, 6:] = torch.tensor([[9.0, 1.0], [0.0, 1.5], [0.0, -3.0], [-9.0, 2.5]], dtype=torch.float64)
+  np.testing.assert_allclose(observed(env, mdp.joint_vel_limits), [0.0, 0.0, 1.0, 0.5], atol=1e-9)
+  np.testing.assert_allclose(observed(env, mdp.joint_vel_limits, soft_ratio=0.5), [0.0, 0.5, 2.0, 1.5], atol=1e-9)
+
+
 def test_action_penalties_are_differences_in_time(env: Any) -> None:
   a, b, c = (actions(env, step).double().numpy() for step in (2, 1, 0))
   np.testing.assert_allclose(observed(env, mdp.action_rate_l2), ((a - b) ** 2).sum(1), rtol=1e-5)

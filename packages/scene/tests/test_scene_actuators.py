@@ -18,6 +18,7 @@ from mjlab_actuators import (
   NativeGeneralActuatorCfg,
   NativeMotorActuatorCfg,
   NativeMuscleActuatorCfg,
+  NativePdActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
   XmlActuatorCfg,
@@ -27,7 +28,20 @@ from mjlab_sim import Simulation
 
 MakeWorlds = Callable[..., tuple[Scene, Simulation]]
 
-KINDS = ("xml", "servo", "speed", "torque", "muscle", "general", "native_dc", "pd", "dc", "envelope", "network")
+KINDS = (
+  "xml",
+  "servo",
+  "native_pd",
+  "speed",
+  "torque",
+  "muscle",
+  "general",
+  "native_dc",
+  "pd",
+  "dc",
+  "envelope",
+  "network",
+)
 
 
 def hand() -> mujoco.MjSpec:
@@ -52,6 +66,7 @@ def all_kinds(network: Path) -> tuple[ActuatorCfg, ...]:
     LearnedMlpActuatorCfg(target_names_expr=("network",), network_file=network, effort_limit=2.0, sample_period=0.002),
     XmlActuatorCfg(target_names_expr=("xml",), **late),
     NativePositionActuatorCfg(target_names_expr=("servo",), stiffness=5.0, damping=0.1, **late),
+    NativePdActuatorCfg(target_names_expr=("native_pd",), stiffness=5.0, damping=0.1, effort_limit=2.0, **late),
     NativeVelocityActuatorCfg(target_names_expr=("speed",), damping=0.5),
     NativeMotorActuatorCfg(target_names_expr=("torque",), effort_limit=1.0),
     NativeMuscleActuatorCfg(target_names_expr=("muscle",), force=5.0),

@@ -26,6 +26,7 @@ from mjlab_actuators.native import (
 from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
+from mjlab_actuators.native_pd import NativePd, NativePdActuatorCfg
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
 
@@ -53,6 +54,8 @@ __all__ = [
   "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
   "NativeMuscleActuatorCfg",
+  "NativePd",
+  "NativePdActuatorCfg",
   "NativePositionActuatorCfg",
   "NativeVelocityActuatorCfg",
   "ParameterName",

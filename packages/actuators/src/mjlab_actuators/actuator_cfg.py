@@ -58,6 +58,9 @@ class ActuatorCfg(Config, ABC):
   """Dry friction written on joint or tendon [N or N m]; None, or no match, keeps the MJCF's."""
   viscous_damping: Annotated[PerTarget | None, Limits(ge=0)] = None
   """Linear passive damping written on joint or tendon [N s/m or N m s/rad]; None, or no match, keeps the MJCF's."""
+  velocity_limit: EffortLimit = None
+  """Top speed of joint, tendon or site [m/s or rad/s]; None, or no match, for no limit. Rewards and policy bundles read
+  it; the simulation does not limit speeds, except for models whose effort falls with speed."""
   delay_min_lag: Count = 0
   """Least lag of the targets [substeps]."""
   delay_max_lag: Count = 0
@@ -182,6 +185,11 @@ class ActuatorCfg(Config, ABC):
     self.validate(target_names)
     group = self._group(target_names, ())
     return self.actuator_model(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+
+  def velocity_limits(self, target_names: Sequence[str]) -> dict[Target, float]:
+    """Return the top speeds of the targets that have one [m/s or rad/s]."""
+    limits = zip(target_names, self._by_target("velocity_limit", target_names, default=None), strict=True)
+    return {Target(self.transmission_type, name): limit for name, limit in limits if limit is not None}
 
   @property
   def delay(self) -> DelaySettings:

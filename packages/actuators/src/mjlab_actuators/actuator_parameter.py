@@ -212,14 +212,11 @@ def _find(
       if other != target:
         continue
       element = _element_of(sim.mj_model, model.group.ctrl_ids[column])
-      if not isinstance(model, PassThrough):
-        fields = model.effort_limits if name == "effort_limit" else (name,)
-        values = {field: model.group.parameters[field][column] for field in fields if field in model.group.parameters}
-        numbers = [(number, _Place(model, field, column, index)) for field, number in values.items()]
-      elif element in elements:
-        continue
-      else:
-        numbers = _in_model(sim.mj_model, name, element, index)
+      fields = model.effort_limits if name == "effort_limit" else (name,)
+      values = {field: model.group.parameters[field][column] for field in fields if field in model.group.parameters}
+      numbers = [(number, _Place(model, field, column, index)) for field, number in values.items()]
+      if isinstance(model, PassThrough) and element not in elements:
+        numbers += _in_model(sim.mj_model, name, element, index)
       elements.add(element)
       places += [place for _, place in numbers]
       value = value or next((number for number, _ in numbers if number != 0.0), 0.0)

@@ -35,6 +35,7 @@ class ActuatorSet(Stateful):
       along the wrench.
     ctrl: Commands of the last substep, (num_envs, len(ctrl_ids)), fixed memory; a view of the simulation's ctrl where
       `build` was given that and the driven indices are contiguous.
+    velocity_limits: Top speeds of driven targets, where configs state them [m/s or rad/s].
     needs_feedback: True if any actuator model reads measurements; if not, `compute` may be given any tensors for them.
   """
 
@@ -44,6 +45,7 @@ class ActuatorSet(Stateful):
   ctrl_targets: tuple[str, ...]
   site_outputs: tuple[int, ...]
   ctrl: torch.Tensor
+  velocity_limits: dict[Target, float]
   needs_feedback: bool
 
   def __init__(self, cfgs: Sequence[ActuatorCfg], owner: str = "") -> None:
@@ -231,11 +233,14 @@ class ActuatorSet(Stateful):
     own = {index for place, matched in added.items() for index in self.cfgs[place].elements(model, matched, prefix)}
     actuated: _Names = {kind: targets_with_actuator(model, kind, prefix, without=own) for kind in TRANSMISSIONS}
     groups: list[ActuatorGroup] = []
+    self.velocity_limits = {}
     for place, cfg in enumerate(self.cfgs):
       if isinstance(cfg, XmlActuatorCfg):
-        groups += cfg.groups(model, self._match(cfg, names, actuated), prefix, without=own)
+        added[place] = self._match(cfg, names, actuated)
+        groups += cfg.groups(model, added[place], prefix, without=own)
       else:
         groups += cfg.groups(model, added[place], prefix)
+      self.velocity_limits |= cfg.velocity_limits(added[place])
     return groups
 
   def _place_ctrl(self, ctrl: torch.Tensor | None, *, device: torch.device | str, dtype: torch.dtype) -> None:

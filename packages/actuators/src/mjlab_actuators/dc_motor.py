@@ -1,12 +1,14 @@
 """PD behind a DC motor, whose effort falls with speed."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
+from mjlab_core.constraints import Limits
 
 from mjlab_actuators.actuator import ActuatorCmd
-from mjlab_actuators.actuator_cfg import EffortLimit, PositivePerTarget
+from mjlab_actuators.actuator_cfg import EffortLimit, PerTarget, PositivePerTarget
 from mjlab_actuators.ideal_pd import Pd, PdActuatorCfg
 
 
@@ -79,8 +81,8 @@ class DcMotorActuatorCfg(PdActuatorCfg):
 
   saturation_effort: PositivePerTarget
   """Effort at stall and full voltage [N or N m]."""
-  velocity_limit: PositivePerTarget
-  """No-load speed at full voltage [m/s or rad/s]."""
+  velocity_limit: Annotated[PerTarget | None, Limits(gt=0)] = field()
+  """No-load speed at full voltage [m/s or rad/s]; None for an effort that does not fall with speed."""
   effort_limit: EffortLimit = None
   """Largest effort that the drive's current allows, in both senses [N or N m]; None for no limit. It may exceed the
   stall effort: a motor that is driven backwards gives more than that."""

@@ -67,8 +67,6 @@ class NativePositionActuatorCfg(NativeActuatorCfg):
   """kd [N s/m or N m s/rad]."""
   effort_limit: EffortLimit = None
   """Largest force [N or N m]; None for no limit."""
-  velocity_limit: EffortLimit = None
-  """Top speed of the joint [m/s or rad/s], for policy bundles; the simulation does not limit it."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
 

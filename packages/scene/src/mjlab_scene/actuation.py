@@ -107,6 +107,12 @@ class Actuation(Stateful):
     start = joints + (self._widths["tendon"] if kind == "site" else 0)
     return targets[:, start : start + self._widths[kind]]
 
+  @property
+  def joint_vel_limits(self) -> dict[str, float]:
+    """Top speeds of joints by name, of those whose actuator states one [rad/s or m/s]."""
+    limits = {} if self._actuators is None else self._actuators.velocity_limits
+    return {target.name: limit for target, limit in limits.items() if target.transmission == "joint"}
+
   def reset(self, mask: torch.Tensor) -> None:
     """Reset targets of masked worlds (num_envs,) to the initial state, at rest, and delays with them."""
     where_(self.position, mask, self._default)

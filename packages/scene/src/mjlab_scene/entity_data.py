@@ -68,6 +68,8 @@ class EntityData(Stateful):
   """Initial joint velocities, (1, num_joint_vel) [rad/s or m/s]."""
   default_joint_pos_limits: torch.Tensor
   """Compiled lower and upper position limit, infinite where there is none, (1, num_joint_pos, 2) [rad or m]."""
+  joint_vel_limits: torch.Tensor
+  """Top speed of each joint that its actuator states, infinite where none does, (1, num_joint_vel) [rad/s or m/s]."""
   forward_vec_b: torch.Tensor
   """Axis of the root link that is called forward, root link frame, (1, 3) [1]."""
 
@@ -198,6 +200,8 @@ class EntityData(Stateful):
     self.default_root_state = constant([*initial.root_pose, *velocity])
     self.default_joint_pos = constant([x for name in joints for x in initial.joint_pos[name]])
     self.default_joint_vel = constant([x for name in joints for x in initial.joint_vel[name]])
+    limits = actuation.joint_vel_limits
+    self.joint_vel_limits = constant([limits.get(name, np.inf) for name in joints for _ in initial.joint_vel[name]])
     self.forward_vec_b = constant([1.0, 0.0, 0.0])
     bias = constant([encoder_bias.get(name, 0.0) for name in joints for _ in initial.joint_pos[name]])
     self.encoder_bias = self.state((bias.shape[1],), fill=bias, dtype=sim.dtype)

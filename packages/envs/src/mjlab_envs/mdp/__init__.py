@@ -68,6 +68,7 @@ from mjlab_envs.mdp.rewards import (
   joint_pos_limits,
   joint_torques_l2,
   joint_vel_l2,
+  joint_vel_limits,
   mean_action_acc,
   posture,
 )
@@ -128,6 +129,7 @@ __all__ = [
   "joint_pos_rel",
   "joint_torques_l2",
   "joint_vel_l2",
+  "joint_vel_limits",
   "joint_vel_rel",
   "last_action",
   "mean_action_acc",
