@@ -53,9 +53,50 @@ def test_actions_and_encoder_bias_find_the_columns_of_their_joint(make: Callable
   np.testing.assert_allclose(env.scene["robot"].data.joint_pos_target[:, 4], 0.4 + 0.5 - bias[:, 4])
 
 
-def test_ids_of_some_joints_are_refused_where_they_are_no_columns(make: Callable[..., Any]) -> None:
-  with pytest.raises(ConfigError, match=r"entity 'robot': joint 'neck' has several columns.*elbow"):
-    make(robot_cfg("elbow"))
+def test_ids_of_some_joints_are_refused_as_columns(make: Callable[..., Any]) -> None:
+  def own_term(env: Any, *, asset: SceneEntityCfg) -> torch.Tensor:
+    return env.scene[asset.name].data.joint_pos[:, asset.joint_ids]
+
+  cfg = robot_cfg("elbow")
+  asset = {"asset": SceneEntityCfg("robot", joint_names="elbow")}
+  group = cfg.observations["actor"]
+  assert group is not None
+  group.terms["own"] = ObservationTermCfg(own_term, params=asset)
+  with pytest.raises(ConfigError, match=r"joint 'neck' has several columns.*joint_pos_ids"):
+    make(cfg)
+
+
+def test_some_joints_of_a_robot_with_a_ball_joint_are_selected(make: Callable[..., Any]) -> None:
+  for joints, v in (("elbow", [3]), ("neck", [0, 1, 2])):
+    cfg = robot_cfg(joints)
+    asset = {"asset": SceneEntityCfg("robot", joint_names=joints)}
+    group = cfg.observations["actor"]
+    assert group is not None
+    group.terms["velocity"] = ObservationTermCfg(mdp.joint_vel_rel, params=asset)
+    if joints == "elbow":
+      draw = {"position_range": (0.3, 0.3), "velocity_range": (0.7, 0.7)} | asset
+      cfg.events["offset"] = EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=draw)
+    env = make(cfg)
+    env.reset()
+    data = env.scene["robot"].data
+    expected = data.joint_pos[:, [4]] - 0.4 if joints == "elbow" else torch.zeros(2, 3)
+    if joints == "elbow":
+      np.testing.assert_allclose(data.joint_pos[:, 4], 0.7)
+      np.testing.assert_allclose(data.joint_vel[:, 3], 0.7)
+    data.joint_vel.copy_(torch.arange(8.0).reshape(2, 4))
+    seen = env.observation_manager.compute()["actor"]
+    np.testing.assert_allclose(seen, torch.cat((expected, data.joint_vel[:, v]), 1), atol=1e-6)
+    selection = asset["asset"].resolve(env.scene, env.device)
+    assert torch.equal(mdp.joint_vel_l2(env, asset=selection), data.joint_vel[:, v].square().sum(1))
+    assert mdp.joint_pos_limits(env, asset=selection).eq(0).all()
+
+
+def test_a_quaternion_takes_no_offsets(make: Callable[..., Any]) -> None:
+  cfg = robot_cfg(None)
+  draw = {"position_range": (0.0, 0.1), "velocity_range": (0.0, 0.0)}
+  cfg.events["offset"] = EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=draw)
+  with pytest.raises(ConfigError, match="that of ball joint 'neck', takes no offsets"):
+    make(cfg)
 
 
 def test_a_ball_joint_is_observed_as_the_rotation_from_its_default(make: Callable[..., Any]) -> None:

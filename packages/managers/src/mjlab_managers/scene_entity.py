@@ -1,4 +1,4 @@
-"""Selection of joints, bodies, geoms, sites and actuators of an entity by name."""
+"""Selection of joints, bodies, geoms, sites, actuators and tendons of an entity by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mjlab_managers.env import ManagerEnv
 Selection = str | int | Sequence[str] | Sequence[int] | None
 """Patterns that match whole names, indices inside the entity, or None for all."""
 
-KINDS = ("joint", "body", "geom", "site", "actuator")
+KINDS = ("joint", "body", "geom", "site", "actuator", "tendon")
 
 
 @dataclass
@@ -27,8 +27,9 @@ class SceneEntityCfg(Config):
   """Entity of the scene, and the elements of it that a term uses.
 
   A config that a user writes is unresolved. Managers pass a resolved copy to terms. In this copy, `<kind>_ids` are
-  indices into the arrays of the entity, and `<kind>_names` is a tuple of the selected names in the same order. In an
-  entity with a ball joint, whose position has four columns, only all joints together can be selected.
+  indices into the arrays of the entity, and `<kind>_names` is a tuple of the selected names in the same order. Terms
+  index joint positions by `joint_pos_ids` and joint velocities by `joint_vel_ids`, which are right beside a ball joint
+  too, whose position has four columns and whose velocity three.
   """
 
   name: str
@@ -38,15 +39,27 @@ class SceneEntityCfg(Config):
   geom_names: Selection = None
   site_names: Selection = None
   actuator_names: Selection = None
+  tendon_names: Selection = None
   preserve_order: bool = False
   """True: order of the patterns; False: order of the model."""
 
   _ids: ClassVar[dict[str, Index] | None] = None
+  _wide: ClassVar[str | None] = None
 
   @property
   def joint_ids(self) -> Index:
-    """Selected joints, (num_selected,)."""
+    """Selected joints, (num_selected,); not columns where some joints of an entity with a ball joint are selected."""
     return self._index("joint")
+
+  @property
+  def joint_pos_ids(self) -> Index:
+    """Columns of the selected joints in positions, targets and limits."""
+    return self._index("joint_pos")
+
+  @property
+  def joint_vel_ids(self) -> Index:
+    """Columns of the selected joints in velocities, accelerations and forces."""
+    return self._index("joint_vel")
 
   @property
   def body_ids(self) -> Index:
@@ -69,6 +82,11 @@ class SceneEntityCfg(Config):
     return self._index("actuator")
 
   @property
+  def tendon_ids(self) -> Index:
+    """Selected tendons, (num_selected,)."""
+    return self._index("tendon")
+
+  @property
   def resolved(self) -> bool:
     """True for a resolved copy."""
     return self._ids is not None
@@ -78,7 +96,7 @@ class SceneEntityCfg(Config):
 
     Raises:
       ValueError: no such entity, a pattern matches nothing, two patterns match one name, an index is out of range or
-        given twice, the selection is empty, or only some joints of an entity with a ball joint are selected.
+        given twice, or the selection is empty.
     """
     if self.name not in scene.entities:
       error = MjlabError(unknown("entity", self.name, list(scene.entities), owner="scene"))
@@ -95,13 +113,11 @@ class SceneEntityCfg(Config):
         continue
       picked = _select(selection, tuple(names), kind, f"entity '{self.name}'", self.preserve_order)
       ids[kind] = slice(None) if picked == list(range(len(names))) else as_index(picked, device)
-      wide = getattr(entity, "wide_joints", ()) if kind == "joint" else ()
-      if wide and ids[kind] != slice(None):
-        chosen = ", ".join(names[i] for i in picked)
-        raise ValueError(
-          f"entity '{self.name}': joint '{wide[0]}' has several columns, so ids of joints would select wrong ones; "
-          f"select all joints instead of {chosen}, or read theirs by `indexing.q_of_joint` in a term of your own."
-        )
+      if kind == "joint":
+        ids["joint_pos"] = ids["joint_vel"] = ids[kind]
+        if (wide := getattr(entity, "wide_joints", ())) and ids[kind] != slice(None):
+          ids["joint_pos"], ids["joint_vel"] = (as_index(columns, device) for columns in entity.joint_columns(picked))
+          vars(resolved)["_wide"] = wide[0]
       setattr(resolved, f"{kind}_names", tuple(names[i] for i in picked))
     # Not a field: what a user writes, saves and compares has no ids.
     vars(resolved)["_ids"] = ids
@@ -115,6 +131,11 @@ class SceneEntityCfg(Config):
       )
     if kind not in self._ids:
       raise RuntimeError(f"SceneEntityCfg({self.name!r}).{kind}_ids: entity '{self.name}' has no {kind}s.")
+    if kind == "joint" and self._wide is not None:
+      raise MjlabError(
+        f"SceneEntityCfg({self.name!r}).joint_ids: joint '{self._wide}' has several columns, so ids of some joints "
+        "would select wrong ones; use joint_pos_ids for positions and joint_vel_ids for velocities."
+      )
     return self._ids[kind]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -146,6 +146,12 @@ class Entity(EntitySpec, Stateful):
     """Joints of several columns, ball joints: beside one, ids of joints are not columns of `data.joint_pos`."""
     ix = self.indexing
     return tuple(name for name, columns in zip(ix.names["joint"], ix.q_of_joint, strict=True) if len(columns) > 1)
+
+  def joint_columns(self, joints: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Return the columns of joints in `data.joint_pos`, and those in `data.joint_vel`."""
+    ix = self.indexing
+    q, v = ([column for joint in joints for column in of[joint]] for of in (ix.q_of_joint, ix.v_of_joint))
+    return q, v
 
   # Running
 

@@ -16,14 +16,14 @@ _GAUSSIAN = math.sqrt(-2.0 * math.log(_AT_MARGIN))
 
 def _angle_source(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
   reading = joint_positions(env, asset.name)
-  angle = selected(asset.joint_ids, torch.zeros(1, len(reading.columns)))
+  angle = selected(asset.joint_pos_ids, torch.zeros(1, len(reading.columns)))
   return TermSource(readings=(reading,), compute=lambda q: torch.cat([torch.cos(angle(q)), torch.sin(angle(q))], -1))
 
 
 @sourced(_angle_source)
 def joint_angle_cos_sin(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> torch.Tensor:
   """Return cosine and sine of the selected joint's angle, (num_envs, 2)."""
-  angle = env.scene[asset.name].data.joint_pos[:, asset.joint_ids]
+  angle = env.scene[asset.name].data.joint_pos[:, asset.joint_pos_ids]
   return torch.cat([torch.cos(angle), torch.sin(angle)], -1)
 
 

@@ -1,6 +1,6 @@
 """Events that any task can use: resets and pushes."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import torch
 from mjlab_core.errors import MjlabError
@@ -81,17 +81,21 @@ class reset_joints_by_offset(ManagerTermBase):
     check_range("velocity_range", *velocity_range)
     self._position_range, self._velocity_range, self._asset = position_range, velocity_range, asset
     self._entity = env.scene[asset.name]
+    names = cast("tuple[str, ...]", asset.joint_names)
+    self._joints = [self._entity.joint_names.index(name) for name in names]
+    if ball := [name for name in self._entity.wide_joints if name in names]:
+      raise MjlabError(f"reset_joints_by_offset: a quaternion, that of ball joint '{ball[0]}', takes no offsets")
 
   def __call__(self, mask: torch.Tensor) -> None:
     env, entity = self.env, self._entity
-    data, ids = entity.data, self._asset.joint_ids
+    data, ids, v_ids = entity.data, self._asset.joint_pos_ids, self._asset.joint_vel_ids
     draw = {"generator": env.rng, "device": env.device, "dtype": env.sim.dtype}
     position = data.default_joint_pos[:, ids]
     shape = (env.num_envs, position.shape[1])
     limits = data.soft_joint_pos_limits[:, ids]
     position = (position + uniform(*self._position_range, shape, **draw)).clamp(limits[..., 0], limits[..., 1])
-    velocity = data.default_joint_vel[:, ids] + uniform(*self._velocity_range, shape, **draw)
-    entity.write_joint_state(position, velocity, mask=mask, joint_ids=ids)
+    velocity = data.default_joint_vel[:, v_ids] + uniform(*self._velocity_range, shape, **draw)
+    entity.write_joint_state(position, velocity, mask=mask, joint_ids=self._joints)
 
 
 class push_by_setting_velocity(ManagerTermBase):

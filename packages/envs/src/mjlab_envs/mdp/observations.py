@@ -42,15 +42,15 @@ def _projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> Te
 
 def _joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool, asset: SceneEntityCfg) -> TermSource:
   del biased  # Encoders of a robot have their own bias.
-  if ball := env.scene[asset.name].wide_joints:
+  if ball := [name for name in env.scene[asset.name].wide_joints if name in cast("tuple[str, ...]", asset.joint_names)]:
     raise MjlabError(f"joint_pos_rel of ball joint '{ball[0]}' has no reading of an encoder, so it cannot be exported")
   default = env.scene[asset.name].data.default_joint_pos[:1]
-  return TermSource(readings=(joint_positions(env, asset.name),), compute=selected(asset.joint_ids, default))
+  return TermSource(readings=(joint_positions(env, asset.name),), compute=selected(asset.joint_pos_ids, default))
 
 
 def _joint_vel_rel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
   default = env.scene[asset.name].data.default_joint_vel[:1]
-  return TermSource(readings=(joint_velocities(env, asset.name),), compute=selected(asset.joint_ids, default))
+  return TermSource(readings=(joint_velocities(env, asset.name),), compute=selected(asset.joint_vel_ids, default))
 
 
 def _last_action(env: "ManagerBasedRlEnv", *, term: str | None) -> TermSource:
@@ -150,8 +150,10 @@ def joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool = False, asset: Scen
   data = entity.data
   position = data.joint_pos_biased if biased else data.joint_pos
   if entity.wide_joints:
-    return _with_rotations(position, data.default_joint_pos, entity.indexing.q_of_joint)
-  return position[:, asset.joint_ids] - data.default_joint_pos[:, asset.joint_ids]
+    names = cast("tuple[str, ...]", asset.joint_names)
+    chosen = [entity.indexing.q_of_joint[entity.joint_names.index(name)] for name in names]
+    return _with_rotations(position, data.default_joint_pos, chosen)
+  return position[:, asset.joint_pos_ids] - data.default_joint_pos[:, asset.joint_pos_ids]
 
 
 def _with_rotations(position: torch.Tensor, default: torch.Tensor, joints: Sequence[range]) -> torch.Tensor:
@@ -168,7 +170,7 @@ def _with_rotations(position: torch.Tensor, default: torch.Tensor, joints: Seque
 def joint_vel_rel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return joint velocities relative to the default ones, (num_envs, joints) [rad/s, m/s]."""
   data = env.scene[asset.name].data
-  return data.joint_vel[:, asset.joint_ids] - data.default_joint_vel[:, asset.joint_ids]
+  return data.joint_vel[:, asset.joint_vel_ids] - data.default_joint_vel[:, asset.joint_vel_ids]
 
 
 @sourced(_last_action)

@@ -46,27 +46,39 @@ def joint_torques_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT
 
 def joint_vel_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return squared joint velocities, summed over joints, (num_envs,) [rad^2/s^2]."""
-  return env.scene[asset.name].data.joint_vel[:, asset.joint_ids].square().sum(-1)
+  return env.scene[asset.name].data.joint_vel[:, asset.joint_vel_ids].square().sum(-1)
 
 
 def joint_acc_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return squared joint accelerations, summed over joints, (num_envs,) [rad^2/s^4]."""
-  return env.scene[asset.name].data.joint_acc[:, asset.joint_ids].square().sum(-1)
+  return env.scene[asset.name].data.joint_acc[:, asset.joint_vel_ids].square().sum(-1)
 
 
 def electrical_power_cost(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return sum_j max(force_j velocity_j, 0) of the actuators at the joints, (num_envs,) [W]; braking counts 0."""
   data = env.scene[asset.name].data
-  power = data.qfrc_actuator[:, asset.joint_ids] * data.joint_vel[:, asset.joint_ids]
+  power = data.qfrc_actuator[:, asset.joint_vel_ids] * data.joint_vel[:, asset.joint_vel_ids]
   return power.clamp(min=0.0).sum(-1)
 
 
 def joint_pos_limits(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the distance of joint positions beyond their soft limits, summed over joints, (num_envs,) [rad, m]."""
   data = env.scene[asset.name].data
-  position = data.joint_pos[:, asset.joint_ids]
-  limits = data.soft_joint_pos_limits[:, asset.joint_ids]
+  position = data.joint_pos[:, asset.joint_pos_ids]
+  limits = data.soft_joint_pos_limits[:, asset.joint_pos_ids]
   return (position - position.clamp(limits[..., 0], limits[..., 1])).abs().sum(-1)
+
+
+def joint_vel_limits(
+  env: "ManagerBasedRlEnv", *, soft_ratio: float = 1.0, asset: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+  """Return sum_j max(|qd_j| - `soft_ratio` limit_j, 0) over the selected joints, (num_envs,) [rad/s, m/s].
+
+  Limits are `velocity_limit` of the actuators.
+  """
+  data = env.scene[asset.name].data
+  excess = data.joint_vel[:, asset.joint_vel_ids].abs() - soft_ratio * data.joint_vel_limits[:, asset.joint_vel_ids]
+  return excess.clamp(min=0.0).sum(-1)
 
 
 def flat_orientation_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -85,7 +97,7 @@ class posture(ManagerTermBase):
   ) -> None:
     super().__init__(env)
     self._inverse_variance = inverse_variance(std, asset, env)
-    self._entity, self._joints = env.scene[asset.name], asset.joint_ids
+    self._entity, self._joints = env.scene[asset.name], asset.joint_pos_ids
 
   def __call__(self) -> torch.Tensor:
     data = self._entity.data

@@ -30,7 +30,7 @@ def lift_precise(env: "ManagerBasedRlEnv", *, command: str, std: float) -> torch
 
 def joint_vel_hinge(env: "ManagerBasedRlEnv", *, max_vel: float, asset: SceneEntityCfg) -> torch.Tensor:
   """Return sum_j max(|qd_j| - max_vel, 0)^2 over the selected joints, (num_envs,) [rad^2/s^2]."""
-  speed = env.scene[asset.name].data.joint_vel[:, asset.joint_ids].abs()
+  speed = env.scene[asset.name].data.joint_vel[:, asset.joint_vel_ids].abs()
   return (speed - max_vel).clamp(min=0.0).square().sum(-1)
 
 

@@ -87,7 +87,7 @@ class variable_posture(ManagerTermBase):
     stds = (std_standing, std_walking, std_running)
     self._table = torch.cat([inverse_variance(std, asset, env) for std in stds])
     self._thresholds = torch.tensor([[walking_threshold, running_threshold]], device=env.device, dtype=torch.float32)
-    self._command, self._entity, self._joints = command, env.scene[asset.name], asset.joint_ids
+    self._command, self._entity, self._joints = command, env.scene[asset.name], asset.joint_pos_ids
 
   def __call__(self) -> torch.Tensor:
     data = self._entity.data
