@@ -121,7 +121,8 @@ def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Bro
 
 
 def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_path: Path) -> None:
-  with page_of(chromium, tmp_path, "demo", "--port", "8720", "--num-envs", "1", "--device", "cpu") as page:
+  words = "demo --task go1 --port 8720 --num-envs 1 --device cpu".split()
+  with page_of(chromium, tmp_path, *words) as page:
     # The floor is light.
     eventually(lambda: (seen(page).max(axis=2) < 130).sum() > 1000, "the robot is not seen")
     page.get_by_label("Manual").check()

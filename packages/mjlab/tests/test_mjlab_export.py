@@ -12,8 +12,8 @@ import mjlab_pendulum
 import numpy as np
 import pytest
 import torch
-from mjlab import cli
-from mjlab.cli import _export
+from mjlab import cli, demos
+from mjlab.cli import _export, _play
 from mjlab_deploy import Policy, open_bundle
 from mjlab_envs import mdp
 from mjlab_managers import ObservationTermCfg
@@ -176,3 +176,64 @@ def test_a_training_whose_policy_cannot_be_exported_says_so_and_goes_on(capsys: 
   assert cli.main(["train", "Test-Strain", "--device", "cpu", "--agent.save-interval", "1"]) == 0
   shown = capsys.readouterr().out
   assert shown.count("no policy bundle is written: ObservationManager: term 'actor/strain' declares no source") == 1
+
+
+def with_memory() -> Any:
+  """The pendulum with a history and its last action, which a policy remembers for each world."""
+  made = mjlab_pendulum.pendulum()
+  group = made.env.observations["actor"]
+  assert group is not None
+  group.corrupt = False
+  group.terms["last"] = ObservationTermCfg(mdp.last_action, history_length=3)
+  return made
+
+
+def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+  mjlab.register_task("Test-Memory", with_memory)
+  assert cli.main(["train", "Test-Memory", "--device", "cpu", "--quiet"]) == 0
+  (run,) = Path("logs/pendulum").iterdir()
+  bundle = Path("package/demo_policies/g1")
+  assert cli.main(["export", str(run), "--output", str(bundle), "--steps", "0"]) == 0
+  compared: list[str] = []
+
+  def look(wanted: object, name: str, playback: Any, checkpoints: object) -> int:
+    env, policy = playback.env, playback.policy
+    trained = CheckpointPolicy(env, with_memory().agent)
+    trained.load(run / "model_3.pt")
+    playback.pause()
+    policy.reset(None)
+    for step in range(12):
+      seen = env.get_observations()
+      with torch.no_grad():
+        action = policy(seen)
+        torch.testing.assert_close(action, trained(seen), atol=1e-5, rtol=0)
+      env.step(action)
+      if step == 5:
+        # Worlds of other ages.
+        mask = torch.tensor([True, False, False])
+        env.reset(env_ids=mask)
+        policy.reset(mask)
+    compared.append(name)
+    return 0
+
+  monkeypatch.setattr(_play, "_browser", look)
+  flags = ["--viewer", "browser", "--num-envs", "3", "--device", "cpu"]
+  for path in (str(bundle), f"{bundle}.zip"):
+    assert cli.main(["play", "Test-Memory", "--checkpoint", path, *flags]) == 0, capsys.readouterr().err
+  # A policy that ships is a folder.
+  monkeypatch.setattr(demos, "files", lambda name: Path("package"))
+  assert cli.main(["demo", "--task", "g1", *flags]) == 0
+  assert compared == ["Test-Memory"] * 3
+  assert cli.main(["demo", "--help"]) == 0
+  assert "policies that ship: g1" in capsys.readouterr().out
+  data = json.loads((bundle / "bundle.json").read_text())
+  for part, change, message in (
+    (data["inputs"][1], {"columns": ["elbow"]}, "does not fit: 'joint/velocity' is (1,) elbow in it and (1,) hinge"),
+    (data, {"format": 99}, "format 99 is newer"),
+  ):
+    part.update(change)
+    (bundle / "bundle.json").write_text(json.dumps(data))
+    assert cli.main(["play", "Test-Memory", "--checkpoint", str(bundle), *flags]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

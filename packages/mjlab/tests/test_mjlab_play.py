@@ -337,7 +337,7 @@ def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPat
     return 0
 
   monkeypatch.setattr(play_command, "_browser", look)
-  assert cli.main(["demo", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
+  assert cli.main(["demo", "--task", "go1", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
   # Four seconds at 0.8 m/s, less what it takes to start and to turn.
   assert ((walked[0] > 2.4) & (walked[0] < 4.0)).all()
 
@@ -367,7 +367,7 @@ def test_the_demo_lifts_too_to_where_it_is_told(
   # Of eight that begin anywhere at most one may have slipped away.
   assert int((away[0] < 0.05).sum()) >= 7
   assert cli.main(["demo", "lift"]) == 2
-  assert capsys.readouterr().err == "error: 'lift': not a flag; --task walk or lift selects the policy\n"
+  assert capsys.readouterr().err == "error: 'lift': not a flag; --task selects the policy: go1, lift\n"
   assert cli.main(["demo", "--task", "lit"]) == 2
   assert "demo 'lit' does not exist" in capsys.readouterr().err
 

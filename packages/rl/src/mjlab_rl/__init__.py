@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
+  from mjlab_rl.bundle_policy import BundlePolicy
   from mjlab_rl.config import (
     RslRlBaseRunnerCfg,
     RslRlDistillationAlgorithmCfg,
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
   from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 __all__ = [
+  "BundlePolicy",
   "CheckpointPolicy",
   "Console",
   "Episodes",
@@ -100,6 +102,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
+    ".bundle_policy": "BundlePolicy",
     ".config": (
       "RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
       "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg"

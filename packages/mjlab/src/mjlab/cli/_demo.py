@@ -1,64 +1,67 @@
-"""`demo [--task walk|lift] [flags]`: a policy that comes with the package, in the browser."""
+"""`demo [--task NAME] [flags]`: a policy that comes with the package, in the browser."""
 
 import dataclasses
-from importlib.resources import as_file, files
-from typing import Literal
+from importlib.resources import as_file
 
 from mjlab_core import UsageError, unknown
 
 from mjlab.cli import _play
 from mjlab.cli._command_line import CommandLine
-
-_POLICIES = {"walk": "demo_policy", "lift": "demo_policy_lift"}
+from mjlab.demos import shipped
 
 
 @dataclasses.dataclass(kw_only=True)
 class Arguments:
   """Flags of the command; those of `play` are added."""
 
-  task: Literal["walk", "lift"] = "walk"
-  """Policy to show."""
+  task: str | None = None
+  """Policy to show; None: the first of those that ship."""
 
 
 _LINE = CommandLine(
   name="demo",
   words="",
   purpose=(
-    "Shows a walking Unitree Go1, or a YAM that lifts a cube, in the browser. The control `Manual` gives commands and "
+    "Shows a robot that walks, or an arm that lifts a cube, in the browser. The control `Manual` gives commands and "
     "moves the goal. Nothing is downloaded."
   ),
   arguments=Arguments,
-  notes="""\
+)
+_NOTES = """\
 All flags of `play TASK` work too, such as:
   --port 8080        Port of the page; the next free one if it is taken.
   --host 127.0.0.1   Address to listen on; 0.0.0.0 lets other machines connect.
   --num-envs 8       Number of robots.
-  --video FILE.mp4   Write a film instead.""",
-)
+  --video FILE.mp4   Write a film instead.
+
+policies that ship: """
 
 
 def run(words: list[str]) -> int:
   """Show the policy; return the exit code."""
-  if _LINE.wants_help(words):
+  policies = shipped()
+  if dataclasses.replace(_LINE, notes=_NOTES + ", ".join(policies)).wants_help(words):
     return 0
-  task, flags = _task(words)
+  name, flags = _task(words, list(policies))
   if flags and not flags[0].startswith("-"):
-    raise UsageError(f"'{flags[0]}': not a flag; --task {' or '.join(_POLICIES)} selects the policy")
+    raise UsageError(f"'{flags[0]}': not a flag; --task selects the policy: {', '.join(policies)}")
   if not any(word.partition("=")[0] in ("--viewer", "--video") for word in flags):
     flags = ["--viewer", "browser", *flags]
-  with as_file(files("mjlab") / _POLICIES[task]) as directory:
+  with as_file(policies[name]) as directory:
     from mjlab_rl import load_run
+    from mjlab_rl.bundle_policy import is_bundle, task_of_bundle
 
-    return _play.run([load_run(directory).task, "--checkpoint", str(directory), *flags])
+    task = task_of_bundle(directory) if is_bundle(directory) else load_run(directory).task
+    return _play.run([task, "--checkpoint", str(directory), *flags])
 
 
-def _task(words: list[str]) -> tuple[str, list[str]]:
+def _task(words: list[str], names: list[str]) -> tuple[str, list[str]]:
   """Return the value of `--task`, and the other words."""
   words = [part for word in words for part in (word.split("=", 1) if word.startswith("--task=") else [word])]
   if "--task" not in words:
-    return "walk", words
+    return names[0], words
   at = words.index("--task")
-  task = words[at + 1] if at + 1 < len(words) else ""
-  if task not in _POLICIES:
-    raise UsageError(unknown("demo", task, list(_POLICIES)))
-  return task, words[:at] + words[at + 2 :]
+  name = words[at + 1] if at + 1 < len(words) else ""
+  if name not in names:
+    raise UsageError(unknown("demo", name, names))
+  return name, words[:at] + words[at + 2 :]

@@ -21,8 +21,8 @@ class Arguments:
   """All that can be given after the task."""
 
   checkpoint: str = "latest"
-  """Policy to evaluate: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
-  exported policy (.onnx)."""
+  """Policy to evaluate: latest (the newest run of this task), the name or directory of a run, a checkpoint, a
+  bundle, or an exported policy (.onnx)."""
   agent: Agent = "trained"
   """Source of actions: a trained policy, zeros, or random numbers."""
   require: str | None = None

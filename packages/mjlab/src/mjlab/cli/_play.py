@@ -27,8 +27,8 @@ class Arguments:
   """All that can be given after the task."""
 
   checkpoint: str = "latest"
-  """Policy to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
-  exported policy (.onnx)."""
+  """Policy to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, a
+  bundle, or an exported policy (.onnx)."""
   agent: Agent = "trained"
   """Source of actions: a trained policy, zeros, or random numbers."""
   viewer: Literal["auto", "native", "browser", "none"] = "auto"

@@ -14,7 +14,7 @@ Agent = Literal["trained", "zero", "random"]
 
 
 def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
-  """Return the checkpoint or exported network that is wanted, and its run.
+  """Return the checkpoint, bundle or exported network that is wanted, and its run.
 
   The path is None for zero and random actions; the run is the task itself if the policy has no manifest of the task.
 
@@ -29,14 +29,22 @@ def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | N
   """
   if wanted.agent != "trained":
     return None, task
+  from mjlab_rl.bundle_policy import is_bundle
+
   source = _source(wanted.checkpoint, Path(wanted.log_root), name, task.agent.experiment_name)
+  if is_bundle(source):
+    # Bundles stand beside the manifest of their run, or alone; their description is compared with the environment.
+    return source, manifest_of(source.parent, name, say=lambda line: None) or task
   return source, manifest_of(source, name) or task
 
 
 def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
   from mjlab_core.errors import UnknownNameError
   from mjlab_rl import find_checkpoint
+  from mjlab_rl.bundle_policy import is_bundle
 
+  if is_bundle(Path(checkpoint)):
+    return Path(checkpoint)
   if checkpoint.endswith(".onnx"):
     if not Path(checkpoint).is_file():
       raise UnknownNameError(f"policy {checkpoint}: no such file")
@@ -89,8 +97,11 @@ def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Pol
     return (ZeroPolicy if agent == "zero" else RandomPolicy)(
       env.num_envs, env.action_manager.total_action_dim, env.device
     )
-  from mjlab_rl import CheckpointPolicy, OnnxPolicy
+  from mjlab_rl import BundlePolicy, CheckpointPolicy, OnnxPolicy
+  from mjlab_rl.bundle_policy import is_bundle
 
+  if is_bundle(source):
+    return BundlePolicy(source, env)
   if source.suffix == ".onnx":
     policy = OnnxPolicy(source, parts.agent, env)
     # Fails before a viewer opens if the network does not fit.
