@@ -20,6 +20,7 @@ from mjlab_rl import (
   checkpoints,
   train,
 )
+from mjlab_rl.captured_ppo import CapturedPPO
 from mjlab_rl.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg
 from test_rl_runner import assert_same
@@ -107,8 +108,13 @@ def test_an_iteration_sends_one_message_per_update_and_one_of_figures(launched: 
     }
 
 
-def test_two_processes_with_the_same_worlds_learn_what_one_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-  """Gradients, adaptive learning rate, normalisers and figures, against rsl-rl's own update in one process."""
+@pytest.mark.parametrize("is_covered", [True, False], ids=["captured", "rsl-rl"])
+def test_two_processes_with_the_same_worlds_learn_what_one_learns(
+  monkeypatch: pytest.MonkeyPatch, is_covered: bool
+) -> None:
+  """Gradients, adaptive learning rate, normalisers and figures, against one process, with both updates."""
+  if not is_covered:
+    monkeypatch.setattr(CapturedPPO, "is_covered", False)
 
   def trained() -> tuple[dict[str, Any], list[str]]:
     agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=3)

@@ -13,10 +13,16 @@ from torch import Tensor, nn
 class CapturedPPO(PPO):
   """rsl-rl's PPO, without a host sync inside an update; on a GPU, a mini-batch step is one CUDA graph.
 
+  With several processes the step is two graphs: the first writes all gradients, and the KL divergence behind them, into
+  one buffer; the second applies their mean. Between the two `sum_over_ranks` sends the buffer.
+
   The results are those of rsl-rl's PPO within float rounding. The first two updates run without a graph, to create the
-  optimiser's state and to choose kernels. Recurrent and compiled networks, curiosity, symmetry, several processes, and
-  optimisers other than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
+  optimiser's state and to choose kernels. Recurrent and compiled networks, curiosity, symmetry, and optimisers other
+  than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
   """
+
+  sum_over_ranks: Callable[[Tensor], None] | None = None
+  """Function that sums a tensor over all processes in place; without it several processes use rsl-rl's own update."""
 
   def __init__(self, *args: Any, **kwargs: Any) -> None:
     super().__init__(*args, **kwargs)
@@ -27,19 +33,26 @@ class CapturedPPO(PPO):
     self._advantages = torch.empty_like(self.storage.advantages)
     size = self.storage.num_envs * self.storage.num_transitions_per_env // self.num_mini_batches
     self._rows = torch.zeros(size, dtype=torch.int64, device=self.device)
-    self._graph: torch.cuda.CUDAGraph | None = None
+    # Gradients of several processes, and the KL divergence.
+    self._message = torch.zeros(1, device=self.device)
+    self._recorded: list[Callable[[], None]] = []
     self._addresses: tuple[int, ...] = ()
     self._buffers: dict[tuple[nn.Module, str], Tensor] = {}
     self._keep_buffers()
 
-  def update(self) -> dict[str, float]:
-    """Run the epochs over the stored rollout; return mean losses, which is the only wait for the device."""
-    is_covered = (
+  @property
+  def is_covered(self) -> bool:
+    """True if this class does the updates, and not rsl-rl."""
+    return (
       isinstance(self.optimizer, torch.optim.Adam)
-      and not (self.rnd or self.symmetry or self.is_multi_gpu or self.actor.is_recurrent or self.critic.is_recurrent)
+      and not (self.rnd or self.symmetry or self.actor.is_recurrent or self.critic.is_recurrent)
+      and (self.sum_over_ranks is not None or not self.is_multi_gpu)
       and self.actor is self.get_policy()
     )
-    if not is_covered:
+
+  def update(self) -> dict[str, float]:
+    """Run the epochs over the stored rollout; return mean losses, which is the only wait for the device."""
+    if not self.is_covered:
       return super().update()
     storage = self.storage
     # compute_returns makes a new tensor; a graph needs fixed memory.
@@ -47,12 +60,15 @@ class CapturedPPO(PPO):
     size = len(self._rows)
     rows = torch.randperm(self.num_mini_batches * size, device=self.device).view(self.num_mini_batches, size)
     self._sums.zero_()
+    if self.is_multi_gpu:
+      self._put_gradients_into_message()
     with self._rate_on_device():
-      step = self._recorded_step()
+      parts = self._recorded_step()
       for _ in range(self.num_learning_epochs):
         for mini_batch in rows:
           self._rows.copy_(mini_batch)
-          step()
+          for part in parts:
+            part()
       value, surrogate, entropy, self.learning_rate = torch.cat(
         (self._sums.double(), self._rate.double()[None])
       ).tolist()
@@ -79,21 +95,32 @@ class CapturedPPO(PPO):
       for group in self.optimizer.param_groups:
         group |= {"lr": self.learning_rate, "capturable": False, "fused": None}
 
-  def _recorded_step(self) -> Callable[[], None]:
-    """Return the mini-batch step: the graph, recorded anew where memory has moved since, or the plain function."""
+  def _put_gradients_into_message(self) -> None:
+    """Give the gradient of each parameter its place in the message."""
+    parameters = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
+    sizes = [parameter.numel() for parameter in parameters]
+    if len(self._message) != sum(sizes) + 1:
+      self._message = torch.zeros(sum(sizes) + 1, device=self.device)
+    for parameter, place in zip(parameters, self._message[:-1].split(sizes), strict=True):
+      parameter.grad = place.view_as(parameter)
+
+  def _recorded_step(self) -> list[Callable[[], None]]:
+    """Return the parts of a mini-batch step: graphs, recorded anew where memory has moved since, or plain functions."""
+    parts: list[Callable[[], None]] = [self._step]
+    if self.is_multi_gpu:
+      parts = [self._differentiate, self._send, self._apply]
     if not self._is_on_gpu:
-      return self._step
+      return parts
     addresses = tuple(tensor.data_ptr() for tensor in self._tensors())
     if addresses != self._addresses:
-      self._addresses, self._graph = addresses, None
-      return self._step
-    if self._graph is None:
-      # Gradients are made in the graph's memory.
-      self.optimizer.zero_grad(set_to_none=True)
-      self._graph = torch.cuda.CUDAGraph()
-      with torch.cuda.graph(self._graph):
-        self._step()
-    return self._graph.replay
+      self._addresses, self._recorded = addresses, []
+      return parts
+    if not self._recorded:
+      if not self.is_multi_gpu:
+        # Gradients are made in the graph's memory.
+        self.optimizer.zero_grad(set_to_none=True)
+      self._recorded = [part if part == self._send else _record(part) for part in parts]
+    return self._recorded
 
   def _keep_buffers(self) -> None:
     """Write buffers that were assigned anew, such as a normaliser's deviation, into the memory of the first ones."""
@@ -112,10 +139,25 @@ class CapturedPPO(PPO):
     yield from (storage.observations[group] for group in storage.observations.keys())  # noqa: SIM118 - of a TensorDict
     yield from (storage.actions, storage.values, storage.returns, storage.actions_log_prob)
     yield from storage.distribution_params or ()
+    yield self._message
 
   def _step(self) -> None:
     """Do one step of the optimiser on the rows of the rollout in `_rows`, as rsl-rl's PPO does."""
+    self._differentiate()
+    self._apply()
+
+  def _send(self) -> None:
+    """Sum the gradients over all processes; not recorded, because processes may wait for each other here."""
+    if self.sum_over_ranks is not None:
+      self.sum_over_ranks(self._message)
+
+  def _differentiate(self) -> None:
+    """Compute the gradients of the loss on the rows in `_rows`, and the KL divergence."""
     storage, rows = self.storage, self._rows
+    if self.is_multi_gpu:
+      self._message.zero_()
+    else:
+      self.optimizer.zero_grad()
 
     def batch(values: Any) -> Any:
       return values.flatten(0, 1)[rows]
@@ -134,7 +176,7 @@ class CapturedPPO(PPO):
       if self.schedule == "adaptive":
         with torch.no_grad():
           old = tuple(batch(parameter) for parameter in storage.distribution_params or ())
-          self._adapt_rate(self.actor.get_kl_divergence(old, self.actor.output_distribution_params).mean())
+          self._message[-1] = self.actor.get_kl_divergence(old, self.actor.output_distribution_params).mean()
 
       ratio = torch.exp(log_prob - batch(storage.actions_log_prob).squeeze())
       clipped_ratio = ratio.clamp(1.0 - self.clip_param, 1.0 + self.clip_param)
@@ -147,15 +189,30 @@ class CapturedPPO(PPO):
       value_loss = value_loss.mean()
       loss = surrogate_loss + self.value_loss_coef * value_loss - self.entropy_coef * entropy
 
-    self.optimizer.zero_grad()
     loss.backward()
+    self._sums += torch.stack((value_loss.detach(), surrogate_loss.detach(), entropy.detach()))
+
+  def _apply(self) -> None:
+    """Adapt the learning rate and do one step of the optimiser, with the means over all processes."""
+    if self.is_multi_gpu:
+      self._message /= self.gpu_world_size
+    if self.schedule == "adaptive":
+      self._adapt_rate(self._message[-1])
     nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
     nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
     self.optimizer.step()
-    self._sums += torch.stack((value_loss.detach(), surrogate_loss.detach(), entropy.detach()))
 
   def _adapt_rate(self, kl: Tensor) -> None:
     """Divide the learning rate by 1.5 above twice the desired KL divergence, multiply it below half."""
     rate, desired = self._rate, self.desired_kl
     slower, faster = (rate / 1.5).clamp(min=1e-5), (rate * 1.5).clamp(max=1e-2)
     rate.copy_(torch.where(kl > 2.0 * desired, slower, torch.where((kl < 0.5 * desired) & (kl > 0.0), faster, rate)))
+
+
+def _record(part: Callable[[], None]) -> Callable[[], None]:
+  """Return the replay of a CUDA graph of `part`."""
+  graph = torch.cuda.CUDAGraph()
+  # Threads of NCCL ask for the state of earlier messages meanwhile.
+  with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+    part()
+  return graph.replay

@@ -10,6 +10,7 @@ from mjlab_core.errors import MjlabError
 from rsl_rl.models import MLPModel
 from torch import distributed
 
+from mjlab_rl.captured_ppo import CapturedPPO
 from mjlab_rl.ranks import Ranks
 from mjlab_rl.stop_signals import SIGNALS
 
@@ -40,6 +41,8 @@ class RankAverages:
     self._moments: dict[int, torch.Tensor] = {}
     self._names: list[tuple[str, str]] = []
     self._batch: Any = None
+    if ranks.world_size > 1 and isinstance(alg, CapturedPPO):
+      alg.sum_over_ranks = self._sum
 
   @contextlib.contextmanager
   def replacing(self) -> Generator[None]:
@@ -47,9 +50,12 @@ class RankAverages:
     if self._ranks.world_size == 1:
       yield
       return
-    alg, storage = self._alg, self._alg.storage
-    is_adaptive = getattr(alg, "schedule", None) == "adaptive" and alg.desired_kl is not None
-    alg.reduce_parameters = self._reduce_adaptively if is_adaptive else self._reduce_gradients
+    is_rsl_rl = not (isinstance(self._alg, CapturedPPO) and self._alg.is_covered)
+    alg: Any = self._alg
+    storage = alg.storage
+    is_adaptive = is_rsl_rl and getattr(alg, "schedule", None) == "adaptive" and alg.desired_kl is not None
+    if is_rsl_rl:
+      alg.reduce_parameters = self._reduce_adaptively if is_adaptive else self._reduce_gradients
     if is_adaptive:
       alg.schedule = "fixed"  # _reduce_adaptively adapts.
       for name in ("mini_batch_generator", "recurrent_mini_batch_generator"):
@@ -62,7 +68,8 @@ class RankAverages:
       # The methods of the classes are in effect again.
       for normalizer in self._normalizers:
         del normalizer.update
-      del alg.reduce_parameters
+      if is_rsl_rl:
+        del alg.reduce_parameters
       if is_adaptive:
         alg.schedule, self._batch = "adaptive", None
         del storage.mini_batch_generator, storage.recurrent_mini_batch_generator

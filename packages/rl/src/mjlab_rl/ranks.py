@@ -92,13 +92,18 @@ class Ranks:
     # The store of torchrun outlives a restart, with the old addresses in it.
     prefix: Any = getattr(distributed, "PrefixStore")  # noqa: B009 - public, but without a type
     store = prefix(f"attempt_{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
-    backend = "nccl" if is_cuda else "gloo"
-    distributed.init_process_group(backend, store=store, rank=self.rank, world_size=self.world_size)
+    # NCCL connects at once to the device that it is told; else it would guess one in barriers.
+    how: dict[str, Any] = {"backend": "nccl", "device_id": torch.device(device)} if is_cuda else {"backend": "gloo"}
+    distributed.init_process_group(**how, store=store, rank=self.rank, world_size=self.world_size)
+    is_failed = True
     try:
       yield
+      is_failed = False
     finally:
-      faulthandler.cancel_dump_traceback_later()
-      distributed.destroy_process_group()
+      # NCCL would wait for messages that another process may never send.
+      if not (is_failed and is_cuda):
+        faulthandler.cancel_dump_traceback_later()
+        distributed.destroy_process_group()
 
   @property
   def is_orphan(self) -> bool:
