@@ -1,7 +1,10 @@
 """Kernels are found without running anything, and made before they are launched."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -116,3 +119,26 @@ def test_what_a_kernel_breaks_on_is_raised() -> None:
 
   with pytest.raises(mujoco.FatalError, match="broken"):
     load_kernels([stage], wp.get_device("cpu"))
+
+
+@pytest.mark.warp
+def test_two_processes_on_an_empty_cache_compile_each_kernel_once(tmp_path: Path) -> None:
+  program = Path(__file__).with_name("sim_kernel_program.py")
+  env = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+  both = [
+    subprocess.Popen([sys.executable, program], env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    for _ in range(2)
+  ]
+  said = ""
+  try:
+    for process in both:
+      # Both look for kernels before either has compiled one.
+      assert process.stdout is not None
+      assert process.stdout.readline() == "ready\n"
+    said = "".join(process.communicate("go\n", timeout=300)[0] for process in both)
+  finally:
+    for process in both:
+      process.kill()
+      process.communicate()
+  assert said.count("counted 3") == 2
+  assert (said.count("(compiled)"), said.count("(cached)")) == (2, 2)

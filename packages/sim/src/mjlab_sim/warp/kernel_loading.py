@@ -1,14 +1,26 @@
-"""Kernels of MuJoCo Warp, compiled several at once: one after another they take a minute on a GPU's first run."""
+"""Kernels of MuJoCo Warp, compiled several at once: one after another they take a minute on a GPU's first run.
 
+Processes that need the same kernels, such as those of one training, share Warp's cache: the first one compiles.
+"""
+
+import contextlib
+import hashlib
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import warp as wp
 
 from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
+
+fcntl: ModuleType | None = None
+# On Windows, which has none, each process compiles for itself.
+with contextlib.suppress(ImportError):
+  import fcntl
 
 _Variants = dict[Any, dict[int | None, None]]
 
@@ -24,12 +36,46 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
     for stage in stages:
       stage()
   cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-  with made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
+  with _once_per_cache(_digest(variants, device)), made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
     # What ends last is to begin first.
     modules = sorted(variants, key=_work, reverse=True)
     made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
     for future in made:
       future.result()
+
+
+def _digest(variants: _Variants, device: Any) -> str:
+  """Return a name for the compiled kernels of `variants`."""
+  device = wp.get_device(device)
+  hashes = sorted(module.get_module_hash(block_dim).hex() for module, dims in variants.items() for block_dim in dims)
+  return hashlib.sha256(" ".join([str(device.arch) if device.is_cuda else "cpu", *hashes]).encode()).hexdigest()[:16]
+
+
+@contextmanager
+def _once_per_cache(digest: str) -> Generator[None]:
+  """Let one process fill the cache, while others wait that need the same kernels; all of these then load at once."""
+  cache = wp.config.kernel_cache_dir
+  try:
+    file = (Path(cache) / f"mjlab_{digest}.lock").open("ab") if fcntl is not None and cache else None
+  except OSError:
+    # The cache is read-only, so that nothing is compiled into it.
+    file = None
+  if file is None or fcntl is None:
+    yield
+    return
+  with file:
+    is_filled = os.fstat(file.fileno()).st_size > 0
+    if not is_filled:
+      # The system takes the lock from a process that dies. Some network file systems have none.
+      with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX)
+      is_filled = os.fstat(file.fileno()).st_size > 0
+    if is_filled:
+      with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_UN)
+    yield
+    if not is_filled:
+      file.write(b"filled\n")
 
 
 def _work(module: Any) -> tuple[bool, int]:
