@@ -52,6 +52,10 @@ def launch(wanted: Any, name: str, task: "TaskCfg[Any]", given: list[str]) -> in
       for number in range(len(hosts))
     ]
     return _over_ssh(hosts, lines)
+  if environment and (visible := os.environ.get("CUDA_VISIBLE_DEVICES")):
+    # The numbers count the GPUs that this process sees.
+    names = visible.split(",")
+    environment["CUDA_VISIBLE_DEVICES"] = ",".join(names[int(gpu)] for gpu in gpus)
   os.environ.update(environment)
   os.environ.setdefault("OMP_NUM_THREADS", str(max(1, environments.cpu_cores() // len(gpus))))
   return _locally([*command[1:], "--no-python", sys.executable, "-c", _PROGRAM, *train[1:]])
