@@ -116,7 +116,7 @@ def test_none_keeps_the_options_of_the_model(make_sim: MakeSim) -> None:
   text = """<mujoco><option timestep="0.004" integrator="implicit" solver="CG" cone="elliptic" iterations="7"
     ls_iterations="8" tolerance="1e-5" impratio="3" gravity="1 2 3"><flag warmstart="disable" energy="enable"/></option>
     <worldbody/></mujoco>"""
-  option = make_sim(spec=text, num_envs=1, nconmax=None, njmax=None).mj_model.opt
+  option = make_sim(spec=text, num_envs=1).mj_model.opt
   assert (option.timestep, option.iterations, option.ls_iterations) == (0.004, 7, 8)
   assert (option.integrator, option.solver, option.cone) == (2, 1, 1)
   assert (option.tolerance, option.impratio, option.gravity.tolist()) == (1e-5, 3.0, [1.0, 2.0, 3.0])

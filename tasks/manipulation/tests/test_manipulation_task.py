@@ -31,7 +31,7 @@ def test_a_task_has_the_numbers_of_its_table(name: str) -> None:
   cfg, sim, agent = task.env, task.env.sim, task.agent
   assert (cfg.decimation, sim.timestep, cfg.episode_length_s) == (4, 0.005, 20.0)
   assert (sim.iterations, sim.ls_iterations, sim.cone, sim.impratio) == (10, 20, "elliptic", 10.0)
-  assert (sim.nconmax, sim.njmax, cfg.scene.env_spacing) == (55, 600, 1.0)
+  assert (sim.nconmax, sim.njmax, cfg.scene.env_spacing) == ("auto", "auto", 1.0)
   assert {name: term.weight for name, term in cfg.rewards.items()} == {
     "lift": 1.0,
     "lift_precise": 1.0,

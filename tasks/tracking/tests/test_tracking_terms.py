@@ -65,7 +65,6 @@ class Step:
 def roll(folder: Path, steps: int, num_envs: int = 8, engine: Literal["native", "warp"] = "native") -> list[Step]:
   cfg = g1_flat_env()
   cfg.scene.num_envs, cfg.seed, cfg.sim.engine = num_envs, 5, engine
-  cfg.sim.nconmax, cfg.sim.njmax = 32, 192
   cfg.metrics["state"] = MetricsTermCfg(note_state)
   # So that episodes end by age too, before their clip does.
   cfg.episode_length_s = 0.5

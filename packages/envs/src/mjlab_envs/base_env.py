@@ -201,6 +201,7 @@ class ManagerBasedEnv:
     The generator gets a seed from the step counter, so that the noise of the beginning does not repeat.
     """
     self.common_step_counter.copy_(state["step_counter"])
+    self.sim.keep_buffer_sizes(state["sim"])
     self.rng.manual_seed(self.seed + int(self.common_step_counter))
     self.command_manager.load_progress(state["commands"])
 

@@ -11,7 +11,7 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from mjlab_core import printable
-from mjlab_core.constraints import Ascending, Limits, field_hints
+from mjlab_core.constraints import Ascending, Limits, field_hints, field_problem
 
 _SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
 _SETS = (set, frozenset)
@@ -45,7 +45,8 @@ def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
       return
     found = [list(problems(value, arm, where)) for arm in arms]
     if all(found):
-      yield from found[0] if len(arms) == 1 else [_mismatch(value, hint, where)]
+      rule = field_problem(value, hint) if isinstance(value, int | float) else ""
+      yield from found[0] if len(arms) == 1 else [f"{where}: {rule}" if rule else _mismatch(value, hint, where)]
   elif origin is Callable or hint is Callable:
     yield from callable_problems(value, arguments, where)
   elif origin is Literal:

@@ -102,10 +102,11 @@ class SimulationCfg(Config):
   enableflags: tuple[str, ...] = ()
   """Names of `mjtEnableBit`, likewise."""
 
-  nconmax: PositiveCount | None = None
-  """Contacts per world on MuJoCo Warp, on average over worlds: the pool is shared. None lets MuJoCo Warp guess."""
-  njmax: PositiveCount | None = None
-  """Constraint rows of each world on MuJoCo Warp. None lets MuJoCo Warp guess."""
+  nconmax: PositiveCount | Literal["auto"] = "auto"
+  """Contacts per world on MuJoCo Warp, on average over worlds: the pool is shared. `auto` begins with what the model
+  suggests, and grows when demand comes near."""
+  njmax: PositiveCount | Literal["auto"] = "auto"
+  """Constraint rows of each world on MuJoCo Warp. `auto` likewise."""
   broadphase: Literal["nxn", "sap_tile"] | None = None
   """Search for pairs of geoms on MuJoCo Warp: all pairs, or sweep and prune. None lets MuJoCo Warp choose."""
   broadphase_filter: tuple[Literal["plane", "sphere", "aabb", "obb"], ...] | None = None

@@ -1,5 +1,6 @@
 """Interface of a physics engine. Nothing above this seam knows which engine runs."""
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import torch
@@ -68,6 +69,18 @@ class Engine(Protocol):
 
   def overflow_report(self) -> list[str]:
     """Return one line with the settings to raise when the demand outgrows the last advice. Reads the device."""
+    ...
+
+  @property
+  def buffer_sizes(self) -> dict[str, int]:
+    """Room for contacts (`nconmax`) and constraint rows (`njmax`) of each world; empty if nothing limits them."""
+    ...
+
+  def make_room(self, at_least: Mapping[str, int]) -> bool:
+    """Give buffers more room if they are nearly full or smaller than `at_least`; return True if one has new memory.
+
+    Contacts and constraints are then left to `forward`. All else stays where it is. A GPU is not waited for otherwise.
+    """
     ...
 
   def close(self) -> None:

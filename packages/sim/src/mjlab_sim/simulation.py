@@ -1,7 +1,8 @@
 """Many worlds of one model, stepped together, as PyTorch tensors."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated
 
 import mujoco
@@ -60,7 +61,8 @@ class Simulation:
     self.data = DataView(self._fresh)
     self.model = ModelView(self._fresh)
     self._fields = WorldFields(self._fresh, self.mj_model, num_envs, self.device)
-    self._recordings = Recordings(self._fresh, self.fixed_geoms_are_in_place)
+    self._recordings = Recordings(self._fresh, self._prepare)
+    self._grows = bool(self._engine.buffer_sizes) and "auto" in (self.cfg.nconmax, self.cfg.njmax)
     self._fixed_geometry: FixedGeometry | None = None
     self._keeps_contacts = False
 
@@ -69,6 +71,8 @@ class Simulation:
   def step(self) -> None:
     """Advance every world by one physics step under `data.ctrl`."""
     self._fresh.refresh()
+    if self._grows and not self._recordings.is_inside:
+      self._make_room()
     self._engine.step()
     self._fresh.settle()
 
@@ -176,7 +180,8 @@ class Simulation:
     Model fields that all worlds share are in it where they are not as compiled.
     """
     self._fresh.check_open()
-    return self._fields.state_dict()
+    sizes = {name: torch.tensor(size) for name, size in self.buffer_sizes.items()}
+    return {**self._fields.state_dict(), "buffers": sizes}
 
   def load_state_dict(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
     """Continue from a `state_dict` of the same model and number of worlds.
@@ -186,11 +191,17 @@ class Simulation:
     """
     self._fresh.check_open()
     state = self._fields.check(state)
+    self.keep_buffer_sizes(state)
     self.expand_model_fields(state["model"])
     if self._fields.load(state):
       # Engines derive more than they show. What was saved counts to the last bit.
       self.recompute_constants()
       self._fields.load_model(state)
+
+  def keep_buffer_sizes(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
+    """Give buffers at least the sizes that they had in a `state_dict`, also of another number of worlds."""
+    if self._grows:
+      self._make_room({name: int(size) for name, size in state.get("buffers", {}).items()})
 
   # Contacts, rays, images, overflow
 
@@ -288,10 +299,28 @@ class Simulation:
   def overflow_report(self) -> list[str]:
     """Return what did not fit, one line each with the settings that give room. Reads the device.
 
-    A line appears once, and again only when the demand has outgrown its advice: each advice is twice the demand.
+    A line appears once, and again only when the demand has outgrown its advice: each advice is twice the demand. One
+    line for each growth of a buffer has the sizes that a repeat to the last bit needs.
     """
     self._fresh.check_open()
     return self._engine.overflow_report()
+
+  @property
+  def buffer_sizes(self) -> dict[str, int]:
+    """Room for contacts (`nconmax`) and constraint rows (`njmax`) of each world now; empty on the native engine."""
+    return self._engine.buffer_sizes
+
+  def _make_room(self, at_least: Mapping[str, int] = MappingProxyType({})) -> None:
+    if self._engine.make_room(at_least):
+      self._recordings.invalidate()
+      # Contacts and constraints of the present state are computed again, in the new memory.
+      self._fresh.note_write()
+      self._fresh.refresh()
+
+  def _prepare(self) -> None:
+    if self._grows:
+      self._make_room()
+    self.fixed_geoms_are_in_place()
 
   # Graphs
 

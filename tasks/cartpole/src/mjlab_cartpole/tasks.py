@@ -72,7 +72,7 @@ def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEn
   return ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
-    sim=SimulationCfg(timestep=PHYSICS_DT, iterations=100, ls_iterations=50, nconmax=4, njmax=16),
+    sim=SimulationCfg(timestep=PHYSICS_DT, iterations=100, ls_iterations=50),
     scene=SceneCfg(
       env_spacing=6.0,
       entities={

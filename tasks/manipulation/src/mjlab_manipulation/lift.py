@@ -106,9 +106,7 @@ def lift_env(objects: dict[str, EntityCfg], arm: LiftingArm | None = None) -> Ma
   return ManagerBasedRlEnvCfg(
     decimation=DECIMATION,
     episode_length_s=EPISODE_LENGTH,
-    sim=SimulationCfg(
-      timestep=PHYSICS_DT, cone="elliptic", impratio=10.0, iterations=10, ls_iterations=20, nconmax=55, njmax=600
-    ),
+    sim=SimulationCfg(timestep=PHYSICS_DT, cone="elliptic", impratio=10.0, iterations=10, ls_iterations=20),
     scene=SceneCfg(
       env_spacing=1.0,
       terrain=PlaneCfg(),

@@ -85,7 +85,6 @@ def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
 def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with three cubes, depth images and a mask of the target."""
   cfg = lift_env({name: EntityCfg(spec_fn=spec_fn) for name, spec_fn in CUBES.items()})
-  cfg.sim.nconmax = 415
   command = cfg.commands[COMMAND]
   assert isinstance(command, lifting.LiftCommandCfg)
   command.start = copy.deepcopy(CUBES_START)

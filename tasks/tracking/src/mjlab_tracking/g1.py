@@ -61,8 +61,6 @@ def g1_flat_env() -> ManagerBasedRlEnvCfg:
       iterations=10,
       ls_iterations=20,
       ccd_iterations=50,
-      nconmax=48,
-      njmax=256,
     ),
   )
   return flat_env(robot, MOTION)

@@ -73,9 +73,6 @@ def _robot() -> LeggedRobot:
       iterations=10,
       ls_iterations=20,
       ccd_iterations=50,
-      nconmax=32,
-      # Random actions need up to 13 contacts and 113 constraint rows in a world.
-      njmax=192,
     ),
   )
 
@@ -107,9 +104,7 @@ def g1_rough_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 def g1_rough_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment on rough ground."""
-  cfg = _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
-  cfg.sim.nconmax, cfg.sim.njmax = 70, 640
-  return cfg
+  return _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
 
 
 def _task(

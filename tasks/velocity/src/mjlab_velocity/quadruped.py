@@ -57,9 +57,6 @@ def quadruped(
       iterations=10,
       ls_iterations=20,
       ccd_iterations=50,
-      # Random actions need up to 6 contacts and 36 constraint rows in a world; an overflow is counted and reported.
-      nconmax=16,
-      njmax=128,
     ),
   )
 
@@ -67,7 +64,6 @@ def quadruped(
 def quadruped_rough_env(robot: LeggedRobot, trunk_geoms: str) -> ManagerBasedRlEnvCfg:
   """Return the training environment on rough ground; `trunk_geoms` is the pattern of what must not touch it."""
   cfg = rough_env(robot, scan_body=robot.torso)
-  cfg.sim.nconmax, cfg.sim.njmax = 35, 384
   cfg.scene.sensors |= {
     "self_collision": self_collision(robot.torso),
     "thigh_ground_touch": _touch(".*_thigh_collision.*"),

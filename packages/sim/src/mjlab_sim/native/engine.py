@@ -3,6 +3,7 @@
 import copy
 import ctypes
 import functools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -228,6 +229,13 @@ class NativeEngine:
     warnings = self._count_warnings()
     self._overflowed |= warnings > self._warnings
     self._warnings = warnings
+
+  @property
+  def buffer_sizes(self) -> dict[str, int]:
+    return {}
+
+  def make_room(self, at_least: Mapping[str, int]) -> bool:
+    return False
 
   def overflow_report(self) -> list[str]:
     self._count_overflow()

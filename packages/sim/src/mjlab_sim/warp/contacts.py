@@ -25,19 +25,29 @@ class WarpContacts:
   def __init__(self, m: Any, d: Any, num_envs: int, device: Any) -> None:
     self._m, self._d, self._device = m, d, device
     self._watched = Watched(num_envs)
-    # Each contact in the solver has a row of constraints at least.
-    shape = (self._watched.num_slots, d.njmax)
+    num_slots = self._watched.num_slots
     with wp.ScopedDevice(device):
       self._slot_of = wp.full(num_envs, -1, dtype=wp.int32)
+      self._count = wp.zeros(num_slots, dtype=wp.int32)
+    self._slots, self._counts = wp.to_torch(self._slot_of), wp.to_torch(self._count)
+    self._slots[:num_slots] = torch.arange(num_slots, dtype=torch.int32, device=self._slots.device)
+    self._rows: list[torch.Tensor] = []
+    self.resize()
+
+  def resize(self) -> None:
+    """Follow the sizes of the data, which have grown; what was kept stays."""
+    d, before = self._d, self._rows
+    # Each contact in the solver has a row of constraints at least.
+    shape = (self._watched.num_slots, d.njmax)
+    with wp.ScopedDevice(self._device):
       self._ids: Any = wp.array(np.arange(d.naconmax), dtype=wp.int32)
       self._wrench: Any = wp.zeros(d.naconmax, dtype=wp.spatial_vector)
-      self._count = wp.zeros(shape[0], dtype=wp.int32)
       self._geom = wp.zeros(shape, dtype=wp.vec2i)
       self._dist = wp.zeros(shape, dtype=wp.float32)
       self._pos, self._normal, self._force = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
-    self._slots, self._counts = wp.to_torch(self._slot_of), wp.to_torch(self._count)
-    self._slots[: shape[0]] = torch.arange(shape[0], dtype=torch.int32, device=self._slots.device)
     self._rows = [wp.to_torch(rows) for rows in (self._geom, self._dist, self._pos, self._normal, self._force)]
+    for rows, kept in zip(self._rows, before, strict=bool(before)):
+      rows[:, : kept.shape[1]] = kept
     self._numbers = torch.arange(shape[1], device=self._slots.device)
 
   def record(self) -> None:

@@ -1,5 +1,6 @@
 """MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -16,6 +17,7 @@ from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.buffers import resize, starting_sizes
 from mjlab_sim.warp.contacts import WarpContacts
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
@@ -64,10 +66,12 @@ class WarpEngine:
     host = mujoco.MjData(model)
     mujoco.mj_forward(model, host)
     check_sizes(host, cfg)
+    sizes = starting_sizes(model) if "auto" in (cfg.nconmax, cfg.njmax) else {}
+    sizes |= {name: size for name in ("nconmax", "njmax") if (size := getattr(cfg, name)) != "auto"}
     with wp.ScopedDevice(self._wp_device):
       try:
         self._m = mjw.put_model(model)
-        self._d = mjw.put_data(model, host, nworld=num_envs, nconmax=cfg.nconmax, njmax=cfg.njmax)
+        self._d = mjw.put_data(model, host, nworld=num_envs, **sizes)
       except (NotImplementedError, ValueError) as error:
         raise MjlabError(f"MuJoCo Warp cannot run this model: {error}") from error
       self._m.opt.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
@@ -262,6 +266,24 @@ class WarpEngine:
 
   def overflow_report(self) -> list[str]:
     return self._overflow.report()
+
+  @property
+  def buffer_sizes(self) -> dict[str, int]:
+    return self._overflow.sizes
+
+  def make_room(self, at_least: Mapping[str, int]) -> bool:
+    sizes = self._overflow.wanted(at_least)
+    if not sizes:
+      return False
+    # Kernels that run may still use the old memory.
+    wp.synchronize_device(self._wp_device)
+    self._launcher.clear()
+    with self._launcher.stream():
+      resize(self._mj_model, self._d, sizes)
+      if self._contacts is not None:
+        self._contacts.resize()
+      self._overflow.note_growth(sizes)
+    return True
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
     return self._rays.caster(targets, max_distance, geomid=geomid)

@@ -1,15 +1,18 @@
-"""Demand for MuJoCo Warp's fixed buffers: high-water marks on the device, and the advice that follows from them."""
+"""Demand for MuJoCo Warp's buffers: high-water marks on the device, and the sizes that follow from them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
+import torch
 import warp as wp
 from mjlab_core import MjlabError
 
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.warp import engine_kernels as kernels
+from mjlab_sim.warp.buffers import grown
 
 _Kind = mjw.OverflowType
 _DROPPED = _Kind.BROADPHASE | _Kind.NARROWPHASE | _Kind.CCD
@@ -30,7 +33,8 @@ _LIMITS = {
 class Overflow:
   """High-water marks since the simulation was made.
 
-  Each line of advice is twice the high-water mark. The next line follows only when the mark has outgrown it.
+  Each line of advice is twice the high-water mark. The next line follows only when the mark has outgrown it. Sizes that
+  are "auto" follow the demand instead: a GPU is not waited for, what it noted arrives some steps later.
   """
 
   def __init__(self, d: mjw.Data, cfg: SimulationCfg) -> None:
@@ -38,6 +42,12 @@ class Overflow:
     device = d.qpos.device
     self._seen: Any = wp.zeros(d.nworld, dtype=wp.int32, device=device)
     self._most: Any = wp.zeros(3, dtype=wp.int32, device=device)
+    self._growing = [name for name in ("nconmax", "njmax") if getattr(cfg, name) == "auto"]
+    self._news: list[str] = []
+    self._arrival: torch.cuda.Event | None = None
+    if device.is_cuda:
+      self._most_torch = wp.to_torch(self._most)
+      self._arrived = torch.zeros(3, dtype=torch.int32, pin_memory=True)
     self._fits = {
       "nconmax": d.naconmax // d.nworld,
       "njmax": d.njmax,
@@ -57,21 +67,69 @@ class Overflow:
       device=d.qpos.device,
     )
 
+  @property
+  def sizes(self) -> dict[str, int]:
+    """Present sizes of the buffers, by setting."""
+    return {name: self._fits[name] for name in ("nconmax", "njmax")}
+
+  def wanted(self, at_least: Mapping[str, int]) -> dict[str, int]:
+    """Return larger sizes for buffers that are nearly full, or smaller than `at_least`; none if all have room."""
+    if not self._growing:
+      return {}
+    demand = self._demand()
+    sizes = {name: max(grown(self._fits[name], demand[name]), at_least.get(name, 0)) for name in self._growing}
+    return {**self.sizes, **sizes} if any(size > self._fits[name] for name, size in sizes.items()) else {}
+
+  def note_growth(self, sizes: Mapping[str, int]) -> None:
+    """Note the present sizes; reads the device."""
+    seen, changes, lost = self._seen.numpy(), [], 0
+    for name in self._growing:
+      if sizes[name] > self._fits[name]:
+        changes.append(f"{name} from {self._fits[name]} to {sizes[name]}")
+        lost = max(lost, _count(seen, _BUFFERS[name][0]))
+        seen &= ~int(_BUFFERS[name][0])
+    # What did not fit since the last physics step is computed again before it is used.
+    self._d.overflow.zero_()
+    self._seen.assign(seen)
+    self._fits |= sizes
+    self._advised |= sizes
+    settings = " ".join(f"--env.sim.{name} {sizes[name]}" for name in self._growing)
+    dropped = f", after {lost} of {self._d.nworld} worlds had lost contacts" if lost else ""
+    self._news.append(f"buffers grew: {', '.join(changes)}{dropped}. A repeat to the last bit needs {settings}.")
+
+  def _demand(self) -> dict[str, int]:
+    """Return the demand of this moment; on a GPU that of the steps whose high-water marks have arrived."""
+    d = self._d
+    if not d.qpos.device.is_cuda:
+      return self._per_setting(*(int(count.numpy().max()) for count in (d.nefc, d.nacon, d.ncollision)))
+    if self._arrival is None:
+      self._arrival = torch.cuda.Event()
+    elif not self._arrival.query():
+      return dict.fromkeys(self._growing, 0)
+    demand = self._per_setting(*self._arrived.tolist())
+    self._arrived.copy_(self._most_torch, non_blocking=True)
+    self._arrival.record()
+    return demand
+
+  def _per_setting(self, rows: int, contacts: int, pairs: int) -> dict[str, int]:
+    d = self._d
+    if pairs > d.naconmax > 0:
+      # Pairs that did not fit were not searched; they would have as many contacts as the others.
+      contacts = contacts * pairs // d.naconmax
+    return {"nconmax": -(-max(contacts, pairs) // d.nworld), "njmax": rows, "contact_sensor_maxmatch": 0}
+
   def report(self) -> list[str]:
     """Return the lines that are new since the last call. Reads the device."""
     d, fits, seen = self._d, self._fits, self._seen.numpy()
-    rows, contacts, pairs = (int(count) for count in self._most.numpy())
-    if pairs > d.naconmax:
-      # Pairs that did not fit were not searched; they would have as many contacts as the others.
-      contacts = contacts * pairs // d.naconmax
-    counted = {"nconmax": -(-max(contacts, pairs) // d.nworld), "njmax": rows, "contact_sensor_maxmatch": 0}
+    counted = self._per_setting(*(int(count) for count in self._most.numpy()))
+    rows = counted["njmax"]
     worlds = {name: _count(seen, bits) for name, (bits, _) in _BUFFERS.items()}
     # The buffers of convex collision, of sparse matrices and of sensors overflow without a count.
     wanted = {name: max(counted[name], fits[name] + 1) for name, count in worlds.items() if count}
     if "nconmax" in wanted and 2 * rows > fits["njmax"]:
       # Contacts were dropped before their rows were counted.
       wanted.setdefault("njmax", rows)
-    lines = []
+    lines, self._news = self._news, []
     if any(count > self._advised[name] for name, count in wanted.items()):
       self._advised |= {name: max(self._advised[name], _round_up(2 * count)) for name, count in wanted.items()}
       needs = []
@@ -96,7 +154,8 @@ def check_sizes(host: mujoco.MjData, cfg: SimulationCfg) -> None:
     MjlabError: Naming each setting that is too small, and a value with room to move.
   """
   wanted = {"nconmax": (host.ncon, "contacts"), "njmax": (host.nefc, "constraint rows")}
-  short = {name: (count, unit) for name, (count, unit) in wanted.items() if count > (getattr(cfg, name) or np.inf)}
+  fixed = {name: getattr(cfg, name) for name in wanted if getattr(cfg, name) != "auto"}
+  short = {name: wanted[name] for name, size in fixed.items() if wanted[name][0] > size}
   if short:
     found = " and ".join(f"{count} {unit}, {name} is {getattr(cfg, name)}" for name, (count, unit) in short.items())
     settings = " ".join(f"--env.sim.{name} {_round_up(2 * count)}" for name, (count, _) in short.items())
