@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core.errors import ConfigError
 from mjlab_core.names import unknown
 
-_SPEC_FN = "edit the model in spec_fn"
+_EDITS = "put its configs into edits"
 
 FORMER_FIELDS: dict[str, dict[str, str]] = {
   "ActionTermCfg": {
@@ -37,7 +37,7 @@ FORMER_FIELDS: dict[str, dict[str, str]] = {
   "EntityArticulationCfg": {"actuator_cfgs": "actuators"},
   "EntityCfg": {
     "sort_actuators": "controls follow the order of the model; targets are given by joint, tendon or site",
-    "textures": _SPEC_FN,
+    **dict.fromkeys(("lights", "cameras", "textures", "materials", "meshes", "geoms"), _EDITS),
   },
   "ManagerTermBaseCfg": {"name": "the key of the dict is the name of a term"},
   "MotionCommandCfg": {

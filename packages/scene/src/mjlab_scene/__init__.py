@@ -2,6 +2,7 @@
 
 from mjlab_scene.actuation import Quantity
 from mjlab_scene.collision import CollisionCfg
+from mjlab_scene.edits import CameraCfg, GeomCfg, LightCfg, MaterialCfg, MeshCfg, SpecEdit, TextureCfg
 from mjlab_scene.entity import Entity, EntityArticulationCfg, EntityCfg
 from mjlab_scene.entity_data import EntityData
 from mjlab_scene.indexing import ColumnView, EntityIndexing
@@ -13,6 +14,7 @@ from mjlab_scene.variants import VariantEntity, VariantEntityCfg
 
 __all__ = [
   "INIT_STATE",
+  "CameraCfg",
   "CollisionCfg",
   "ColumnView",
   "Entity",
@@ -20,14 +22,20 @@ __all__ = [
   "EntityCfg",
   "EntityData",
   "EntityIndexing",
+  "GeomCfg",
   "InitialState",
   "InitialStateCfg",
+  "LightCfg",
+  "MaterialCfg",
+  "MeshCfg",
   "Overlay",
   "Quantity",
   "Scene",
   "SceneCfg",
+  "SpecEdit",
   "TerrainCfg",
   "TerrainLevels",
+  "TextureCfg",
   "VariantEntity",
   "VariantEntityCfg",
   "read_overlay",

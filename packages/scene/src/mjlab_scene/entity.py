@@ -17,6 +17,7 @@ from mjlab_core.state import Stateful
 
 from mjlab_scene.actuation import Actuation, Quantity
 from mjlab_scene.collision import CollisionCfg
+from mjlab_scene.edits import SpecEdit
 from mjlab_scene.entity_data import EntityData
 from mjlab_scene.entity_spec import EntitySpec
 from mjlab_scene.indexing import ColumnView, EntityIndexing, Selection, WritePlaces, fitting, index_entity
@@ -62,6 +63,8 @@ class EntityCfg(Config):
   init_state: InitialStateCfg = field(default_factory=InitialStateCfg)
   articulation: EntityArticulationCfg | None = None
   """None: nothing is actuated by mjlab; actuators in the model keep the controls that the user writes."""
+  edits: tuple[SpecEdit, ...] = ()
+  """Changes and additions of textures, materials, meshes, lights and cameras; see `mjlab_scene.edits`."""
   collisions: tuple[CollisionCfg, ...] = ()
   """Contact presets; together they say which geoms collide."""
   overlay: str | None = None
@@ -110,6 +113,7 @@ class Entity(EntitySpec, Stateful):
       name,
       spec,
       init_state=cfg.init_state,
+      edits=cfg.edits,
       collisions=cfg.collisions,
       actuators=ActuatorSet(actuators, owner) if actuators else None,
     )

@@ -10,6 +10,7 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names
 
 from mjlab_scene.collision import CollisionCfg, apply_collisions
+from mjlab_scene.edits import SpecEdit, apply_edits
 from mjlab_scene.initial_state import InitialState, InitialStateCfg, read_initial_state
 
 FREE_JOINT = "floating_base_joint"
@@ -33,6 +34,7 @@ class EntitySpec:
     name: Name in the scene.
     spec: The entity alone; it is edited.
     init_state: State that the entity is reset to.
+    edits: Edits of looks, lights and cameras.
     collisions: Contact presets.
     actuators: Drives joints, tendons and sites; None leaves actuators of the spec to the user.
 
@@ -65,6 +67,7 @@ class EntitySpec:
     spec: mujoco.MjSpec,
     *,
     init_state: InitialStateCfg,
+    edits: Sequence[SpecEdit] = (),
     collisions: Sequence[CollisionCfg] = (),
     actuators: ActuatorSet | None = None,
   ) -> None:
@@ -88,6 +91,7 @@ class EntitySpec:
     own_root = root if self.is_floating or self.is_mocap else None
     self.root_body_name: str = MOCAP_BASE if own_root is None else own_root.name
     """Name of the body that `root_*` quantities and writes are about."""
+    apply_edits(spec, edits, self.owner)
     apply_collisions(spec, collisions, self.owner)
     if actuators is not None:
       actuators.edit_spec(spec)

@@ -20,6 +20,7 @@ from mjlab_core.state import Stateful, StatefulDict
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
 from mjlab_terrain import Terrain, grid_origins
 
+from mjlab_scene.edits import SpecEdit, apply_edits
 from mjlab_scene.entity import Entity, EntityCfg
 from mjlab_scene.export import write_spec, zip_spec
 from mjlab_scene.initial_state import add_init_state
@@ -59,6 +60,8 @@ class SceneCfg(Config):
   """Sensors by name, beside those that the entities' models bring."""
   extent: Positive | None = None
   """Size of the part that a viewer shows at first [m]; None lets MuJoCo find it."""
+  edits: tuple[SpecEdit, ...] = ()
+  """Changes and additions of textures, materials, meshes, lights and cameras, after all parts are in."""
   spec_fn: Callable[[mujoco.MjSpec], None] | None = None
   """Last edit of the assembled spec."""
 
@@ -111,6 +114,7 @@ class Scene(Stateful):
     """Entities by name."""
     self.sensors: dict[str, Sensor[Any]] = StatefulDict(self._add_sensors(decimation))
     """Sensors by name."""
+    apply_edits(self.spec, cfg.edits, "scene")
     if cfg.spec_fn is not None:
       cfg.spec_fn(self.spec)
     # A body compiled as simple cannot get another centre of mass, joint anchor or joint axis.

@@ -79,7 +79,7 @@ class VariantEntity(Entity):
     self.variant_names = tuple(cfg.variants)
     self._assignment, self._seed = cfg.assignment, cfg.seed
     plain = EntityCfg(spec_fn=lambda: spec, init_state=cfg.init_state, articulation=cfg.articulation)
-    super().__init__(replace(plain, collisions=cfg.collisions), name)
+    super().__init__(replace(plain, edits=cfg.edits, collisions=cfg.collisions), name)
     self.cfg = cfg
 
   def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:

@@ -1,0 +1,288 @@
+"""Edits of a model as configs: textures, materials, meshes, geoms, lights and cameras."""
+
+import os
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, Literal
+
+import mujoco
+from mjlab_core.config import Config
+from mjlab_core.constraints import Items, Limits, NonNegative, Positive, PositiveCount, check_fields
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name, match_names
+
+Color = Annotated[tuple[float, float, float], Limits(ge=0, le=1)]
+ColorWithAlpha = Annotated[tuple[float, float, float, float], Limits(ge=0, le=1)]
+Vector = Annotated[tuple[float, float, float], Limits()]
+Quaternion = Annotated[tuple[float, float, float, float], Limits()]
+Share = Annotated[float, Limits(ge=0, le=1)]
+Counts = Annotated[tuple[int, int], Limits(ge=1)]
+Mode = Literal["fixed", "track", "trackcom", "targetbody", "targetbodycom"]
+
+_ENUMS: dict[tuple[str, str], str] = {
+  ("texture", "type"): "mjtTexture.mjTEXTURE_",
+  ("texture", "builtin"): "mjtBuiltin.mjBUILTIN_",
+  ("texture", "mark"): "mjtMark.mjMARK_",
+  ("light", "type"): "mjtLightType.mjLIGHT_",
+  ("light", "mode"): "mjtCamLight.mjCAMLIGHT_",
+  ("camera", "mode"): "mjtCamLight.mjCAMLIGHT_",
+  ("mesh", "inertia"): "mjtMeshInertia.mjMESH_INERTIA_",
+}
+
+
+@dataclass(kw_only=True)
+class SpecEdit(Config):
+  """Base of edits of a model. Fields that are None leave what the model says, or MuJoCo's default in a new element.
+
+  Names are those of the model that is edited: of the entity alone in `EntityCfg.edits`, with the entity's prefix in
+  `SceneCfg.edits`.
+  """
+
+  kind: ClassVar[str]
+  """What the edit is about, as MjSpec calls it."""
+  stage: ClassVar[int] = 2
+  """Edits of a lower stage come first: textures, then materials, then what uses them."""
+
+  @abstractmethod
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    """Write the edit into `spec`; `owner` begins error messages."""
+
+  def _write(self, element: Any, *without: str) -> None:
+    """Copy all fields that are given into the attributes of `element` of the same name."""
+    for field in fields(self):
+      value = getattr(self, field.name)
+      if value is None or field.name in ("name", "names", *without):
+        continue
+      if (enum := _ENUMS.get((self.kind, field.name))) is not None:
+        group, prefix = enum.split(".")
+        value = getattr(getattr(mujoco, group), prefix + value.upper())
+      setattr(element, field.name, value)
+
+
+@dataclass(kw_only=True)
+class TextureCfg(SpecEdit):
+  """Texture, new or changed. A new one has `builtin`, `file` or `cubefiles`."""
+
+  kind: ClassVar[str] = "texture"
+  stage: ClassVar[int] = 0
+
+  name: str
+  type: Literal["2d", "cube", "skybox"] | None = None
+  builtin: Literal["none", "checker", "gradient", "flat"] | None = None
+  rgb1: Color | None = None
+  rgb2: Color | None = None
+  width: PositiveCount | None = None
+  """Width of a built-in texture [pixels]."""
+  height: PositiveCount | None = None
+  """Height of a built-in texture [pixels]; cubes and skies do not need it."""
+  mark: Literal["none", "edge", "cross", "random"] | None = None
+  markrgb: Color | None = None
+  random: Share | None = None
+  """Share of pixels with a mark, for mark "random"."""
+  file: str | None = None
+  """Picture, from the working directory or absolute."""
+  cubefiles: Annotated[tuple[str, ...], Items(ge=6, le=6)] | None = None
+  """Pictures of the six sides of a cube: right, left, up, down, front, back."""
+  gridsize: Counts | None = None
+  gridlayout: str | None = None
+  nchannel: PositiveCount | None = None
+  hflip: bool | None = None
+  vflip: bool | None = None
+
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    what = f"{owner}: texture '{self.name}'"
+    found = spec.texture(self.name)
+    if found is None:
+      if self.builtin in (None, "none") and self.file is None and self.cubefiles is None:
+        raise MjlabError(f"{what} is new and has no picture; give builtin, file or cubefiles")
+      if self.builtin not in (None, "none") and (self.width is None or (self.height is None and self.type == "2d")):
+        raise MjlabError(f"{what} is new and built in; give its width and height [pixels]")
+      found = spec.add_texture(name=self.name)
+    self._write(found, "file", "cubefiles", "gridlayout")
+    if self.file is not None:
+      found.file = _path(self.file, spec, what)
+    for side, file in enumerate(self.cubefiles or ()):
+      found.cubefiles[side] = _path(file, spec, what)
+    if self.gridlayout is not None:
+      found.gridlayout[: len(self.gridlayout)] = list(self.gridlayout)
+
+
+@dataclass(kw_only=True)
+class MaterialCfg(SpecEdit):
+  """Material, new or changed, and the geoms that wear it."""
+
+  kind: ClassVar[str] = "material"
+  stage: ClassVar[int] = 1
+
+  name: str
+  rgba: ColorWithAlpha | None = None
+  texture: str | None = None
+  """Name of its texture."""
+  texrepeat: Annotated[tuple[float, float], Limits(gt=0)] | None = None
+  texuniform: bool | None = None
+  """True: `texrepeat` counts per metre, not per geom."""
+  emission: NonNegative | None = None
+  specular: Share | None = None
+  shininess: Share | None = None
+  reflectance: Share | None = None
+  geoms: str | tuple[str, ...] | None = None
+  """Patterns of geoms that get it; each must match one. Their own colour gives way to that of the material."""
+
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    found = spec.material(self.name) or spec.add_material(name=self.name)
+    self._write(found, "texture", "geoms")
+    if self.texture is not None:
+      check_name("texture", self.texture, [texture.name for texture in spec.textures], owner)
+      found.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = self.texture
+    if self.geoms is not None:
+      for geom in _matched(spec.geoms, self.geoms, "geom", owner):
+        geom.material = self.name
+        geom.rgba = _DEFAULT_RGBA
+
+
+@dataclass(kw_only=True)
+class MeshCfg(SpecEdit):
+  """Change of meshes that the model has."""
+
+  kind: ClassVar[str] = "mesh"
+
+  names: str | tuple[str, ...] = ".*"
+  """Patterns; each must match a mesh."""
+  maxhullvert: Annotated[int, Limits(ge=-1)] | None = None
+  """Most vertices of the convex hull that collides; -1 for no limit, else at least 4."""
+  scale: Annotated[tuple[float, float, float], Limits(nonzero=True)] | None = None
+  inertia: Literal["convex", "exact", "legacy", "shell"] | None = None
+  """Way to compute the inertia of bodies that have none."""
+
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    if self.maxhullvert is not None and -1 < self.maxhullvert < 4:
+      raise MjlabError(f"{owner}: maxhullvert must be -1 or at least 4, got {self.maxhullvert}")
+    for mesh in _matched(spec.meshes, self.names, "mesh", owner):
+      self._write(mesh)
+
+
+@dataclass(kw_only=True)
+class GeomCfg(SpecEdit):
+  """Change of the looks of geoms; contact parameters are those of `CollisionCfg`."""
+
+  kind: ClassVar[str] = "geom"
+
+  names: str | tuple[str, ...]
+  """Patterns; each must match a geom."""
+  group: Annotated[int, Limits(ge=0, le=5)] | None = None
+  rgba: ColorWithAlpha | None = None
+  material: str | None = None
+  """Name of a material; it brings its own colour unless `rgba` is given."""
+
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    if self.material is not None:
+      check_name("material", self.material, [material.name for material in spec.materials], owner)
+    for geom in _matched(spec.geoms, self.names, "geom", owner):
+      if self.material is not None:
+        geom.rgba = _DEFAULT_RGBA
+      self._write(geom)
+
+
+@dataclass(kw_only=True)
+class _Mounted(SpecEdit):
+  """Light or camera on a body, new or changed."""
+
+  name: str
+  body: str | None = None
+  """Body that carries a new one; None for the world."""
+  mode: Mode | None = None
+  target: str | None = None
+  """Body to look at, in the modes that have one."""
+  pos: Vector | None = None
+  """In the frame of the body [m]."""
+
+  def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
+    bodies = [body.name for body in spec.bodies]
+    for name in (self.body, self.target):
+      if name is not None:
+        check_name("body", name, bodies, f"{owner}, {self.kind} '{self.name}'")
+    found = getattr(spec, self.kind)(self.name)
+    if found is None:
+      carrier = spec.worldbody if self.body is None else spec.body(self.body)
+      found = getattr(carrier, f"add_{self.kind}")(name=self.name)
+    elif self.body is not None and found.parent.name != self.body:
+      raise MjlabError(
+        f"{owner}: {self.kind} '{self.name}' is on body '{found.parent.name}' already; give a new one another name"
+      )
+    self._write(found, "body", "target")
+    if self.target is not None:
+      found.targetbody = self.target
+    if found.mode in _AIMED and not found.targetbody:
+      raise MjlabError(f"{owner}: {self.kind} '{self.name}' looks at a body in this mode; give target")
+
+
+@dataclass(kw_only=True)
+class LightCfg(_Mounted):
+  """Light, new or changed."""
+
+  kind: ClassVar[str] = "light"
+
+  type: Literal["spot", "directional", "point"] | None = None
+  active: bool | None = None
+  castshadow: bool | None = None
+  dir: Annotated[Vector, Limits()] | None = None
+  """Direction of the rays, in the frame of the body."""
+  diffuse: Color | None = None
+  specular: Color | None = None
+  ambient: Color | None = None
+  attenuation: Annotated[Vector, Limits(ge=0)] | None = None
+  """Constant, linear and quadratic attenuation with the distance."""
+  cutoff: Annotated[float, Limits(gt=0, le=180)] | None = None
+  """Angle of a spot's cone [degrees]."""
+  exponent: NonNegative | None = None
+
+
+@dataclass(kw_only=True)
+class CameraCfg(_Mounted):
+  """Camera, new or changed."""
+
+  kind: ClassVar[str] = "camera"
+
+  quat: Quaternion | None = None
+  """Orientation in the frame of the body, (w, x, y, z); the camera looks along -z, with y up."""
+  fovy: Annotated[Positive, Limits(lt=180)] | None = None
+  """Vertical field of view [degrees]."""
+  resolution: Counts | None = None
+  """Width and height [pixels]."""
+
+  def _write(self, element: Any, *without: str) -> None:
+    super()._write(element, *without)
+    if self.quat is not None:
+      element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+"""A geom of this colour, MuJoCo's default, has that of its material."""
+_AIMED = (mujoco.mjtCamLight.mjCAMLIGHT_TARGETBODY, mujoco.mjtCamLight.mjCAMLIGHT_TARGETBODYCOM)
+
+
+def apply_edits(spec: mujoco.MjSpec, edits: Sequence[SpecEdit], owner: str) -> None:
+  """Write edits into a spec: textures, then materials, then the others, each in the order given.
+
+  Raises:
+    MjlabError: A field is impossible, or something that an edit names does not exist.
+  """
+  for edit in edits:
+    check_fields(edit, f"{owner}, {type(edit).__name__} {getattr(edit, 'name', None) or getattr(edit, 'names', '')!r}")
+  for edit in sorted(edits, key=lambda edit: edit.stage):
+    edit.apply(spec, owner)
+
+
+def _matched(elements: Sequence[Any], patterns: str | tuple[str, ...], kind: str, owner: str) -> list[Any]:
+  ids, _ = match_names(patterns, [element.name for element in elements], what=kind, owner=owner)
+  return [elements[i] for i in ids]
+
+
+def _path(file: str, spec: mujoco.MjSpec, what: str) -> str:
+  """Return a path that MuJoCo finds wherever the model is attached."""
+  if file in spec.assets:
+    return file
+  if not os.path.isfile(file):
+    raise MjlabError(f"{what}: there is no file {file!r}")
+  return os.path.abspath(file)
