@@ -1,5 +1,6 @@
 """System identification: from records of a robot to the parameters of its simulation."""
 
+from mjlab_sysid.excitation import Excitation, ExcitationCfg, Information, Peak, design_excitation
 from mjlab_sysid.identified import Identified, Score, Trace
 from mjlab_sysid.identify import IdentifyCfg, Progress, identify
 from mjlab_sysid.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
@@ -10,13 +11,17 @@ from mjlab_sysid.report import write_report
 from mjlab_sysid.robot import Robot, robot_on_stand
 
 __all__ = [
+  "Excitation",
+  "ExcitationCfg",
   "FitProgress",
   "FitTerm",
   "Identified",
   "IdentifyCfg",
+  "Information",
   "MotorFit",
   "MotorFitCfg",
   "Parameter",
+  "Peak",
   "Progress",
   "Range",
   "Record",
@@ -24,6 +29,7 @@ __all__ = [
   "Score",
   "Trace",
   "check_joints",
+  "design_excitation",
   "fit_motor",
   "identify",
   "parse_term",

@@ -29,8 +29,8 @@ from mjlab_sysid.worlds import Worlds
 _STEP, _POSITION_STEP, _VELOCITY_STEP = 1e-4, 1e-5, 1e-3
 # Residual of a world that diverged, in units of noise.
 _DIVERGED = 1e3
-# A uniform prior within the bounds has this standard deviation, in units of half their width.
-_PRIOR = 1.0 / math.sqrt(3.0)
+PRIOR = 1.0 / math.sqrt(3.0)
+"""Standard deviation of a uniform prior within the bounds, in units of half their width."""
 
 
 @dataclass(kw_only=True)
@@ -103,8 +103,8 @@ def identify(
     x = np.zeros(problem.count)
   jacobian, scale = problem.information(x)
   information = jacobian.T @ jacobian / scale
-  covariance = np.diag(np.full(problem.count, _PRIOR**2))
-  covariance[np.ix_(told, told)] = np.linalg.inv(information[np.ix_(told, told)] + np.eye(int(told.sum())) / _PRIOR**2)
+  covariance = np.diag(np.full(problem.count, PRIOR**2))
+  covariance[np.ix_(told, told)] = np.linalg.inv(information[np.ix_(told, told)] + np.eye(int(told.sum())) / PRIOR**2)
   half = np.array([parameter.half for parameter in problem.parameters])
   traces = problem.traces(x)
   tested_traces = tested.traces(x) if tested else []
@@ -317,7 +317,7 @@ class _Fit:
     def residual(z: np.ndarray) -> np.ndarray:
       full = np.repeat(x[:, None], z.shape[1], 1)
       full[free] = z
-      return np.concatenate((problem.whitened(full), z / _PRIOR))
+      return np.concatenate((problem.whitened(full), z / PRIOR))
 
     try:
       if self._cfg.solver == "cma":

@@ -29,6 +29,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "export-scene": ("_export_scene", "TASK [flags]", "write the model of a task with its assets"),
   "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
   "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
+  "design-excitation": ("_design_excitation", "TASK --fit ... [flags]", "design motions that records should hold"),
   "new": ("_new", "robot FILE|task NAME [flags]", "write a package for a robot or a task"),
   "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
@@ -95,6 +96,7 @@ export = _command("export")
 export_scene = _command("export-scene")
 viz_nan = _command("viz-nan")
 sysid = _command("sysid")
+design_excitation = _command("design-excitation")
 train_actuator = _command("train-actuator")
 new = _command("new")
 

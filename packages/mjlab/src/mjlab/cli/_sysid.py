@@ -99,7 +99,7 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
   records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
   _describe([*records, *held_out])
   robot = stand_of(env, wanted.entity, height=wanted.height, floor=wanted.floor)
-  progress = _Progress()
+  progress = FitProgress("cost")
   with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
     warnings.simplefilter("always")
     found = identify(
@@ -164,16 +164,17 @@ def task_ranges(env: Any) -> "dict[str, Range]":
   return found
 
 
-class _Progress:
+class FitProgress:
   """Progress line, rewritten in place on a terminal and one line an iteration elsewhere."""
 
-  def __init__(self) -> None:
+  def __init__(self, value: str) -> None:
+    self._value = value
     self._live = sys.stdout.isatty()
     self._shown = False
 
   def show(self, seen: "Progress") -> None:
     self._shown = True
-    text = f"{seen.stage}: iteration {seen.iteration}, cost {seen.cost:.5g}"
+    text = f"{seen.stage}: iteration {seen.iteration}, {self._value} {seen.cost:.5g}"
     print(f"\r\033[K{text}" if self._live else text, end="" if self._live else "\n", flush=True)
 
   def end(self) -> None:

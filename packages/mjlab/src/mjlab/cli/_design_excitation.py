@@ -1,0 +1,106 @@
+"""`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record tells parameters of a task's robot well."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from mjlab_core import UsageError
+
+from mjlab.cli._command_line import CommandLine, output_file, run_with_task
+from mjlab.cli._sysid import FitProgress, stand_of, task_ranges
+from mjlab.cli._train_actuator import stop_on_ctrl_c
+
+if TYPE_CHECKING:
+  from mjlab_rl import TaskCfg
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the task."""
+
+  fit: tuple[str, ...] = ()
+  """Parameters to be fitted later, as in sysid: armature:.*_calf_joint."""
+  joints: tuple[str, ...] = (".*",)
+  """Patterns of the joints to move; the others hold their pose."""
+  entity: str = "robot"
+  """Name of the robot in the task's scene."""
+  output: str = "excitation.csv"
+  """Table of commands: time [s], and position_target/JOINT [rad or m]."""
+  force: bool = False
+  """Overwrite an existing file."""
+  height: float = 1.0
+  """Height of the held base above the world's origin [m]."""
+  floor: float | None = None
+  """Height of a floor that the robot must not touch [m]; None for no floor."""
+  seconds: float = 10.0
+  """Length [s]."""
+  rate: float = 100.0
+  """Rate of commands and of the record [Hz]."""
+  highest: float = 4.0
+  """Highest frequency [Hz]."""
+  share: float = 0.7
+  """Share of the limits that is used, of positions, velocities and efforts."""
+  velocity: float = 10.0
+  """Velocity limit of joints whose actuator config has none [rad/s or m/s]."""
+  noise: float = 1e-3
+  """Expected noise of positions [rad or m]."""
+  rounds: int = 3
+  """Rounds of the search; each varies the best candidate."""
+  candidates: int = 6
+  """Candidates of a round."""
+  seed: int = 0
+  """Seed of the draws."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+  env: Any = None
+  """Configuration of the environment."""
+
+
+_LINE = CommandLine(
+  name="design-excitation",
+  words="TASK",
+  purpose=(
+    "Designs commands for a robot held by its base: sums of sines that stay within its limits, touch nothing, and make "
+    "the smallest singular value of a later fit large. Writes a table of commands. Ctrl-C ends the search and writes "
+    "the best commands so far; a second Ctrl-C writes nothing."
+  ),
+  arguments=Arguments,
+  notes="limits are those of the model: run the commands slowly and with small --share first.\n",
+)
+
+
+def run(words: list[str]) -> int:
+  """Design; return the exit code."""
+  return run_with_task(_LINE, words, _design)
+
+
+def _design(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+  del name
+  from mjlab.cli._flags import parse
+
+  wanted = parse(Arguments(env=task.env), given)
+  if not wanted.fit:
+    raise UsageError("no --fit given, such as --fit armature:.* delay:.*,shared")
+  output = output_file("--output", wanted.output, ".csv", force=wanted.force)
+  from mjlab_sysid import ExcitationCfg, design_excitation, parse_term, write_record
+
+  names = ("seconds", "highest", "share", "velocity", "noise", "rounds", "candidates", "seed")
+  cfg = ExcitationCfg(period=1.0 / wanted.rate, **{field: getattr(wanted, field) for field in names})
+  terms = [parse_term(text) for text in wanted.fit]
+  robot = stand_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
+  progress = FitProgress("smallest singular value")
+  with stop_on_ctrl_c() as stopped:
+    found = design_excitation(
+      robot,
+      terms,
+      cfg,
+      joints=wanted.joints,
+      ranges=task_ranges(wanted.env),
+      on_iteration=lambda seen: progress.show(seen) or bool(stopped),
+    )
+  progress.end()
+  if found.stopped:
+    print("stopped (Ctrl-C) before the search ended")
+  print(found.summary())
+  write_record(found.commands, output)
+  print(f"commands: {output}")
+  return 0

@@ -1,0 +1,388 @@
+"""Design of excitations: sums of sines within the limits of a robot that make the worst-told direction better told.
+
+A candidate is scored by the smallest singular value of the Jacobian of a simulated record, in units of noise, of
+parameters in units of half their bounds, with the first states of windows marginalised as in a fit. Candidates are
+drawn, scaled joint by joint to the limits, and the best of each round is varied in the next.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, NamedTuple
+
+import mujoco
+import numpy as np
+from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import match_names, match_values_full
+from mjlab_core.tables import table
+
+from mjlab_sysid.identify import PRIOR, IdentifyCfg, Problem, Progress
+from mjlab_sysid.parameters import FitTerm, Parameter, Range
+from mjlab_sysid.records import Record
+from mjlab_sysid.robot import Robot
+from mjlab_sysid.windows import cut
+from mjlab_sysid.worlds import Worlds
+
+_LOWEST = 0.2
+_RAMP = 1.0
+_ATTEMPTS = 8
+# Velocities of encoders are noisier than positions by this factor [1/s].
+_VELOCITY_NOISE = 20.0
+
+
+@dataclass(kw_only=True)
+class ExcitationCfg:
+  """Settings of a design."""
+
+  seconds: Positive = 10.0
+  """Length [s]."""
+  period: Positive = 0.01
+  """Time between two commands, and between two rows of the record [s]."""
+  sines: PositiveCount = 5
+  """Sines of each joint."""
+  highest: Positive = 4.0
+  """Highest frequency [Hz]."""
+  share: Annotated[float, Limits(gt=0, le=1)] = 0.7
+  """Share of the limits that is used: of the way from the pose to the ends of joints, of velocities and efforts."""
+  velocity: Positive = 10.0
+  """Velocity limit of joints whose actuator config has none [rad/s or m/s]."""
+  noise: Positive = 1e-3
+  """Expected noise of positions [rad or m]."""
+  rounds: PositiveCount = 3
+  """Rounds."""
+  candidates: PositiveCount = 6
+  """Candidates of a round."""
+  window: Positive = 0.3
+  """Length of the windows of the fit [s]."""
+  threads: Annotated[int, Limits(ge=0)] = 0
+  """Threads of the rollouts; 0 for all cores."""
+  seed: int = 0
+  """Seed of the draws."""
+
+  def __post_init__(self) -> None:
+    check_fields(self, "ExcitationCfg")
+
+
+class Peak(NamedTuple):
+  """Largest values of a joint under an excitation, and their limits."""
+
+  joint: str
+  """Name of the joint."""
+  position: tuple[float, float]
+  """Lowest and highest position [rad or m]."""
+  position_range: tuple[float, float]
+  """Range of the joint [rad or m]."""
+  velocity: float
+  """Highest speed [rad/s or m/s]."""
+  velocity_limit: float
+  """Its limit."""
+  effort: float
+  """Largest effort [N m or N]."""
+  effort_limit: float
+  """Its limit."""
+
+
+class Information(NamedTuple):
+  """Knowledge that a record would give."""
+
+  singular_values: np.ndarray
+  """Singular values of the Jacobian in units of noise, of numbers in units of half their bounds, falling."""
+  spread: np.ndarray
+  """Standard deviations of the parameters' numbers, (parameters,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excitation:
+  """Commands for a robot, and what a record of them would tell."""
+
+  record: Record
+  """Commands (`position_target`), and the positions, velocities and efforts that the model expects."""
+  parameters: tuple[Parameter, ...]
+  """Parameters that it is for."""
+  before: Information
+  """Knowledge from one slow sine in every joint, within the same limits."""
+  after: Information
+  """Knowledge from the excitation."""
+  peaks: tuple[Peak, ...]
+  """Largest values of each moved joint."""
+  stopped: bool
+  """True if the search was ended early."""
+
+  @property
+  def commands(self) -> Record:
+    """Commands alone."""
+    return replace(self.record, signals={"position_target": self.record.signals["position_target"]})
+
+  def summary(self) -> str:
+    """Return a table of the parameters, the smallest singular values, and a table of the limits."""
+    rows = [
+      (
+        parameter.name,
+        *(f"{100.0 * spread[place] / parameter.half:.2g} %" for spread in (self.before[1], self.after[1])),
+      )
+      for place, parameter in enumerate(self.parameters)
+    ]
+    smallest = (self.before.singular_values[-1], self.after.singular_values[-1])
+    limits = []
+    for peak in self.peaks:
+      reached, whole = (f"{low:.3g} .. {high:.3g}" for low, high in (peak.position, peak.position_range))
+      speed, effort = (
+        f"{peak.velocity:.3g} of {peak.velocity_limit:.3g}",
+        f"{peak.effort:.3g} of {peak.effort_limit:.3g}",
+      )
+      limits.append((peak.joint, f"{reached} of {whole}", speed, effort))
+    return "\n\n".join(
+      (
+        table(("parameter", "std, one slow sine [of half its bounds]", "std, excitation"), rows),
+        f"smallest singular value: {smallest[0]:.3g} with one slow sine, {smallest[1]:.3g} with the excitation",
+        table(("joint", "position [rad or m]", "velocity [1/s of it]", "effort [N m or N]"), limits),
+      )
+    )
+
+
+class _Waves(NamedTuple):
+  """Sines of joints, (sines, joints) each."""
+
+  frequency: np.ndarray
+  amplitude: np.ndarray
+  phase: np.ndarray
+
+  def shape(self, time: np.ndarray) -> np.ndarray:
+    """Return waves that begin and end at rest at 0, of amplitude 1, (rows, joints)."""
+    angle = 2.0 * np.pi * self.frequency * time[:, None, None] + self.phase
+    waves = (self.amplitude * np.sin(angle)).sum(1)
+    ramp = np.clip(np.minimum(time, time[-1] - time) / _RAMP, 0.0, 1.0)
+    waves *= (ramp * ramp * (3.0 - 2.0 * ramp))[:, None]
+    return waves / np.abs(waves).max(0)
+
+
+def design_excitation(
+  robot: Robot,
+  fit: Sequence[FitTerm],
+  cfg: ExcitationCfg | None = None,
+  *,
+  joints: str | Sequence[str] = ".*",
+  ranges: Mapping[str, Range] | None = None,
+  on_iteration: Callable[[Progress], bool | None] | None = None,
+) -> Excitation:
+  """Return commands whose record tells parameters well, and which the model of the robot can follow within its limits.
+
+  Positions, velocities and efforts stay within `share` of their limits, and nothing touches anything that it does not
+  touch in the pose.
+
+  Args:
+    robot: The robot on its stand.
+    fit: Parameters to be fitted later.
+    cfg: Settings; None for the defaults.
+    joints: Pattern of the joints to move; the others hold their pose.
+    ranges: Operation and bounds by field, as in `identify`.
+    on_iteration: Function called after every candidate; a true result ends the search with the best one so far.
+
+  Raises:
+    MjlabError: A parameter is wrong, or a joint has no room to move.
+  """
+  if not fit:
+    raise MjlabError("no parameter to fit is given")
+  search = _Search(robot, fit, cfg or ExcitationCfg(), joints, ranges or {})
+  return search.run(on_iteration)
+
+
+class _Search:
+  """Best excitation so far, and the worlds that candidates are tried in."""
+
+  def __init__(
+    self,
+    robot: Robot,
+    fit: Sequence[FitTerm],
+    cfg: ExcitationCfg,
+    joints: str | Sequence[str],
+    ranges: Mapping[str, Range],
+  ) -> None:
+    self._robot, self._fit, self._cfg, self._ranges = robot, fit, cfg, ranges
+    self._worlds = Worlds(robot, cfg.candidates, cfg.threads)
+    driven = self._worlds.actuators.driven("joint")
+    _, self.names = match_names(joints, driven, what="driven joint", owner="excitation")
+    self._columns = [robot.joints.index(name) for name in self.names]
+    self._pose = robot.pose[robot.addresses(robot.joints)[0]]
+    limits = robot.ranges()
+    self._range = np.array([limits[name] for name in self.names])
+    self._middle = self._pose[self._columns]
+    self._room = np.minimum(np.abs(self._range - self._middle[:, None]).min(1), np.pi)
+    if (full := np.flatnonzero(self._room < 1e-3)).size:
+      raise MjlabError(f"joint '{self.names[full[0]]}' stands at the end of its range; choose another pose")
+    self._velocity = np.array([_limit(robot, "velocity_limit", name, cfg.velocity) for name in self.names])
+    self._effort = np.array([_limit(robot, "effort_limit", name, np.inf) for name in self.names])
+    self._random = np.random.default_rng(cfg.seed)
+    self._time = cfg.period * np.arange(round(cfg.seconds / cfg.period))
+    self._problem: Problem | None = None
+
+  def run(self, on_iteration: Callable[[Progress], bool | None] | None) -> Excitation:
+    """Search, and return the best excitation."""
+    cfg, count = self._cfg, len(self.names)
+    slow = _Waves(np.full((1, count), 0.5), np.ones((1, count)), np.pi * np.linspace(0.0, 1.0, count)[None])
+    plain = self._safe([slow] * cfg.candidates)[0]
+    if plain is None:
+      raise MjlabError("the robot touches something as soon as it moves; choose another pose or fewer joints")
+    before = self._information(plain)
+    best, waves, known, stopped, tried = plain, slow, before, False, 0
+    for round_ in range(cfg.rounds):
+      drawn = [self._draw() if round_ == 0 else self._vary(waves) for _ in range(cfg.candidates)]
+      for candidate, record in zip(drawn, self._safe(drawn), strict=True):
+        if stopped or record is None:
+          continue
+        found, tried = self._information(record), tried + 1
+        if found.singular_values[-1] > known.singular_values[-1]:
+          best, waves, known = record, candidate, found
+        if on_iteration is not None and on_iteration(Progress("design", tried, float(known.singular_values[-1]))):
+          stopped = True
+    assert self._problem is not None
+    return Excitation(
+      record=best,
+      parameters=tuple(self._problem.parameters),
+      before=before,
+      after=known,
+      peaks=self._peaks(best),
+      stopped=stopped,
+    )
+
+  def _draw(self) -> _Waves:
+    shape, random = (self._cfg.sines, len(self.names)), self._random
+    frequency = np.exp(random.uniform(np.log(_LOWEST), np.log(self._cfg.highest), shape))
+    return _Waves(frequency, random.uniform(0.2, 1.0, shape), random.uniform(0.0, 2.0 * np.pi, shape))
+
+  def _vary(self, waves: _Waves) -> _Waves:
+    fresh = self._draw()
+    if waves.frequency.shape != fresh.frequency.shape:
+      return fresh
+    random, shape = self._random, fresh.frequency.shape
+    varied = _Waves(
+      np.clip(waves.frequency * np.exp(0.2 * random.normal(size=shape)), _LOWEST, self._cfg.highest),
+      waves.amplitude * np.exp(0.4 * random.normal(size=shape)),
+      waves.phase + 0.5 * random.normal(size=shape),
+    )
+    is_fresh = random.random(shape) < 0.1
+    return _Waves(*(np.where(is_fresh, new, old) for new, old in zip(fresh, varied, strict=True)))
+
+  def _safe(self, drawn: Sequence[_Waves]) -> list[Record | None]:
+    """Return a record of each candidate, as large as the limits let it be; None where it touches something."""
+    share = self._cfg.share
+    shapes = np.stack([waves.shape(self._time) for waves in drawn])
+    size = np.tile(share * self._room, (len(drawn), 1))
+    records: list[Record | None] = [None] * len(drawn)
+    for _ in range(_ATTEMPTS):
+      rolled = self._roll(self._middle + shapes * size[:, None])
+      for place, record in enumerate(rolled):
+        worst = self._load(record)
+        if records[place] is not None:
+          continue
+        if not np.all(worst <= share):
+          size[place] *= np.where(worst > share, 0.95 * share / np.maximum(worst, 1e-9), 1.0)
+        elif (factor := self._free(record)) < 1.0:
+          size[place] *= 0.95 * factor
+        else:
+          records[place] = record
+      if all(record is not None for record in records):
+        break
+    return records
+
+  def _roll(self, commands: np.ndarray) -> list[Record]:
+    """Return the records of commands, (candidates, rows, moved joints), without noise; NaN where one diverged."""
+    worlds, robot = self._worlds, self._robot
+    count, rows = commands.shape[:2]
+    targets = np.tile(self._pose, (count, rows, 1))
+    targets[:, :, self._columns] = commands
+    still = np.zeros((count, len(robot.joints)))
+    substeps = max(1, round(self._cfg.period / float(robot.model.opt.timestep)))
+    worlds.begin(np.tile(self._pose, (count, 1)), still)
+    seen = {name: np.empty((count, rows, len(robot.joints))) for name in ("position", "velocity", "effort")}
+    for row in range(rows):
+      for name in ("position", "velocity"):
+        seen[name][:, row] = worlds.read(name)
+      for _ in range(substeps):
+        worlds.step({"position_target": targets[:, row], "velocity_target": still, "effort_target": still})
+      seen["effort"][:, row] = worlds.read("effort")
+    columns = self._columns
+    return [
+      Record(
+        source="excitation",
+        joints=tuple(self.names),
+        time=self._time,
+        signals={
+          "position_target": commands[place],
+          **{name: np.nan_to_num(values[place][:, columns], nan=1e9) for name, values in seen.items()},
+        },
+      )
+      for place in range(count)
+    ]
+
+  def _load(self, record: Record) -> np.ndarray:
+    """Return the share of the limits that each joint uses, (moved joints,)."""
+    away = np.abs(np.concatenate([record.signals[name] for name in ("position", "position_target")]) - self._middle)
+    parts = [away.max(0) / self._room]
+    parts += [np.abs(record.signals["velocity"]).max(0) / self._velocity]
+    parts += [np.abs(record.signals["effort"]).max(0) / self._effort]
+    return np.max(parts, 0)
+
+  def _free(self, record: Record) -> float:
+    """Return a factor of the motion about the pose that touches nothing more than the pose does."""
+    model = self._robot.model
+    data = mujoco.MjData(model)
+    addresses, _ = self._robot.addresses(self.names)
+    data.qpos[:] = self._robot.pose
+    mujoco.mj_fwdPosition(model, data)
+    usual, factor = data.ncon, 1.0
+    for away in record.signals["position"] - self._middle:
+      while factor > 0.01:
+        data.qpos[addresses] = self._middle + factor * away
+        mujoco.mj_fwdPosition(model, data)
+        if data.ncon <= usual:
+          break
+        factor *= 0.9
+    return factor
+
+  def _peaks(self, record: Record) -> tuple[Peak, ...]:
+    position, velocity, effort = (record.signals[name] for name in ("position", "velocity", "effort"))
+    return tuple(
+      Peak(
+        joint=name,
+        position=(float(position[:, i].min()), float(position[:, i].max())),
+        position_range=(float(self._range[i, 0]), float(self._range[i, 1])),
+        velocity=float(np.abs(velocity[:, i]).max()),
+        velocity_limit=float(self._velocity[i]),
+        effort=float(np.abs(effort[:, i]).max()),
+        effort_limit=float(self._effort[i]),
+      )
+      for i, name in enumerate(self.names)
+    )
+
+  def _information(self, record: Record) -> Information:
+    """Return what a record would tell about the parameters at their priors."""
+    random, cfg = np.random.default_rng(1), self._cfg
+    signals = dict(record.signals)
+    del signals["effort"]
+    for name, noise in (("position", cfg.noise), ("velocity", _VELOCITY_NOISE * cfg.noise)):
+      signals[name] = signals[name] + random.normal(0.0, noise, signals[name].shape)
+    noisy = Record(source=record.source, joints=record.joints, time=record.time, signals=signals)
+    windows = cut(self._robot, [noisy], cfg.window)
+    if self._problem is None:
+      settings = IdentifyCfg(window=cfg.window, threads=cfg.threads)
+      self._problem = Problem(self._robot, windows, self._fit, self._ranges, settings)
+    problem = self._problem
+    problem.windows = windows
+    start = np.zeros(problem.count)
+    problem.marginalise(start)
+    jacobian, _ = problem.information(start)
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(problem.count) / PRIOR**2)
+    half = np.array([parameter.half for parameter in problem.parameters])
+    return Information(np.linalg.svd(jacobian, compute_uv=False), np.sqrt(np.diag(covariance)) * half)
+
+
+def _limit(robot: Robot, name: str, joint: str, otherwise: float) -> float:
+  """Return a limit of a joint from its actuator config."""
+  for cfg in robot.actuators:
+    values = getattr(cfg, name, None)
+    driven = list(cfg.match(robot.joints)) if cfg.transmission_type == "joint" else []
+    if values is not None and joint in driven:
+      found = match_values_full(values, driven, what="joint", owner=name, default=otherwise)
+      return float(found[driven.index(joint)])
+  return otherwise
