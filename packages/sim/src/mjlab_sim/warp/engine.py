@@ -19,6 +19,7 @@ from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes
 from mjlab_sim.warp.contacts import WarpContacts
+from mjlab_sim.warp.fused_newton import choose_solver
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, check_capture
@@ -90,6 +91,7 @@ class WarpEngine:
       self._is_acceleration = wp.array(columns, dtype=wp.bool)
       self._saved_sensors = wp.zeros((num_envs, model.nsensordata), dtype=wp.float32)
       self._overflow = Overflow(self._d, cfg)
+      self._fused = choose_solver(self._m, self._d, cfg.solver_backend)
     self._mask_torch = wp.to_torch(self._mask)
     self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._launcher = Launcher(self._d, device, capture=cfg.capture)
@@ -202,7 +204,11 @@ class WarpEngine:
         outputs=[self._d.sensordata],
         device=self._wp_device,
       )
-    mjw.step2(self._m, self._d)
+    if self._fused is None:
+      mjw.step2(self._m, self._d)
+    else:
+      with internals.solving_with(self._fused.solve):
+        mjw.step2(self._m, self._d)
     self._overflow.count()
     if self._contacts is not None:
       self._contacts.record()
