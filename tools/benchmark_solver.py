@@ -20,7 +20,6 @@ import mujoco_warp as mjw
 import torch
 import warp as wp
 from benchmark_step import heading, make, synchronize
-from mjlab_sim.warp import internals
 from mjlab_sim.warp.fused_newton import FusedNewton
 
 GO1, G1 = "Mjlab-Velocity-Flat-Unitree-Go1", "Mjlab-Velocity-Flat-Unitree-G1"
@@ -31,6 +30,10 @@ FUSED = {
   "fused, 256 threads": {"threads": 256},
   "fused, 32 threads, 64 rows, 4 KB of J": {"threads": 32, "rows": 64, "groups": 256},
   "fused, 64 threads, 64 rows, 4 KB of J": {"threads": 64, "rows": 64, "groups": 256},
+  "fused, 32 threads, 64 registers": {"threads": 32, "registers": 64},
+  "fused, 32 threads, 80 registers": {"threads": 32, "registers": 80},
+  "fused, 32 threads, 64 rows, 4 KB of J, 64 registers": {"threads": 32, "rows": 64, "groups": 256, "registers": 64},
+  "fused, 32 threads, 64 rows, 4 KB of J, 80 registers": {"threads": 32, "rows": 64, "groups": 256, "registers": 80},
   "fused, 32 threads, all rows": {"threads": 32, "rows": 1 << 20, "groups": 1 << 20},
   "fused, 64 threads, all rows": {"threads": 64, "rows": 1 << 20, "groups": 1 << 20},
 }
@@ -155,7 +158,7 @@ def load(solvers: dict[str, FusedNewton]) -> None:
 
   def one(kernel: Any, solver: FusedNewton) -> None:
     try:
-      kernel.module.load(solver._is_left.device, solver._threads if solver._is_left.device.is_cuda else None)
+      kernel.module.load(solver.is_left.device, solver._threads if solver.is_left.device.is_cuda else None)
     except Exception as error:
       print(f"compiling failed: {str(error)[:3000]}", flush=True)
 
@@ -180,18 +183,16 @@ def timed(step: Callable[[], None], steps: int, repeats: int, device: torch.devi
 
 def one_solve(engine: Any, fused: FusedNewton | None) -> dict[str, Any]:
   """Return the time of one solve in the worlds' present state, and how far it is from MuJoCo Warp's solution."""
-  from mujoco_warp._src import forward
-
   m, d = engine._m, engine._d
   row: dict[str, Any] = {}
-  solve = fused.solve if fused is not None else internals.solver.solve
+  solve = fused.solve if fused is not None else mjw.solve
   synchronize(engine._device)
   # On Warp's own stream: torch's default one cannot be captured.
   with wp.ScopedDevice(engine._wp_device):
     mjw.step1(m, d)
-    forward.fwd_actuation(m, d)
-    forward.fwd_acceleration(m, d)
-    internals.solver.solve(m, d)
+    mjw.fwd_actuation(m, d)
+    mjw.fwd_acceleration(m, d)
+    mjw.solve(m, d)
     synchronize(engine._device)
     reference = wp.to_torch(d.qacc).clone()
     row["solve_us"] = round(solve_time(lambda: solve(m, d), engine._device), 1)
@@ -205,7 +206,7 @@ def one_solve(engine: Any, fused: FusedNewton | None) -> dict[str, Any]:
         "median_difference": float(f"{relative.median():.2e}"),
         "percentile_99": float(f"{relative.quantile(0.99):.2e}"),
         "greatest": float(f"{relative.max():.2e}"),
-        "left_to_second_kernel": round(float(wp.to_torch(fused._is_left).float().mean()), 5),
+        "left_to_second_kernel": round(float(wp.to_torch(fused.is_left).float().mean()), 5),
       }
   return row
 

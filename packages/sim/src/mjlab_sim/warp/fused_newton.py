@@ -7,7 +7,6 @@ Rows of the constraint Jacobian live in shared memory. A world with more of them
 whose few blocks keep the Jacobian in global memory.
 """
 
-from pathlib import Path
 from typing import Any
 
 import mujoco_warp as mjw
@@ -15,59 +14,10 @@ import warp as wp
 from mjlab_core import MjlabError
 
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.fused_newton_kernels import Problem, make_kernel
 
-_SOURCE = (Path(__file__).parent / "newton_world.cu").read_text()
 _MAX_DOFS = 64
 _SHARED_BYTES = 48 * 1024
-_vec5: Any = wp.types.vector(length=5, dtype=float)
-
-
-@wp.struct
-class Problem:
-  """Arrays that a solve reads and writes, named as in MuJoCo Warp's `Model` and `Data`."""
-
-  # Model:
-  njmax: int
-  iterations: int
-  ls_iterations: int
-  is_sparse: int
-  tolerance: wp.array[float]
-  ls_tolerance: wp.array[float]
-  impratio_invsqrt: wp.array[float]
-  M_rownnz: wp.array[int]
-  M_rowadr: wp.array[int]
-  M_colind: wp.array[int]
-  # Data in:
-  ne: wp.array[int]
-  nf: wp.array[int]
-  nefc: wp.array[int]
-  M: wp.array2d[float]
-  qfrc_smooth: wp.array2d[float]
-  start: wp.array2d[float]
-  without_rows: wp.array2d[float]
-  contact_friction: wp.array[_vec5]
-  contact_dim: wp.array[int]
-  contact_efc_address: wp.array2d[int]
-  efc_type: wp.array2d[int]
-  efc_id: wp.array2d[int]
-  efc_J: wp.array3d[float]
-  J_rownnz: wp.array2d[int]
-  J_rowadr: wp.array2d[int]
-  J_colind: wp.array3d[int]
-  efc_D: wp.array2d[float]
-  efc_aref: wp.array2d[float]
-  efc_frictionloss: wp.array2d[float]
-  # Data out:
-  qacc: wp.array2d[float]
-  qfrc_constraint: wp.array2d[float]
-  efc_Ma: wp.array2d[float]
-  efc_force: wp.array2d[float]
-  efc_state: wp.array2d[int]
-  solver_niter: wp.array[int]
-  overflow: wp.array[int]
-  # Between the two kernels:
-  is_left: wp.array[bool]
-  scratch: wp.array2d[float]
 
 
 def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
@@ -118,20 +68,35 @@ class FusedNewton:
     threads: Threads of a block, a multiple of 32.
     rows: Constraint rows that shared memory holds for a world.
     groups: Groups of four numbers of the Jacobian that shared memory holds for a world.
+    registers: Upper bound of registers of a thread; None lets the compiler choose.
   """
 
-  def __init__(self, m: mjw.Model, d: mjw.Data, *, threads: int = 32, rows: int = 96, groups: int = 384) -> None:
-    device = d.qacc.device
+  def __init__(
+    self,
+    m: mjw.Model,
+    d: mjw.Data,
+    *,
+    threads: int = 32,
+    rows: int = 96,
+    groups: int = 384,
+    registers: int | None = None,
+  ) -> None:
+    device: Any = d.qacc.device
     self._threads = threads if device.is_cuda else 1
     most = d.njmax * -(-m.nv // 4)
     rows, groups = min(rows, d.njmax), min(groups, most)
-    shared = {"threads": self._threads, "is_elliptic": m.opt.cone == mjw.ConeType.ELLIPTIC}
-    self._kernel = _make_kernel(m.nv, rows, groups, in_memory=False, **shared)
+    shared: dict[str, Any] = {
+      "threads": self._threads,
+      "is_elliptic": m.opt.cone == mjw.ConeType.ELLIPTIC,
+      "registers": registers,
+    }
+    self._kernel = make_kernel(m.nv, rows, groups, in_memory=False, **shared)
     self._full = None
-    self._is_left = wp.zeros(d.nworld, dtype=bool, device=device)
+    self.is_left: Any = wp.zeros(d.nworld, dtype=bool, device=device)
+    """True for worlds that the last solve left to the second kernel, (num_envs,)."""
     self._blocks = min(d.nworld, 2 * getattr(device, "sm_count", 0) or 1)
     if rows < d.njmax or groups < most:
-      self._full = _make_kernel(m.nv, d.njmax, most, in_memory=True, **shared)
+      self._full = make_kernel(m.nv, d.njmax, most, in_memory=True, **shared)
     self._scratch = wp.zeros((self._blocks if self._full else 1, 4 * most + 4), dtype=float, device=device)
 
   def solve(self, m: mjw.Model, d: mjw.Data) -> None:
@@ -142,10 +107,8 @@ class FusedNewton:
       self._launch(self._full, self._blocks, problem, d)
 
   def _launch(self, kernel: Any, blocks: int, problem: Any, d: mjw.Data) -> None:
-    arguments = {"dim": (blocks, self._threads), "inputs": [problem, d.nworld, blocks], "device": d.qacc.device}
-    if d.qacc.device.is_cuda:
-      arguments["block_dim"] = self._threads
-    wp.launch(kernel, **arguments)
+    dim, inputs = (blocks, self._threads), [problem, d.nworld, blocks]
+    wp.launch(kernel, dim=dim, inputs=inputs, device=d.qacc.device, block_dim=self._threads)
 
   def _problem(self, m: mjw.Model, d: mjw.Data) -> Any:
     problem: Any = Problem()
@@ -165,29 +128,5 @@ class FusedNewton:
     problem.start = d.qacc_warmstart if warm else d.qacc_smooth
     # Without rows the smooth acceleration is the answer, where it is computed.
     problem.without_rows = d.qacc_smooth if m.opt.run_qacc_smooth or not warm else d.qacc_warmstart
-    problem.is_left, problem.scratch = self._is_left, self._scratch
+    problem.is_left, problem.scratch = self.is_left, self._scratch
     return problem
-
-
-def _make_kernel(nv: int, rows: int, groups: int, *, threads: int, is_elliptic: bool, in_memory: bool) -> Any:
-  constants = {
-    "NV": nv,
-    "NR": max(rows, 1),
-    "NZ": max(groups, 1),
-    "NT": threads,
-    "ELLIPTIC": int(is_elliptic),
-    "IN_MEMORY": int(in_memory),
-    "LIMIT_REACHED": int(mjw.OverflowType.ITERATIONS),
-  }
-  source = "".join(f"#define {name} {value}\n" for name, value in constants.items()) + _SOURCE
-
-  @wp.func_native(source)
-  def solve_world(given: Problem, w: int, block: int, lane: int): ...
-
-  @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-  def fused_newton(problem: Problem, nworld: int, blocks: int):
-    block, lane = wp.tid()
-    for w in range(block, nworld, blocks):
-      solve_world(problem, w, block, lane)
-
-  return fused_newton
