@@ -4,12 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
+import onnxruntime
 import pytest
 import torch
+import yaml
 from mjlab.environments import standard_env
 from mjlab.registry import list_tasks, load_task
 from mjlab_core.errors import MjlabError
-from mjlab_deploy import Bundle, open_bundle
+from mjlab_deploy import Bundle, DeployError, Policy, open_bundle
+from mjlab_deploy.other_formats import G1_MOTORS, REFERENCE_OUTPUTS
 from mjlab_deploy.simulated_run import SimulatedRun
 from mjlab_deploy.verification import verify
 from mjlab_rl import CheckpointPolicy, OnnxPolicy
@@ -27,6 +32,7 @@ MEASURED = {
   "command/velocity",
 }
 """Sources that every legged robot has."""
+CAMERA = "the robot does not supply camera/wrist_camera/"
 
 
 def exported(task: str, folder: Path, preset: Callable[[Any], Any] = lambda parts: parts) -> Path:
@@ -48,9 +54,9 @@ def sources(bundle: Bundle) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-  ("task", "expected"),
+  ("task", "expected", "refusal"),
   [
-    ("Mjlab-Cartpole-Swingup", {"cartpole/joint/position", "cartpole/joint/velocity"}),
+    ("Mjlab-Cartpole-Swingup", {"cartpole/joint/position", "cartpole/joint/velocity"}, "other targets than positions"),
     (
       "Mjlab-Velocity-Flat-Unitree-Go1",
       {
@@ -62,25 +68,34 @@ def sources(bundle: Bundle) -> set[str]:
         "last_action",
         "command/velocity",
       },
+      None,
     ),
-    ("Mjlab-Velocity-Rough-Unitree-G1", {"terrain/terrain_scan", "command/velocity"}),
-    ("Mjlab-Velocity-Flat-Unitree-G1-Blind", MEASURED),
+    ("Mjlab-Velocity-Rough-Unitree-G1", {"terrain/terrain_scan", "command/velocity"}, "the bundle has no scene"),
+    ("Mjlab-Velocity-Flat-Unitree-G1-Blind", MEASURED, None),
     (
       "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
       {"motion/joint_position", "motion/joint_velocity", "motion/anchor_orientation", "imu/torso_link/orientation"},
+      None,
     ),
-    ("Mjlab-Lift-Cube-Yam", {"perception/object/position", "hand/grasp_site/position", "command/goal"}),
-    ("Mjlab-Lift-Objects-Yam", {"perception/object/size", "perception/object/orientation"}),
-    ("Mjlab-Lift-Cube-Yam-Depth", {"camera/wrist_camera/depth", "hand/grasp_site/orientation"}),
-    ("Mjlab-Lift-Cube-Yam-Rgb", {"camera/wrist_camera/rgb"}),
+    ("Mjlab-Lift-Cube-Yam", {"perception/object/position", "hand/grasp_site/position", "command/goal"}, None),
+    ("Mjlab-Lift-Objects-Yam", {"perception/object/size", "perception/object/orientation"}, "supply perception"),
+    ("Mjlab-Lift-Cube-Yam-Depth", {"camera/wrist_camera/depth", "hand/grasp_site/orientation"}, CAMERA),
+    ("Mjlab-Lift-Cube-Yam-Rgb", {"camera/wrist_camera/rgb"}, CAMERA),
   ],
 )
-def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory(
-  task: str, expected: set[str], tmp_path: Path
+def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory_and_runs(
+  task: str, expected: set[str], refusal: str | None, tmp_path: Path
 ) -> None:
   with open_bundle(exported(task, tmp_path / "bundle")) as bundle:
     assert expected <= sources(bundle)
     report = verify(bundle)
+    if refusal is None:
+      run = SimulatedRun(bundle, latency=0.004)
+      run.run(1.2)
+      assert run.runner.phase == "policy", run.runner.reason
+    else:
+      with pytest.raises(DeployError, match=refusal):
+        SimulatedRun(bundle)
   assert report.passed, report.failures
   assert report.notes[0].startswith(f"replay: {STEPS} steps")
   assert bundle.description.has_scene == ("Rough" not in task)
@@ -119,35 +134,105 @@ def test_an_action_that_needs_the_robots_model_is_refused_by_name(tmp_path: Path
     exported("Mjlab-Lift-Cube-Yam-IK", tmp_path / "bundle")
 
 
-@pytest.mark.parametrize("blind", [False, True])
-def test_files_for_other_runners_fit_the_environment(blind: bool, tmp_path: Path) -> None:
+def written_for_others(task: str, folder: Path, change: Callable[[Any], object] = lambda env: None) -> Path:
+  """Write the files for other runners, and compare the network in them with the policy by mjlab's own reader."""
   torch.manual_seed(0)
-  parts = load_task("Mjlab-Velocity-Flat-Unitree-Go1")
-  if blind:
-    parts.env.observations["actor"].terms["base_lin_vel"] = None
-  with standard_env(without_noise(parts.env), device="cpu") as env:
+  parts = load_task(task)
+  cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
+  change(cfg)
+  with standard_env(cfg, device="cpu") as env:
     trained = CheckpointPolicy(env, parts.agent, parts.runner)
-    description = BundleWriter(env, parts.agent, "Go1").write(tmp_path / "bundle", trained.network)
-    folder = write_for_others(tmp_path / "others", trained.network, description)
+    description = BundleWriter(env, parts.agent, task).write(folder / "bundle", trained.network)
+    others = write_for_others(folder / "others", env, trained.network, description)
     # The reader of files of mjlab 1.x compares every key of the metadata with the environment.
-    policy = OnnxPolicy(folder / "policy.onnx", parts.agent, env)
+    policy = OnnxPolicy(others / "policy.onnx", parts.agent, env)
     seen: Any = env.get_observations()
     torch.testing.assert_close(policy(seen), trained(seen), atol=1e-5, rtol=0)
-  assert all(joint.velocity_limit in (30.1, 20.06) for joint in description.robot.joints)
-  if blind:
-    lines = (folder / "deploy.yaml").read_text().splitlines()
-    assert "joint_ids_map: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]" in lines
-    assert "step_dt: 0.02" in lines
-    terms = [
-      line.strip(" :") for line in lines[lines.index("observations:") + 1 :] if line.startswith("  ") and line[2] != " "
-    ]
-    assert terms == [
-      "base_ang_vel",
-      "projected_gravity",
-      "joint_pos_rel",
-      "joint_vel_rel",
-      "last_action",
-      "velocity_commands",
-    ]
-  else:
-    assert "no term for 'base_lin_vel'" in (folder / "NO_DEPLOY_YAML.txt").read_text()
+  return others
+
+
+def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(tmp_path: Path) -> None:
+  """The schema is that of Unitree's `export_deploy_cfg`; its runner gives `stiffness[i]` to motor i."""
+  folder = written_for_others("Mjlab-Velocity-Flat-Unitree-G1-Blind", tmp_path)
+  data = yaml.safe_load((folder / "deploy.yaml").read_text())
+  assert sorted(data) == sorted(
+    "joint_ids_map step_dt stiffness damping default_joint_pos commands actions observations".split()
+  )
+  with open_bundle(tmp_path / "bundle") as bundle:
+    joints, description = bundle.description.robot.joints, bundle.description
+  assert data["step_dt"] == description.timing.control_dt
+  assert sorted(data["joint_ids_map"]) == list(range(29))
+  for joint, motor in zip(joints, data["joint_ids_map"], strict=True):
+    assert G1_MOTORS[motor] == joint.name
+    assert (data["stiffness"][motor], data["damping"][motor]) == (joint.stiffness, joint.damping)
+  assert data["default_joint_pos"] == [joint.default_position for joint in joints]
+  assert set(data["commands"]["base_velocity"]["ranges"]) == {"lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"}
+  (action,) = data["actions"].values()
+  assert (len(action["scale"]), len(action["offset"]), action["joint_ids"]) == (29, 29, None)
+  assert {name: len(term["scale"]) for name, term in data["observations"].items()} == {
+    "base_ang_vel": 3,
+    "projected_gravity": 3,
+    "joint_pos_rel": 29,
+    "joint_vel_rel": 29,
+    "last_action": 29,
+    "velocity_commands": 3,
+  }
+  assert {term["history_length"] for term in data["observations"].values()} == {5}
+
+
+def test_a_term_that_unitrees_runner_lacks_is_named(tmp_path: Path) -> None:
+  folder = written_for_others("Mjlab-Velocity-Flat-Unitree-Go1", tmp_path)
+  assert "no term for 'base_lin_vel'" in (folder / "NO_DEPLOY_YAML.txt").read_text()
+
+
+def test_a_tracking_policy_is_the_pair_that_lerobot_reads(tmp_path: Path) -> None:
+  """LeRobot's controller of mjlab policies builds 154 numbers, and takes the torso as body 15 of all."""
+  folder = written_for_others("Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation", tmp_path)
+  session = onnxruntime.InferenceSession(folder / "policy.onnx", providers=["CPUExecutionProvider"])
+  metadata = session.get_modelmeta().custom_metadata_map
+  gains = {
+    name: np.array([float(word) for word in metadata[name].split(",")])
+    for name in ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
+  }
+  assert {len(values) for values in gains.values()} == {29}
+  assert tuple(metadata["joint_names"].split(",")) == G1_MOTORS
+  motion = np.load(folder / "motion.npz")
+  joints, bodies = motion["joint_pos"], motion["body_quat_w"]
+  assert motion["body_names"][15] == "torso_link"
+  assert bodies.shape == (len(joints), 30, 4)
+  assert {item.name: item.shape for item in session.get_inputs()} == {"obs": [1, 154], "time_step": [1, 1]}
+  # BeyondMimic's controller takes the clip out of the network, frame by frame.
+  names = [item.name for item in session.get_outputs()]
+  assert names == ["actions", *REFERENCE_OUTPUTS]
+  followed = [list(motion["body_names"]).index(name) for name in metadata["body_names"].split(",")]
+  assert metadata["anchor_body_name"] in metadata["body_names"].split(",")
+  for step, frame in ((0, 0), (7, 7), (10**6, len(joints) - 1)):
+    feed = {"obs": np.zeros((1, 154), np.float32), "time_step": np.full((1, 1), step, np.float32)}
+    shown: dict[str, Any] = dict(zip(names, session.run(None, feed), strict=True))
+    for name in REFERENCE_OUTPUTS:
+      wanted = motion[name][frame][followed] if name.startswith("body") else motion[name][frame]
+      np.testing.assert_allclose(shown[name][0], wanted, atol=1e-6)
+  with open_bundle(tmp_path / "bundle") as bundle:
+    clip, description = bundle.arrays("motion.npz"), bundle.description
+    policy = Policy(bundle)
+  np.testing.assert_allclose(bodies[:, 15], clip["anchor_orientation"], atol=1e-5)
+  np.testing.assert_allclose(motion["joint_vel"], clip["joint_velocity"], atol=1e-4)
+  # Its observation, as its controller concatenates it, is the one that the bundle's graph assembles.
+  rng = np.random.default_rng(0)
+  turn = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
+  q, dq, gyro = rng.normal(0, 0.2, 29), rng.normal(0, 0.5, 29), rng.normal(0, 0.5, 3)
+  readings = {"joint/position": q, "joint/velocity": dq, "imu/gyro": gyro, "imu/torso_link/orientation": turn}
+  readings |= {"motion/joint_position": joints[4], "motion/joint_velocity": motion["joint_vel"][4]}
+  readings |= {"motion/anchor_orientation": bodies[4, 15]}
+  relative, columns = np.zeros(4), np.zeros(9)
+  mujoco.mju_mulQuat(relative, turn * [1, -1, -1, -1], bodies[4, 15].astype(float))
+  mujoco.mju_quat2Mat(columns, relative)
+  six = columns.reshape(3, 3)[:, :2].ravel()
+  seen = [joints[4], motion["joint_vel"][4], six, gyro, q - gains["default_joint_pos"], dq, np.zeros(29)]
+  obs = np.concatenate(seen)[None].astype(np.float32)
+  step = policy.step({item.name: readings[item.name] for item in description.inputs})
+  np.testing.assert_allclose(step.observations["actor"], obs[0], atol=1e-5)
+  action = np.asarray(session.run(["actions"], {"obs": obs, "time_step": np.full((1, 1), 4, np.float32)})[0])
+  np.testing.assert_allclose(
+    gains["default_joint_pos"] + action[0] * gains["action_scale"], step.targets["target/position"], atol=1e-5
+  )

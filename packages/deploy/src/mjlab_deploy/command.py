@@ -30,7 +30,9 @@ def _parser() -> argparse.ArgumentParser:
   verify.set_defaults(function=_verify)
   run = commands.add_parser("run", help="run a policy in MuJoCo C through the messages of a robot")
   run.add_argument("bundle", help="folder or zip")
-  run.add_argument("--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . give commands")
+  run.add_argument(
+    "--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . or a gamepad give commands"
+  )
   run.add_argument(
     "--seconds", type=float, help="length of the run [s]; default: 10, with the viewer until it is closed"
   )
@@ -38,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
   run.add_argument("--latency", type=_seconds, default=0.0, metavar="10ms", help="delay of messages, each way")
   run.add_argument("--pushes", action="store_true", help="push a floating robot every 3 s, by up to 0.5 m/s")
   run.add_argument("--log", help="file.npz or file.mcap of measured and commanded joints")
+  run.add_argument("--plot", metavar="FILE.png", help="picture of measured and commanded joints over time")
   run.set_defaults(function=_run)
   return parser
 
@@ -80,5 +83,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.log is not None:
       run.write_log(arguments.log)
       print(f"wrote {arguments.log}")
+    if arguments.plot is not None:
+      run.plot(arguments.plot)
+      print(f"wrote {arguments.plot}")
   print(run.summary())
   return 0 if run.runner.phase == "policy" else 1

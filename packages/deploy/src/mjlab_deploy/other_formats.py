@@ -16,6 +16,8 @@ QUADRUPED_MOTORS = tuple(
 """Joints of a Go2 in the order of Unitree's SDK."""
 G1_MOTORS = tuple(_LEGS + _WAIST + _ARMS)
 """Joints of a G1 with 29 joints in the order of Unitree's SDK."""
+REFERENCE_OUTPUTS = ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w")
+"""Outputs of BeyondMimic's policies that show the clip at `time_step`; its motion files have these keys too."""
 _MOTORS = (G1_MOTORS, QUADRUPED_MOTORS)
 # Terms of Unitree's runner by the source that they are read from.
 _TERMS = {
@@ -71,12 +73,14 @@ def unitree_deploy_yaml(description: Description) -> str:
   if [target.quantity for target in description.targets] != ["position"] or description.action_scale is None:
     raise DeployError("Unitree's deploy.yaml: actions must be scale * action + offset to joint positions")
   driven = list(description.targets[0].joints)
+  # Its runner sends the gains to the motors as they stand; everything else is in the policy's order.
+  at_motor = [robot.joints[names.index(name)] for name in motors]
   offsets = {joint.name: joint.default_position for joint in robot.joints}
   lines = [
     f"joint_ids_map: [{', '.join(str(motors.index(name)) for name in names)}]",
     f"step_dt: {description.timing.control_dt!r}",
-    f"stiffness: {_list(joint.stiffness or 0.0 for joint in robot.joints)}",
-    f"damping: {_list(joint.damping or 0.0 for joint in robot.joints)}",
+    f"stiffness: {_list(joint.stiffness or 0.0 for joint in at_motor)}",
+    f"damping: {_list(joint.damping or 0.0 for joint in at_motor)}",
     f"default_joint_pos: {_list(joint.default_position for joint in robot.joints)}",
     "commands:",
     "  base_velocity:",

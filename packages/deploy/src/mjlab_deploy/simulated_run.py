@@ -10,6 +10,8 @@ import numpy as np
 from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
+from mjlab_deploy.gamepad import connected_gamepad
+from mjlab_deploy.joint_plot import plot_joints
 from mjlab_deploy.loopback import LoopbackRobot
 from mjlab_deploy.mcap_log import write_mcap
 from mjlab_deploy.runner import Runner
@@ -88,13 +90,16 @@ class SimulatedRun:
         return
 
   def watch(self, seconds: float | None = None) -> None:
-    """Run in real time in MuJoCo's viewer, until it is closed; the space bar lets the robot go."""
+    """Run in real time in MuJoCo's viewer, with keys and a gamepad, until it is closed or the time is over."""
     viewer = importlib.import_module("mujoco.viewer")
+    gamepad = connected_gamepad()
     start = time.monotonic()
     with viewer.launch_passive(self.robot.model, self.robot.data, key_callback=self.press) as window:
       while window.is_running() and (seconds is None or self.robot.time < seconds):
         while self.robot.time < time.monotonic() - start:
           self.advance()
+        if gamepad is not None:
+          gamepad.apply(self.runner)
         window.sync()
 
   def press(self, key: int) -> None:
@@ -126,10 +131,24 @@ class SimulatedRun:
     Raises:
       DeployError: The ending is another one, or the file cannot be written.
     """
-    rows = {name.replace("/", "_"): np.stack(values) for name, values in self._rows.items()}
+    rows = self._log()
     if path.endswith(".mcap"):
-      write_mcap(Path(path), [joint.name for joint in self.runner.description.robot.joints], rows)
+      write_mcap(Path(path), self._joints(), rows)
     elif path.endswith(".npz"):
       write_arrays(Path(path), rows)
     else:
       raise DeployError(f"{path}: a log is a .npz or a .mcap file")
+
+  def plot(self, path: str) -> None:
+    """Draw commanded and measured joints over time into a picture.
+
+    Raises:
+      DeployError: Matplotlib is not installed, or the picture cannot be written.
+    """
+    plot_joints(Path(path), self._joints(), self._log())
+
+  def _joints(self) -> list[str]:
+    return [joint.name for joint in self.runner.description.robot.joints]
+
+  def _log(self) -> dict[str, np.ndarray]:
+    return {name.replace("/", "_"): np.stack(values) for name, values in self._rows.items()}

@@ -24,7 +24,8 @@ class Arguments:
   task: str | None = None
   """Task of the policy; None: what the manifest of its run says."""
   others: bool = False
-  """Also write OUTPUT-others: policy.onnx with the metadata of mjlab 1.x, and deploy.yaml for Unitree's runner."""
+  """Also write OUTPUT-others: policy.onnx with the metadata of mjlab 1.x and BeyondMimic, motion.npz for LeRobot, and
+  deploy.yaml for Unitree's runner."""
   force: bool = False
   """Replace an existing bundle."""
   log_root: str = "logs"
@@ -94,7 +95,7 @@ def _export(checkpoint: Path, folder: Path, wanted: Arguments) -> int:
       picture=_picture(env),
     )
     if wanted.others:
-      others = write_for_others(folder.with_name(f"{folder.name}-others"), policy.network, description)
+      others = write_for_others(folder.with_name(f"{folder.name}-others"), env, policy.network, description)
   finally:
     env.close()
   archive = write_zip(folder)

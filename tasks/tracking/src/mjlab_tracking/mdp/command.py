@@ -23,8 +23,9 @@ from mjlab_core.sampling import uniform
 from mjlab_envs.mdp.events import axis_bounds
 from mjlab_managers import CommandTerm, CommandTermCfg, Reading, TermSource
 from mjlab_motions.ghost import Ghost
-from mjlab_motions.kinematics import Kinematics
+from mjlab_motions.kinematics import Kinematics, derived_arrays
 from mjlab_motions.library import load_library
+from mjlab_motions.motion import Motion
 from mjlab_motions.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
 from mjlab_scene.quantities import QuantityCache, cached_quantity
 
@@ -150,6 +151,26 @@ class MotionCommand(CommandTerm):
     of_anchor["anchor_position"] = of_anchor["anchor_position"] + self.env.scene.env_origins[:1].cpu()
     joints = {f"joint_{name}": rows[:, library.columns[f"joint_{name[:3]}"]] for name in ("position", "velocity")}
     return {name: value.numpy().astype(np.float64) for name, value in {**joints, **of_anchor}.items()}
+
+  def reference_arrays(self) -> dict[str, np.ndarray]:
+    """Return the clip that the first world follows with all bodies, under the keys that BeyondMimic and mjlab read."""
+    library, clip = self.library, int(self.clip[0])
+    first, robot = int(library.offsets[clip]), Kinematics(self.env.sim.mj_model, self.robot.prefix)
+    rows = library.table[first : first + int(library.lengths[clip])].cpu().double()
+    root = {
+      name: rows[:, library.columns[name]].unflatten(1, (len(library.body_names), -1))[:, self._root]
+      for name in ("body_pos", "body_quat")
+    }
+    motion = Motion(
+      name=library.clip_names[clip],
+      rate=library.rate,
+      root_body=robot.root_body,
+      joint_names=tuple(library.joint_names),
+      root_pos=root["body_pos"],
+      root_quat=root["body_quat"],
+      joint_pos=rows[:, library.columns["joint_pos"]],
+    )
+    return {"joint_pos": motion.joint_pos.numpy().astype(np.float32), **derived_arrays(motion, robot)}
 
   @property
   def num_frames(self) -> torch.Tensor:
