@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import overview
 from mjlab_docs import check, llms, pages
 
 
@@ -42,3 +43,9 @@ def test_a_page_for_language_models_is_markdown() -> None:
   assert llms.plain(page) == (
     "# T\n\n### class `A(x)`\n\nText `B`.\n\n#### attribute `b`\n- type: `int`\n\nBit.\n\n```python\nx: int\n```\n"
   )
+
+
+def test_the_table_that_opens_the_benchmarks_has_the_figures_of_their_files() -> None:
+  text = overview.PAGE.read_text(encoding="utf-8")
+  assert text == overview.section(text, overview.table(overview.figures())), "run tools/overview.py"
+  assert "**421 k**" in overview.Figure("", overview.OURS, 420944, "H200", True, "a.md").cell(overview.RATE)

@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
   if options.check:
     shutil.rmtree(built, ignore_errors=True)
   strict = ["--fail-on-warning", "--keep-going"] if options.check else []
-  code = build_main([*strict, "--quiet", "-d", str(FOLDER / "doctrees"), str(source), str(built)])
+  code = build_main([*strict, "--quiet", "--jobs", "auto", "-d", str(FOLDER / "doctrees"), str(source), str(built)])
   llms.write(source, built)
   found = check.problems(built)
   for line in found:
