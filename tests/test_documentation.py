@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import overview
-from mjlab_docs import check, llms, pages
+import pytest
+from mjlab.registry import list_tasks
+from mjlab_docs import check, llms, pages, results
 
 
 def test_links_between_files_lead_between_pages(tmp_path: Path) -> None:
@@ -33,6 +35,17 @@ def test_wrong_links_and_files_of_other_hosts_are_found(tmp_path: Path) -> None:
     "b.html: loads https://x.org/s.js",
     "b.html: c.html does not exist",
   ]
+
+
+@pytest.mark.parametrize("task", list(results.RESULTS))
+def test_tasks_have_the_curve_and_the_scores_that_their_page_shows(task: str) -> None:
+  curve, page, row = results.RESULTS[task]
+  assert task in list_tasks()
+  assert (results.BENCHMARKS / curve).is_file()
+  if page is not None:
+    head, _, *rows = results.scores(page, row)
+    assert rows
+    assert all(line.count("|") == head.count("|") for line in rows)
 
 
 def test_a_page_for_language_models_is_markdown() -> None:

@@ -3,6 +3,7 @@
 import re
 import runpy
 import shlex
+import signal
 import sys
 from pathlib import Path
 
@@ -49,6 +50,10 @@ def test_everything_that_a_tutorial_shows_runs(tutorial: Path, tmp_path: Path, m
       if found := FILE.match(code):
         (tmp_path / found[1]).write_text(code, encoding="utf-8")
   known = set(sys.modules)
+  # The launcher of several processes leaves handlers of its own behind.
+  handlers = {
+    number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+  }
   names: dict[str, object] = {"__name__": "tutorial"}
   try:
     for language, code in BLOCK.findall(tutorial.read_text(encoding="utf-8")):
@@ -58,6 +63,8 @@ def test_everything_that_a_tutorial_shows_runs(tutorial: Path, tmp_path: Path, m
       elif language == "python" and not FILE.match(code):
         exec(compile(code, str(tutorial), "exec"), names)
   finally:
+    for number, handler in handlers.items():
+      signal.signal(number, handler)
     for name in set(sys.modules) - known:
       if (getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
         del sys.modules[name]

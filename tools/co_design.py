@@ -69,7 +69,8 @@ def main() -> None:
   task = load_task(TASK)
   cfg = task.play(task.env) if task.play is not None else task.env
   cfg.scene.num_envs, cfg.seed = args.designs, 0
-  ranges = cfg.commands["twist"].ranges
+  twist = cfg.commands["twist"]
+  twist.standing_fraction, ranges = 0.0, twist.ranges  # by default a tenth of the worlds stands
   ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z = (COMMAND, COMMAND), (0.0, 0.0), (0.0, 0.0)
   points = qmc.scale(qmc.Sobol(len(RANGES), rng=0).random(args.designs), *zip(*RANGES.values(), strict=True))
   points[0] = 1.0  # the robot as it is

@@ -7,6 +7,7 @@ from typing import Any
 
 from mjlab.registry import load_task, task_entries
 
+from mjlab_docs import results
 from mjlab_docs.pages import Site
 
 
@@ -35,6 +36,7 @@ def _page(name: str, package: str, summary: str, homes: Mapping[str, str]) -> It
   task = load_task(name)
   env = task.env
   yield f"# {name}\n\n{summary}\n"
+  yield from results.write(name)
   yield f"```bash\nuv run train {name}\n```\n"
   yield f"[{package}]({_family(package)}) describes the tasks of this family, with curves and results.\n"
   yield from _table(
