@@ -1,10 +1,12 @@
 """Check of a built site: links and anchors lead somewhere, and nothing is loaded from elsewhere."""
 
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 _LOADS = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src", "link": "href"}
+_ANCHOR = re.compile(r'\bid="([^"]+)"')
 _ELSEWHERE = {"canonical", "author", "license"}
 
 
@@ -29,12 +31,15 @@ class _Page(HTMLParser):
 
 def problems(built: Path) -> list[str]:
   """Return one line for each link that leads nowhere and each file loaded from another host."""
-  pages = {path.resolve(): _Page(path) for path in sorted(built.rglob("*.html")) if "_static" not in path.parts}
+  files = [path for path in sorted(built.resolve().rglob("*.html")) if "_static" not in path.parts]
+  # Sphinx writes the pages of sources; their links back may name objects that it found itself, so only anchors count.
+  sources = {path for path in files if path.relative_to(built.resolve()).parts[0] == "_modules"}
+  pages = {path: _Page(path) for path in files if path not in sources}
+  anchors = {path: page.anchors for path, page in pages.items()}
+  anchors |= {path: set(_ANCHOR.findall(path.read_text(encoding="utf-8"))) for path in sources}
   found = []
   for path, page in pages.items():
     name = path.relative_to(built.resolve())
-    if name.parts[0] == "_modules":  # Sphinx writes these; their links back may name objects that it found itself.
-      continue
     for address in page.loads:
       target = urlsplit(address)
       if target.netloc or target.scheme not in ("", "data"):
@@ -48,7 +53,7 @@ def problems(built: Path) -> list[str]:
       there = (path.parent / unquote(target.path)).resolve() if target.path else path
       if not there.exists():
         found.append(f"{name}: {address} does not exist")
-      elif target.fragment and there in pages and unquote(target.fragment) not in pages[there].anchors:
+      elif target.fragment and there in anchors and unquote(target.fragment) not in anchors[there]:
         found.append(f"{name}: {address} has no such anchor")
   for sheet in sorted(built.rglob("*.css")):
     text = sheet.read_text(encoding="utf-8")

@@ -24,7 +24,9 @@ def write(site: Site, homes: Mapping[str, str]) -> None:
     summary = f"{summary[:1].upper()}{summary[1:]}."
     rows.append((f"[{entry.name}]({entry.name}.md)", summary, f"[{entry.package}]({_family(entry.package)})"))
     site.write(f"reference/tasks/{entry.name}.md", "\n".join(_page(entry.name, entry.package, summary, homes)) + "\n")
-  index = ["# Tasks\n", "These pages are generated from the registry.\n", *_table(("task", "subject", "package"), rows)]
+  shown = [f"[![{task}](../../{film})]({task}.md)" for task, (_, film) in results.films().items()]
+  index = ["# Tasks\n", *shown, "\nThese pages are generated from the registry.\n"]
+  index += _table(("task", "subject", "package"), rows)
   site.write("reference/tasks/index.md", "\n".join([*index, "\n```{toctree}\n:hidden:\n:glob:\n\nMjlab*\n```\n"]))
 
 
