@@ -1,14 +1,22 @@
 """Faults of one process among several: all end, with a traceback and the learner saved."""
 
+import faulthandler
+import inspect
 import os
 import re
 import subprocess
 import sys
+from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
+import mjlab_rl
 import pytest
 import torch
-from mjlab_rl.ranks import Ranks
+from mjlab_rl import MjlabOnPolicyRunner, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper, checkpoint
+from mjlab_rl.ranks import Patience, Ranks
+from rl_point_env import PointEnv, PointEnvCfg
+from torch import distributed
 
 PROGRAM = Path(__file__).parent / "rl_fault_program.py"
 
@@ -23,6 +31,47 @@ def test_a_process_that_hangs_ends_the_run_and_the_others_save_the_learner(tmp_p
   assert "rank 0: another process of the run has ended or hangs" in done.stderr
   (saved,) = tmp_path.glob("point/*/emergency_2.pt")
   assert "actor_state_dict" in torch.load(saved)
+
+
+@pytest.fixture
+def events(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+  """Limits of a process and its work, in their order; it believes that there is a second process like it."""
+  found: list[Any] = []
+  # Older versions of torch have no limit that could be changed.
+  monkeypatch.setattr(distributed, "set_timeout", lambda limit: found.append(("messages", limit)), raising=False)
+  monkeypatch.setattr(distributed, "is_initialized", lambda: True)
+  monkeypatch.setattr(distributed, "all_reduce", lambda numbers: numbers.mul_(2))
+  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
+  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
+  monkeypatch.setattr(faulthandler, "dump_traceback_later", lambda limit, exit: found.append(("traceback", limit)))
+  monkeypatch.setattr(faulthandler, "cancel_dump_traceback_later", lambda: found.append("no traceback"))
+  monkeypatch.setattr(checkpoint, "write_checkpoint", lambda path, state: found.append("written"))
+  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
+  monkeypatch.setattr(Ranks, "collect", lambda _, value: [value])
+  monkeypatch.setattr(Ranks, "gather", lambda _, value: (value is None and found.append("all wait")) or [value] * 2)
+  return found
+
+
+def test_a_process_without_progress_ends_within_thirty_seconds_and_after_the_messages_of_others(
+  events: list[Any],
+) -> None:
+  patience = Patience(inspect.signature(mjlab_rl.train).parameters["rank_timeout"].default)
+  patience.begin()
+  patience.progress()
+  (_, messages), (_, traceback) = events
+  assert messages < timedelta(seconds=traceback) <= timedelta(seconds=30)
+
+
+def test_a_checkpoint_may_take_longer_than_processes_wait_for_each_other(events: list[Any], tmp_path: Path) -> None:
+  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", save_interval=1)
+  runner = MjlabOnPolicyRunner(RslRlVecEnvWrapper(PointEnv(PointEnvCfg())), agent, tmp_path)
+  runner.patience.seconds = 20.0
+  runner.learn(2)
+  limit, none = ("messages", timedelta(seconds=20)), ("messages", distributed.default_pg_timeout)
+  assert none[1] >= timedelta(minutes=10)
+  watched = ("traceback", 25.0)
+  save = ["no traceback", none, "written", "all wait", limit, watched]
+  assert events[events.index(limit) :] == [limit, *save, *[watched] * 6, *save]
 
 
 def test_processes_of_srun_are_numbered_by_its_variables(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,7 +135,11 @@ def test_two_processes_on_an_empty_cache_compile_each_kernel_once(tmp_path: Path
       # Both look for kernels before either has compiled one.
       assert process.stdout is not None
       assert process.stdout.readline() == "ready\n"
-    said = "".join(process.communicate("go\n", timeout=300)[0] for process in both)
+    for process in both:
+      assert process.stdin is not None
+      process.stdin.write("go\n")
+      process.stdin.flush()
+    said = "".join(process.communicate(timeout=300)[0] for process in both)
   finally:
     for process in both:
       process.kill()

@@ -139,8 +139,7 @@ class Patience:
     """Set the limit, once all processes have compiled what they need."""
     if self.seconds is not None and not self.is_begun and distributed.is_initialized():
       self.is_begun = True
-      if hasattr(distributed, "set_timeout"):
-        distributed.set_timeout(timedelta(seconds=self.seconds))
+      _limit_messages(timedelta(seconds=self.seconds))
 
   def progress(self) -> None:
     """Give this process more time; without progress it prints where each thread is, and ends.
@@ -149,6 +148,24 @@ class Patience:
     """
     if self.is_begun and self.seconds is not None:
       faulthandler.dump_traceback_later(1.25 * self.seconds, exit=True)
+
+  @contextlib.contextmanager
+  def suspended(self) -> Generator[None]:
+    """Lift the limit while entered, for work of one process that the others wait for, such as a checkpoint."""
+    if not self.is_begun or self.seconds is None:
+      yield
+      return
+    faulthandler.cancel_dump_traceback_later()
+    _limit_messages(distributed.default_pg_timeout)
+    yield
+    _limit_messages(timedelta(seconds=self.seconds))
+    self.progress()
+
+
+def _limit_messages(limit: timedelta) -> None:
+  """Let messages from now on fail after a time; older versions of torch have no public function for it."""
+  if hasattr(distributed, "set_timeout"):
+    distributed.set_timeout(limit)
 
 
 def _translate_slurm() -> None:

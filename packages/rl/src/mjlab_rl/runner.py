@@ -165,13 +165,16 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         self.stopped_by = None if is_end else received
         is_last = is_end or self.stopped_by is not None
         if self.log_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
-          path = self.checkpoint_path()
-          self.save(str(path))
-          self._last_saved = path
-          for log in logs:
-            log.save_file(path)
-          if self.after_save is not None:
-            self.after_save(path)
+          # The disk of the first process, for which the others wait, may be slow.
+          with self.patience.suspended():
+            path = self.checkpoint_path()
+            self.save(str(path))
+            self._last_saved = path
+            for log in logs:
+              log.save_file(path)
+            if self.after_save is not None:
+              self.after_save(path)
+            self.ranks.gather(None)
         if is_last:
           break
 
