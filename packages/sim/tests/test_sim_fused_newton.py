@@ -144,6 +144,19 @@ def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
 
 
 @pytest.mark.warp
+def test_a_solver_follows_buffers_that_grow() -> None:
+  problem = Problem(random_model(3, "elliptic"), 3)
+  m, d = problem.m, problem.d
+  found = []
+  for rows in (8, ROWS):
+    solver = FusedNewton(m, mjw.make_data(problem.model, nworld=1, nconmax=4, njmax=rows))
+    d.qacc.zero_()
+    solver.solve(m, d)
+    found.append(d.qacc.numpy().copy())
+  np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.warp
 def test_forces_and_states_of_rows_are_those_of_mujoco_warp() -> None:
   problem = Problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d

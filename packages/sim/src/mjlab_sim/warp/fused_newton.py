@@ -4,7 +4,7 @@ MuJoCo Warp launches a dozen kernels per iteration until the last of all worlds 
 iterations. `newton_world.cu` has the method; this module says which models it covers, and launches it.
 
 Rows of the constraint Jacobian live in shared memory. A world with more of them than fit is left to a second kernel,
-whose few blocks keep the Jacobian in global memory.
+whose few blocks keep their rows in global memory.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from mjlab_sim.warp import internals
 from mjlab_sim.warp.fused_newton_kernels import Problem, make_kernel
 
 _MAX_DOFS = 64
-_SHARED_BYTES = 48 * 1024
+_MAX_GROUPS = 2**16 - 1
 
 
 def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
@@ -32,7 +32,7 @@ def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
     "it allows no solver iterations": m.opt.iterations < 1 or m.opt.ls_iterations < 1,
     "it has no degrees of freedom": m.nv == 0,
     f"it has {m.nv} degrees of freedom, more than {_MAX_DOFS}": m.nv > _MAX_DOFS,
-    f"njmax {d.njmax} does not fit shared memory": _bytes(m.nv, d.njmax, 0, 256) > _SHARED_BYTES,
+    f"njmax {d.njmax} is too large": d.njmax * _groups(m.nv) > _MAX_GROUPS,
     "its buffers hold no constraint rows": d.njmax == 0,
   }
   return next((reason for reason, applies in reasons.items() if applies), None)
@@ -53,10 +53,9 @@ def choose_solver(m: mjw.Model, d: mjw.Data, backend: str) -> "FusedNewton | Non
   return FusedNewton(m, d) if reason is None and (backend == "fused" or d.qacc.device.is_cuda) else None
 
 
-def _bytes(nv: int, rows: int, groups: int, threads: int) -> int:
-  """Shared memory of one block."""
-  padded = 4 * -(-nv // 4)
-  return 4 * (nv * padded + 8 * padded + 8 + 8 * -(-threads // 32) + 8 * rows + 4 * groups + 8)
+def _groups(nv: int) -> int:
+  """Return the number of groups of four columns."""
+  return -(-nv // 4)
 
 
 class FusedNewton:
@@ -83,28 +82,36 @@ class FusedNewton:
   ) -> None:
     device: Any = d.qacc.device
     self._threads = threads if device.is_cuda else 1
-    most = d.njmax * -(-m.nv // 4)
+    self._sizes = rows, groups, registers
+    self._blocks = min(d.nworld, 2 * getattr(device, "sm_count", 0) or 1)
+    self.is_left: Any = wp.zeros(d.nworld, dtype=bool, device=device)
+    """True for worlds that the last solve left to the second kernel, (num_envs,)."""
+    self._build(m, d)
+
+  def _build(self, m: mjw.Model, d: mjw.Data) -> None:
+    self._njmax, most = d.njmax, d.njmax * _groups(m.nv)
+    rows, groups, registers = self._sizes
     rows, groups = min(rows, d.njmax), min(groups, most)
     shared: dict[str, Any] = {
       "threads": self._threads,
       "is_elliptic": m.opt.cone == mjw.ConeType.ELLIPTIC,
       "registers": registers,
     }
-    self._kernel = make_kernel(m.nv, rows, groups, in_memory=False, **shared)
-    self._full = None
-    self.is_left: Any = wp.zeros(d.nworld, dtype=bool, device=device)
-    """True for worlds that the last solve left to the second kernel, (num_envs,)."""
-    self._blocks = min(d.nworld, 2 * getattr(device, "sm_count", 0) or 1)
+    self.kernels = [make_kernel(m.nv, rows, groups, in_memory=False, **shared)]
+    """The kernel of all worlds, and the one of worlds that it leaves."""
+    floats = 0
     if rows < d.njmax or groups < most:
-      self._full = make_kernel(m.nv, d.njmax, most, in_memory=True, **shared)
-    self._scratch = wp.zeros((self._blocks if self._full else 1, 4 * most + 4), dtype=float, device=device)
+      self.kernels.append(make_kernel(m.nv, d.njmax, most, in_memory=True, **shared))
+      floats = 4 * most + 4 + 8 * -(-d.njmax // 4) * 4
+    self._scratch = wp.zeros((self._blocks, floats), dtype=float, device=d.qacc.device)
 
   def solve(self, m: mjw.Model, d: mjw.Data) -> None:
     """Find the constraint forces and the acceleration of every world, as `mujoco_warp.solve` does."""
+    if d.njmax != self._njmax:
+      self._build(m, d)
     problem = self._problem(m, d)
-    self._launch(self._kernel, d.nworld, problem, d)
-    if self._full is not None:
-      self._launch(self._full, self._blocks, problem, d)
+    for kernel, blocks in zip(self.kernels, (d.nworld, self._blocks), strict=False):
+      self._launch(kernel, blocks, problem, d)
 
   def _launch(self, kernel: Any, blocks: int, problem: Any, d: mjw.Data) -> None:
     dim, inputs = (blocks, self._threads), [problem, d.nworld, blocks]

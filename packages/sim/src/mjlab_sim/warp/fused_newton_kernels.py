@@ -69,7 +69,7 @@ def make_kernel(
     groups: Groups of four numbers of the Jacobian, likewise.
     threads: Threads of a block.
     is_elliptic: True if friction cones are elliptic.
-    in_memory: The Jacobian is in global memory, and worlds are those that another kernel left.
+    in_memory: Rows are in global memory, and worlds are those that another kernel left.
     registers: Upper bound of registers of a thread; None lets the compiler choose.
   """
   constants = {

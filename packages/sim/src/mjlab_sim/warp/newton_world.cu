@@ -2,7 +2,7 @@
 //
 // It minimises 1/2 (q - qs)' M (q - qs) + sum of the costs of rows of J q - aref, as MuJoCo's Newton solver does.
 // This text is the body of a function: `fused_newton.py` defines NV (dofs), NR and NZ (capacity in rows, and in groups
-// of four numbers of J), NT (threads), ELLIPTIC, IN_MEMORY (J is in global memory) and the arguments.
+// of four numbers of J), NT (threads), ELLIPTIC, IN_MEMORY (rows are in global memory) and the arguments.
 //
 // A row of J is stored as the groups of four columns that are not all zero: `groups[r]` has a bit for each group, and the
 // place of the first one above bit 16. Thread i owns row i of the Hessian in registers. Rows past the threads are the
@@ -38,13 +38,17 @@ const float ROUNDING = 8.0f * 1.1920929e-07f;
 alignas(16) SHARED float inertia[NV * NP];
 alignas(16) SHARED float q_[NP], Ma_[NP], grad_[NP], search_[NP], Mv_[NP], smooth_[NP], pivot[2][NP + 4];
 alignas(16) SHARED float sums[2][NW][4];
-SHARED float x_[NR], D_[NR], F_[NR], C_[NR], P_[NR], v_[NR];  // J q - aref, stiffness, force, curvature, parameter, J search
-SHARED int kind_[NR], groups[NR];
 SHARED int used;
+// Of rows: J q - aref, stiffness, force, curvature, parameter, J search; kind and state; groups.
 #if IN_MEMORY
 float* const J = given.scratch.data + (long long)block * given.scratch.strides[0] / 4;
+float* const x_ = J + 4 * NZ + 4;
+float *const D_ = x_ + NR, *const F_ = D_ + NR, *const C_ = F_ + NR, *const P_ = C_ + NR, *const v_ = P_ + NR;
+int *const kind_ = (int*)(v_ + NR), *const groups = kind_ + NR;
 #else
 alignas(16) SHARED float J[4 * NZ + 4];
+SHARED float x_[NR], D_[NR], F_[NR], C_[NR], P_[NR], v_[NR];
+SHARED int kind_[NR], groups[NR];
 #endif
 
 SYNC();  // the block's last world is done with the memory
