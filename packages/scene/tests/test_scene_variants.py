@@ -233,7 +233,6 @@ def test_what_does_not_float_can_differ_too(make) -> None:
     ({"variants": {"nothing": None}}, "variants need at least one object"),
     ({"variants": {"a/b": OBJECTS["ball"]}}, "must be a word without '/'"),
     ({"variants": {"a": spec_of(BALL), "b": spec_of(BALL, "")}}, "variant 'b' has no free joint, but others have"),
-    ({"variants": {"a": spec_of(BALL, '<joint name="hinge"/>')}}, "is no rigid object, for it has joint 'hinge'"),
   ],
 )
 def test_what_cannot_be_is_refused_by_name(make, options: dict[str, Any], message: str) -> None:

@@ -1,4 +1,4 @@
-"""One entity that is another object in another world: of its own shape, inertia and friction, or not there at all."""
+"""One entity that is another object or robot in another world: of its own shape, inertia and friction, or not there."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import torch
 from mjlab_core.errors import MjlabError, StateError
 from mjlab_core.names import check_name
 
+from mjlab_scene.articulated import FIELDS, Skeleton, is_articulated, merge_articulated
 from mjlab_scene.entity import Entity, EntityCfg
 from mjlab_scene.entity_spec import name_everything
 
@@ -31,17 +32,23 @@ def _no_spec() -> mujoco.MjSpec:
 
 @dataclass(kw_only=True)
 class VariantEntityCfg(EntityCfg):
-  """A rigid object that differs between worlds.
+  """An object or a robot that differs between worlds.
 
   Geoms, sites, materials and meshes of a variant are called "<variant>/<name>", and contact presets, sensors and
-  randomisers see them all: friction, contact dimension and the like are each geom's own. There is one moving body,
-  "object", whose mass and inertia are values per world, and are what randomisers start from. Every variant costs
+  randomisers see them all: friction, contact dimension and the like are each geom's own. Every variant costs
   collision checks in every world, so that this is for tens of objects rather than thousands.
+
+  Rigid objects have one moving body, "object", whose mass and inertia are values per world, and are what randomisers
+  start from. Where a variant has joints, bodies, joints and sites of one name are one element of all variants, whose
+  place, axis, range, inertia, friction and so on are values per world. All worlds have the joints of all variants:
+  those that a world's variant lacks rest, without mass and without effect, and `joint_is_there` tells. On a common
+  body, variants have the same joints, by name and type; all variants float, or none does. Actuators are configured in
+  `articulation`; tendons, equalities, sensors and actuators of a variant's own model are refused.
   """
 
   variants: Mapping[str, SpecFn | None]
-  """Kinds of object by name: a function that returns a new spec of one body without joints but a free one;
-  None is nothing at all, which no contact or ray meets and gravity leaves where it is."""
+  """Kinds of object by name: a function that returns a new spec with one body on top; None is nothing at all,
+  which no contact or ray meets and gravity leaves where it is, for rigid objects only."""
   assignment: Mapping[str, float] | Sequence[str] | None = None
   """Shares of the variants in all worlds, those that are not named counting as 1; or the variant of each world by name.
   Shares are dealt out as evenly as whole worlds allow, and shuffled. None: equal shares."""
@@ -75,7 +82,13 @@ class VariantEntity(Entity):
 
   def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
     owner = f"entity '{name}'"
-    spec, self._inertias, self._contents = _merge(cfg.variants, owner)
+    specs = {name: None if make is None else make() for name, make in cfg.variants.items()}
+    self._skeleton: Skeleton | None = None
+    if any(spec is not None and is_articulated(spec) for spec in specs.values()):
+      spec, self._skeleton = _merge_articulated(specs, owner)
+      self._contents = {name: _content(model) for name, model in self._skeleton.models.items()}
+    else:
+      spec, self._inertias, self._contents = _merge(specs, owner)
     self.variant_names = tuple(cfg.variants)
     self._assignment, self._seed = cfg.assignment, cfg.seed
     plain = EntityCfg(spec_fn=lambda: spec, init_state=cfg.init_state, articulation=cfg.articulation)
@@ -88,10 +101,52 @@ class VariantEntity(Entity):
     chosen = assign(self.variant_names, self._assignment, sim.num_envs, self._seed, f"entity '{self.name}'")
     self.variant = self.state_of(torch.tensor(chosen, device=sim.device))
     model = sim.mj_model
-    fields = ["body_mass", "body_ipos", "body_inertia", "body_iquat", "body_gravcomp"]
-    fields += ["geom_margin", "geom_size", "geom_pos", "geom_rgba"]
-    sim.expand_model_fields(fields)
-    body = model.body(self.prefix + _OBJECT).id
+    fields = ["geom_margin", "geom_size", "geom_pos", "geom_rgba"]
+    if self._skeleton is None:
+      fields += ["body_mass", "body_ipos", "body_inertia", "body_iquat", "body_gravcomp"]
+      sim.expand_model_fields(fields)
+      self._write_inertias(sim)
+    else:
+      tables = self._differences(sim, self._skeleton)
+      fields += tables
+      sim.expand_model_fields(fields)
+      for name, (rows, values) in tables.items():
+        getattr(sim.model, name)[:, rows] = values
+    owners = [self.variant_names.index(name.split("/")[0]) for name in self.indexing.names["geom"]]
+    self.geom_is_there = self.state_of(self.variant[:, None] == torch.tensor(owners, device=sim.device))
+    for geom, is_there in zip(self.indexing.ids["geom"].tolist(), self.geom_is_there.unbind(1), strict=True):
+      sim.model.geom_margin[:, geom].masked_fill_(~is_there, _NO_CONTACT)
+      sim.model.geom_rgba[:, geom, 3].masked_fill_(~is_there, 0.0)
+      if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        # A mesh has no size to take from it.
+        sim.model.geom_pos[:, geom, 2].masked_fill_(~is_there, _FAR)
+      else:
+        sim.model.geom_size[:, geom] = torch.where(is_there[:, None], sim.model.geom_size[:, geom], _TINY)
+    names, skeleton = self.indexing.names["joint"], self._skeleton
+    there = [[skeleton is None or skeleton.has_joint(of, name) for name in names] for of in self.variant_names]
+    self._joints_of_variant = torch.tensor(there, dtype=torch.bool, device=sim.device)
+    sim.recompute_constants()
+    sim.rebase_default_fields(fields)
+
+  @property
+  def joint_is_there(self) -> torch.Tensor:
+    """True for joints that the variant of a world has, bool (num_envs, num_joints); exists once it is initialized."""
+    return self._joints_of_variant.index_select(0, self.variant)
+
+  def _differences(self, sim: Simulation, skeleton: Skeleton) -> dict[str, tuple[list[int], torch.Tensor]]:
+    """Return, of each model field that is not as compiled everywhere, the rows and their values in every world."""
+    model, rest = sim.mj_model, self.initial_state.joint_pos
+    variants = [skeleton.numbers(model, self.prefix, name, rest) for name in self.variant_names]
+    out: dict[str, tuple[list[int], torch.Tensor]] = {}
+    for name in FIELDS:
+      table = np.array([numbers[name] for numbers in variants])
+      if table.size and (differs := (table != getattr(model, name)).reshape(*table.shape[:2], -1).any((0, 2))).any():
+        rows = np.flatnonzero(differs).tolist()
+        out[name] = rows, torch.as_tensor(table[:, rows], dtype=sim.dtype, device=sim.device)[self.variant]
+    return out
+
+  def _write_inertias(self, sim: Simulation) -> None:
+    body = sim.mj_model.body(self.prefix + _OBJECT).id
 
     def by_world(values: Sequence[np.ndarray | float]) -> torch.Tensor:
       return torch.as_tensor(np.array(values), dtype=sim.dtype, device=sim.device)[self.variant]
@@ -104,18 +159,6 @@ class VariantEntity(Entity):
     sim.model.body_iquat[:, body] = by_world([inertia.quat for inertia in inertias])
     if None in self._inertias.values():
       sim.model.body_gravcomp[:, body] = by_world([float(self._inertias[name] is None) for name in self.variant_names])
-    owners = [self.variant_names.index(name.split("/")[0]) for name in self.indexing.names["geom"]]
-    self.geom_is_there = self.state_of(self.variant[:, None] == torch.tensor(owners, device=sim.device))
-    for geom, is_there in zip(self.indexing.ids["geom"].tolist(), self.geom_is_there.unbind(1), strict=True):
-      sim.model.geom_margin[:, geom].masked_fill_(~is_there, _NO_CONTACT)
-      sim.model.geom_rgba[:, geom, 3].masked_fill_(~is_there, 0.0)
-      if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-        # A mesh has no size to take from it.
-        sim.model.geom_pos[:, geom, 2].masked_fill_(~is_there, _FAR)
-      else:
-        sim.model.geom_size[:, geom] = torch.where(is_there[:, None], sim.model.geom_size[:, geom], _TINY)
-    sim.recompute_constants()
-    sim.rebase_default_fields(fields)
 
   def state_dict(self) -> dict[str, Any]:
     # Who has which variant is told by its number.
@@ -176,30 +219,26 @@ def assign(
 
 
 def _merge(
-  variants: Mapping[str, SpecFn | None], owner: str
+  variants: Mapping[str, mujoco.MjSpec | None], owner: str
 ) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None], dict[str, dict[str, torch.Tensor]]]:
   """One spec with the geoms of all variants on one body, and what each variant weighs and is."""
-  if not any(make is not None for make in variants.values()):
+  if not any(spec is not None for spec in variants.values()):
     raise MjlabError(f"{owner}: variants need at least one object")
   merged = mujoco.MjSpec()
   root = merged.worldbody.add_body(name=_OBJECT)
   inertias: dict[str, _Inertia | None] = {}
   contents: dict[str, dict[str, torch.Tensor]] = {}
   floats: dict[str, bool] = {}
-  for name, make in variants.items():
-    if not name or "/" in name:
-      raise MjlabError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
-    if make is None:
+  for name, spec in variants.items():
+    _check_variant(name, owner)
+    if spec is None:
       inertias[name], contents[name] = None, {}
       continue
     what = f"{owner}: variant '{name}'"
-    spec = make()
     name_everything(spec)
     body = _only_body(spec, what)
     joints = list(spec.joints)
     floats[name] = bool(joints)
-    if len(joints) > 1 or any(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in joints):
-      raise MjlabError(f"{what}: is no rigid object, for it has joint '{joints[-1].name}'")
     for joint in joints:
       spec.delete(joint)
     for kind, found in (("actuator", spec.actuators), ("tendon", spec.tendons), ("equality", spec.equalities)):
@@ -233,6 +272,24 @@ def _merge(
   root.mass, root.ipos, root.inertia, root.iquat = solid.mass, solid.com, solid.moments, solid.quat
   root.gravcomp = 1.0 if None in inertias.values() else 0.0
   return merged, inertias, contents
+
+
+def _merge_articulated(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> tuple[mujoco.MjSpec, Skeleton]:
+  """Return the spec with the joints of all variants, and the numbers of each."""
+  specs: dict[str, mujoco.MjSpec] = {}
+  for name, spec in variants.items():
+    _check_variant(name, owner)
+    if spec is None:
+      raise MjlabError(f"{owner}: variant '{name}' is None, but others have joints; only rigid objects can be absent")
+    name_everything(spec)
+    _only_body(spec, f"{owner}: variant '{name}'")
+    specs[name] = spec
+  return merge_articulated(specs, owner)
+
+
+def _check_variant(name: str, owner: str) -> None:
+  if not name or "/" in name:
+    raise MjlabError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
 
 
 def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:
