@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from mjlab_core.config import Config
-from mjlab_core.constraints import Finite, Limits, Positive, PositiveCount, field_problems
+from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, field_problems
 from mjlab_core.errors import ConfigError
 
 from mjlab_rl.network_entries import Activation, DistributionEntries, encoder_problems, entry_problems
@@ -267,9 +267,13 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
   """The value estimate."""
   algorithm: RslRlPpoAlgorithmCfg = field(default_factory=RslRlPpoAlgorithmCfg)
   """The update rule."""
+  critic_warmup: Count = 0
+  """Iterations at the start of a run in which only the critic learns; for a run that starts from a trained policy."""
 
   def problems(self) -> Iterator[str]:
     yield from super().problems()
+    if self.critic_warmup and self.algorithm.share_cnn_encoders:
+      yield "agent.critic_warmup holds the actor, whose encoders the critic shares; set share_cnn_encoders=False"
     if self.algorithm.share_cnn_encoders and self.critic.class_name in _WITHOUT_IMAGES:
       yield (
         "agent.algorithm.share_cnn_encoders is on, but agent.critic.class_name "

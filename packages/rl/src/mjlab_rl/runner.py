@@ -19,8 +19,9 @@ from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
-from mjlab_rl.config import RslRlBaseRunnerCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.console import Console
+from mjlab_rl.critic_warmup import actor_held
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, unpack
@@ -363,9 +364,15 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
     # For the update alone: rotations and rewards of the environment need full float32.
     precision = self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get()
-    with set_for_now(get, set_to, precision), self._averages.replacing():
+    held = actor_held(self.alg) if self._is_warming_up else contextlib.nullcontext()
+    with held, set_for_now(get, set_to, precision), self._averages.replacing():
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
+
+  @property
+  def _is_warming_up(self) -> bool:
+    cfg = self.agent_cfg
+    return isinstance(cfg, RslRlOnPolicyRunnerCfg) and self.current_learning_iteration < cfg.critic_warmup
 
   def _fetch_statistics(self) -> tuple[tuple[float, float] | None, float]:
     """Return ((mean return, mean length), mean action std) in one transfer, which waits for the update."""

@@ -1,0 +1,72 @@
+"""Iterations in which only the critic learns."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_core.errors import ConfigError
+from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper
+from rl_point_env import PointEnv, PointEnvCfg
+
+
+def agent(warmup: int, class_name: str) -> RslRlOnPolicyRunnerCfg:
+  cfg = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, save_interval=100, logger="none", critic_warmup=warmup)
+  cfg.actor.hidden_dims, cfg.actor.obs_normalization = (8,), True
+  cfg.critic = RslRlModelCfg(hidden_dims=(8,), obs_normalization=True)
+  cfg.algorithm.class_name = class_name
+  return cfg
+
+
+def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None) -> MjlabOnPolicyRunner:
+  seed_everything(cfg.seed)
+  env = RslRlVecEnvWrapper(PointEnv(PointEnvCfg(seed=3)))
+  return MjlabOnPolicyRunner(env, cfg, directory, "cpu", console=Console("quiet"))
+
+
+def weights(run: MjlabOnPolicyRunner, name: str) -> dict[str, torch.Tensor]:
+  return {key: value.clone() for key, value in run.networks[name].state_dict().items()}
+
+
+def same(a: dict[str, Any], b: dict[str, Any]) -> bool:
+  return all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.mark.parametrize("class_name", ["PPO", "rsl_rl.algorithms:PPO"])
+def test_the_actor_is_held_while_the_critic_learns_as_ever(class_name: str) -> None:
+  usual = runner(agent(0, class_name))
+  usual.learn(1)
+  run = runner(agent(2, class_name))
+  before = {name: weights(run, name) for name in ("actor", "critic")}
+  rate = run.alg.learning_rate
+  run.learn(1)
+  assert same(weights(run, "actor"), before["actor"])
+  assert same(weights(run, "critic"), weights(usual, "critic"))
+  run.learn(1)
+  assert same(weights(run, "actor"), before["actor"])
+  assert not same(weights(run, "critic"), weights(usual, "critic"))
+  assert run.alg.learning_rate == rate
+  state = run.alg.optimizer.state
+  assert all(value.eq(0).all() for p in run.networks["actor"].parameters() for value in state[p].values())
+  run.learn(1)
+  assert not same(weights(run, "actor"), before["actor"])
+
+
+def test_a_run_that_is_resumed_during_the_warmup_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+  whole = runner(agent(3, "PPO"))
+  whole.learn(5)
+  first = runner(agent(3, "PPO"), tmp_path)
+  first.learn(2)
+  second = runner(agent(3, "PPO"))
+  second.load(str(tmp_path / "model_2.pt"))
+  second.learn(3)
+  for name in ("actor", "critic"):
+    assert same(weights(whole, name), weights(second, name))
+
+
+def test_encoders_that_the_critic_shares_cannot_be_held() -> None:
+  cfg = agent(1, "PPO")
+  cfg.algorithm.share_cnn_encoders = True
+  with pytest.raises(ConfigError, match="critic_warmup holds the actor, whose encoders the critic shares"):
+    runner(cfg)
