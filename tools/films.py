@@ -26,7 +26,7 @@ FOLDER = Path(__file__).parents[1] / "docs" / "pictures" / "films"
 COMMANDS = (((0.8, 0.0, 0.0), 1.5), ((0.7, 0.0, 0.5), 1.5))
 SETTLE = 1.0  # seconds of walking before the film
 CAMERAS = {
-  "lift": CameraCfg(lookat=(0.3, 0.0, 0.12), distance=1.0, azimuth=140.0, elevation=-18.0),
+  "lift": CameraCfg(lookat=(0.25, 0.0, 0.2), distance=1.2, azimuth=140.0, elevation=-18.0),
   "rough": CameraCfg(distance=2.6, azimuth=130.0, elevation=-20.0),
   "g1": CameraCfg(distance=2.4, azimuth=130.0, elevation=-10.0),
   "track": CameraCfg(distance=2.4, azimuth=130.0, elevation=-10.0),
