@@ -14,6 +14,7 @@ from mjlab.environments import standard_env
 from mjlab.registry import list_tasks, load_task
 from mjlab_core.errors import MjlabError
 from mjlab_deploy import Bundle, DeployError, Policy, open_bundle
+from mjlab_deploy.adoption import adopted
 from mjlab_deploy.other_formats import G1_MOTORS, REFERENCE_OUTPUTS
 from mjlab_deploy.simulated_run import SimulatedRun
 from mjlab_deploy.verification import verify
@@ -236,3 +237,17 @@ def test_a_tracking_policy_is_the_pair_that_lerobot_reads(tmp_path: Path) -> Non
   np.testing.assert_allclose(
     gains["default_joint_pos"] + action[0] * gains["action_scale"], step.targets["target/position"], atol=1e-5
   )
+  # The network itself, read by its metadata, drives the robot alike. Its clip begins a frame earlier.
+  with adopted(folder / "policy.onnx", tmp_path / "bundle" / "scene.xml") as bundle:
+    assert bundle.description.robot.joints[3].stiffness == description.robot.joints[3].stiffness
+    assert bundle.description.timing.control_dt == description.timing.control_dt
+    again, shown = Policy(bundle), bundle.arrays("motion.npz")
+    # Equal frames at the end are one.
+    rows = np.minimum(np.arange(len(joints)) + 1, len(shown["joint_position"]) - 1)
+    for name in clip:
+      np.testing.assert_allclose(shown[name][rows], clip[name], atol=1e-4)
+    targets = again.step({item.name: readings[item.name] for item in bundle.description.inputs}).targets
+    np.testing.assert_allclose(targets["target/position"], step.targets["target/position"], atol=1e-5)
+    run = SimulatedRun(bundle)
+    run.run(1.2)
+    assert run.runner.phase == "policy", run.runner.reason

@@ -3,8 +3,14 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mjlab_deploy.errors import DeployError
+
+if TYPE_CHECKING:
+  from mjlab_deploy.bundle import Bundle
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,7 +35,9 @@ def _parser() -> argparse.ArgumentParser:
   verify.add_argument("bundle", help="folder or zip")
   verify.set_defaults(function=_verify)
   run = commands.add_parser("run", help="run a policy in MuJoCo C through the messages of a robot")
-  run.add_argument("bundle", help="folder or zip")
+  run.add_argument("bundle", help="folder or zip, or a network of others (.onnx) with --model")
+  run.add_argument("--model", metavar="ROBOT.xml", help="MJCF file of the robot of a network of others")
+  run.add_argument("--rate", type=float, default=50.0, help="rate of a network of others [Hz]; default: 50")
   run.add_argument(
     "--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . or a gamepad give commands"
   )
@@ -71,10 +79,9 @@ def _seconds(text: str) -> float:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-  from mjlab_deploy.bundle import open_bundle
   from mjlab_deploy.simulated_run import SimulatedRun
 
-  with open_bundle(arguments.bundle) as bundle:
+  with _opened(arguments) as bundle:
     run = SimulatedRun(bundle, latency=arguments.latency, pushes=arguments.pushes, command=arguments.command)
     if arguments.viewer:
       run.watch(arguments.seconds)
@@ -88,3 +95,21 @@ def _run(arguments: argparse.Namespace) -> int:
       print(f"wrote {arguments.plot}")
   print(run.summary())
   return 0 if run.runner.phase == "policy" else 1
+
+
+def _opened(arguments: argparse.Namespace) -> "AbstractContextManager[Bundle]":
+  """Open the bundle of a command line, or the network and the model."""
+  from mjlab_deploy.bundle import open_bundle
+
+  is_network = arguments.bundle.endswith(".onnx")
+  if is_network != (arguments.model is not None):
+    raise DeployError(
+      f"{arguments.bundle} is a network without a robot; name its MJCF file with --model"
+      if is_network
+      else "--model is for networks of others (.onnx); a bundle has its robot"
+    )
+  if not is_network:
+    return open_bundle(arguments.bundle)
+  from mjlab_deploy.adoption import adopted
+
+  return adopted(Path(arguments.bundle), Path(arguments.model), arguments.rate)

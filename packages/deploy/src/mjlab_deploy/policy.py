@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import onnxruntime
 
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
+from mjlab_deploy.network_graph import NetworkGraph
 
 EPISODE_START = "episode_start"
 """Input of a graph with memory: 1 in the first step of an episode, else 0."""
@@ -41,7 +43,9 @@ class Policy:
 
   def __init__(self, bundle: Bundle) -> None:
     self.description = bundle.description
-    self._session = open_graph(bundle.read_bytes("policy.onnx"))
+    session = open_graph(bundle.read_bytes("policy.onnx"))
+    # A network of others has one input of observations instead of readings.
+    self._session: Any = NetworkGraph(session) if is_network(session) else session
     given = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
     self._outputs = [value.name for value in self._session.get_outputs()]
     wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
@@ -109,3 +113,17 @@ def open_graph(data: bytes) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
   except Exception as error:
     raise DeployError(f"policy.onnx: not a graph that ONNX Runtime takes ({str(error).strip()[:160]})") from error
+
+
+def is_network(session: onnxruntime.InferenceSession) -> bool:
+  """Return True for the network alone, with metadata of its observations, as mjlab 1.x and BeyondMimic export it."""
+  return "obs" in {item.name for item in session.get_inputs()}
+
+
+def open_network(data: bytes) -> NetworkGraph:
+  """Return the graph of a network that others exported.
+
+  Raises:
+    DeployError: It is damaged, or its metadata do not say what it observes.
+  """
+  return NetworkGraph(open_graph(data))

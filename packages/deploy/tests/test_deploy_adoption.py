@@ -1,0 +1,99 @@
+"""Networks of others run by their metadata."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from deploy_bundles import DEFAULT, EFFORT, KD, KP, SCALE, SCENE
+from mjlab_deploy import Policy
+from mjlab_deploy.adoption import adopted
+from mjlab_deploy.command import main
+from onnx import TensorProto, helper, numpy_helper
+
+METADATA = {
+  "joint_names": "hinge",
+  "joint_stiffness": str(KP),
+  "joint_damping": str(KD),
+  "default_joint_pos": str(DEFAULT),
+  "action_scale": str(SCALE),
+  "observation_names": "joint_pos,joint_vel,actions,command",
+  "observation_terms_scale": "1.0;0.5;1.0;None",
+  "observation_terms_clip": "None;-1.0,1.0;None;None",
+  "observation_terms_history_length": "0.0,2.0,0.0,0.0",
+}
+WEIGHTS = np.array([[-0.4], [0.3], [-0.05], [0.1], [2.0], [0.0], [0.0]], np.float32)
+
+
+def network(path: Path, **metadata: str | None) -> Path:
+  """Write actions = obs @ WEIGHTS with metadata; None leaves out a key."""
+
+  def value(name: str, width: int) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
+
+  graph = helper.make_graph(
+    [helper.make_node("MatMul", ["obs", "weights"], ["actions"])],
+    "policy", [value("obs", len(WEIGHTS))], [value("actions", 1)], [numpy_helper.from_array(WEIGHTS, "weights")],
+  )  # fmt: skip
+  model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
+  model.ir_version = 9
+  helper.set_model_props(model, {key: text for key, text in {**METADATA, **metadata}.items() if text is not None})
+  onnx.save(model, path)
+  return path
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+  """The pole under its own names, with a motor and a keyframe, which the policy's servo replaces."""
+  motor = f'<motor name="motor" joint="hinge" forcerange="-{EFFORT} {EFFORT}" forcelimited="true"/>'
+  servo = next(line for line in SCENE.splitlines() if "<position" in line)
+  text = SCENE.replace(servo, motor).replace("robot/", "")
+  text = text.replace("</mujoco>", '<keyframe><key name="home" qpos="0.1" ctrl="0"/></keyframe></mujoco>')
+  path = tmp_path / "pole.xml"
+  path.write_text(text)
+  return path
+
+
+def test_a_network_gets_the_observation_that_its_metadata_describes(tmp_path: Path, robot: Path) -> None:
+  with adopted(network(tmp_path / "policy.onnx"), robot) as bundle:
+    (joint,) = bundle.description.robot.joints
+    assert (joint.stiffness, joint.damping, joint.effort_limit) == (KP, KD, EFFORT)
+    policy = Policy(bundle)
+  action, before = 0.0, -0.5
+  for i, velocity in enumerate((-1.0, 0.4, 3.0)):
+    readings = {"joint/position": [0.4], "joint/velocity": [velocity], "command/velocity": [0.2, 0.1, 0.0]}
+    step = policy.step({name: np.array(value) for name, value in readings.items()})
+    now = 0.5 * float(np.clip(velocity, -1.0, 1.0))
+    seen = [0.4 - DEFAULT, now if i == 0 else before, now, action, 0.2, 0.1, 0.0]
+    np.testing.assert_allclose(step.observations["actor"], seen, rtol=1e-5)
+    action, before = float(np.array(seen) @ WEIGHTS[:, 0]), now
+    np.testing.assert_allclose(step.targets["target/position"], [DEFAULT + SCALE * action], rtol=1e-5)
+
+
+def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  path = network(tmp_path / "policy.onnx")
+  words = ["run", str(path), "--model", str(robot), "--command", "0.5,0,0", "--seconds", "1.5"]
+  assert main(words) == 0
+  assert "ran 1.5 s" in capsys.readouterr().out
+  assert main(["run", str(path)]) == 1
+  assert "is a network without a robot; name its MJCF file with --model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+  ("metadata", "message"),
+  [
+    ({"joint_names": None}, "the network has no metadata 'joint_names'"),
+    ({"joint_names": "elbow"}, "has no joint 'elbow', which the policy drives"),
+    ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: stiff"),
+    ({"observation_names": "joint_pos,joint_vel,actions,phase"}, "observation 'phase' of the network is not known"),
+    ({"observation_names": "joint_pos,actions"}, "its observation_names give 2 numbers, the network takes 7"),
+  ],
+)
+def test_metadata_that_do_not_fit_are_refused_by_name(
+  tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str], metadata: dict[str, str | None], message: str
+) -> None:
+  path = network(tmp_path / "policy.onnx", **metadata)
+  assert main(["run", str(path), "--model", str(robot)]) == 1
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
