@@ -88,6 +88,29 @@ def test_a_saved_state_brings_its_sizes(make_sim: MakeSim) -> None:
     assert torch.equal(getattr(first.data, name), getattr(second.data, name)), name
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.usefixtures("small_start")
+def test_a_recorded_step_is_recorded_again_with_more_room() -> None:
+  sizes = SimulationCfg(integrator=None, nconmax="auto", njmax="auto")
+  sim = Simulation(NUM_WORLDS, mujoco.MjSpec.from_string(FALLING), sizes, "cuda")
+  graph = sim.capture(sim.step)
+  for _ in range(300):
+    graph()
+    # What was noted arrives without a wait; here the steps are short.
+    torch.cuda.synchronize()
+  assert sim.buffer_sizes == {"nconmax": 64, "njmax": 64}
+  assert graph.num_graphs == 1
+  assert "buffers grew" in sim.overflow_report()[0]
+  # All bodies lie on the floor again, even if a step went without some contacts.
+  assert torch.allclose(sim.data.qpos[:, 2], torch.full((NUM_WORLDS,), 0.0995, device="cuda"), atol=2e-3)
+  torch.cuda.set_sync_debug_mode("error")
+  try:
+    for _ in range(5):
+      graph()
+  finally:
+    torch.cuda.set_sync_debug_mode("default")
+
+
 def test_a_number_stays_as_it_is(make_sim: MakeSim) -> None:
   sim = make_sim("warp", spec=FALLING, nconmax=4)
   fall(sim, 60)

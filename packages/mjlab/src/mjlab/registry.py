@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import ConfigError, UnknownNameError, unknown
-from mjlab_rl.references import TASK_GROUP, trust_package
+from mjlab_rl.references import TASK_GROUP, distribution_name, trust_package
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -37,7 +37,7 @@ _registered: dict[str, TaskEntry] = {}
 def task_entries() -> list[TaskEntry]:
   """Return all tasks, sorted by name, without importing them."""
   entries = [
-    TaskEntry(name=point.name, package=point.dist.name if point.dist else "?", load=point.load)
+    TaskEntry(name=point.name, package=distribution_name(point.dist) if point.dist else "?", load=point.load)
     for point in metadata.entry_points(group=TASK_GROUP)
   ]
   return sorted([*entries, *_registered.values()], key=lambda entry: entry.name)

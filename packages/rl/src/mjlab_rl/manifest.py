@@ -23,7 +23,7 @@ from mjlab_core.files import AtomicWrite, reading
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.encoding import Json, decode, encode
 from mjlab_rl.field_types import callable_problems, field_problems
-from mjlab_rl.references import offered, resolve
+from mjlab_rl.references import distribution_name, offered, resolve
 
 MANIFEST_NAME = "manifest.json"
 _FORMAT = 1
@@ -214,8 +214,8 @@ def _entry(directory: Path, name: str) -> str | None:
 def package_versions() -> dict[str, str]:
   """Return the versions of Python, the operating system, mjlab's members, other tasks and robots, and libraries."""
   versions = {"python": platform.python_version(), "platform": platform.platform()}
-  installed = {item.name for item in metadata.distributions() if item.name}
-  others = {point.dist.name for point in offered() if point.dist}
+  installed = {distribution_name(item) for item in metadata.distributions()}
+  others = {distribution_name(point.dist) for point in offered() if point.dist}
   members = {name for name in installed if name == "mjlab" or name.startswith("mjlab-")} | others
   return versions | {name: metadata.version(name) for name in (*sorted(members), *_STACK) if name in installed}
 

@@ -42,8 +42,16 @@ class Flag:
   """Present value; "on" for a whole part."""
   kind: Any
   """Type that tyro reads."""
-  about: str = ""
-  """Meaning of the value."""
+  owner: type | None = None
+  """Dataclass of which the value is a field; None for items of containers."""
+
+  @property
+  def about(self) -> str:
+    """Meaning of the value."""
+    if self.kind is _PART:
+      return "None removes it."
+    # Source is read for a help text only: it takes longer than all else here.
+    return "" if self.owner is None else field_docs(self.owner).get(self.path[-1], "")
 
   @functools.cached_property
   def parts(self) -> tuple[str, ...]:
@@ -63,7 +71,7 @@ class Flag:
 
 def flags(config: Any) -> list[Flag]:
   """Return all flags of a configuration, in the order of its fields; of equal names only the last."""
-  return list({flag.name: flag for flag in _walk(config, (), Any, "")}.values())
+  return list({flag.name: flag for flag in _walk(config, (), Any)}.values())
 
 
 def replaced(config: Any, path: Sequence[Any], new: Any) -> Any:
@@ -143,24 +151,24 @@ def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[s
     tyro.cli(command, args=words, prog=prog)
 
 
-def _walk(value: Any, path: tuple[Any, ...], annotation: Any, about: str) -> Iterator[Flag]:
+def _walk(value: Any, path: tuple[Any, ...], annotation: Any, owner: type | None = None) -> Iterator[Flag]:
   if dataclasses.is_dataclass(value) and not isinstance(value, type):
     if type(None) in typing.get_args(annotation):
-      yield Flag(path=path, value="on", kind=_PART, about="None removes it.")
-    hints, docs = _hints(type(value)), field_docs(type(value))
+      yield Flag(path=path, value="on", kind=_PART)
+    hints = _hints(type(value))
     for field in dataclasses.fields(value):
       if field.init and not field.name.startswith("_"):
-        kind, doc = hints.get(field.name, Any), docs.get(field.name, "")
-        yield from _walk(getattr(value, field.name), (*path, field.name), kind, doc)
+        kind = hints.get(field.name, Any)
+        yield from _walk(getattr(value, field.name), (*path, field.name), kind, type(value))
   elif isinstance(value, Mapping):
     for key, item in value.items():
       if isinstance(key, (str, int)):
-        yield from _walk(item, (*path, key), _item_annotation(annotation), "")
+        yield from _walk(item, (*path, key), _item_annotation(annotation))
   elif (kind := _kind(annotation, value)) is not None:
-    yield Flag(path=path, value=value, kind=kind, about=about)
+    yield Flag(path=path, value=value, kind=kind, owner=owner)
   elif isinstance(value, (tuple, list)):
     for index, item in enumerate(value):
-      yield from _walk(item, (*path, index), Any, "")
+      yield from _walk(item, (*path, index), Any)
 
 
 @functools.cache
