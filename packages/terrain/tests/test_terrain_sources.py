@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mjlab_terrain import FlatCfg, HeightMapCfg, MeshCfg, TerrainGridCfg
+from mjlab_terrain import FlatCfg, HeightMapCfg, MeshCfg, TerrainGridCfg, TileCfg
 from mjlab_terrain.types.mesh import seen_from_above
 
 # A wedge of 2 x 1 m that rises along x from 0 to 1 m, closed below.
@@ -48,6 +48,37 @@ def test_a_mesh_is_a_tile_with_a_floor_around_it() -> None:
   assert ground(model, data, -2.5, -3.0) == pytest.approx(-0.1, abs=1e-6)
   origin = terrain.origins[0, 0]
   assert ground(model, data, origin[0], origin[1]) == pytest.approx(origin[2], abs=1e-6)
+
+
+def test_spheres_rest_on_meshes_and_height_maps_where_geometry_says() -> None:
+  """In a groove whose walls rise by 3 in 4, a sphere of radius r rests r / cos(wall) above the bottom line."""
+  side = np.array([[-2, -2, 1.5], [-2, 2, 1.5], [0, 2, 0], [0, -2, 0], [2, 2, 1.5], [2, -2, 1.5]], dtype=float)
+  groove = side, [[0, 3, 2], [0, 2, 1], [3, 5, 4], [3, 4, 2]]
+  x = np.linspace(-2.0, 2.0, 81)
+  heights = np.abs(x)[:, None] * np.ones(81) / 2.0
+  types: dict[str, TileCfg] = {"mesh": MeshCfg(source=groove), "map": HeightMapCfg(source=heights, height=(0.75, 1.5))}
+  for difficulty, walls in ((0.0, (0.75, 0.375)), (1.0, (0.75, 0.75))):
+    spec = mujoco.MjSpec()
+    grid = TerrainGridCfg(
+      types=types, rows=1, tile_size=(4.0, 4.0), difficulty=(difficulty, difficulty), border_width=0.0
+    )
+    terrain = grid.add_to(spec)
+    middles = terrain.origins[0, :, :2].copy()
+    middles[:, 0] = 0.0
+    for y in middles[:, 1]:
+      ball = spec.worldbody.add_body(pos=(0.1, y, 1.0))
+      ball.add_freejoint()
+      ball.add_geom(size=(0.2, 0.0, 0.0), condim=6, friction=(1.0, 0.05, 0.05))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for _ in range(2500):
+      mujoco.mj_step(model, data)
+    rest = data.qpos.reshape(-1, 7)[:, :3]
+    kinds = terrain.columns_of(2).tolist()
+    assert sorted(kinds) == [0, 1]
+    for place, slope in zip(rest, walls, strict=True):
+      assert place[2] == pytest.approx(0.2 * np.hypot(1.0, slope), abs=0.004)
+      assert abs(place[0]) < 0.01
 
 
 def test_difficulty_scales_a_mesh_only_if_told_to() -> None:
