@@ -34,7 +34,7 @@ SHORT = {
   "train": ["--env.scene.num-envs", "16", "--agent.max-iterations", "2", "--device", "cpu"],
   "evaluate": ["--eval.episodes", "2", "--eval.seconds", "1"],
 }
-PAGE_TIME = 600.0
+PAGE_TIME = 1800.0
 
 
 class Trial:
