@@ -12,7 +12,16 @@ from mjlab_dr import pseudo_inertia
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, TerminationTermCfg
 from mjlab_velocity import VelocityEvaluation, go1_flat_env
-from mjlab_velocity.evaluation import linear_error_squared, mechanical_power, push_by_level, turning_error_squared
+from mjlab_velocity.evaluation import push_by_level
+from mjlab_velocity.measures import (
+  action_change_squared,
+  landing_force,
+  landings,
+  linear_error_squared,
+  mechanical_power,
+  torque_squared,
+  turning_error_squared,
+)
 
 GRID = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5))
 PUSHES = (0.0, 0.75, 1.5)
@@ -66,6 +75,34 @@ def test_errors_and_power_are_their_closed_forms(env: ManagerBasedRlEnv) -> None
     force = env.sim.data.qfrc_actuator[world, 6:]
     power = (force * env.sim.data.qvel[world, 6:]).abs().sum()
     assert mechanical_power(env, entity="robot")[world] == pytest.approx(power.item(), rel=1e-6)
+    torque = force.square().mean().item()
+    assert torque_squared(env, entity="robot")[world] == pytest.approx(torque, rel=1e-6)
+    assert action_change_squared(env)[world] == pytest.approx(1.0)
+
+
+def test_impacts_are_the_forces_of_feet_that_land_again() -> None:
+  sensor, cfg = "feet_ground_contact", evaluator().configure(go1_flat_env())
+  cfg.terminations, cfg.episode_length_s = {}, 10.0
+  with ManagerBasedRlEnv(cfg, device="cpu") as env:
+    env.reset(seed=0)
+    contact, landed, has_flown = env.scene[sensor], torch.zeros(12), torch.zeros(12, dtype=torch.bool)
+    for step in range(50):
+      if step == 15:
+        # All robots jump.
+        landed.zero_()
+        velocity = torch.zeros(12, 6, dtype=env.sim.dtype)
+        velocity[:, 2] = 1.0
+        env.scene["robot"].write_root_velocity(velocity, torch.ones(12, dtype=torch.bool))
+      env.step(torch.zeros(12, 12))
+      count, force = landings(env, sensor=sensor), landing_force(env, sensor=sensor)
+      total = contact.data.force.norm(dim=-1).sum(-1)
+      torch.testing.assert_close(force[count == 4], total[count == 4])
+      assert ((force > 0) == (count > 0)).all()
+      assert (force <= total + 1e-3).all()
+      has_flown |= (contact.data.found == 0).all(-1)
+      landed += count
+    assert has_flown.all()
+    assert (landed >= 1).all()
 
 
 def test_the_summary_is_by_command_and_by_push() -> None:
@@ -78,6 +115,8 @@ def test_the_summary_is_by_command_and_by_push() -> None:
   assert result.groups["stand"]["cost_of_transport"].count == 0
   assert result.groups["vx +1 wz +0.5"]["cost_of_transport"].count == 6
   assert 0.3 < result.groups["all"]["survived"].mean < 0.4 + 1e-6
+  assert 0.0 < result.groups["all"]["torque_rms"].mean < 23.7
+  assert result.groups["all"]["action_change"].mean == 0.0
 
 
 def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
@@ -96,7 +135,8 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
   def act(step: int) -> torch.Tensor:
     return torch.randn(12, 12, generator=torch.Generator().manual_seed(step))
 
-  moves: dict[str, list[list[float]]] = {name: [[] for _ in range(12)] for name in ("linear", "yaw", "power", "speed")}
+  names = ("linear", "yaw", "power", "speed", "torque", "change", "landings", "impact")
+  moves: dict[str, list[list[float]]] = {name: [[] for _ in range(12)] for name in names}
   playing, failed = [True] * 12, [False] * 12
   cfg = configured()
   cfg.auto_reset = False
@@ -107,6 +147,8 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
     assert np.unique(mass).size == 12
     for step in range(1, 21):
       _, _, terminated, truncated, _ = env.step(act(step))
+      landed, impact = (measure(env, sensor="feet_ground_contact") for measure in (landings, landing_force))
+      change = act(step) - act(step - 1) if step > 1 else act(step)
       for world in [world for world in range(12) if playing[world]]:
         qpos, qvel = env.sim.data.qpos[world].numpy(), env.sim.data.qvel[world].numpy()
         turn = np.zeros(9)
@@ -117,6 +159,10 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
         moves["yaw"][world].append((qvel[5] - wz) ** 2)
         moves["power"][world].append(np.abs(env.sim.data.qfrc_actuator[world, 6:].numpy() * qvel[6:]).sum())
         moves["speed"][world].append(np.hypot(*qvel[:2]))
+        moves["torque"][world].append(np.square(env.sim.data.qfrc_actuator[world, 6:].numpy()).mean())
+        moves["change"][world].append(float(change[world].square().mean()))
+        moves["landings"][world].append(float(landed[world]))
+        moves["impact"][world].append(float(impact[world]))
         if terminated[world] or truncated[world]:
           playing[world], failed[world] = False, bool(terminated[world])
       if done := (terminated | truncated).nonzero().flatten().tolist():
@@ -132,12 +178,18 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
     metrics = {name: interval.mean for name, interval in result.groups[group].items()}
     mean = {name: [float(np.mean(values[world])) for world in members] for name, values in moves.items()}
     walking = [i for i, world in enumerate(members) if world % 2]
+    stepping = [i for i, count in enumerate(mean["landings"]) if count]
     assert metrics == {
       "fall_rate": pytest.approx(np.mean([failed[world] for world in members])),
       "lin_vel_rmse": pytest.approx(np.mean(np.sqrt(mean["linear"])), rel=1e-4),
       "yaw_rate_rmse": pytest.approx(np.mean(np.sqrt(mean["yaw"])), rel=1e-4),
       "cost_of_transport": pytest.approx(
         np.mean([mean["power"][i] / (mass[members[i]] * 9.81 * mean["speed"][i]) for i in walking]), rel=1e-4
+      ),
+      "torque_rms": pytest.approx(np.mean(np.sqrt(mean["torque"])), rel=1e-4),
+      "action_change": pytest.approx(np.mean(np.sqrt(mean["change"])), rel=1e-4),
+      "foot_impact": pytest.approx(
+        np.mean([mean["impact"][i] / mean["landings"][i] / (9.81 * mass[members[i]]) for i in stepping]), rel=1e-3
       ),
       "survived": pytest.approx(0.02 * np.mean([lengths[world] for world in members])),
     }, group

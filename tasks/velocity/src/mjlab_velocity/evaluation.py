@@ -14,6 +14,16 @@ from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summariz
 
 from mjlab_velocity.levels import set_level
 from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
+from mjlab_velocity.measures import (
+  action_change_squared,
+  horizontal_speed,
+  landing_force,
+  landings,
+  linear_error_squared,
+  mechanical_power,
+  torque_squared,
+  turning_error_squared,
+)
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -95,7 +105,9 @@ class VelocityEvaluation:
 
   - `fall_rate`: share of episodes that ended in failure;
   - `lin_vel_rmse`, `yaw_rate_rmse`: root mean square errors of the root's velocity in its own frame, while alive;
-  - `cost_of_transport`: mean of |torque x joint velocity| over mass, gravity and mean speed, for commands to walk.
+  - `cost_of_transport`: mean of |torque x joint velocity| over mass, gravity and mean speed, for commands to walk;
+  - `torque_rms`, `action_change`: root mean squares over time and joints of torques, and of the changes of actions;
+  - `foot_impact`: mean contact force of a foot in the step in which it lands, over the robot's weight.
   """
 
   grid: tuple[Command, ...] = GRID
@@ -117,6 +129,8 @@ class VelocityEvaluation:
   command: str = "twist"
   """Name of the velocity command."""
   entity: str = "robot"
+  feet: str = "feet_ground_contact"
+  """Contact sensor of the feet; without it there is no `foot_impact`."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     term = cfg.commands.get(self.command)
@@ -148,7 +162,12 @@ class VelocityEvaluation:
       "yaw_rate_error2": MetricsTermCfg(turning_error_squared, params=dict(params)),
       "power": MetricsTermCfg(mechanical_power, params={"entity": self.entity}),
       "speed": MetricsTermCfg(horizontal_speed, params={"entity": self.entity}),
+      "torque2": MetricsTermCfg(torque_squared, params={"entity": self.entity}),
+      "action_change2": MetricsTermCfg(action_change_squared),
     }
+    if cfg.scene.sensors.get(self.feet) is not None:
+      cfg.metrics["landings"] = MetricsTermCfg(landings, params={"sensor": self.feet})
+      cfg.metrics["landing_force"] = MetricsTermCfg(landing_force, params={"sensor": self.feet})
     return cfg
 
   def _axes(self) -> list[tuple[str, list[str]]]:
@@ -170,7 +189,7 @@ class VelocityEvaluation:
     return groups
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
-    names = ("lin_vel_error2", "yaw_rate_error2", "power", "speed")
+    names = tuple(env.cfg.metrics)
     played = play_first_episodes(
       env,
       policy,
@@ -185,14 +204,20 @@ class VelocityEvaluation:
     entity = env.scene[self.entity]
     # Masses may be randomised.
     mass = env.sim.model.body_subtreemass[:, entity.indexing.root_body].double().cpu()
-    cost = played.mean("power") / (mass * GRAVITY * played.mean("speed"))
+    weight = mass * GRAVITY
+    cost = played.mean("power") / (weight * played.mean("speed"))
     metrics = {
       "fall_rate": played.has_failed.double(),
       "lin_vel_rmse": played.mean("lin_vel_error2").sqrt(),
       "yaw_rate_rmse": played.mean("yaw_rate_error2").sqrt(),
       "cost_of_transport": torch.where(wanted >= WALKING, cost, torch.nan),
+      "torque_rms": played.mean("torque2").sqrt(),
+      "action_change": played.mean("action_change2").sqrt(),
       "survived": played.length * env.step_dt,
     }
+    if "landings" in names:
+      # No landing: NaN, which no mean counts.
+      metrics["foot_impact"] = played.mean("landing_force") / (weight * played.mean("landings"))
     alive = (~played.values["speed"].isnan()).double()
     curves = {
       "alive": alive,
@@ -202,6 +227,7 @@ class VelocityEvaluation:
     units = {
       "lin_vel_rmse": "m/s",
       "yaw_rate_rmse": "rad/s",
+      "torque_rms": "N m",
       "survived": "s",
       "lin_vel_error": "m/s",
       "yaw_rate_error": "rad/s",
@@ -212,26 +238,3 @@ class VelocityEvaluation:
 def _said(command: Command) -> str:
   parts = [f"{name} {value:+g}" for name, value in zip(("vx", "vy", "wz"), command, strict=True) if value]
   return " ".join(parts) or "stand"
-
-
-def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
-  """Return |v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
-  velocity = env.scene[entity].data.root_link_lin_vel_b
-  return (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
-
-
-def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
-  """Return (w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
-  velocity = env.scene[entity].data.root_link_ang_vel_b
-  return (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
-
-
-def mechanical_power(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
-  """Return the sum over joints of |torque x velocity|, (num_envs,) [W]."""
-  data = env.scene[entity].data
-  return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
-
-
-def horizontal_speed(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
-  """Return the horizontal speed of the root, (num_envs,) [m/s]."""
-  return torch.linalg.vector_norm(env.scene[entity].data.root_link_lin_vel_w[:, :2], dim=-1)

@@ -137,7 +137,7 @@ class feet_swing_height(ManagerTermBase):
     env, peak = self.env, self._peak
     torch.maximum(peak, self._heights.data.heights, out=peak)
     error = (peak / self._target - 1.0).square()
-    cost = (error * _landed(env, self._sensor)).sum(-1) * _moves(env, self._command, self._threshold)
+    cost = (error * landed(env, self._sensor)).sum(-1) * _moves(env, self._command, self._threshold)
     fill_(peak, env.scene[self._sensor].data.found > 0, 0.0)
     return cost
 
@@ -156,10 +156,10 @@ def soft_landing(env: "ManagerBasedRlEnv", *, sensor: str, command: str, thresho
   The drop at the start of an episode does not count.
   """
   force = torch.linalg.vector_norm(env.scene[sensor].data.force, dim=-1)
-  return (force * _landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
+  return (force * landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
 
 
-def _landed(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
+def landed(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
   """Return True for feet that landed in this step and had taken off in the same episode, (num_envs, feet)."""
   contact = env.scene[sensor]
   # A time of contact is stored at take-off only.
