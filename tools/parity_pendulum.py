@@ -2,9 +2,10 @@
 
   uv run python tools/parity_pendulum.py --output docs/benchmarks/learners_pendulum.md
 
-RL Baselines3 Zoo lists SAC on Pendulum-v1 after 20 000 steps with a return of -157 +- 89 (mean and standard deviation of
-750 episodes). Here 16 worlds make 1250 steps each, 20 000 in all, with 10 000 updates of 256 transitions, and the mean
-action of the last policy is evaluated in 750 episodes of Gymnasium's own environment. Two cores, about half an hour.
+RL Baselines3 Zoo lists SAC on Pendulum-v1 after 20 000 steps with a return of -157 +- 89, mean and standard
+deviation of 750 episodes. Here 16 worlds make 1250 steps each, 20 000 in all, with 10 000 updates of 256
+transitions, and the mean action of the last policy is evaluated in 750 episodes of Gymnasium's own
+environment. Two cores, about half an hour.
 """
 
 import argparse
@@ -26,12 +27,16 @@ WORLDS, STEPS, EPISODE = 16, 1250, 200
 
 @dataclass(kw_only=True)
 class SceneCfg:
+  """Scene of the pendulums."""
+
   num_envs: int = WORLDS
   """Number of worlds."""
 
 
 @dataclass(kw_only=True)
 class PendulumCfg:
+  """Environment of the pendulums."""
+
   scene: SceneCfg = field(default_factory=SceneCfg)
   seed: int | None = None
   is_finite_horizon: bool = False
@@ -40,6 +45,8 @@ class PendulumCfg:
 
 @dataclass
 class Actions:
+  """Action manager, as far as a learner reads it."""
+
   total_action_dim: int
 
 
