@@ -3,8 +3,9 @@
   uv run python tools/plot_learners.py "fastsac, seed 1=OUT/g1_fastsac.npz" "PPO=docs/benchmarks/g1_flat_gpu.csv" \
     --title "G1 on flat ground" --output docs/benchmarks/learners_g1_flat
 
-Writes OUTPUT.csv and OUTPUT.png, and prints a row for each curve: when five iterations on average have episodes of 950
-steps and a velocity error below 0.3 m/s, and where the curve ends.
+A .csv may hold several runs; FILE#RUN names one, else it is the first. Writes OUTPUT.csv and OUTPUT.png, and prints a
+row for each curve: when five iterations on average have episodes of 950 steps and a velocity error below 0.3 m/s, and
+where the curve ends.
 """
 
 import argparse
@@ -22,14 +23,14 @@ SHOWN = (
 )
 
 
-def read(path: Path) -> dict[str, np.ndarray]:
-  """Return the curve of an .npz file, or of the first run in a .csv file."""
+def read(path: Path, run: str) -> dict[str, np.ndarray]:
+  """Return the curve of an .npz file, or of a run in a .csv file."""
   if path.suffix == ".npz":
     with np.load(path, allow_pickle=False) as file:
       return {name: file[name] for name in file.files}
   with path.open(newline="") as file:
     rows = list(csv.DictReader(file))
-  rows = [row for row in rows if row["run"] == rows[0]["run"]]
+  rows = [row for row in rows if row["run"] == (run or rows[0]["run"])]
   return {name: np.array([float(row[name] or "nan") for row in rows]) for name in COLUMNS}
 
 
@@ -45,9 +46,11 @@ def main() -> None:
   lines = [["run", *COLUMNS]]
   for text in args.curves:
     name, _, path = text.rpartition("=")
-    found = read(Path(path))
-    # Every fifth iteration is enough for a picture.
-    lines += [[name, *(f"{found[column][row]:.5g}" for column in COLUMNS)] for row in range(0, len(found["steps"]), 5)]
+    path, _, run = path.partition("#")
+    found = read(Path(path), run)
+    # About a hundred iterations are enough for a picture.
+    rows = range(0, len(found["steps"]), 1 + len(found["steps"]) // 150)
+    lines += [[name, *(f"{found[column][row]:.5g}" for column in COLUMNS)] for row in rows]
     for axis, (column, label) in zip(axes, SHOWN, strict=True):
       axis.plot(found["seconds"], smooth(found[column]), label=name)
       axis.set(xlabel="wall time of training [s]", ylabel=label, xlim=(0, args.seconds))
