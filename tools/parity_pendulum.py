@@ -16,6 +16,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.envs.classic_control import PendulumEnv
 from mjlab_rl import Console, OffPolicyRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.offpolicy import PRESETS
 from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
@@ -56,6 +57,7 @@ class Pendulum:
   def __init__(self, cfg: PendulumCfg) -> None:
     self.cfg, self.num_envs, self.device = cfg, cfg.scene.num_envs, torch.device("cpu")
     self.max_episode_length = EPISODE
+    self.output_dir: Path | None = None
     self.action_manager = Actions(1)
     self.rng = torch.Generator().manual_seed(cfg.seed or 0)
     self.angle, self.speed = torch.zeros(self.num_envs), torch.zeros(self.num_envs)
@@ -98,6 +100,9 @@ class Pendulum:
   def load_state_dict(self, state: dict[str, Any]) -> None:
     del state
 
+  def load_progress(self, state: dict[str, Any]) -> None:
+    del state
+
   @property
   def unwrapped(self) -> "Pendulum":
     return self
@@ -108,13 +113,13 @@ class Pendulum:
 
 def difference_from_gymnasium() -> float:
   """Return the largest difference of observations and rewards from Gymnasium's pendulum over 500 steps."""
-  env, other = Pendulum(PendulumCfg(scene=SceneCfg(num_envs=1))), gymnasium.make("Pendulum-v1").unwrapped
+  env, other = Pendulum(PendulumCfg(scene=SceneCfg(num_envs=1))), PendulumEnv()
   other.reset(seed=0)
   rng, largest = np.random.default_rng(0), 0.0
   for step in range(500):
     if step % EPISODE == 0:
       env.reset(seed=step)
-      other.state = np.array([float(env.angle[0]), float(env.speed[0])])  # type: ignore[attr-defined]
+      other.state = np.array([float(env.angle[0]), float(env.speed[0])])
     action = rng.uniform(-2.5, 2.5)
     expected, reward, *_ = other.step(np.array([action], np.float32))
     _, found, _, _, extras = env.step(torch.tensor([[action]]))
@@ -139,7 +144,7 @@ def settings(preset: str, seed: int, steps: int = STEPS, updates: float = 8.0) -
 def train(agent: OffPolicyRunnerCfg, seed: int) -> MjlabOffPolicyRunner:
   torch.manual_seed(seed)
   env = Pendulum(PendulumCfg(seed=seed))
-  runner = MjlabOffPolicyRunner(RslRlVecEnvWrapper(env), agent, device="cpu", console=Console("quiet"))  # type: ignore[arg-type]
+  runner = MjlabOffPolicyRunner(RslRlVecEnvWrapper(env), agent, device="cpu", console=Console("quiet"))
   runner.learn(agent.max_iterations)
   return runner
 
