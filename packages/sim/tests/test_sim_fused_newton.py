@@ -144,6 +144,20 @@ def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
 
 
 @pytest.mark.warp
+@pytest.mark.parametrize("run_qacc_smooth", [True, False])
+def test_a_world_without_rows_gets_its_smooth_acceleration(run_qacc_smooth: bool) -> None:
+  problem = Problem(random_model(3, "elliptic"), 3)
+  m, d = problem.m, problem.d
+  m.opt.run_qacc_smooth = run_qacc_smooth
+  for count in (d.ne, d.nf, d.nefc):
+    count.zero_()
+  FusedNewton(m, d).solve(m, d)
+  smooth = problem.host.qacc_smooth
+  np.testing.assert_allclose(d.qacc.numpy()[0], smooth, atol=1e-4 * np.abs(smooth).max())
+  assert np.abs(d.qfrc_constraint.numpy()).max() < 1e-3
+
+
+@pytest.mark.warp
 def test_a_solver_follows_buffers_that_grow() -> None:
   problem = Problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d

@@ -18,6 +18,10 @@ from mjlab_sim.warp.fused_newton_kernels import Problem, make_kernel
 
 _MAX_DOFS = 64
 _MAX_GROUPS = 2**16 - 1
+_SHARED_BYTES = 44 * 1024
+"""Shared memory of a block; 48 KB is the most that needs no permission."""
+_SMALL = 24
+"""Degrees of freedom up to which many small blocks beat few large ones."""
 
 
 def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
@@ -58,8 +62,17 @@ def _groups(nv: int) -> int:
   return -(-nv // 4)
 
 
+def _groups_that_fit(nv: int, rows: int) -> int:
+  """Return the number of groups of the Jacobian that shared memory holds beside `rows` rows of a model."""
+  padded = 4 * _groups(nv)
+  others = 4 * (nv * padded + 8 * padded + 8 * rows + 64)
+  return (_SHARED_BYTES - others) // 16
+
+
 class FusedNewton:
   """Solver of one model's constraints.
+
+  Where a size is None it is the best of those that `tools/benchmark_solver.py` measures.
 
   Args:
     m: Model that `refusal` has nothing against.
@@ -75,13 +88,13 @@ class FusedNewton:
     m: mjw.Model,
     d: mjw.Data,
     *,
-    threads: int = 32,
-    rows: int = 96,
-    groups: int = 384,
+    threads: int | None = None,
+    rows: int | None = None,
+    groups: int | None = None,
     registers: int | None = None,
   ) -> None:
     device: Any = d.qacc.device
-    self._threads = threads if device.is_cuda else 1
+    self._threads = (threads or (32 if m.nv <= _SMALL else 64)) if device.is_cuda else 1
     self._sizes = rows, groups, registers
     self._blocks = min(d.nworld, 2 * getattr(device, "sm_count", 0) or 1)
     self.is_left: Any = wp.zeros(d.nworld, dtype=bool, device=device)
@@ -91,7 +104,10 @@ class FusedNewton:
   def _build(self, m: mjw.Model, d: mjw.Data) -> None:
     self._njmax, most = d.njmax, d.njmax * _groups(m.nv)
     rows, groups, registers = self._sizes
-    rows, groups = min(rows, d.njmax), min(groups, most)
+    if m.nv <= _SMALL:
+      rows, groups = rows or 96, groups or 384
+    rows = min(rows or 256, d.njmax)
+    groups = min(groups or _groups_that_fit(m.nv, rows), most)
     shared: dict[str, Any] = {
       "threads": self._threads,
       "is_elliptic": m.opt.cone == mjw.ConeType.ELLIPTIC,

@@ -311,7 +311,8 @@ while (true) {
   add_up(total);
   if (iteration > 0 || n == 0) {
     const float improvement = -scale * (step * (slope + 0.5f * step * curvature) + total.x[1]);
-    is_done = improvement < tolerance_ || scale * sqrtf(total.x[0]) < tolerance_;
+    // A world without rows may start at its solution.
+    is_done = (iteration > 0 && improvement < tolerance_) || scale * sqrtf(total.x[0]) < tolerance_;
   }
   if (is_done || iteration == given.iterations) break;
 
