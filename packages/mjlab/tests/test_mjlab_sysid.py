@@ -89,6 +89,16 @@ def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
   assert entity.overlay.encoder_bias[CALF] == pytest.approx(0.0, abs=4.0 * found.spread[-1])
 
 
+def test_the_flag_of_any_command_applies_the_overlay(leg: tuple[EntityCfg, Record, Identified], tmp_path: Path) -> None:
+  _, _, found = leg
+  found.save(tmp_path / "identified.json")
+  words = ["Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(tmp_path / "scene")]
+  assert cli.export_scene([*words, "--env.scene.entities.robot.overlay", str(tmp_path / "identified.json")]) == 0
+  model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
+  assert model.joint(f"robot/{CALF}").armature[0] == pytest.approx(found.value(f"dof_armature:{CALF}"), rel=1e-5)
+  assert model.actuator(f"robot/{THIGH}").gainprm[0] == pytest.approx(found.value(f"stiffness:{THIGH}"), rel=1e-5)
+
+
 def test_the_command_writes_an_overlay_and_a_report(
   leg: tuple[EntityCfg, Record, Identified], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
