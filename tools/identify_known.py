@@ -120,8 +120,8 @@ ROBOTS = {
       "body_mass:link_4": 1.5,
     },
     joints=YAM_JOINTS,
-    size=(0.05, 0.15),
-    highest=4.0,
+    size=(0.08, 0.22),
+    highest=5.0,
   ),
 }
 

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import mjlab_pendulum
 import pytest
 import torch
 from mjlab import cli
 from mjlab_actuators import LearnedMlpActuatorCfg
 from mjlab_command import running
+from mjlab_envs import ManagerBasedRlEnv, mdp
 
 QUICK = ["--epochs", "3", "--hidden", "8"]
 
@@ -96,3 +98,23 @@ def test_ctrl_c_writes_what_was_learned(records: Path) -> None:
   assert "stopped (Ctrl-C) after" in said
   assert torch.load(records.with_suffix(".pt"), weights_only=True)
   assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}
+
+
+def test_an_environment_loads_the_network(records: Path) -> None:
+  words = [str(records), "--epochs", "40", "--batch-size", "16", "--history-length", "1"]
+  assert cli.train_actuator(words) == 0
+  cfg = mjlab_pendulum.pendulum().env
+  articulation = cfg.scene.entities["robot"].articulation
+  assert articulation is not None
+  network = LearnedMlpActuatorCfg(
+    target_names_expr=("hinge",), network_file=records.with_suffix(".pt"), history_length=1, sample_period=0.005
+  )
+  articulation.actuators = (network,)
+  cfg.scene.num_envs, cfg.sim.timestep, cfg.events = 2, 0.005, {}
+  cfg.actions = {"target": mdp.JointPositionActionCfg(actuators=".*", scale=1.0)}
+  with ManagerBasedRlEnv(cfg, "cpu") as env:
+    env.reset()
+    env.step(torch.tensor([[0.0], [1.0]]))
+    effort = env.scene["robot"].data.qfrc_actuator[:, 0]
+  # The recorded motor is a spring of 2 N m/rad with little damping.
+  assert float(effort[1] - effort[0]) == pytest.approx(2.0, abs=0.5)
