@@ -13,7 +13,12 @@ HEAVY |= {"rich", "tyro", "viser"}
 
 def imported_by(statement: str) -> set[str]:
   """Top-level modules that are loaded in a fresh interpreter after a statement."""
-  report = f"{statement}\nimport json, sys\njson.dump(sorted({{m.partition('.')[0] for m in sys.modules}}), sys.stderr)"
+  return {name.partition(".")[0] for name in modules_after(statement)}
+
+
+def modules_after(statement: str) -> set[str]:
+  """All modules that are loaded in a fresh interpreter after a statement."""
+  report = f"{statement}\nimport json, sys\njson.dump(sorted(sys.modules), sys.stderr)"
   run = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
   return set(json.loads(run.stderr))
 
@@ -75,3 +80,13 @@ def test_a_misspelt_task_is_refused_before_anything_heavy_is_imported() -> None:
 
 def test_the_measure_sees_a_heavy_import() -> None:
   assert "torch" in imported_by("import mjlab; mjlab.Simulation")
+
+
+def test_the_page_of_the_demo_opens_without_learner_compiler_or_warp() -> None:
+  loaded = modules_after(
+    "from mjlab.cli import _play, demo; _play._until_interrupted = lambda run: 0\n"
+    "assert demo('--device cpu --num-envs 1 --port 8740'.split()) == 0"
+  )
+  assert {"torch", "viser", "mjlab_viewer.browser.viewer"} <= loaded
+  unneeded = {"rsl_rl", "tensordict", "tensorboard", "git", "onnx", "onnxruntime", "matplotlib", "sympy"}
+  assert not (unneeded | {"warp", "mujoco_warp", "torch._dynamo", "torch._inductor", "torch.onnx"}) & loaded

@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
+from mjlab.environments import standard_env
 from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Kinematics, load_motion, shipped_clips
+from mjlab_rl import CheckpointPolicy, load_run
 from mjlab_robots import g1_spec
 from mjlab_scene.export import write_spec
 from mjlab_viewer import BackgroundVideo, Playback
@@ -304,18 +306,21 @@ def test_an_exported_policy_plays_as_its_checkpoint_does(
   trained = watched[0].policy
   (checkpoint,) = logs.rglob("model_2.pt")
   exported = checkpoint.parent / "policy.onnx"
-  write_onnx(trained, exported)
+  write_onnx(checkpoint, exported)
   assert play(logs, "--num-envs", "3", "--checkpoint", str(exported)) == 0
   observations = {"actor": torch.randn(3, 2, generator=torch.Generator().manual_seed(0))}
   with torch.no_grad():
     torch.testing.assert_close(watched[1].policy(observations), trained(observations | {"critic": torch.zeros(3, 2)}))
 
 
-def write_onnx(policy: Any, path: Path) -> None:
+def write_onnx(checkpoint: Path, path: Path) -> None:
   """The exporter of the runner, whose own warnings are not ours."""
-  with warnings.catch_warnings():
+  run = load_run(checkpoint)
+  with standard_env(run.env, device="cpu") as env, warnings.catch_warnings():
+    policy = CheckpointPolicy(env, run.agent, run.runner)
+    policy.load(checkpoint)
     warnings.simplefilter("ignore")
-    policy._policy._runner.export_policy_to_onnx(str(path.parent), path.name)
+    policy._runner.export_policy_to_onnx(str(path.parent), path.name)
 
 
 def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPatch) -> None:

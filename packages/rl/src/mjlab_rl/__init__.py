@@ -33,12 +33,14 @@ if TYPE_CHECKING:
     summarize,
     wilson,
   )
+  from mjlab_rl.finite_policy import FinitePolicy
   from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
+  from mjlab_rl.mlp_policy import MlpPolicy
   from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
   from mjlab_rl.offpolicy.presets import with_agent
   from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
   from mjlab_rl.onnx_policy import OnnxPolicy
-  from mjlab_rl.policies import CheckpointPolicy, FinitePolicy
+  from mjlab_rl.policies import CheckpointPolicy
   from mjlab_rl.references import trust_package
   from mjlab_rl.run_directory import checkpoints, create_run_directory, find_checkpoint
   from mjlab_rl.runner import MjlabOnPolicyRunner
@@ -60,6 +62,7 @@ __all__ = [
   "MjlabDistillationRunner",
   "MjlabOffPolicyRunner",
   "MjlabOnPolicyRunner",
+  "MlpPolicy",
   "OffPolicyModelCfg",
   "OffPolicyRunnerCfg",
   "OnnxPolicy",
@@ -114,12 +117,14 @@ __getattr__, __dir__ = lazy_exports(
       "Episodes Evaluation Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize wilson"
     ),
+    ".finite_policy": "FinitePolicy",
     ".manifest": "PolicyRecord RunManifest load_run",
+    ".mlp_policy": "MlpPolicy",
     ".offpolicy.config": "OffPolicyModelCfg OffPolicyRunnerCfg SacCfg",
     ".offpolicy.presets": "with_agent",
     ".offpolicy.runner": "MjlabOffPolicyRunner",
     ".onnx_policy": "OnnxPolicy",
-    ".policies": "CheckpointPolicy FinitePolicy",
+    ".policies": "CheckpointPolicy",
     ".references": "trust_package",
     ".run_directory": "checkpoints create_run_directory find_checkpoint",
     ".runner": "MjlabOnPolicyRunner",

@@ -3,16 +3,18 @@
 import copy
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from mjlab_core.errors import FileError
-from mjlab_deploy import DeployError, Description, Policy, open_bundle
 
 from mjlab_rl.checkpoint import refuse
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.onnx_metadata import configured
+
+if TYPE_CHECKING:
+  from mjlab_deploy import Description
 
 
 def is_bundle(path: Path) -> bool:
@@ -26,6 +28,9 @@ def task_of_bundle(path: Path) -> str:
   Raises:
     FileError: It cannot be read.
   """
+  # ONNX Runtime, which is not for viewers of checkpoints.
+  from mjlab_deploy import DeployError, open_bundle
+
   try:
     with open_bundle(path) as bundle:
       return bundle.description.task
@@ -47,6 +52,8 @@ class BundlePolicy:
   """
 
   def __init__(self, path: Path, env: RlEnv) -> None:
+    from mjlab_deploy import DeployError, Policy, open_bundle
+
     self._env: Any = env
     try:
       with open_bundle(path) as bundle:
@@ -89,7 +96,7 @@ def _readings(env: Any, groups: list[str]) -> dict[str, Any]:
   return found
 
 
-def _differences(description: Description, readings: Mapping[str, Any], env: Any) -> Iterator[str]:
+def _differences(description: "Description", readings: Mapping[str, Any], env: Any) -> Iterator[str]:
   for item in description.inputs:
     if item.name not in readings:
       yield f"it reads '{item.name}', which the environment does not observe"

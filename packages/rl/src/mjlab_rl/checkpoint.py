@@ -220,6 +220,30 @@ def network_problems(part: str, saved: Mapping[str, Any], present: Mapping[str, 
       yield f"{part}: {name} is {theirs.dtype}, not {ours.dtype}"
 
 
+def check_network(
+  path: Path,
+  name: str,
+  groups: Sequence[str],
+  shapes: tuple[Shapes | None, Shapes],
+  weights: tuple[Mapping[str, Any], Mapping[str, Any]],
+) -> None:
+  """Compare a network of a checkpoint, and the observations of its training, with a network that is there.
+
+  Args:
+    path: The checkpoint, for the message.
+    name: Name of the network.
+    groups: Observation groups that it sees.
+    shapes: Their shapes in training, None if not known, and now.
+    weights: Weights in the file and in the network.
+
+  Raises:
+    FileError: They differ.
+  """
+  problems = [*shape_problems(groups, *shapes), *network_problems(name, *weights)]
+  fields = f"agent.{name}.hidden_dims and agent.{name}.obs_normalization"
+  refuse(f"checkpoint {path}", problems, f". Observations, actions, {fields} must be those of its training")
+
+
 def optimizer_problems(saved: Mapping[str, Any], present: torch.optim.Optimizer) -> Iterator[str]:
   """Yield a line for each part of a saved optimiser that differs in kind or size; kinds share names of settings."""
   theirs, ours = saved["param_groups"], present.state_dict()["param_groups"]

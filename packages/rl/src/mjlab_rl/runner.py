@@ -317,11 +317,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     Raises:
       FileError: They differ.
     """
-    seen = checkpoint.shape_problems(self.agent_cfg.obs_groups[name], shapes, self._shapes_seen[name])
-    sizes = checkpoint.network_problems(name, weights, self.networks[name].state_dict())
-    fields = f"agent.{name}.hidden_dims and agent.{name}.obs_normalization"
-    hint = f". Observations, actions, {fields} must be those of its training"
-    checkpoint.refuse(f"checkpoint {path}", [*seen, *sizes], hint)
+    groups, present = self.agent_cfg.obs_groups[name], self.networks[name].state_dict()
+    checkpoint.check_network(path, name, groups, (shapes, self._shapes_seen[name]), (weights, present))
 
   def _load_worlds(self, state: dict[str, Any]) -> None:
     saved = [state, *state.get("other_ranks", [])]

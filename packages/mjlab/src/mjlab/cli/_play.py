@@ -151,16 +151,15 @@ def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tu
 
   text = "warning: actions of the policy are NaN or infinite, which the environment takes for zero"
   finite = FinitePolicy(policy, lambda: print(text, flush=True))
-  if source is None:
+  if source is None or source.suffix != ".pt":
     return finite, None
-  from mjlab_rl import CheckpointPolicy, checkpoints
+  from mjlab_rl import checkpoints
   from mjlab_viewer import CheckpointList
 
-  if not isinstance(policy, CheckpointPolicy):
-    return finite, None
+  trained: Any = policy
 
   def load(name: str) -> "Policy":
-    policy.load(source.parent / name)
+    trained.load(source.parent / name)
     return finite
 
   def names() -> list[str]:

@@ -97,17 +97,27 @@ def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Pol
     return (ZeroPolicy if agent == "zero" else RandomPolicy)(
       env.num_envs, env.action_manager.total_action_dim, env.device
     )
-  from mjlab_rl import BundlePolicy, CheckpointPolicy, OnnxPolicy
   from mjlab_rl.bundle_policy import is_bundle
 
   if is_bundle(source):
+    from mjlab_rl import BundlePolicy
+
     return BundlePolicy(source, env)
   if source.suffix == ".onnx":
+    from mjlab_rl import OnnxPolicy
+
     policy = OnnxPolicy(source, parts.agent, env)
     # Fails before a viewer opens if the network does not fit.
     policy(env.get_observations())
     policy.reset(None)
     return policy
-  trained = CheckpointPolicy(env, parts.agent, parts.runner)
+  from mjlab_rl import MlpPolicy
+
+  if MlpPolicy.suits(env, parts.agent, parts.runner):
+    trained = MlpPolicy(env, parts.agent)
+  else:
+    from mjlab_rl import CheckpointPolicy
+
+    trained = CheckpointPolicy(env, parts.agent, parts.runner)
   trained.load(source)
   return trained
