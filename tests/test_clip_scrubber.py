@@ -162,10 +162,11 @@ def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chro
   with Shown(Preview(robot).replay(motion), 0, chromium) as shown:
     page = shown.page
     eventually(lambda: red(page).sum() > 1000, "the flag is not seen")
-    page.get_by_label("Manual").check()
+    shown.pause()
     for time, frame in ((0.4, 20), (3.2, 160)):
-      slide(page, "time [s]", time)
+      slide(page, "Time [s]", time)
       eventually(lambda frame=frame: shown.viewer.history[-1].data["qpos"][0, 7] == lift[frame].item())
+      page.get_by_text(f"clip lift, frame {frame + 1} of 201, {time:.2f} s").wait_for()
       # The camera looks at the mast, in row 280: hanging, the flag is below it, standing level it is not.
       eventually(lambda is_level=frame > 100: is_seen(red(page), is_level), "it is seen elsewhere")
 

@@ -113,6 +113,10 @@ def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Bro
       page.get_by_text(when).wait_for()
       page.get_by_role("button", name="Step").click()
     assert red(page) > 300
+    slide(page, "Time [s]", 0.02)
+    page.get_by_text("before physics step 1 of 2 of environment step 2").wait_for()
+    page.get_by_role("button", name="Step").click()
+    page.get_by_text("before physics step 2 of 2 of environment step 2").wait_for()
     assert row(page, "Speed").locator("input").first.input_value() == "1/10"
     # What was recorded cannot be pushed.
     assert page.get_by_text("Push").count() == 0

@@ -49,9 +49,10 @@ class Cost:
   """Those of `WATCHED` among them."""
 
 
-def cpu_seconds(statement: str) -> float:
+def cpu_seconds(statement: str, sources: str = "") -> float:
   before = resource.getrusage(resource.RUSAGE_CHILDREN)
-  subprocess.run([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, check=True)
+  environment = os.environ | ({"PYTHONPATH": sources} if sources else {})
+  subprocess.run([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, check=True, env=environment)
   after = resource.getrusage(resource.RUSAGE_CHILDREN)
   return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -61,6 +62,14 @@ def measure(statement: str, repeats: int) -> Cost:
   modules = set(json.loads(report.stderr))
   seconds = [cpu_seconds(statement) for _ in range(repeats)]
   return Cost(min(seconds), statistics.median(seconds), len(modules), [name for name in WATCHED if name in modules])
+
+
+def compare(clone: Path, repeats: int) -> None:
+  """Print the CPU time of `demo` with the sources of another clone and with these, which take turns."""
+  sources = ":".join(map(str, [*clone.glob("packages/*/src"), *clone.glob("tasks/*/src")]))
+  runs = [(cpu_seconds(COMMANDS["demo"], sources), cpu_seconds(COMMANDS["demo"])) for _ in range(repeats)]
+  theirs, ours = (min(seconds) for seconds in zip(*runs, strict=True))
+  print(f"demo: {theirs:.1f} s there, {ours:.1f} s here, {ours / theirs:.2f} of it")
 
 
 def processor() -> str:
@@ -75,7 +84,11 @@ def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("--repeats", type=int, default=7)
   parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "benchmarks" / "cli.md")
+  parser.add_argument("--against", type=Path, help="another clone; compares `demo` alone")
   arguments = parser.parse_args()
+  if arguments.against is not None:
+    compare(arguments.against, arguments.repeats)
+    return
   rows = []
   for shown, statement in COMMANDS.items():
     cost = measure(statement, arguments.repeats)

@@ -11,13 +11,15 @@ from typing import Any
 
 import av
 import msgspec
+import mujoco
 import numpy as np
 import pytest
 import torch
 import viser
 from mjlab_core import MjlabError
-from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Snapshot, SnapshotTaker, ZeroPolicy
+from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, Snapshot, SnapshotTaker, ZeroPolicy
 from mjlab_viewer.browser.controls import _ratio
+from mjlab_viewer.browser.groups import geom_labels, site_labels
 from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from PIL import Image
 from playwright.sync_api import Browser, Page
@@ -675,3 +677,69 @@ def without_private_names(scene: MujocoScene, name: str) -> Any:
   if name in PRIVATE_NAMES and sys._getframe(1).f_globals["__name__"] == MujocoScene.__module__:
     raise AttributeError(name)
   return object.__getattribute__(scene, name)
+
+
+def test_groups_are_named_by_what_they_hold_and_switch_it() -> None:
+  model = mujoco.MjModel.from_xml_string("""
+    <mujoco>
+      <worldbody>
+        <geom name="terrain" type="plane" size="1 1 .1"/>
+        <site name="goal"/>
+        <body name="robot/trunk"><freejoint/>
+          <geom name="robot/shell" type="sphere" size=".1" group="2" contype="0" conaffinity="0"/>
+          <body name="robot/foot"><geom name="robot/sole" type="sphere" size=".1" group="3"/></body>
+        </body>
+        <body name="cube/cube"><freejoint/><geom name="cube/cube" type="box" size=".1 .1 .1" group="3"/></body>
+      </worldbody>
+    </mujoco>""")
+  assert geom_labels(model) == {0: "terrain: collision", 2: "robot: visual", 3: "robot, cube: collision"}
+  assert site_labels(model) == {0: "goal"}
+  replay = Replay(model, {"qpos": model.qpos0[None, None]}, 0.02)
+  with BrowserViewer(replay, port=8310) as viewer:
+    boxes = {box.label: box for box in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    assert not any(label.startswith(("G1", "tendon")) for label in boxes)
+    boxes["robot, cube: collision"].value = True
+    boxes["robot: visual"].value = False
+    viewer._groups.values.read()
+    assert viewer.scene.scene.geom_groups_visible == [True, True, False, True, False, False]
+
+
+def test_the_selected_robot_is_marked_where_others_are_beside_it() -> None:
+  env = BoxEnv(3)
+  with BrowserViewer(env, port=8311) as viewer:
+    taker = SnapshotTaker(env)
+    viewer.scene.show(taker.take((1, 2)))
+    (shaft, head) = viewer.scene._marks._handles.values()
+    assert shaft.visible
+    # It points down at the box of world 1.
+    offset = viewer.scene.scene.fixed_bodies_frame.position
+    box = env.sim.data.xpos[1, 1].numpy() + offset
+    np.testing.assert_allclose(shaft.batched_positions[0, :2], box[:2], atol=1e-5)
+    assert box[2] < head.batched_positions[0, 2] < shaft.batched_positions[0, 2]
+    viewer.scene.show(taker.take((1,)))
+    assert not shaft.visible
+
+
+def test_the_page_waits_for_no_environment_map(monkeypatch: pytest.MonkeyPatch) -> None:
+  asked: list[object] = []
+  monkeypatch.setattr(
+    viser.SceneApi, "configure_environment_map", lambda self, hdri="warehouse", **_: asked.append(hdri)
+  )
+  env = BoxEnv(2)
+  env.sim.expand("geom_rgba")[1] = 0.5
+  with BrowserViewer(env, port=8312) as viewer:
+    viewer.scene.show(SnapshotTaker(env).take((0, 1)))
+    assert len(viewer.scene.others.scenes) == 1
+  # The browser would load its own map if it were told nothing.
+  assert asked == [None]
+
+
+def test_the_field_of_view_is_that_of_the_slider() -> None:
+  env = BoxEnv(1)
+  with BrowserViewer(env, port=8313) as viewer:
+    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    slider = inputs["Field of view"]
+    assert np.deg2rad(slider.value) == pytest.approx(viewer.server.initial_camera.fov, abs=0.01)
+    slider.value = 90
+    viewer.update()
+    assert viewer.server.initial_camera.fov == pytest.approx(np.pi / 2)

@@ -6,7 +6,7 @@ import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import av
 import mujoco
@@ -16,8 +16,10 @@ import torch
 from mjlab_core import MjlabError, RenderingError
 from mjlab_viewer import (
   BackgroundVideo,
+  CameraCfg,
   OffscreenRenderer,
   PictureCfg,
+  Replay,
   SnapshotTaker,
   TrainingVideo,
   VideoFile,
@@ -265,3 +267,42 @@ def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() 
   told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
   assert "neither EGL nor OSMesa is installed" in told
   assert told.count("\n") == 1
+
+
+GROUND = """
+<mujoco>
+  <statistic extent="1" center="0 0 0"/>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1=".3 .4 .6" rgb2=".7 .8 .9" width="32" height="192"/>
+    <texture name="ground" type="2d" builtin="checker" rgb1=".2 .3 .4" rgb2=".1 .2 .3" width="100" height="100"/>
+    <material name="ground" texture="ground" texuniform="true" reflectance=".2"/>
+  </asset>
+  <worldbody>
+    <light type="directional" pos="0 0 3" dir=".2 .1 -1"/>
+    <geom type="plane" size="0 0 .01" material="ground"/>
+    <body pos="0 0 .5"><freejoint/><geom type="box" size=".2 .1 .1" rgba=".9 .1 .1 1"/></body>
+  </worldbody>
+</mujoco>"""
+
+
+def test_films_have_the_ground_and_sky_of_the_page_without_speckles_where_shadows_end(opengl: None) -> None:
+  model = mujoco.MjModel.from_xml_string(GROUND)
+  snapshot = SnapshotTaker(Replay(model, {"qpos": model.qpos0[None, None]}, 0.02)).take((0,))
+  seen: dict[str, np.ndarray] = {}
+  looks: tuple[Literal["model", "page"], ...] = ("model", "page")
+  for look in looks:
+    cfg = PictureCfg(width=320, height=240, camera=CameraCfg(distance=4.0), look=look)
+    with OffscreenRenderer(model, cfg) as renderer:
+      seen[look] = renderer.render(snapshot).astype(int)
+  # Ground in the shadow of nothing, which is dark by itself.
+  speckles = {look: (image[150:170, 100:140].max(axis=2) < 40).sum() for look, image in seen.items()}
+  assert speckles["model"] > 20
+  assert speckles["page"] == 0
+  ground = seen["page"][130:]
+  is_grey = np.ptp(ground, axis=2) < 12
+  assert (ground[is_grey] > 225).mean() > 0.8
+  assert (seen["page"][:20] > 250).all()
+  # Lines, and one shadow.
+  assert 30 < (ground.max(axis=2) < 200)[is_grey].sum() < 5000
+  # The simulation's own model looks as before.
+  assert model.tex_data.min() < 60

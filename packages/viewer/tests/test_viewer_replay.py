@@ -59,22 +59,53 @@ def test_poses_are_those_of_mujoco_with_each_worlds_own_model() -> None:
   assert replay.signals()["qpos"][1].tolist()[1] == snapshot.data["qpos"][0].tolist()
 
 
-def test_a_time_that_is_held_stays_until_it_is_let_go() -> None:
+def test_a_replay_goes_on_from_the_moment_that_is_shown() -> None:
   replay = rising(5)
   playback = Playback(replay, ZeroPolicy(2, 0, torch.device("cpu")))
-  (command,) = replay.steering().values()
-  assert command.axes == [("time [s]", 0.0, pytest.approx(0.08))]
-  command.steer(0, [0.062])
+  replay.show(3)
   assert heights(replay) == [0.8, 0.8]
-  playback.paused = True
+  assert replay.note(1) == "moment 4 of 5, 0.06 s, world 1"
+  playback.pause()
   playback.step_once()
-  playback.reset()
-  assert heights(replay) == [0.8, 0.8]
-  command.steer(0, [99.0])
   assert heights(replay) == [0.9, 0.9]
-  command.steer(0, None)
-  playback.step_once()
+  replay.show(99)
+  assert heights(replay) == [0.9, 0.9]
+  playback.reset()
   assert heights(replay) == [0.5, 0.5]
+
+
+def test_moving_the_time_line_of_a_replay_pauses_it_there_and_play_goes_on() -> None:
+  replay = rising(7)
+  now = [0.0]
+  playback = Playback(replay, ZeroPolicy(2, 0, torch.device("cpu")), clock=lambda: now[0])
+  with BrowserViewer(replay, playback=playback, port=8305) as viewer:
+    controls = viewer._controls
+    assert controls is not None
+    slider = controls._time.slider
+
+    def run(seconds: float) -> None:
+      now[0] += seconds
+      playback.tick()
+      viewer.update()
+      controls.show_status()
+
+    run(0.0)
+    run(0.3)
+    moved = replay.at
+    assert moved > 0
+    assert slider.value == pytest.approx(moved * 0.02)
+    slider.value = 0.04
+    run(0.1)
+    run(0.1)
+    assert playback.paused
+    assert replay.at == 2
+    assert "moment 3 of 7, 0.04 s" in controls._status.content
+    # The next moment is due.
+    playback.resume()
+    playback.tick()
+    now[0] += 0.021
+    playback.tick()
+    assert replay.at == 3
 
 
 def test_what_is_written_to_a_moment_that_is_shown_is_not_stored() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +18,7 @@ from mjlab_viewer.snapshot import FIELDS, Snapshot, SnapshotTaker
 
 
 class Replay:
-  """Environment that shows one stored moment after another, again and again; the page can set its time.
+  """Environment that shows one stored moment after another, again and again; the page can go to any of them.
 
   Args:
     model: Model of the worlds.
@@ -26,6 +26,7 @@ class Replay:
       other fields have MuJoCo's initial values.
     step_dt: Time from one moment to the next [s].
     model_fields: Fields of MjModel with a value for each world, (num_envs, ...).
+    moment: Word for a moment, as the page shows it: "clip walk, frame".
   """
 
   def __init__(
@@ -34,7 +35,10 @@ class Replay:
     moments: Mapping[str, np.ndarray],
     step_dt: float,
     model_fields: Mapping[str, np.ndarray] | None = None,
+    *,
+    moment: str = "moment",
   ) -> None:
+    self._moment = moment
     self.num_steps, self.num_envs = moments["qpos"].shape[:2]
     """Moments, and worlds."""
     self.step_dt = step_dt
@@ -42,7 +46,6 @@ class Replay:
     own = {} if model_fields is None else model_fields
     self._moments = {name: torch.from_numpy(value) for name, value in _completed(model, moments, own).items()}
     self._at = 0
-    self._held: int | None = None
     self.sim: Any = SimpleNamespace(
       num_envs=self.num_envs,
       device=torch.device("cpu"),
@@ -57,14 +60,14 @@ class Replay:
 
   def reset(self) -> None:
     """Show the first moment."""
-    self._show(0 if self._held is None else self._held)
+    self.show(0)
 
   def step(self, action: object) -> tuple[dict[str, Any], torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Show the next moment; the first one follows the last, as a new episode."""
     del action
-    self._show((self._at + 1) % self.num_steps if self._held is None else self._held)
+    self.show((self._at + 1) % self.num_steps)
     zeros = torch.zeros(self.num_envs)
-    is_over = torch.full((self.num_envs,), self._at == 0 and self._held is None)
+    is_over = torch.full((self.num_envs,), self._at == 0)
     return {}, zeros, is_over, torch.zeros_like(is_over), {}
 
   @property
@@ -73,9 +76,9 @@ class Replay:
     return self._at
 
   def note(self, world: int) -> str:
-    """Return a note about a world at the moment that is shown, one line."""
-    del world
-    return f"moment {self.at + 1} of {self.num_steps}"
+    """Return what is shown of a world, one line."""
+    where = f", world {world}" if self.num_envs > 1 else ""
+    return f"{self._moment} {self.at + 1} of {self.num_steps}, {self.at * self.step_dt:.2f} s{where}"
 
   def get_observations(self) -> dict[str, Any]:
     """Return no observations."""
@@ -95,21 +98,15 @@ class Replay:
     """Return no names."""
     return ()
 
-  def steering(self) -> dict[str, Replay]:
-    """Return the time as a command."""
-    return {"time": self}
+  def steering(self) -> dict[str, Any]:
+    """Return no commands."""
+    return {}
 
-  @property
-  def axes(self) -> list[tuple[str, float, float]]:
-    """Time since the first moment [s], as the axis of a command."""
-    return [("time [s]", 0.0, (self.num_steps - 1) * self.step_dt)]
-
-  def steer(self, world: int, values: Sequence[float] | None) -> None:
-    """Hold all worlds at a time [s]; None continues."""
-    del world
-    self._held = None if values is None else min(max(round(values[0] / self.step_dt), 0), self.num_steps - 1)
-    if self._held is not None:
-      self._show(self._held)
+  def show(self, moment: int) -> None:
+    """Show a moment by its number, the last one beyond it; `step` goes on from there."""
+    self._at = min(max(moment, 0), self.num_steps - 1)
+    # Copies, so that a push does not change the stored moments.
+    vars(self.sim.data).update({name: moments[self._at].clone() for name, moments in self._moments.items()})
 
   def film(
     self,
@@ -133,18 +130,13 @@ class Replay:
     file = VideoFile(path, fps=speed / (every * self.step_dt))
     try:
       for step in range(0, self.num_steps, every):
-        self._show(step)
+        self.show(step)
         file.add(renderer.render(taker.take(range(self.num_envs), apart=True)))
         on_frame(file.num_frames)
       file.close()
     except BaseException:
       file.discard()
       raise
-
-  def _show(self, step: int) -> None:
-    self._at = step
-    # Copies, so that a push does not change the stored moments.
-    vars(self.sim.data).update({name: moments[step].clone() for name, moments in self._moments.items()})
 
 
 def _completed(

@@ -44,7 +44,8 @@ class Preview:
     # A motion that was read for this robot has its joints, in its order.
     qpos[:, model.jnt_qposadr[robot.joint_ids]] = motion.joint_pos
     time = np.arange(motion.num_frames)[:, None] / motion.rate
-    return Replay(model, {"qpos": qpos[:, None], "time": time}, 1.0 / motion.rate)
+    moments = {"qpos": qpos[:, None], "time": time}
+    return Replay(model, moments, 1.0 / motion.rate, moment=f"clip {motion.name}, frame")
 
   @contextmanager
   def renderer(self) -> Generator["OffscreenRenderer"]:

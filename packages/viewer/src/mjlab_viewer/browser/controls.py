@@ -9,19 +9,18 @@ import html
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import viser
 from mjlab_core import MjlabError
 
 from mjlab_viewer.browser.inputs import Buttons, Values
 from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
+from mjlab_viewer.browser.time_line import TimeLine
 from mjlab_viewer.env import ViewedEnv, floating_dofs, push
 from mjlab_viewer.playback import SPEEDS, Playback
 from mjlab_viewer.policies import CheckpointList
 from mjlab_viewer.replay import Replay
-
-HISTORY = 10.0
-"""Time that a user can go back while paused [s]."""
 
 
 class WorldControls:
@@ -31,8 +30,8 @@ class WorldControls:
     gui = server.gui
     self.values = Values()
     self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
-    with gui.add_folder("Worlds"):
-      if env.num_envs > 1:
+    if env.num_envs > 1:
+      with gui.add_folder("Worlds"):
         world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=selection.world)
         self.values.on_change(lambda: world.value, lambda: setattr(selection, "world", int(world.value)))
         shown = gui.add_slider(
@@ -44,14 +43,31 @@ class WorldControls:
           hint="This world and those after it",
         )
         self.values.on_change(lambda: shown.value, lambda: setattr(selection, "count", int(shown.value)))
+    with gui.add_folder("Camera"):
       follow = gui.add_checkbox("Follow", initial_value=scene.scene.camera_tracking_enabled)
+      degrees = round(np.rad2deg(server.initial_camera.fov))
+      angle = gui.add_slider(
+        "Field of view",
+        min=min(10, degrees),
+        max=max(120, degrees),
+        step=1,
+        initial_value=degrees,
+        hint="Vertical [deg]",
+      )
 
       def move() -> None:
         scene.follow(follow.value)
         for client in server.get_clients().values():
           scene.look(client)
 
+      def zoom() -> None:
+        fov = float(np.deg2rad(angle.value))
+        server.initial_camera.fov = fov
+        for client in server.get_clients().values():
+          client.camera.fov = fov
+
       self.values.on_change(lambda: follow.value, move)
+      self.values.on_change(lambda: angle.value, zoom)
     known, on = env.drawers(), env.default_drawers()
     if known:
       with gui.add_folder("Draw"):
@@ -91,17 +107,9 @@ class PlaybackControls:
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
     self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
-    self._timeline = gui.add_slider(
-      "Seconds back",
-      min=0.0,
-      max=HISTORY,
-      step=min(0.05, playback.env.step_dt),
-      initial_value=0.0,
-      disabled=True,
-      hint="While paused",
-    )
+    self._time = TimeLine(gui, playback, self.values)
     # The history is of the worlds that were shown then.
-    self.values.on_change(lambda: selection.worlds, lambda: setattr(self._timeline, "value", 0.0))
+    self.values.on_change(lambda: selection.worlds, self._time.to_now)
     self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
     self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
     for command, action in (
@@ -119,7 +127,7 @@ class PlaybackControls:
   @property
   def seconds_back(self) -> float:
     """Age of the moment to show [s]; 0 unless paused."""
-    return float(self._timeline.value) if self._playback.paused else 0.0
+    return self._time.seconds_back
 
   def show_status(self) -> None:
     """Show state, time and errors."""
@@ -128,7 +136,7 @@ class PlaybackControls:
     if self._pause.label != label:
       self._pause.label, self._pause.icon = label, icon
     self._record.label, self._record.color = ("Stop recording", "red") if self._recorder.is_on else ("Record", None)
-    self._timeline.disabled = not playback.paused
+    self._time.update()
     state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
     if playback.is_capped:
       state += f" (this machine is too slow for {playback.speed:g})"
@@ -139,10 +147,11 @@ class PlaybackControls:
     if is_past:
       state = f"looking back {self.seconds_back:.2f} s; Play returns to now"
     world = self._selection.world
-    line = f"<b>{state}</b><br>step {step}, {step * playback.env.step_dt:.2f} s, world {world}"
-    note = playback.env.note(world) if isinstance(playback.env, Replay) else self._episode_end.reason
-    if note:
-      line += f"<br>{html.escape(note)}"
+    if isinstance(playback.env, Replay):
+      lines = [playback.env.note(world)]
+    else:
+      lines = [f"step {step}, {step * playback.env.step_dt:.2f} s, world {world}", self._episode_end.reason]
+    line = "<br>".join([f"<b>{state}</b>", *(html.escape(text) for text in lines if text)])
     if not self._scene.is_finite:
       line += f"<br>world {world} is not finite: shown as it was before"
     if playback.error is not None:
@@ -160,17 +169,17 @@ class PlaybackControls:
 
   def _toggle(self) -> None:
     if self._playback.paused:
-      self._timeline.value = 0.0
+      self._time.to_now()
       self._playback.resume()
     else:
       self._playback.pause()
 
   def _step(self) -> None:
-    self._timeline.value = 0.0
+    self._time.to_now()
     self._playback.step_once()
 
   def _reset(self) -> None:
-    self._timeline.value = 0.0
+    self._time.to_now()
     self._playback.reset()
 
   def _add_pushes(self) -> None:

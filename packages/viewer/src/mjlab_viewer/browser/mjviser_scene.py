@@ -18,7 +18,7 @@ PRIVATE_NAMES = {
   "_update_decor_from_mjvscene": "mjviser draws contacts that it computes itself; the simulation's are drawn instead",
   "_tracked_body_id": "mjviser follows the first body that moves, and has no public way to choose another",
   "_sync_visibilities": "mjviser applies visible groups only behind its own check boxes",
-  "_mjv_option": "no public flag tells whether contact forces are split into normal and friction",
+  "_mjv_option": "no public flag tells whether contact forces are split, nor which groups of joints are shown",
 }
 """Private names of `ViserMujocoScene` that are used here, with the reason."""
 
@@ -47,6 +47,11 @@ class MujocoScene(ViserMujocoScene):
       # Public, and slower.
       self.rebuild_visual_handles()
 
+  def overlay_groups(self, kind: str) -> np.ndarray | None:
+    """Return the groups of "Joints", "Tendons" or "Actuators" that overlays show, to be written to, (6,)."""
+    option: Any = getattr(self, "_mjv_option", None)
+    return None if option is None else getattr(option, f"{kind.lower().removesuffix('s')}group")
+
   @property
   def splits_contact_forces(self) -> bool:
     """True if the user wants normal force and friction as two arrows."""
@@ -55,12 +60,17 @@ class MujocoScene(ViserMujocoScene):
 
 
 class _SceneUnder:
-  """viser's scene with every node that is added under a path."""
+  """viser's scene with every node that is added under a path, and without environment maps.
+
+  The page is almost invisible until the browser has loaded a map, and for ever if it cannot.
+  """
 
   def __init__(self, scene: viser.SceneApi, path: str) -> None:
     self._scene, self._path = scene, path
 
   def __getattr__(self, name: str) -> Any:
+    if name == "configure_environment_map":
+      return lambda **_: None
     attribute = getattr(self._scene, name)
     if not name.startswith("add_"):
       return attribute
@@ -68,7 +78,7 @@ class _SceneUnder:
 
 
 class ServerUnder:
-  """viser's server whose scene adds every node under a path."""
+  """viser's server whose scene adds every node under a path, and has the lights of its user alone."""
 
   def __init__(self, server: viser.ViserServer, path: str) -> None:
     self._server = server

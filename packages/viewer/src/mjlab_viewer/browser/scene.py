@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -10,13 +11,25 @@ import viser
 import viser.transforms
 
 from mjlab_viewer.browser.appearances import OtherAppearances, appearance_key
-from mjlab_viewer.browser.mjviser_scene import MujocoScene
+from mjlab_viewer.browser.mjviser_scene import MujocoScene, ServerUnder
 from mjlab_viewer.browser.shapes import BatchedShapes
-from mjlab_viewer.camera import Camera
+from mjlab_viewer.camera import Camera, first_moving_body
 from mjlab_viewer.drawing.contacts import contact_shapes, embolden
 from mjlab_viewer.drawing.draw_list import Shapes
 from mjlab_viewer.host_world import HostWorld, copy_world
 from mjlab_viewer.snapshot import Snapshot
+
+_AMBIENT = 1.0
+"""Intensity of the light from all sides; with viser's two lamps, the page is as bright as films are."""
+
+_LAMP = 1.5
+"""Intensity of each lamp without shadows: materials of models are metallic, and ambient light does not reach them."""
+
+_LAMPS = ((30.0, 0.0, 20.0), (-30.0, 0.0, 20.0), (0.0, 30.0, 20.0), (0.0, -30.0, 20.0))
+"""Places of these lamps [m]."""
+
+_MARK = (0.96, 0.55, 0.0, 1.0)
+"""Color of the arrow above the selected robot."""
 
 
 @dataclass(kw_only=True)
@@ -55,12 +68,18 @@ class BrowserScene:
   def __init__(self, server: viser.ViserServer, model: mujoco.MjModel, camera: Camera, num_worlds: int) -> None:
     self._own = HostWorld(model)
     self._camera = camera
-    self.scene = MujocoScene(server, self._own.model, num_worlds)
+    under: Any = ServerUnder(server, "")
+    self.scene = MujocoScene(cast(viser.ViserServer, under), self._own.model, num_worlds)
+    server.scene.configure_environment_map(hdri=None)
+    server.scene.add_light_ambient("/light", intensity=_AMBIENT)
+    for number, place in enumerate(_LAMPS):
+      server.scene.add_light_point(f"/lamp{number}", intensity=_LAMP, decay=0.0, position=place)
     embolden(self._own.model, of=model)
     # Otherwise the thread that receives a change of an overlay draws it at once, from data that is being written.
     self.scene.set_refresh_handler(lambda: None)
     self.scene.track(camera.body)
     self._shapes = BatchedShapes(server, self._own.model)
+    self._marks = BatchedShapes(server, self._own.model, "/mark")
     self.others = OtherAppearances(server, model)
     """Worlds that do not look like the selected one."""
     self._key = b""
@@ -104,6 +123,7 @@ class BrowserScene:
     self.others.show(snapshot, different, moved, scene)
     drawn = [shapes for drawing in snapshot.drawings for shapes in drawing.shapes]
     self._shapes.show(drawn + self._contacts(snapshot), offset)
+    self._marks.show(self._mark(poses["body_xpos"]), offset)
     self.shown = snapshot
 
   def follow(self, on: bool) -> None:
@@ -114,6 +134,18 @@ class BrowserScene:
     """Move the camera of a client back to its start."""
     client.camera.position = self._eye()
     client.camera.look_at = self._target()
+
+  def _mark(self, xpos: np.ndarray) -> list[Shapes]:
+    """Return an arrow that points down at the robot of the first world, if others are shown beside it."""
+    body = self._camera.body or first_moving_body(self._own.model)
+    if len(xpos) < 2 or not body:
+      return []
+    size = 0.06 * self._camera.distance
+    start = xpos[0, body] + np.array([0.0, 0.0, self._camera.above + 4.0 * size])
+    position, direction, width, color = (
+      np.array([row], dtype=float) for row in (start, (0.0, 0.0, -size), (0.1 * size,), _MARK)
+    )
+    return [Shapes("arrow", position, direction, width, color)]
 
   def _contacts(self, snapshot: Snapshot) -> list[Shapes]:
     """Return the contacts of the selected world, in mjviser's colors and sizes."""

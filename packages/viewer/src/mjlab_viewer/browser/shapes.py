@@ -25,10 +25,11 @@ class BatchedShapes:
   Args:
     server: Server of the page.
     model: Holds the meshes of ghosts.
+    path: Node that they are under.
   """
 
-  def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
-    self._server = server
+  def __init__(self, server: viser.ViserServer, model: mujoco.MjModel, path: str = "/drawn") -> None:
+    self._server, self._path = server, path
     self._model = model
     self._handles: dict[str, viser.BatchedMeshHandle] = {}
 
@@ -77,7 +78,7 @@ class BatchedShapes:
     if handle is None:
       mesh = self._unit_mesh(name)
       self._handles[name] = self._server.scene.add_batched_meshes_simple(
-        f"/drawn/{name}",
+        f"{self._path}/{name}",
         np.asarray(mesh.vertices, dtype=np.float32),
         np.asarray(mesh.faces, dtype=np.uint32),
         batched_wxyzs=wxyz,

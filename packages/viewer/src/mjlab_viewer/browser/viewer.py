@@ -14,10 +14,12 @@ import viser
 from mjlab_core import MjlabError
 
 from mjlab_viewer.browser.address import check_address, ignore_failed_handshakes
-from mjlab_viewer.browser.controls import HISTORY, PlaybackControls, WorldControls
+from mjlab_viewer.browser.controls import PlaybackControls, WorldControls
+from mjlab_viewer.browser.groups import GroupControls
 from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.signal_plot import SignalPlot
+from mjlab_viewer.browser.time_line import HISTORY
 from mjlab_viewer.browser.training_panel import TrainingPanel
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
@@ -123,6 +125,7 @@ class BrowserViewer:
     try:
       # Inputs of a page that was closed count too; the world is selected before its commands are set.
       self._worlds.values.read()
+      self._groups.values.read()
       if self._controls is not None:
         self._controls.values.read()
         self._controls.buttons.read()
@@ -194,7 +197,7 @@ class BrowserViewer:
     with tabs.add_tab("Overlays", icon=viser.Icon.EYE):
       scene.scene.create_overlay_gui()
     with tabs.add_tab("Groups", icon=viser.Icon.LAYERS_INTERSECT):
-      scene.scene.create_groups_gui()
+      self._groups = GroupControls(gui, scene.scene)
 
   def _show(self, now: float) -> None:
     back = self._controls.seconds_back if self._controls is not None else 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from mjlab_viewer.drawing.contacts import contact_shapes, embolden
 from mjlab_viewer.drawing.mjv import add_to_scene, count_geoms
 from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.pictures.opengl import make_context
+from mjlab_viewer.pictures.page_look import look_like_the_page
 from mjlab_viewer.snapshot import Snapshot
 
 
@@ -32,6 +34,8 @@ class PictureCfg(Config):
   shadows: bool = True
   geom_groups: tuple[bool, ...] = (True, True, True, False, False, False)
   """MuJoCo's geom groups that are drawn."""
+  look: Literal["page", "model"] = "page"
+  """Ground, sky and light of the browser page, or those of the model."""
 
 
 class OffscreenRenderer:
@@ -59,6 +63,8 @@ class OffscreenRenderer:
     model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
     if self.cfg.contacts:
       embolden(model, of=model)
+    if self.cfg.look == "page":
+      look_like_the_page(model)
     self._view = self.cfg.camera.resolve(model)
     self._camera = mujoco.MjvCamera()
     self._options = mujoco.MjvOption()
