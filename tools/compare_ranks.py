@@ -2,8 +2,10 @@
 
 `uv run python tools/compare_ranks.py --output docs/benchmarks/ranks_cpu` (ten minutes on two cores)
 
-Writes OUTPUT.csv with the mean reward of every iteration, OUTPUT.png with the curves, and OUTPUT.md with the iteration
-at which each run passes half of the final reward, and its final reward (mean of the last ten iterations).
+Writes OUTPUT.csv with the reward of the episodes that end in each iteration, OUTPUT.png with the curves, and OUTPUT.md
+with the iteration at which each run passes half of the final reward, and its final reward (mean of the last ten
+iterations). `Train/mean_reward` would not do: it is that of the last hundred episodes of each process, which reach
+further back with fewer environments.
 """
 
 import argparse
@@ -43,13 +45,15 @@ def train_all(wanted: argparse.Namespace) -> None:
 
 
 def curves(logs: Path, seeds: list[int]) -> dict[tuple[int, int], np.ndarray]:
-  """Return the mean reward of every iteration by number of processes and seed."""
+  """Return the reward of each iteration's episodes [1/s] by number of processes and seed."""
   found = {}
   for processes in (1, 2):
     for seed in seeds:
       (path,) = (logs / f"{processes}_{seed}").glob("*/*/progress.csv")
       with path.open(newline="") as file:
-        found[processes, seed] = np.array([float(row["Train/mean_reward"] or "nan") for row in csv.DictReader(file)])
+        rows = list(csv.DictReader(file))
+      terms = [name for name in rows[0] if name.startswith("Episode_Reward/")]
+      found[processes, seed] = np.array([sum(float(row[name] or "nan") for name in terms) for row in rows])
   return found
 
 
@@ -60,32 +64,14 @@ def draw(found: dict[tuple[int, int], np.ndarray], title: str, path: Path) -> No
   for (processes, seed), curve in found.items():
     name = f"{processes} process{'es' * (processes > 1)}" if seed == min(seed for _, seed in found) else None
     axes.plot(curve, color=COLOURS[processes], linestyle="-" if processes == 1 else "--", linewidth=1.2, label=name)
-  axes.set(title=title, xlabel="iteration", ylabel="mean reward per episode")
+  axes.set(title=title, xlabel="iteration", ylabel="reward of the iteration's episodes [1/s]")
   axes.grid(alpha=0.3)
   axes.legend()
   figure.savefig(path, dpi=110)
 
 
-def main() -> None:
-  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-  parser.add_argument("--task", default="Mjlab-Cartpole-Swingup")
-  parser.add_argument("--num-envs", type=int, default=256, help="environments of all processes together")
-  parser.add_argument("--iterations", type=int, default=100)
-  parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-  parser.add_argument("--output", type=Path, help="path without suffix")
-  parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
-  wanted = parser.parse_args()
-  if wanted.into is not None:
-    train_all(wanted)
-    return
-  if wanted.output is None:
-    parser.error("--output is missing")
-  with contextlib.ExitStack() as stack:
-    logs = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    for processes in ("1", "2"):
-      launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", processes]
-      subprocess.run([*launch, __file__, *sys.argv[1:], "--into", logs], check=True)
-    found = curves(logs, wanted.seeds)
+def write(found: dict[tuple[int, int], np.ndarray], wanted: argparse.Namespace) -> None:
+  """Write the table, the picture and the summary."""
   with wanted.output.with_suffix(".csv").open("w", newline="") as file:
     writer = csv.writer(file)
     writer.writerow(["processes", "seed", "iteration", "reward"])
@@ -106,8 +92,32 @@ def main() -> None:
     f"One process passes half after {one.mean():.1f} iterations, with a standard deviation of {one.std(ddof=1):.1f}",
   ]
   lines[-1] += f" over seeds; two processes after {two.mean():.1f}, with {two.std(ddof=1):.1f}."
-  wanted.output.with_suffix(".md").write_text("\n".join(lines) + "\n")
+  head = f"# Two processes and one\n\n{wanted.task} on a CPU, {wanted.num_envs} environments in all.\n\n"
+  wanted.output.with_suffix(".md").write_text(head + "\n".join(lines) + f"\n\n![Curves]({wanted.output.name}.png)\n")
   print("\n".join(lines))
+
+
+def main() -> None:
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("--task", default="Mjlab-Cartpole-Swingup")
+  parser.add_argument("--num-envs", type=int, default=256, help="environments of all processes together")
+  parser.add_argument("--iterations", type=int, default=60)
+  parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+  parser.add_argument("--output", type=Path, help="path without suffix")
+  parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
+  wanted = parser.parse_args()
+  if wanted.into is not None:
+    train_all(wanted)
+    return
+  if wanted.output is None:
+    parser.error("--output is missing")
+  with contextlib.ExitStack() as stack:
+    logs = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    for processes in ("1", "2"):
+      launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", processes]
+      subprocess.run([*launch, __file__, *sys.argv[1:], "--into", logs], check=True)
+    found = curves(logs, wanted.seeds)
+  write(found, wanted)
 
 
 if __name__ == "__main__":
