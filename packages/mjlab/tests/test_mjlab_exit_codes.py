@@ -11,7 +11,7 @@ from mjlab_rl import TaskCfg
 
 ROOT = Path(__file__).parents[3]
 TASK = mjlab_pendulum.TASK
-WITH_TASK = ("train", "play", "evaluate", "record-motion", "inspect-dr", "design-excitation", "export-scene")
+WITH_TASK = ("train", "play", "evaluate", "record-motion", "inspect-dr", "design-excitation", "sweep", "export-scene")
 WITH_FILE = {
   "convert-motion": "a.csv",
   "export": "run",

@@ -30,6 +30,7 @@ _COMMANDS: dict[str, tuple[str, str, str]] = {
   "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
   "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
   "design-excitation": ("_design_excitation", "TASK --fit ... [flags]", "design motions that records should hold"),
+  "sweep": ("_sweep", "TASK [flags]", "train a task with many values of its configuration"),
   "new": ("_new", "robot FILE|task NAME [flags]", "write a package for a robot or a task"),
   "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
@@ -98,6 +99,7 @@ viz_nan = _command("viz-nan")
 sysid = _command("sysid")
 design_excitation = _command("design-excitation")
 train_actuator = _command("train-actuator")
+sweep = _command("sweep")
 new = _command("new")
 
 

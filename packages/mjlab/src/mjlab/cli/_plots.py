@@ -1,10 +1,11 @@
-"""Plots of evaluations and of inspected events. Needs matplotlib, the extra `plot`."""
+"""Plots of evaluations, of inspected events and of sweeps. Needs matplotlib, the extra `plot`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from mjlab_core import AtomicWrite, matrix_from_quat
@@ -142,3 +143,39 @@ def _plain(panel: Any) -> None:
   panel.tick_params(labelsize=7)
   panel.locator_params(axis="x", nbins=6)
   panel.spines[["top", "right", "left"]].set_visible(False)
+
+
+def plot_trials(columns: dict[str, list[Any]], rewards: list[float], logarithmic: set[str], path: Path) -> None:
+  """Plot trials as lines over parallel axes, one for each value and one for the reward, which is also the colour."""
+  named = columns | {"reward": rewards}
+  figure = Figure(figsize=(1.6 + 1.9 * len(named), 4.6), layout="constrained")
+  axes = figure.subplots()
+  heights = np.zeros((len(named), len(rewards)))
+  for place, (name, values) in enumerate(named.items()):
+    is_number = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    if is_number:
+      numbers = np.array(values, dtype=float)
+      scaled = np.log10(numbers) if name in logarithmic else numbers
+      low, high = np.nanmin(scaled), np.nanmax(scaled)
+      ticks = np.linspace(low, high, 5) if high > low else np.array([low])
+      labels = [f"{10**tick if name in logarithmic else tick:.3g}" for tick in ticks]
+    else:
+      names = list(dict.fromkeys(map(str, values)))
+      scaled = np.array([names.index(str(value)) for value in values], dtype=float)
+      ticks, labels = np.arange(len(names), dtype=float), names
+      low, high = 0.0, len(names) - 1.0
+    span = high - low or 1.0
+    heights[place] = (scaled - low) / span
+    axes.axvline(place, color="black", linewidth=0.8)
+    for tick, label in zip((ticks - low) / span, labels, strict=True):
+      axes.annotate(f" {label}", (place, tick), fontsize=7, va="center")
+  order = np.argsort(np.nan_to_num(np.array(rewards), nan=-np.inf))
+  colour = colormaps["viridis"]
+  for trial in order:
+    axes.plot(heights[:, trial], color=colour(heights[-1, trial]), linewidth=1.3, alpha=0.8)
+  axes.set_xticks(range(len(named)), list(named), fontsize=8)
+  axes.set_yticks([])
+  axes.set_xlim(-0.1, len(named) - 0.55)
+  for side in ("left", "right", "top", "bottom"):
+    axes.spines[side].set_visible(False)
+  figure.savefig(path, dpi=110)

@@ -1,0 +1,167 @@
+"""`sweep TASK --space FILE --trials N`: trainings with other values, by Ray Tune."""
+
+import csv
+import dataclasses
+import math
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+from mjlab_core import AtomicWrite, UsageError, printable
+from mjlab_core.files import reading
+from mjlab_core.tables import table
+
+from mjlab.cli._command_line import CommandLine, plot_problem, run_with_task
+from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, check, read_space
+
+if TYPE_CHECKING:
+  from mjlab_rl import TaskCfg
+
+
+@dataclasses.dataclass(kw_only=True)
+class Arguments:
+  """All that can be given after the task."""
+
+  space: str | None = None
+  """YAML file of the values to try; it also names those that pbt may change."""
+  trials: int = 8
+  """Number of trials; with pbt, the size of the population."""
+  gpus_per_trial: float = 0.0
+  """GPUs of a trial, such as 0.5 for two trials on each; 0: trials run on CPUs."""
+  cpus_per_trial: int = 1
+  """CPU cores of a trial."""
+  scheduler: Literal["asha", "pbt", "none"] = "asha"
+  """asha stops trials that are behind; in pbt they copy better ones and change values; none lets all end."""
+  address: str | None = None
+  """Ray cluster, such as auto or ray://HOST:10001; None: this machine."""
+  resume: str | None = None
+  """Name of a sweep to continue, with its space and flags."""
+  name: str | None = None
+  """Name of the sweep; None: task and time."""
+  seed: int = 0
+  """Seed of the values that are drawn."""
+  log_root: str = "logs"
+  """Folder of all runs; sweeps are in its folder sweeps."""
+  traceback: bool = False
+  """Show the traceback of an error."""
+  agent: Any = None
+  """Configuration of the learner."""
+  env: Any = None
+  """Configuration of the environment."""
+
+
+_LINE = CommandLine(
+  name="sweep",
+  words="TASK",
+  purpose="Trains a task with many values of its configuration, and shows the best. Needs Ray, the extra sweep.",
+  arguments=Arguments,
+  notes="""\
+  --agent.PATH VALUE        A value that all trials have, e.g. --agent.max-iterations 300.
+
+  The file of --space:
+
+    values:
+      agent.algorithm.entropy-coef: [0.0, 0.005, 0.01]
+      agent.algorithm.desired-kl: {low: 0.005, high: 0.02, log: true}
+    perturb: [agent.algorithm.entropy-coef]
+""",
+)
+
+
+def run(words: list[str]) -> int:
+  """Run or continue a sweep; return 1 if every trial failed."""
+  return run_with_task(_LINE, words, _sweep, lambda task: {"agent": task.agent, "env": task.env})
+
+
+def _sweep(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+  from mjlab.cli._flags import parse
+
+  wanted = parse(Arguments(agent=task.agent, env=task.env), given)
+  sweeps = Path(wanted.log_root).resolve() / "sweeps"
+  if wanted.resume is not None:
+    folder = sweeps / wanted.resume
+    with reading("sweep", folder / "sweep.json", 2**20) as file:
+      sweep = msgspec.json.decode(file.read_bytes(), type=Sweep)
+    if sweep.task != name:
+      raise UsageError(f"--resume {wanted.resume}: it is a sweep of {printable(sweep.task, 100)}, not of {name}")
+  else:
+    if wanted.space is None:
+      raise UsageError("--space FILE is missing; sweep --help shows such a file")
+    if wanted.trials < 1 or wanted.cpus_per_trial < 1 or wanted.gpus_per_trial < 0:
+      raise UsageError("--trials and --cpus-per-trial must be at least 1, --gpus-per-trial at least 0")
+    folder = sweeps / (wanted.name or f"{name}_{time.strftime('%Y-%m-%d_%H-%M-%S')}")
+    if folder.exists():
+      raise UsageError(f"--name: {folder} exists; --resume {folder.name} continues it")
+    sweep = Sweep(
+      task=name,
+      flags=_of_configs(given),
+      space=read_space(wanted.space),
+      trials=wanted.trials,
+      scheduler=wanted.scheduler,
+      max_iterations=wanted.agent.max_iterations,
+      gpus=wanted.gpus_per_trial,
+      cpus=wanted.cpus_per_trial,
+      seed=wanted.seed,
+    )
+  check(sweep)
+  if find_spec("ray") is None:
+    raise UsageError("sweep needs Ray, the extra 'sweep' of mjlab: uv sync --all-packages --extra sweep")
+  from mjlab.cli._sweep_trials import run_trials
+
+  if wanted.resume is None:
+    with AtomicWrite(folder / "sweep.json") as temporary:
+      temporary.write_bytes(msgspec.json.format(msgspec.json.encode(sweep), indent=1))
+  trials = run_trials(sweep, folder, wanted.address, is_resumed=wanted.resume is not None)
+  print(report(trials, sweep.space, folder))
+  return 1 if all(trial.state == "failed" for trial in trials) else 0
+
+
+def _of_configs(given: list[str]) -> list[str]:
+  """Return the flags of task and learner, with their values."""
+  words: list[str] = []
+  is_config = False
+  for word in given:
+    if word.startswith("--"):
+      is_config = word.startswith(("--agent.", "--env."))
+    words += [word] * is_config
+  return words
+
+
+def report(trials: list[Trial], space: Space, folder: Path) -> str:
+  """Write the results as trials.csv and trials.png; return them as a table, the best first."""
+  best = sorted(trials, key=lambda trial: -math.inf if math.isnan(trial.reward) else trial.reward, reverse=True)
+  names = list(space.values)
+  with AtomicWrite(folder / "trials.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    writer = csv.writer(file)
+    writer.writerow(["trial", "reward", "iterations", "state", *names])
+    for trial in best:
+      values = [trial.values.get(name, "") for name in names]
+      writer.writerow([trial.name, trial.reward, trial.iterations, trial.state, *values])
+  short = [name.rpartition(".")[2] if _is_unique(name, names) else name for name in names]
+  rows = [
+    [t.name, f"{t.reward:.4g}", t.iterations, t.state, *(_shown(t.values.get(name, "")) for name in names)]
+    for t in best
+  ]
+  lines = [table(["trial", "reward", "iterations", "state", *short], rows), f"wrote {folder / 'trials.csv'}"]
+  if problem := plot_problem():
+    lines.append(f"no picture: {problem}")
+  else:
+    from mjlab.cli._plots import plot_trials
+
+    logarithmic = {name for name, domain in space.values.items() if isinstance(domain, Range) and domain.log}
+    columns = {key: [t.values.get(name, "") for t in best] for key, name in zip(short, names, strict=True)}
+    scales = {key for key, name in zip(short, names, strict=True) if name in logarithmic}
+    with AtomicWrite(folder / "trials.png") as temporary:
+      plot_trials(columns, [t.reward for t in best], scales, temporary)
+    lines.append(f"wrote {folder / 'trials.png'}")
+  return "\n".join(lines)
+
+
+def _is_unique(name: str, names: list[str]) -> bool:
+  return sum(other.rpartition(".")[2] == name.rpartition(".")[2] for other in names) == 1
+
+
+def _shown(value: Scalar) -> str:
+  return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,185 @@
+"""Trials of `sweep`, in processes of Ray Tune. Needs the extra `sweep`."""
+
+import functools
+import os
+import random
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from mjlab_core import MjlabError
+
+from mjlab.cli._sweep_space import Parts, Range, Scalar, Space, Sweep, Trial, trial_flags
+
+if TYPE_CHECKING:
+  from mjlab_rl.scalar_log import IterationReport
+
+# Statistics of use are not sent, and processes have the environment of this one, also under `uv run`.
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
+
+import ray  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+from ray import tune  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+from ray.tune.schedulers import (  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+  ASHAScheduler,
+  PopulationBasedTraining,
+)
+from ray.tune.search.basic_variant import (  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+  BasicVariantGenerator,
+)
+
+
+class _Progress(tune.Callback):
+  """One line for every trial that ends."""
+
+  def on_trial_complete(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
+    del iteration, info
+    ended = sum(other.status in ("TERMINATED", "ERROR") for other in trials)
+    reward = (trial.last_result or {}).get("reward")
+    print(f"trial {trial.trial_id} ended: reward {reward}; {ended} of {len(trials)} are done", flush=True)
+
+  def on_trial_error(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
+    del iteration, trials, info
+    print(f"trial {trial.trial_id} failed: {trial.error_file}", flush=True)
+
+
+def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: bool) -> list[Trial]:
+  """Run or continue the trials of a sweep; return their results.
+
+  Raises:
+    MjlabError: There is no such cluster, or the sweep cannot be continued.
+  """
+  random.seed(sweep.seed)  # From which pbt draws.
+  try:
+    own: dict[str, Any] = {"include_dashboard": False} if address is None else {}
+    ray.init(address=address or "local", log_to_driver=False, configure_logging=False, **own)
+  except (ConnectionError, ValueError) as error:
+    raise MjlabError(f"--address {address}: {error}") from error
+  try:
+    function = tune.with_parameters(train_trial, sweep=msgspec.json.encode(sweep), folder=folder)
+    trainable = tune.with_resources(function, {"cpu": sweep.cpus, "gpu": sweep.gpus})
+    if is_resumed:
+      if not tune.Tuner.can_restore(str(folder)):
+        raise MjlabError(f"--resume {folder.name}: no trial has begun in {folder}")
+      tuner = tune.Tuner.restore(str(folder), trainable, resume_errored=True)
+    else:
+      tuner = tune.Tuner(
+        trainable,
+        param_space={name: _domain(values) for name, values in sweep.space.values.items()},
+        tune_config=tune.TuneConfig(
+          metric="reward",
+          mode="max",
+          num_samples=sweep.trials,
+          scheduler=_scheduler(sweep),
+          search_alg=BasicVariantGenerator(random_state=sweep.seed),
+          trial_name_creator=lambda trial: trial.trial_id,
+          trial_dirname_creator=lambda trial: trial.trial_id,
+        ),
+        run_config=tune.RunConfig(
+          name=folder.name,
+          storage_path=str(folder.parent),
+          verbose=0,
+          callbacks=[_Progress()],
+          checkpoint_config=tune.CheckpointConfig(num_to_keep=4),
+        ),
+      )
+    return [_result(found, sweep.space) for found in tuner.fit()]
+  finally:
+    ray.shutdown()
+
+
+def _domain(values: list[Scalar] | Range) -> Any:
+  if not isinstance(values, Range):
+    return tune.choice(values)
+  return (tune.loguniform if values.log else tune.uniform)(values.low, values.high)
+
+
+def _interval(sweep: Sweep) -> int:
+  """Return the iterations between two decisions about a trial."""
+  return max(1, sweep.max_iterations // 10)
+
+
+def _scheduler(sweep: Sweep) -> Any:
+  """Return the scheduler; pbt gets the domains of the named values only, so that it changes no other."""
+  if sweep.scheduler == "asha":
+    return ASHAScheduler("iteration", max_t=sweep.max_iterations, grace_period=_interval(sweep))
+  if sweep.scheduler == "pbt":
+    changed = {name: _mutation(sweep.space.values[name]) for name in sweep.space.perturb}
+    return PopulationBasedTraining(
+      "iteration", perturbation_interval=_interval(sweep), hyperparam_mutations=changed, quantile_fraction=0.25
+    )
+  return None
+
+
+def _mutation(values: list[Scalar] | Range) -> Any:
+  return _domain(values) if isinstance(values, Range) else values
+
+
+def _result(found: Any, space: Space) -> Trial:
+  metrics = found.metrics or {}
+  values = {name: (found.config or {}).get(name, "") for name in space.values}
+  state = "failed" if found.error else "done"
+  name = metrics.get("trial_id") or Path(found.path).name
+  return Trial(name, values, metrics.get("reward", float("nan")), metrics.get("iteration", 0), state)
+
+
+def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
+  """Train one trial, from the checkpoint that Ray gives it if there is one, in a folder of its name."""
+  from mjlab_rl import Console, train
+
+  from mjlab import environments
+  from mjlab.cli._flags import parse, replaced
+  from mjlab.registry import load_task
+
+  wanted = msgspec.json.decode(sweep, type=Sweep)
+  task = load_task(wanted.task)
+  device = environments.resolve_device("cuda" if wanted.gpus else "cpu")
+  envs = environments.default_num_envs(device, task.env.scene.num_envs)
+  arguments = Parts(agent=task.agent, env=replaced(task.env, ("scene", "num_envs"), envs))
+  flags = parse(arguments, [*wanted.flags, *trial_flags(values)])
+  task.agent, task.env = flags.agent, flags.env
+  task.agent.save_interval, task.agent.logger = _interval(wanted), "none"
+  console = Console("quiet")
+  with tempfile.TemporaryDirectory() as place:
+    resume = None
+    if (checkpoint := tune.get_checkpoint()) is not None:
+      (resume,) = Path(checkpoint.to_directory(place)).glob("model_*.pt")
+    directories: list[Path] = []
+
+    def on_ready(env: Any, directory: Path | None) -> None:
+      if directory is not None:
+        directories.append(directory)
+      for name in wanted.space.perturb:
+        if name.startswith("env.rewards."):
+          # The restored worlds have the weights of the trial that they come from.
+          env.reward_manager.weight(name.split(".")[2].replace("-", "_")).fill_(float(values[name]))
+
+    console.on_report.append(functools.partial(_report, directories, set()))
+    train(
+      task,
+      name=wanted.task,
+      make_env=environments.standard_env,
+      device=device,
+      log_root=folder / tune.get_context().get_trial_id(),
+      resume=resume,
+      console=console,
+      on_ready=on_ready,
+    )
+
+
+def _report(directories: list[Path], sent: set[Path], report: "IterationReport") -> None:
+  """Tell Ray the reward of an iteration, with the newest checkpoint if it is new."""
+  if report.mean_reward is None:
+    return
+  metrics = {"reward": report.mean_reward, "iteration": report.iteration + 1, "steps": report.total_steps}
+  found = [path for directory in directories for path in directory.glob("model_*.pt")]
+  new = max((path for path in found if path not in sent), key=lambda path: path.stat().st_mtime, default=None)
+  if new is None:
+    tune.report(metrics)
+    return
+  sent.update(found)
+  with tempfile.TemporaryDirectory() as place:
+    shutil.copy(new, place)
+    tune.report(metrics, checkpoint=tune.Checkpoint.from_directory(place))

@@ -1,0 +1,119 @@
+"""`sweep`: the file of values, mistakes in it, results, and four trials where Ray is installed."""
+
+import csv
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+from mjlab.cli import sweep
+from mjlab.cli._sweep import report
+from mjlab.cli._sweep_space import Range, Space, Trial, trial_flags
+from mjlab_command import running
+
+TASK = "Mjlab-Cartpole-Balance"
+COMMAND = "import sys; from mjlab.cli import sweep; sys.exit(sweep())"
+ENTROPY, KL = "agent.algorithm.entropy-coef", "agent.algorithm.desired-kl"
+VALUES = f"values:\n  {ENTROPY}: [0.0, 0.005]\n  {KL}: {{low: 5e-3, high: 0.05, log: true}}\n"
+
+MISTAKES = {
+  "": "no values are given",
+  "values: {}": "no values are given",
+  "values: [1": "space ",
+  "value: {}": "unknown field `value`",
+  "values: {agent.algorithm.entropy-cof: [0.1]}": "entropy-coef",
+  "values: {agent.algorithm.entropy-coef: [much]}": "much",
+  "values: {agent.algorithm.entropy-coef: []}": "has an empty list of values",
+  "values: {seed: [1]}": "seed is not a value of the learner",
+  "values: {agent.algorithm.gamma: {low: 0.99, high: 0.9}}": "needs low < high",
+  "values: {agent.algorithm.gamma: {low: 0, high: 0.9, log: true}}": "needs 0 < low < high",
+}
+PBT_MISTAKES = {
+  "": "needs the names of values that it may change",
+  "perturb: [agent.algorithm.gamma]": "perturb names agent.algorithm.gamma, which is not among the values",
+  "  env.scene.num-envs: [8, 16]\nperturb: [env.scene.num-envs]": "of the environment only weights of rewards can",
+  "  agent.algorithm.learning-rate: [1e-3]\nperturb: [agent.algorithm.learning-rate]": "algorithm.schedule fixed",
+}
+
+
+def refused(folder: Path, capsys: pytest.CaptureFixture[str], text: str, *flags: str) -> str:
+  space = folder / "space.yaml"
+  space.write_text(text)
+  assert sweep([TASK, "--space", str(space), "--log-root", str(folder / "logs"), *flags]) != 0
+  assert not (folder / "logs").exists()
+  return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", MISTAKES)
+def test_a_mistake_in_the_file_of_values_is_named(
+  text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  said = refused(tmp_path, capsys, text)
+  assert MISTAKES[text] in said
+  assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("more", PBT_MISTAKES)
+def test_pbt_changes_only_named_values_that_can_change(
+  more: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+  assert PBT_MISTAKES[more] in refused(tmp_path, capsys, VALUES + more, "--scheduler", "pbt")
+
+
+def test_a_sweep_without_a_file_or_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert sweep([TASK]) == 2
+  assert "--space FILE is missing" in capsys.readouterr().err
+  assert sweep([TASK, "--resume", "absent", "--log-root", str(tmp_path)]) == 2
+  assert "no such file" in capsys.readouterr().err
+
+
+def test_values_of_a_trial_are_flags() -> None:
+  values = {"agent.algorithm.gamma": 0.9, "agent.actor.obs-normalization": False, "env.sim.capture": True}
+  assert trial_flags(values) == [
+    *("--agent.algorithm.gamma", "0.9"),
+    *("--agent.actor.no-obs-normalization", "--env.sim.capture"),
+  ]
+
+
+def test_results_are_a_table_and_a_picture_with_the_best_trial_first(tmp_path: Path) -> None:
+  space = Space(values={KL: Range(0.001, 0.1, log=True), "agent.actor.activation": ["elu", "relu"]})
+  found = [(0.002, "elu", 3.0), (0.05, "relu", 7.5), (0.01, "elu", math.nan)]
+  trials = [
+    Trial(str(i), {KL: kl, "agent.actor.activation": name}, reward, 20, "failed" if math.isnan(reward) else "done")
+    for i, (kl, name, reward) in enumerate(found)
+  ]
+  said = report(trials, space, tmp_path).splitlines()
+  assert said[0].split() == ["trial", "reward", "iterations", "state", "desired-kl", "activation"]
+  assert [line.split()[0] for line in said[1:4]] == ["1", "0", "2"]
+  with (tmp_path / "trials.csv").open(newline="") as file:
+    assert [row["agent.actor.activation"] for row in csv.DictReader(file)] == ["relu", "elu", "elu"]
+  assert (tmp_path / "trials.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheduler", ["asha", "pbt"])
+def test_four_trials_of_cartpole_and_the_sweep_goes_on(scheduler: str, tmp_path: Path) -> None:
+  pytest.importorskip(
+    "ray", reason="sweeps need Ray, the extra sweep of mjlab, which the developers' environment lacks"
+  )
+  (tmp_path / "space.yaml").write_text(f"{VALUES}perturb: [{ENTROPY}]\n")
+  common = ["--log-root", "logs", "--scheduler", scheduler]
+  flags = ["--env.scene.num-envs", "8", "--agent.max-iterations", "10", "--agent.num-steps-per-env", "40"]
+  with running(
+    COMMAND, TASK, "--space", "space.yaml", "--trials", "4", "--name", "four", *common, *flags, folder=tmp_path
+  ) as command:
+    command.wait_for(r"wrote .*trials.png")
+    said = command.said
+  assert len(re.findall(r"(?m)^\w+ +[-\d.]+ +\d+ +done", said)) == 4
+  folder = tmp_path / "logs" / "sweeps" / "four"
+  with (folder / "trials.csv").open(newline="") as file:
+    rows = list(csv.DictReader(file))
+  assert max(int(row["iterations"]) for row in rows) == 10
+  assert all(5e-3 <= float(row[KL]) <= 0.05 for row in rows)
+  # Trials copy each other in pbt, and change only what is named.
+  lines = [path.read_text().splitlines() for path in folder.glob("*/result.json")]
+  drawn = {json.loads(trial[0])["config"][KL] for trial in lines}
+  assert {json.loads(line)["config"][KL] for trial in lines for line in trial} <= drawn
+  with running(COMMAND, TASK, "--resume", "four", *common, folder=tmp_path) as command:
+    command.wait_for(r"wrote .*trials.png")
