@@ -4,7 +4,6 @@ Figures of this project are read from the tables and curves in `docs/benchmarks`
 there, with their sources. Run it again after a figure has changed; a test holds the table against what this writes.
 """
 
-import csv
 import json
 import re
 import statistics
@@ -23,7 +22,7 @@ ROWS = (
   ("g1_flat", "A humanoid on flat ground (G1)", RATE, "step_Mjlab-Velocity-Flat-Unitree-G1_cuda.md"),
   ("g1_rough", "A humanoid on rough ground (G1)", RATE, "step_Mjlab-Velocity-Rough-Unitree-G1_cuda.md"),
   ("g1_clip", "A humanoid that follows a clip (G1)", RATE, "step_Mjlab-Tracking-Flat-Unitree-G1_cuda.md"),
-  ("g1_iteration", "One iteration of PPO, G1 on flat ground", SECONDS, "g1_flat_gpu.csv"),
+  ("g1_iteration", "One iteration of PPO, G1 on flat ground", SECONDS, "scaling.json"),
   ("g1_walks", "Training until a G1 walks on flat ground", SECONDS, "learners_cuda.md"),
 )
 
@@ -51,9 +50,11 @@ def figures() -> list[Figure]:
   found = []
   for key, _, _, file in ROWS:
     text = (FOLDER / file).read_text(encoding="utf-8")
-    value = _of_curve(text) if file.endswith(".csv") else _of_learner(text) if key == "g1_walks" else _of_step(text)
+    value = (
+      _of_iteration(text) if file.endswith(".json") else _of_learner(text) if key == "g1_walks" else _of_step(text)
+    )
     device = re.search(r"NVIDIA ([\w ]+),", text)
-    found.append(Figure(key, OURS, value, device[1] if device else "H200", True, file))
+    found.append(Figure(key, OURS, value, device[1] if device else "H200", True, file.replace(".json", ".md")))
   for item in json.loads((FOLDER / "others.json").read_text(encoding="utf-8"))["figures"]:
     found.append(Figure(**{"measured": False, "source": ""} | item))
   return found
@@ -87,9 +88,11 @@ def _of_step(text: str) -> float:
   return next(float(row["env_steps_per_s"]) for row in _columns(text) if row["worlds"] == "4096")
 
 
-def _of_curve(text: str) -> float:
-  rows = list(csv.DictReader(text.splitlines()))
-  return sum(statistics.median(float(row[part]) for row in rows) for part in ("collect_s", "learn_s"))
+def _of_iteration(text: str) -> float:
+  row = next(
+    row for row in json.loads(text)["rows"] if (row["kind"], row["gpus"]) == ("weak", 1) and "G1" in row["task"]
+  )
+  return row["rollout_s"] + row["update_s"]
 
 
 def _of_learner(text: str) -> float:

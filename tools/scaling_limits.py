@@ -19,11 +19,11 @@ from mjlab.registry import load_task
 from mjlab_rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
 from mjlab_rl.process_state import pack
 
-# Rollout and update of 4096 environments on one H200 [s], measured: docs/benchmarks/README.md.
+# Rollout and update of 4096 environments on one H200 [s], measured: docs/benchmarks/scaling.md.
 TASKS = {
-  "Mjlab-Velocity-Flat-Unitree-Go1": (0.24, 0.11),
-  "Mjlab-Velocity-Rough-Unitree-Go1": (0.59, 0.11),
-  "Mjlab-Velocity-Flat-Unitree-G1": (0.30, 0.12),
+  "Mjlab-Velocity-Flat-Unitree-Go1": (0.256, 0.034),
+  "Mjlab-Velocity-Rough-Unitree-Go1": (0.571, 0.041),
+  "Mjlab-Velocity-Flat-Unitree-G1": (0.286, 0.036),
 }
 # Bytes per second of one GPU, and latency of a message between two [s]; stated by vendors, not measured.
 NETWORKS = {
