@@ -1,8 +1,9 @@
 """State of one process of a run: worlds, statistics, hidden states of networks and random generators."""
 
+import contextlib
 import io
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -125,3 +126,14 @@ def _restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
   random.setstate((version, tuple(internal), gauss))
   if device.type == "cuda" and "cuda" in state:
     torch.cuda.set_rng_state(state["cuda"], device)
+
+
+@contextlib.contextmanager
+def set_for_now(get: Callable[[], Any], set_to: Callable[[Any], None], value: Any) -> Generator[None]:
+  """Change a setting of torch on entering, and back on leaving."""
+  before = get()
+  set_to(value)
+  try:
+    yield
+  finally:
+    set_to(before)

@@ -24,7 +24,7 @@ from mjlab_rl.console import Console
 from mjlab_rl.critic_warmup import actor_held
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
-from mjlab_rl.process_state import ProcessState, pack, unpack
+from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
 from mjlab_rl.rank_averages import RankAverages
 from mjlab_rl.ranks import Patience, Ranks
 from mjlab_rl.scalar_log import IterationReport, open_logs
@@ -394,14 +394,3 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       mean_reward=None,
       mean_episode_length=None,
     )
-
-
-@contextlib.contextmanager
-def set_for_now(get: Callable[[], Any], set_to: Callable[[Any], None], value: Any) -> Generator[None]:
-  """Change a setting of torch on entering, and back on leaving."""
-  before = get()
-  set_to(value)
-  try:
-    yield
-  finally:
-    set_to(before)

@@ -40,7 +40,7 @@ class SpecEdit(Config):
   """
 
   kind: ClassVar[str]
-  """What the edit is about, as MjSpec calls it."""
+  """Kind of the edited element, as MjSpec calls it."""
   stage: ClassVar[int] = 2
   """Edits of a lower stage come first: textures, then materials, then what uses them."""
 

@@ -1,4 +1,4 @@
-"""What an evaluation measures in each step: errors, effort and impacts."""
+"""Measurements of an evaluation in each step: errors, effort and impacts."""
 
 from typing import TYPE_CHECKING
 

@@ -16,7 +16,8 @@ from tensordict import TensorDict
 from mjlab_rl import checkpoint
 from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
-from mjlab_rl.runner import MjlabOnPolicyRunner, set_for_now
+from mjlab_rl.process_state import set_for_now
+from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.scalar_log import IterationReport
 
 REPLAY_NAME = "replay.pt"
