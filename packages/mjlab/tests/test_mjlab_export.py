@@ -192,7 +192,7 @@ def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys:
   mjlab.register_task("Test-Memory", with_memory)
   assert cli.main(["train", "Test-Memory", "--device", "cpu", "--quiet"]) == 0
   (run,) = Path("logs/pendulum").iterdir()
-  bundle = Path("package/demo_policies/g1")
+  bundle = Path("package/demo_policies/track")
   assert cli.main(["export", str(run), "--output", str(bundle), "--steps", "0"]) == 0
   compared: list[str] = []
 
@@ -222,10 +222,10 @@ def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys:
     assert cli.main(["play", "Test-Memory", "--checkpoint", path, *flags]) == 0, capsys.readouterr().err
   # A policy that ships is a folder.
   monkeypatch.setattr(demos, "files", lambda name: Path("package"))
-  assert cli.main(["demo", "--task", "g1", *flags]) == 0
+  assert cli.main(["demo", "--task", "track", *flags]) == 0
   assert compared == ["Test-Memory"] * 3
   assert cli.main(["demo", "--help"]) == 0
-  assert "policies that ship: g1" in capsys.readouterr().out
+  assert "policies that ship: go1, track, lift" in capsys.readouterr().out
   data = json.loads((bundle / "bundle.json").read_text())
   for part, change, message in (
     (data["inputs"][1], {"columns": ["elbow"]}, "does not fit: 'joint/velocity' is (1,) elbow in it and (1,) hinge"),
