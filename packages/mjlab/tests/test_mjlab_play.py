@@ -372,7 +372,7 @@ def test_the_demo_lifts_too_to_where_it_is_told(
   # Of eight that begin anywhere at most one may have slipped away.
   assert int((away[0] < 0.05).sum()) >= 7
   assert cli.main(["demo", "lift"]) == 2
-  assert capsys.readouterr().err == "error: 'lift': not a flag; --task selects the policy: go1, lift\n"
+  assert capsys.readouterr().err == "error: 'lift': not a flag; --task selects the policy: g1, g1-rough, go1, lift\n"
   assert cli.main(["demo", "--task", "lit"]) == 2
   assert "demo 'lit' does not exist" in capsys.readouterr().err
 

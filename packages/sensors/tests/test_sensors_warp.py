@@ -237,7 +237,7 @@ def test_a_partial_reset_leaves_no_ghost_of_a_contact() -> None:
 def test_contacts_that_do_not_fit_the_match_buffer_are_counted_and_reported() -> None:
   # All contacts of the robot, of which there is room for one.
   tripod = ContactMatch(mode="subtree", pattern="tripod", entity="robot")
-  sim, _ = feel(ContactSensorCfg(name="feet", primary=tripod), contact_sensor_maxmatch=1)
+  sim, _ = feel(ContactSensorCfg(name="feet", primary=tripod), contact_sensor_maxmatch=1, njmax=64)
   sim.data.qpos[0, 2] += 10.0
   for _ in range(300):
     sim.step()
