@@ -13,6 +13,7 @@ from mjlab_core import RenderingError
 from mjlab_motions import Kinematics, derived_arrays, load_motion, shipped_clips
 from mjlab_viewer import BrowserViewer, SnapshotTaker
 from mjlab_viewer.pictures.opengl import make_context
+from mjlab_viewer.replay import Replay
 
 CLIP = "squat_and_wave"
 
@@ -84,6 +85,7 @@ def test_a_preview_is_served_after_the_clip_is_written(
   def interrupted(self: BrowserViewer) -> None:
     assert (folder / "squat.npz").exists()
     assert self.playback is not None
+    assert isinstance(self.playback.env, Replay)
     assert "clip squat" in self.playback.env.note(0)
     raise KeyboardInterrupt
 
