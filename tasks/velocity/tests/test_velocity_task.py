@@ -166,17 +166,12 @@ def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> Non
   task = TASKS[name].make()
   assert task.play is not None
   cfg, trained = task.play(task.env), TASKS[name].make().env
-  actor, twist = cfg.observations["actor"], cfg.commands["twist"]
+  actor = cfg.observations["actor"]
   assert actor is not None
-  assert isinstance(twist, UniformVelocityCommandCfg)
   assert cfg.episode_length_s == 1e9
   assert not actor.corrupt
   assert cfg.events["push_robot"] is None
   assert not cfg.curriculum
-  ranges = twist.ranges
-  faster = ((-1.0, 1.0), (-1.0, 1.0), (-0.5, 0.5)) if TASKS[name].rough else ((-1.5, 2.0), (-1.0, 1.0), (-0.7, 0.7))
-  assert (ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z) == faster
-  assert ranges.heading == (-math.pi, math.pi)
   if TASKS[name].rough:
     assert cfg.terminations["out_of_terrain_bounds"] is None
     ground = cfg.scene.terrain
@@ -193,7 +188,7 @@ def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> Non
   actor.corrupt = True
   cfg.events["push_robot"] = trained.events["push_robot"]
   cfg.curriculum = trained.curriculum
-  cfg.commands = trained.commands
+  # The commands too: a short training has not seen faster ones.
   assert cfg == trained
 
 

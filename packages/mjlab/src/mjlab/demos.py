@@ -13,11 +13,6 @@ TASKS = {
   "lift-rgb": "Mjlab-Lift-Cube-Yam-Rgb",
 }
 """Task of each policy that can ship, by its name. The first that ships is the one that `demo` shows unasked."""
-# `play` asks walking robots for commands that a short training has not seen.
-_RANGES = "--env.commands.twist.ranges"
-_AS_TRAINED = (f"{_RANGES}.lin-vel-x", "-1", "1", f"{_RANGES}.ang-vel-z", "-0.5", "0.5")
-FLAGS = dict.fromkeys(("g1", "g1-rough", "go1", "go1-rough"), _AS_TRAINED)
-"""Flags of `play` by policy; those of the command line come after them."""
 _CHECKPOINTS = {"go1": "demo_policy", "lift": "demo_policy_lift"}
 
 

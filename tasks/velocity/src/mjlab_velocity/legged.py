@@ -258,7 +258,7 @@ def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
   }
 
 
-def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   """Turn a training config into one for watching: endless episodes, no observation noise, no pushes, no curriculum."""
   cfg.episode_length_s = 1e9
   actor = cfg.observations["actor"]
@@ -266,15 +266,6 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     actor.corrupt = False
   cfg.events["push_robot"] = None
   cfg.curriculum = {}
-  return cfg
-
-
-def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  """Turn a flat training config into one for watching, with faster commands than at the start of training."""
-  cfg = play(cfg)
-  twist = cfg.commands["twist"]
-  if isinstance(twist, velocity.UniformVelocityCommandCfg):
-    twist.ranges = velocity.VelocityRanges(lin_vel_x=(-1.5, 2.0), ang_vel_z=(-0.7, 0.7))
   return cfg
 
 

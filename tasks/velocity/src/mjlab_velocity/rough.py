@@ -21,7 +21,7 @@ from mjlab_terrain import (
 )
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.legged import LeggedRobot, flat_env, play
+from mjlab_velocity.legged import LeggedRobot, flat_env, play_flat
 
 RIM = 0.2  # m, level edge of tiles made of height fields
 SCAN_DISTANCE = 5.0  # m
@@ -100,7 +100,7 @@ def ground_contact(primary: ContactMatch) -> ContactSensorCfg:
 
 def play_rough(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   """Turn a rough training config into one for watching: fewer tiles in random order, another tile in each episode."""
-  cfg = play(cfg)
+  cfg = play_flat(cfg)
   cfg.terminations["out_of_terrain_bounds"] = None
   if isinstance(cfg.scene.terrain, TerrainGridCfg):
     cfg.scene.terrain.layout = "random"

@@ -7,7 +7,7 @@ from mjlab_core import UsageError, unknown
 
 from mjlab.cli import _play
 from mjlab.cli._command_line import CommandLine
-from mjlab.demos import FLAGS, shipped
+from mjlab.demos import shipped
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
     from mjlab_rl.bundle_policy import is_bundle, task_of_bundle
 
     task = task_of_bundle(directory) if is_bundle(directory) else load_run(directory).task
-    return _play.run([task, "--checkpoint", str(directory), *FLAGS.get(name, ()), *flags])
+    return _play.run([task, "--checkpoint", str(directory), *flags])
 
 
 def _task(words: list[str], names: list[str]) -> tuple[str, list[str]]:
