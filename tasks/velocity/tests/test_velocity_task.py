@@ -1,6 +1,5 @@
 """The numbers of the four tasks: of the model, the terms, the learner, and what watching changes."""
 
-import math
 from importlib.metadata import entry_points
 from itertools import pairwise
 from typing import Any
@@ -13,7 +12,7 @@ from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_rl import RslRlOnPolicyRunnerCfg
 from mjlab_sensors import ContactSensor, ContactSensorCfg, RayCastSensorCfg, RingPatternCfg, TerrainHeightSensorCfg
 from mjlab_terrain import TerrainGridCfg
-from mjlab_velocity.mdp import UniformVelocityCommandCfg, variable_posture
+from mjlab_velocity.mdp import variable_posture
 from velocity_facts import TASKS
 from velocity_rollout import make_env
 
