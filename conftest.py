@@ -13,6 +13,10 @@ os.environ.setdefault("WARP_CACHE_PATH", str(Path(__file__).parent / ".cache" / 
 # Tensors of tests are tiny. Threads of one process that wait for each other on a busy machine cost ten times the work.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Processes that tests start import torch and its like from bytecode; from source each import takes three times as long.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 
 def pytest_unconfigure(config: pytest.Config) -> None:
   """What tests left behind, such as a thread, has as long to end as a test has."""
