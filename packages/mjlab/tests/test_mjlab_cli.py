@@ -157,8 +157,11 @@ def test_a_teacher_is_named_by_its_task(tmp_path: Path, capsys: pytest.CaptureFi
   assert "no teacher: 'Test-Pendulun' is neither" in (error := capsys.readouterr().err)
   assert "Nearest task: Test-Pendulum" in error
   assert train(tmp_path, "--agent.max-iterations", "1", "--quiet") == 0
+  checkpoint = runs(tmp_path)[0] / "model_1.pt"
   assert cli.main(["train", "Test-Taught", "--teacher", TASK, *flags]) == 0
-  assert f"imitating {runs(tmp_path)[0] / 'model_1.pt'}" in capsys.readouterr().out
+  assert f"imitating {checkpoint}\n" in capsys.readouterr().out
+  assert cli.main(["train", "Test-Taught", "--teacher", TASK, str(checkpoint), *flags]) == 0
+  assert f"imitating {checkpoint}, {checkpoint}\n" in capsys.readouterr().out
 
 
 def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

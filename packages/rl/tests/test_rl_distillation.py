@@ -3,6 +3,7 @@
 import copy
 import hashlib
 import os
+import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -64,10 +65,12 @@ class ToldPointEnvCfg(PointEnvCfg):
 
 
 class ToldPointEnv(PointEnv):
-  """`actor` and `whole` are position and speed, `position` is the position alone."""
+  """`actor` and `whole` are position and speed, `position` is the position alone, `side` is 1 right of the origin."""
 
   def get_observations(self) -> dict[str, torch.Tensor]:
-    return {**super().get_observations(), "whole": self.state.clone(), "position": self.state[:, :1].clone()}
+    position = self.state[:, :1].clone()
+    more = {"whole": self.state.clone(), "position": position, "side": (position > 0.0).float()}
+    return super().get_observations() | more
 
 
 def teacher_agent() -> RslRlOnPolicyRunnerCfg:
@@ -99,7 +102,17 @@ def run(agent: Any, log_root: Path | None, env: Any = None, **options: Any) -> T
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
   """A run whose policy was taught the law of a damped spring, which needs position and speed."""
-  checkpoint = run(teacher_agent(), tmp_path_factory.mktemp("logs")).checkpoint
+  return taught(tmp_path_factory.mktemp("logs"), -1.0)
+
+
+@pytest.fixture(scope="module")
+def contrary(tmp_path_factory: pytest.TempPathFactory) -> Path:
+  """One that pushes the other way."""
+  return taught(tmp_path_factory.mktemp("logs"), 1.0)
+
+
+def taught(logs: Path, gain: float) -> Path:
+  checkpoint = run(teacher_agent(), logs).checkpoint
   assert checkpoint is not None
   state = learner(checkpoint)
   weights = state["actor_state_dict"]
@@ -107,7 +120,7 @@ def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if name.startswith("mlp"):
       value.zero_()
   weights["mlp.0.weight"][:2] = torch.eye(2)
-  weights["mlp.2.weight"][0, :2] = torch.tensor([-1.0, -1.0])
+  weights["mlp.2.weight"][0, :2] = torch.tensor([gain, gain])
   torch.save(state, checkpoint)
   return checkpoint
 
@@ -161,8 +174,8 @@ def test_a_run_says_whom_the_student_learned_from(tmp_path: Path, teacher: Path)
   assert load_run(resumed.directory).teacher == manifest.teacher
 
 
-@pytest.mark.parametrize("kind", [None, "gru", "lstm"])
-def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: Any) -> None:
+@pytest.mark.parametrize(("kind", "count"), [(None, 1), ("gru", 1), ("lstm", 1), ("lstm", 2)])
+def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: Any, count: int) -> None:
   def configured(iterations: int) -> RslRlDistillationRunnerCfg:
     agent = student_agent(sees="position", max_iterations=iterations)
     if kind is not None:
@@ -170,8 +183,8 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: 
     return agent
 
   own = teacher_agent() if kind is None else replace(teacher_agent(), actor=recurrent(teacher_agent().actor, kind))
-  teacher = run(own, tmp_path / "teacher").checkpoint
-  assert teacher is not None
+  teacher = [path for _ in range(count) if (path := run(own, tmp_path / "teacher").checkpoint) is not None]
+  assert len(teacher) == count
   whole = run(configured(4), tmp_path / "whole", teacher=teacher).checkpoint
   half = run(configured(2), tmp_path / "half", teacher=teacher).checkpoint
   assert whole is not None
@@ -185,14 +198,72 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: 
   assert_same(*states)
 
 
-def runner(agent: RslRlDistillationRunnerCfg, teacher: Path, **env_options: Any) -> MjlabDistillationRunner:
+def runner(agent: RslRlDistillationRunnerCfg, *teachers: Path, **env_options: Any) -> MjlabDistillationRunner:
   seed_everything(agent.seed)
-  found = read_trained_policy(teacher)
-  agent.teacher = found.network(agent)
+  found = [read_trained_policy(teacher) for teacher in teachers]
+  agent.teacher, agent.num_teachers = found[0].network(agent), len(found)
   env = ToldPointEnv(ToldPointEnvCfg(seed=3, **env_options))
   made = MjlabDistillationRunner(RslRlVecEnvWrapper(env), agent, None, "cpu", console=QUIET)
-  made.load_teacher(found)
+  made.load_teacher(*found)
   return made
+
+
+SIDES = {"student": ("whole", "side"), "teacher": ("whole",), "teacher_index": ("side",)}
+
+
+@pytest.mark.parametrize("groups", [None, SIDES])
+def test_the_label_of_each_world_is_the_action_of_its_teacher(
+  teacher: Path, contrary: Path, groups: dict[str, tuple[str, ...]] | None
+) -> None:
+  made = runner(student_agent() if groups is None else student_agent(obs_groups=groups), teacher, contrary)
+  made._collect(made.env.get_observations())
+  stored: Any = made._distillation.storage
+  seen, labels = stored.observations, stored.privileged_actions
+  networks: Any = made.networks["teacher"]
+  for network, path in zip(networks, (teacher, contrary), strict=True):
+    assert_same(dict(network.state_dict()), learner(path)["actor_state_dict"])
+  index = torch.tensor([0, 1, 0, 1]).view(1, 4, 1).expand_as(labels) if groups is None else seen["side"]
+  assert 0 < index.sum() < index.numel()
+  with torch.no_grad():
+    first, second = (torch.stack([network(step) for step in seen.unbind(0)]) for network in networks)
+  assert (first - second).abs().amin() > 0.0
+  assert torch.equal(labels, torch.where(index == 1, second, first))
+
+
+def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
+  tmp_path: Path, teacher: Path, contrary: Path
+) -> None:
+  teachers = [tmp_path / path.parent.name / path.name for path in (teacher, contrary)]
+  for path, copied in zip((teacher, contrary), teachers, strict=True):
+    shutil.copytree(path.parent, copied.parent)
+  agent = student_agent(obs_groups=SIDES, max_iterations=80)
+  result = run(agent, tmp_path, teacher=teachers)
+  fallen = losses(result)
+  assert sum(fallen[-10:]) / 10 < 0.05 * fallen[0]
+  assert result.checkpoint is not None
+  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
+  env.state.uniform_(-0.5, 0.5, generator=env.rng)
+  seen = env.get_observations()
+  ours, *theirs = (CheckpointPolicy(env, load_run(path).agent) for path in (result.checkpoint, *teachers))
+  for policy, path in zip((ours, *theirs), (result.checkpoint, *teachers), strict=True):
+    policy.load(path)
+  for side, policy in enumerate(theirs):
+    of_side = seen["side"][:, 0] == side
+    wanted, done = policy(seen)[of_side], ours(seen)[of_side]
+    assert (done - wanted).square().mean() < 0.05 * wanted.square().mean()
+
+  manifest = load_run(result.checkpoint)
+  assert manifest.teacher is not None
+  records = [manifest.teacher, *manifest.more_teachers]
+  assert [record.checkpoint for record in records] == [str(path) for path in teachers]
+  for path in teachers:
+    shutil.rmtree(path.parent)
+  resumed = run(replace(agent, max_iterations=82), tmp_path, resume=result.checkpoint)
+  assert resumed.checkpoint is not None
+  again = load_run(resumed.checkpoint)
+  assert isinstance(again.agent, RslRlDistillationRunnerCfg)
+  assert (again.more_teachers, again.agent.num_teachers) == (manifest.more_teachers, 2)
+  assert_same(*(learner(path)["teacher_state_dict"] for path in (result.checkpoint, resumed.checkpoint)))
 
 
 def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
@@ -213,8 +284,8 @@ def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
   assert goes_on.any()
 
 
-@pytest.mark.parametrize("kind", [None, "gru", "lstm"])
-def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any) -> None:
+@pytest.mark.parametrize(("kind", "groups"), [(None, None), ("gru", None), ("lstm", SIDES)])
+def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any, groups: Any) -> None:
   from torch.utils._python_dispatch import TorchDispatchMode
 
   class Counter(TorchDispatchMode):
@@ -236,7 +307,8 @@ def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any
   agent = student_agent(sees="position")
   if kind is not None:
     agent.student = recurrent(agent.student, kind)
-  made = runner(agent, teacher)
+  agent.obs_groups = groups or agent.obs_groups
+  made = runner(agent, *([teacher] if groups is None else [teacher, teacher]))
   with Counter() as counter:
     made._collect(made.env.get_observations())
   assert counter.reads == 0
@@ -453,6 +525,26 @@ def test_other_networks_groups_and_limits_than_the_teachers_are_refused_by_name(
     run(student_agent(obs_groups=groups), tmp_path, teacher=teacher)
   with pytest.raises(FileError, match=r"agent\.clip_actions was not there in its training and is 0\.5 here"):
     run(student_agent(clip_actions=0.5), tmp_path, teacher=teacher)
+
+
+def test_several_teachers_that_do_not_fit_are_refused_by_name(tmp_path: Path, teacher: Path, contrary: Path) -> None:
+  both = [teacher, contrary]
+  wider = teacher_agent()
+  wider.actor.hidden_dims = (9,)
+  other = run(wider, tmp_path).checkpoint
+  assert other is not None
+  with pytest.raises(ConfigError, match=r"hidden_dims was 9 in its training and is 8 here\. Several teachers must"):
+    run(student_agent(), None, teacher=[teacher, other])
+  for group, message in (
+    ("whole", r"'whole' of agent\.obs_groups\['teacher_index'\] has shape \(16, 2\); it must be one number for each"),
+    ("position", r"'position' of .* has -?[\d.e-]+; the 2 teachers are 0 to 1"),
+    ("sides", r"observation group 'sides' does not exist"),
+  ):
+    with pytest.raises(ConfigError, match=message):
+      run(student_agent(obs_groups=SIDES | {"teacher_index": (group,)}), None, teacher=both)
+  made = runner(student_agent(), *both)
+  with pytest.raises(ConfigError, match=r"got 1 teachers; agent\.num_teachers is 2"):
+    made.load_teacher(read_trained_policy(teacher))
 
 
 def test_a_checkpoint_alone_needs_a_description_and_is_checked_by_its_shapes(tmp_path: Path, teacher: Path) -> None:

@@ -317,11 +317,14 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
   obs_groups: dict[str, tuple[str, ...]] = field(
     default_factory=lambda: {"student": ("actor",), "teacher": ("teacher",)}
   )
-  """Observation groups of each network; those of the teacher in the order of its training."""
+  """Observation groups of each network; those of the teacher in the order of its training. With several teachers,
+  "teacher_index" can name a group with the number of each world's teacher from 0, (num_envs, 1)."""
   student: RslRlModelCfg = field(default_factory=lambda: RslRlModelCfg(distribution_cfg=_gaussian(0.1)))
   """The policy. Its standard deviation applies to rollouts and is not learned."""
   teacher: RslRlModelCfg | None = None
   """The teacher's network; None: the network of its run."""
+  num_teachers: PositiveCount = 1
+  """Number of teachers, all with one kind of network; set to the number of checkpoints given to `train`."""
   teacher_task: str | None = None
   """Task whose newest run is the teacher if none is given."""
   algorithm: RslRlDistillationAlgorithmCfg = field(default_factory=RslRlDistillationAlgorithmCfg)
@@ -339,13 +342,15 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
   def to_rsl_rl(self) -> dict[str, Any]:
     config = super().to_rsl_rl()
     if self.teacher is not None:
-      config["teacher"] = self.teacher.to_rsl_rl()
+      network = self.teacher.to_rsl_rl()
+      several = {"class_name": "mjlab_rl.teachers:Teachers", "network": network, "count": self.num_teachers}
+      config["teacher"] = network if self.num_teachers == 1 else several
     return config | {"student": self.student.to_rsl_rl(), "algorithm": dict(vars(self.algorithm))}
 
   def for_inference(self) -> Self:
     agent = super().for_inference()
     agent.algorithm.num_learning_epochs = agent.algorithm.gradient_length = 1
-    agent.teacher = replace(copy.deepcopy(agent.student), distribution_cfg=None)
+    agent.teacher, agent.num_teachers = replace(copy.deepcopy(agent.student), distribution_cfg=None), 1
     return agent
 
 

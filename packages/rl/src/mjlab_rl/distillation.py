@@ -6,30 +6,42 @@ from mjlab_core.errors import ConfigError
 from rsl_rl.algorithms import Distillation
 from tensordict import TensorDict
 
+from mjlab_rl.checkpoint import check_network
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
 from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
 from mjlab_rl.runner import MjlabOnPolicyRunner
+from mjlab_rl.teachers import Teachers
 from mjlab_rl.trained_policy import TrainedPolicy
 
 
 class MjlabDistillationRunner(MjlabOnPolicyRunner):
   """`MjlabOnPolicyRunner` for rsl-rl's `Distillation`: the student acts and learns the actions of the teacher.
 
-  The teacher comes from `load_teacher`, or from the checkpoint of a resumed distillation.
+  The teacher comes from `load_teacher`, or from the checkpoint of a resumed distillation. `agent.num_teachers` teachers
+  share the worlds, as `mjlab_rl.teachers.Teachers` describes.
   """
 
   network_names = ("student", "teacher")
 
-  def load_teacher(self, teacher: TrainedPolicy) -> None:
-    """Take the weights of a teacher.
+  def load_teacher(self, *teachers: TrainedPolicy) -> None:
+    """Take the weights of a teacher, or of all `agent.num_teachers` teachers in their order.
 
     Raises:
-      FileError: It saw observations of other shapes, or its network has other sizes; nothing has been
+      ConfigError: There are more or fewer teachers.
+      FileError: One saw observations of other shapes, or its network has other sizes; nothing has been
         changed then.
     """
-    self.check_network(teacher.path, "teacher", teacher.weights, teacher.shapes_seen)
-    self.networks["teacher"].load_state_dict(teacher.weights)
+    loaded: Any = self.networks["teacher"]
+    networks = list(loaded) if isinstance(loaded, Teachers) else [loaded]
+    if len(teachers) != len(networks):
+      raise ConfigError(f"got {len(teachers)} teachers; agent.num_teachers is {len(networks)}")
+    shapes = self._shapes_seen["teacher"]
+    for teacher, network in zip(teachers, networks, strict=True):
+      seen, weights = (teacher.shapes_seen, shapes), (teacher.weights, network.state_dict())
+      check_network(teacher.path, "teacher", self.agent_cfg.obs_groups["teacher"], seen, weights)
+    for teacher, network in zip(teachers, networks, strict=True):
+      network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True
 
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
@@ -48,7 +60,7 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
 
   def _update(self, obs: TensorDict) -> dict[str, float]:
     # rsl-rl resets the teacher's hidden state to its initial one after every update.
-    teacher = self.networks["teacher"]
+    teacher: Any = self.networks["teacher"]
     remembered = teacher.get_hidden_state()
     losses = super()._update(obs)
     teacher.reset(hidden_state=remembered)

@@ -82,6 +82,8 @@ class RunManifest:
   """Checkpoint that the run continued."""
   teacher: PolicyRecord | None = None
   """Teacher of a distillation."""
+  more_teachers: list[PolicyRecord] = dataclasses.field(default_factory=list)
+  """Teachers of a distillation after the first."""
   init_from: PolicyRecord | None = None
   """Policy that the run started from; None: random weights."""
   versions: dict[str, str] = dataclasses.field(default_factory=dict)

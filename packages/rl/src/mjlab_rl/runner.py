@@ -29,6 +29,7 @@ from mjlab_rl.rank_averages import RankAverages
 from mjlab_rl.ranks import Patience, Ranks
 from mjlab_rl.scalar_log import IterationReport, open_logs
 from mjlab_rl.stop_signals import StopSignals
+from mjlab_rl.teachers import single_networks
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
@@ -94,7 +95,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       self.console.say(chatter.getvalue().rstrip())
     self._averages = RankAverages(self.alg, self.networks, self.ranks, torch.device(device))
     self.statistics = EpisodeStatistics(env.num_envs, device)
-    self._process = ProcessState(env.unwrapped, self.statistics, self.networks, torch.device(device))
+    self._process = ProcessState(env.unwrapped, self.statistics, single_networks(self.networks), torch.device(device))
     self.stopped_by: str | None = None
     """Name of the signal that ended the last `learn` early; None if it ran to its end."""
     self.is_world_state_restored = False

@@ -53,7 +53,12 @@ class TrainedPolicy:
     trained: RslRlModelCfg = getattr(self.run.agent, self.role)
     if agent.teacher is not None and agent.teacher != trained:
       differences = _differences(_encoded(trained), _encoded(agent.teacher), "agent.teacher")
-      refuse(self.name, differences, ". Leave out agent.teacher to use the network of its training", ConfigError)
+      hint = (
+        "Several teachers must have the same network"
+        if agent.num_teachers > 1
+        else ("Leave out agent.teacher to use the network of its training")
+      )
+      refuse(self.name, differences, f". {hint}", ConfigError)
     return trained
 
   def check_beginning(self, env: Any, agent: RslRlBaseRunnerCfg) -> None:

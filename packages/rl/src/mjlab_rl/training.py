@@ -3,7 +3,7 @@
 import contextlib
 import copy
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -47,7 +47,7 @@ def train(
   device: str = "cpu",
   log_root: str | os.PathLike[str] | None = "logs",
   resume: Path | None = None,
-  teacher: Path | None = None,
+  teacher: Path | Sequence[Path] | None = None,
   init_from: Path | None = None,
   console: Console | None = None,
   command: list[str] | None = None,
@@ -67,7 +67,8 @@ def train(
     device: Device of environment and learner, such as "cuda:0".
     log_root: Folder of all experiments; None: write nothing.
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
-    teacher: Checkpoint of the policy to imitate in a distillation; a resumed run has its own.
+    teacher: Checkpoint of the policy to imitate in a distillation, or of several that share the worlds; a resumed run
+      has its own.
     init_from: Checkpoint whose policy the run starts from, with its normaliser and standard deviation of actions; the
       optimiser, the critic and the counters start new.
     console: Output of progress; None: standard output.
@@ -85,14 +86,17 @@ def train(
   device = ranks.device(device)
   console = (console if console is not None else Console()) if ranks.is_first else Console("quiet")
   env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
-  teaching = _teacher(agent, env_cfg, teacher, resume)
+  teaching = _teachers(agent, env_cfg, [teacher] if isinstance(teacher, Path) else list(teacher or ()), resume)
   beginning = _beginning(agent, env_cfg, init_from, resume)
   agent.to_rsl_rl()
   kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
-  if teaching is not None and not issubclass(kind, MjlabDistillationRunner):
+  if teaching and not issubclass(kind, MjlabDistillationRunner):
     raise ConfigError(f"the task's runner is {kind.__name__}; a distillation needs a MjlabDistillationRunner")
   if getattr(env_cfg, "seed", None) is None:
     env_cfg.seed = agent.seed
+  teachers = [found.record for found in teaching if found.record is not None]
+  if resume is not None and teaching and teaching[0].run is not None:
+    teachers += teaching[0].run.more_teachers
   manifest = RunManifest(
     task=name,
     env=copy.deepcopy(env_cfg),
@@ -106,7 +110,8 @@ def train(
     command=list(command or []),
     launch=os.environ.get("TORCHELASTIC_RUN_ID", ""),
     resumed_from=None if resume is None else str(resume.resolve()),
-    teacher=None if teaching is None else teaching.record,
+    teacher=teachers[0] if teachers else None,
+    more_teachers=teachers[1:],
     init_from=None if beginning is None else beginning.record,
     versions=package_versions(),
     git=None if code is None else git_state(code),
@@ -125,10 +130,10 @@ def train(
     runner = kind(wrapped, agent, None, device, console=console)
     if resume is not None:
       runner.load(str(resume))
+    elif isinstance(runner, MjlabDistillationRunner) and teaching:
+      runner.load_teacher(*teaching)
     if beginning is not None:
       runner.load_policy(beginning.path)
-    if isinstance(runner, MjlabDistillationRunner) and teaching is not None:
-      runner.load_teacher(teaching)
     remaining = agent.max_iterations - runner.current_learning_iteration
     if remaining <= 0:
       raise ConfigError(
@@ -158,21 +163,27 @@ def train(
     )
 
 
-def _teacher(agent: RslRlBaseRunnerCfg, env: Any, teacher: Path | None, resume: Path | None) -> TrainedPolicy | None:
-  """Return the teacher of a distillation, and set `agent.teacher` to its network."""
+def _teachers(agent: RslRlBaseRunnerCfg, env: Any, given: Sequence[Path], resume: Path | None) -> list[TrainedPolicy]:
+  """Return the teachers of a distillation, or those of a resumed one as one, and describe them in `agent`."""
   if not isinstance(agent, RslRlDistillationRunnerCfg):
-    if teacher is not None:
-      raise ConfigError(f"teacher {teacher}: only a RslRlDistillationRunnerCfg has a teacher")
-    return None
-  if teacher is not None and resume is not None:
-    raise ConfigError(f"teacher {teacher}: a resumed run keeps its teacher ({resume})")
-  path = teacher or resume
-  if path is None:
+    if given:
+      raise ConfigError(f"teacher {given[0]}: only a RslRlDistillationRunnerCfg has a teacher")
+    return []
+  if given and resume is not None:
+    raise ConfigError(f"teacher {given[0]}: a resumed run keeps its teacher ({resume})")
+  if not given and resume is None:
     raise ConfigError("a distillation needs a teacher, the checkpoint of a trained policy")
-  found = read_trained_policy(path, resumed=resume is not None)
-  found.check(env, agent)
-  agent.teacher = copy.deepcopy(found.network(agent))
-  return found
+  teaching = [read_trained_policy(path) for path in given]
+  if resume is None:
+    agent.num_teachers = len(teaching)
+  else:
+    teaching = [read_trained_policy(resume, resumed=True)]
+    if teaching[0].run is not None and isinstance(teaching[0].run.agent, RslRlDistillationRunnerCfg):
+      agent.num_teachers = teaching[0].run.agent.num_teachers
+  for found in teaching:
+    found.check(env, agent)
+    agent.teacher = copy.deepcopy(found.network(agent))
+  return teaching
 
 
 def _beginning(

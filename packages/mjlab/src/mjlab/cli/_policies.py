@@ -81,7 +81,7 @@ def without_teacher(env: Any, agent: Any) -> Any:
   groups = getattr(env, "observations", None)
   if not isinstance(agent, RslRlDistillationRunnerCfg) or groups is None:
     return env
-  unseen = set(agent.obs_groups["teacher"]) - set(agent.obs_groups["student"])
+  unseen = {group for seen in agent.obs_groups.values() for group in seen} - set(agent.obs_groups["student"])
   return replaced(env, ("observations",), {name: group for name, group in groups.items() if name not in unseen})
 
 

@@ -41,9 +41,9 @@ class Arguments:
   resume: str | None = None
   """Run to continue, with its configuration and the flags given here: latest (of this task; also without a value),
   the name or directory of a run, or a checkpoint file."""
-  teacher: str | None = None
-  """Policy to imitate, in distillation tasks: latest (of the teacher's task; also None), a task (its latest run), the
-  name or directory of a run, or a checkpoint file."""
+  teacher: tuple[str, ...] = ()
+  """Policy to imitate, in distillation tasks: latest (of the teacher's task; also if it is not given), a task (its
+  latest run), the name or directory of a run, or a checkpoint file. Several share the environments."""
   init_from: str | None = None
   """Policy to start from, also a distilled one: latest or the name of a run of this task's experiment, a task (its
   latest run), the directory of a run, or a checkpoint file. Only the policy is taken over."""
@@ -157,7 +157,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   if wanted.verbose and wanted.quiet:
     raise UsageError("--verbose and --quiet exclude each other")
   for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
-    if wanted.resume is not None and getattr(wanted, flag) is not None:
+    if wanted.resume is not None and getattr(wanted, flag) not in (None, ()):
       raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
   ranks = Ranks.launched()
   if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:
@@ -176,7 +176,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if restarted is not None:
     wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
-  teacher = _teacher(wanted, name)
+  teachers = _teachers(wanted, name)
   beginning = _beginning(wanted)
   if wanted.seed is not None:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
@@ -189,8 +189,8 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   console.say(f"{name}: {num_envs} environment{'s' * (num_envs != 1)}{each}{hint} on {where}")
   if checkpoint is not None:
     console.say(f"continuing from {checkpoint}")
-  if teacher is not None:
-    console.say(f"imitating {teacher}")
+  if teachers:
+    console.say(f"imitating {', '.join(map(str, teachers))}")
   if beginning is not None:
     console.say(f"starting from {beginning}")
 
@@ -217,7 +217,7 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
       device=device,
       log_root=wanted.log_root,
       resume=checkpoint,
-      teacher=teacher,
+      teacher=teachers,
       init_from=beginning,
       console=console,
       command=["train", name, *_with_latest(words)],
@@ -256,29 +256,30 @@ def _checkpoint(wanted: Arguments, task: str) -> Path | None:
   )
 
 
-def _teacher(wanted: Arguments, task: str) -> Path | None:
-  """Return the checkpoint of the policy to imitate; None if the task imitates none, or if a run is resumed."""
+def _teachers(wanted: Arguments, task: str) -> list[Path]:
+  """Return the checkpoints of the policies to imitate; none if the task imitates none, or if a run is resumed."""
   from mjlab_rl import RslRlDistillationRunnerCfg
 
   agent = wanted.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
-    if wanted.teacher is not None:
+    if wanted.teacher:
       raise UsageError(
         f"--teacher applies to distillation tasks only (`list-envs distill` lists them); {task} is not one"
       )
-    return None
+    return []
   if wanted.resume is not None:
-    return None
+    return []
+  names = wanted.teacher or ("latest",)
   if agent.teacher_task is None:
-    if wanted.teacher in (None, "latest"):
+    if "latest" in names:
       raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
     experiment = agent.experiment_name
   else:
     experiment = load_named_task(agent.teacher_task).agent.experiment_name
   try:
-    return _trained(wanted.teacher or "latest", wanted, experiment, agent.teacher_task)
+    return [_trained(name, wanted, experiment, agent.teacher_task) for name in names]
   except UnknownNameError as error:
-    train_one = f". Train one with `train {agent.teacher_task}`" if wanted.teacher in (None, "latest") else ""
+    train_one = f". Train one with `train {agent.teacher_task}`" if names == ("latest",) else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
 
 
