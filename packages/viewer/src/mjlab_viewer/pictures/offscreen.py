@@ -60,7 +60,10 @@ class OffscreenRenderer:
     model = self._world.model
     model.vis.global_.offwidth, model.vis.global_.offheight = self.cfg.width, self.cfg.height
     # Sharper shadows are not visible in a film, and without a GPU they take most of the time.
-    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 2048)
+    quality = model.vis.quality
+    quality.shadowsize = min(quality.shadowsize, 2048)
+    # Nor are more facets of cylinders and spheres.
+    quality.numslices, quality.numstacks = min(quality.numslices, 16), min(quality.numstacks, 8)
     if self.cfg.contacts:
       embolden(model, of=model)
     if self.cfg.look == "page":
