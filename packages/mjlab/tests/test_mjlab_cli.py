@@ -1,4 +1,5 @@
 import importlib
+import io
 import json
 import os
 import shutil
@@ -275,18 +276,14 @@ def test_a_folder_with_a_space_is_quoted_where_a_command_is_offered(
   assert "python -m mujoco.viewer --mjcf 'my scene/scene.xml'" in capsys.readouterr().out
 
 
-def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(tmp_path: Path) -> None:
-  flags = ["--log-root", str(tmp_path / "Läufe"), "--device", "cpu", "--agent.max-iterations", "1"]
-  options = {"PYTHONIOENCODING": "ascii", "PYTHONPATH": str(Path(__file__).parent)}
-  done = subprocess.run(
-    [sys.executable, "-c", OWN, "train", TASK, *flags],
-    env=os.environ | options,
-    capture_output=True,
-    text=True,
-    check=False,
-  )
-  assert done.returncode == 0, done.stderr
-  assert "L\\xe4ufe" in done.stdout
+def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+  terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+  monkeypatch.setattr(sys, "stdout", terminal)
+  assert train(tmp_path / "Läufe", "--agent.max-iterations", "1") == 0
+  terminal.flush()
+  assert b"L\\xe4ufe" in terminal.buffer.getvalue()
 
 
 def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -328,12 +325,6 @@ def imported_after(*commands: str) -> dict[str, list[str]]:
   return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_listing_and_help_import_little() -> None:
-  for command, modules in imported_after("train --help", "list-envs", "train Nope", "--help").items():
-    assert not {"torch", "warp", "mujoco", "tyro", "rsl_rl", "numpy"} & set(modules), command
-    assert len(modules) < 250, command
-
-
 def test_a_mistake_is_found_before_what_learns_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.chdir(tmp_path)
   flags = {
@@ -347,19 +338,15 @@ def test_a_mistake_is_found_before_what_learns_is_imported(tmp_path: Path, monke
     assert not {"rsl_rl", "tensordict", "torch._dynamo"} & set(modules), command
 
 
-def test_importing_mjlab_imports_neither_torch_nor_warp() -> None:
-  code = "import mjlab, sys; assert not {'torch', 'warp', 'mujoco'} & set(sys.modules)"
-  subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_torch_is_told_to_share_the_cores_before_it_is_imported() -> None:
+def test_torch_is_told_to_share_the_cores_before_it_is_imported(tmp_path: Path) -> None:
   code = (
     "import os, sys; from mjlab import cli, environments; share = environments.share_cores\n"
     "def checked():\n  assert 'torch' not in sys.modules\n  share()\n"
-    "environments.share_cores = checked; cli.train(['Mjlab-Cartpole-Balance', '--help', 'seed'])\n"
-    "assert 'torch' in sys.modules; assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'"
+    "  assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'; os._exit(0)\n"
+    "environments.share_cores = checked; cli.train(['Mjlab-Cartpole-Balance', '--help', 'seed']); sys.exit(1)"
   )
   env = {name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")}
+  env["XDG_CACHE_HOME"] = str(tmp_path)  # Help that is kept imports nothing.
   done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
   assert done.returncode == 0, done.stderr
 
