@@ -73,9 +73,9 @@ def make_real(model: mujoco.MjModel, prefix: str = "") -> None:
 
 def record(path: Path, seconds: float = 20.0) -> None:
   """Record the real robot on a stand, with all joints in motion."""
-  from mjlab.cli._sysid import stand_of
+  from mjlab.cli._sysid import robot_of
 
-  robot = stand_of(load_task(TASK).env, "robot", height=1.0, floor=None)
+  robot = robot_of(load_task(TASK).env)
   model, random = robot.model, np.random.default_rng(0)
   make_real(model)
   data, joints = mujoco.MjData(model), robot.joints

@@ -1,5 +1,6 @@
 """`sysid`: from records of a task's robot to an overlay that the task applies."""
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -118,6 +119,69 @@ def test_the_command_writes_an_overlay_and_a_report(
   assert "http" not in page
   assert cli.sysid(words) == 2
   assert "identified.json exists" in capsys.readouterr().err
+
+
+def test_a_fit_that_was_ended_is_resumed(
+  leg: tuple[EntityCfg, Record, Identified],
+  tmp_path: Path,
+  monkeypatch: pytest.MonkeyPatch,
+  capsys: pytest.CaptureFixture[str],
+) -> None:
+  records, output = tmp_path / "leg.npz", tmp_path / "identified.json"
+  write_record(leg[1].rows(slice(0, 100)), records)
+  words = [str(records), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(output)]
+  words += ["--fit", f"armature:{CALF}", f"stiffness:{THIGH}"]
+  with monkeypatch.context() as patch:
+    # As if Ctrl-C came during the first iteration.
+    patch.setattr("mjlab.cli._sysid.stop_on_ctrl_c", lambda: contextlib.nullcontext([2]))
+    assert cli.sysid(words) == 0
+  assert "the same command with --resume continues it from" in capsys.readouterr().out
+  assert Path(f"{output}.progress").exists()
+  assert cli.sysid([*words[:-1], "--resume"]) == 1
+  assert "identified.json.progress: it is of other records, parameters or settings" in capsys.readouterr().err
+  assert cli.sysid([*words, "--resume"]) == 0
+  assert "stopped" not in capsys.readouterr().out
+  assert not Path(f"{output}.progress").exists()
+  scores = json.loads(output.read_text())["scores"]
+  assert all(score["after"] < 0.8 * score["before"] for score in scores)
+
+
+RECORD_OF_LEG = f"time,position/{CALF},position_target/{CALF}\n" + "".join(
+  f"{0.01 * k:.2f},{-1.8 + 0.001 * (k % 7):.4f},-1.8\n" for k in range(60)
+)
+
+
+@pytest.mark.parametrize(
+  ("old", "new", "message"),
+  [
+    ("\n0.20,", "\n0.10,", "row 21: time 0.1 s does not follow the row before; sort it"),
+    ("-1.7950", "nan", "line 7, column 'position/FR_calf_joint': 'nan' is not a finite number"),
+    ("/FR_calf_joint,", "/FR_calf_joint [degrees],", "unit of position 'degrees' does not exist"),
+    (",-1.7", ",-103", "name the unit, such as 'position/FR_calf_joint [deg]'"),
+    ("FR_calf_joint", "FR_knee_joint", "joint 'FR_knee_joint' does not exist"),
+    ("position_target", "target", "no joint has a command"),
+  ],
+)
+def test_a_wrong_record_is_one_line(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
+) -> None:
+  (tmp_path / "leg.csv").write_text(RECORD_OF_LEG.replace(old, new))
+  words = [str(tmp_path / "leg.csv"), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", f"armature:{CALF}"]
+  assert cli.sysid([*words, "--output", str(tmp_path / "a.json")]) in (1, 2)
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+  assert {path.name for path in tmp_path.iterdir()} == {"leg.csv"}
+
+
+def test_a_gap_is_one_line_and_columns_come_in_any_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  lines = [",".join(reversed(line.split(","))) for line in RECORD_OF_LEG.splitlines()]
+  (tmp_path / "leg.csv").write_text("\n".join((*lines[:30], *lines[40:])) + "\n")
+  words = [str(tmp_path / "leg.csv"), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", f"armature:{CALF}"]
+  assert cli.sysid([*words, "--output", str(tmp_path / "a.json"), "--window", "0.1", "--iterations", "1"]) == 0
+  shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: ")]
+  assert len(shown) == 1
+  assert "1 gaps, the longest of 0.11 s, while rows are 0.01 s apart; each begins a new stretch" in shown[0]
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,14 @@
 """Known parameters are found again in simulated records, and those that cannot be are named."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mjlab_actuators import DcMotorActuatorCfg, IdealPdActuatorCfg
 from mjlab_core import MjlabError
-from mjlab_sysid import Identified, IdentifyCfg, Record, Robot, identify, parse_term
+from mjlab_sysid import Identified, IdentifyCfg, Progress, Record, Robot, identify, parse_term
 from sysid_robots import arm, changed, record, sines
 
 FACTORS = {
@@ -23,6 +24,11 @@ TERMS = ("armature:.*", "frictionloss:.*", "viscous_damping:hip", "stiffness:kne
 
 def fit(robot: Robot, records: list[Record], *terms: str, **more: Any) -> Identified:
   return identify(robot, records, [parse_term(text) for text in terms], **more)
+
+
+def of_joints(made: Record) -> dict[str, np.ndarray]:
+  """Signals of a record without those of the IMU and the base."""
+  return {name: values for name, values in made.signals.items() if name in ("position_target", "position", "velocity")}
 
 
 def numbers(found: Identified) -> dict[str, float]:
@@ -191,3 +197,75 @@ def test_the_base_of_a_robot_on_its_stand_does_not_touch_its_limbs() -> None:
   robot = arm()
   assert robot.model.nv == 2
   assert robot.model.nexclude == 1
+
+
+def test_a_fit_that_was_killed_is_resumed(tmp_path: Path) -> None:
+  robot, file = arm(), tmp_path / "fit.json"
+  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 2.0))
+  more: dict[str, Any] = {"progress": file}
+
+  def kill(progress: Progress) -> None:
+    if progress.iteration == 4:
+      raise KeyboardInterrupt
+
+  with pytest.raises(KeyboardInterrupt):
+    fit(robot, [made], *TERMS, on_iteration=kill, **more)
+  assert [path.name for path in tmp_path.iterdir()] == ["fit.json"]
+  begun = file.read_text()
+  costs: list[float] = []
+  found = fit(robot, [made], *TERMS, resume=True, on_iteration=lambda seen: costs.append(seen.cost), **more)
+  agree(found, FACTORS, 0.005)
+  first: list[float] = []
+  fit(robot, [made], *TERMS, on_iteration=lambda seen: first.append(seen.cost) or True)
+  assert costs[0] < 0.5 * first[0]
+  assert not file.exists()
+  for content, message in (
+    (begun.replace('"fit": "', '"fit": "0'), "of other records, parameters or settings; fit again without resuming"),
+    (begun[:-20], r"fit\.json: "),
+    ("{}", "expected an object with format 'mjlab sysid progress 1'"),
+    (begun.replace('"x": [', '"x": [0.0, '), "expected 6 finite numbers"),
+  ):
+    file.write_text(content)
+    with pytest.raises(MjlabError, match=message) as raised:
+      fit(robot, [made], *TERMS, resume=True, **more)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_imu_on_a_limb_tells_its_damping_without_encoders_of_velocity() -> None:
+  robot = arm(imu="tip")
+  factors = {"dof_damping:knee": 3.0, "body_mass:shank": 1.4}
+  made = record(robot, changed(robot, factors), sines(robot, 0, 1.2), noise=2e-3, signals=("position", "imu"))
+  found = fit(robot, [made], "viscous_damping:knee", "body_mass:shank")
+  encoders = Record(source="encoders", joints=made.joints, time=made.time, signals=of_joints(made))
+  plain = fit(robot, [encoders], "viscous_damping:knee", "body_mass:shank")
+  agree(found, factors, 0.03)
+  # The gyro and the accelerometer tell more than encoders alone.
+  assert (found.spread < 0.7 * plain.spread).all()
+  assert {score.joint for score in found.scores} > {"hip", "angular_velocity/x [rad/s]"}
+  with pytest.raises(MjlabError, match=r"site 'top' does not exist\. Nearest: tip"):
+    arm(imu="top")
+  held = arm(imu="trunk")
+  with pytest.warns(UserWarning, match="linear_acceleration not compared: the model has no IMU on a body that moves"):
+    fit(held, [made], "armature:hip", cfg=IdentifyCfg(iterations=1))
+
+
+def test_a_base_that_moves_begins_each_window_where_it_was_measured() -> None:
+  robot = arm(is_free=True, floor=None)
+  factors = {"body_mass:shank": 1.5, "dof_armature:knee": 1.6}
+  made = record(robot, changed(robot, factors), sines(robot, 0, 2.0), noise=1e-4)
+  found = fit(robot, [made], "body_mass:shank", "armature:knee")
+  agree(found, factors, 0.03)
+  shown = {score.joint: score for score in found.scores}
+  assert set(shown) == {
+    "hip",
+    "knee",
+    *(f"base_position/{a} [m]" for a in "xyz"),
+    *(f"base_orientation/{a} [rad]" for a in "xyz"),
+  }
+  turned = shown["base_orientation/y [rad]"]
+  assert turned.after < 3e-3 < turned.before
+  lacking = Record(source="a.csv", joints=made.joints, time=made.time, signals=of_joints(made))
+  with pytest.raises(
+    MjlabError, match=r"a\.csv: the base moves, so the record needs base_position and base_orientation"
+  ):
+    fit(robot, [lacking], "armature:knee")

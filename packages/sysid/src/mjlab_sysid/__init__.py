@@ -2,13 +2,14 @@
 
 from mjlab_sysid.excitation import Excitation, ExcitationCfg, Information, Peak, design_excitation
 from mjlab_sysid.identified import Identified, Score, Trace
-from mjlab_sysid.identify import IdentifyCfg, Progress, identify
+from mjlab_sysid.identify import Progress, identify
 from mjlab_sysid.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
 from mjlab_sysid.parameters import FitTerm, Parameter, Range, parse_term
+from mjlab_sysid.problem import IdentifyCfg
 from mjlab_sysid.reading import read_records
 from mjlab_sysid.records import Record, check_joints, uniform, write_record
 from mjlab_sysid.report import write_report
-from mjlab_sysid.robot import Robot, robot_on_stand
+from mjlab_sysid.robot import Robot, robot_on_ground, robot_on_stand
 
 __all__ = [
   "Excitation",
@@ -35,6 +36,7 @@ __all__ = [
   "parse_term",
   "read_records",
   "require_matplotlib",
+  "robot_on_ground",
   "robot_on_stand",
   "uniform",
   "write_record",

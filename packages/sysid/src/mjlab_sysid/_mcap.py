@@ -1,5 +1,6 @@
 """Records from MCAP files of ROS 2 or of JSON messages, read by the library `mcap`."""
 
+import functools
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,10 +11,15 @@ from mjlab_core.errors import FileError
 from mjlab_core.files import printable, reading
 from mjlab_core.names import unknown
 
-from mjlab_sysid.records import BODY_SIGNALS, JOINT_SIGNALS, Record
+from mjlab_sysid.records import JOINT_SIGNALS, Record, elements, interpolated
 
-STATES, COMMANDS, IMU = "/joint_states", "/joint_commands", "/imu"
-"""Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), and one of `sensor_msgs/Imu`."""
+STATES, COMMANDS, IMU, BASE = "/joint_states", "/joint_commands", "/imu", "/base_pose"
+"""Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), one of `sensor_msgs/Imu`, and one of
+`geometry_msgs/PoseStamped`."""
+_BODY_TOPICS: dict[str, dict[str, tuple[str, ...]]] = {
+  IMU: {"angular_velocity": ("angular_velocity",), "linear_acceleration": ("linear_acceleration",)},
+  BASE: {"base_position": ("pose", "position"), "base_orientation": ("pose", "orientation")},
+}
 
 _MAX_MESSAGES = 5_000_000
 
@@ -32,7 +38,7 @@ def read_mcap(path: Path) -> Record:
     raise ModuleNotFoundError(
       "an MCAP file needs the library mcap: install mjlab-sysid with its extra 'mcap'", name="mcap"
     ) from error
-  series: dict[str, list[tuple[float, Any]]] = {STATES: [], COMMANDS: [], IMU: []}
+  series: dict[str, list[tuple[float, Any]]] = {STATES: [], COMMANDS: [], IMU: [], BASE: []}
   with reading("record", path), path.open("rb") as file:
     reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
     present: set[str] = set()
@@ -68,11 +74,12 @@ def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
   names = tuple(dict.fromkeys((*joints, *commanded)))
   signals = {name: _spread(values, joints, names) for name, values in measured.items()}
   signals |= {f"{name}_target": _spread(values[latest], commanded, names) for name, values in commands.items()}
-  if series[IMU]:
-    at = np.array([stamp for stamp, _ in series[IMU]])
-    for name in BODY_SIGNALS:
-      values = np.array([[_get(_get(message, name), axis) for axis in "xyz"] for _, message in series[IMU]], np.float64)
-      signals[name] = np.stack([np.interp(time, at, column) for column in values.T], 1)
+  for topic, paths in _BODY_TOPICS.items():
+    at = np.array([stamp for stamp, _ in series[topic]])
+    for name, path in paths.items() if len(at) else ():
+      found = [functools.reduce(_get, path, message) for _, message in series[topic]]
+      values = np.array([[_get(part, axis) for axis in elements(name, ())] for part in found], np.float64)
+      signals[name] = interpolated(name, time, at, values)
   return Record(source=source, joints=names, time=time - time[0] if len(time) else time, signals=signals)
 
 

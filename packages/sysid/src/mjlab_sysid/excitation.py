@@ -11,13 +11,15 @@ from typing import Annotated, NamedTuple
 
 import mujoco
 import numpy as np
+import torch
 from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.tables import table
 
-from mjlab_sysid.identify import PRIOR, IdentifyCfg, Problem, Progress
+from mjlab_sysid.identify import Progress
 from mjlab_sysid.parameters import FitTerm, Parameter, Range
+from mjlab_sysid.problem import PRIOR, IdentifyCfg, Problem
 from mjlab_sysid.records import Record
 from mjlab_sysid.robot import Robot
 from mjlab_sysid.windows import cut
@@ -199,7 +201,9 @@ class _Search:
     ranges: Mapping[str, Range],
   ) -> None:
     self._robot, self._fit, self._cfg, self._ranges = robot, fit, cfg, ranges
-    self._worlds = Worlds(robot, cfg.candidates, cfg.threads)
+    if robot.base:
+      raise MjlabError("excitations are designed for a robot on a stand")
+    self._worlds = Worlds(robot, cfg.candidates, threads=cfg.threads)
     driven = self._worlds.actuators.driven("joint")
     _, self.names = match_names(joints, driven, what="driven joint", owner="excitation")
     self._columns = [robot.joints.index(name) for name in self.names]
@@ -291,15 +295,16 @@ class _Search:
     count, rows = commands.shape[:2]
     targets = np.tile(self._pose, (count, rows, 1))
     targets[:, :, self._columns] = commands
-    still = np.zeros((count, len(robot.joints)))
     substeps = max(1, round(self._cfg.period / float(robot.model.opt.timestep)))
-    worlds.begin(np.tile(self._pose, (count, 1)), still)
+    worlds.begin(np.tile(self._pose, (count, 1)), np.zeros((count, len(robot.joints))))
+    still = torch.zeros(count, len(robot.joints), dtype=torch.float64)
     seen = {name: np.empty((count, rows, len(robot.joints))) for name in ("position", "velocity", "effort")}
     for row in range(rows):
       for name in ("position", "velocity"):
         seen[name][:, row] = worlds.read(name)
+      wanted = {"position_target": torch.from_numpy(targets[:, row]), "velocity_target": still, "effort_target": still}
       for _ in range(substeps):
-        worlds.step({"position_target": targets[:, row], "velocity_target": still, "effort_target": still})
+        worlds.step(wanted)
       seen["effort"][:, row] = worlds.read("effort")
     columns = self._columns
     return [

@@ -1,57 +1,28 @@
-"""Fit of a robot's parameters to its records by Gauss-Newton over batched rollouts, and what the records can tell.
+"""Fit of a robot's parameters to its records by Gauss-Newton over batched rollouts.
 
-The residual of a window is the difference between a rollout from its measured state and what was measured, divided by
-the noise. The state itself is measured with noise, so it is marginalised: with S the derivative of the residuals by the
-state in units of its noise, their covariance is C = 1 + S S^T, and C^(-1/2) r is minimised. The solver is that of
-`mujoco.sysid`, `mujoco.minimize.least_squares`, whose finite-difference columns are all rolled out at once.
+The solver is that of `mujoco.sysid`, `mujoco.minimize.least_squares`, whose finite-difference columns are all rolled
+out at once; `problem` has the residuals.
 """
 
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
 from mjlab_core.errors import MjlabError
-from mjlab_dr import FIELDS
 from mujoco.minimize import Verbosity, least_squares
 
 from mjlab_sysid.identified import Identified, Score, Trace
-from mjlab_sysid.parameters import FitTerm, Parameter, Range
+from mjlab_sysid.parameters import FitTerm, Range
+from mjlab_sysid.problem import PRIOR, IdentifyCfg, Problem
+from mjlab_sysid.progress import FitState, load_state, save_state
 from mjlab_sysid.records import Record
 from mjlab_sysid.robot import Robot
-from mjlab_sysid.windows import Windows, cut
-from mjlab_sysid.worlds import Worlds
+from mjlab_sysid.windows import cut
 
-# Finite differences: of parameters in units of half their range, of positions [rad or m] and velocities [1/s of it].
-_STEP, _POSITION_STEP, _VELOCITY_STEP = 1e-4, 1e-5, 1e-3
-# Residual of a world that diverged, in units of noise.
-_DIVERGED = 1e3
-PRIOR = 1.0 / math.sqrt(3.0)
-"""Standard deviation of a uniform prior within the bounds, in units of half their width."""
-
-
-@dataclass(kw_only=True)
-class IdentifyCfg:
-  """Settings of a fit."""
-
-  window: Positive = 0.3
-  """Length of a window [s]: long enough for a parameter to act, short enough for contacts and drift not to."""
-  solver: Literal["gauss-newton", "cma"] = "gauss-newton"
-  """Solver; CMA-ES, from the extra `cma`, needs no gradient, for records full of contacts."""
-  iterations: PositiveCount = 40
-  """Largest number of iterations, or of generations, of a pass."""
-  tell: Annotated[float, Limits(gt=0, le=1)] = 0.1
-  """Standard deviation, in units of half the bounds' width, above which records cannot tell a parameter."""
-  threads: Annotated[int, Limits(ge=0)] = 0
-  """Threads of the rollouts; 0 for all cores."""
-  seed: int = 0
-  """Seed of CMA-ES."""
-
-  def __post_init__(self) -> None:
-    check_fields(self, "IdentifyCfg")
+_PASSES = 2
 
 
 class Progress(NamedTuple):
@@ -74,6 +45,8 @@ def identify(
   held_out: Sequence[Record] = (),
   ranges: Mapping[str, Range] | None = None,
   on_iteration: Callable[[Progress], bool | None] | None = None,
+  progress: str | Path | None = None,
+  resume: bool = False,
 ) -> Identified:
   """Fit parameters to records; those that the records cannot tell are named and stay at their prior.
 
@@ -85,22 +58,33 @@ def identify(
     held_out: Records that are only scored.
     ranges: Operation and bounds by field, such as those of a task's randomisation, where a term gives none.
     on_iteration: Function called after every iteration; a true result ends the fit with what is found so far.
+    progress: File that keeps the best parameters after every iteration, and is removed once the fit converged.
+    resume: Continue from `progress`, with the same records, parameters and settings.
 
   Raises:
+    FileError: The file to resume from is missing, damaged, or of another fit.
     MjlabError: A record or a parameter is wrong; the message names it.
   """
   if not fit:
     raise MjlabError("no parameter to fit is given")
   problem = Problem(robot, cut(robot, records, (cfg := cfg or IdentifyCfg()).window), fit, ranges or {}, cfg)
   tested = Problem(robot, cut(robot, held_out, cfg.window), fit, ranges or {}, cfg) if held_out else None
-  fitting = _Fit(problem, cfg, on_iteration)
-  free = np.ones(problem.count, dtype=bool)
-  x = fitting.solve("fit", np.zeros(problem.count), free)
-  told, reasons = problem.identifiable(x, cfg.tell)
-  if not told.all() and told.any():
-    x = fitting.solve("fit what the records tell", np.where(told, x, 0.0), told)
-  elif not told.any():
-    x = np.zeros(problem.count)
+  file = None if progress is None else Path(progress)
+  state = FitState(x=np.zeros(problem.count))
+  if resume:
+    if file is None:
+      raise MjlabError("resume needs the file of a fit: progress")
+    state = load_state(file, problem.key, problem.count)
+  fitting = _Fit(problem, cfg, on_iteration, state, file)
+  if state.told is None:
+    x = fitting.solve("fit", np.ones(problem.count, dtype=bool))
+    told, reasons = problem.identifiable(x, cfg.tell)
+    fitting.state = FitState(x=np.where(told, x, 0.0), told=told, reasons=reasons)
+  else:
+    told, reasons = state.told, state.reasons
+  x = fitting.solve("fit what the records tell", told) if told.any() and not told.all() else fitting.state.x
+  if file is not None and not fitting.stopped:
+    file.unlink(missing_ok=True)
   jacobian, scale = problem.information(x)
   information = jacobian.T @ jacobian / scale
   covariance = np.diag(np.full(problem.count, PRIOR**2))
@@ -125,163 +109,6 @@ def identify(
   )
 
 
-class Problem:
-  """Residuals of windows as a function of parameters."""
-
-  def __init__(
-    self, robot: Robot, windows: Windows, fit: Sequence[FitTerm], ranges: Mapping[str, Range], cfg: IdentifyCfg
-  ) -> None:
-    self.robot, self.windows, self._fit, self._ranges, self._cfg = robot, windows, fit, ranges, cfg
-    self._made: dict[int, Worlds] = {}
-    worlds, self.parameters = self._worlds(1)
-    del worlds
-    self.count = len(self.parameters)
-    self._start = np.array([parameter.start for parameter in self.parameters])
-    self._half = np.array([parameter.half for parameter in self.parameters])
-    self.lower = (np.array([parameter.lo for parameter in self.parameters]) - self._start) / self._half
-    self.upper = (np.array([parameter.hi for parameter in self.parameters]) - self._start) / self._half
-    self._basis: np.ndarray | None = None
-    self._shrink: np.ndarray | None = None
-
-  def _worlds(self, columns: int) -> tuple[Worlds, list[Parameter]]:
-    worlds = Worlds(self.robot, columns * self.windows.count, self._cfg.threads)
-    parameters = worlds.bind(self._fit, self._ranges)
-    self._made[columns] = worlds
-    return worlds, parameters
-
-  def numbers(self, x: np.ndarray) -> np.ndarray:
-    """Return fitted numbers, (columns, parameters), of candidates in units of half bounds, (parameters, columns)."""
-    return self._start + self._half * np.clip(x.T, self.lower, self.upper)
-
-  def overlay(self, x: np.ndarray, told: np.ndarray) -> dict[str, Any]:
-    """Return the physical values of told parameters at a candidate, as an overlay file holds them."""
-    worlds = Worlds(self.robot, 1)
-    worlds.bind(self._fit, self._ranges)
-    worlds.write(self.numbers(np.where(told, x, 0.0)[:, None]))
-    out: dict[str, Any] = {
-      "timestep": self.windows.timestep,
-      "model": {},
-      "actuators": {},
-      "delay": {},
-      "encoder_bias": {},
-    }
-    for parameter, is_told in zip(self.parameters, told, strict=True):
-      if not is_told:
-        continue
-      for element in parameter.elements:
-        if parameter.field in ("delay", "encoder_bias"):
-          out[parameter.field][element] = worlds.own(parameter.field, element)
-        elif FIELDS[parameter.field].kind == "target":
-          number = float(self.numbers(x[:, None])[0][self.parameters.index(parameter)])
-          scaled = worlds.default_of(parameter.field, element) * number
-          out["actuators"].setdefault(parameter.field, {})[element] = (
-            scaled if parameter.operation == "scale" else number
-          )
-        else:
-          for name, values in worlds.physical(parameter.field, element).items():
-            out["model"].setdefault(name, {})[element] = values
-    return out
-
-  def predict(
-    self, x: np.ndarray, position: np.ndarray | None = None, velocity: np.ndarray | None = None
-  ) -> dict[str, np.ndarray]:
-    """Return signals of candidates, (parameters, columns), as (columns, windows, rows, joints)."""
-    columns, windows = x.shape[1], self.windows
-    worlds = self._made[columns] if columns in self._made else self._worlds(columns)[0]
-    worlds.write(np.repeat(self.numbers(x), windows.count, 0))
-    position = np.tile(windows.position, (columns, 1)) if position is None else position
-    velocity = np.tile(windows.velocity, (columns, 1)) if velocity is None else velocity
-    signals = windows.roll(worlds, position, velocity)
-    return {name: values.reshape(columns, windows.count, *values.shape[1:]) for name, values in signals.items()}
-
-  def residuals(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return residuals in units of noise, (columns, windows, numbers of a window)."""
-    parts = []
-    for name, measured in self.windows.measured.items():
-      seen = ~np.isnan(measured).any((0, 1))
-      part = ((signals[name] - measured) / self.windows.sigma[name])[..., seen]
-      parts.append(part.reshape(*part.shape[:2], -1))
-    return np.clip(np.nan_to_num(np.concatenate(parts, -1), nan=_DIVERGED), -_DIVERGED, _DIVERGED)
-
-  def marginalise(self, x: np.ndarray) -> None:
-    """Take the uncertainty of the windows' first states into account, linearised at a candidate, (parameters,)."""
-    windows = self.windows
-    moved = np.flatnonzero(windows.uncertain[0, 0] > 0.0)
-    columns = 1 + 2 * len(moved)
-    position, velocity = (np.tile(part, (columns, 1, 1)) for part in (windows.position, windows.velocity))
-    for place, joint in enumerate(moved):
-      position[1 + place, :, joint] += _POSITION_STEP
-      velocity[1 + len(moved) + place, :, joint] += _VELOCITY_STEP
-    flat = (-1, position.shape[2])
-    found = self.residuals(
-      self.predict(np.tile(x[:, None], (1, columns)), position.reshape(flat), velocity.reshape(flat))
-    )
-    steps = np.repeat([_POSITION_STEP, _VELOCITY_STEP], len(moved))
-    slopes = (found[1:] - found[:1]) / steps[:, None, None]
-    noise = windows.uncertain[:, :, moved].reshape(windows.count, -1)
-    basis, singular, _ = np.linalg.svd(slopes.transpose(1, 2, 0) * noise[:, None], full_matrices=False)
-    self._basis, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + singular**2)
-
-  def whitened(self, x: np.ndarray) -> np.ndarray:
-    """Return residuals of candidates, (parameters, columns), as (numbers, columns)."""
-    found = self.residuals(self.predict(x))
-    if self._basis is not None and self._shrink is not None:
-      inside = np.einsum("wdk,cwd->cwk", self._basis, found)
-      found = found - np.einsum("wdk,cwk->cwd", self._basis, self._shrink * inside)
-    return found.reshape(x.shape[1], -1).T
-
-  def information(self, x: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the Jacobian of the whitened residuals at a candidate, and the variance of these."""
-    inward = np.where(x > 0.5 * (self.lower + self.upper), -_STEP, _STEP)
-    base = self.whitened(x[:, None])
-    jacobian = (self.whitened(x[:, None] + np.diag(inward)) - base) / inward
-    return jacobian, float(np.square(base).sum() / max(1, len(base) - self.count))
-
-  def identifiable(self, x: np.ndarray, tell: float) -> tuple[np.ndarray, list[str]]:
-    """Return the parameters that the records tell, bool (parameters,), and the reason for each that they do not."""
-    jacobian, scale = self.information(x)
-    information = jacobian.T @ jacobian / scale
-    names = [parameter.name for parameter in self.parameters]
-    told = np.ones(self.count, dtype=bool)
-    reasons = [""] * self.count
-    while told.any():
-      kept = np.flatnonzero(told)
-      # A direction without any information is not infinite, so that the worst can be named.
-      covariance = np.linalg.inv(information[np.ix_(kept, kept)] + 1e-6 * np.eye(len(kept)))
-      spread = np.sqrt(np.diag(covariance))
-      if spread.max() <= tell:
-        break
-      # Of several that only act together, the one with the smallest effect goes first.
-      tied = spread > 0.5 * spread.max()
-      worst = int(np.argmin(np.where(tied, information[kept, kept], np.inf)))
-      correlation = covariance[worst] / (spread[worst] * spread)
-      correlation[worst] = 0.0
-      partner = int(np.argmax(np.abs(correlation)))
-      index = kept[worst]
-      alone = 1.0 / math.sqrt(information[index, index] + 1e-12)
-      if alone > tell:
-        reasons[index] = "the records hardly depend on it"
-      elif abs(correlation[partner]) > 0.8:
-        reasons[index] = f"the records tell it only together with {names[kept[partner]]}"
-      else:
-        reasons[index] = "the records tell it only together with several others"
-      told[index] = False
-    return told, reasons
-
-  def traces(self, x: np.ndarray) -> list[Trace]:
-    """Return positions by record and joint, measured, before the fit and at a candidate, (parameters,)."""
-    before, after = (self.predict(candidate[:, None])["position"][0] for candidate in (np.zeros(self.count), x))
-    measured = self.windows.measured["position"]
-    out = []
-    for record in dict.fromkeys(self.windows.records):
-      rows = [name == record for name in self.windows.records]
-      for column, joint in enumerate(self.windows.joints):
-        if not np.isnan(measured[rows][..., column]).all():
-          flat = [part[rows][..., column].ravel() for part in (measured, before, after)]
-          out.append(Trace(record=record, joint=joint, measured=flat[0], before=flat[1], after=flat[2]))
-    return out
-
-
 def _score(trace: Trace, is_held_out: bool) -> Score:
   before, after = (float(np.sqrt(np.nanmean(np.square(part - trace.measured)))) for part in (trace.before, trace.after))
   return Score(record=trace.record, joint=trace.joint, before=before, after=after, is_held_out=is_held_out)
@@ -291,47 +118,55 @@ class _Fit:
   """Passes of a solver, which the caller may end."""
 
   def __init__(
-    self, problem: Problem, cfg: IdentifyCfg, on_iteration: Callable[[Progress], bool | None] | None
+    self,
+    problem: Problem,
+    cfg: IdentifyCfg,
+    on_iteration: Callable[[Progress], bool | None] | None,
+    state: FitState,
+    file: Path | None,
   ) -> None:
-    self._problem, self._cfg, self._on_iteration = problem, cfg, on_iteration
+    self._problem, self._cfg, self._on_iteration, self._file = problem, cfg, on_iteration, file
+    self.state = state
+    """State that is kept after every iteration."""
     self.stopped = False
-    self._best: np.ndarray | None = None
 
-  def solve(self, stage: str, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the best candidate that differs from `x` in the free parameters alone."""
-    problem = self._problem
-    x = np.clip(x, problem.lower, problem.upper)
+  def solve(self, stage: str, free: np.ndarray) -> np.ndarray:
+    """Return the best candidate that differs from the state's in the free parameters alone."""
+    problem, state = self._problem, self.state
+    state.x = np.clip(state.x, problem.lower, problem.upper)
     # States depend on parameters, so that their uncertainty is linearised again at what the first pass finds.
-    for _ in range(2):
-      if self.stopped:
-        break
-      problem.marginalise(x)
-      x = x.copy()
-      x[free] = self._pass(stage, x, free)
-    return x
+    while state.passes < _PASSES and not self.stopped:
+      problem.marginalise(state.x)
+      self._pass(stage, free)
+      state.passes += not self.stopped
+    return state.x
 
-  def _pass(self, stage: str, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    problem = self._problem
-    self._best = x[free]
+  def _pass(self, stage: str, free: np.ndarray) -> None:
+    problem, x = self._problem, self.state.x.copy()
+    key = problem.key
 
     def residual(z: np.ndarray) -> np.ndarray:
       full = np.repeat(x[:, None], z.shape[1], 1)
       full[free] = z
       return np.concatenate((problem.whitened(full), z / PRIOR))
 
+    def report(iteration: int, cost: float, candidate: np.ndarray) -> None:
+      self.state.x = x.copy()
+      self.state.x[free] = candidate
+      if self._file is not None:
+        save_state(self.state, self._file, key)
+      if self._on_iteration is not None and self._on_iteration(Progress(stage, iteration, cost)):
+        raise StopIteration
+
     try:
       if self._cfg.solver == "cma":
-        self._evolve(stage, residual, x[free], problem.lower[free], problem.upper[free])
+        self._evolve(residual, x[free], problem.lower[free], problem.upper[free], report)
       else:
-
-        def report(trace: Sequence[Any]) -> None:
-          self._report(stage, len(trace), float(trace[-1].objective), trace[-1].candidate[:, 0])
-
         best, _ = least_squares(
           x[free],
           residual,
           bounds=[problem.lower[free], problem.upper[free]],
-          eps=_STEP,
+          eps=problem.steps.parameter,
           xtol=1e-4,
           gtol=1e-3,
           mu_min=1e-3,
@@ -339,21 +174,20 @@ class _Fit:
           max_iter=self._cfg.iterations,
           verbose=Verbosity.SILENT,
           output=io.StringIO(),
-          iter_callback=report,
+          iter_callback=lambda trace: report(len(trace), float(trace[-1].objective), trace[-1].candidate[:, 0]),
         )
-        self._best = best
+        self.state.x = x.copy()
+        self.state.x[free] = best
     except StopIteration:
       self.stopped = True
-    assert self._best is not None
-    return self._best
-
-  def _report(self, stage: str, iteration: int, cost: float, candidate: np.ndarray) -> None:
-    self._best = candidate.copy()
-    if self._on_iteration is not None and self._on_iteration(Progress(stage, iteration, cost)):
-      raise StopIteration
 
   def _evolve(
-    self, stage: str, residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    self,
+    residual: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    report: Callable[[int, float, np.ndarray], None],
   ) -> None:
     try:
       import cma
@@ -367,4 +201,4 @@ class _Fit:
       candidates = search.ask()
       costs = 0.5 * np.square(residual(np.array(candidates).T)).sum(0)
       search.tell(candidates, costs.tolist())
-      self._report(stage, search.countiter, float(search.result.fbest), np.asarray(search.result.xbest))
+      report(search.countiter, float(search.result.fbest), np.asarray(search.result.xbest))

@@ -14,7 +14,7 @@ from mjlab_core.files import printable, reading
 from mjlab_core.names import unknown
 
 from mjlab_sysid._mcap import read_mcap
-from mjlab_sysid.records import BODY_SIGNALS, JOINT_SIGNALS, UNITS, Record
+from mjlab_sysid.records import BODY_SIGNALS, JOINT_SIGNALS, UNITS, Record, elements
 
 MAX_BYTES = 2**30
 """Largest file of records that is read."""
@@ -118,9 +118,8 @@ def _from_columns(source: str, columns: Mapping[_Key, np.ndarray], ignored: tupl
   joints = tuple(dict.fromkeys(element for signal, element in columns if signal in JOINT_SIGNALS and element))
   absent = np.full_like(time, np.nan)
   signals = {
-    name: np.stack([columns.get((name, element), absent) for element in elements], 1)
-    for names, elements in ((JOINT_SIGNALS, joints), (BODY_SIGNALS, ("x", "y", "z")))
-    for name in names
+    name: np.stack([columns.get((name, element), absent) for element in elements(name, joints)], 1)
+    for name in (*JOINT_SIGNALS, *BODY_SIGNALS)
     if any(signal == name for signal, _ in columns)
   }
   if not joints:

@@ -22,8 +22,22 @@ JOINT_SIGNALS: dict[str, str] = {
 }
 """Quantity of each signal that joints have; targets are commands, the others are measured."""
 
-BODY_SIGNALS: dict[str, str] = {"angular_velocity": "velocity", "linear_acceleration": "acceleration"}
-"""Quantity of each signal of the IMU, in its own frame, (rows, 3)."""
+BODY_SIGNALS: dict[str, str] = {
+  "angular_velocity": "velocity",
+  "linear_acceleration": "acceleration",
+  "base_position": "length",
+  "base_orientation": "quaternion",
+}
+"""Quantity of each signal of the IMU, in its own frame, (rows, 3), and of the pose of a base that moves, in the world:
+its position, (rows, 3), and its unit quaternion, (rows, 4)."""
+
+
+def elements(signal: str, joints: Sequence[str]) -> tuple[str, ...]:
+  """Return the names of the columns of a signal."""
+  if signal in JOINT_SIGNALS:
+    return tuple(joints)
+  return ("w", "x", "y", "z") if BODY_SIGNALS[signal] == "quaternion" else ("x", "y", "z")
+
 
 UNITS: dict[str, dict[str, float]] = {
   "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -31,6 +45,8 @@ UNITS: dict[str, dict[str, float]] = {
   "velocity": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "m/s": 1.0, "mm/s": 1e-3, "rpm": math.pi / 30.0},
   "effort": {"N m": 1.0, "N": 1.0, "mN m": 1e-3},
   "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+  "length": {"m": 1.0, "mm": 1e-3},
+  "quaternion": {"1": 1.0},
 }
 """Factors to SI units by quantity; the first unit of each is the default."""
 
@@ -51,7 +67,7 @@ class Record:
   time: np.ndarray
   """Times of the rows, rising, (rows,) [s]."""
   signals: Mapping[str, np.ndarray] = field(repr=False)
-  """Signals by name, (rows, joints) or (rows, 3), in SI units; NaN where a joint lacks one."""
+  """Signals by name, (rows, joints, 3 or 4), in SI units; NaN where a joint lacks one."""
   ignored: tuple[str, ...] = ()
   """Columns or arrays of the file that were not read."""
 
@@ -59,7 +75,7 @@ class Record:
     for name, values in self.signals.items():
       if name not in (*JOINT_SIGNALS, *BODY_SIGNALS):
         raise FileError(unknown("signal", printable(name, 80), (*JOINT_SIGNALS, *BODY_SIGNALS), owner=self.source))
-      width = len(self.joints) if name in JOINT_SIGNALS else 3
+      width = len(elements(name, self.joints))
       if values.shape != (len(self.time), width):
         raise FileError(f"{self.source}: signal '{name}' is {values.shape}, expected {(len(self.time), width)}")
     if len(set(self.joints)) < len(self.joints):
@@ -74,12 +90,14 @@ class Record:
       )
     for name, values in self.signals.items():
       if name in BODY_SIGNALS and np.isnan(values).any():
-        raise FileError(f"{self.source}: {name} is not finite, or lacks one of x, y, z")
+        raise FileError(f"{self.source}: {name} is not finite, or lacks one of {', '.join(elements(name, ()))}")
+      if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
+        raise FileError(f"{self.source}: base_orientation is not a unit quaternion (w, x, y, z)")
       # A joint may lack a signal altogether, but not now and then.
       broken = ~np.isfinite(values) & ~np.isnan(values).all(0)
       if broken.any():
         row, column = (int(index) for index in np.argwhere(broken)[0])
-        element = self.joints[column] if name in JOINT_SIGNALS else "xyz"[column]
+        element = elements(name, self.joints)[column]
         raise FileError(f"{self.source}, row {row + 1}: {name} of '{element}' is not a finite number")
 
   @property
@@ -140,8 +158,7 @@ def write_record(record: Record, path: str | Path) -> None:
     raise FileError(f"record {path}: expected a name that ends in .csv or .npz")
   columns = {"time": record.time}
   for name, values in record.signals.items():
-    elements = record.joints if name in JOINT_SIGNALS else tuple("xyz")
-    for element, column in zip(elements, values.T, strict=True):
+    for element, column in zip(elements(name, record.joints), values.T, strict=True):
       if not np.isnan(column).all():
         columns[f"{name}/{element}"] = column
   with AtomicWrite(path) as temporary, temporary.open("w", encoding="utf-8") as file:
@@ -192,11 +209,19 @@ def _resampled(record: Record, period: float) -> Record | None:
   held = np.clip(np.searchsorted(record.time, time + _JITTER * period, side="right") - 1, 0, None)
   signals = {}
   for name, values in record.signals.items():
-    if name.endswith("_target"):
-      signals[name] = values[held]
-    else:
-      signals[name] = np.stack([np.interp(time, record.time, column) for column in values.T], 1)
+    is_held = name.endswith("_target")
+    signals[name] = values[held] if is_held else interpolated(name, time, record.time, values)
   return replace(record, time=time, signals=signals)
+
+
+def interpolated(name: str, time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+  """Return a signal, (rows, columns) at times `at`, at other times."""
+  if name == "base_orientation":
+    # q and -q are one orientation, but not in between.
+    signs = np.cumprod(np.where((values[1:] * values[:-1]).sum(1) < 0.0, -1.0, 1.0))
+    values = np.concatenate((values[:1], values[1:] * signs[:, None]))
+  out = np.stack([np.interp(time, at, column) for column in values.T], 1)
+  return out / np.linalg.norm(out, axis=1, keepdims=True) if name == "base_orientation" else out
 
 
 def check_joints(record: Record, ranges: Mapping[str, tuple[float, float]]) -> None:

@@ -1,4 +1,4 @@
-"""A robot on a stand, as its records are explained: a model, its actuator models, and a pose."""
+"""A robot as its records are explained: a model, held by its base or free, its actuator models, and a pose."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -9,24 +9,35 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_actuators import ActuatorCfg, ActuatorSet
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import match_values_full
+from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.names import match_values_full, unknown
 
+IMU = {
+  "angular_velocity": mujoco.mjtSensor.mjSENS_GYRO,
+  "linear_acceleration": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+}
+"""Sensors of an IMU by signal."""
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-  """A compiled model whose base does not move, with its actuator models."""
+  """A compiled model with its actuator models."""
 
   model: mujoco.MjModel
   """The model."""
+  spec: mujoco.MjSpec
+  """Specification that the model was compiled from."""
   actuators: tuple[ActuatorCfg, ...]
   """Actuator models, without delay: records are delayed by the parameter `delay`."""
   delays: Mapping[str, float]
   """Mean delay of the set-points by driven joint, as configured [s]."""
   pose: np.ndarray
   """Positions of what no record moves, (nq,) [rad or m]."""
+  base: str | None = None
+  """Name of the free joint of a base that moves; None if it is held."""
+  has_imu: bool = False
+  """True if the model has an IMU on a body that moves."""
 
   @property
   def joints(self) -> tuple[str, ...]:
@@ -50,9 +61,10 @@ class Robot:
     return self.model.jnt_qposadr[ids].copy(), self.model.jnt_dofadr[ids].copy()
 
   def actuation(self, num_worlds: int, ctrl: torch.Tensor | None) -> ActuatorSet:
-    """Return the actuator models of so many worlds, in float64, which write into `ctrl`, (num_worlds, nu)."""
+    """Return the actuator models of so many worlds, which write into `ctrl`, (num_worlds, nu)."""
+    like = torch.empty(0, dtype=torch.float64) if ctrl is None else ctrl
     return ActuatorSet(self.actuators).build(
-      self.model, num_envs=num_worlds, device="cpu", dtype=torch.float64, ctrl=ctrl
+      self.model, num_envs=num_worlds, device=like.device, dtype=like.dtype, ctrl=ctrl
     )
 
 
@@ -64,6 +76,7 @@ def robot_on_stand(
   timestep: float | None = None,
   height: float | None = None,
   floor: float | None = None,
+  imu: str | None = None,
 ) -> Robot:
   """Return a robot whose base is held where it is.
 
@@ -74,8 +87,10 @@ def robot_on_stand(
     timestep: Timestep of the simulation that uses the parameters [s]; None for the spec's.
     height: Height of the root body [m]; None for the spec's.
     floor: Height of a floor that the robot may touch [m]; None for no floor.
+    imu: Site of the IMU; None for that of the model's first gyro or accelerometer.
 
   Raises:
+    UnknownNameError: A joint or the site does not exist.
     MjlabError: The spec cannot be compiled.
   """
   spec = spec.copy()
@@ -86,10 +101,45 @@ def robot_on_stand(
       # MuJoCo lets a body collide with its parent once that does not move.
       for child in base.bodies:
         spec.add_exclude(bodyname1=base.name, bodyname2=child.name)
-  for key in list(spec.keys):
-    spec.delete(key)
   if height is not None:
     spec.worldbody.first_body().pos[2] = height
+  return _robot(spec, actuators, pose, timestep, floor, imu)
+
+
+def robot_on_ground(
+  spec: mujoco.MjSpec,
+  actuators: Sequence[ActuatorCfg],
+  *,
+  pose: Mapping[str, float] | None = None,
+  timestep: float | None = None,
+  floor: float | None = 0.0,
+  imu: str | None = None,
+) -> Robot:
+  """Return a robot whose base moves freely; its records need `base_position` and `base_orientation`.
+
+  Args and errors are those of `robot_on_stand`.
+
+  Raises:
+    MjlabError: The robot has no free joint, or more than one.
+  """
+  spec = spec.copy()
+  free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+  if len(free) != 1:
+    raise MjlabError(f"the robot has {len(free)} free joints; a base that moves has one")
+  free[0].name = free[0].name or "free"
+  return dataclasses.replace(_robot(spec, actuators, pose, timestep, floor, imu), base=free[0].name)
+
+
+def _robot(
+  spec: mujoco.MjSpec,
+  actuators: Sequence[ActuatorCfg],
+  pose: Mapping[str, float] | None,
+  timestep: float | None,
+  floor: float | None,
+  imu: str | None,
+) -> Robot:
+  for key in list(spec.keys):
+    spec.delete(key)
   if floor is not None:
     # The foot's friction counts, not the floor's.
     spec.worldbody.add_geom(
@@ -97,15 +147,22 @@ def robot_on_stand(
     )
   if timestep is not None:
     spec.option.timestep = timestep
-  try:
-    model = spec.compile()
-  except ValueError as error:
-    raise MjlabError(f"the robot on its stand does not compile: {error}") from error
+  site = _site_of_imu(spec, imu)
+  # Nothing reads other sensors.
+  for sensor in list(spec.sensors):
+    spec.delete(sensor)
+  model = _compiled(spec)
+  # A body that is fixed to the world has nothing to tell.
+  has_imu = bool(site) and model.body_weldid[model.site_bodyid[model.site(site).id]] != 0
+  if has_imu:
+    for name, kind in IMU.items():
+      spec.add_sensor(name=f"sysid/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+    model = _compiled(spec)
   cfgs = tuple(
     dataclasses.replace(cfg, delay_min_lag=0, delay_max_lag=0, delay_hold_prob=0.0, delay_update_period=0)
     for cfg in actuators
   )
-  robot = Robot(model=model, actuators=cfgs, delays={}, pose=model.qpos0.copy())
+  robot = Robot(model=model, spec=spec, actuators=cfgs, delays={}, pose=model.qpos0.copy(), has_imu=has_imu)
   names = robot.actuation(1, None).driven("joint")
   delays: dict[str, float] = {}
   for cfg in actuators:
@@ -117,3 +174,19 @@ def robot_on_stand(
   values = model.qpos0.copy()
   values[addresses] = found
   return dataclasses.replace(robot, delays={name: delays.get(name, 0.0) for name in names}, pose=values)
+
+
+def _site_of_imu(spec: mujoco.MjSpec, name: str | None) -> str:
+  if name is None:
+    return next((sensor.objname for sensor in spec.sensors if sensor.type in IMU.values()), "")
+  sites = [site.name for site in spec.sites]
+  if name not in sites:
+    raise UnknownNameError(unknown("site", name, sites, owner="imu"))
+  return name
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+  try:
+    return spec.compile()
+  except ValueError as error:
+    raise MjlabError(f"the robot does not compile: {error}") from error

@@ -1,18 +1,22 @@
 """Records cut into windows: each is a rollout of its own from a measured state, so that errors do not pile up."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from mjlab_core.errors import MjlabError
+from mjlab_core.rotations import quat_apply_inverse, quat_box_minus
 
-from mjlab_sysid.records import JOINT_SIGNALS, Record, check_joints, uniform
-from mjlab_sysid.robot import Robot
-from mjlab_sysid.worlds import Worlds
+from mjlab_sysid.records import BODY_SIGNALS, Record, check_joints, elements, uniform
+from mjlab_sysid.robot import IMU, Robot
+from mjlab_sysid.worlds import TARGETS, Commands, Worlds
 
-MEASURED = ("position", "velocity", "effort")
-"""Signals that are compared."""
-_TARGETS = tuple(name for name in JOINT_SIGNALS if name.endswith("_target"))
+JOINTS = ("position", "velocity", "effort")
+"""Signals of joints that are compared."""
+BASE = ("base_position", "base_orientation")
+"""Signals of a base that moves."""
 _LONGEST_DELAY = 0.25
 
 
@@ -29,15 +33,17 @@ class Windows:
   substeps: int
   """Timesteps from a row to the next."""
   position: np.ndarray
-  """Readings at the beginning, (windows, joints) [rad or m]."""
+  """Readings at the beginning, (windows, joints, or 6 more for a base that moves), as in `Worlds.begin`."""
   velocity: np.ndarray
-  """Velocities at the beginning, (windows, joints) [rad/s or m/s]."""
+  """Velocities at the beginning, likewise."""
+  orientation: np.ndarray | None
+  """Orientations at the beginning of a base that moves, (windows, 4)."""
   uncertain: np.ndarray
-  """Standard deviations of both, (windows, 2, joints); 0 for joints that no record moves."""
+  """Standard deviations of positions and velocities, (windows, 2, columns); 0 for joints that no record moves."""
   measured: dict[str, np.ndarray]
-  """Signals after the beginning, (windows, rows, joints); NaN where there is none."""
+  """Signals after the beginning, (windows, rows, joints, 3 or 4); NaN where there is none."""
   sigma: dict[str, np.ndarray]
-  """Noise of each signal, (joints,)."""
+  """Noise of each signal, (joints or 3,)."""
   commands: dict[str, np.ndarray]
   """Set-points of all records, one after the other, (rows, joints)."""
   first: np.ndarray
@@ -54,39 +60,39 @@ class Windows:
     return next(iter(self.measured.values())).shape[1]
 
   def roll(self, worlds: Worlds, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the signals in worlds that begin in these states, (num_worlds, rows, joints); NaN where one diverged.
+    """Return the signals in worlds that begin in these states, (num_worlds, rows, ...); NaN where one diverged.
 
     Args:
       worlds: As many as windows, or a multiple: window by window, again and again.
-      position: Readings at the beginning, (num_worlds, joints).
-      velocity: Velocities at the beginning, (num_worlds, joints).
+      position: Readings at the beginning, (num_worlds, columns).
+      velocity: Velocities at the beginning, (num_worlds, columns).
     """
-    out = {name: np.empty((worlds.num_envs, self.rows, len(self.joints))) for name in self.measured}
-    first = np.tile(self.first, worlds.num_envs // self.count)
-    sums = {name: np.cumsum(np.pad(values, ((1, 0), (0, 0))), 0) for name, values in self.commands.items()}
-    worlds.begin(position, velocity)
+    copies, device = worlds.num_envs // self.count, worlds.sim.device
+    if worlds.commands is None or worlds.commands.source is not self:
+      first = np.tile(self.first, copies)
+      worlds.obey(Commands(self, self.commands, first, self.timestep, self.substeps, device))
+    out = {
+      name: torch.empty(worlds.num_envs, self.rows, values.shape[2], dtype=torch.float64, device=device)
+      for name, values in self.measured.items()
+    }
+    worlds.begin(position, velocity, None if self.orientation is None else np.tile(self.orientation, (copies, 1)))
     last = self.rows * self.substeps + 1
     for step in range(last + 1):
-      for name, late in (("position", 0), ("velocity", 0), ("effort", 1)):
-        # Efforts are those of the timestep before.
-        row, rest = divmod(step - late, self.substeps)
-        if name in out and rest == 0 and 1 <= row <= self.rows:
-          out[name][:, row - 1] = worlds.read(name)
+      for name, values in out.items():
+        row, rest = divmod(step - worlds.is_late(name), self.substeps)
+        if rest == 0 and 1 <= row <= self.rows:
+          values[:, row - 1] = worlds.read(name)
       if step < last:
-        begin = first[:, None] + (step * self.timestep - worlds.delay) / (self.substeps * self.timestep)
-        worlds.step({name: _mean(sums[name], self.commands[name], begin, 1.0 / self.substeps) for name in _TARGETS})
-    return out
+        worlds.follow()
+    return {name: values.cpu().numpy() for name, values in out.items()}
 
 
-def _mean(integral: np.ndarray, values: np.ndarray, begin: np.ndarray, length: float) -> np.ndarray:
-  """Return the mean of held values from row `begin` on, (n, columns), over a length [rows]."""
-  columns = np.arange(values.shape[1])
-
-  def until(at: np.ndarray) -> np.ndarray:
-    whole = np.clip(np.floor(at + 1e-9).astype(int), 0, len(values) - 1)
-    return integral[whole, columns] + (at - whole) * values[whole, columns]
-
-  return (until(begin + length) - until(begin)) / length
+def difference(name: str, predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:
+  """Return predicted minus measured values of a signal; of orientations, a rotation vector in the world, (..., 3)."""
+  if name != "base_orientation":
+    return predicted - measured
+  one, other = np.broadcast_arrays(predicted, measured)
+  return quat_box_minus(*(torch.from_numpy(np.array(x)) for x in (one, other))).numpy()
 
 
 def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
@@ -111,7 +117,8 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
   addresses, _ = robot.addresses(joints)
   pose = robot.pose[addresses]
   pad = round(_LONGEST_DELAY / period)
-  tables: dict[str, list[np.ndarray]] = {name: [] for name in (*_TARGETS, *MEASURED)}
+  body = _body_signals(robot, records)
+  tables: dict[str, list[np.ndarray]] = {name: [] for name in (*TARGETS, *JOINTS, *body)}
   first: list[int] = []
   names: list[str] = []
   offset = 0
@@ -119,15 +126,16 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     check_joints(record, robot.ranges())
     _check_signals(record)
     for part in uniform(record, period):
-      full = {name: _spread(part, name, joints) for name in (*_TARGETS, *MEASURED)}
+      full = {name: _spread(part, name, joints) for name in tables}
       position = full["position"]
       target = full["position_target"]
       # A joint that is not commanded stays where it is told to, or where it was.
       unmoved = np.isnan(target).all(0)
       target[:, unmoved] = np.where(np.isnan(position[0, unmoved]), pose[unmoved], position[0, unmoved])
-      for name in _TARGETS[1:]:
+      for name in TARGETS[1:]:
         full[name] = np.nan_to_num(full[name])
-      begins = range(0, part.num_rows - rows, rows)
+      # Velocities need rows before.
+      begins = range(2, part.num_rows - rows, rows) or range(0, part.num_rows - rows, rows)
       first += [offset + pad + begin for begin in begins]
       names += [record.source] * len(begins)
       for name, values in full.items():
@@ -139,10 +147,21 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
   whole = {name: np.concatenate(parts) for name, parts in tables.items()}
   starts = np.array(first)
   after = starts[:, None] + np.arange(1, rows + 1)
-  seen = {name: whole[name] for name in MEASURED if not np.isnan(whole[name]).all()}
-  sigma = {name: _noise(values) for name, values in seen.items()}
-  position, velocity, uncertain = _beginnings(seen, sigma, starts, period)
+  seen = {name: whole[name] for name in (*JOINTS, *body) if not np.isnan(whole[name]).all()}
+  series = seen | ({"base_orientation": _turns(seen["base_orientation"])} if robot.base else {})
+  sigma = {name: _noise(values) for name, values in series.items()}
+  position, velocity, uncertain = _beginnings(series, sigma, "position", starts, period, timestep)
   position = np.where(np.isnan(position), pose, position)
+  orientation = None
+  if robot.base:
+    orientation = seen["base_orientation"][starts]
+    place, speed, place_noise = _beginnings(series, sigma, "base_position", starts, period, timestep)
+    _, turning, turn_noise = _beginnings(series, sigma, "base_orientation", starts, period, timestep)
+    # MuJoCo has the angular velocity of a free joint in the frame of its body.
+    turning = quat_apply_inverse(torch.from_numpy(orientation), torch.from_numpy(turning)).numpy()
+    position = np.concatenate((position, place, np.zeros_like(place)), 1)
+    velocity = np.concatenate((velocity, speed, turning), 1)
+    uncertain = np.concatenate((uncertain, place_noise, turn_noise), 2)
   return Windows(
     joints=joints,
     records=tuple(names),
@@ -150,15 +169,40 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     substeps=substeps,
     position=position,
     velocity=velocity,
+    orientation=orientation,
     uncertain=uncertain,
     measured={name: values[after] for name, values in seen.items()},
     sigma=sigma,
-    commands={name: whole[name] for name in _TARGETS},
+    commands={name: whole[name] for name in TARGETS},
     first=starts,
   )
 
 
+def _body_signals(robot: Robot, records: Sequence[Record]) -> tuple[str, ...]:
+  """Return the signals of the IMU and the base that are compared; warn of the others."""
+  for record in records:
+    if robot.base and not all(name in record.signals for name in BASE):
+      raise MjlabError(f"{record.source}: the base moves, so the record needs {' and '.join(BASE)}")
+    others = [name for name in BODY_SIGNALS if name in record.signals and not _has(robot, name)]
+    if others:
+      why = "the robot's base is held" if others[0] in BASE else "the model has no IMU on a body that moves"
+      warnings.warn(f"{record.source}: {', '.join(others)} not compared: {why}", stacklevel=3)
+  return tuple(name for name in BODY_SIGNALS if _has(robot, name))
+
+
+def _has(robot: Robot, name: str) -> bool:
+  return robot.has_imu if name in IMU else robot.base is not None
+
+
+def _turns(orientation: np.ndarray) -> np.ndarray:
+  """Return small rotations from row to row, summed up, (rows, 3): their slopes are angular velocities in the world."""
+  steps = difference("base_orientation", orientation[1:], orientation[:-1])
+  return np.concatenate((np.zeros((1, 3)), np.cumsum(steps, 0)))
+
+
 def _spread(record: Record, name: str, joints: Sequence[str]) -> np.ndarray:
+  if name in BODY_SIGNALS:
+    return record.signals.get(name, np.full((record.num_rows, len(elements(name, ()))), np.nan))
   out = np.full((record.num_rows, len(joints)), np.nan)
   if name in record.signals:
     out[:, [joints.index(joint) for joint in record.joints]] = record.signals[name]
@@ -166,7 +210,7 @@ def _spread(record: Record, name: str, joints: Sequence[str]) -> np.ndarray:
 
 
 def _check_signals(record: Record) -> None:
-  moved = [joint for joint in record.joints if any(record.has(name, joint) for name in _TARGETS)]
+  moved = [joint for joint in record.joints if any(record.has(name, joint) for name in TARGETS)]
   if not moved:
     raise MjlabError(f"{record.source}: no joint has a command: 'position_target/JOINT' and so on")
   record.of("position", moved)
@@ -188,17 +232,26 @@ def _noise(values: np.ndarray) -> np.ndarray:
 
 
 def _beginnings(
-  seen: dict[str, np.ndarray], sigma: dict[str, np.ndarray], starts: np.ndarray, period: float
+  seen: dict[str, np.ndarray],
+  sigma: dict[str, np.ndarray],
+  name: str,
+  starts: np.ndarray,
+  period: float,
+  timestep: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-  """Return readings and velocities at the beginnings of windows, and how uncertain they are."""
-  position = seen["position"]
-  noise = np.broadcast_to(sigma["position"], position[starts].shape)
-  slope = np.gradient(position, period, axis=0)[starts]
-  bend = np.gradient(np.gradient(position, period, axis=0), period, axis=0)
-  roughness = np.sqrt(np.nanmean(np.square(np.nan_to_num(bend)), 0)) * period
-  spread = np.sqrt(0.5 * np.square(noise / period) + np.square(0.25 * roughness))
+  """Return readings of a signal and velocities at the beginnings of windows, and how uncertain they are."""
+  position = seen[name]
+  noise = np.broadcast_to(sigma[name], position[starts].shape)
+  rough = np.gradient(position, period, axis=0)
+  slope = rough.copy()
+  # Of the fourth order; its error is a part of that of the second order.
+  slope[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * period)
+  error = 0.5 * np.sqrt(np.nanmean(np.square(np.nan_to_num(slope - rough)), 0))
+  # Of implicit Euler, a position changes by the velocity after the step: velocities belong half a timestep earlier.
+  slope = (slope - 0.5 * timestep * np.gradient(slope, period, axis=0))[starts]
+  spread = np.sqrt(np.square(0.95 * noise / period) + np.square(error))
   velocity = slope
-  if "velocity" in seen:
+  if name == "position" and "velocity" in seen:
     measured = seen["velocity"][starts]
     velocity = np.where(np.isnan(measured), slope, measured)
     spread = np.where(np.isnan(measured), spread, sigma["velocity"])

@@ -1,9 +1,8 @@
-"""Many copies of a robot with different parameters, stepped together on all cores by MuJoCo's own batch."""
+"""Many copies of a robot with different parameters, stepped together."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -12,12 +11,15 @@ import torch
 from mjlab_actuators import ActuatorParameter
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names
+from mjlab_core.rotations import quat_box_plus
 from mjlab_dr import FIELDS, RandomizeField, needs_constants, randomize_field
-from mujoco.batch import Batch, SimulationError
 
+from mjlab_sysid.engines import EngineName, make_engine
 from mjlab_sysid.parameters import FitTerm, Parameter, Range
 from mjlab_sysid.robot import Robot
 
+TARGETS = ("position_target", "velocity_target", "effort_target")
+"""Signals that command joints."""
 _BODY = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 
@@ -34,10 +36,10 @@ class _Given:
   def support(self) -> tuple[float, float]:
     return self.lo, self.hi
 
-  def sample(self, shape: Sequence[int], **_: Any) -> torch.Tensor:
+  def sample(self, shape: Sequence[int], *, device: Any, dtype: torch.dtype, **_: Any) -> torch.Tensor:
     if self.values is None:
-      return torch.full(tuple(shape), 0.5 * (self.lo + self.hi), dtype=torch.float64)
-    return self.values
+      return torch.full(tuple(shape), 0.5 * (self.lo + self.hi), device=device, dtype=dtype)
+    return self.values.to(device, dtype)
 
 
 @dataclass
@@ -52,44 +54,29 @@ class _Bound:
 
 
 class Worlds:
-  """So many worlds of a robot; satisfies `mjlab_core.model_fields.ModelFields`."""
+  """So many worlds of a robot."""
 
-  def __init__(self, robot: Robot, num_worlds: int, threads: int = 0) -> None:
-    self.robot, self.num_envs, self.device, self.mj_model = robot, num_worlds, torch.device("cpu"), robot.model
-    self.batch = Batch(robot.model, num_worlds, threads)
-    self.model = SimpleNamespace()
-    self.actuators = robot.actuation(num_worlds, torch.from_numpy(self.batch.bind("ctrl")))
-    # An output is filled by steps after it is bound.
-    self.batch.bind("qfrc_actuator")
-    self._everyone = torch.ones(num_worlds, dtype=torch.bool)
+  def __init__(
+    self, robot: Robot, num_worlds: int, *, engine: EngineName = "native", device: str = "cpu", threads: int = 0
+  ) -> None:
+    self.robot, self.num_envs = robot, num_worlds
+    self.sim = sim = make_engine(robot, num_worlds, engine, device, threads)
+    self.actuators = robot.actuation(num_worlds, sim.data.ctrl)
+    self._everyone = torch.ones(num_worlds, dtype=torch.bool, device=sim.device)
     self._bound: list[_Bound] = []
     driven = self.actuators.target_names
     if others := [name for name in driven if name not in robot.joints]:
       raise MjlabError(f"records are of joints; '{others[0]}' is driven and is none")
-    self.delay = np.tile([robot.delays.get(name, 0.0) for name in driven], (num_worlds, 1))
+    delays = torch.tensor([robot.delays.get(name, 0.0) for name in driven], device=sim.device, dtype=torch.float64)
+    self.delay = delays.repeat(num_worlds, 1)
     """Delay of the set-points, (num_worlds, targets) [s]."""
-    self.encoder_bias = np.zeros((num_worlds, len(driven)))
+    self.encoder_bias = torch.zeros_like(self.delay)
     """Reading minus truth, (num_worlds, targets) [rad or m]."""
-    self._position, self._velocity = robot.addresses(driven)
-    self._start = np.zeros((num_worlds, robot.model.nq))
-    self._ok = np.ones(num_worlds, dtype=bool)
-
-  def default_field(self, name: str, /) -> torch.Tensor:
-    """Return the compiled value, (1, ...)."""
-    model = self.robot.model
-    value = getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
-    return torch.from_numpy(np.array(value)).unsqueeze(0)
-
-  def expand_model_fields(self, names: Iterable[str], /) -> None:
-    """Give these fields one value per world."""
-    for name in names:
-      if not hasattr(self.model, name):
-        setattr(self.model, name, torch.from_numpy(self.batch.expand(name)))
-
-  def recompute_constants(self, mask: torch.Tensor | None = None, /) -> None:
-    """Recompute what `mj_setConst` derives, for all worlds."""
-    del mask
-    self.batch.set_const()
+    position, velocity = robot.addresses(driven)
+    self._position, self._velocity = (torch.from_numpy(x).long().to(sim.device) for x in (position, velocity))
+    self.commands: Commands | None = None
+    """Commands that are followed."""
+    self._tick = sim.capture(self._follow)
 
   def bind(self, terms: Sequence[FitTerm], ranges: Mapping[str, Range]) -> list[Parameter]:
     """Find the parameters that terms describe; `write` then takes one column for each.
@@ -124,7 +111,7 @@ class Worlds:
     for bound in self._bound:
       bound.write(np.ascontiguousarray(numbers[:, bound.columns]))
     if any(bound.needs_constants for bound in self._bound):
-      self.batch.set_const()
+      self.sim.recompute_constants()
 
   def own(self, name: str, joint: str) -> float:
     """Return the delay or the encoder offset of a joint in the first world."""
@@ -133,7 +120,7 @@ class Worlds:
 
   def default_of(self, name: Any, joint: str) -> float:
     """Return the configured gain or limit of a joint."""
-    return float(ActuatorParameter(self.actuators, self, name, re.escape(joint)).default[0, 0])
+    return float(ActuatorParameter(self.actuators, self.sim, name, re.escape(joint)).default[0, 0])
 
   def physical(self, row: str, element: str) -> dict[str, list[float]]:
     """Return the present values of an element in the fields of MjModel that a row writes, of the first world.
@@ -142,14 +129,16 @@ class Worlds:
     """
     kind = FIELDS[row].kind
     fields = _BODY if row in (*_BODY, "pseudo_inertia") else FIELDS[row].fields or (row,)
+    # Fields that nothing has written are shared by all worlds.
+    values = {name: getattr(self.sim.model, name, self.sim.default_field(name))[0].cpu().numpy() for name in fields}
     accessor = getattr(self.robot.model, kind, None)
     if accessor is None:
-      return {name: np.atleast_1d(self.batch.expand(name)[0]).tolist() for name in fields}
+      return {name: np.atleast_1d(value).tolist() for name, value in values.items()}
     item = accessor(element)
     index = int(
       item.dofadr[0] if fields[0].startswith("dof_") else item.qposadr[0] if fields[0] == "qpos0" else item.id
     )
-    return {name: np.atleast_1d(self.batch.expand(name)[0, index]).astype(float).tolist() for name in fields}
+    return {name: np.atleast_1d(value[index]).astype(float).tolist() for name, value in values.items()}
 
   def _add(self, parameters: list[Parameter], write: Any, constants: bool) -> None:
     begin = self._bound[-1].columns.stop if self._bound else 0
@@ -165,18 +154,18 @@ class Worlds:
     defaults = {name: float(target[0, column]) for name, column in zip(names, columns, strict=True)}
 
     def write(numbers: np.ndarray) -> None:
-      target[:, columns] = numbers
+      target[:, columns] = torch.from_numpy(numbers).to(target)
 
     self._add(_parameters(term, "", names, [defaults[name] for name in names], range_), write, False)
 
   def _bind_actuator(self, term: FitTerm, range_: Range) -> None:
     """Gains and limits, wherever the actuator model keeps them."""
     name: Any = term.field
-    parameter = ActuatorParameter(self.actuators, self, name, term.pattern)
+    parameter = ActuatorParameter(self.actuators, self.sim, name, term.pattern)
     defaults = parameter.default[0].tolist()
 
     def write(numbers: np.ndarray) -> None:
-      factors = torch.from_numpy(np.broadcast_to(numbers, (self.num_envs, len(defaults))).copy())
+      factors = torch.from_numpy(np.broadcast_to(numbers, (self.num_envs, len(defaults))).copy()).to(parameter.default)
       parameter.scale(factors if range_[0] == "scale" else factors / parameter.default, self._everyone)
 
     self._add(_parameters(term, "", list(parameter.names), defaults, range_), write, False)
@@ -187,7 +176,7 @@ class Worlds:
     row = FIELDS[term.field]
     by_axis = {row.axes.index(axis): distribution for axis, distribution in given.items()}
     cfg = randomize_field(term.field, term.pattern, by_axis, operation=operation, shared=term.shared)
-    bound = RandomizeField(cfg, self, owner="fit")
+    bound = RandomizeField(cfg, self.sim, owner="fit")
     elements = list(bound.element_names)
     known = {(c.element, c.axis): float(value) for c, value in zip(bound.components, bound.default[0], strict=True)}
     parameters: list[Parameter] = []
@@ -203,16 +192,34 @@ class Worlds:
 
     self._add(parameters, write, needs_constants(term.field))
 
-  def begin(self, position: np.ndarray, velocity: np.ndarray) -> None:
-    """Put the driven joints where encoders read `position`, moving at `velocity`, both (num_worlds, targets)."""
-    self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-    qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-    qpos[:] = self.robot.pose
-    qpos[:, self._position] = position - self.encoder_bias
-    qvel[:] = 0.0
-    qvel[:, self._velocity] = velocity
+  def begin(self, position: np.ndarray, velocity: np.ndarray, orientation: np.ndarray | None = None) -> None:
+    """Put the driven joints where encoders read `position`, moving at `velocity`.
+
+    Args:
+      position: Readings, (num_worlds, targets). Of a base that moves, six columns more: its position, and a rotation
+        vector by which it is turned away from `orientation`, in the world frame.
+      velocity: Velocities, (num_worlds, targets). Of a base that moves, six columns more: linear in the world frame,
+        and angular in its own.
+      orientation: Quaternions of a base that moves, (num_worlds, 4).
+    """
+    count = len(self.actuators.target_names)
+    addresses, dofs = self._position.cpu().numpy(), self._velocity.cpu().numpy()
+    qpos = np.tile(self.robot.pose, (self.num_envs, 1))
+    qvel = np.zeros((self.num_envs, self.robot.model.nv))
+    qpos[:, addresses] = position[:, :count] - self.encoder_bias.cpu().numpy()
+    qvel[:, dofs] = velocity[:, :count]
+    if self.robot.base is not None and orientation is not None:
+      free = self.robot.model.joint(self.robot.base)
+      qpos[:, free.qposadr[0] + np.arange(3)] = position[:, count : count + 3]
+      turned = quat_box_plus(torch.from_numpy(orientation), torch.from_numpy(position[:, count + 3 :].copy()))
+      qpos[:, free.qposadr[0] + np.arange(3, 7)] = turned.numpy()
+      qvel[:, free.dofadr[0] + np.arange(6)] = velocity[:, count:]
     self._follow_equalities(qpos, qvel)
-    self._ok[:] = True
+    self.sim.reset()
+    self.sim.data.qpos[:] = torch.from_numpy(qpos).to(self.sim.data.qpos)
+    self.sim.data.qvel[:] = torch.from_numpy(qvel).to(self.sim.data.qvel)
+    if self.commands is not None:
+      self.commands.clock.zero_()
 
   def _follow_equalities(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
     """Put joints that follow another one by an equality where it wants them."""
@@ -227,28 +234,86 @@ class Worlds:
       qpos[:, first] = model.qpos0[first] + polynomial(away)
       qvel[:, model.jnt_dofadr[one]] = polynomial.deriv()(away) * qvel[:, model.jnt_dofadr[other]]
 
-  def step(self, targets: Mapping[str, np.ndarray]) -> None:
+  def step(self, targets: Mapping[str, torch.Tensor]) -> None:
     """Advance one timestep under set-points as the encoders read them, (num_worlds, targets) by signal."""
-    position = self.batch.bind("qpos")[:, self._position]
-    velocity = self.batch.bind("qvel")[:, self._velocity]
-    commands = {name: targets[name] for name in ("position_target", "velocity_target", "effort_target")}
-    commands["position_target"] = commands["position_target"] - self.encoder_bias
-    tensors = [torch.from_numpy(np.ascontiguousarray(x)) for x in (*commands.values(), position, velocity)]
+    data, dtype = self.sim.data, self.sim.dtype
+    position, velocity = data.qpos[:, self._position], data.qvel[:, self._velocity]
+    wanted = [targets[name] - self.encoder_bias if name == TARGETS[0] else targets[name] for name in TARGETS]
+    target, target_velocity, effort = (x.to(dtype) for x in wanted)
     with torch.inference_mode():
-      self.actuators.compute(*tensors)
-    try:
-      self.batch.step(ids=None if self._ok.all() else self._ok)
-    except SimulationError as error:
-      self._ok[error.ids] = False
+      self.actuators.compute(target, target_velocity, effort, position, velocity)
+    self.sim.step()
 
-  def read(self, name: str) -> np.ndarray:
-    """Return a signal, (num_worlds, targets): effort is that of the timestep before; NaN where a world diverged."""
+  def obey(self, commands: "Commands") -> None:
+    """Follow other commands from the next `begin` on."""
+    self.commands = commands
+    # A recorded step reads the memory of the commands before.
+    self._tick = self.sim.capture(self._follow)
+
+  def follow(self) -> None:
+    """Advance one timestep under `commands`, each delayed by `delay`."""
+    self._tick()
+
+  def _follow(self) -> None:
+    assert self.commands is not None
+    self.step(self.commands.now(self.delay))
+
+  def is_late(self, name: str) -> bool:
+    """Return True if a signal, once read, describes the beginning of the last timestep instead of its end."""
+    # MuJoCo computes sensors before it integrates; `Simulation` brings those of velocities up to date.
+    return name in ("effort", "linear_acceleration") or (name == "angular_velocity" and self.sim.engine == "native")
+
+  def read(self, name: str) -> torch.Tensor:
+    """Return a signal, (num_worlds, targets, 3 or 4); NaN where a world diverged."""
+    data, model = self.sim.data, self.robot.model
     if name == "position":
-      values = self.batch.bind("qpos")[:, self._position] + self.encoder_bias
+      values = data.qpos[:, self._position] + self.encoder_bias
+    elif name in ("velocity", "effort"):
+      values = (data.qvel if name == "velocity" else data.qfrc_actuator)[:, self._velocity]
+    elif name in ("base_position", "base_orientation"):
+      begin = model.joint(self.robot.base).qposadr[0] + (3 if name == "base_orientation" else 0)
+      values = data.qpos[:, begin : begin + (4 if name == "base_orientation" else 3)]
     else:
-      values = self.batch.bind("qvel" if name == "velocity" else "qfrc_actuator")[:, self._velocity].copy()
-    values[~self._ok] = np.nan
-    return values
+      begin = model.sensor(f"sysid/{name}").adr[0]
+      values = data.sensordata[:, begin : begin + 3]
+    return torch.where(torch.isfinite(data.qpos).all(1, keepdim=True), values.double(), torch.nan)
+
+
+class Commands:
+  """Set-points of records that worlds follow, each from a row of its own."""
+
+  def __init__(
+    self,
+    source: object,
+    values: Mapping[str, np.ndarray],
+    first: np.ndarray,
+    timestep: float,
+    substeps: int,
+    device: torch.device,
+  ) -> None:
+    self.source = source
+    """Object that the commands belong to."""
+    # Times need more digits than a GPU's physics.
+    self._values = {name: torch.from_numpy(rows).to(device, torch.float64) for name, rows in values.items()}
+    self._sums = {name: torch.nn.functional.pad(rows.cumsum(0), (0, 0, 1, 0)) for name, rows in self._values.items()}
+    self._first = torch.from_numpy(first).to(device, torch.float64)[:, None]
+    self._columns = torch.arange(next(iter(values.values())).shape[1], device=device)
+    self._timestep, self._substeps = timestep, substeps
+    self.clock = torch.zeros((), device=device, dtype=torch.float64)
+    """Timesteps since the beginning."""
+
+  def now(self, delay: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return the mean set-points over this timestep, (num_worlds, targets), and move on to the next."""
+    begin = self._first + (self.clock * self._timestep - delay) / (self._substeps * self._timestep)
+    end = begin + 1.0 / self._substeps
+    out = {name: (self._until(name, end) - self._until(name, begin)) * self._substeps for name in self._values}
+    self.clock += 1.0
+    return out
+
+  def _until(self, name: str, at: torch.Tensor) -> torch.Tensor:
+    values = self._values[name]
+    whole = (at + 1e-9).floor().long().clamp(0, len(values) - 1)
+    return self._sums[name][whole, self._columns] + (at - whole) * values[whole, self._columns]
 
 
 def _parameters(

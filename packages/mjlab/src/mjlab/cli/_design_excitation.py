@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import UsageError
 
 from mjlab.cli._command_line import CommandLine, output_file, run_with_task
-from mjlab.cli._sysid import FitProgress, stand_of, task_ranges
+from mjlab.cli._sysid import FitProgress, robot_of, task_ranges
 from mjlab.cli._train_actuator import stop_on_ctrl_c
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _design(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   names = ("seconds", "highest", "share", "velocity", "noise", "rounds", "candidates", "seed")
   cfg = ExcitationCfg(period=1.0 / wanted.rate, **{field: getattr(wanted, field) for field in names})
   terms = [parse_term(text) for text in wanted.fit]
-  robot = stand_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
+  robot = robot_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
   progress = FitProgress("smallest singular value")
   with stop_on_ctrl_c() as stopped:
     found = design_excitation(

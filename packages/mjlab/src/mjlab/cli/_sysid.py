@@ -34,10 +34,20 @@ class Arguments:
   """Report as HTML; None: that of the overlay, with suffix .html."""
   force: bool = False
   """Overwrite existing files."""
+  resume: bool = False
+  """Continue a fit that was ended, from the file OUTPUT.progress that it left; the other arguments must be the same."""
+  device: str = "auto"
+  """Device of the rollouts: auto, cpu or cuda:0."""
+  engine: Literal["auto", "native", "warp"] = "auto"
+  """Physics engine; auto: MuJoCo Warp on a GPU, MuJoCo's own batch on a CPU."""
+  base: Literal["held", "free"] = "held"
+  """Base of the robot in the records; free needs base_position and base_orientation in them."""
+  imu: str | None = None
+  """Site of the IMU; None: that of the model's first gyro or accelerometer."""
   height: float = 1.0
   """Height of the held base above the world's origin [m]."""
   floor: float | None = None
-  """Height of a floor that the robot touched [m]; None for no floor."""
+  """Height of a floor that the robot touched [m]; None: no floor under a held base, 0 under a free one."""
   window: float = 0.3
   """Length of the windows that are rolled out, each from a measured state [s]."""
   solver: Literal["gauss-newton", "cma"] = "gauss-newton"
@@ -54,9 +64,9 @@ _LINE = CommandLine(
   name="sysid",
   words="RECORD [RECORD ...]",
   purpose=(
-    "Fits parameters of a robot, held by its base, to records of its commands and motion. Writes an overlay file that "
-    "any task applies, and a report. Parameters that the records cannot tell are named and stay at their prior. Ctrl-C "
-    "ends the fit and writes what was found; a second Ctrl-C writes nothing."
+    "Fits parameters of a robot to records of its commands and motion. Writes an overlay file that any task applies, "
+    "and a report. Parameters that the records cannot tell are named and stay at their prior. Ctrl-C ends the fit and "
+    "writes what was found; a second Ctrl-C writes nothing. Either can be continued with --resume."
   ),
   arguments=Arguments,
   notes="""\
@@ -85,7 +95,7 @@ def run(words: list[str]) -> int:
   for flag, path in (("output", output), ("report", report)):
     if path.is_dir() or not path.absolute().parent.is_dir():
       raise UsageError(f"--{flag}: {path} is a folder, or lies in one that does not exist")
-    if path.exists() and not wanted.force:
+    if path.exists() and not (wanted.force or wanted.resume):
       raise UsageError(f"--{flag}: {path} exists; name another file, or overwrite it with --force")
   task = load_named_task(wanted.task)
   return _identify(paths, wanted, task.env, output, report)
@@ -95,10 +105,13 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
   from mjlab_sysid import IdentifyCfg, identify, parse_term, read_records, write_report
 
   terms = [parse_term(text) for text in wanted.fit]
-  cfg = IdentifyCfg(window=wanted.window, solver=wanted.solver, iterations=wanted.iterations, tell=wanted.tell)
+  names = ("window", "solver", "iterations", "tell", "engine")
+  device = environments.resolve_device(wanted.device) if wanted.engine != "native" else "cpu"
+  cfg = IdentifyCfg(device=device, **{name: getattr(wanted, name) for name in names})
   records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
   _describe([*records, *held_out])
-  robot = stand_of(env, wanted.entity, height=wanted.height, floor=wanted.floor)
+  robot = robot_of(env, wanted.entity, height=wanted.height, floor=wanted.floor, base=wanted.base, imu=wanted.imu)
+  kept = Path(f"{output}.progress")
   progress = FitProgress("cost")
   with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
     warnings.simplefilter("always")
@@ -110,12 +123,14 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
       held_out=held_out,
       ranges=task_ranges(env),
       on_iteration=lambda seen: progress.show(seen) or bool(stopped),
+      progress=kept,
+      resume=wanted.resume,
     )
   progress.end()
   for text in dict.fromkeys(str(entry.message) for entry in caught):
     print(f"warning: {text}")
   if found.stopped:
-    print("stopped (Ctrl-C) before the fit converged")
+    print(f"stopped (Ctrl-C) before the fit converged; the same command with --resume continues it from {kept}")
   print(found.summary())
   found.save(output)
   print(f"overlay: {output}; apply it with --env.scene.entities.{wanted.entity}.overlay {output}")
@@ -131,14 +146,22 @@ def _describe(records: "list[Record]") -> None:
       print(f"not read: {', '.join(record.ignored)}")
 
 
-def stand_of(env: Any, entity: str, *, height: float, floor: float | None) -> "Robot":
-  """Return the robot of a task's environment, held by its base.
+def robot_of(
+  env: Any,
+  entity: str = "robot",
+  *,
+  height: float = 1.0,
+  floor: float | None = None,
+  base: Literal["held", "free"] = "held",
+  imu: str | None = None,
+) -> "Robot":
+  """Return the robot of a task's environment, as its records are explained.
 
   Raises:
     UnknownNameError: The scene has no such entity.
     MjlabError: The entity has no actuator models.
   """
-  from mjlab_sysid import robot_on_stand
+  from mjlab_sysid import robot_on_ground, robot_on_stand
 
   entities = env.scene.entities
   if entity not in entities:
@@ -148,7 +171,10 @@ def stand_of(env: Any, entity: str, *, height: float, floor: float | None) -> "R
     raise MjlabError(f"entity '{entity}' has no actuator models, so nothing commands it")
   env.sim.apply(built.spec)
   pose = {name: values[0] for name, values in built.initial_state.joint_pos.items() if len(values) == 1}
-  return robot_on_stand(built.spec, built.actuators.cfgs, pose=pose, height=height, floor=floor)
+  cfgs = built.actuators.cfgs
+  if base == "free":
+    return robot_on_ground(built.spec, cfgs, pose=pose, floor=0.0 if floor is None else floor, imu=imu)
+  return robot_on_stand(built.spec, cfgs, pose=pose, height=height, floor=floor, imu=imu)
 
 
 def task_ranges(env: Any) -> "dict[str, Range]":

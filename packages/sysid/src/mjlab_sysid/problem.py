@@ -1,0 +1,251 @@
+"""Residuals of a fit as a function of its parameters, and what records can tell of them.
+
+The residual of a window is the difference between a rollout from its measured state and what was measured, divided by
+the noise. The state itself is measured with noise, so it is marginalised: with S the derivative of the residuals by the
+state in units of its noise, their covariance is C = 1 + S S^T, and C^(-1/2) r is minimised.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
+from mjlab_dr import FIELDS
+
+from mjlab_sysid.engines import EngineName
+from mjlab_sysid.identified import Trace
+from mjlab_sysid.parameters import FitTerm, Parameter, Range
+from mjlab_sysid.progress import fingerprint
+from mjlab_sysid.records import BODY_SIGNALS, UNITS, elements
+from mjlab_sysid.robot import Robot
+from mjlab_sysid.windows import Windows, difference
+from mjlab_sysid.worlds import Worlds
+
+
+class _Steps(NamedTuple):
+  """Finite differences, as small as the precision of an engine allows."""
+
+  parameter: float
+  """In units of half the bounds."""
+  position: float
+  """[rad or m]."""
+  velocity: float
+  """[rad/s or m/s]."""
+
+
+_STEPS = {torch.float64: _Steps(1e-4, 1e-5, 1e-3), torch.float32: _Steps(1e-2, 1e-3, 1e-2)}
+# Residual of a world that diverged, in units of noise.
+_DIVERGED = 1e3
+# Units of traces that are not of joints.
+_UNITS = {name: next(iter(UNITS[quantity])) for name, quantity in BODY_SIGNALS.items()} | {
+  "angular_velocity": "rad/s",
+  "base_orientation": "rad",
+}
+PRIOR = 1.0 / math.sqrt(3.0)
+"""Standard deviation of a uniform prior within the bounds, in units of half their width."""
+
+
+@dataclass(kw_only=True)
+class IdentifyCfg:
+  """Settings of a fit."""
+
+  window: Positive = 0.3
+  """Length of a window [s]: long enough for a parameter to act, short enough for contacts and drift not to."""
+  solver: Literal["gauss-newton", "cma"] = "gauss-newton"
+  """Solver; CMA-ES, from the extra `cma`, needs no gradient, for records full of contacts."""
+  iterations: PositiveCount = 40
+  """Largest number of iterations, or of generations, of a pass."""
+  tell: Annotated[float, Limits(gt=0, le=1)] = 0.1
+  """Standard deviation, in units of half the bounds' width, above which records cannot tell a parameter."""
+  engine: EngineName = "auto"
+  """`native`: MuJoCo's own batch, on a CPU. `warp`: MuJoCo Warp, from the extra `warp`. `auto`: Warp on a GPU."""
+  device: str = "cpu"
+  """Device of the rollouts: cpu or cuda:0."""
+  threads: Annotated[int, Limits(ge=0)] = 0
+  """Threads of the rollouts on a CPU; 0 for all cores."""
+  seed: int = 0
+  """Seed of CMA-ES."""
+
+  def __post_init__(self) -> None:
+    check_fields(self, "IdentifyCfg")
+
+
+class Problem:
+  """Residuals of windows as a function of parameters."""
+
+  def __init__(
+    self, robot: Robot, windows: Windows, fit: Sequence[FitTerm], ranges: Mapping[str, Range], cfg: IdentifyCfg
+  ) -> None:
+    self.robot, self.windows, self._fit, self._ranges, self._cfg = robot, windows, fit, ranges, cfg
+    self._made: dict[int, Worlds] = {}
+    worlds, self.parameters = self._worlds(1)
+    self.steps = _STEPS[worlds.sim.dtype]
+    self.count = len(self.parameters)
+    self._start = np.array([parameter.start for parameter in self.parameters])
+    self._half = np.array([parameter.half for parameter in self.parameters])
+    self.lower = (np.array([parameter.lo for parameter in self.parameters]) - self._start) / self._half
+    self.upper = (np.array([parameter.hi for parameter in self.parameters]) - self._start) / self._half
+    self._basis: np.ndarray | None = None
+    self._shrink: np.ndarray | None = None
+
+  def _worlds(self, columns: int) -> tuple[Worlds, list[Parameter]]:
+    cfg = self._cfg
+    count = columns * self.windows.count
+    worlds = Worlds(self.robot, count, engine=cfg.engine, device=cfg.device, threads=cfg.threads)
+    parameters = worlds.bind(self._fit, self._ranges)
+    self._made[columns] = worlds
+    return worlds, parameters
+
+  @property
+  def key(self) -> str:
+    """Digest of the records, the parameters and the settings."""
+    windows, cfg = self.windows, self._cfg
+    arrays = (*windows.measured.values(), *windows.commands.values(), windows.first)
+    return fingerprint(self.parameters, cfg.window, cfg.solver, cfg.tell, *arrays)
+
+  def numbers(self, x: np.ndarray) -> np.ndarray:
+    """Return fitted numbers, (columns, parameters), of candidates in units of half bounds, (parameters, columns)."""
+    return self._start + self._half * np.clip(x.T, self.lower, self.upper)
+
+  def overlay(self, x: np.ndarray, told: np.ndarray) -> dict[str, Any]:
+    """Return the physical values of told parameters at a candidate, as an overlay file holds them."""
+    worlds = Worlds(self.robot, 1)
+    worlds.bind(self._fit, self._ranges)
+    worlds.write(self.numbers(np.where(told, x, 0.0)[:, None]))
+    out: dict[str, Any] = {
+      "timestep": self.windows.timestep,
+      "model": {},
+      "actuators": {},
+      "delay": {},
+      "encoder_bias": {},
+    }
+    for parameter, is_told in zip(self.parameters, told, strict=True):
+      if not is_told:
+        continue
+      for element in parameter.elements:
+        if parameter.field in ("delay", "encoder_bias"):
+          out[parameter.field][element] = worlds.own(parameter.field, element)
+        elif FIELDS[parameter.field].kind == "target":
+          number = float(self.numbers(x[:, None])[0][self.parameters.index(parameter)])
+          scaled = worlds.default_of(parameter.field, element) * number
+          out["actuators"].setdefault(parameter.field, {})[element] = (
+            scaled if parameter.operation == "scale" else number
+          )
+        else:
+          for name, values in worlds.physical(parameter.field, element).items():
+            out["model"].setdefault(name, {})[element] = values
+    return out
+
+  def predict(
+    self, x: np.ndarray, position: np.ndarray | None = None, velocity: np.ndarray | None = None
+  ) -> dict[str, np.ndarray]:
+    """Return signals of candidates, (parameters, columns), as (columns, windows, rows, joints)."""
+    columns, windows = x.shape[1], self.windows
+    worlds = self._made[columns] if columns in self._made else self._worlds(columns)[0]
+    worlds.write(np.repeat(self.numbers(x), windows.count, 0))
+    position = np.tile(windows.position, (columns, 1)) if position is None else position
+    velocity = np.tile(windows.velocity, (columns, 1)) if velocity is None else velocity
+    signals = windows.roll(worlds, position, velocity)
+    return {name: values.reshape(columns, windows.count, *values.shape[1:]) for name, values in signals.items()}
+
+  def residuals(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return residuals in units of noise, (columns, windows, numbers of a window)."""
+    parts = []
+    for name, measured in self.windows.measured.items():
+      away = difference(name, signals[name], measured)
+      seen = np.array([not np.isnan(measured[..., column]).any() for column in range(away.shape[-1])])
+      part = (away / self.windows.sigma[name])[..., seen]
+      parts.append(part.reshape(*part.shape[:2], -1))
+    return np.clip(np.nan_to_num(np.concatenate(parts, -1), nan=_DIVERGED), -_DIVERGED, _DIVERGED)
+
+  def marginalise(self, x: np.ndarray) -> None:
+    """Take the uncertainty of the windows' first states into account, linearised at a candidate, (parameters,)."""
+    windows = self.windows
+    moved = np.flatnonzero(windows.uncertain[0, 0] > 0.0)
+    columns = 1 + 2 * len(moved)
+    position, velocity = (np.tile(part, (columns, 1, 1)) for part in (windows.position, windows.velocity))
+    for place, joint in enumerate(moved):
+      position[1 + place, :, joint] += self.steps.position
+      velocity[1 + len(moved) + place, :, joint] += self.steps.velocity
+    flat = (-1, position.shape[2])
+    found = self.residuals(
+      self.predict(np.tile(x[:, None], (1, columns)), position.reshape(flat), velocity.reshape(flat))
+    )
+    steps = np.repeat(self.steps[1:], len(moved))
+    slopes = (found[1:] - found[:1]) / steps[:, None, None]
+    noise = windows.uncertain[:, :, moved].reshape(windows.count, -1)
+    basis, singular, _ = np.linalg.svd(slopes.transpose(1, 2, 0) * noise[:, None], full_matrices=False)
+    self._basis, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + singular**2)
+
+  def whitened(self, x: np.ndarray) -> np.ndarray:
+    """Return residuals of candidates, (parameters, columns), as (numbers, columns)."""
+    found = self.residuals(self.predict(x))
+    if self._basis is not None and self._shrink is not None:
+      inside = np.einsum("wdk,cwd->cwk", self._basis, found)
+      found = found - np.einsum("wdk,cwk->cwd", self._basis, self._shrink * inside)
+    return found.reshape(x.shape[1], -1).T
+
+  def information(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the Jacobian of the whitened residuals at a candidate, and the variance of these."""
+    inward = np.where(x > 0.5 * (self.lower + self.upper), -self.steps.parameter, self.steps.parameter)
+    base = self.whitened(x[:, None])
+    jacobian = (self.whitened(x[:, None] + np.diag(inward)) - base) / inward
+    return jacobian, float(np.square(base).sum() / max(1, len(base) - self.count))
+
+  def identifiable(self, x: np.ndarray, tell: float) -> tuple[np.ndarray, list[str]]:
+    """Return the parameters that the records tell, bool (parameters,), and the reason for each that they do not."""
+    jacobian, scale = self.information(x)
+    information = jacobian.T @ jacobian / scale
+    names = [parameter.name for parameter in self.parameters]
+    told = np.ones(self.count, dtype=bool)
+    reasons = [""] * self.count
+    while told.any():
+      kept = np.flatnonzero(told)
+      # A direction without any information is not infinite, so that the worst can be named.
+      covariance = np.linalg.inv(information[np.ix_(kept, kept)] + 1e-6 * np.eye(len(kept)))
+      spread = np.sqrt(np.diag(covariance))
+      if spread.max() <= tell:
+        break
+      # Of several that only act together, the one with the smallest effect goes first.
+      tied = spread > 0.5 * spread.max()
+      worst = int(np.argmin(np.where(tied, information[kept, kept], np.inf)))
+      correlation = covariance[worst] / (spread[worst] * spread)
+      correlation[worst] = 0.0
+      partner = int(np.argmax(np.abs(correlation)))
+      index = kept[worst]
+      alone = 1.0 / math.sqrt(information[index, index] + 1e-12)
+      if alone > tell:
+        reasons[index] = "the records hardly depend on it"
+      elif abs(correlation[partner]) > 0.8:
+        reasons[index] = f"the records tell it only together with {names[kept[partner]]}"
+      else:
+        reasons[index] = "the records tell it only together with several others"
+      told[index] = False
+    return told, reasons
+
+  def traces(self, x: np.ndarray) -> list[Trace]:
+    """Return positions by record and joint, measured, before the fit and at a candidate, (parameters,)."""
+    before, after = (self.predict(candidate[:, None]) for candidate in (np.zeros(self.count), x))
+    out = []
+    for record in dict.fromkeys(self.windows.records):
+      rows = [name == record for name in self.windows.records]
+      for signal, (measured, *others) in self._shown(before, after).items():
+        for column, element in enumerate(elements(signal, self.windows.joints)[-measured.shape[2] :]):
+          if not np.isnan(measured[rows][..., column]).all():
+            name = element if signal == "position" else f"{signal}/{element} [{_UNITS[signal]}]"
+            flat = [part[rows][..., column].ravel() for part in (measured, *others)]
+            out.append(Trace(record=record, joint=name, measured=flat[0], before=flat[1], after=flat[2]))
+    return out
+
+  def _shown(self, *predicted: Mapping[str, np.ndarray]) -> dict[str, list[np.ndarray]]:
+    """Return measured and predicted signals of traces; orientations as rotation vectors from the measured ones."""
+    out = {}
+    for name, measured in self.windows.measured.items():
+      if name == "position" or name in BODY_SIGNALS:
+        away = [difference(name, signals[name][0], measured) for signals in predicted]
+        origin = np.zeros_like(away[0]) if name == "base_orientation" else measured
+        out[name] = [origin, *(origin + part for part in away)]
+    return out
