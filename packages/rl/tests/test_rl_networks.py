@@ -262,8 +262,7 @@ def test_a_scripted_model_remembers_until_it_is_reset(kind: type[ImageModel], rn
       torch.testing.assert_close(scripted(seen["speed"], [seen["camera"]]), network(seen))
 
 
-@pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
-@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
+@pytest.mark.parametrize(("class_name", "rnn_type"), [(SOFTMAX, None), (SOFTMAX, "gru"), ("CNNModel", "lstm")])
 def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
   tmp_path: Path, class_name: str, rnn_type: Any
 ) -> None:
