@@ -1,7 +1,9 @@
 """The page in a real browser: what is seen, what each control does, who comes and goes."""
 
+import asyncio
 import importlib.metadata
 import io
+import itertools
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator
@@ -21,9 +23,10 @@ from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, Snapsh
 from mjlab_viewer.browser.controls import _ratio
 from mjlab_viewer.browser.groups import geom_labels, site_labels
 from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
+from mjlab_viewer.browser.wakeup import LoopEvent
 from PIL import Image
 from playwright.sync_api import Browser, Page
-from viewer_env import BoxEnv
+from viewer_env import GROUND, BoxEnv
 from viewer_page import choose, closing_pages, eventually, headless_chromium, opened, press_until, row, slide, stepping
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -68,13 +71,21 @@ def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) 
 
 def red(page: Page) -> np.ndarray:
   """Where the red boxes are on the left of the page, bool (height, width)."""
-  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
+  return is_red(pixels(page))
+
+
+def is_red(image: np.ndarray) -> np.ndarray:
   return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+
+
+def pixels(page: Page) -> np.ndarray:
+  """The left of the page, int (height, width, 3)."""
+  return np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
 
 
 def blue(page: Page) -> np.ndarray:
   """Where the blue boxes are on the left of the page, but for its axes in the corner, bool (height, width)."""
-  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:460, :340, :3]
+  image = pixels(page)[:460]
   return (image[..., 2] > 90) & (image[..., 2] > 2 * image[..., 0]) & (image[..., 2] > 2 * image[..., 1])
 
 
@@ -185,23 +196,80 @@ def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: 
     page.close()
 
 
-def test_a_film_has_a_frame_for_every_step_and_a_name_of_its_own(opengl: None, tmp_path: Path) -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
+@pytest.mark.parametrize("tick", [0.001, 0.4])
+def test_a_film_lasts_as_long_as_the_page_shows_however_slow_the_machine_is(
+  tick: float, opengl: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+  """`tick` is the time from one look at the clock to the next [s]; a slow machine drops most steps that are due."""
+  monkeypatch.setattr("mjlab_viewer.pictures.video._ROOM", 1)
+  env, looks = BoxEnv(1), itertools.count()
+  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device), clock=lambda: tick * next(looks))
   with BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path) as viewer:
+    controls = viewer._controls
+    assert controls is not None
+
+    def shown() -> float:
+      controls.show_status()
+      return float(controls._status.content.split(" s, world 0")[0].split()[-1])
+
     # More steps than pictures, and more than can be rendered meanwhile.
     playback.speed = 8.0
     films = []
     for _ in range(2):
       films.append(viewer.recorder.start())
-      begin = playback.total_steps
-      while playback.total_steps < begin + 50:
+      begin, first = shown(), playback.total_steps
+      while playback.total_steps < first + 30:
         playback.tick()
         viewer.update()
       assert viewer.recorder.stop() == films[-1]
+      assert playback.is_capped == (tick > 0.1)
       with av.open(str(films[-1])) as film:
-        assert sum(1 for _ in film.decode(video=0)) == playback.total_steps - begin
+        times = [frame.time for frame in film.decode(video=0)]
+      assert len(times) == playback.total_steps - first
+      assert times[-1] + env.step_dt == pytest.approx(shown() - begin)
     assert len(set(films)) == 2
+
+
+def look(image: np.ndarray) -> np.ndarray:
+  """Mean colour of red boxes, the ground's brightness, its shares of grey and of black [%], and the sky's darkest."""
+  box = is_red(image)
+  # Below the horizon, and below the note that the browser has no GPU.
+  ground = image[140:][~box[140:]].max(axis=1)
+  shares = (100.0 * (ground < 236).mean(), 100.0 * (ground < 120).mean())
+  return np.array([*image[box].mean(axis=0), np.median(ground), *shares, image[:12].min()])
+
+
+def test_a_film_has_the_ground_sky_and_colours_of_the_page(chromium: Browser, opengl: None, tmp_path: Path) -> None:
+  model = mujoco.MjModel.from_xml_string(GROUND)
+  replay = Replay(model, {"qpos": np.tile(model.qpos0, (4, 1, 1))}, 0.02)
+  playback = Playback(replay, ZeroPolicy(1, 0, replay.sim.device))
+  playback.pause()
+  viewer = BrowserViewer(replay, playback=playback, port=8300, video_folder=tmp_path)
+  path = viewer.recorder.start()
+  playback.step_once()
+  viewer.recorder.stop()
+  with av.open(str(path)) as film:
+    (frame,) = (frame.to_ndarray(format="rgb24").astype(int) for frame in film.decode(video=0))
+  filmed = look(frame)
+  assert filmed[3] > 250.0
+  assert filmed[6] > 250.0
+  # Lines and a shadow, but nothing black.
+  assert 5.0 < filmed[4] < 30.0
+  assert filmed[5] < 1.0
+  with stepping(viewer):
+    page = opened(chromium, viewer.url)
+    eventually(lambda: red(page).sum() > 300, "the box is not seen")
+    seen: list[np.ndarray] = []
+
+    def is_alike() -> bool:
+      seen.append(look(pixels(page)))
+      return bool((np.abs(seen[-1] - filmed) < (20.0, 20.0, 20.0, 5.0, 15.0, 1.0, 5.0)).all())
+
+    try:
+      eventually(is_alike)
+    finally:
+      print(f"film {filmed.round(1)}, page {seen[-1:]}")
+    page.close()
 
 
 def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_path: Path) -> None:
@@ -654,6 +722,23 @@ def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_co
         page.send(msgspec.msgpack.encode(message))
         eventually(lambda holds=holds: is_so(holds), f"{label} does nothing")
       assert not viewer.server.get_clients()
+
+
+def test_a_thread_that_writes_to_the_page_leaves_it_to_the_loop_to_wake_the_sender() -> None:
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    event = viewer.server._websock_server._broadcast_buffer.message_event
+    assert isinstance(event, LoopEvent)
+  loop = asyncio.new_event_loop()
+  event = LoopEvent(loop)
+  event.set()
+  assert not event.is_set()
+  loop.call_soon(event.set)
+  # This thread may have a loop, that of Playwright.
+  thread = threading.Thread(target=loop.run_until_complete, args=(asyncio.sleep(0.0),))
+  thread.start()
+  thread.join()
+  assert event.is_set()
+  loop.close()
 
 
 def test_the_private_names_of_mjviser_are_those_of_the_tested_version() -> None:

@@ -26,7 +26,7 @@ from mjlab_viewer import (
 )
 from mjlab_viewer.pictures.offscreen import tiles
 from mjlab_viewer.snapshot import Snapshot
-from viewer_env import BoxEnv
+from viewer_env import GROUND, BoxEnv
 
 SMALL = PictureCfg(width=96, height=72, shadows=False)
 
@@ -267,22 +267,6 @@ def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() 
   told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
   assert "neither EGL nor OSMesa is installed" in told
   assert told.count("\n") == 1
-
-
-GROUND = """
-<mujoco>
-  <statistic extent="1" center="0 0 0"/>
-  <asset>
-    <texture name="sky" type="skybox" builtin="gradient" rgb1=".3 .4 .6" rgb2=".7 .8 .9" width="32" height="192"/>
-    <texture name="ground" type="2d" builtin="checker" rgb1=".2 .3 .4" rgb2=".1 .2 .3" width="100" height="100"/>
-    <material name="ground" texture="ground" texuniform="true" reflectance=".2"/>
-  </asset>
-  <worldbody>
-    <light type="directional" pos="0 0 3" dir=".2 .1 -1"/>
-    <geom type="plane" size="0 0 .01" material="ground"/>
-    <body pos="0 0 .5"><freejoint/><geom type="box" size=".2 .1 .1" rgba=".9 .1 .1 1"/></body>
-  </worldbody>
-</mujoco>"""
 
 
 def test_films_have_the_ground_and_sky_of_the_page_without_speckles_where_shadows_end(opengl: None) -> None:

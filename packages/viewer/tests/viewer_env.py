@@ -30,6 +30,22 @@ BOX = """
 """
 
 
+GROUND = """
+<mujoco>
+  <statistic extent="1" center="0 0 0"/>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1=".3 .4 .6" rgb2=".7 .8 .9" width="32" height="192"/>
+    <texture name="ground" type="2d" builtin="checker" rgb1=".2 .3 .4" rgb2=".1 .2 .3" width="100" height="100"/>
+    <material name="ground" texture="ground" texuniform="true" reflectance=".2"/>
+  </asset>
+  <worldbody>
+    <light type="directional" pos="0 0 3" dir=".2 .1 -1"/>
+    <geom type="plane" size="0 0 .01" material="ground"/>
+    <body pos="0 0 .5"><freejoint/><geom type="box" size=".2 .1 .1" rgba=".9 .1 .1 1"/></body>
+  </worldbody>
+</mujoco>"""
+
+
 class BoxData:
   """Fields of all worlds; every read is a copy, but velocities and forces, which may be written to."""
 
