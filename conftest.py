@@ -18,6 +18,11 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+  """Run slow tests first: one that begins last is what all workers but one wait for."""
+  items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 def pytest_unconfigure(config: pytest.Config) -> None:
   """What tests left behind, such as a thread, has as long to end as a test has."""
   limit = float(config.getini("faulthandler_timeout"))

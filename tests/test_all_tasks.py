@@ -18,6 +18,9 @@ from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_mani
 
 WORLDS = 4
 STEPS = 20
+VARIANTS = ("-Blind", "-Distill", "-IK", "-No-State-Estimation")
+SCENES = [name for name in mjlab.list_tasks() if not name.endswith(VARIANTS)]
+"""Tasks with a scene of their own."""
 
 
 def seen(observations: dict[str, Any]) -> list[torch.Tensor]:
@@ -60,12 +63,9 @@ def act(env: ManagerBasedRlEnv, generator: torch.Generator) -> list[torch.Tensor
   return [*seen(observations), reward, terminated, truncated]
 
 
-@pytest.fixture(params=["train", "play"])
-def play(request: pytest.FixtureRequest) -> bool:
-  return request.param == "play"
-
-
-@pytest.mark.parametrize("name", mjlab.list_tasks())
+@pytest.mark.parametrize(
+  ("name", "play"), [*((name, False) for name in mjlab.list_tasks()), *((name, True) for name in SCENES)]
+)
 def test_every_task_steps_resets_some_worlds_and_goes_on_from_a_saved_state(name: str, play: bool) -> None:
   generator = torch.Generator().manual_seed(0)
   with make(name, num_envs=WORLDS, device="cpu", play=play) as env:
@@ -162,8 +162,8 @@ def test_every_task_can_be_evaluated(name: str) -> None:
   assert all(interval.count <= WORLDS for interval in result.groups["all"].values())
 
 
-@pytest.mark.parametrize("name", mjlab.list_tasks())
-def test_every_task_is_exported_as_a_model_that_mujoco_opens(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_is_exported_as_a_model_that_mujoco_opens(name: str, tmp_path: Path) -> None:
   assert cli.main(["export-scene", name, "--output", str(tmp_path / "scene"), "--env.scene.num-envs", "2"]) == 0
   model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
   mujoco.mj_step(model, mujoco.MjData(model))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import mjlab
+import pytest
 import torch
 from mjlab.environments import make
 from mjlab_core.errors import MjlabError
@@ -203,6 +204,7 @@ class Sweep:
     self.unchanged[part, name] = dict(enumerate(self.called(manager, name)))
 
 
+@pytest.mark.slow
 def test_a_changed_parameter_acts_or_is_refused() -> None:
   found: dict[str, str] = {}
   records: dict[str, bool] = {}

@@ -95,6 +95,7 @@ def dump(folder: Path) -> Path:
   return path
 
 
+@pytest.mark.slow
 def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Browser, tmp_path: Path) -> None:
   path = dump(tmp_path / "nan_dumps")
   with page_of(chromium, tmp_path, "viz_nan", str(path), "--viewer", "browser", "--port", "8710") as page:
@@ -124,6 +125,7 @@ def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Bro
     page.get_by_text("qpos[2]").wait_for()
 
 
+@pytest.mark.slow
 def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_path: Path) -> None:
   words = "demo --task go1 --port 8720 --num-envs 1 --device cpu".split()
   with page_of(chromium, tmp_path, *words) as page:
