@@ -161,13 +161,17 @@ def test_the_runner_drives_the_loopback_robot_through_unitrees_messages(tmp_path
     assert simulated.is_damped
 
 
-def test_a_missing_sdk_and_unknown_robots_and_motors_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("reason", [ModuleNotFoundError("No module named 'cyclonedds'"), OSError("crc_amd64.so")])
+def test_a_missing_sdk_is_said_with_a_remedy(monkeypatch: pytest.MonkeyPatch, reason: Exception) -> None:
   def missing(name: str) -> Any:
-    raise ModuleNotFoundError(f"No module named '{name}'")
+    raise reason
 
   monkeypatch.setattr("importlib.import_module", missing)
-  with pytest.raises(DeployError, match="install unitree-sdk2"):
+  with pytest.raises(DeployError, match="install it from its repository"):
     connect("g1", "eth0")
+
+
+def test_unknown_robots_and_motors_are_said() -> None:
   with pytest.raises(DeployError, match="robot 'go1' is not known; there are g1, go2"):
     connect("go1", "eth0")
   with pytest.raises(DeployError, match="the go2 has no motor 'tail'"):

@@ -151,8 +151,9 @@ def connect(model: str, network: str, joints: tuple[str, ...] | None = None) -> 
     messages: Any = importlib.import_module(f"unitree_sdk2py.idl.{family}.msg.dds_")
     default: Any = importlib.import_module("unitree_sdk2py.idl.default")
     crc: Any = importlib.import_module("unitree_sdk2py.utils.crc").CRC()
-  except ImportError as error:
-    raise DeployError(f"Unitree's SDK is missing ({error}); install unitree-sdk2, which needs cyclonedds") from error
+  except (ImportError, OSError) as error:  # OSError: the library for checksums is missing
+    remedy = "install it from its repository, unitreerobotics/unitree_sdk2_python; the package unitree-sdk2 lacks files"
+    raise DeployError(f"Unitree's SDK is missing or incomplete ({error}); {remedy}") from error
   channel.ChannelFactoryInitialize(0, network)
   publisher = channel.ChannelPublisher("rt/lowcmd", messages.LowCmd_)
   publisher.Init()
