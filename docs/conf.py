@@ -4,7 +4,7 @@ project = "mjlab"
 author = "The mjlab developers"
 html_title = "mjlab"
 
-extensions = ["myst_parser", "sphinx.ext.viewcode", "sphinx_design"]
+extensions = ["myst_parser", "sphinx.ext.viewcode", "sphinx_design", "mjlab_docs.sources"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4
 add_module_names = False

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import griffe
 import overview
 import pytest
 from mjlab.registry import list_tasks
-from mjlab_docs import check, llms, pages, results
+from mjlab_docs import check, llms, pages, results, sources
 
 
 def test_links_between_files_lead_between_pages(tmp_path: Path) -> None:
@@ -21,6 +22,24 @@ def test_a_file_without_a_page_becomes_one(tmp_path: Path) -> None:
   assert site.linked("[script](../.ci/run)", "docs/faq.md", "faq.md") == "[script](source/.ci/run.md)"
   site.lay_out()
   assert "uv sync" in (tmp_path / "source/.ci/run.md").read_text(encoding="utf-8")
+
+
+def test_numbers_are_files_to_download(tmp_path: Path) -> None:
+  site = pages.Site(tmp_path)
+  curve = "docs/benchmarks/go1_flat_gpu.csv"
+  assert site.linked("[c](go1_flat_gpu.csv)", "docs/benchmarks/a.md", "benchmarks/a.md") == f"[c](../source/{curve})"
+  site.lay_out()
+  assert (tmp_path / "source" / curve).read_bytes() == (pages.ROOT / curve).read_bytes()
+
+
+def test_a_name_that_a_package_exports_leads_to_the_lines_that_define_it() -> None:
+  code = "class A:\n  b = 1\n\n  def c(self):\n    pass\n"
+  with griffe.temporary_visited_module(code, module_name="inner") as module:
+    sources.remember({"package.A": module})
+    assert sources.defining_module(None, "package", "A.c") == "inner"
+    found, tags = sources.code_and_tags(None, "inner")
+  assert found.splitlines() == code.splitlines()
+  assert tags == {"A": ("class", 1, 5), "A.c": ("def", 4, 5)}
 
 
 def test_wrong_links_and_files_of_other_hosts_are_found(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ def main() -> int:
   with sync_playwright() as playwright:
     browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
     page = browser.new_page()
+    page.set_default_timeout(300_000)
     for question, words, title, target in ROW.findall(DOCUMENT.read_text(encoding="utf-8")):
       found = results(page, address, words)
       name = re.sub(r"\.md(#.*)?$", ".html", target)

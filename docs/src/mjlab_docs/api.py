@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 import griffe
 
+from mjlab_docs import sources
 from mjlab_docs.pages import Site, members
 
 Described: TypeAlias = griffe.Class | griffe.Function | griffe.Attribute | griffe.TypeAlias
@@ -17,12 +18,12 @@ def write(site: Site) -> dict[str, str]:
   Returns:
     Module that documents each object, by the path of the object's definition.
   """
-  sources = [member / "src" for member in members()]
+  folders = [member / "src" for member in members()]
   loader = griffe.GriffeLoader(
-    search_paths=sources, docstring_parser="google", docstring_options={"warnings": False}, allow_inspection=False
+    search_paths=folders, docstring_parser="google", docstring_options={"warnings": False}, allow_inspection=False
   )
   packages = [
-    folder.name for source in sources for folder in sorted(source.iterdir()) if (folder / "__init__.py").is_file()
+    package.name for folder in folders for package in sorted(folder.iterdir()) if (package / "__init__.py").is_file()
   ]
   for package in packages:
     loader.load(package)
@@ -33,6 +34,7 @@ def write(site: Site) -> dict[str, str]:
     for _, found in _public(module):
       if found.package.path == module.package.path:
         homes.setdefault(found.path, module.path)
+  sources.remember({f"{module.path}.{name}": found.module for module in modules for name, found in _public(module)})
   for module in modules:
     site.write(f"reference/api/{module.path}.md", "\n".join(_page(module, homes)) + "\n")
   return homes

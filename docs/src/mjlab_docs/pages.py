@@ -10,6 +10,8 @@ _LINK = re.compile(r"(!?\[(?:[^\[\]]|\[[^\]]*\])*\])\(([^)\s#]*)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^(`{3,}|~{3,}|:{3,}).*?^\1[ ]*$", re.MULTILINE | re.DOTALL)
 # Pages of one table each, which no contents name.
 _TABLES = {"benchmarks/index.md": "\n```{toctree}\n:caption: Tables\n:maxdepth: 1\n:glob:\n\n*\n```\n"}
+# Files of numbers, to be downloaded.
+_DATA = {".csv", ".json"}
 _PICTURES = {".png", ".webp", ".svg", ".gif", ".mp4"}
 
 
@@ -56,9 +58,10 @@ class Site:
         self.copy(picture, picture.relative_to(ROOT / "docs").as_posix())
     self.copy(ROOT / "docs" / "conf.py", "conf.py")
     for source in sorted(self._sources):
-      language = {".py": "python", ".json": "json", ".toml": "toml", ".xml": "xml"}.get(
-        PurePosixPath(source).suffix, "text"
-      )
+      if PurePosixPath(source).suffix in _DATA:
+        self.copy(ROOT / source, f"source/{source}")
+        continue
+      language = {".py": "python", ".toml": "toml", ".xml": "xml"}.get(PurePosixPath(source).suffix, "text")
       text = (ROOT / source).read_text(encoding="utf-8")
       self.write(
         f"source/{source}.md", f"---\norphan: true\nnosearch: true\n---\n\n# {source}\n\n`````{language}\n{text}`````\n"
@@ -112,7 +115,7 @@ class Site:
       return there.removeprefix("docs/")
     if path.is_file() and path.suffix not in _PICTURES:
       self._sources.add(there)
-      return f"source/{there}.md"
+      return f"source/{there}" if path.suffix in _DATA else f"source/{there}.md"
     return None
 
 
