@@ -23,6 +23,8 @@ html_theme_options = {
   "navigation_with_keys": False,
   "show_nav_level": 1,
   "show_toc_level": 2,
+  # A button, as the field does not fit beside the contents on a laptop.
+  "navbar_persistent": ["search-button"],
   "navbar_end": ["theme-switcher"],
   "footer_start": [],
   "footer_end": [],

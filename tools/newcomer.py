@@ -32,7 +32,7 @@ FILE = re.compile(r"(?:# |<!-- )(mine/[\w.]+)")
 # Small versions of commands that a newcomer leaves running.
 SHORT = {
   "train": ["--env.scene.num-envs", "16", "--agent.max-iterations", "2", "--device", "cpu"],
-  "evaluate": ["--eval.episodes", "2", "--eval.seconds", "1"],
+  "evaluate": ["--eval.episodes", "2"],
 }
 PAGE_TIME = 1800.0
 
@@ -116,10 +116,11 @@ class Trial:
     elif "--help" in words or "--agent.max-iterations" in words:
       self.run(words)
     else:
-      given = [word for word in words if word.startswith("--")]
       short = SHORT.get(command, [])
-      pairs = zip(short[::2], short[1::2], strict=True)
-      self.run([*words, *(word for flag, value in pairs if flag not in given for word in (flag, value))])
+      for flag, value in zip(short[::2], short[1::2], strict=True):
+        at = words.index(flag) if flag in words else len(words)
+        words = [*words[:at], flag, value, *words[at + 2 :]]
+      self.run(words)
 
 
 def main() -> int:
