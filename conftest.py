@@ -2,8 +2,11 @@
 
 import faulthandler
 import os
+import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,3 +31,31 @@ def pytest_unconfigure(config: pytest.Config) -> None:
   limit = float(config.getini("faulthandler_timeout"))
   if limit:
     faulthandler.dump_traceback_later(limit, file=sys.__stderr__ or sys.stderr, exit=True)
+
+
+@pytest.fixture
+def run_readme(
+  request: pytest.FixtureRequest,
+  capsys: pytest.CaptureFixture[str],
+  tmp_path: Path,
+  monkeypatch: pytest.MonkeyPatch,
+) -> Callable[..., dict[str, Any]]:
+  """Run the Python blocks of the member's README as one program in an empty folder; return its names.
+
+  With `prints=True`, comments behind `print(...)` are what a block prints.
+  """
+  readme = request.path.parents[1] / "README.md"
+
+  def run(*, prints: bool = False) -> dict[str, Any]:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.DOTALL)
+    assert blocks
+    names: dict[str, Any] = {}
+    for block in blocks:
+      exec(compile(block, str(readme), "exec"), names)
+      printed = capsys.readouterr().out.splitlines()
+      if prints:
+        assert printed == [text.strip() for text in re.findall(r"print\(.*\)  # (.*)", block)]
+    return names
+
+  return run

@@ -40,7 +40,7 @@ def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tm
 
     page.get_by_role("tab", name="Controls").wait_for()
     # More often than a page that loads changes.
-    for _ in range(6):
+    for _ in range(3):
       before = picture()
       eventually(lambda before=before: (np.abs(picture() - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
     page.get_by_text(re.compile(r"Iteration \d+ of \d+")).wait_for()

@@ -1,9 +1,5 @@
-import re
-from pathlib import Path
-
-README = Path(__file__).parents[1] / "README.md"
+from collections.abc import Callable
 
 
-def test_the_example_runs() -> None:
-  (block,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-  exec(compile(block, str(README), "exec"), {"__name__": "readme"})
+def test_the_examples_of_the_readme_run(run_readme: Callable[[], object]) -> None:
+  run_readme()

@@ -1,10 +1,5 @@
-"""The example in the README runs."""
-
-import re
-from pathlib import Path
+from collections.abc import Callable
 
 
-def test_the_readme_example_runs() -> None:
-  readme = (Path(__file__).parents[1] / "README.md").read_text()
-  for example in re.findall(r"```python\n(.*?)```", readme, re.S):
-    exec(compile(example, "README.md", "exec"), {})
+def test_the_examples_of_the_readme_run(run_readme: Callable[[], object]) -> None:
+  run_readme()

@@ -1,18 +1,11 @@
-"""The example in the README runs."""
-
-import re
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 from mjlab_core import MjlabError
 
 
-def test_the_readme_example_of_the_simulation_runs() -> None:
-  readme = (Path(__file__).parents[1] / "README.md").read_text()
-  examples = re.findall(r"```python\n(.*?)```", readme, re.S)
-  assert examples
-  for example in examples:
-    exec(compile(example, "README.md", "exec"), {})
+def test_the_examples_of_the_readme_run(run_readme: Callable[[], object]) -> None:
+  run_readme()
 
 
 def test_a_simple_body_that_is_changed_says_what_to_do(make_sim) -> None:

@@ -1,17 +1,5 @@
-"""The README's examples run and print what they say."""
-
-import re
-from pathlib import Path
-
-import pytest
-
-README = Path(__file__).parents[1] / "README.md"
+from collections.abc import Callable
 
 
-def test_the_examples_run_and_print_what_they_say(capsys: pytest.CaptureFixture[str]) -> None:
-  blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-  assert blocks
-  for block in blocks:
-    exec(compile(block, str(README), "exec"), {})
-    promised = [text.strip() for text in re.findall(r"print\(.*\)  # (.*)", block)]
-    assert capsys.readouterr().out.splitlines() == promised
+def test_the_examples_of_the_readme_print_what_they_say(run_readme: Callable[..., object]) -> None:
+  run_readme(prints=True)
