@@ -8,7 +8,6 @@ import argparse
 import json
 import os
 import platform
-import resource
 import statistics
 import subprocess
 import sys
@@ -26,6 +25,8 @@ COMMANDS = {
   "list-envs": "from mjlab.cli import list_envs; list_envs([])",
   "train --help": "from mjlab.cli import train; train(['--help'])",
   f"train {TASK} --help": f"from mjlab.cli import train; train(['{TASK}', '--help'])",
+  f"train {TASK} --help foot": f"from mjlab.cli import train; train(['{TASK}', '--help', 'foot'])",
+  "convert-motion --help": "from mjlab.cli import convert_motion; convert_motion(['--help'])",
   "demo": (
     "import mjlab_viewer; mjlab_viewer.BrowserViewer.run = lambda _: None;"
     "from mjlab.cli import demo; demo(['--device', 'cpu'])"
@@ -43,31 +44,37 @@ class Cost:
   """CPU time of the quickest run [s]."""
   median: float
   """Median CPU time of all runs [s]."""
+  megabytes: float
+  """Greatest memory of a run [MB]."""
   modules: int
   """Modules loaded when the command is done."""
   heavy: list[str]
   """Those of `WATCHED` among them."""
 
 
-def cpu_seconds(statement: str, sources: str = "") -> float:
-  before = resource.getrusage(resource.RUSAGE_CHILDREN)
+def usage(statement: str, sources: str = "") -> tuple[float, float]:
+  """Return CPU time [s] and greatest memory [MB] of a new interpreter."""
   environment = os.environ | ({"PYTHONPATH": sources} if sources else {})
-  subprocess.run([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, check=True, env=environment)
-  after = resource.getrusage(resource.RUSAGE_CHILDREN)
-  return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+  process = subprocess.Popen([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, env=environment)
+  _, status, used = os.wait4(process.pid, 0)
+  process.returncode = os.waitstatus_to_exitcode(status)
+  if process.returncode:
+    raise subprocess.CalledProcessError(process.returncode, statement)
+  return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
 
 
 def measure(statement: str, repeats: int) -> Cost:
   report = subprocess.run([sys.executable, "-c", statement + REPORT], capture_output=True, text=True, check=True)
   modules = set(json.loads(report.stderr))
-  seconds = [cpu_seconds(statement) for _ in range(repeats)]
-  return Cost(min(seconds), statistics.median(seconds), len(modules), [name for name in WATCHED if name in modules])
+  seconds, megabytes = zip(*(usage(statement) for _ in range(repeats)), strict=True)
+  heavy = [name for name in WATCHED if name in modules]
+  return Cost(min(seconds), statistics.median(seconds), max(megabytes), len(modules), heavy)
 
 
 def compare(clone: Path, repeats: int) -> None:
   """Print the CPU time of `demo` with the sources of another clone and with these, which take turns."""
   sources = ":".join(map(str, [*clone.glob("packages/*/src"), *clone.glob("tasks/*/src")]))
-  runs = [(cpu_seconds(COMMANDS["demo"], sources), cpu_seconds(COMMANDS["demo"])) for _ in range(repeats)]
+  runs = [(usage(COMMANDS["demo"], sources)[0], usage(COMMANDS["demo"])[0]) for _ in range(repeats)]
   theirs, ours = (min(seconds) for seconds in zip(*runs, strict=True))
   print(f"demo: {theirs:.1f} s there, {ours:.1f} s here, {ours / theirs:.2f} of it")
 
@@ -84,6 +91,7 @@ def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("--repeats", type=int, default=7)
   parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "benchmarks" / "cli.md")
+  parser.add_argument("--quick", action="store_true", help="leave out `demo`")
   parser.add_argument("--against", type=Path, help="another clone; compares `demo` alone")
   arguments = parser.parse_args()
   if arguments.against is not None:
@@ -91,23 +99,28 @@ def main() -> None:
     return
   rows = []
   for shown, statement in COMMANDS.items():
+    if shown == "demo" and arguments.quick:
+      continue
     cost = measure(statement, arguments.repeats)
     heavy = ", ".join(cost.heavy) or "-"
-    rows.append(f"| `{shown}` | {cost.least:.3f} | {cost.median:.3f} | {cost.modules} | {heavy} |")
+    rows.append(
+      f"| `{shown}` | {cost.least:.3f} | {cost.median:.3f} | {cost.megabytes:.0f} | {cost.modules} | {heavy} |"
+    )
     print(rows[-1], flush=True)
   versions = ", ".join(f"{name} {version(name)}" for name in ("mjlab", "torch", "mujoco", "tyro"))
   table = "\n".join(rows)
   text = f"""# What a prompt costs
 
-CPU seconds of the whole process, least and median of {arguments.repeats} runs, and the modules that are loaded when
-it is done; of `demo` until its page can be opened. Absolute times hold on this machine only; compare rows. Made by
-`uv run python tools/benchmark_cli.py`.
+CPU seconds of the whole process, least and median of {arguments.repeats} runs, its greatest memory, and the modules
+that are loaded when it is done; of `demo` until its page can be opened. The help of a task is read from a file that its
+first call writes; only that one imports the task, and its modules are shown. Absolute times hold on this machine only;
+compare rows. Made by `uv run python tools/benchmark_cli.py`.
 
 {date.today()}, Python {platform.python_version()}, {versions};
 {os.cpu_count()} cores of {processor()}, shared with other work.
 
-| command | CPU [s] | median [s] | modules | of these |
-|---|---|---|---|---|
+| command | CPU [s] | median [s] | memory [MB] | modules | of these |
+|---|---|---|---|---|---|
 {table}
 """
   arguments.out.parent.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,7 @@ import asyncio
 import importlib.metadata
 import io
 import itertools
+import socket
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator
@@ -476,6 +477,17 @@ def test_the_page_is_served_to_this_machine_alone_unless_told_otherwise() -> Non
   with BrowserViewer(BoxEnv(1), port=8300) as viewer:
     assert viewer.server.get_host() == "127.0.0.1"
     assert viewer.url == f"http://localhost:{viewer.server.get_port()}"
+
+
+def test_a_connection_that_is_not_from_a_browser_leaves_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    for greeting in (b"", b"not HTTP\r\n\r\n"):
+      with socket.create_connection(("127.0.0.1", viewer.server.get_port())) as stranger:
+        stranger.sendall(greeting)
+        stranger.shutdown(socket.SHUT_WR)
+        while stranger.recv(4096):
+          pass
+  assert not [record for record in caplog.records if record.exc_info]
 
 
 def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(opengl: None, tmp_path: Path) -> None:

@@ -137,8 +137,8 @@ class Page:
           names[p.kind],
           position=p.origin + np.array([0.0, 0.0, 0.6]),
           anchor="bottom-center",
-          font_size_mode="scene",
-          font_scene_height=0.05 * cfg.tile_size[1],
+          # As large in the distance.
+          font_size_mode="screen",
         )
         self._labels.append(label)
     num_solids = sum(len(p.tile.solids) for p in placed)
@@ -152,7 +152,7 @@ def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
   with contextlib.redirect_stdout(io.StringIO()):
     server = viser.ViserServer(host=host, port=port, label="terrain", verbose=False)
   server.scene.set_up_direction("+z")
-  extent = cfg.tile_size[0] * cfg.rows
+  extent = max(cfg.tile_size[0] * cfg.rows, cfg.tile_size[1] * (cfg.columns or len(cfg.types)))
   server.initial_camera.position = (-0.8 * extent, -0.5 * extent, 0.7 * extent)
   server.initial_camera.look_at = (0.0, 0.0, 0.0)
   Page(cfg, server)

@@ -141,7 +141,7 @@ class BrowserScene:
     if len(xpos) < 2 or not body:
       return []
     size = 0.06 * self._camera.distance
-    start = xpos[0, body] + np.array([0.0, 0.0, self._camera.above + 4.0 * size])
+    start = xpos[0, body] + np.array([0.0, 0.0, self._camera.above + 2.2 * size])
     position, direction, width, color = (
       np.array([row], dtype=float) for row in (start, (0.0, 0.0, -size), (0.1 * size,), _MARK)
     )

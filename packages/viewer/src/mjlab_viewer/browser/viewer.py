@@ -183,22 +183,22 @@ class BrowserViewer:
     self._controls = None
     tabs = gui.add_tab_group()
     if on_stop is not None:
-      with tabs.add_tab("Training", icon=viser.Icon.SCHOOL):
+      with tabs.add_tab("Training"):
         self.training = TrainingPanel(self.server, on_stop)
-    with tabs.add_tab("Controls", icon=viser.Icon.PLAYER_PLAY):
+    with tabs.add_tab("Controls"):
       if self.playback is not None:
         self._controls = PlaybackControls(self.server, self.playback, self.selection, scene, self.recorder, checkpoints)
       self._worlds = WorldControls(self.server, self.env, self.selection, scene)
       self.recorder.drawers = self._worlds.drawers
     signals = {group: tuple(names) for group, (names, _) in self.env.signals().items() if len(names)}
     self._plots: list[SignalPlot] = []
-    with tabs.add_tab("Plots", icon=viser.Icon.CHART_LINE):
+    with tabs.add_tab("Plots"):
       for group, names in signals.items():
         with gui.add_folder(group.capitalize()):
           self._plots.append(SignalPlot(self.server, group, names))
-    with tabs.add_tab("Overlays", icon=viser.Icon.EYE):
+    with tabs.add_tab("Overlays"):
       scene.scene.create_overlay_gui()
-    with tabs.add_tab("Groups", icon=viser.Icon.LAYERS_INTERSECT):
+    with tabs.add_tab("Groups"):
       self._groups = GroupControls(gui, scene.scene)
 
   def _show(self, now: float) -> None:
