@@ -1,15 +1,16 @@
 """Identification of robots whose parameters are known: noise, quantisation, 100 Hz, a delay of 7 ms.
 
-The records are made by MuJoCo C at 1 ms a step: of a leg of the Go1, and of the arm YAM. It prints the tables of
-docs/sysid.md.
+The records are made by MuJoCo C at 1 ms a step: of a leg of the Go1 that moves in sums of sines, and of the arm YAM
+that follows a designed excitation, twice. It prints the tables of docs/sysid.md.
 
   uv run python tools/identify_known.py leg
   uv run python tools/identify_known.py yam
+  uv run python tools/identify_known.py leg --engine warp --device cuda:0
 """
 
+import argparse
 import copy
 import dataclasses
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,7 +21,16 @@ from mjlab_actuators import ActuatorCfg, ActuatorSet
 from mjlab_core.tables import table
 from mjlab_robots.go1 import go1
 from mjlab_robots.yam import YAM_DEFAULT_JOINT_POS, yam
-from mjlab_sysid import Identified, Record, Robot, identify, parse_term, robot_on_stand
+from mjlab_sysid import (
+  ExcitationCfg,
+  IdentifyCfg,
+  Record,
+  Robot,
+  design_excitation,
+  identify,
+  parse_term,
+  robot_on_stand,
+)
 
 TIMESTEP, SUBSTEPS, DELAY = 0.001, 10, 7
 NOISE, VELOCITY_NOISE, QUANTUM = 1e-3, 2e-2, 5e-4
@@ -143,18 +153,24 @@ def true_model(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
   return model
 
 
-def record(known: Known, seed: int, seconds: float) -> Record:
-  """Return a record of sums of sines."""
+def sines(known: Known, seed: int, seconds: float) -> np.ndarray:
+  """Return commands: sums of sines about the pose, (rows, joints)."""
   robot, random = known.robot(), np.random.default_rng(seed)
-  model, joints = true_model(robot, known.factors), known.joints
-  data, (addresses, dofs) = mujoco.MjData(model), robot.addresses(joints)
-  data.qpos[:], pose = robot.pose, robot.pose[addresses]
-  shape = (5, len(joints))
+  shape = (5, len(known.joints))
   rate, phase = random.uniform(0.3, known.highest, shape), random.uniform(0.0, 2.0 * np.pi, shape)
   gain = random.uniform(*known.size, shape)
   times = TIMESTEP * SUBSTEPS * np.arange(round(seconds / (TIMESTEP * SUBSTEPS)))
   waves = gain * (np.sin(2.0 * np.pi * rate * times[:, None, None] + phase) - np.sin(phase))
-  commands = pose + waves.sum(1)
+  return robot.pose[robot.addresses(known.joints)[0]] + waves.sum(1)
+
+
+def record(known: Known, commands: np.ndarray, seed: int) -> Record:
+  """Return a record of commands, (rows, joints), with the noise of a seed."""
+  robot, random = known.robot(), np.random.default_rng(seed + 1000)
+  model, joints = true_model(robot, known.factors), known.joints
+  data, (addresses, dofs) = mujoco.MjData(model), robot.addresses(joints)
+  data.qpos[:] = robot.pose
+  times = TIMESTEP * SUBSTEPS * np.arange(len(commands))
   moved = [model.actuator(joint).id for joint in joints]
   for i in range(model.nu):
     data.ctrl[i] = robot.pose[robot.addresses([model.actuator(i).name])[0][0]]
@@ -171,16 +187,30 @@ def record(known: Known, seed: int, seconds: float) -> Record:
   return Record(source=f"record {seed}", joints=joints, time=times, signals=signals)
 
 
-def found_in(known: Known, seconds: float) -> Identified:
-  """Return what is found in a record of so many seconds; a second one is held out."""
+def designed(known: Known, seconds: float) -> np.ndarray:
+  """Return commands that tell the parameters well, (rows, joints), and print what they gain."""
+  cfg = ExcitationCfg(seconds=seconds, period=TIMESTEP * SUBSTEPS, highest=known.highest, rounds=2, candidates=4)
   terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
-  return identify(known.robot(), [record(known, 0, seconds)], terms, held_out=[record(known, 1, 4.0)])
+  found = design_excitation(known.robot(), terms, cfg, joints=known.joints)
+  print(found.summary(), flush=True)
+  return found.commands.of("position_target", known.joints)
 
 
 def main() -> None:
-  known = ROBOTS[sys.argv[1] if len(sys.argv) > 1 else "leg"]
+  parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+  parser.add_argument("robot", choices=ROBOTS)
+  parser.add_argument("--engine", choices=("auto", "native", "warp"), default="auto")
+  parser.add_argument("--device", default="cpu")
+  parser.add_argument("--seconds", type=float, default=20.0)
+  args = parser.parse_args()
+  known = ROBOTS[args.robot]
+  commands = designed(known, args.seconds) if args.robot == "yam" else sines(known, 0, args.seconds)
+  records = [record(known, commands, seed) for seed in range(2 if args.robot == "yam" else 1)]
+  held_out = [record(known, sines(known, 1, 4.0), 9)]
+  terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
   begin = time.process_time(), time.monotonic()
-  found = found_in(known, 20.0)
+  cfg = IdentifyCfg(engine=args.engine, device=args.device)
+  found = identify(known.robot(), records, terms, cfg, held_out=held_out)
   spent = time.process_time() - begin[0], time.monotonic() - begin[1]
   rows = []
   for place, parameter in enumerate(found.parameters):

@@ -1,5 +1,6 @@
 """`train-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
 
+import re
 from pathlib import Path
 
 import mjlab_pendulum
@@ -36,6 +37,7 @@ def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.Capt
   assert "epoch 3/3  error: train " in shown
   assert "best PD   held out" in shown
   assert "(stiffness 2, damping 0.1)" in shown
+  assert re.search(r"motor     held out \S+ \(stiffness 2, damping \S+, delay \S+ s, friction \S+\)", shown)
   pasted = shown.partition("use it as: ")[2].replace("(...,)", "('.*',)")
   cfg = eval(pasted, {"LearnedMlpActuatorCfg": LearnedMlpActuatorCfg})
   assert (cfg.network_file, cfg.history_length, cfg.sample_period) == (str(network), 2, 0.005)

@@ -58,6 +58,9 @@ def changed(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
       model.actuator_gainprm[index, 0] *= factor
       model.actuator_biasprm[index, 1] *= factor
       continue
+    if field == "damping":
+      model.actuator_biasprm[model.actuator(element).id, 2] *= factor
+      continue
     kind = "joint" if field.startswith("dof") else field.partition("_")[0]
     index = model.joint(element).dofadr[0] if kind == "joint" else getattr(model, kind)(element).id
     getattr(model, field)[index] *= factor

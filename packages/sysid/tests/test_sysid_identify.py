@@ -1,5 +1,6 @@
 """Known parameters are found again in simulated records, and those that cannot be are named."""
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from mjlab_actuators import DcMotorActuatorCfg, IdealPdActuatorCfg
 from mjlab_core import MjlabError
+from mjlab_dr import randomize, randomize_field
 from mjlab_sysid import Identified, IdentifyCfg, Progress, Record, Robot, identify, parse_term
+from mjlab_sysid.worlds import Worlds
 from sysid_robots import arm, changed, record, sines
 
 FACTORS = {
@@ -132,6 +135,40 @@ def test_inertia_moves_as_one_and_stays_physical() -> None:
   assert numbers(found)["pseudo_inertia.alpha:shank"] == pytest.approx(0.5 * np.log(1.4), rel=0.01)
 
 
+def test_an_effort_limit_and_a_gain_are_found_where_the_limit_is_reached() -> None:
+  robot = arm()
+  true = changed(robot, {"actuator_forcerange:hip": 0.15, "damping:knee": 1.8})
+  made = record(robot, true, sines(robot, 4, 1.0, size=0.4))
+  found = fit(robot, [made], "effort_limit:hip=2..30", "damping:knee")
+  # Nothing changes near the prior of 30, which is never reached.
+  assert found.told.all()
+  agree(found, {"effort_limit:hip": 4.5, "damping:knee": 1.8}, 0.01)
+
+
+def test_the_centre_of_mass_of_a_body_is_found_in_its_pseudo_inertia() -> None:
+  robot = arm(pose={"hip": 0.4, "knee": 0.4})
+  true, wanted = copy.copy(robot.model), {"alpha": 0.15, "t3": 0.02}
+  randomize(true, [randomize_field("pseudo_inertia", "shank", {name: (x, x) for name, x in wanted.items()})], seed=0)
+  made = record(robot, true, sines(robot, 0, 1.0))
+  found = fit(robot, [made], "pseudo_inertia.alpha:shank", "pseudo_inertia.t3:shank")
+  agree(found, {f"pseudo_inertia.{name}:shank": x for name, x in wanted.items()}, 0.03)
+  centre = found.overlay["model"]["body_ipos"]["shank"]
+  np.testing.assert_allclose(centre, true.body("shank").ipos, atol=1e-4)
+
+
+def test_bounds_and_priors_are_those_of_the_task_s_randomisation() -> None:
+  terms = [parse_term(text) for text in ("armature:hip", "armature:knee=0.01..0.09", "damping:.*,shared", "delay:hip")]
+  found = Worlds(arm(), 1).bind(terms, {"dof_armature": ("scale", 1.2, 2.0), "delay": ("absolute", 0.0, 0.01)})
+  shown = [(p.name, p.operation, p.lo, p.start, p.hi) for p in found]
+  assert shown == [
+    # One lies outside, so that the prior is the middle.
+    ("dof_armature:hip", "scale", 1.2, 1.6, 2.0),
+    ("dof_armature:knee", "absolute", 0.01, 0.02, 0.09),
+    ("damping:.*", "scale", 0.25, 1.0, 4.0),
+    ("delay:hip", "absolute", 0.0, 0.0, 0.01),
+  ]
+
+
 def test_efforts_tell_what_motion_does_not() -> None:
   robot = arm(pose={"hip": 0.4, "knee": 0.4})
   factors = {"stiffness:hip": 1.3}
@@ -165,6 +202,10 @@ def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
     (["stiffness:ankle"], "pattern 'ankle' matches no driven joint"),
     (["armature:hip=2..1"], r"bounds 2\.\.1 must rise"),
     (["armature:hip", "dof_armature:.*"], "dof_armature of 'hip' is named twice"),
+    (
+      ["pseudo_inertia.alpha:shank", "body_mass:shank=0.1..1"],
+      "body_mass of 'shank' is also written by pseudo_inertia",
+    ),
     (["armature:hip=-1..1"], "below the physical minimum 0"),
     (["geom_matid:foot"], "it is a choice"),
     ([], "no parameter to fit is given"),

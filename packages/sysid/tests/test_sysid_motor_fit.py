@@ -12,7 +12,8 @@ import pytest
 import torch
 from mjlab_actuators import ActuatorSet, IdealPdActuatorCfg, LearnedMlpActuatorCfg
 from mjlab_core import MjlabError
-from mjlab_sysid import MotorFit, MotorFitCfg, fit_motor, read_records
+from mjlab_sysid import MotorFit, MotorFitCfg, MotorLaw, fit_motor, read_records
+from mjlab_sysid.motor_law import fit_motor_law
 
 PERIOD = 0.005
 PENDULUM = f"""
@@ -89,6 +90,30 @@ def test_a_motor_with_friction_and_delay_is_recovered_far_better_than_by_a_pd_la
   # The best PD law that there is for these records, not the hidden one's gains.
   assert fitted.pd_error > 15.0 * fitted.held_out_error
   assert fitted.curve[-1].held_out_error < 0.2 * fitted.curve[0].held_out_error
+
+
+def test_the_parametric_motor_is_recovered_too(fitted: MotorFit) -> None:
+  motor = fitted.motor
+  found = (motor.stiffness, motor.damping, motor.delay, motor.friction, motor.effort_limit)
+  assert found == pytest.approx((KP, KD, DELAY, FRICTION, LIMIT), rel=0.03)
+  assert motor.friction_speed == pytest.approx(0.3, rel=0.1)
+  assert math.isinf(motor.velocity_limit)
+  # The records are of such a motor, so that no network is better.
+  assert fitted.motor_error < fitted.held_out_error < 0.2 * fitted.pd_error
+
+
+def test_an_envelope_and_a_delay_of_half_a_sample_are_found() -> None:
+  law = MotorLaw(30.0, 0.5, 1.5, 0.4, 0.1, math.inf, 6.0, 12.0)
+
+  def limited(target: float, position: float, velocity: float) -> float:
+    return float(law._replace(delay=0.0).efforts(np.array([[target, position, velocity, 0.0]]))[0])
+
+  rows = drive(limited, seed=1, steps=1500)[:, 1:]
+  rows[:, 3] = law.efforts(rows)
+  found = fit_motor_law([rows], 0)
+  assert math.isinf(found.effort_limit)
+  for name in law._fields:
+    assert getattr(found, name) == pytest.approx(getattr(law, name), rel=0.03), name
 
 
 def test_the_learned_motor_moves_a_joint_as_the_real_one_does_on_targets_never_seen(

@@ -4,6 +4,7 @@ from mjlab_sysid.excitation import Excitation, ExcitationCfg, Information, Peak,
 from mjlab_sysid.identified import Identified, Score, Trace
 from mjlab_sysid.identify import Progress, identify
 from mjlab_sysid.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
+from mjlab_sysid.motor_law import MotorLaw
 from mjlab_sysid.parameters import FitTerm, Parameter, Range, parse_term
 from mjlab_sysid.problem import IdentifyCfg
 from mjlab_sysid.reading import read_records
@@ -21,6 +22,7 @@ __all__ = [
   "Information",
   "MotorFit",
   "MotorFitCfg",
+  "MotorLaw",
   "Parameter",
   "Peak",
   "Progress",

@@ -76,6 +76,8 @@ def identify(
       raise MjlabError("resume needs the file of a fit: progress")
     state = load_state(file, problem.key, problem.count)
   fitting = _Fit(problem, cfg, on_iteration, state, file)
+  if not resume:
+    state.x = problem.off_plateaus(state.x)
   if state.told is None:
     x = fitting.solve("fit", np.ones(problem.count, dtype=bool))
     told, reasons = problem.identifiable(x, cfg.tell)

@@ -16,6 +16,7 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.files import AtomicWrite
 from mjlab_core.names import unknown
 
+from mjlab_sysid.motor_law import MotorLaw, fit_motor_law
 from mjlab_sysid.records import Record, uniform
 
 if TYPE_CHECKING:
@@ -92,6 +93,10 @@ class MotorFit:
   """Held-out error of the best ideal PD law on the same records, for comparison."""
   pd_gains: tuple[float, float]
   """Stiffness and damping of that law."""
+  motor_error: float
+  """Held-out error of the best parametric motor on the same records, for comparison."""
+  motor: MotorLaw
+  """That motor: PD with delay, friction and torque-speed limits."""
   held_out: torch.Tensor
   """Efforts of the held-out samples, measured and of the network, (samples, 2) [N or N m]."""
 
@@ -127,6 +132,7 @@ class MotorFit:
     errors.semilogy(epochs, [point.train_error for point in self.curve], label="train")
     errors.semilogy(epochs, [point.held_out_error for point in self.curve], label="held out")
     errors.axhline(self.pd_error, color="gray", linestyle="--", label="best PD law, held out")
+    errors.axhline(self.motor_error, color="black", linestyle=":", label="fitted motor, held out")
     errors.set(title="error (root mean square)", xlabel="epoch")
     errors.legend()
     measured, learned = self.held_out.numpy().T
@@ -176,7 +182,8 @@ def fit_motor(
   cfg = MotorFitCfg() if cfg is None else cfg
   cfg.validate()
   period, tables = _tables(records, cfg)
-  (x, y), (x_held, y_held) = _split(tables, cfg)
+  trained, held = _split(tables, cfg)
+  (x, y), (x_held, y_held) = (_samples(parts, cfg.history_length) for parts in (trained, held))
   if y.std() == 0.0:
     raise MjlabError("signal 'effort' never changes, so there is nothing to learn")
   generator = torch.Generator().manual_seed(cfg.seed)
@@ -203,6 +210,8 @@ def fit_motor(
     curve.append(FitProgress(epoch, train_error, _error(result, x_held, y_held)))
     if on_epoch is not None and on_epoch(curve[-1]):
       break
+  motor = fit_motor_law(trained, cfg.history_length - 1)
+  away = [(motor.efforts(part) - part[:, 3])[cfg.history_length - 1 :] for part in held]
   pd_gains, pd_error = _best_pd(x, y, x_held, y_held, cfg.history_length)
   with torch.no_grad():
     held_out = torch.stack((y_held, result(x_held)[:, 0]), dim=1)
@@ -215,6 +224,8 @@ def fit_motor(
     held_out_error=_error(result, x_held, y_held),
     pd_error=pd_error,
     pd_gains=pd_gains,
+    motor_error=float(np.sqrt(np.square(np.concatenate(away)).mean())),
+    motor=motor,
     held_out=held_out,
   )
 
@@ -234,19 +245,25 @@ def _tables(records: Sequence[Record], cfg: MotorFitCfg) -> tuple[float, list[np
   return period, tables
 
 
-def _split(tables: Sequence[np.ndarray], cfg: MotorFitCfg) -> tuple[Samples, Samples]:
-  """Return rows (m, 2 history_length) and efforts (m,) to train on, and those held out."""
+def _split(tables: Sequence[np.ndarray], cfg: MotorFitCfg) -> tuple[list[np.ndarray], list[np.ndarray]]:
+  """Return the parts of tables to train on, and those held out."""
   trained, held = [], []
   for index, segment in enumerate(tables):
     begin = len(segment) - round(cfg.held_out * len(segment))
-    for part, samples in ((segment[:begin], trained), (segment[begin:], held)):
+    for part, parts in ((segment[:begin], trained), (segment[begin:], held)):
       if len(part) < cfg.history_length:
         raise MjlabError(
           f"stretch {index + 1} of {len(tables)} has {len(segment)} rows; with history_length "
           f"{cfg.history_length} and held_out {cfg.held_out} each of its two parts needs {cfg.history_length} or more"
         )
-      samples.append(_windows(part, cfg.history_length))
-  return _stacked(trained), _stacked(held)
+      parts.append(part)
+  return trained, held
+
+
+def _samples(parts: Sequence[np.ndarray], length: int) -> Samples:
+  """Return rows (m, 2 length) and efforts (m,)."""
+  table = torch.tensor(np.concatenate([_windows(part, length) for part in parts]), dtype=torch.float32)
+  return table[:, :-1], table[:, -1]
 
 
 def _windows(rows: np.ndarray, length: int) -> np.ndarray:
@@ -254,11 +271,6 @@ def _windows(rows: np.ndarray, length: int) -> np.ndarray:
   errors, velocities = rows[:, 0] - rows[:, 1], rows[:, 2]
   past = [np.lib.stride_tricks.sliding_window_view(series, length)[:, ::-1] for series in (errors, velocities)]
   return np.concatenate((*past, rows[length - 1 :, 3:]), axis=1)
-
-
-def _stacked(tables: list[np.ndarray]) -> Samples:
-  table = torch.tensor(np.concatenate(tables), dtype=torch.float32)
-  return table[:, :-1], table[:, -1]
 
 
 def _network(cfg: MotorFitCfg, generator: torch.Generator) -> torch.nn.Sequential:

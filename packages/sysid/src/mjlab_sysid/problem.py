@@ -44,6 +44,8 @@ _UNITS = {name: next(iter(UNITS[quantity])) for name, quantity in BODY_SIGNALS.i
   "angular_velocity": "rad/s",
   "base_orientation": "rad",
 }
+# Length of a column of the Jacobian without effect, and values that are tried instead.
+_FLAT, _TRIED = 1e-3, 10
 PRIOR = 1.0 / math.sqrt(3.0)
 """Standard deviation of a uniform prior within the bounds, in units of half their width."""
 
@@ -194,6 +196,18 @@ class Problem:
     base = self.whitened(x[:, None])
     jacobian = (self.whitened(x[:, None] + np.diag(inward)) - base) / inward
     return jacobian, float(np.square(base).sum() / max(1, len(base) - self.count))
+
+  def off_plateaus(self, x: np.ndarray) -> np.ndarray:
+    """Return a candidate, (parameters,), in which what has no derivative has the best of some values within its bounds.
+
+    A limit that is not reached is such a parameter.
+    """
+    x, slopes = x.copy(), np.linalg.norm(self.information(x)[0], axis=0)
+    for place in np.flatnonzero(slopes < _FLAT):
+      tried = np.repeat(x[:, None], _TRIED, 1)
+      tried[place, 1:] = np.linspace(self.lower[place], self.upper[place], _TRIED + 1)[1:-1]
+      x[place] = tried[place, np.square(self.whitened(tried)).sum(0).argmin()]
+    return x
 
   def identifiable(self, x: np.ndarray, tell: float) -> tuple[np.ndarray, list[str]]:
     """Return the parameters that the records tell, bool (parameters,), and the reason for each that they do not."""

@@ -64,6 +64,8 @@ class Worlds:
     self.actuators = robot.actuation(num_worlds, sim.data.ctrl)
     self._everyone = torch.ones(num_worlds, dtype=torch.bool, device=sim.device)
     self._bound: list[_Bound] = []
+    # Field of the first term that writes a number, by field of MjModel and column; later terms start from its result.
+    self._written: dict[tuple[str, int], str] = {}
     driven = self.actuators.target_names
     if others := [name for name in driven if name not in robot.joints]:
       raise MjlabError(f"records are of joints; '{others[0]}' is driven and is none")
@@ -176,7 +178,11 @@ class Worlds:
     row = FIELDS[term.field]
     by_axis = {row.axes.index(axis): distribution for axis, distribution in given.items()}
     cfg = randomize_field(term.field, term.pattern, by_axis, operation=operation, shared=term.shared)
-    bound = RandomizeField(cfg, self.sim, owner="fit")
+    bound = RandomizeField(cfg, self.sim, upon=self._written, owner="fit")
+    for key, element in bound.written().items():
+      if key in self._written and not cfg.composes:
+        raise MjlabError(f"fit: {term.field} of '{element}' is also written by {self._written[key]}; fit one of them")
+      self._written.setdefault(key, term.field)
     elements = list(bound.element_names)
     known = {(c.element, c.axis): float(value) for c, value in zip(bound.components, bound.default[0], strict=True)}
     parameters: list[Parameter] = []

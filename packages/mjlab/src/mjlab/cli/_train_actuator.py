@@ -1,6 +1,7 @@
 """`train-actuator RECORDS ... [flags]`: fit a network to records of a motor, for `LearnedMlpActuatorCfg`."""
 
 import dataclasses
+import math
 import signal
 import sys
 import time
@@ -123,6 +124,16 @@ def _report(fit: "MotorFit", epochs: int) -> None:
   print("root mean square error of the effort [N or N m]:")
   print(f"  network   train {fit.train_error:.4g}, held out {fit.held_out_error:.4g}")
   print(f"  best PD   held out {fit.pd_error:.4g} (stiffness {stiffness:.4g}, damping {damping:.4g})")
+  motor = fit.motor
+  words = [
+    f"stiffness {motor.stiffness:.4g}",
+    f"damping {motor.damping:.4g}",
+    f"delay {motor.delay * fit.period:.3g} s",
+  ]
+  words += [f"friction {motor.friction:.3g}"]
+  limits = {name: getattr(motor, name) for name in ("effort_limit", "saturation_effort", "velocity_limit")}
+  words += [f"{name} {value:.4g}" for name, value in limits.items() if math.isfinite(value)]
+  print(f"  motor     held out {fit.motor_error:.4g} ({', '.join(words)})")
 
 
 @contextmanager
