@@ -42,4 +42,7 @@ def test_the_real_robot_walks_on_the_ground_of_the_task() -> None:
   assert real.opt.timestep == model.opt.timestep == proof.TIMESTEP
   for name in ("robot/FR_calf", "robot/RL_calf"):
     assert real.body(name).mass[0] == pytest.approx(proof.SHANK * model.body(name).mass[0])
+  found = proof.walking_model(is_real=False, overlay=OVERLAY)
+  assert found.opt.timestep == proof.TIMESTEP
+  assert found.joint("robot/FL_thigh_joint").frictionloss[0] == pytest.approx(1.5, rel=0.1)
   assert real.joint("robot/FL_thigh_joint").frictionloss[0] == proof.REAL["dof_frictionloss"]["thigh"]

@@ -1,10 +1,11 @@
 """Identification of robots whose parameters are known: noise, quantisation, 100 Hz, a delay of 7 ms.
 
-The records are made by MuJoCo C at 1 ms a step: of a leg of the Go1 that moves in sums of sines, and of the arm YAM
-that follows a designed excitation, twice. It prints the tables of docs/sysid.md.
+The records are made by MuJoCo C at 1 ms a step: of a leg of the Go1, and of the arm YAM. One moves in sums of sines, or
+two follow a designed excitation. It prints the tables of docs/sysid.md.
 
   uv run python tools/identify_known.py leg
   uv run python tools/identify_known.py yam
+  uv run python tools/identify_known.py yam --motion designed
   uv run python tools/identify_known.py leg --engine warp --device cuda:0
 """
 
@@ -12,7 +13,7 @@ import argparse
 import copy
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -23,6 +24,7 @@ from mjlab_robots.go1 import go1
 from mjlab_robots.yam import YAM_DEFAULT_JOINT_POS, yam
 from mjlab_sysid import (
   ExcitationCfg,
+  Identified,
   IdentifyCfg,
   Record,
   Robot,
@@ -30,6 +32,7 @@ from mjlab_sysid import (
   identify,
   parse_term,
   robot_on_stand,
+  write_report,
 )
 
 TIMESTEP, SUBSTEPS, DELAY = 0.001, 10, 7
@@ -153,9 +156,9 @@ def true_model(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
   return model
 
 
-def sines(known: Known, seed: int, seconds: float) -> np.ndarray:
+def sines(known: Known, random: np.random.Generator, seconds: float) -> np.ndarray:
   """Return commands: sums of sines about the pose, (rows, joints)."""
-  robot, random = known.robot(), np.random.default_rng(seed)
+  robot = known.robot()
   shape = (5, len(known.joints))
   rate, phase = random.uniform(0.3, known.highest, shape), random.uniform(0.0, 2.0 * np.pi, shape)
   gain = random.uniform(*known.size, shape)
@@ -164,9 +167,9 @@ def sines(known: Known, seed: int, seconds: float) -> np.ndarray:
   return robot.pose[robot.addresses(known.joints)[0]] + waves.sum(1)
 
 
-def record(known: Known, commands: np.ndarray, seed: int) -> Record:
-  """Return a record of commands, (rows, joints), with the noise of a seed."""
-  robot, random = known.robot(), np.random.default_rng(seed + 1000)
+def record(known: Known, random: np.random.Generator, commands: np.ndarray, name: str) -> Record:
+  """Return a noisy record of commands, (rows, joints)."""
+  robot = known.robot()
   model, joints = true_model(robot, known.factors), known.joints
   data, (addresses, dofs) = mujoco.MjData(model), robot.addresses(joints)
   data.qpos[:] = robot.pose
@@ -184,7 +187,13 @@ def record(known: Known, commands: np.ndarray, seed: int) -> Record:
   position = np.round((position + random.normal(0.0, NOISE, position.shape)) / QUANTUM) * QUANTUM
   velocity = velocity + random.normal(0.0, VELOCITY_NOISE, velocity.shape)
   signals = {"position_target": commands, "position": position, "velocity": velocity}
-  return Record(source=f"record {seed}", joints=joints, time=times, signals=signals)
+  return Record(source=name, joints=joints, time=times, signals=signals)
+
+
+def sine_record(known: Known, seed: int, seconds: float) -> Record:
+  """Return a record of sums of sines."""
+  random = np.random.default_rng(seed)
+  return record(known, random, sines(known, random, seconds), f"record {seed}")
 
 
 def designed(known: Known, seconds: float) -> np.ndarray:
@@ -196,21 +205,29 @@ def designed(known: Known, seconds: float) -> np.ndarray:
   return found.commands.of("position_target", known.joints)
 
 
+def found_in(known: Known, records: Sequence[Record], cfg: IdentifyCfg | None = None) -> Identified:
+  """Return what is found in records; another one is held out."""
+  terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
+  return identify(known.robot(), records, terms, cfg, held_out=[sine_record(known, 1, 4.0)])
+
+
 def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("robot", choices=ROBOTS)
+  parser.add_argument("--motion", choices=("sines", "designed"), default="sines")
   parser.add_argument("--engine", choices=("auto", "native", "warp"), default="auto")
   parser.add_argument("--device", default="cpu")
   parser.add_argument("--seconds", type=float, default=20.0)
+  parser.add_argument("--report", help="report to write, as HTML")
   args = parser.parse_args()
   known = ROBOTS[args.robot]
-  commands = designed(known, args.seconds) if args.robot == "yam" else sines(known, 0, args.seconds)
-  records = [record(known, commands, seed) for seed in range(2 if args.robot == "yam" else 1)]
-  held_out = [record(known, sines(known, 1, 4.0), 9)]
-  terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
+  if args.motion == "sines":
+    records = [sine_record(known, 0, args.seconds)]
+  else:
+    commands = designed(known, args.seconds)
+    records = [record(known, np.random.default_rng(seed), commands, f"record {seed}") for seed in (0, 2)]
   begin = time.process_time(), time.monotonic()
-  cfg = IdentifyCfg(engine=args.engine, device=args.device)
-  found = identify(known.robot(), records, terms, cfg, held_out=held_out)
+  found = found_in(known, records, IdentifyCfg(engine=args.engine, device=args.device))
   spent = time.process_time() - begin[0], time.monotonic() - begin[1]
   rows = []
   for place, parameter in enumerate(found.parameters):
@@ -221,6 +238,8 @@ def main() -> None:
   print(table(("parameter", "true", "found", "error [%]", "std [%]"), rows))
   errors = [(score.record, score.joint, f"{score.before:.4f}", f"{score.after:.4f}") for score in found.scores]
   print(table(("record", "joint", "error before [rad]", "after [rad]"), errors))
+  if args.report:
+    write_report(found, args.report)
   print(f"{spent[0]:.0f} s of CPU time, {spent[1]:.0f} s")
 
 
