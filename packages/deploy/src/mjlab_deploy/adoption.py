@@ -24,10 +24,10 @@ from mjlab_deploy.description import (
   Target,
   Timing,
 )
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.network_graph import GROUP, NetworkGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
-from mjlab_deploy.policy import open_network
+from mjlab_deploy.policy import open_graph
 from mjlab_deploy.scene import write_scene
 
 _ROBOT = "robot"
@@ -57,21 +57,16 @@ def adopted(policy: Path, model: Path, rate: float = 50.0) -> Generator[Bundle]:
     DeployError: Either file cannot be read, or they do not fit; the message begins with the path of the policy.
   """
   with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-    try:
+    with reading(f"policy {policy}"):
       bundle = _adopt(policy, model, rate, Path(temporary))
-    except DeployError as error:
-      raise DeployError(f"policy {policy}: {error}") from error
     yield bundle
 
 
 def _adopt(policy: Path, model: Path, rate: float, folder: Path) -> Bundle:
-  try:
-    if policy.stat().st_size > MAX_BYTES["policy.onnx"]:
-      raise DeployError("larger than a policy may be")
-    data = policy.read_bytes()
-  except OSError as error:
-    raise DeployError(error.strerror or str(error)) from error
-  graph = open_network(data)
+  if policy.stat().st_size > MAX_BYTES["policy.onnx"]:
+    raise DeployError("larger than a policy may be")
+  data = policy.read_bytes()
+  graph = NetworkGraph(open_graph(data))
   (folder / "policy.onnx").write_bytes(data)
   spec = _scene(model, graph)
   if not write_scene(spec, folder):
@@ -85,11 +80,9 @@ def _adopt(policy: Path, model: Path, rate: float, folder: Path) -> Bundle:
 
 def _scene(path: Path, graph: NetworkGraph) -> mujoco.MjSpec:
   """Return the robot's scene with position servos; its elements are named "robot/..."."""
-  try:
+  with reading(path, ValueError, mujoco.FatalError):
     spec = mujoco.MjSpec.from_file(str(path))
     child_model = spec.compile()
-  except (ValueError, OSError, mujoco.FatalError) as error:
-    raise DeployError(f"{path}: {str(error).strip()[:200]}") from error
   for part in (*spec.keys, *spec.actuators):
     spec.delete(part)
   prefix = f"{_ROBOT}/"
@@ -139,9 +132,8 @@ def _write_motion(graph: NetworkGraph, folder: Path, rate: float) -> Motion:
   frames = frames[: len(frames) - same + 1]
   # Step t of a bundle shows frame t + 1, that of the network frame t.
   frames.insert(0, frames[0])
-  anchor = graph.words("body_names").index(graph.anchor) if graph.anchor in graph.words("body_names") else -1
-  if anchor < 0:
-    raise DeployError(f"its anchor_body_name '{graph.anchor[:60]}' is not among its body_names")
+  with reading("anchor_body_name of the metadata", ValueError):
+    anchor = graph.words("body_names").index(graph.anchor)
   rows = {
     "joint_position": [frame["joint_pos"] for frame in frames],
     "joint_velocity": [frame["joint_vel"] for frame in frames],

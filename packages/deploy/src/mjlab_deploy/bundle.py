@@ -13,7 +13,7 @@ from typing import Any
 
 from mjlab_deploy.arrays import Arrays, read_arrays
 from mjlab_deploy.description import FORMAT, Description
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.schema import decode, schema
 
 MAX_BYTES = {
@@ -41,11 +41,8 @@ class Bundle:
   def __init__(self, folder: Path) -> None:
     self.folder = folder
     text = self.read_bytes("bundle.json")
-    try:
-      data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-      raise DeployError(f"bundle.json: not JSON ({str(error)[:80]})") from error
-    self.description = describe(data)
+    with reading("bundle.json", ValueError, RecursionError):
+      self.description = describe(json.loads(text))
     for name, digest in self.description.files.items():
       if name not in MAX_BYTES:
         raise DeployError(f"bundle.json: files: {name[:60]!r} is not a file of a bundle")
@@ -65,13 +62,10 @@ class Bundle:
       DeployError: It is missing or too large.
     """
     path = self.folder / name
-    try:
-      size = os.stat(path).st_size
-      if size > MAX_BYTES[name]:
-        raise DeployError(f"{name}: {size >> 20} MiB is more than the {MAX_BYTES[name] >> 20} MiB that it may have")
+    with reading(name):
+      if path.stat().st_size > MAX_BYTES[name]:
+        raise DeployError(f"larger than the {MAX_BYTES[name] >> 20} MiB that it may have")
       return path.read_bytes()
-    except OSError as error:
-      raise DeployError(f"{name}: {error.strerror or error}") from error
 
   def arrays(self, name: str) -> Arrays:
     """Return the arrays of `golden.npz`, `motion.npz` or `scene.npz`."""
@@ -87,18 +81,13 @@ def open_bundle(path: str | os.PathLike[str]) -> Generator[Bundle]:
     DeployError: It cannot be read; the message begins with its path.
   """
   path = Path(path)
-  with contextlib.ExitStack() as stack:
-    try:
-      if path.is_dir():
-        bundle = Bundle(path)
-      elif path.is_file():
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bundle-")))
+  with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
+    with reading(f"bundle {path}"):
+      folder = path
+      if not path.is_dir():
+        folder = Path(temporary)
         _unpack(path, folder)
-        bundle = Bundle(folder)
-      else:
-        raise DeployError("no such folder or file")
-    except DeployError as error:
-      raise DeployError(f"bundle {path}: {error}") from error
+      bundle = Bundle(folder)
     yield bundle
 
 
@@ -109,14 +98,9 @@ def describe(data: Any) -> Description:
     DeployError: It is of another format, or does not follow the schema.
   """
   version = data.get("format") if isinstance(data, dict) else None
-  if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-    raise DeployError("bundle.json: has no format number; is it a policy bundle?")
-  if version > FORMAT:
-    raise DeployError(f"bundle.json: format {version} is newer than {FORMAT}, which this mjlab-deploy reads; update it")
-  try:
-    return decode(Description, data)
-  except DeployError as error:
-    raise DeployError(f"bundle.json: {error}") from error
+  if version != FORMAT:
+    raise DeployError(f"format {str(version)[:20]} is not {FORMAT}, which this mjlab-deploy reads; update it")
+  return decode(Description, data)
 
 
 def write_description(folder: Path, description: Description) -> None:
@@ -151,19 +135,8 @@ def bundle_schema() -> dict[str, Any]:
 
 
 def _unpack(path: Path, folder: Path) -> None:
-  try:
-    with zipfile.ZipFile(path) as archive:
-      for record in archive.infolist():
-        limit = MAX_BYTES.get(record.filename)
-        if limit is None:
-          continue
-        # The size in the record is the stranger's word; what comes out counts.
-        with archive.open(record) as file:
-          data = file.read(limit + 1)
-        if len(data) > limit:
-          raise DeployError(f"{record.filename}: more than the {limit >> 20} MiB that it may have")
-        (folder / record.filename).write_bytes(data)
-  except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError) as error:
-    if isinstance(error, DeployError):
-      raise
-    raise DeployError(f"not a zip that can be read ({str(error)[:80]})") from error
+  with reading("not a zip that can be read", Exception), zipfile.ZipFile(path) as archive:
+    for name in MAX_BYTES.keys() & archive.namelist():
+      # The size in the zip is the stranger's word. What comes out counts, and a file that is too large stays so.
+      with archive.open(name) as file:
+        (folder / name).write_bytes(file.read(MAX_BYTES[name] + 1))

@@ -1,5 +1,43 @@
-"""The error of policy bundles and of their runner."""
+"""The error of policy bundles and of their runner, and helpers that raise it for other libraries."""
+
+import contextlib
+import importlib
+from collections.abc import Generator
+from typing import Any
 
 
 class DeployError(ValueError):
   """Mistake in what a user gave: a bundle that cannot be read, a robot that it does not fit, an option."""
+
+
+@contextlib.contextmanager
+def reading(what: object, *errors: type[Exception]) -> Generator[None]:
+  """Turn errors inside into one line that begins with the name of what is read or written.
+
+  Args:
+    what: Name for the message.
+    *errors: Errors that a damaged file causes, besides `DeployError` and `OSError`.
+
+  Raises:
+    DeployError: The code inside failed with one of these errors.
+  """
+  try:
+    yield
+  except DeployError as error:
+    raise DeployError(f"{what}: {error}") from error
+  except OSError as error:
+    raise DeployError(f"{what}: {error.strerror or error}") from error
+  except errors as error:
+    raise DeployError(f"{what}: {' '.join(str(error).split())[:200]}") from error
+
+
+def library(name: str, hint: str) -> Any:
+  """Return a module of an optional library.
+
+  Raises:
+    DeployError: It is not installed; the message ends with `hint`.
+  """
+  try:
+    return importlib.import_module(name)
+  except ImportError as error:
+    raise DeployError(f"{name.partition('.')[0]} is not installed ({error}): {hint}") from error

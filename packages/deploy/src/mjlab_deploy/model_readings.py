@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from mjlab_deploy.description import Description, Input, Origin
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import reading
 
 Readings = dict[str, np.ndarray]
 
@@ -29,26 +29,16 @@ class ModelReadings:
     """Columns of the robot's joints in qpos."""
     self.qvel = model.jnt_dofadr[joints]
     """Columns of the robot's joints in qvel."""
-    for item in self.inputs:
-      assert item.origin is not None
-      self._check(item, item.origin)
-
-  def _check(self, item: Input, origin: Origin) -> None:
-    if origin.quantity.startswith("joint_"):
-      return
-    kind = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "sensor": mujoco.mjtObj.mjOBJ_SENSOR}
-    wanted = [(kind.get(origin.object_type), origin.name)]
-    wanted += [(mujoco.mjtObj.mjOBJ_BODY, origin.relative_to)] if origin.relative_to else []
-    for obj, name in wanted:
-      if obj is None or mujoco.mj_name2id(self.model, obj, name) < 0:
-        raise DeployError(f"input '{item.name}': scene.xml has no {origin.object_type} {name[:60]!r}")
+    # The first reading shows that the model has all that inputs name.
+    self.read(mujoco.MjData(model))
 
   def read(self, data: mujoco.MjData) -> Readings:
     """Return the inputs for a state whose positions, velocities and sensors are computed."""
     found: Readings = {}
     for item in self.inputs:
       assert item.origin is not None
-      found[item.name] = self._read(item.origin, data)
+      with reading(f"input '{item.name}': scene.xml", KeyError):
+        found[item.name] = self._read(item.origin, data)
     return found
 
   def _read(self, origin: Origin, data: mujoco.MjData) -> np.ndarray:
@@ -84,9 +74,7 @@ def joint_id(model: mujoco.MjModel, name: str) -> int:
   """Return the number of a joint.
 
   Raises:
-    DeployError: The model has no such joint.
+    DeployError: The model has no such joint; the message lists its joints.
   """
-  number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-  if number < 0:
-    raise DeployError(f"scene.xml has no joint {name[:60]!r}")
-  return number
+  with reading("scene.xml", KeyError):
+    return model.joint(name).id

@@ -22,8 +22,7 @@ class MotionPlayer:
 
   def __init__(self, bundle: Bundle) -> None:
     motion = bundle.description.motion
-    if motion is None:
-      raise DeployError("the bundle has no motion")
+    assert motion is not None
     self._arrays = bundle.arrays("motion.npz")
     for name, width in _SHAPES.items():
       wanted = (motion.num_frames, width or len(motion.joint_names))

@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime
 
 from mjlab_deploy.bundle import Bundle
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.network_graph import NetworkGraph
 
 EPISODE_START = "episode_start"
@@ -109,21 +109,10 @@ def open_graph(data: bytes) -> onnxruntime.InferenceSession:
   options = onnxruntime.SessionOptions()
   options.intra_op_num_threads = options.inter_op_num_threads = 1
   options.log_severity_level = 4
-  try:
+  with reading("policy.onnx: not a graph that ONNX Runtime takes", Exception):
     return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-  except Exception as error:
-    raise DeployError(f"policy.onnx: not a graph that ONNX Runtime takes ({str(error).strip()[:160]})") from error
 
 
 def is_network(session: onnxruntime.InferenceSession) -> bool:
   """Return True for the network alone, with metadata of its observations, as mjlab 1.x and BeyondMimic export it."""
   return "obs" in {item.name for item in session.get_inputs()}
-
-
-def open_network(data: bytes) -> NetworkGraph:
-  """Return the graph of a network that others exported.
-
-  Raises:
-    DeployError: It is damaged, or its metadata do not say what it observes.
-  """
-  return NetworkGraph(open_graph(data))

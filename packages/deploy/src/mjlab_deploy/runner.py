@@ -1,7 +1,7 @@
 """The runner: a state machine that drives a robot by a policy, and lets it go when anything is wrong."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
@@ -39,7 +39,8 @@ class Runner:
     self.description = bundle.description
     self.robot, self.policy = robot, Policy(bundle)
     self.motion = MotionPlayer(bundle) if self.description.motion is not None else None
-    self._check_robot()
+    if problem := next(self._problems(), ""):
+      raise DeployError(f"refused: {problem}")
     joints = self.description.robot.joints
     self._names = [joint.name for joint in joints]
     self._default = np.array([joint.default_position for joint in joints])
@@ -64,30 +65,33 @@ class Runner:
   def _width(self, name: str) -> int:
     return next(math.prod(item.shape) for item in self.description.inputs if item.name == name)
 
-  def _check_robot(self) -> None:
+  def _problems(self) -> Iterator[str]:
+    """Yield a line for each reason not to move the robot."""
     info, robot, timing = self.robot.info(), self.description.robot, self.description.timing
     names = tuple(joint.name for joint in robot.joints)
     if info.joint_names != names:
-      i = next((i for i, pair in enumerate(zip(names, info.joint_names, strict=False)) if pair[0] != pair[1]), -1)
-      where = f"joint {i} is '{names[i]}' in the bundle and '{info.joint_names[i]}' on the robot" if i >= 0 else ""
-      raise DeployError(f"refused: {where or f'the bundle has {len(names)} joints, the robot {len(info.joint_names)}'}")
+      pairs = enumerate(zip(names, info.joint_names, strict=False))
+      yield from (
+        f"joint {i} is '{ours}' in the bundle and '{theirs}' on the robot"
+        for i, (ours, theirs) in pairs
+        if ours != theirs
+      )
+      yield f"the bundle has {len(names)} joints, the robot {len(info.joint_names)}"
     for gain in ("stiffness", "damping"):
       for joint, value in zip(robot.joints, getattr(info, gain) or (), strict=False):
         wanted = getattr(joint, gain)
         if joint.is_driven and wanted is not None and not math.isclose(value, wanted, rel_tol=1e-3):
-          raise DeployError(f"refused: {gain} of '{joint.name}' is {wanted:g} in the bundle and {value:g} on the robot")
+          yield f"{gain} of '{joint.name}' is {wanted:g} in the bundle and {value:g} on the robot"
     if info.rate * timing.control_dt < 0.999:
-      raise DeployError(
-        f"refused: the policy runs at {1.0 / timing.control_dt:g} Hz, the robot sends {info.rate:g} messages a second"
-      )
+      yield f"the policy runs at {1.0 / timing.control_dt:g} Hz, the robot sends {info.rate:g} messages a second"
     if [target.quantity for target in self.description.targets] != ["position"]:
-      raise DeployError("refused: the policy sets other targets than positions, which the runner does not drive")
+      yield "the policy sets other targets than positions, which the runner does not drive"
     if missing := [joint.name for joint in robot.joints if joint.is_driven and joint.stiffness is None]:
-      raise DeployError(f"refused: the bundle has no stiffness of joint '{missing[0]}'")
+      yield f"the bundle has no stiffness of joint '{missing[0]}'"
     known = {*_MEASURED, *info.readings, *(item.input for item in self.description.commands)}
     known |= {item.name for item in self.description.inputs if item.name.startswith("motion/") and self.motion}
     if unknown := [item.name for item in self.description.inputs if item.name not in known]:
-      raise DeployError(f"refused: the robot does not supply {', '.join(unknown)}; train a policy without it")
+      yield f"the robot does not supply {', '.join(unknown)}; train a policy without it"
 
   def start(self) -> None:
     """Leave damping: stand up, then run the policy.

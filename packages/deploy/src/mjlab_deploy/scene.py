@@ -8,7 +8,7 @@ import numpy as np
 
 from mjlab_deploy.arrays import Arrays, write_arrays
 from mjlab_deploy.bundle import Bundle
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, reading
 
 
 def write_scene(spec: mujoco.MjSpec, folder: Path, fields: Mapping[str, np.ndarray] | None = None) -> bool:
@@ -48,15 +48,11 @@ def load_scene(bundle: Bundle) -> mujoco.MjModel:
   Raises:
     DeployError: It is missing, MuJoCo refuses it, or its numbers do not fit it.
   """
-  if not bundle.has("scene.xml"):
-    raise DeployError("the bundle has no scene.xml")
   text = bundle.read_bytes("scene.xml").decode("utf-8", errors="replace")
   if "<include" in text or "file=" in text or "<plugin" in text:
     raise DeployError("scene.xml: refers to other files or plugins, which is not read")
-  try:
+  with reading("scene.xml", ValueError, mujoco.FatalError):
     model = mujoco.MjModel.from_xml_string(text)
-  except (ValueError, mujoco.FatalError) as error:
-    raise DeployError(f"scene.xml: {str(error).strip()[:160]}") from error
   if bundle.has("scene.npz"):
     fields = _fields(model)
     for name, value in bundle.arrays("scene.npz").items():

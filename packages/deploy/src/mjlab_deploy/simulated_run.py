@@ -11,9 +11,8 @@ from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
 from mjlab_deploy.gamepad import connected_gamepad
-from mjlab_deploy.joint_plot import plot_joints
 from mjlab_deploy.loopback import LoopbackRobot
-from mjlab_deploy.mcap_log import write_mcap
+from mjlab_deploy.run_log import plot_joints, write_mcap
 from mjlab_deploy.runner import Runner
 from mjlab_deploy.safety import SafetyLimits
 
@@ -53,13 +52,10 @@ class SimulatedRun:
     limits = SafetyLimits(stale_after=SafetyLimits().stale_after + 2.0 * latency)
     self.robot.watchdog += 2.0 * latency
     self.runner = Runner(bundle, self.robot, limits, stand_time=_STAND_TIME)
-    commands = bundle.description.commands
     if command:
-      if not commands:
-        raise DeployError("the policy takes no command")
-      values = self.runner.command[commands[0].input]
+      values = next(iter(self.runner.command.values()), np.empty(0))
       if len(command) != len(values):
-        raise DeployError(f"{commands[0].input} has {len(values)} numbers, got {len(command)}")
+        raise DeployError(f"the policy's command has {len(values)} numbers, got {len(command)}")
       values[:] = command
     self._pushes, self._next_push = pushes and bundle.description.robot.is_floating, _STAND_TIME + _PUSH_EVERY
     self._rng = np.random.default_rng(seed)
@@ -131,13 +127,12 @@ class SimulatedRun:
     Raises:
       DeployError: The ending is another one, or the file cannot be written.
     """
-    rows = self._log()
-    if path.endswith(".mcap"):
-      write_mcap(Path(path), self._joints(), rows)
-    elif path.endswith(".npz"):
-      write_arrays(Path(path), rows)
-    else:
+    if not path.endswith((".mcap", ".npz")):
       raise DeployError(f"{path}: a log is a .npz or a .mcap file")
+    if path.endswith(".mcap"):
+      write_mcap(Path(path), self._joints(), self._log())
+    else:
+      write_arrays(Path(path), self._log())
 
   def plot(self, path: str) -> None:
     """Draw commanded and measured joints over time into a picture.

@@ -69,9 +69,7 @@ class UnitreeRobot(RobotIO):
     joints: tuple[str, ...] | None = None,
     clock: Callable[[], float] = time.monotonic,
   ) -> None:
-    if model not in MODELS:
-      raise DeployError(f"robot '{model}' is not known; there are {', '.join(MODELS)}")
-    self.model = MODELS[model]
+    self.model = _known(model)
     self._joints = self.model.motors if joints is None else joints
     if unknown := [name for name in self._joints if name not in self.model.motors]:
       raise DeployError(f"the {model} has no motor '{unknown[0]}'")
@@ -137,15 +135,19 @@ class UnitreeRobot(RobotIO):
     self._send(message)
 
 
+def _known(model: str) -> UnitreeModel:
+  if model not in MODELS:
+    raise DeployError(f"robot '{model}' is not known; there are {', '.join(MODELS)}")
+  return MODELS[model]
+
+
 def connect(model: str, network: str, joints: tuple[str, ...] | None = None) -> UnitreeRobot:
   """Return a robot on a network interface ("eth0"; "lo" with Unitree's simulator), through `unitree_sdk2py`.
 
   Raises:
     DeployError: The SDK is not installed, or the robot is not known.
   """
-  if model not in MODELS:
-    raise DeployError(f"robot '{model}' is not known; there are {', '.join(MODELS)}")
-  family = MODELS[model].messages
+  family = _known(model).messages
   try:
     channel: Any = importlib.import_module("unitree_sdk2py.core.channel")
     messages: Any = importlib.import_module(f"unitree_sdk2py.idl.{family}.msg.dds_")

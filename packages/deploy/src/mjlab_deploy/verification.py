@@ -7,7 +7,7 @@ import numpy as np
 from mjlab_deploy.arrays import Arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.closed_loop import ClosedLoop
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.policy import ACTION, Policy
 
 TOLERANCE = 1e-4
@@ -43,23 +43,15 @@ def verify(bundle: Bundle) -> Report:
   """
   if bundle.description.golden is None:
     raise DeployError("the bundle has no golden.npz; export it again with --steps above 0")
-  golden = bundle.arrays("golden.npz")
-  _check_record(bundle, golden)
-  report = Report()
+  golden, steps, report = bundle.arrays("golden.npz"), bundle.description.golden.steps, Report()
+  wanted = ["action", "episode_start", *(f"input/{item.name}" for item in bundle.description.inputs)]
+  for name in [*wanted, *(target.name for target in bundle.description.targets)]:
+    if name not in golden or len(golden[name]) != steps:
+      raise DeployError(f"golden.npz: {name[:60]!r} is missing or has not {steps} steps")
   _replay(bundle, golden, report)
   if report.passed:
     _run_beside(bundle, golden, report)
   return report
-
-
-def _check_record(bundle: Bundle, golden: Arrays) -> None:
-  description = bundle.description
-  assert description.golden is not None
-  wanted = ["action", "episode_start", *(f"input/{item.name}" for item in description.inputs)]
-  wanted += [target.name for target in description.targets]
-  for name in wanted:
-    if name not in golden or len(golden[name]) != description.golden.steps:
-      raise DeployError(f"golden.npz: {name[:60]!r} is missing or has not {description.golden.steps} steps")
 
 
 def _inputs(bundle: Bundle, golden: Arrays, step: int) -> dict[str, np.ndarray]:
@@ -115,7 +107,8 @@ def _run_beside(bundle: Bundle, golden: Arrays, report: Report) -> None:
   starts = np.flatnonzero(golden["episode_start"])
   # Only the first episode: MuJoCo C does not know how the training resets.
   end = int(starts[1]) if len(starts) > 1 else len(golden["action"])
-  loop.start(golden["state/qpos"][0].astype(float), golden["state/qvel"][0].astype(float))
+  with reading("golden.npz does not fit scene.xml", ValueError, LookupError):
+    loop.start(golden["state/qpos"][0].astype(float), golden["state/qvel"][0].astype(float))
   drift, fallen, columns = 0.0, None, loop.sensors.qpos
   for step in range(end):
     error = float(np.abs(loop.data.qpos[columns] - golden["state/qpos"][step][columns]).max(initial=0.0))
