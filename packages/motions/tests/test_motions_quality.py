@@ -7,8 +7,7 @@ import pytest
 import torch
 from mjlab_motions.editing import to_ground
 from mjlab_motions.motion import Motion
-from mjlab_motions.quality import Finding, check_quality
-from mjlab_motions.quality_plot import plot_quality
+from mjlab_motions.quality import Finding, check_quality, plot_quality
 from motions_robot import constant, robot
 
 

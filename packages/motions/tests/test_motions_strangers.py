@@ -126,10 +126,10 @@ def test_a_file_larger_than_the_limit_is_not_opened(tmp_path: Path, name: str) -
   with path.open("wb") as file:
     file.truncate(3 * 2**30)  # a hole, which takes no space
   if path.suffix == ".json":
-    with pytest.raises(FileError, match="3072 MiB, the limit is 1 MiB"):
+    with pytest.raises(FileError, match="3072 MiB is more than the 1 MiB"):
       find_clips(str(tmp_path))
   else:
-    assert peak(lambda: refused(path, "3072 MiB, the limit is 512 MiB")) < PEAK
+    assert peak(lambda: refused(path, "3072 MiB is more than the 512 MiB")) < PEAK
 
 
 def test_a_line_of_a_csv_has_a_limit(tmp_path: Path) -> None:
@@ -148,16 +148,16 @@ def test_a_rate_out_of_bounds_is_refused_wherever_it_comes_from(tmp_path: Path, 
   for arrays in (ours, theirs):
     changed: dict[str, Any] = {**arrays, "fps": np.array([rate])}
     np.savez(tmp_path / "clip.npz", **changed)
-    with pytest.raises(MjlabError, match="allowed are 1 to 10000 Hz"):
+    with pytest.raises(MjlabError, match=r"rate must be"):
       read_motion(tmp_path / "clip.npz", robot())
-  with pytest.raises(MjlabError, match="allowed are 1 to 10000 Hz"):
+  with pytest.raises(MjlabError, match=r"rate must be"):
     read_motion(tmp_path / "clip.csv", robot(), Statement(rate=rate))
   with np.errstate(all="ignore"):
     times = np.arange(60) / np.float64(rate)
   np.savez(tmp_path / "clip.npz", qpos=qpos, times=times)
-  with pytest.raises(MjlabError, match=r"allowed are 1 to 10000 Hz|not evenly spaced"):
+  with pytest.raises(MjlabError, match=r"rate must be|not evenly spaced"):
     read_motion(tmp_path / "clip.npz", robot())
-  with pytest.raises(MjlabError, match="allowed rates are 1 to 10000 Hz"):
+  with pytest.raises(MjlabError, match=r"rate must be"):
     resample(wiggle(), rate)
 
 
@@ -178,10 +178,10 @@ def test_resampling_refuses_more_frames_than_a_motion_may_have() -> None:
     ("7", ""),
     ('{"format": 3}', ""),
     ('{"format": "mjlab-motion"}', "written in version None of the format, this reads version 1"),
-    ('{"format": "mjlab-motion", "version": "1"}', r"metadata: Expected `int \| null`, got `str` - at `\$.version`"),
-    ('{"format": "mjlab-motion", "version": 1, "name": 5}', r"metadata: Expected `str`, got `int` - at `\$.name`"),
-    ('{"format": "mjlab-motion", "version": 1, "history": {}}', "metadata: Expected `array`, got `object`"),
-    ('{"format": "mjlab-motion", "version": 1, "history": ["a", null]}', "metadata: Expected `str`, got `null`"),
+    ('{"format": "mjlab-motion", "version": "1"}', r"Expected `int \| null`, got `str` - at `\$.version`"),
+    ('{"format": "mjlab-motion", "version": 1, "name": 5}', r"Expected `str`, got `int` - at `\$.name`"),
+    ('{"format": "mjlab-motion", "version": 1, "history": {}}', "Expected `array`, got `object`"),
+    ('{"format": "mjlab-motion", "version": 1, "history": ["a", null]}', "Expected `str`, got `null`"),
   ],
 )
 def test_metadata_are_right_or_refused_or_those_of_another_format(tmp_path: Path, metadata: str, message: str) -> None:

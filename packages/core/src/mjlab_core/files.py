@@ -14,7 +14,7 @@ from collections.abc import Generator
 from pathlib import Path
 from types import TracebackType
 
-from mjlab_core.errors import FileError
+from mjlab_core.errors import FileError, MjlabError
 
 _COUNTER = itertools.count()
 _WRITING: set[Path] = set()
@@ -119,7 +119,7 @@ def reading(what: str, path: str | os.PathLike[str], max_bytes: int | None = Non
     if max_bytes is not None and size > max_bytes:
       raise FileError(f"{size / 2**20:.0f} MiB is more than the {max_bytes / 2**20:.0f} MiB that such a file may have")
     yield Path(path)
-  except FileError as error:
+  except MjlabError as error:
     raise FileError(str(error) if str(error).startswith(prefix) else f"{prefix}: {printable(error, 1000)}") from error
   except FileNotFoundError as error:
     raise FileError(f"{prefix}: no such file") from error

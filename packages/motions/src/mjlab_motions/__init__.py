@@ -13,8 +13,7 @@ if TYPE_CHECKING:
   from mjlab_motions.library import MotionLibrary, load_library
   from mjlab_motions.motion import Motion
   from mjlab_motions.motion_file import load_motion, save_motion
-  from mjlab_motions.quality import Finding, QualityReport, check_quality
-  from mjlab_motions.quality_plot import plot_quality
+  from mjlab_motions.quality import Finding, QualityReport, check_quality, plot_quality
   from mjlab_motions.recording import MotionRecorder
   from mjlab_motions.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
   from mjlab_motions.statement import JointMap, Statement
@@ -65,8 +64,7 @@ __getattr__, __dir__ = lazy_exports(
     ".library": "MotionLibrary load_library",
     ".motion": "Motion",
     ".motion_file": "load_motion save_motion",
-    ".quality": "Finding QualityReport check_quality",
-    ".quality_plot": "plot_quality",
+    ".quality": "Finding QualityReport check_quality plot_quality",
     ".recording": "MotionRecorder",
     ".sampling": "AdaptiveSamplingCfg MotionSampler SamplingMode",
     ".statement": "JointMap Statement",

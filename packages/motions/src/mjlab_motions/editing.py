@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from mjlab_core.constraints import Positive, check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import check_name
 from mjlab_core.rotations import quat_apply, quat_conjugate, quat_mul, quat_slerp, quat_yaw
@@ -101,12 +102,9 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
     blend: Duration of the transition from the end of one to the start of the next [s].
 
   Raises:
-    MjlabError: Nothing to join, different joints or rates, or a clip that is shorter than the blend.
+    MjlabError: Different joints or rates, or a clip that is shorter than the blend.
   """
-  if not motions:
-    raise MjlabError("concatenate: no motion given")
-  if not 0.0 < blend < math.inf:
-    raise MjlabError(f"concatenate: the blend must be positive, got {blend:g} s")
+  check_value("concatenate: blend", blend, Positive)
   whole = motions[0]
   for motion in motions[1:]:
     same_joints = set(motion.joint_names) == set(whole.joint_names) and motion.root_body == whole.root_body
@@ -151,8 +149,7 @@ def smooth(motion: Motion, width: float) -> Motion:
   Raises:
     MjlabError: The width is not positive.
   """
-  if not 0.0 < width < math.inf:
-    raise MjlabError(f"smooth: width must be positive, got {width:g} s")
+  check_value("smooth: width", width, Positive)
   reach = min(math.ceil(4.0 * width * motion.rate), motion.num_frames - 1)
   at = torch.arange(-reach, reach + 1, dtype=torch.float64)
   kernel = torch.exp(-0.5 * (at / (width * motion.rate)) ** 2)[None, None]

@@ -6,17 +6,17 @@ rate plays at the wrong speed, one with a wrong quaternion order lies on its bac
 
 import dataclasses
 import os
-from pathlib import Path
 
 import numpy as np
 import torch
 from mjlab_core.errors import FileError
+from mjlab_core.files import reading
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
 from mjlab_motions.motion_file import metadata_of, motion_in
 from mjlab_motions.placing import check_bodies, from_seven_keys
-from mjlab_motions.reading import Npz, check_size
+from mjlab_motions.reading import MAX_BYTES, Npz
 from mjlab_motions.statement import Statement, mapped
 from mjlab_motions.tables import from_csv, from_table
 
@@ -31,28 +31,25 @@ def read_motion(path: str | os.PathLike[str], robot: Kinematics, said: Statement
     said: Facts that the file lacks.
 
   Raises:
-    FileError: The file cannot be read or is too large, or something is neither stated nor provable.
-    MjlabError: The numbers do not describe a motion, or the motion does not fit the robot.
+    FileError: The file cannot be read or is too large, something is neither stated nor provable, the numbers do not
+      describe a motion, or the motion does not fit the robot.
   """
-  said, path = said or Statement(), Path(path)
-  check_size(path)
-  if path.suffix == ".csv":
-    motion = from_csv(path, robot, said)
-  elif path.suffix == ".npz":
-    motion = _from_npz(Npz(path), robot, said)
-  else:
-    raise FileError(f"{path}: expected .csv or .npz; convert other files without pickles to one of them")
-  robot.columns_of(motion)
-  return motion
+  said = said or Statement()
+  with reading("clip", path, MAX_BYTES) as file:
+    if file.suffix not in (".csv", ".npz"):
+      raise FileError("expected .csv or .npz; convert other files without pickles to one of them")
+    motion = from_csv(file, robot, said) if file.suffix == ".csv" else _from_npz(Npz(file), robot, said)
+    robot.columns_of(motion)
+    return motion
 
 
 def _from_npz(archive: Npz, robot: Kinematics, said: Statement) -> Motion:
   path = archive.path
   if (metadata := metadata_of(archive)) is not None:
     motion = motion_in(archive, metadata)
-    _agreed_rate(path, motion.rate, said)
+    _agreed_rate(motion.rate, said)
     if said.quaternion == "xyzw":
-      raise FileError(f"{path}: the file has w first, --quaternion says xyzw")
+      raise FileError("the file has w first, --quaternion says xyzw")
     motion = mapped(motion, robot, said)
     if "body_pos_w" in archive and said.joint_map is None:
       check_bodies(archive, motion, robot)
@@ -74,29 +71,28 @@ def _from_npz(archive: Npz, robot: Kinematics, said: Statement) -> Motion:
     if "body_pos_w" not in archive or table.shape[1] == 7 + joints:
       return from_table(path, table, robot, said, rate)
     return from_seven_keys(archive, torch.from_numpy(table), robot, said, rate)
-  raise FileError(f"{path}: lacks joint_pos or qpos, it has: {archive.names}")
+  raise FileError(f"lacks joint_pos or qpos, it has: {archive.names}")
 
 
 def _rate(archive: Npz, said: Statement, frames: int) -> float:
   """Return the frames per second that an archive contains or the user states [Hz]."""
-  path = archive.path
   if "fps" in archive:
-    return _agreed_rate(path, archive.number("fps"), said)
+    return _agreed_rate(archive.number("fps"), said)
   if "times" in archive and frames > 1:
     times = archive.column("times")
     if len(times) != frames:
-      raise FileError(f"{path}: {len(times)} times for {frames} frames")
+      raise FileError(f"{len(times)} times for {frames} frames")
     with np.errstate(all="ignore"):
       steps = np.diff(times)
     if not (steps.min() > 0.0 and np.ptp(steps) <= 1e-3 * steps.mean()):
-      raise FileError(f"{path}: its times are not evenly spaced: steps of {steps.min():.4g} to {steps.max():.4g} s")
-    return _agreed_rate(path, float(1.0 / steps.mean()), said)
+      raise FileError(f"its times are not evenly spaced: steps of {steps.min():.4g} to {steps.max():.4g} s")
+    return _agreed_rate(float(1.0 / steps.mean()), said)
   if said.rate is None:
-    raise FileError(f"{path}: it does not contain its rate; state it with --rate")
+    raise FileError("it does not contain its rate; state it with --rate")
   return said.rate
 
 
-def _agreed_rate(path: Path, found: float, said: Statement) -> float:
+def _agreed_rate(found: float, said: Statement) -> float:
   if said.rate is not None and not abs(found - said.rate) <= 1e-3 * found:
-    raise FileError(f"{path}: the file says {found:g} Hz, --rate says {said.rate:g}")
+    raise FileError(f"the file says {found:g} Hz, --rate says {said.rate:g}")
   return found

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import torch
-from mjlab_core.errors import MjlabError
 from mjlab_core.names import check_name
 
 from mjlab_motions.clips import find_clips
@@ -18,7 +17,7 @@ class MotionLibrary:
   """Clips at one rate, placed on one robot, one frame per row. Constant after build, and all on the device.
 
   Args:
-    motions: The clips.
+    motions: The clips, at least one.
     robot: Robot of all clips. Derived quantities are computed on its device.
     bodies: Names of the bodies to keep, in order.
     rate: Frames per second of the buffer, usually the control rate [Hz].
@@ -27,7 +26,7 @@ class MotionLibrary:
     dtype: Precision of the rows.
 
   Raises:
-    MjlabError: There is no clip, or one does not fit the robot or is too short.
+    MjlabError: A clip does not fit the robot or is too short.
     UnknownNameError: The robot lacks a body.
   """
 
@@ -42,8 +41,6 @@ class MotionLibrary:
     bin_seconds: float = 1.0,
     dtype: torch.dtype = torch.float32,
   ) -> None:
-    if not motions:
-      raise MjlabError("a library needs at least one clip")
     for body in bodies:
       check_name("body", body, robot.body_names, "tracked bodies")
     device = robot.device

@@ -1,9 +1,10 @@
 """Motion clip: the pose of a floating robot at evenly spaced moments, with the names that make it readable anywhere."""
 
 import dataclasses
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from mjlab_core.constraints import Items, Limits, check_fields
 from mjlab_core.errors import MjlabError
 from mjlab_core.files import printable
 
@@ -11,6 +12,8 @@ MIN_RATE, MAX_RATE = 1.0, 10_000.0
 """Limits of the frames per second of a clip [Hz]."""
 MAX_FRAMES = 1_000_000
 """Limit of the frames of a clip: five and a half hours at 50 Hz."""
+Rate = Annotated[float, Limits(ge=MIN_RATE, le=MAX_RATE)]
+"""Frames per second [Hz]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,11 +28,11 @@ class Motion:
   """
 
   name: str
-  rate: float
+  rate: Rate
   """Frames per second, from `MIN_RATE` to `MAX_RATE` [Hz]."""
   root_body: str
   """Name of the floating body."""
-  joint_names: tuple[str, ...]
+  joint_names: Annotated[tuple[str, ...], Items(ge=0, unique=True)]
   root_pos: torch.Tensor
   """Position of the root's origin in the world, (frames, 3) [m]."""
   root_quat: torch.Tensor
@@ -48,17 +51,13 @@ class Motion:
       object.__setattr__(self, field, printable(getattr(self, field)))
     object.__setattr__(self, "joint_names", tuple(printable(name) for name in self.joint_names))
     object.__setattr__(self, "history", tuple(printable(line) for line in self.history))
+    check_fields(self, f"motion '{self.name}'")
     frames = self.root_pos.shape[0]
     for field, width in {"root_pos": 3, "root_quat": 4, "joint_pos": len(self.joint_names)}.items():
       value = getattr(self, field)
       self._check(value.shape == (frames, width), f"{field} has shape {tuple(value.shape)}, not ({frames}, {width})")
       self._check(bool(torch.isfinite(value).all()), f"{field} has numbers that are not finite")
-    self._check(
-      MIN_RATE <= self.rate <= MAX_RATE,
-      f"rate is {self.rate:g} Hz, allowed are {MIN_RATE:g} to {MAX_RATE:g} Hz",
-    )
     self._check(3 <= frames <= MAX_FRAMES, f"{frames} frames; allowed are 3 to {MAX_FRAMES:,}")
-    self._check(len(set(self.joint_names)) == len(self.joint_names), "a joint is named twice")
     norm = torch.linalg.vector_norm(self.root_quat, dim=-1)
     worst = int((norm - 1.0).abs().argmax())
     self._check(

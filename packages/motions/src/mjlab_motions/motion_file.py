@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import torch
 from mjlab_core.errors import FileError, MjlabError
-from mjlab_core.files import AtomicWrite, printable
+from mjlab_core.files import AtomicWrite, reading
 
 from mjlab_motions.motion import Motion
-from mjlab_motions.reading import Npz
+from mjlab_motions.reading import MAX_BYTES, Npz
 
 FORMAT = "mjlab-motion"
 VERSION = 1
@@ -81,20 +81,16 @@ def load_motion(path: str | os.PathLike[str]) -> Motion:
 
   Raises:
     FileError: There is no such file, it is damaged or too large, or it is not of this format.
-    MjlabError: Its numbers do not describe a motion.
   """
-  archive = Npz(path)
-  if (metadata := metadata_of(archive)) is None:
-    raise FileError(f"{archive.path}: not a motion file, it has: {archive.names}; convert-motion may read it")
-  return motion_in(archive, metadata)
+  with reading("clip", path, MAX_BYTES) as file:
+    archive = Npz(file)
+    if (metadata := metadata_of(archive)) is None:
+      raise FileError(f"not a motion file, it has: {archive.names}; convert-motion may read it")
+    return motion_in(archive, metadata)
 
 
 def metadata_of(archive: Npz) -> Metadata | None:
-  """Return the metadata of a motion file; None if the archive is of another format.
-
-  Raises:
-    FileError: The archive claims to be a motion file, and its metadata are wrong.
-  """
+  """Return the metadata of a motion file; None if the archive is of another format."""
   if "metadata" not in archive:
     return None
   try:
@@ -104,10 +100,7 @@ def metadata_of(archive: Npz) -> Metadata | None:
   except (FileError, msgspec.DecodeError, RecursionError):
     # Other projects may store something else under this name.
     return None
-  try:
-    return msgspec.json.decode(text, type=Metadata)
-  except (msgspec.DecodeError, RecursionError) as error:
-    raise FileError(f"{archive.path}: metadata: {printable(error)}") from error
+  return msgspec.json.decode(text, type=Metadata)
 
 
 class _Format(msgspec.Struct):
@@ -121,11 +114,10 @@ def motion_in(archive: Npz, metadata: Metadata) -> Motion:
     FileError: An array is missing, or the file is of a later version.
     MjlabError: Its numbers do not describe a motion.
   """
-  path = archive.path
   if metadata.version != VERSION:
-    raise FileError(f"{path}: written in version {metadata.version} of the format, this reads version {VERSION}")
+    raise FileError(f"written in version {metadata.version} of the format, this reads version {VERSION}")
   return Motion(
-    name=metadata.name or path.stem,
+    name=metadata.name or archive.path.stem,
     rate=archive.number("fps"),
     root_body=archive.text("root_body"),
     joint_names=archive.words("joint_names"),

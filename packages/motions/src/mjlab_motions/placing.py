@@ -34,13 +34,13 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
   body_pos, body_quat = _body_poses(archive, joint_pos.shape[0])
   if said.quaternion == "xyzw":
     body_quat = body_quat.roll(1, -1)
-  roots = _possible_roots(archive, robot, said, body_pos.shape[1])
+  roots = _possible_roots(robot, said, body_pos.shape[1])
   orders = {"as stated": tuple(said.joint_names)} if said.joint_names else _joint_orders(robot)
   best, reason = float("inf"), ""
   few = torch.linspace(0, joint_pos.shape[0] - 1, min(joint_pos.shape[0], 8)).long()
   for origin, names in orders.items():
     if len(names) != joint_pos.shape[1]:
-      raise FileError(f"{path}: {joint_pos.shape[1]} joint columns, {len(names)} names ({origin})")
+      raise FileError(f"{joint_pos.shape[1]} joint columns, {len(names)} names ({origin})")
     for root in roots:
       motion = Motion(
         name=path.stem,
@@ -62,7 +62,7 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
       if error < best:
         best, reason = error, f"joints {origin}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
   raise FileError(
-    f"{path}: it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
+    "it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
     f"Nearest: {reason}. State the orders with --joint-names and --body-names, or xyzw with --quaternion; or the clip "
     "is of another robot."
   )
@@ -76,24 +76,23 @@ def check_bodies(archive: Npz, motion: Motion, robot: Kinematics) -> None:
   """
   names = archive.words("body_names")
   body_pos, body_quat = _body_poses(archive, motion.num_frames)
-  _check_body_names(archive, names, body_pos.shape[1], robot)
+  _check_body_names(names, body_pos.shape[1], robot)
   error, body = _misplacement(motion, robot, body_pos, body_quat, names)
   if error > PLACED:
     raise FileError(
-      f"{archive.path}: its body '{body}' is {error:.3g} m or rad from where this robot has it; the file was made for "
-      "another model"
+      f"its body '{body}' is {error:.3g} m or rad from where this robot has it; the file was made for another model"
     )
 
 
-def _possible_roots(archive: Npz, robot: Kinematics, said: Statement, bodies: int) -> list[int]:
+def _possible_roots(robot: Kinematics, said: Statement, bodies: int) -> list[int]:
   """Return the rows of the body arrays that may hold the root."""
   if said.body_names is None:
     return list(range(bodies))
-  _check_body_names(archive, said.body_names, bodies, robot)
+  _check_body_names(said.body_names, bodies, robot)
   unseen = [body for body in robot.ends if body not in said.body_names]
   if unseen and not said.joint_names:
     raise FileError(
-      f"{archive.path}: its bodies do not prove the order of the joints on the way to '{unseen[0]}', which is missing; "
+      f"its bodies do not prove the order of the joints on the way to '{unseen[0]}', which is missing; "
       "state the order with --joint-names"
     )
   return [list(said.body_names).index(robot.root_body)]
@@ -145,13 +144,13 @@ def _body_poses(archive: Npz, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
   body_pos, body_quat = (archive.numbers(name, ndim=3) for name in ("body_pos_w", "body_quat_w"))
   if body_pos.shape[::2] != (frames, 3) or body_quat.shape != (*body_pos.shape[:2], 4):
     shapes = f"shapes {body_pos.shape} and {body_quat.shape} of bodies"
-    raise FileError(f"{archive.path}: {shapes} do not fit {frames} frames")
+    raise FileError(f"{shapes} do not fit {frames} frames")
   return torch.from_numpy(body_pos), torch.from_numpy(body_quat)
 
 
-def _check_body_names(archive: Npz, names: Sequence[str], bodies: int, robot: Kinematics) -> None:
+def _check_body_names(names: Sequence[str], bodies: int, robot: Kinematics) -> None:
   if len(names) != bodies:
-    raise FileError(f"{archive.path}: {len(names)} names for {bodies} bodies")
+    raise FileError(f"{len(names)} names for {bodies} bodies")
   if len(set(names)) < bodies:
-    raise FileError(f"{archive.path}: a body is named twice")
-  check_name("body", robot.root_body, names, f"{archive.path}: the names of its bodies")
+    raise FileError("a body is named twice")
+  check_name("body", robot.root_body, names, "the names of its bodies")

@@ -10,7 +10,7 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 from mjlab_core.errors import FileError
-from mjlab_core.files import printable
+from mjlab_core.files import printable, reading
 from numpy.typing import NDArray
 
 T = TypeVar("T")
@@ -23,30 +23,14 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def check_size(path: Path, limit: int = MAX_BYTES) -> None:
-  """Refuse what is not a file, or is larger than the limit.
+def read_text(path: str | os.PathLike[str]) -> str:
+  """Return the text of a small file in UTF-8.
 
   Raises:
-    FileError: There is no such file, or it is too large.
+    FileError: There is no such file, it is larger than `MAX_TEXT_BYTES`, or it is not a text.
   """
-  if not path.is_file():
-    raise FileError(f"{path}: no such file")
-  if (size := path.stat().st_size) > limit:
-    raise FileError(f"{path}: {megabytes(size)}, the limit is {megabytes(limit)}; split the file")
-
-
-def read_text(path: str | os.PathLike[str], limit: int = MAX_TEXT_BYTES) -> str:
-  """Return the text of a file in UTF-8.
-
-  Raises:
-    FileError: There is no such file, it is larger than the limit, or it is not a text.
-  """
-  path = Path(path)
-  check_size(path, limit)
-  try:
-    return path.read_text(encoding="utf-8-sig")
-  except UnicodeDecodeError as error:
-    raise FileError(f"{path}: not a text ({error})") from error
+  with reading("text", path, MAX_TEXT_BYTES) as file:
+    return file.read_text(encoding="utf-8-sig")
 
 
 def read_json(path: str | os.PathLike[str], kind: type[T], example: str) -> T:
@@ -64,23 +48,16 @@ def read_json(path: str | os.PathLike[str], kind: type[T], example: str) -> T:
 class Npz:
   """Arrays of a `.npz`, each unpacked when it is asked for. Nothing in the file is executed.
 
+  It is used inside `reading`, which limits the size of the file and names it in messages.
+
   Args:
     path: The file.
-
-  Raises:
-    FileError: There is no such file, it is larger than `MAX_BYTES`, or it is damaged.
   """
 
   def __init__(self, path: str | os.PathLike[str]) -> None:
     self.path = Path(path)
-    check_size(self.path)
-    if not zipfile.is_zipfile(self.path):
-      raise FileError(f"{self.path}: not a readable .npz (it is none, or its end is missing)")
-    try:
-      with zipfile.ZipFile(self.path) as archive:
-        members = archive.infolist()
-    except Exception as error:  # zipfile, struct and codecs each have their own errors
-      raise FileError(f"{self.path}: damaged ({printable(error)})") from error
+    with zipfile.ZipFile(self.path) as archive:
+      members = archive.infolist()
     self._members = {info.filename.removesuffix(".npy"): info for info in members if info.filename.endswith(".npy")}
     self._left = MAX_BYTES
 
@@ -117,7 +94,7 @@ class Npz:
     """
     values = self.column(name)
     if values.size != 1:
-      raise FileError(f"{self.path}: {name} has {values.size} numbers, expected one")
+      raise FileError(f"{name} has {values.size} numbers, expected one")
     return float(values[0])
 
   def words(self, name: str) -> tuple[str, ...]:
@@ -126,11 +103,7 @@ class Npz:
     Raises:
       FileError: It is missing, damaged or too large, or not a list of words.
     """
-    value = self._array(name, "US", 1, "a list of names")
-    try:
-      return tuple(value.astype(str).tolist())
-    except ValueError as error:
-      raise FileError(f"{self.path}: {name} is not text ({printable(error)})") from error
+    return tuple(self._array(name, "US", 1, "a list of names").astype(str).tolist())
 
   def text(self, name: str) -> str:
     """Return a text.
@@ -142,10 +115,10 @@ class Npz:
 
   def _array(self, name: str, kinds: str, ndim: int | None, expected: str) -> np.ndarray:
     if name not in self._members:
-      raise FileError(f"{self.path}: lacks {name}, it has: {self.names}")
+      raise FileError(f"lacks {name}, it has: {self.names}")
     info, is_numeric = self._members[name], "f" in kinds
     if info.compress_type not in _PLAIN or info.flag_bits & 1:
-      raise FileError(f"{self.path}: {name} is packed in another way than NumPy packs arrays")
+      raise FileError(f"{name} is packed in another way than NumPy packs arrays")
     try:
       with zipfile.ZipFile(self.path) as archive, archive.open(info) as member:
         shape, dtype = _header(member.read(_MAX_HEADER))
@@ -157,25 +130,17 @@ class Npz:
           with archive.open(info) as member:
             return np.lib.format.read_array(member, allow_pickle=False, max_header_size=_MAX_HEADER)
     except Exception as error:  # zipfile, zlib and NumPy each have their own errors
-      raise FileError(f"{self.path}: {name} is not a readable array ({printable(error)})") from error
+      raise FileError(f"{name} is not a readable array ({printable(error)})") from error
     if dtype.hasobject:
-      raise FileError(f"{self.path}: {name} holds Python objects, which are not read")
+      raise FileError(f"{name} holds Python objects, which are not read")
     if not fits:
-      raise FileError(f"{self.path}: {name} has shape {shape} and type {dtype}, expected {expected}")
-    limit = f"all numbers of a file {megabytes(MAX_BYTES)}" if is_numeric else f"a text {megabytes(MAX_TEXT_BYTES)}"
-    raise FileError(f"{self.path}: {name} unpacks to {megabytes(size)}; the limit is for {limit}")
+      raise FileError(f"{name} has shape {shape} and type {dtype}, expected {expected}")
+    limit = f"all numbers of a file {MAX_BYTES >> 20} MiB" if is_numeric else f"a text {MAX_TEXT_BYTES >> 20} MiB"
+    raise FileError(f"{name} unpacks to {size >> 20} MiB; the limit is for {limit}")
 
 
 def _header(start: bytes) -> tuple[tuple[int, ...], np.dtype]:
   """Return shape and type of an array from the beginning of its `.npy`."""
   stream = io.BytesIO(start)
-  version = np.lib.format.read_magic(stream)
-  if version not in _HEADERS:
-    raise ValueError(f"version {version} of the format")
-  shape, _, dtype = _HEADERS[version](stream, max_header_size=_MAX_HEADER)
+  shape, _, dtype = _HEADERS[np.lib.format.read_magic(stream)](stream, max_header_size=_MAX_HEADER)
   return shape, dtype
-
-
-def megabytes(size: int) -> str:
-  """Return a number of bytes in words."""
-  return f"{size / 2**20:.0f} MiB"

@@ -1,7 +1,6 @@
 """Recorder that turns the poses of a simulated robot into a clip."""
 
 import torch
-from mjlab_core.errors import MjlabError
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
@@ -30,13 +29,7 @@ class MotionRecorder:
     self._rows.append(torch.cat((root_pos, root_quat, joint_pos)).double().cpu())
 
   def motion(self, name: str, *, source: str, license: str) -> Motion:
-    """Return the frames so far.
-
-    Raises:
-      MjlabError: There are fewer than three.
-    """
-    if len(self._rows) < 3:
-      raise MjlabError(f"recording '{name}': {len(self._rows)} frames are too few, a motion needs three")
+    """Return the frames so far, at least three."""
     table = torch.stack(self._rows)
     return Motion(
       name=name,

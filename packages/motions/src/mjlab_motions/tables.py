@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from mjlab_core.errors import FileError
-from mjlab_core.files import printable
 from mjlab_core.rotations import quat_apply
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
-from mjlab_motions.reading import MAX_BYTES, read_text
 from mjlab_motions.statement import QuaternionOrder, Statement, mapped
 
 UPRIGHT, TILTED = 0.9, 0.8
@@ -26,26 +24,23 @@ def from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
   Raises:
     FileError: The file is too large or not a table of numbers, or something is neither stated nor provable.
   """
-  lines = [line for line in read_text(path, MAX_BYTES).splitlines() if line.strip()]
+  lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
   if (longest := max(map(len, lines), default=0)) > MAX_LINE:
-    raise FileError(f"{path}: a line has {longest:,} characters; the limit is {MAX_LINE:,}")
+    raise FileError(f"a line has {longest:,} characters; the limit is {MAX_LINE:,}")
   # A header may be commented out; other comments do not describe columns.
   while lines and lines[0].lstrip().startswith("#") and "," not in lines[0]:
     del lines[0]
   header = [cell.strip().strip('"') for cell in lines[0].lstrip("# ").split(",")] if lines else []
   has_header = not all(_is_number(cell) for cell in header)
   if len(lines) <= has_header:
-    raise FileError(f"{path}: it has no numbers")
-  try:
-    table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
-  except ValueError as error:
-    raise FileError(f"{path}: not a table of numbers ({printable(error)})") from error
+    raise FileError("it has no numbers")
+  table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
   if has_header and len(header) != table.shape[1]:
-    raise FileError(f"{path}: its header names {len(header)} columns, the table has {table.shape[1]}")
+    raise FileError(f"its header names {len(header)} columns, the table has {table.shape[1]}")
   if has_header and said.joint_names is None:
     said = dataclasses.replace(said, joint_names=header[7:])
   if said.rate is None:
-    raise FileError(f"{path}: a CSV does not contain its rate; state it with --rate")
+    raise FileError("a CSV does not contain its rate; state it with --rate")
   return from_table(path, table, robot, said, said.rate)
 
 
@@ -77,10 +72,10 @@ def from_table(
   if table.shape[1] != 7 + len(names):
     source = "names were given" if said.joint_names is not None else "joints of the robot"
     raise FileError(
-      f"{path}: {table.shape[1]} columns, expected 7 of the root and {len(names)} of joints ({source}); state their "
+      f"{table.shape[1]} columns, expected 7 of the root and {len(names)} of joints ({source}); state their "
       "names with --joint-names, and how they become the robot's with --joint-map"
     )
-  order, proof = _quaternion_order(path, table[:, 3:7], said, is_mujoco)
+  order, proof = _quaternion_order(table[:, 3:7], said, is_mujoco)
   values = torch.from_numpy(table)
   motion = Motion(
     name=path.stem,
@@ -95,9 +90,7 @@ def from_table(
   return mapped(motion, robot, said).changed(f"quaternions {order} ({proof})")
 
 
-def _quaternion_order(
-  path: Path, quaternions: np.ndarray, said: Statement, is_mujoco: bool
-) -> tuple[QuaternionOrder, str]:
+def _quaternion_order(quaternions: np.ndarray, said: Statement, is_mujoco: bool) -> tuple[QuaternionOrder, str]:
   """Return the order of quaternions, and where it is known from.
 
   The order is proven if the root is upright in one reading and clearly not in the other. Angular speeds prove nothing,
@@ -110,14 +103,12 @@ def _quaternion_order(
   is_proven = heights[right] >= UPRIGHT and heights[wrong] <= TILTED
   if is_mujoco:
     if is_proven and right == "xyzw":
-      raise FileError(
-        f"{path}: a qpos has w first, but only as xyzw it is upright; state it with --quaternion wxyz or xyzw"
-      )
+      raise FileError("a qpos has w first, but only as xyzw it is upright; state it with --quaternion wxyz or xyzw")
     return "wxyz", "those of MuJoCo"
   if not is_proven:
     readings = ", ".join(f"{order} {height:+.2f}" for order, height in heights.items())
     raise FileError(
-      f"{path}: the order of its quaternions cannot be proven (mean height of the root's z axis: {readings}); state it "
+      f"the order of its quaternions cannot be proven (mean height of the root's z axis: {readings}); state it "
       "with --quaternion wxyz or xyzw"
     )
   return right, "proven: only so it is upright"

@@ -3,10 +3,11 @@
 import math
 
 import torch
+from mjlab_core.constraints import check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.rotations import quat_box_minus, quat_slerp
 
-from mjlab_motions.motion import MAX_FRAMES, MAX_RATE, MIN_RATE, Motion
+from mjlab_motions.motion import MAX_FRAMES, Motion, Rate
 
 
 def derivative(values: torch.Tensor, rate: float) -> torch.Tensor:
@@ -38,8 +39,7 @@ def resample(motion: Motion, rate: float) -> Motion:
   Raises:
     MjlabError: The rate is out of bounds, or fewer than three or too many frames would result.
   """
-  if not MIN_RATE <= rate <= MAX_RATE:
-    raise MjlabError(f"resample: allowed rates are {MIN_RATE:g} to {MAX_RATE:g} Hz, got {rate:g} Hz")
+  check_value("resample: rate", rate, Rate)
   if math.isclose(rate, motion.rate, rel_tol=1e-9):
     return motion
   # The last moment counts also where rounding puts it just behind the last frame.
