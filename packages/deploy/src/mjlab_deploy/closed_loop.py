@@ -1,6 +1,5 @@
 """A policy and its robot in MuJoCo C, as in training."""
 
-import math
 from collections.abc import Mapping
 
 import mujoco
@@ -26,11 +25,7 @@ class ClosedLoop:
   def __init__(self, bundle: Bundle) -> None:
     self.description = bundle.description
     self.model = load_scene(bundle)
-    if not math.isclose(self.model.opt.timestep, self.description.timing.physics_dt, rel_tol=1e-6):
-      raise DeployError(
-        f"scene.xml has a time step of {self.model.opt.timestep:g} s, bundle.json of "
-        f"{self.description.timing.physics_dt:g} s"
-      )
+    self.model.opt.timestep = self.description.timing.physics_dt
     self.data = mujoco.MjData(self.model)
     self.sensors = ModelReadings(self.model, self.description)
     self._servos: list[tuple[str, int, int, float]] = []
