@@ -94,14 +94,18 @@ class Trial:
   def page(self, name: str) -> None:
     """Type what a page shows."""
     print(f"-- docs/{name}", flush=True)
-    for language, code in BLOCK.findall((ROOT / "docs" / name).read_text(encoding="utf-8")):
+    program, is_new = "", False  # blocks of a page are one program, run before the next command and at the end
+    for language, code in [*BLOCK.findall((ROOT / "docs" / name).read_text(encoding="utf-8")), ("bash", "")]:
       if file := FILE.match(code):
         (self.place / file[1]).parent.mkdir(exist_ok=True)
         (self.place / file[1]).write_text(code, encoding="utf-8")
       elif language == "python":
-        (self.place / "typed.py").write_text(code, encoding="utf-8")
-        self.run(["python", "typed.py"])
+        program, is_new = program + code, True
       elif language == "bash":
+        if is_new:
+          (self.place / "typed.py").write_text(program, encoding="utf-8")
+          self.run(["python", "typed.py"])
+          is_new = False
         for line in code.replace("\\\n", " ").splitlines():
           self.type(shlex.split(line, comments=True))
 
