@@ -145,11 +145,11 @@ def test_a_term_without_a_source_is_refused_by_name(
 def test_a_training_keeps_its_newest_policy_as_a_bundle(monkeypatch: pytest.MonkeyPatch) -> None:
   exported: list[Any] = []
 
-  def counted(graph: Any) -> Any:
+  def counted(graph: Any, *parts: Any) -> Any:
     exported.append(graph)
-    return policy_graph.export_graph(graph)
+    return policy_graph.export_onnx(graph, *parts)
 
-  monkeypatch.setattr(policy_bundle, "export_graph", counted)
+  monkeypatch.setattr(policy_bundle, "export_onnx", counted)
   run = trained("--agent.save-interval", "2", "--agent.actor.obs-normalization")
   # Traced once at iteration 2; iteration 3 brought only new weights.
   assert len(exported) == 1

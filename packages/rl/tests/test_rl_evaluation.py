@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import MjlabError
 from mjlab_rl import (
   Episodes,
   Evaluation,
@@ -232,6 +232,6 @@ def test_a_threshold_is_reached_or_not(text: str, reached: bool) -> None:
   ],
 )
 def test_a_threshold_that_means_nothing_is_refused(text: str, message: str) -> None:
-  with pytest.raises(ConfigError) as caught:
+  with pytest.raises(MjlabError) as caught:
     Threshold.parse(text).check(evaluation())
   assert message in str(caught.value)

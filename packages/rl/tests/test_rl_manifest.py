@@ -114,7 +114,7 @@ def test_a_name_that_is_gone_is_named() -> None:
     decode({"$type": "rl_point_env:point_reward", "fields": {}})
   with pytest.raises(FileError, match=r"enum '.*:Colour' has no member 'BLUE'"):
     decode({"$enum": f"{__name__}:Colour", "name": "BLUE"})
-  with pytest.raises(FileError, match=r"env: Pair: .* 'high'"):
+  with pytest.raises(FileError, match=r"env: .type: Pair.* 'high'"):
     decode({"$type": f"{__name__}:Pair", "fields": {"low": 1.0}}, "env")
 
 
@@ -205,7 +205,7 @@ def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> No
 
 def test_which_manifest_cannot_be_rebuilt_is_said(tmp_path: Path) -> None:
   (tmp_path / "manifest.json").write_text('{"format": 1, "colour": 1}')
-  with pytest.raises(FileError, match=r"manifest\.json: field 'colour' does not exist"):
+  with pytest.raises(FileError, match=r"manifest\.json: RunManifest: field 'colour' does not exist"):
     load_run(tmp_path)
 
 

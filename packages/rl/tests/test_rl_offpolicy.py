@@ -12,8 +12,8 @@ import torch
 from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import CheckpointPolicy, Console, OffPolicyRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg, train, with_agent
 from mjlab_rl.offpolicy import PRESETS
-from mjlab_rl.offpolicy.mirror import Reflection
 from mjlab_rl.offpolicy.networks import Normalizer, TanhGaussian, renormalize, stack
+from mjlab_rl.offpolicy.replay import Reflection
 from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, project
 from mjlab_rl.offpolicy.runner import REPLAY_NAME, MjlabOffPolicyRunner
 from mjlab_rl.vec_env import RslRlVecEnvWrapper

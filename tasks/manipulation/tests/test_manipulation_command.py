@@ -136,7 +136,6 @@ def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
 @pytest.mark.parametrize(
   ("options", "message"),
   [
-    ({"objects": ()}, "objects must name at least one entity"),
     ({"objects": ("ball",)}, "ball"),
     ({"objects": ("robot",)}, "'robot' cannot be lifted: its base is fixed"),
     ({"min_distance": 0.5, "objects": ("cube", "cube")}, "0.206 m wide, too little for 2 objects 0.5 m apart"),

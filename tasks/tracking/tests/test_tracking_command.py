@@ -277,7 +277,7 @@ def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uni
   ("change", "message"),
   [
     ({"motion": "squat_and_wawe"}, "motion 'squat_and_wawe' does not exist. Nearest: squat_and_wave"),
-    ({"anchor_body": "head"}, "anchor_body 'head' is not among bodies"),
+    ({"anchor_body": "head"}, "anchor_body 'head' does not exist"),
     ({"bodies": ("torso_link", "left_nee_link")}, "body 'left_nee_link' does not exist. Nearest: left_knee_link"),
     ({"sampling": "adaptve"}, "sampling 'adaptve' does not exist. Nearest: adaptive"),
     ({"preview": (0,)}, "preview must be at least 1, got (0,)"),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     RslRlOnPolicyRunnerCfg,
     RslRlPpoAlgorithmCfg,
     TaskCfg,
+    control_agent,
   )
   from mjlab_rl.console import Console
   from mjlab_rl.distillation import MjlabDistillationRunner
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     Episodes,
     Evaluation,
     Evaluator,
+    FinitePolicy,
     Interval,
     Policy,
     Progress,
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
     summarize,
     wilson,
   )
-  from mjlab_rl.finite_policy import FinitePolicy
   from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
   from mjlab_rl.mlp_policy import MlpPolicy
   from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
@@ -86,6 +87,7 @@ __all__ = [
   "TrainingResult",
   "bootstrap",
   "checkpoints",
+  "control_agent",
   "create_run_directory",
   "find_checkpoint",
   "load_run",
@@ -108,16 +110,15 @@ __getattr__, __dir__ = lazy_exports(
     ".bundle_policy": "BundlePolicy",
     ".config": (
       "RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
-      "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg"
+      "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg control_agent"
     ),
     ".console": "Console",
     ".distillation": "MjlabDistillationRunner",
     ".env_protocol": "RlEnv",
     ".evaluation": (
-      "Episodes Evaluation Evaluator Interval Policy Progress ReturnEvaluation Threshold bootstrap "
+      "Episodes Evaluation Evaluator FinitePolicy Interval Policy Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize wilson"
     ),
-    ".finite_policy": "FinitePolicy",
     ".manifest": "PolicyRecord RunManifest load_run",
     ".mlp_policy": "MlpPolicy",
     ".offpolicy.config": "OffPolicyModelCfg OffPolicyRunnerCfg SacCfg",

@@ -1,7 +1,8 @@
 """Policies of bundles, in the environment of their task."""
 
+import contextlib
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.onnx_metadata import configured
 
 if TYPE_CHECKING:
-  from mjlab_deploy import Description
+  from mjlab_deploy import Bundle, Description
 
 
 def is_bundle(path: Path) -> bool:
@@ -28,12 +29,19 @@ def task_of_bundle(path: Path) -> str:
   Raises:
     FileError: It cannot be read.
   """
+  with _opened(path) as bundle:
+    return bundle.description.task
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> "Generator[Bundle]":
+  """Open a bundle; errors inside are the file's."""
   # ONNX Runtime, which is not for viewers of checkpoints.
   from mjlab_deploy import DeployError, open_bundle
 
   try:
     with open_bundle(path) as bundle:
-      return bundle.description.task
+      yield bundle
   except DeployError as error:
     raise FileError(str(error)) from error
 
@@ -52,14 +60,11 @@ class BundlePolicy:
   """
 
   def __init__(self, path: Path, env: RlEnv) -> None:
-    from mjlab_deploy import DeployError, Policy, open_bundle
+    from mjlab_deploy import Policy
 
     self._env: Any = env
-    try:
-      with open_bundle(path) as bundle:
-        description, policy = bundle.description, Policy(bundle)
-    except DeployError as error:
-      raise FileError(str(error)) from error
+    with _opened(path) as bundle:
+      description, policy = bundle.description, Policy(bundle)
     found = _readings(self._env, list(dict.fromkeys(term.group for term in description.observations)))
     refuse(f"bundle {path}", _differences(description, found, self._env))
     self._readings = {item.name: found[item.name] for item in description.inputs}

@@ -1,4 +1,4 @@
-"""PPO whose mini-batch step is recorded once as a CUDA graph."""
+"""PPO whose mini-batch step is recorded once as a CUDA graph, and updates that hold the actor."""
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator
@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from rsl_rl.algorithms import PPO
 from torch import Tensor, nn
+
+from mjlab_rl.recording import record
 
 
 class CapturedPPO(PPO):
@@ -119,7 +121,7 @@ class CapturedPPO(PPO):
       if not self.is_multi_gpu:
         # Gradients are made in the graph's memory.
         self.optimizer.zero_grad(set_to_none=True)
-      self._recorded = [part if part == self._send else _record(part) for part in parts]
+      self._recorded = [part if part == self._send else record(part) for part in parts]
     return self._recorded
 
   def _keep_buffers(self) -> None:
@@ -209,10 +211,23 @@ class CapturedPPO(PPO):
     rate.copy_(torch.where(kl > 2.0 * desired, slower, torch.where((kl < 0.5 * desired) & (kl > 0.0), faster, rate)))
 
 
-def _record(part: Callable[[], None]) -> Callable[[], None]:
-  """Return the replay of a CUDA graph of `part`."""
-  graph = torch.cuda.CUDAGraph()
-  # Threads of NCCL ask for the state of earlier messages meanwhile.
-  with torch.cuda.graph(graph, capture_error_mode="thread_local"):
-    part()
-  return graph.replay
+@contextlib.contextmanager
+def actor_held(algorithm: Any) -> Generator[None]:
+  """Put the actor back on leaving: its weights and normaliser, its part of the optimiser's state, and the step size.
+
+  The update itself is that of any other iteration, so that it can be a CUDA graph: all is written in place.
+  """
+  kept = {name: value.clone() for name, value in algorithm.actor.state_dict().items()}
+  rate = algorithm.learning_rate
+  yield
+  with torch.no_grad():
+    for name, value in algorithm.actor.state_dict().items():
+      value.copy_(kept[name])
+    # Whatever the optimiser remembers of the actor comes from updates that were put back.
+    for parameter in algorithm.actor.parameters():
+      for value in algorithm.optimizer.state.get(parameter, {}).values():
+        if isinstance(value, torch.Tensor):
+          value.zero_()
+  algorithm.learning_rate = rate
+  for group in algorithm.optimizer.param_groups:
+    group["lr"] = rate

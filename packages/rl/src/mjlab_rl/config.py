@@ -308,6 +308,28 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     return agent
 
 
+def control_agent(
+  experiment_name: str, max_iterations: int, *, entropy_coef: float = 0.005, save_interval: int = 50
+) -> RslRlOnPolicyRunnerCfg:
+  """Return PPO as legged robots and arms train with it: wide networks and normalised observations.
+
+  Args:
+    experiment_name: Folder of the runs.
+    max_iterations: Iterations in all.
+    entropy_coef: Weight of the entropy bonus.
+    save_interval: Iterations between checkpoints.
+  """
+  sizes: dict[str, Any] = {"hidden_dims": (512, 256, 128), "obs_normalization": True}
+  return RslRlOnPolicyRunnerCfg(
+    experiment_name=experiment_name,
+    actor=RslRlModelCfg(**sizes, distribution_cfg=_gaussian(1.0)),
+    critic=RslRlModelCfg(**sizes),
+    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=entropy_coef),
+    max_iterations=max_iterations,
+    save_interval=save_interval,
+  )
+
+
 @dataclass(kw_only=True)
 class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
   """Runner config for distillation: a student imitates a teacher from its own observations."""

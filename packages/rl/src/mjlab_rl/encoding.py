@@ -15,8 +15,9 @@ from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
-from mjlab_core import printable, unknown
+from mjlab_core import printable
 from mjlab_core.errors import ConfigError, FileError
+from mjlab_core.names import check_name
 from msgspec import Meta
 
 from mjlab_rl.field_types import field_problems
@@ -159,15 +160,13 @@ def decode(data: Json, where: str = "config") -> Any:
   tag = next((key for key in data if key.startswith("$")), None)
   if tag is None:
     return {key: decode(item, f"{where}.{key}") for key, item in data.items()}
-  if tag not in _NODES:
-    raise FileError(f"{where}: {unknown('tag', printable(tag, 60), list(_NODES))}")
   try:
-    node: Any = msgspec.convert(data, _NODES[tag])
+    node: Any = msgspec.convert(data, _NODES[check_name("tag", printable(tag, 60), _NODES)])
     return _value(tag, node, where)
+  except FileError:
+    raise
   except (msgspec.ValidationError, TypeError, ValueError, OverflowError) as error:
-    if isinstance(error, FileError):
-      raise
-    raise FileError(f"{where}: {tag}: {printable(error, 200)}") from error
+    raise FileError(f"{where}: {printable(tag, 60)}: {printable(error, 300)}") from error
 
 
 def _value(tag: str, node: Any, where: str) -> Any:
@@ -200,7 +199,7 @@ def _value(tag: str, node: Any, where: str) -> Any:
       args, keywords = decode(node.args, f"{where}.args"), decode(node.keywords, where)
       return functools.partial(resolve(body["$ref"], where), *args, **keywords)
     case "$type":
-      return _construct(resolve(body, where), node.fields, where)
+      return construct(resolve(body, where), node.fields, f"{where}.")
     case _:
       import numpy as np
 
@@ -208,24 +207,28 @@ def _value(tag: str, node: Any, where: str) -> Any:
       return array if tag == "$array" else array[()]
 
 
-def _construct(kind: Any, data: dict[str, Json], where: str) -> Any:
-  """Construct a dataclass or named tuple by its generated constructor, from values that fit its fields."""
+def construct(kind: Any, data: dict[str, Json], prefix: str) -> Any:
+  """Construct a dataclass or named tuple by its generated constructor, from values that fit its fields.
+
+  Args:
+    kind: The class.
+    data: Encoded values by field.
+    prefix: Name of the value with a dot, for messages; empty for a whole file.
+
+  Raises:
+    MjlabError, TypeError, ValueError: The data does not fit.
+  """
   known = getattr(kind, "__dataclass_fields__", None) or getattr(kind, "_fields", None)
   constructor = kind.__new__ if isinstance(kind, type) and issubclass(kind, tuple) else getattr(kind, "__init__", None)
   # Generated code has no file.
   if not isinstance(kind, type) or not known or not _is_generated(constructor):
-    raise FileError(f"{where}: {getattr(kind, '__qualname__', kind)} is not a dataclass")
+    raise FileError(f"{prefix} {getattr(kind, '__qualname__', kind)} is not a dataclass")
   for name in data:
-    if name not in known:
-      raise FileError(f"{where}: {unknown('field', printable(name, 60), known, owner=kind.__qualname__)}")
-  values = {name: None if name in _OUTPUT_FIELDS else decode(item, f"{where}.{name}") for name, item in data.items()}
-  if problem := next(field_problems(kind, values, where), None):
+    check_name("field", printable(name, 60), known, kind.__qualname__)
+  values = {name: None if name in _OUTPUT_FIELDS else decode(item, prefix + name) for name, item in data.items()}
+  for problem in field_problems(kind, values, prefix):
     raise FileError(problem)
-  try:
-    return kind(**values)
-  except (TypeError, ValueError) as error:
-    # A new field, or a value that is refused now.
-    raise FileError(f"{where}: {kind.__qualname__}: {printable(error, 300)}") from error
+  return kind(**values)
 
 
 def _is_generated(function: Any) -> bool:

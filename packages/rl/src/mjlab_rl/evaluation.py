@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from mjlab_core.errors import ConfigError
+from mjlab_core.names import check_name
 from mjlab_core.tables import table
 
 from mjlab_rl.env_protocol import RlEnv
@@ -21,6 +22,39 @@ Policy = Callable[[Any], torch.Tensor]
 """Function from observations by group to actions, (num_envs, num_actions); a recurrent one also has `reset(dones)`."""
 Progress = Callable[[int, int, int], None]
 """Function called after each step with its number, the number of worlds that still play, and that of all worlds."""
+
+
+class FinitePolicy:
+  """Policy that counts actions with NaN or infinity, which an environment replaces by zero.
+
+  Args:
+    policy: The policy.
+    on_first: Called once when the first such action is seen. Each call then waits for the device.
+  """
+
+  def __init__(self, policy: Any, on_first: Callable[[], None] | None = None) -> None:
+    self._policy, self._on_first = policy, on_first
+    self._count: torch.Tensor | None = None
+
+  @property
+  def num_broken(self) -> int:
+    """Number of actions, one per world and step, of which a part was not finite."""
+    return 0 if self._count is None else int(self._count)
+
+  def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
+    """Return the actions of the policy, (num_envs, num_actions)."""
+    actions: torch.Tensor = self._policy(observations)
+    broken = (~actions.isfinite()).any(-1).sum()
+    self._count = broken if self._count is None else self._count + broken
+    if self._on_first is not None and self.num_broken:
+      self._on_first()
+      self._on_first = None
+    return actions
+
+  def reset(self, dones: torch.Tensor | None) -> None:
+    """Reset the policy in these worlds, bool (num_envs,); None: in all."""
+    if (reset := getattr(self._policy, "reset", None)) is not None:
+      reset(dones)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -295,16 +329,10 @@ class Threshold:
     """Return whether the mean reaches the limit, and a line for the reader.
 
     Raises:
-      ConfigError: There is no such group or metric.
+      UnknownNameError: There is no such group or metric.
     """
-    from mjlab_core import unknown
-
-    if self.group not in evaluation.groups:
-      raise ConfigError(unknown("group", self.group, list(evaluation.groups), owner="threshold"))
-    metrics = evaluation.groups[self.group]
-    if self.metric not in metrics:
-      raise ConfigError(unknown("metric", self.metric, list(metrics), owner="threshold"))
-    mean = metrics[self.metric].mean
+    metrics = evaluation.groups[check_name("group", self.group, evaluation.groups, "threshold")]
+    mean = metrics[check_name("metric", self.metric, metrics, "threshold")].mean
     reached = mean >= self.bound if self.at_least else mean <= self.bound
     sign = ">=" if self.at_least else "<="
     return reached, f"{self.group}: {self.metric} {mean:.4g} {sign} {self.bound:g}: {'yes' if reached else 'NO'}"

@@ -17,8 +17,8 @@ _SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
 _SETS = (set, frozenset)
 
 
-def field_problems(cls: type, values: Mapping[str, Any], where: str) -> Iterator[str]:
-  """Yield one line for each value that does not fit the field of `cls` that it is for.
+def field_problems(cls: type, values: Mapping[str, Any], prefix: str) -> Iterator[str]:
+  """Yield one line for each value that does not fit the field of `cls` that it is for; names begin with `prefix`.
 
   A value equal to the field's default fits. Functions are compared with the signature that the field declares.
   """
@@ -29,9 +29,9 @@ def field_problems(cls: type, values: Mapping[str, Any], where: str) -> Iterator
     if value is None and defaults.get(name, value) is None:
       continue
     if is_term and name == "func" and get_origin(hints[name]) is Callable:
-      yield from _term_problems(value, f"{where}.{name}")
+      yield from _term_problems(value, prefix + name)
     else:
-      yield from problems(value, hints.get(name, Any), f"{where}.{name}")
+      yield from problems(value, hints.get(name, Any), prefix + name)
 
 
 def problems(value: Any, hint: Any, where: str) -> Iterator[str]:

@@ -21,8 +21,8 @@ from mjlab_core.errors import ConfigError, FileError
 from mjlab_core.files import AtomicWrite, reading
 
 from mjlab_rl.config import RslRlBaseRunnerCfg
-from mjlab_rl.encoding import Json, decode, encode
-from mjlab_rl.field_types import callable_problems, field_problems
+from mjlab_rl.encoding import Json, construct, encode
+from mjlab_rl.field_types import callable_problems
 from mjlab_rl.references import distribution_name, offered, resolve
 
 MANIFEST_NAME = "manifest.json"
@@ -136,16 +136,7 @@ def load_run(path: str | os.PathLike[str]) -> RunManifest:
 
 def _manifest(data: dict[str, Json]) -> RunManifest:
   """Rebuild a manifest and check that every function in it fits its place."""
-  fields = {field.name: field for field in dataclasses.fields(RunManifest)}
-  for name in data:
-    if name not in fields:
-      raise FileError(unknown("field", printable(name, 60), fields))
-  if missing := [name for name in ("task", "env", "agent") if name not in data]:
-    raise FileError(f"lacks {', '.join(missing)}")
-  values = {name: decode(item, name) for name, item in data.items()}
-  for problem in field_problems(RunManifest, values, ""):
-    raise FileError(problem.removeprefix("."))
-  manifest = RunManifest(**values)
+  manifest: RunManifest = construct(RunManifest, data, "")
   for problem in _problems(manifest):
     raise FileError(problem)
   return manifest

@@ -34,7 +34,7 @@ from mjlab_deploy.scene import write_scene
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.manifest import package_versions
 from mjlab_rl.onnx_metadata import configured
-from mjlab_rl.policy_graph import LAST_ACTION, PolicyGraph, export_graph, refresh_weights
+from mjlab_rl.policy_graph import LAST_ACTION, PolicyGraph, export_onnx, refresh_weights
 
 GOLDEN_STEPS = 500
 """Steps of the record in a bundle."""
@@ -84,7 +84,7 @@ class BundleWriter:
     """
     graph = PolicyGraph(self._env, self._agent, network)
     if self._model is None or not refresh_weights(self._model, graph.network.state_dict()):
-      self._model = export_graph(graph)
+      self._model = export_onnx(graph, graph.example(), graph.input_names, graph.output_names)
     with AtomicWrite(folder) as made:
       made.mkdir()
       onnx.save(self._model, made / "policy.onnx")

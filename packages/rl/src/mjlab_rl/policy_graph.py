@@ -202,17 +202,19 @@ class PolicyGraph(nn.Module):
     return target
 
 
-def export_graph(graph: PolicyGraph) -> Any:
-  """Return the graph as an ONNX model whose constants keep the names of the network's parameters."""
+def export_onnx(
+  module: nn.Module, example: tuple[torch.Tensor, ...], input_names: list[str], output_names: list[str]
+) -> Any:
+  """Return a module as an ONNX model whose constants keep the names of its parameters."""
   with warnings.catch_warnings(), _quiet():
     # The exporter's own.
     warnings.simplefilter("ignore")
     program = torch.onnx.export(
-      graph,
-      graph.example(),
+      module,
+      example,
       None,
-      input_names=graph.input_names,
-      output_names=graph.output_names,
+      input_names=input_names,
+      output_names=output_names,
       opset_version=18,
       dynamo=True,
       optimize=False,

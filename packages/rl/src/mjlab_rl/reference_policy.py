@@ -1,6 +1,5 @@
 """Policies for other runners: the network alone, from observations to actions, with the metadata of mjlab 1.x."""
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ from mjlab_core.files import AtomicWrite
 from mjlab_deploy import DeployError, Description
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS, onnx_metadata, unitree_deploy_yaml
 from torch import nn
+
+from mjlab_rl.policy_graph import export_onnx
 
 
 def write_for_others(folder: Path, env: Any, network: Any, description: Description) -> Path:
@@ -44,7 +45,7 @@ def write_for_others(folder: Path, env: Any, network: Any, description: Descript
     module = _WithClip(exported, clip, columns)
     inputs = (*inputs, torch.zeros(1, 1))
     input_names, output_names = [*input_names, "time_step"], [*output_names, *REFERENCE_OUTPUTS]
-  model = _exported(module, inputs, input_names, output_names)
+  model = export_onnx(module, inputs, input_names, output_names)
   onnx.helper.set_model_props(model, metadata)
   with AtomicWrite(folder) as made:
     made.mkdir()
@@ -74,21 +75,3 @@ class _WithClip(nn.Module):
     frame = inputs[-1].reshape(-1).long().clamp(0, self._last)
     shown = [getattr(self, name)[frame] for name in REFERENCE_OUTPUTS]
     return (*(result if isinstance(result, tuple) else (result,)), *shown)
-
-
-def _exported(module: nn.Module, inputs: tuple[Any, ...], input_names: list[str], output_names: list[str]) -> Any:
-  with warnings.catch_warnings():
-    # The exporter's own.
-    warnings.simplefilter("ignore")
-    program = torch.onnx.export(
-      module,
-      inputs,
-      None,
-      input_names=input_names,
-      output_names=output_names,
-      opset_version=18,
-      dynamo=True,
-      verbose=False,
-    )
-  assert program is not None
-  return program.model_proto

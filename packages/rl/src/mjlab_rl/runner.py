@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from mjlab_core import printable, unknown
+from mjlab_core import printable
 from mjlab_core.errors import ConfigError, DivergedError, FileError
 from mjlab_core.files import reading
+from mjlab_core.names import check_name
 from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
+from mjlab_rl.captured_ppo import actor_held
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.console import Console
-from mjlab_rl.critic_warmup import actor_held
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
@@ -69,8 +70,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     seen = env.unwrapped.get_observations()
     for network, groups in cfg.obs_groups.items():
       for group in groups:
-        if group not in seen:
-          raise ConfigError(unknown("observation group", group, list(seen), owner=f"agent.obs_groups['{network}']"))
+        check_name("observation group", group, seen, f"agent.obs_groups['{network}']")
     self._shapes_seen = {
       network: [list(seen[group].shape[1:]) for group in groups] for network, groups in cfg.obs_groups.items()
     }

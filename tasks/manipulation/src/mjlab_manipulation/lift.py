@@ -15,7 +15,7 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg, TaskCfg
+from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg, control_agent
 from mjlab_scene import EntityCfg, SceneCfg
 from mjlab_sensors import ContactMatch, ContactSensorCfg, SensorCfg
 from mjlab_sim import SimulationCfg
@@ -275,18 +275,4 @@ def play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
   """Return the learner of policies that observe the pose of the object."""
-  actor = RslRlModelCfg(
-    hidden_dims=(512, 256, 128),
-    obs_normalization=True,
-    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
-  )
-  critic = RslRlModelCfg(hidden_dims=(512, 256, 128), obs_normalization=True)
-  return RslRlOnPolicyRunnerCfg(
-    experiment_name=experiment_name,
-    actor=actor,
-    critic=critic,
-    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.005),
-    num_steps_per_env=24,
-    max_iterations=max_iterations,
-    save_interval=100,
-  )
+  return control_agent(experiment_name, max_iterations, save_interval=100)

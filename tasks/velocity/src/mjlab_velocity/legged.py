@@ -19,7 +19,7 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlPpoAlgorithmCfg
+from mjlab_rl import RslRlOnPolicyRunnerCfg, control_agent
 from mjlab_scene import EntityCfg, SceneCfg
 from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, RingPatternCfg, SensorCfg, TerrainHeightSensorCfg
 from mjlab_sim import SimulationCfg
@@ -271,18 +271,4 @@ def play_flat(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 def agent(experiment_name: str, max_iterations: int) -> RslRlOnPolicyRunnerCfg:
   """Return the learner of all velocity tasks."""
-  actor = RslRlModelCfg(
-    hidden_dims=(512, 256, 128),
-    obs_normalization=True,
-    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
-  )
-  critic = RslRlModelCfg(hidden_dims=(512, 256, 128), obs_normalization=True)
-  return RslRlOnPolicyRunnerCfg(
-    experiment_name=experiment_name,
-    actor=actor,
-    critic=critic,
-    algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.01),
-    num_steps_per_env=24,
-    max_iterations=max_iterations,
-    save_interval=50,
-  )
+  return control_agent(experiment_name, max_iterations, entropy_coef=0.01)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
 
 Mirror = tuple[list[int], list[float]]
-"""Columns and signs, as `mjlab_rl.offpolicy.mirror` takes them."""
+"""Columns and signs, as `mjlab_rl.offpolicy.replay` takes them."""
 
 _VECTOR, _ROTATION = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
 _TWINS = {"left": "right", "right": "left", "FL": "FR", "FR": "FL", "RL": "RR", "RR": "RL"}

@@ -12,11 +12,10 @@ from tensordict import TensorDict
 from torch import distributed
 
 from mjlab_rl.offpolicy.config import SacCfg
-from mjlab_rl.offpolicy.mirror import Reflection
 from mjlab_rl.offpolicy.networks import Actor, Critic
-from mjlab_rl.offpolicy.recording import Recorded
-from mjlab_rl.offpolicy.replay import Replay, Transitions
+from mjlab_rl.offpolicy.replay import Reflection, Replay, Transitions
 from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, reset_to
+from mjlab_rl.recording import Recorded
 
 
 class OffPolicyAlgorithm(ABC):

@@ -91,8 +91,8 @@ class SacCfg(Config):
   action_bound: Positive = 1.0
   """Largest absolute value of all other actions."""
   symmetry: Callable[..., Any] | None = None
-  """Mirror of the robot, called as symmetry(env): mjlab_rl.offpolicy.mirror describes the result; a batch then gets a
-  mirrored copy of each transition (FastSAC). None: no mirror."""
+  """Mirror of the robot: symmetry(env) returns a `Mirror` of mjlab_rl.offpolicy.replay for each observation group, and
+  for "action"; a batch then gets a mirrored copy of each transition (FastSAC). None: no mirror."""
   bf16: bool = True
   """Compute the networks of an update in bfloat16 on a GPU."""
   capture: bool = True

@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from mjlab_core import unknown
-from mjlab_core.errors import ConfigError, UnknownNameError
+from mjlab_core.errors import ConfigError
+from mjlab_core.names import check_name
 
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg
 from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
@@ -80,8 +80,7 @@ def with_agent(task: TaskCfg[Any], name: str) -> TaskCfg[Any]:
     return task
   if name in task.agents:
     return dataclasses.replace(task, agent=task.agents[name])
-  if name not in PRESETS:
-    raise UnknownNameError(unknown("learner", name, ["ppo", *dict.fromkeys((*PRESETS, *task.agents))]))
+  check_name("learner", name, ["ppo", *dict.fromkeys((*PRESETS, *task.agents))])
   return dataclasses.replace(task, agent=PRESETS[name](task.agent))
 
 

@@ -95,11 +95,6 @@ class RepeatedNoise(nn.Module):
     return self.noise
 
 
-def entropy_of(std: float) -> float:
-  """Return the entropy of a Gaussian of this standard deviation, for one dimension [nat]."""
-  return float(torch.distributions.Normal(0.0, std).entropy())
-
-
 def reset_to(module: nn.Module, state: Any) -> None:
   """Restore a module in place, without parts for each world if their number differs."""
   own = module.state_dict()

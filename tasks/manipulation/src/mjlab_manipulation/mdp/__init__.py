@@ -9,14 +9,18 @@ from mjlab_manipulation.mdp.observations import (
   object_size,
   object_to_goal,
 )
-from mjlab_manipulation.mdp.rewards import hand_distance, joint_vel_hinge, lift, lift_command, lift_precise
 from mjlab_manipulation.mdp.stages import (
   at_goal,
   dropped,
   finger_force,
   goal_over,
   grasped,
+  hand_distance,
   held,
+  joint_vel_hinge,
+  lift,
+  lift_command,
+  lift_precise,
   lifted,
   object_height,
   position_error,

@@ -78,8 +78,6 @@ class LiftCommand(CommandTerm):
     if cfg.resampling_time_range is not None:
       raise MjlabError("resampling_time_range must be None: resets draw the command; goal_time_range sets its time")
     self._objects = [env.scene[name] for name in cfg.objects]
-    if not self._objects:
-      raise MjlabError("objects must name at least one entity")
     for name, entity in zip(cfg.objects, self._objects, strict=True):
       if entity.is_fixed_base:
         raise MjlabError(f"entity '{name}' cannot be lifted: its base is fixed")

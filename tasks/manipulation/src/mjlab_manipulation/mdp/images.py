@@ -4,12 +4,12 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError, UnknownNameError
-from mjlab_core.names import unknown
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name
 from mjlab_managers import ManagerTermBase, Reading, TermSource
 from mjlab_sim import DataType
 
-from mjlab_manipulation.mdp.rewards import lift_command
+from mjlab_manipulation.mdp.stages import lift_command
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -34,7 +34,7 @@ class camera_image(ManagerTermBase):
   - "object": 1 where the object of the lift command is visible.
 
   Raises:
-    MjlabError: A channel does not exist or is not in the sensor's data, the range is empty, or the command is missing.
+    MjlabError: A channel does not exist or is not in the sensor's data, or the command is missing.
   """
 
   env: "ManagerBasedRlEnv"
@@ -49,18 +49,12 @@ class camera_image(ManagerTermBase):
     command: str | None = None,
   ) -> None:
     super().__init__(env)
-    near, far = depth_range
     for channel in channels:
-      if channel not in get_args(Channel):
-        raise UnknownNameError(unknown("channel", channel, get_args(Channel)))
+      check_name("channel", channel, get_args(Channel))
       if DATA_OF_CHANNEL[channel] not in env.scene[sensor].cfg.data_types:
         raise MjlabError(
           f"channel '{channel}' needs '{DATA_OF_CHANNEL[channel]}' among the data_types of sensor '{sensor}'"
         )
-    if not channels:
-      raise MjlabError(f"channels must name at least one of: {', '.join(get_args(Channel))}")
-    if not 0.0 <= near < far:
-      raise MjlabError(f"depth_range must be 0 <= near < far, got ({near}, {far})")
     self._sensor, self._channels, self._depth_range = env.scene[sensor], channels, depth_range
     if "object" in channels:
       if command is None:

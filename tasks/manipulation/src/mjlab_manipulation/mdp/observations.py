@@ -9,7 +9,7 @@ from mjlab_core.rotations import matrix_from_quat, quat_apply_inverse, quat_conj
 from mjlab_envs.mdp.readings import pose_of
 from mjlab_managers import Reading, SceneEntityCfg, TermSource, sourced
 
-from mjlab_manipulation.mdp.rewards import lift_command
+from mjlab_manipulation.mdp.stages import lift_command
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv

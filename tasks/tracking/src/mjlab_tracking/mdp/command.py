@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from mjlab_core import DebugDraw
 from mjlab_core.constraints import Ascending, Limits, PositiveCount, check_fields
-from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_core.rotations import (
   quat_apply,
   quat_apply_inverse,
@@ -83,11 +83,8 @@ class MotionCommand(CommandTerm):
     super().__init__(cfg, env)
     check_fields(cfg, "MotionCommandCfg")
     check_fields(cfg.adaptive, "AdaptiveSamplingCfg")
-    if cfg.anchor_body not in cfg.bodies:
-      raise MjlabError(f"anchor_body '{cfg.anchor_body}' is not among bodies: {', '.join(cfg.bodies)}")
-    if cfg.entity not in env.scene.entities:
-      raise UnknownNameError(unknown("entity", cfg.entity, env.scene.entities, owner="the scene"))
-    self.robot = env.scene[cfg.entity]
+    check_name("anchor_body", cfg.anchor_body, cfg.bodies, "bodies")
+    self.robot = env.scene[check_name("entity", cfg.entity, env.scene.entities, "the scene")]
     kinematics = Kinematics(env.sim.mj_model, self.robot.prefix, self.device)
     if kinematics.joint_names != self.robot.joint_names:
       raise MjlabError(f"entity '{cfg.entity}' has joints outside of its floating tree")
@@ -232,9 +229,8 @@ class MotionCommand(CommandTerm):
       UnknownNameError: A body is not followed.
     """
     followed = self.cfg.bodies
-    if missing := [body for body in bodies if body not in followed]:
-      raise UnknownNameError(unknown("body", missing[0], followed, owner="followed bodies"))
-    return torch.stack([values[:, followed.index(body)] for body in bodies], 1)
+    columns = [followed.index(check_name("body", body, followed, "followed bodies")) for body in bodies]
+    return torch.stack([values[:, column] for column in columns], 1)
 
   # The robot
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-from mjlab_core.errors import UnknownNameError
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_core.rotations import quat_error_magnitude
 
 from mjlab_tracking.mdp.command import MotionCommand
@@ -71,8 +70,7 @@ def motion_error(env: "ManagerBasedRlEnv", *, command: str, quantity: Quantity) 
   Raises:
     UnknownNameError: The quantity does not exist.
   """
-  if quantity not in _ERRORS:
-    raise UnknownNameError(unknown("quantity", quantity, QUANTITIES))
+  check_name("quantity", quantity, QUANTITIES)
   return _ERRORS[quantity](motion(env, command))
 
 

@@ -2,7 +2,6 @@
 
 from mjlab_velocity.mdp.command import UniformVelocityCommand, UniformVelocityCommandCfg, VelocityRanges
 from mjlab_velocity.mdp.curricula import VelocityStage, commands_vel
-from mjlab_velocity.mdp.observations import foot_air_time, foot_contact, foot_contact_forces, foot_height
 from mjlab_velocity.mdp.rewards import (
   angular_momentum_l2,
   body_ang_vel_xy_l2,
@@ -10,6 +9,10 @@ from mjlab_velocity.mdp.rewards import (
   feet_clearance,
   feet_slip,
   feet_swing_height,
+  foot_air_time,
+  foot_contact,
+  foot_contact_forces,
+  foot_height,
   soft_landing,
   track_angular_velocity,
   track_linear_velocity,

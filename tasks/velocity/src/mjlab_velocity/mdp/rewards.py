@@ -1,4 +1,4 @@
-"""Rewards of velocity tracking. Gait terms are 0 while the commanded speed is at most `threshold`."""
+"""Rewards of velocity tracking, and observations of feet. Gait terms are 0 up to the commanded speed `threshold`."""
 
 from typing import TYPE_CHECKING, cast
 
@@ -179,3 +179,24 @@ def _speed(env: "ManagerBasedRlEnv", command: str) -> torch.Tensor:
 def _feet_velocity(env: "ManagerBasedRlEnv", feet: SceneEntityCfg) -> torch.Tensor:
   """Return the horizontal velocity of the feet's sites, world frame, (num_envs, feet, 2) [m/s]."""
   return env.scene[feet.name].data.site_lin_vel_w[:, feet.site_ids, :2]
+
+
+def foot_height(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Return the height of each foot above the ground, (num_envs, feet) [m]."""
+  return env.scene[sensor].data.heights
+
+
+def foot_air_time(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Return the time that each foot has been in the air, (num_envs, feet) [s]."""
+  return env.scene[sensor].data.current_air_time
+
+
+def foot_contact(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Return 1 for each foot on the ground, (num_envs, feet)."""
+  return (env.scene[sensor].data.found > 0).float()
+
+
+def foot_contact_forces(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Return sign(f) log(1 + |f|) of the net contact force of each foot, world frame, (num_envs, 3 feet) [log N]."""
+  force = env.scene[sensor].data.force.flatten(1)
+  return torch.sign(force) * torch.log1p(force.abs())
