@@ -141,9 +141,9 @@ LINK = '<body name="b"><joint name="j"/><geom size="0.1"/></body>'
 @pytest.mark.parametrize(
   ("file", "text", "flags", "code", "message"),
   [
-    ("a.txt", "", [], 2, "ends in .xml, .mjcf or .urdf"),
-    ("a.xml", "<mujoco>", [], 1, "MuJoCo cannot read it: "),
-    ("a.xml", "<mujoco><worldbody>\x1b[31m</worldbody>", [], 1, "MuJoCo cannot read it: "),
+    ("a.txt", "", [], 1, "robot "),
+    ("a.xml", "<mujoco>", [], 1, "a.xml: "),
+    ("a.xml", "<mujoco><worldbody>\x1b[31m</worldbody>", [], 1, "a.xml: "),
     ("a.urdf", "<robot/>", [], 1, "expected one body at the top level"),
     ("a.xml", "<mujoco/>", [], 1, "expected one body at the top level"),
     ("a.xml", f"<mujoco><worldbody>{LINK}</worldbody></mujoco>", [], 1, "no joint has an actuator or an effort limit"),
@@ -166,7 +166,7 @@ LINK = '<body name="b"><joint name="j"/><geom size="0.1"/></body>'
       '<mujoco><asset><mesh file="gone.stl"/></asset><worldbody><body name="b"/></worldbody></mujoco>',
       [],
       1,
-      "MuJoCo cannot read it: ",
+      "a.xml: ",
     ),
   ],
 )

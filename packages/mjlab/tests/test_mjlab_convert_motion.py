@@ -66,7 +66,7 @@ def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytes
     assert container.streams.video[0].average_rate == 25
   before = (folder / "squat.mp4").read_bytes()
   assert main(words) == 2
-  assert "squat.mp4 exists; --force replaces it" in capsys.readouterr().err
+  assert "squat.mp4 exists; --force" in capsys.readouterr().err
   assert (folder / "squat.mp4").read_bytes() == before
 
 

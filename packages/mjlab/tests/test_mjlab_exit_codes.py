@@ -21,7 +21,7 @@ WITH_FILE = {
 }
 
 WRONG = [
-  *((command, "no task given") for command in WITH_TASK),
+  *((command, "no TASK given") for command in WITH_TASK),
   *((f"{command} Nope", "task 'Nope' does not exist") for command in WITH_TASK),
   *((f"{command} {TASK} --nope 1", "--nope: no such option") for command in WITH_TASK),
   *((f"{command} {TASK} --traceback 1", "--traceback: expected no value") for command in WITH_TASK[:-1]),
@@ -30,7 +30,7 @@ WRONG = [
   ("trian", "command 'trian' does not exist. Nearest: train"),
   ("demo --task run", "demo 'run' does not exist"),
   ("demo walk", "'walk': not a flag"),
-  ("list-envs --nope", "--nope: not understood"),
+  ("list-envs --nope", "--nope: no such option"),
   ("visualize-terrain nope", "type 'nope' does not exist"),
   ("visualize-terrain --rows 0", "rows 0 must be at least 1"),
   (f"train {TASK} --device gpu", "device 'gpu' does not exist"),
@@ -42,7 +42,7 @@ WRONG = [
   (f"evaluate {TASK} --device cpu --checkpoint gone", "'gone' is neither a checkpoint nor a run"),
   (f"evaluate {TASK} --agent zero --require x", "--require: threshold 'x'"),
   ("convert-motion gone.csv", "gone.csv: no such file"),
-  ("convert-motion march_in_place --robot nope", "--robot: robot 'nope' does not exist"),
+  ("convert-motion march_in_place --robot nope", "robot 'nope' does not exist"),
   ("convert-motion march_in_place --crop 5 1", "cannot crop it to 5 .. 1 s"),
   ("export gone", "'gone' is neither a checkpoint nor a run"),
   ("viz-nan gone.npz", "gone.npz: no such file"),

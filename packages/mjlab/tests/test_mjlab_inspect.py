@@ -115,7 +115,7 @@ def damping_of(value: float) -> FieldRandomizer:
   [
     (["--num-env", "4"], "--num-envs"),
     (["--num-envs", "many"], "many"),
-    (["--num-envs", "1"], "--num-envs must be at least 2 to compare draws, got 1"),
+    (["--num-envs", "1"], "--num-envs must be at least 2, got 1"),
     (["--seed"], "--seed"),
     (["--device", "tpu"], "device 'tpu' does not exist"),
     (["--png", "picture.jpg"], "does not end in .png"),

@@ -271,7 +271,7 @@ def test_a_film_where_opengl_is_missing_is_one_line(
     (["--video", "film.mp4", "--viewer", "native"], 2, "leave out --viewer native"),
     (["--num-envs", "0", "--agent", "zero"], 1, "num_envs"),
     (["--device", "cuda:7"], 2, "device 'cuda:7' does not exist"),
-    (["--video", "film.mp4", "--video-length", "inf"], 2, "--video-length must be positive and finite, got inf"),
+    (["--video", "film.mp4", "--video-length", "inf"], 2, "--video-length must be finite, got inf"),
     (["--agent", "zero", "--speed", "0"], 2, "--speed must be positive, got 0"),
     (
       ["--agent", "zero", "--viewer", "browser", "--host", "192.0.2.1"],

@@ -18,20 +18,20 @@ ENTROPY, KL = "agent.algorithm.entropy-coef", "agent.algorithm.desired-kl"
 VALUES = f"values:\n  {ENTROPY}: [0.0, 0.005]\n  {KL}: {{low: 5e-3, high: 0.05, log: true}}\n"
 
 MISTAKES = {
-  "": "no values are given",
-  "values: {}": "no values are given",
+  "": "missing required field `values`",
+  "values: {}": "Expected `object` of length >= 1",
   "values: [1": "space ",
   "value: {}": "unknown field `value`",
   "values: {agent.algorithm.entropy-cof: [0.1]}": "entropy-coef",
   "values: {agent.algorithm.entropy-coef: [much]}": "much",
-  "values: {agent.algorithm.entropy-coef: []}": "has an empty list of values",
-  "values: {seed: [1]}": "seed is not a value of the learner",
+  "values: {agent.algorithm.entropy-coef: []}": "Expected `array` of length >= 1",
+  "values: {seed: [1]}": "--seed: no such option",
   "values: {agent.algorithm.gamma: {low: 0.99, high: 0.9}}": "needs low < high",
   "values: {agent.algorithm.gamma: {low: 0, high: 0.9, log: true}}": "needs 0 < low < high",
 }
 PBT_MISTAKES = {
   "": "needs the names of values that it may change",
-  "perturb: [agent.algorithm.gamma]": "perturb names agent.algorithm.gamma, which is not among the values",
+  "perturb: [agent.algorithm.gamma]": "perturb: value 'agent.algorithm.gamma' does not exist",
   "  env.scene.num-envs: [8, 16]\nperturb: [env.scene.num-envs]": "of the environment only weights of rewards can",
   "  agent.algorithm.learning-rate: [1e-3]\nperturb: [agent.algorithm.learning-rate]": "algorithm.schedule fixed",
 }

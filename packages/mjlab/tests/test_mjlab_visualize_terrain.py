@@ -33,14 +33,14 @@ def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None
   ("words", "message"),
   [
     (["stair"], "type 'stair' does not exist. Nearest: stairs_up"),
-    (["stairs_up", "--difficulty", "0", "0.5", "1"], "--difficulty: expected one number or two, got 3"),
+    (["stairs_up", "--difficulty", "0", "0.5", "1"], "--difficulty must have at most 2 elements, got 3"),
     (["stairs_up", "--set", "platform=9"], "make the platform at most 5.9 m"),
     (["stairs_up", "--set", "waves.amplitude=0,1"], "there is no type 'waves' here. There are stairs_up"),
     (["stairs_up", "--set", "hight=3"], "there is no setting 'hight'. There are border"),
     (["stairs_up", "--set", "step_height=3"], "must be like (0.0, 0.2), without brackets"),
     (["stairs_up", "--set", "holes"], "has no value"),
     (["waves", "--seed", "-1"], "seed -1 must be at least 0"),
-    (["waves", "--plot", "--image-size", "0", "9"], "--image-size must be at least 1 1, got 0 9"),
+    (["waves", "--plot", "--image-size", "0", "9"], "--image-size must be at least 1, got (0, 9"),
   ],
 )
 def test_a_mistake_on_the_command_line_says_what_there_is(

@@ -3,7 +3,7 @@
 import os
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import UnknownNameError
+from mjlab_core.names import check_name
 
 from mjlab.registry import load_task
 
@@ -52,10 +52,7 @@ def resolve_device(device: str) -> str:
     return "cuda:0" if count else "cpu"
   if device == "cuda":
     device = "cuda:0"
-  names = ["cpu", *(f"cuda:{i}" for i in range(count))]
-  if device not in names:
-    raise UnknownNameError(f"device '{device}' does not exist; there is {', '.join(names)} (and auto)")
-  return device
+  return check_name("device", device, ["auto", "cpu", *(f"cuda:{i}" for i in range(count))])
 
 
 def default_num_envs(device: str, configured: int) -> int:

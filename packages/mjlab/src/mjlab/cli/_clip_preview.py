@@ -13,6 +13,8 @@ from mjlab_motions import Kinematics, Motion
 from mjlab_scene import EntityCfg, Scene, SceneCfg
 from mjlab_terrain import PlaneCfg
 
+from mjlab.cli._watching import browse
+
 if TYPE_CHECKING:
   from mjlab_viewer import OffscreenRenderer, Replay
 
@@ -72,13 +74,8 @@ class Preview:
     Raises:
       MjlabError: The address or port is not available.
     """
-    from mjlab_viewer import BrowserViewer, Playback, ZeroPolicy
+    from mjlab_viewer import Playback, ZeroPolicy
 
     replay = self.replay(motion)
     playback = Playback(replay, ZeroPolicy(1, 0, replay.sim.device))
-    with BrowserViewer(replay, playback=playback, host=host, port=port, label=motion.name) as viewer:
-      print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
-      try:
-        viewer.run()
-      except KeyboardInterrupt:
-        print()
+    browse(playback, host=host, port=port, label=motion.name)

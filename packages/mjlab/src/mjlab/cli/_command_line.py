@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import MjlabError, UsageError, unknown
+from mjlab_core import MjlabError, UsageError
 
 from mjlab import environments
 from mjlab.cli._help import FlagRow, command_help
@@ -84,12 +84,7 @@ def run_with_task(
     notes = f"  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192.\n{line.notes}"
     dataclasses.replace(line, notes=f"{notes}\ntasks:{tasks}").wants_help(words)
     return 0
-  if not words:
-    raise UsageError(f"no task given. usage: {line.usage}; list-envs lists the tasks")
-  if words[0].startswith("-"):
-    raise UsageError(f"the task comes first. usage: {line.usage}")
-  name, given = words[0], words[1:]
-  check_named_task(name)
+  (name,), given = line.split(words)
   if any(word in _HELP for word in given):
     text = {"variant": variant, "notes": line.notes}
     print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs), **text), end="")
@@ -131,30 +126,23 @@ def output_file(flag: str, path: str | Path, ending: str, *, force: bool, makes_
   return path
 
 
+def output_folder(folder: Path, mark: str, *, force: bool) -> Path:
+  """Return a folder for writing.
+
+  Raises:
+    UsageError: It exists and may not be replaced, or is another folder: it has no file `mark`.
+  """
+  if folder.exists() and not force:
+    raise UsageError(f"{folder} exists; --force replaces it, --output names another folder")
+  if folder.exists() and not (folder / mark).is_file():
+    raise UsageError(f"{folder} has no {mark}, so it is not replaced")
+  return folder
+
+
 def beside(source: Path, name: str) -> Path:
   """Return the path `name` in the folder of a file; in the working folder if the file is part of a Python package."""
   is_installed = any((folder / "__init__.py").is_file() for folder in source.resolve().parents)
   return Path(name) if is_installed else source.parent / name
-
-
-def load_named_task(name: str) -> "TaskCfg[Any]":
-  """Load the task that a command line names.
-
-  Raises:
-    UsageError: The task does not exist. Nothing heavy is imported in this case.
-  """
-  check_named_task(name)
-  return load_task(name)
-
-
-def check_named_task(name: str) -> None:
-  """Check that the task that a command line names exists.
-
-  Raises:
-    UsageError: It does not. Nothing heavy is imported in this case.
-  """
-  if name not in list_tasks():
-    raise UsageError(unknown("task", name, list_tasks()))
 
 
 def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any:

@@ -7,10 +7,12 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_core import MjlabError, UsageError, safe_name, unknown
+from mjlab_core import MjlabError, UsageError, safe_name
+from mjlab_core.files import reading
+from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, plot_problem
+from mjlab.cli._command_line import CommandLine, output_file, plot_problem
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -134,8 +136,8 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   if wanted.preview and len(motions) > 1:
     raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
   targets, pictures, films = (
-    _targets(path, motions, ending, wanted.force)
-    for path, ending in ((wanted.output, ".npz"), (wanted.report, ".png"), (wanted.video, ".mp4"))
+    _targets(flag, motions, ending, wanted)
+    for flag, ending in (("output", ".npz"), ("report", ".png"), ("video", ".mp4"))
   )
   preview = Preview(spec) if wanted.preview or wanted.video is not None else None
   # Opened before anything is written: without OpenGL no part of the work is done.
@@ -180,23 +182,20 @@ def robot_spec(name: str) -> "mujoco.MjSpec":
   """Return a robot by name (g1, go1) or by the path of its MJCF.
 
   Raises:
-    UsageError: There is no such robot.
+    UnknownNameError: There is no such robot.
     FileError: The file is not an MJCF.
   """
   import mujoco
-  from mjlab_core import FileError
   from mjlab_robots import g1_spec, go1_spec
 
   specs = {"g1": g1_spec, "go1": go1_spec}
   if name in specs:
     return specs[name](meshes="never")
   if not Path(name).is_file():
-    raise UsageError(f"--robot: {unknown('robot', name, list(specs))} It may also be the path of an .xml.")
-  try:
+    check_name("robot", name, specs, "--robot (a name, or the path of an .xml)")
+  with reading("robot", name):
     spec = mujoco.MjSpec.from_file(name)
     spec.compile()
-  except ValueError as error:
-    raise FileError(f"robot {name}: {error}") from error
   return spec
 
 
@@ -229,15 +228,9 @@ def _found(clip: str) -> Path:
   from mjlab_motions import shipped_clips
 
   path, shipped = Path(clip), shipped_clips()
-  if not path.is_file() and clip in shipped:
-    return shipped[clip]
-  if path.is_dir():
+  if path.is_dir() and clip not in shipped:
     raise UsageError(f"{clip} is a folder; name the clips in it: {clip}/*")
-  if not path.exists() and not path.suffix:
-    raise UsageError(f"{unknown('clip', clip, list(shipped))} It may also be the path of a .csv or .npz.")
-  if not path.exists():
-    raise UsageError(f"{path}: no such file")
-  return path
+  return path if path.is_file() or path.suffix else shipped[check_name("clip", clip, shipped)]
 
 
 def _edited(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Motion":
@@ -266,9 +259,9 @@ def _finished(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Moti
   return motion
 
 
-def _targets(given: str | None, motions: "Sequence[Motion]", ending: str, force: bool) -> list[Path | None]:
-  """Return the file of each motion, and refuse to replace a file unasked."""
-  if given is None:
+def _targets(flag: str, motions: "Sequence[Motion]", ending: str, wanted: Arguments) -> list[Path | None]:
+  """Return the file that a flag names for each motion."""
+  if (given := getattr(wanted, flag)) is None:
     return [None] * len(motions)
   path = Path(given)
   if path.suffix not in ("", ending):
@@ -276,8 +269,6 @@ def _targets(given: str | None, motions: "Sequence[Motion]", ending: str, force:
   if path.suffix and len(motions) > 1:
     raise UsageError(f"{path}: {len(motions)} clips need a folder, not a file; --concatenate joins them")
   targets = [path] if path.suffix else [path / f"{safe_name(motion.name)}{ending}" for motion in motions]
-  if (taken := [target for target in targets if target.exists()]) and not force:
-    raise UsageError(f"{taken[0]} exists; --force replaces it")
   if len(set(targets)) < len(targets):
     raise UsageError(f"two clips would have the same file name in {path}; rename one of them")
-  return [*targets]
+  return [output_file(f"--{flag}", target, ending, force=wanted.force, makes_folder=True) for target in targets]

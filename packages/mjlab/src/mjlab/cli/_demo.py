@@ -3,7 +3,8 @@
 import dataclasses
 from importlib.resources import as_file
 
-from mjlab_core import UsageError, unknown
+from mjlab_core import UsageError
+from mjlab_core.names import check_name
 
 from mjlab.cli import _play
 from mjlab.cli._command_line import CommandLine
@@ -61,7 +62,5 @@ def _task(words: list[str], names: list[str]) -> tuple[str, list[str]]:
   if "--task" not in words:
     return names[0], words
   at = words.index("--task")
-  name = words[at + 1] if at + 1 < len(words) else ""
-  if name not in names:
-    raise UsageError(unknown("demo", name, names))
+  name = check_name("demo", "".join(words[at + 1 : at + 2]), names)
   return name, words[:at] + words[at + 2 :]

@@ -1,16 +1,17 @@
 """`export RUN [flags]`: a trained policy as a bundle for mjlab-deploy."""
 
 import dataclasses
+import io
 import json
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 from mjlab_core import UsageError
+from mjlab_core.constraints import Count
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, beside, build_env, building, load_named_task
+from mjlab.cli._command_line import CommandLine, beside, build_env, building, output_folder
+from mjlab.registry import load_task
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -19,7 +20,7 @@ class Arguments:
 
   output: str | None = None
   """Folder to write, and a zip beside it; None: bundle below the run."""
-  steps: int = 500
+  steps: Count = 500
   """Steps of the record golden.npz; 0: none."""
   task: str | None = None
   """Task of the policy; None: what the manifest of its run says."""
@@ -53,17 +54,12 @@ def run(words: list[str]) -> int:
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(), flags)
-  if wanted.steps < 0:
-    raise UsageError(f"--steps must not be negative, got {wanted.steps}")
   environments.share_cores()
   from mjlab_rl import find_checkpoint
 
   checkpoint = find_checkpoint(source, log_root=Path(wanted.log_root), experiment="")
   folder = Path(wanted.output) if wanted.output is not None else beside(checkpoint, "bundle")
-  if folder.exists() and not wanted.force and wanted.output is not None:
-    raise UsageError(f"{folder} exists; --force replaces it, --output names another folder")
-  if folder.exists() and not (folder / "bundle.json").is_file():
-    raise UsageError(f"{folder} is not a bundle (it has no bundle.json), so it is not replaced")
+  output_folder(folder, "bundle.json", force=wanted.force or wanted.output is None)
   return _export(checkpoint, folder, wanted)
 
 
@@ -110,7 +106,7 @@ def _parts(checkpoint: Path, task: str | None) -> tuple[Any, str]:
   from mjlab_rl import load_run
 
   if task is not None:
-    return load_named_task(task), task
+    return load_task(task), task
   try:
     manifest = load_run(checkpoint)
   except FileNotFoundError:
@@ -137,6 +133,7 @@ def _evaluation(checkpoint: Path) -> dict[str, Any]:
 
 def _picture(env: Any) -> bytes | None:
   from mjlab_core.errors import RenderingError
+  from PIL import Image
 
   try:
     env.render_mode = "rgb_array"
@@ -144,9 +141,6 @@ def _picture(env: Any) -> bytes | None:
   except (RenderingError, RuntimeError) as error:
     print(f"no picture: {error}")
     return None
-  height, width, _ = picture.shape
-  lines = b"".join(b"\0" + row.tobytes() for row in picture)
-  header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-  chunks = (b"IHDR" + header, b"IDAT" + zlib.compress(lines), b"IEND")
-  parts = (struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks)
-  return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+  file = io.BytesIO()
+  Image.fromarray(picture).save(file, format="PNG")
+  return file.getvalue()

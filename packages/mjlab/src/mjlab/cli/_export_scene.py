@@ -5,9 +5,9 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import UsageError, safe_name
+from mjlab_core import safe_name
 
-from mjlab.cli._command_line import CommandLine, building, run_with_task
+from mjlab.cli._command_line import CommandLine, building, output_folder, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -47,11 +47,7 @@ def _export(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
   wanted = parse(Arguments(env=task.env), given)
   cfg = wanted.env if not wanted.play or task.play is None else task.play(wanted.env)
-  folder = Path(wanted.output or f"export/{safe_name(name)}")
-  if folder.exists() and not wanted.force:
-    raise UsageError(f"{folder} exists; --force replaces it, --output names another folder")
-  if folder.exists() and not (folder / "scene.xml").is_file():
-    raise UsageError(f"{folder} is not an exported scene (it has no scene.xml), so --force does not replace it")
+  folder = output_folder(Path(wanted.output or f"export/{safe_name(name)}"), "scene.xml", force=wanted.force)
   from mjlab_scene import Scene
 
   with building():

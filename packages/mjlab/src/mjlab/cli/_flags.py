@@ -22,6 +22,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 
 import tyro
 from mjlab_core import UsageError, nearest
+from mjlab_core.constraints import field_problems
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from mjlab.cli._help import FlagRow, field_docs
@@ -94,7 +95,8 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   """Return a copy of `config` with the flags in `words` set.
 
   Raises:
-    UsageError: A flag does not exist (the message names the nearest), or a value does not fit.
+    UsageError: A flag does not exist (the message names the nearest), or a value does not fit, such as one that breaks
+      a constraint of its field.
   """
   known = flags(config)
   # tyro's time goes with the number of flags.
@@ -107,6 +109,8 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   for flag, value in reversed(list(zip(named, _leaves(parsed), strict=True))):
     if value is not flag.value:
       config = replaced(config, flag.path, None if flag.kind is _PART else value)
+  for name, _, rule in (problem.partition(" ") for problem in field_problems(config)):
+    raise UsageError(f"--{name.replace('_', '-')} {rule}")
   return config
 
 

@@ -8,7 +8,7 @@ import itertools
 import textwrap
 import typing
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 _WIDTH = 120
 _INDENT = 44
@@ -64,6 +64,8 @@ def _wrapped(text: str, lead: str) -> list[str]:
 
 def _metavar(kind: Any) -> str:
   """Return a word for the values of a type; none for a switch."""
+  if typing.get_origin(kind) is Annotated:
+    return _metavar(typing.get_args(kind)[0])
   arguments = [part for part in typing.get_args(kind) if part not in (type(None), Ellipsis)]
   if typing.get_origin(kind) is Literal:
     return "{" + ",".join(map(str, arguments)) + "}"

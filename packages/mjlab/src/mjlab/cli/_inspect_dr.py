@@ -1,9 +1,10 @@
 """`inspect-dr TASK [flags]`: effects of the events of a task, as a table and a picture."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from mjlab_core import UsageError
+from mjlab_core.constraints import Limits
 
 from mjlab.cli._command_line import CommandLine, build_env, output_file, plot_problem, run_with_task
 
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 class Arguments:
   """All that can be given after the task."""
 
-  num_envs: int = 512
-  """Number of environments to draw in."""
+  num_envs: Annotated[int, Limits(ge=2)] = 512
+  """Number of environments to draw in, at least 2."""
   device: str = "cpu"
   """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   seed: int = 0
@@ -54,8 +55,6 @@ def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab.cli._flags import parse, replaced
 
   wanted = parse(Arguments(env=task.env), given)
-  if wanted.num_envs < 2:
-    raise UsageError(f"--num-envs must be at least 2 to compare draws, got {wanted.num_envs}")
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
   if picture is not None and (problem := plot_problem()):
     raise UsageError(f"--png: no plots: {problem}")

@@ -3,7 +3,6 @@
 import dataclasses
 import sys
 
-from mjlab_core import UsageError
 from mjlab_core.tables import table
 
 from mjlab.cli._command_line import CommandLine
@@ -29,7 +28,10 @@ def run(words: list[str]) -> int:
     return 0
   keywords, flags = _LINE.split(words)
   if flags:
-    raise UsageError(f"{flags[0]}: not understood. usage: {_LINE.usage}")
+    # tyro, which is heavy, for the message only.
+    from mjlab.cli._flags import parse
+
+    parse(Arguments(), flags)
   keyword = "".join(keywords)
   entries = [entry for entry in task_entries() if keyword.lower() in entry.name.lower()]
   if not entries:

@@ -4,16 +4,17 @@ import copy
 import dataclasses
 import math
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from mjlab_core import MjlabError, UsageError
+from mjlab_core.constraints import Positive, PositiveCount
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
 from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
+from mjlab.cli._watching import browse, until_interrupted
 
 if TYPE_CHECKING:
   from mjlab_viewer import CameraCfg, CheckpointList, Playback, Policy
@@ -37,11 +38,11 @@ class Arguments:
   """Native window or browser; auto: a window if there is a screen."""
   video: str | None = None
   """Film to write instead of showing a viewer: FILE.mp4."""
-  video_length: float = 10.0
+  video_length: Positive = 10.0
   """Length of the film [s]."""
-  video_width: int = 640
+  video_width: PositiveCount = 640
   """Width of the film [px]."""
-  video_height: int = 480
+  video_height: PositiveCount = 480
   """Height of the film [px]."""
   force: bool = False
   """Overwrite the film."""
@@ -51,7 +52,7 @@ class Arguments:
   """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   seed: int | None = None
   """Seed of the environments; None: a random one."""
-  speed: float = 1.0
+  speed: Positive = 1.0
   """Simulated seconds per real second."""
   no_terminations: bool = False
   """Ignore all terminations except time-outs."""
@@ -87,11 +88,9 @@ def _play(name: str, task: Any, given: list[str]) -> int:
 
   # First to find the policy; again below, with the configuration of its run as the default.
   wanted = parse(Arguments(env=task.env), given)
-  if not wanted.speed > 0:
-    raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
   viewer = _viewer(wanted)
   if wanted.video is not None:
-    _check_video(wanted)
+    output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
   device = environments.resolve_device(wanted.device)
   source, parts = find_policy(wanted, name, task)
   cfg = copy.deepcopy(parts.env)
@@ -129,13 +128,6 @@ def _viewer(wanted: Arguments) -> str:
   if wanted.viewer == "auto":
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "browser"
   return wanted.viewer
-
-
-def _check_video(wanted: Arguments) -> None:
-  assert wanted.video is not None
-  output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
-  if not 0 < wanted.video_length < math.inf:
-    raise UsageError(f"--video-length must be positive and finite, got {wanted.video_length:g}")
 
 
 def _without_terminations(cfg: Any) -> Any:
@@ -217,19 +209,8 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
 
 
 def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
-  from mjlab_viewer import BrowserViewer
-
-  with BrowserViewer(
-    playback.env,
-    playback=playback,
-    checkpoints=checkpoints,
-    host=wanted.host,
-    port=wanted.port,
-    camera=_camera(wanted, playback.env),
-    label=name,
-  ) as viewer:
-    print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
-    return _until_interrupted(viewer.run)
+  camera = _camera(wanted, playback.env)
+  return browse(playback, host=wanted.host, port=wanted.port, label=name, checkpoints=checkpoints, camera=camera)
 
 
 def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
@@ -241,12 +222,4 @@ def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "Ch
     print("keys of the window, besides those of MuJoCo (F1):")
     for key, action in KEYS.items():
       print(f"  {'SPACE' if key == ' ' else key:5}  {action}", flush=True)
-    return _until_interrupted(viewer.run)
-
-
-def _until_interrupted(run: Callable[[], None]) -> int:
-  try:
-    run()
-  except KeyboardInterrupt:
-    print()
-  return 0
+    return until_interrupted(viewer.run)

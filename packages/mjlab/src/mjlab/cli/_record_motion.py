@@ -1,10 +1,11 @@
 """`record-motion TASK --output FILE.npz [flags]`: record a policy as a motion clip."""
 
 import dataclasses
-import math
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import MjlabError, UnknownNameError, UsageError, unknown
+from mjlab_core import MjlabError, UsageError
+from mjlab_core.constraints import NonNegative, Positive
+from mjlab_core.names import check_name
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
@@ -21,9 +22,9 @@ class Arguments:
 
   output: str | None = None
   """File of the clip: FILE.npz."""
-  seconds: float = 5.0
+  seconds: Positive = 5.0
   """Length of the clip [s]."""
-  skip: float = 1.0
+  skip: NonNegative = 1.0
   """Time before the first frame [s]."""
   checkpoint: str = "latest"
   """Policy to record: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
@@ -68,10 +69,6 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if wanted.output is None:
     raise UsageError("--output is missing: name the clip's file, ending in .npz")
   output = output_file("--output", wanted.output, ".npz", force=wanted.force)
-  if not 0 < wanted.seconds < math.inf:
-    raise UsageError(f"--seconds must be positive and finite, got {wanted.seconds:g}")
-  if not 0 <= wanted.skip < math.inf:
-    raise UsageError(f"--skip must be finite and not negative, got {wanted.skip:g}")
   source, parts = find_policy(wanted, name, task)
   import torch
   from mjlab_motions import check_quality, derived_arrays, save_motion
@@ -111,8 +108,7 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 def _recorder(env: Any, entity: str) -> "MotionRecorder":
   from mjlab_motions import Kinematics, MotionRecorder
 
-  if entity not in env.scene.entities:
-    raise UnknownNameError(unknown("entity", entity, env.scene.entities, owner="the scene"))
+  check_name("entity", entity, env.scene.entities, "the scene")
   kinematics = Kinematics(env.sim.mj_model, env.scene[entity].prefix)
   if kinematics.joint_names != env.scene[entity].joint_names:
     raise MjlabError(f"entity '{entity}' has joints outside of its floating tree")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 from mjlab_core import AtomicWrite, UsageError, printable
+from mjlab_core.constraints import NonNegative, PositiveCount
 from mjlab_core.files import reading
 from mjlab_core.tables import table
 
@@ -26,11 +27,11 @@ class Arguments:
 
   space: str | None = None
   """YAML file of the values to try; it also names those that pbt may change."""
-  trials: int = 8
+  trials: PositiveCount = 8
   """Number of trials; with pbt, the size of the population."""
-  gpus_per_trial: float = 0.0
+  gpus_per_trial: NonNegative = 0.0
   """GPUs of a trial, such as 0.5 for two trials on each; 0: trials run on CPUs."""
-  cpus_per_trial: int = 1
+  cpus_per_trial: PositiveCount = 1
   """CPU cores of a trial."""
   scheduler: Literal["asha", "pbt", "none"] = "asha"
   """asha stops trials that are behind; in pbt they copy better ones and change values; none lets all end."""
@@ -89,8 +90,6 @@ def _sweep(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   else:
     if wanted.space is None:
       raise UsageError("--space FILE is missing; sweep --help shows such a file")
-    if wanted.trials < 1 or wanted.cpus_per_trial < 1 or wanted.gpus_per_trial < 0:
-      raise UsageError("--trials and --cpus-per-trial must be at least 1, --gpus-per-trial at least 0")
     folder = sweeps / (wanted.name or f"{name}_{time.strftime('%Y-%m-%d_%H-%M-%S')}")
     if folder.exists():
       raise UsageError(f"--name: {folder} exists; --resume {folder.name} continues it")

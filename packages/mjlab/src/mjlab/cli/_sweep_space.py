@@ -3,11 +3,13 @@
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from mjlab_core import UsageError
 from mjlab_core.files import reading
+from mjlab_core.names import check_name
+from msgspec import Meta
 
 from mjlab.registry import load_task
 
@@ -30,11 +32,15 @@ class Range(msgspec.Struct, forbid_unknown_fields=True):
   log: bool = False
   """Draw the logarithm uniformly."""
 
+  def __post_init__(self) -> None:
+    if not (0.0 if self.log else -math.inf) < self.low < self.high:
+      raise ValueError(f"needs {'0 < ' if self.log else ''}low < high")
+
 
 class Space(msgspec.Struct, forbid_unknown_fields=True):
   """Values to try."""
 
-  values: dict[str, list[Scalar] | Range] = {}
+  values: Annotated[dict[str, Annotated[list[Scalar], Meta(min_length=1)] | Range], Meta(min_length=1)]
   """By flag: a list of values, or a range."""
   perturb: list[str] = []
   """Flags among them whose values pbt may change; the others keep the value that a trial has drawn."""
@@ -104,36 +110,29 @@ def check(sweep: Sweep) -> None:
   from mjlab.cli._flags import parse
 
   space = sweep.space
-  if not space.values:
-    raise UsageError("--space: no values are given")
   choices = {name: [x.low, x.high] if isinstance(x, Range) else x for name, x in space.values.items()}
-  for name, domain in space.values.items():
-    least = 0.0 if isinstance(domain, Range) and domain.log else -math.inf
-    if isinstance(domain, Range) and not least < domain.low < domain.high:
-      raise UsageError(f"--space: {name} needs {'0 < ' if domain.log else ''}low < high")
-    if not choices[name]:
-      raise UsageError(f"--space: {name} has an empty list of values")
-    if not name.startswith(("agent.", "env.")):
-      raise UsageError(f"--space: {name} is not a value of the learner (agent.) or the environment (env.)")
   task = load_task(sweep.task)
-  wanted = None
+  wanted = parts = Parts(agent=task.agent, env=task.env)
   for i in range(max(map(len, choices.values()))):
     values = {name: values[min(i, len(values) - 1)] for name, values in choices.items()}
-    wanted = parse(Parts(agent=task.agent, env=task.env), [*sweep.flags, *trial_flags(values)])
-  if sweep.scheduler != "pbt":
-    return
+    wanted = parse(parts, [*sweep.flags, *trial_flags(values)])
+  if sweep.scheduler == "pbt":
+    _check_perturbed(space, wanted.agent)
+
+
+def _check_perturbed(space: Space, agent: Any) -> None:
+  """Check that pbt can change the values that it may change."""
   if not space.perturb:
     raise UsageError("--space: pbt needs the names of values that it may change: perturb: [...]")
   for name in space.perturb:
+    check_name("value", name, space.values, "--space: perturb")
     parts = name.split(".")
-    if name not in space.values:
-      raise UsageError(f"--space: perturb names {name}, which is not among the values")
     if parts[0] == "env" and not (parts[1:2] == ["rewards"] and parts[3:] == ["weight"]):
       raise UsageError(
         f"--space: perturb: {name} cannot change in a training; of the environment only weights of rewards can"
       )
     is_rate = name.replace("_", "-") == "agent.algorithm.learning-rate"
-    if is_rate and wanted is not None and getattr(wanted.agent.algorithm, "schedule", "fixed") != "fixed":
+    if is_rate and getattr(agent.algorithm, "schedule", "fixed") != "fixed":
       raise UsageError(
         f"--space: perturb: {name} needs --agent.algorithm.schedule fixed; otherwise the learner adapts it"
       )

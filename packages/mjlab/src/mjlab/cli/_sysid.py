@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from mjlab_core import MjlabError, UsageError, unknown
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, load_named_task
+from mjlab.cli._command_line import CommandLine
 from mjlab.cli._train_actuator import stop_on_ctrl_c
+from mjlab.registry import load_task
 
 if TYPE_CHECKING:
   from mjlab_sysid import Progress, Range, Record, Robot
@@ -97,7 +98,7 @@ def run(words: list[str]) -> int:
       raise UsageError(f"--{flag}: {path} is a folder, or lies in one that does not exist")
     if path.exists() and not (wanted.force or wanted.resume):
       raise UsageError(f"--{flag}: {path} exists; name another file, or overwrite it with --force")
-  task = load_named_task(wanted.task)
+  task = load_task(wanted.task)
   return _identify(paths, wanted, task.env, output, report)
 
 

@@ -10,7 +10,7 @@ from mjlab_core import UnknownNameError, UsageError
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, building, load_named_task, run_with_task
+from mjlab.cli._command_line import CommandLine, building, run_with_task
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import Watchers
 from mjlab.registry import list_tasks, load_task, task_file
@@ -275,7 +275,7 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
       raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
     experiment = agent.experiment_name
   else:
-    experiment = load_named_task(agent.teacher_task).agent.experiment_name
+    experiment = load_task(agent.teacher_task).agent.experiment_name
   try:
     return [_trained(name, wanted, experiment, agent.teacher_task) for name in names]
   except UnknownNameError as error:

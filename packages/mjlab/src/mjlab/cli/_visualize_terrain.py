@@ -5,9 +5,11 @@ import os
 import subprocess
 import sys
 import textwrap
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from mjlab_core import UsageError, unknown
+from mjlab_core import UsageError
+from mjlab_core.constraints import Items, PositiveCount
+from mjlab_core.names import check_name
 
 from mjlab.cli._command_line import CommandLine, output_file
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 class Arguments:
   """All that can be given after the types."""
 
-  difficulty: tuple[float, ...] = (0.0, 1.0)
+  difficulty: Annotated[tuple[float, ...], Items(ge=1, le=2)] = (0.0, 1.0)
   """Easiest and hardest difficulty, or one for all tiles, from 0 to 1."""
   seed: int = 0
   """Seed of the terrain."""
@@ -39,7 +41,7 @@ class Arguments:
   """Settings [TYPE.]SETTING=VALUE of one type or of all that have it, e.g. stairs_up.step_height=0,0.3."""
   image: str | None = None
   """Picture to write instead of showing a page: FILE.png."""
-  image_size: tuple[int, int] = (1600, 900)
+  image_size: tuple[PositiveCount, PositiveCount] = (1600, 900)
   """Width and height of the picture [px]."""
   plot: bool = False
   """Draw a map of heights instead of rendering; it needs no OpenGL."""
@@ -99,8 +101,6 @@ def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
   from mjlab_terrain import TerrainGridCfg
   from mjlab_terrain.view.settings import apply_settings
 
-  if not 1 <= len(wanted.difficulty) <= 2:
-    raise UsageError(f"--difficulty: expected one number or two, got {len(wanted.difficulty)}")
   low, high = wanted.difficulty[0], wanted.difficulty[-1]
   try:
     types = _types(names or ["walking"])
@@ -129,8 +129,7 @@ def _types(names: list[str]) -> "dict[str, TileCfg]":
   known, chosen = all_types(), {}
   sets = {"all": all_types(), "walking": walking_types()}
   for name in names:
-    if name not in known and name not in sets:
-      raise UsageError(unknown("type", name, [*sets, *known]))
+    check_name("type", name, [*sets, *known])
     chosen |= sets[name] if name in sets else {name: known[name]}
   return chosen
 
@@ -139,8 +138,6 @@ def _write_image(cfg: "TerrainGridCfg", wanted: Arguments, words: list[str]) -> 
   """Write a picture: a rendering, or a plot if that is wanted or OpenGL does not work."""
   path = output_file("--image", wanted.image or "", ".png", force=True, makes_folder=True)
   size = wanted.image_size
-  if min(size) < 1:
-    raise UsageError(f"--image-size must be at least 1 1, got {size[0]} {size[1]}")
   # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
   is_headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ
   if is_headless and not wanted.plot:

@@ -4,9 +4,10 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_core import UsageError
+from mjlab_core.constraints import Positive
 
 from mjlab.cli._command_line import CommandLine, output_file
+from mjlab.cli._watching import browse
 
 if TYPE_CHECKING:
   from mjlab_sim import NanDump
@@ -26,7 +27,7 @@ class Arguments:
   """Address that the browser viewer listens on; 0.0.0.0 lets other machines connect."""
   port: int = 8080
   """Port of the browser viewer; the next free one if it is taken."""
-  speed: float = 0.1
+  speed: Positive = 0.1
   """Simulated seconds per real second."""
   video: str | None = None
   """Film to write: FILE.mp4."""
@@ -55,8 +56,6 @@ def run(words: list[str]) -> int:
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(), flags)
-  if not wanted.speed > 0:
-    raise UsageError(f"--speed must be positive, got {wanted.speed:g}")
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
   from mjlab_sim import NanDump
@@ -100,14 +99,9 @@ def _film(replay: "NanReplay", wanted: Arguments) -> None:
 
 
 def _browse(replay: "NanReplay", wanted: Arguments, path: str) -> None:
-  from mjlab_viewer import BrowserViewer, Playback, ZeroPolicy
+  from mjlab_viewer import Playback, ZeroPolicy
 
   playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
   playback.speed = wanted.speed
-  label = Path(path).name
-  with BrowserViewer(replay, playback=playback, host=wanted.host, port=wanted.port, label=label) as viewer:
-    print(f"\nopen {viewer.url} (Ctrl-C ends)", flush=True)
-    try:
-      viewer.run()
-    except KeyboardInterrupt:
-      print()
+  print()
+  browse(playback, host=wanted.host, port=wanted.port, label=Path(path).name)

@@ -1,4 +1,4 @@
-"""Viewer and films of a training that runs."""
+"""Viewers that run until Ctrl-C, and viewer and films of a training."""
 
 import os
 import signal
@@ -10,7 +10,30 @@ from mjlab_core import UsageError
 
 if TYPE_CHECKING:
   from mjlab_rl import Console, IterationReport
+  from mjlab_viewer import Playback
   from mjlab_viewer.browser.training_panel import TrainingPanel
+
+
+def browse(playback: "Playback", *, host: str, port: int, label: str, **options: Any) -> int:
+  """Show an environment in the browser until Ctrl-C; return the exit code.
+
+  Raises:
+    MjlabError: The address or port is not available.
+  """
+  from mjlab_viewer import BrowserViewer
+
+  with BrowserViewer(playback.env, playback=playback, host=host, port=port, label=label, **options) as viewer:
+    print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
+    return until_interrupted(viewer.run)
+
+
+def until_interrupted(run: Callable[[], None]) -> int:
+  """Run a viewer until it ends or Ctrl-C; return the exit code."""
+  try:
+    run()
+  except KeyboardInterrupt:
+    print()
+  return 0
 
 
 class Watchers:

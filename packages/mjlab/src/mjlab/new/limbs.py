@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -83,10 +82,7 @@ def home_pose(robot: RobotModel, given: Sequence[str]) -> dict[str, float]:
       wanted[pattern] = float(value)
     except ValueError as error:
       raise UsageError(f"--home: {text!r} must be PATTERN=POSITION") from error
-  try:
-    _, matched, values = match_values(wanted, names, what="joint", owner="--home")
-  except (MjlabError, re.error) as error:
-    raise UsageError(str(error)) from error
+  _, matched, values = match_values(wanted, names, what="joint", owner="--home")
   for name, value in zip(matched, values, strict=True):
     low, high = model.joint(name).range
     if not np.isfinite(value) or (low < high and not low <= value <= high):
@@ -115,7 +111,11 @@ def find_torso(robot: RobotModel, given: str) -> str:
   """
   model = robot.compiled()
   names = [model.body(i).name for i in range(1, model.nbody)]
-  return _bodies([given], names, "--torso")[0] if given else names[int(np.argmax(model.body_mass[1:]))]
+  return (
+    match_names(given, names, what="body", owner="--torso")[1][0]
+    if given
+    else names[int(np.argmax(model.body_mass[1:]))]
+  )
 
 
 def find_feet(robot: RobotModel, pose: dict[str, float], given: Sequence[str]) -> tuple[Foot, ...]:
@@ -135,7 +135,7 @@ def find_feet(robot: RobotModel, pose: dict[str, float], given: Sequence[str]) -
     ids = {model.body(below.name).id for below in subtree(body)}
     by_body[body.name] = [i for i in solid if model.geom_bodyid[i] in ids]
   if given:
-    names = _bodies(given, list(by_body), "--feet")
+    _, names = match_names(given, list(by_body), what="body", owner="--feet")
     if empty := [name for name in names if not by_body[name]]:
       raise UsageError(f"--feet: no geom of body '{empty[0]}' collides")
   elif robot.is_floating:
@@ -150,13 +150,6 @@ def find_feet(robot: RobotModel, pose: dict[str, float], given: Sequence[str]) -
     soles = tuple(model.geom(i).name for i in by_body[name] if heights[i] <= limit)
     feet.append(Foot(body=name, geoms=soles, site=_free_site(robot, name)))
   return tuple(feet)
-
-
-def _bodies(patterns: Sequence[str], names: list[str], flag: str) -> list[str]:
-  try:
-    return match_names(list(patterns), names, what="body", owner=flag)[1]
-  except (MjlabError, re.error) as error:
-    raise UsageError(str(error)) from error
 
 
 def _free_site(robot: RobotModel, body: str) -> str:

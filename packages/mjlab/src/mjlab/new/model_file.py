@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 import mujoco
-from mjlab_core import FileError, MjlabError, UsageError, printable
+from mjlab_core import MjlabError, printable
+from mjlab_core.files import reading
 from mjlab_scene import EntityCfg
 
 Base = Literal["file", "floating", "fixed"]
@@ -42,20 +43,13 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
     base: "file" takes what an MJCF says; the base of a URDF floats if two or more chains of joints end in its links.
 
   Raises:
-    UsageError: It is no file with a known ending.
-    FileError: MuJoCo cannot read or compile it.
+    FileError: There is no such file, or MuJoCo cannot read or compile it.
     MjlabError: It does not hold exactly one robot with joints.
   """
-  if path.suffix.lower() not in (".xml", ".mjcf", ".urdf"):
-    raise UsageError(f"{path}: expected a file that ends in .xml, .mjcf or .urdf")
-  if not path.is_file():
-    raise UsageError(f"{path}: no such file")
-  try:
+  with reading("robot", path):
     spec = mujoco.MjSpec.from_file(str(path))
     spec.memory = -1
     spec.copy().compile()
-  except (ValueError, RuntimeError, OSError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
-    raise FileError(f"{path}: MuJoCo cannot read it: {_one_line(error)}") from error
   model = RobotModel(spec=spec, source=printable(path.name), is_floating=False)
   _keep_only_the_robot(model)
   _set_base(model, base, is_urdf=path.suffix.lower() == ".urdf")

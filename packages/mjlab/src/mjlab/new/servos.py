@@ -186,15 +186,12 @@ def _motor_data(motors: Sequence[str], joints: list[str]) -> dict[str, tuple[flo
     pattern, _, values = text.rpartition("=")
     try:
       numbers = [float(value) for value in values.split(",")]
-      _, names = match_names(pattern, joints, what="joint", owner="--motors")
-    except MjlabError as error:
-      raise UsageError(str(error)) from error
-    except (ValueError, re.error) as error:
-      raise UsageError(f"--motors: {text!r} must be PATTERN=EFFORT[,ARMATURE[,SPEED]]") from error
+    except ValueError:
+      numbers = []
     if not 1 <= len(numbers) <= 3 or not all(np.isfinite(number) and number > 0 for number in numbers):
-      raise UsageError(f"--motors: {text!r}: expected one to three positive numbers after the '='")
+      raise UsageError(f"--motors: {text!r} must be PATTERN=EFFORT[,ARMATURE[,SPEED]] with positive numbers")
     armature, speed = (*numbers[1:], None, None)[:2]
-    for name in names:
+    for name in match_names(pattern, joints, what="joint", owner="--motors")[1]:
       found[name] = (numbers[0], armature, speed)
   return found
 
