@@ -33,7 +33,7 @@ def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None
   ("words", "message"),
   [
     (["stair"], "type 'stair' does not exist. Nearest: stairs_up"),
-    (["stairs_up", "--difficulty", "0", "0.5", "1"], "--difficulty must have at most 2 elements, got 3"),
+    (["stairs_up", "--difficulty", "0", "0.5", "1"], "--difficulty must have at most 2 elements, got (0.0, 0.5, 1.0)"),
     (["stairs_up", "--set", "platform=9"], "make the platform at most 5.9 m"),
     (["stairs_up", "--set", "waves.amplitude=0,1"], "there is no type 'waves' here. There are stairs_up"),
     (["stairs_up", "--set", "hight=3"], "there is no setting 'hight'. There are border"),
