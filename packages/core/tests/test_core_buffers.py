@@ -266,9 +266,3 @@ def test_pinned_lags_stay_through_draws_and_resets_and_others_are_drawn_as_ever(
   copy.pin(nobody, 1)
   copy.load_state_dict(buffer.state_dict())
   assert torch.equal(copy.push(frame(13)), buffer.push(frame(13)))
-
-
-def test_a_lag_that_never_varies_cannot_be_pinned() -> None:
-  for buffer in (delay(2, 2), delay(0, 2, per_env=False)):
-    with pytest.raises(ValueError, match="are the same in all worlds, so they cannot be pinned"):
-      buffer.pin(torch.ones(N, dtype=torch.bool), 2)

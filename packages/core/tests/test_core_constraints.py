@@ -1,15 +1,30 @@
-"""Constraints that config fields declare, and what counts as a whole number."""
+"""Constraints that config fields declare."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import pytest
-from mjlab_core import ConfigError, why_no_count
-from mjlab_core.constraints import Ascending, Finite, Items, Limits, NonNegative, Positive, PositiveCount, check_fields
+from mjlab_core import ConfigError
+from mjlab_core.constraints import (
+  Ascending,
+  Bounds,
+  Finite,
+  Items,
+  Limits,
+  NonNegative,
+  NonNegativeRange,
+  Positive,
+  PositiveCount,
+  Range,
+  Share,
+  check_fields,
+  field_problem,
+)
 
 if TYPE_CHECKING:
   from decimal import Decimal
@@ -98,20 +113,21 @@ def test_all_problems_are_in_one_message() -> None:
   assert len(error.value.problems) == 2
 
 
-@pytest.mark.parametrize("value", [1, 7, np.int64(3)])
-def test_whole_numbers_from_the_least_on_are_counts(value: object) -> None:
-  assert why_no_count(value, 1) == ""
-
-
 @pytest.mark.parametrize(
-  ("value", "reason"),
+  ("value", "hint", "problem"),
   [
-    (0, "must be at least 1, got 0"),
-    (True, "must be a whole number, got True"),
-    ("4", "must be a whole number, got '4'"),
-    (None, "must be a whole number, got None"),
-    (float("nan"), "must be a whole number, got nan"),
+    ((0, 1.0), Range, ""),
+    ((1.0, math.inf), Range, "must be finite, got (1.0, inf)"),
+    ([0.0, math.inf], Bounds, ""),
+    ((math.nan, 1.0), Bounds, "must be a number, got (nan, 1.0)"),
+    ((2, 1), Bounds, "must not fall, got (2, 1)"),
+    ("ab", Range, "must be a tuple, got 'ab'"),
+    ((-1.0, 1.0), NonNegativeRange, "must not be negative, got (-1.0, 1.0)"),
+    (1.5, Share, "must be in [0, 1], got 1.5"),
+    (3, str, "must be a string, got 3"),
+    (1, bool, "must be a bool, got 1"),
+    (True, float, "must be a number, got True"),
   ],
 )
-def test_all_else_is_told_what_it_should_be(value: object, reason: str) -> None:
-  assert why_no_count(value, 1) == reason
+def test_one_value_is_checked_against_an_annotation(value: object, hint: Any, problem: str) -> None:
+  assert field_problem(value, hint) == problem

@@ -50,41 +50,6 @@ def test_a_distribution_of_no_width_is_its_point() -> None:
 
 
 @pytest.mark.parametrize(
-  ("lo", "hi", "limits", "message"),
-  [
-    (2.0, 1.0, {}, r"friction: range \(2\.0, 1\.0\) is inverted\. Did you mean \(1\.0, 2\.0\)\?"),
-    (-1.0, 1.0, {"minimum": 0.0}, "must not be negative"),
-    (0.0, 1.0, {"minimum": 0.0, "open_minimum": True}, "must be positive"),
-    (0.0, 2.0, {"maximum": 1.0}, "must be (at most 1|in)"),
-    (math.nan, 2.0, {}, "must be a number"),
-  ],
-)
-def test_a_bad_range_is_refused_by_name(lo: float, hi: float, limits: dict, message: str) -> None:
-  core.check_range("friction", 0.5, 1.0, **limits)
-  with pytest.raises(ValueError, match=message):
-    core.check_range("friction", lo, hi, **limits)
-
-
-@pytest.mark.parametrize(
-  ("bounds", "message"),
-  [
-    ((1.0,), r"delay: must be two numbers, the lowest and the highest, got \(1\.0,\)"),
-    (1.0, "must be two numbers"),
-    ("ab", "must be two numbers"),
-    ((2, 1), "is inverted"),
-    ((math.nan, 1.0), "must be a number"),
-    ((1.0, math.inf), r"range \(1\.0, inf\) must be finite"),
-    ((-1.0, 1.0), "must not be negative"),
-  ],
-)
-def test_what_is_no_range_of_a_config_is_refused_by_name(bounds: object, message: str) -> None:
-  core.check_bounds("delay", (0, 1.0), minimum=0.0, finite=True)
-  core.check_bounds("delay", [0.0, math.inf])
-  with pytest.raises(ValueError, match=message):
-    core.check_bounds("delay", bounds, minimum=0.0, finite=True)
-
-
-@pytest.mark.parametrize(
   "src", [7.0, torch.tensor(7.0), torch.full((4, 1), 7.0), torch.full((4, 3), 7, dtype=torch.int32)]
 )
 def test_masked_writes_touch_masked_rows_only_and_stay_in_place(src: torch.Tensor | float) -> None:

@@ -240,8 +240,8 @@ UNPHYSICAL = [
   (lambda: FIELD("geom_rgba", ".*", Categorical(())), r"needs values, and as many weights, not all zero; got \(\)"),
   (lambda: FIELD("geom_rgba", ".*", Categorical((0.0, 1.0), (1.0,))), r"as many weights, .* and \(1.0,\)"),
   (lambda: FIELD("geom_rgba", ".*", Categorical((0.0, 1.0), (-1.0, 1.0))), "weights must not be negative"),
-  (lambda: FIELD("geom_rgba", ".*", Custom(lambda shape, **more: torch.ones(shape), 1.0, 0.0)), "is inverted"),
-  (lambda: pseudo_inertia("thigh", scale=-0.1), r"range \(0\.1, -0\.1\) is inverted"),
+  (lambda: FIELD("geom_rgba", ".*", Custom(lambda shape, **more: torch.ones(shape), 1.0, 0.0)), "must not fall"),
+  (lambda: pseudo_inertia("thigh", scale=-0.1), r"must not fall, got \(0\.1, -0\.1\)"),
 ]  # fmt: skip
 
 
@@ -262,7 +262,7 @@ RESULTS = [
   (FIELD("actuator_delay", "hip", (0.0, 0.1)), r"a delay of 0\.1 s, but its buffer was compiled for 0\.016 s"),
   (FIELD("geom_matid", "post", Categorical(("steal", "dull"))), "material 'steal' does not exist"),
   (FIELD("jnt_axis", "slide", (0.0, 0.0), operation="absolute"), "'slide' may get jnt_axis of length zero"),
-  (FIELD("geom_matid", "post", Categorical((0, 7))), "7 is no material; there are 3"),
+  (FIELD("geom_matid", "post", Categorical((0, 7))), "\\(0, 7\\) must be whole numbers below 3"),
 ]  # fmt: skip
 
 

@@ -80,9 +80,7 @@ def test_stages_may_count_iterations_and_change_terminations(make: Make) -> None
 @pytest.mark.parametrize(
   ("stages", "message"),
   [
-    ([], "stages is empty"),
     ([{"step": 3, "weight": 1.0}, {"step": 3, "weight": 2.0}], r"must follow in order, got steps \[3, 3\]"),
-    ([{"step": 3}], "stage from step 3 changes nothing"),
     ([{"step": 3, "params": {"scales": 1.0}}], "parameter 'scales' does not exist. Nearest: scale"),
   ],
 )

@@ -304,7 +304,7 @@ def delays(**params: Any) -> EventTermCfg:
 @pytest.mark.parametrize(
   ("events", "message"),
   [
-    ({"a": drawn("stifness", (0.8, 1.2))}, "actuator parameter 'stifness' does not exist. Nearest: stiffness"),
+    ({"a": drawn("stifness", (0.8, 1.2))}, "parameter 'parameter' 'stifness' does not exist. Nearest: stiffness"),
     ({"a": drawn("stiffness", (1.2, 0.8))}, "stiffness.* 1.2"),
     ({"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
     ({"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
@@ -319,7 +319,7 @@ def delays(**params: Any) -> EventTermCfg:
       "effort_limit of joint 'pd'",
     ),
     ({"a": delays(lag_range=(3, 1))}, "lag_range.*3.*1"),
-    ({"a": delays(lag_range=(0.5, 1))}, "lags are whole numbers"),
+    ({"a": delays(lag_range=(0.5, 1))}, "must be a whole number"),
     ({"a": delays(lag_range=(0, 4), targets="motor")}, "'motor' shares its delay with dc; name all of them"),
     ({"a": delays(lag_range=(0, 4), targets=("motor", "dc"))}, "lags in .0, 4. for 'motor', whose config has"),
     ({"a": delays(lag_range=(2, 2), targets=("pd",))}, "delay_min_lag 2 and delay_max_lag 2; widen those"),

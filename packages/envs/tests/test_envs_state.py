@@ -324,9 +324,9 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
     ({"num_envs": 0}, "scene: num_envs must be at least 1, got 0"),
     ({"num_envs": 2.5}, "scene: num_envs must be a whole number, got 2.5"),
     ({"decimation": True}, "decimation must be a whole number, got True"),
-    ({"episode_length_s": float("inf")}, "episode_length_s must be finite, got inf; 0 is without end"),
+    ({"episode_length_s": float("inf")}, "episode_length_s must be finite, got inf"),
     ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
-    ({"seed": 2**64}, "seed must fit into 64 bits, got 18446744073709551616"),
+    ({"seed": 2**64}, "seed must be in .* got 18446744073709551616"),
   ],
 )
 def test_numbers_out_of_range_are_refused_at_build(make: Make, options: dict, message: str) -> None:

@@ -150,7 +150,7 @@ def test_times_differ_between_worlds_and_a_step_waits_for_nothing(make: Make) ->
   ("params", "message"),
   [
     ({"force_range": {"w": (0.0, 1.0)}}, "component 'w' does not exist"),
-    ({"force_range": (1.0, 0.0)}, "inverted"),
+    ({"force_range": (1.0, 0.0)}, "must not fall"),
   ],
 )
 def test_ranges_are_checked(make: Make, params: dict[str, Any], message: str) -> None:

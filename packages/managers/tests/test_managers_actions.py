@@ -82,16 +82,6 @@ def test_the_last_three_raw_actions_are_kept_and_zeroed_where_an_episode_ends(en
   assert (target(manager, "legs")[1] == 0).all()
 
 
-@pytest.mark.parametrize("shape", [(1, 3), (4, 2), (3,), (5, 3)])
-def test_a_wrong_shape_is_refused_before_anything_changes(env, shape):
-  manager = build(env)
-  manager.process_action(torch.ones(4, 3))
-  before = manager.state_dict()
-  with pytest.raises(ValueError, match=r"expected float \(4, 3\) \(legs 2, arm 1\), got float32"):
-    manager.process_action(torch.zeros(shape))
-  assert torch.equal(manager.state_dict()["_history"], before["_history"])
-
-
 def test_entries_that_are_no_numbers_become_zero_and_are_counted(env, logged):
   manager = build(env)
   action = torch.ones(4, 3)
@@ -118,7 +108,7 @@ def test_a_term_that_cannot_be_built_is_named(env):
     def build(self, env: Any) -> Scaled:
       raise ValueError("no such actuator")
 
-  with pytest.raises(ConfigError, match="ActionManager: term 'legs': no such actuator"):
+  with pytest.raises(ConfigError, match=r"ActionManager: term 'legs': ValueError while making it .*: no such actuator"):
     ActionManager({"legs": Broken(entity="robot", width=1)}, env)
 
 

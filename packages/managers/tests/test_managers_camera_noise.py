@@ -224,9 +224,9 @@ def test_a_step_asks_the_device_nothing(env, dispatched) -> None:
 @pytest.mark.parametrize(
   ("options", "said"),
   [
-    ({"color": (3, 4, 5)}, "color: channel 5 does not exist; there are 5"),
+    ({"color": (3, 4, 5)}, "color: channels must be neighbours from 0..4"),
     ({"color": (0, 2)}, "color: channels must be neighbours"),
-    ({"depth": 7}, "depth: channel 7 does not exist"),
+    ({"depth": 7}, "depth: channels must be neighbours from 0..4"),
     ({"gain": (0.5, 1.0)}, "gain changes nothing, for no channel is named as color"),
     ({"color": (0,), "hole_share": (0.0, 0.1)}, "hole_share changes nothing, for no channel is named as depth"),
     ({"color": (0,), "gain": (1.2, 0.8)}, "gain"),

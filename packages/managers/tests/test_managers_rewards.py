@@ -37,11 +37,11 @@ def test_a_constant_reward_of_one_over_a_full_episode_logs_its_weight(env, logge
 
 @pytest.mark.parametrize("weight", [float("nan"), float("inf")])
 def test_a_weight_that_is_no_number_is_refused_at_build_and_later(env, weight):
-  with pytest.raises(ConfigError, match="term 'one': weight must be a finite number"):
+  with pytest.raises(ConfigError, match=r"term 'one': weight must be (finite|a number)"):
     RewardManager({"one": RewardTermCfg(one, weight=weight)}, env)
   manager = RewardManager({"one": RewardTermCfg(one, weight=1.0)}, env, scale_by_dt=False)
   manager.get_term_cfg("one").weight = weight
-  with pytest.raises(ConfigError, match="term 'one': weight must be a finite number"):
+  with pytest.raises(ConfigError, match=r"term 'one': weight must be (finite|a number)"):
     manager.sync()
   assert manager.compute().tolist() == [1.0] * 4
 

@@ -15,18 +15,21 @@ if TYPE_CHECKING:
   from mjlab_core.config import FORMER_FIELDS, Config
   from mjlab_core.constraints import (
     Ascending,
+    Bounds,
     Count,
     Finite,
     Items,
     Limits,
     NonNegative,
+    NonNegativeRange,
     Positive,
     PositiveCount,
+    Range,
+    Share,
     check_fields,
     check_value,
     field_problem,
     field_problems,
-    why_no_count,
   )
   from mjlab_core.contacts import Contacts, host_contacts
   from mjlab_core.drawing import DebugDraw
@@ -81,8 +84,6 @@ if TYPE_CHECKING:
     wrap_to_pi,
   )
   from mjlab_core.sampling import (
-    check_bounds,
-    check_range,
     draw_seed,
     gaussian,
     log_uniform,
@@ -97,6 +98,7 @@ __all__ = [
   "FORMER_FIELDS",
   "Ascending",
   "AtomicWrite",
+  "Bounds",
   "Config",
   "ConfigError",
   "Contacts",
@@ -113,9 +115,12 @@ __all__ = [
   "MjlabError",
   "ModelFields",
   "NonNegative",
+  "NonNegativeRange",
   "Positive",
   "PositiveCount",
+  "Range",
   "RenderingError",
+  "Share",
   "StateError",
   "Stateful",
   "StatefulDict",
@@ -123,10 +128,8 @@ __all__ = [
   "UsageError",
   "as_index",
   "as_slice",
-  "check_bounds",
   "check_fields",
   "check_name",
-  "check_range",
   "check_value",
   "combine_frames",
   "cross",
@@ -177,7 +180,6 @@ __all__ = [
   "unknown",
   "velocity_at",
   "where_",
-  "why_no_count",
   "wrap_to_pi",
 ]
 
@@ -187,8 +189,8 @@ __getattr__, __dir__ = lazy_exports(
     ".buffers": "DelayBuffer HistoryBuffer",
     ".config": "FORMER_FIELDS Config",
     ".constraints": (
-      "Ascending Count Finite Items Limits NonNegative Positive PositiveCount check_fields check_value "
-      "field_problem field_problems why_no_count"
+      "Ascending Bounds Count Finite Items Limits NonNegative NonNegativeRange Positive PositiveCount Range Share "
+      "check_fields check_value field_problem field_problems"
     ),
     ".contacts": "Contacts host_contacts",
     ".drawing": "DebugDraw",
@@ -203,9 +205,7 @@ __getattr__, __dir__ = lazy_exports(
       "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
       "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
-    ".sampling": (
-      "check_bounds check_range draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"
-    ),
+    ".sampling": ("draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),
     ".state": "Stateful StatefulDict",
   },
 )

@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
-from mjlab_core.constraints import Ascending, Count, Limits, PositiveCount, check_value
+from mjlab_core.constraints import Ascending, Count, PositiveCount, Share, check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
 from mjlab_core.state import Stateful
@@ -141,7 +141,7 @@ class DelayBuffer(_Ring):
     per_env_phase: bool = True,
   ) -> None:
     check_value("DelayBuffer: (min_lag, max_lag)", (min_lag, max_lag), Annotated[tuple[Count, Count], Ascending()])
-    check_value("DelayBuffer: hold_prob", hold_prob, Annotated[float, Limits(ge=0, le=1)])
+    check_value("DelayBuffer: hold_prob", hold_prob, Share)
     check_value("DelayBuffer: update_period", update_period, Count)
     super().__init__(max_lag + 1, num_envs, shape, device, dtype)
     self.min_lag, self.max_lag = min_lag, max_lag
@@ -193,15 +193,7 @@ class DelayBuffer(_Ring):
 
     `lag` is int64 and broadcasts to (num_envs,) [pushes]; it is clamped to [min_lag, max_lag]. The first call
     allocates memory, so it belongs before a step is recorded; with an empty mask it does nothing else.
-
-    Raises:
-      MjlabError: all worlds always have the same lag.
     """
-    if not (self._varies and self._per_env):
-      raise MjlabError(
-        f"DelayBuffer: lags in [{self.min_lag}, {self.max_lag}], per_env {self._per_env}, are the same in all "
-        "worlds, so they cannot be pinned."
-      )
     if self._pinned is None:
       self._pinned = self.state(dtype=torch.int64, fill=-1)
     lag = torch.as_tensor(lag, device=self.device).clamp(self.min_lag, self.max_lag)

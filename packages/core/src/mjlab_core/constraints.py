@@ -11,9 +11,9 @@
       def __post_init__(self) -> None:
         check_fields(self, "LidarCfg")
 
-An annotation is a constraint by itself where it is `int`, `float`, a `Literal`, a tuple or mapping of these, or a
-union. Limits apply to every number of a value: to all elements of a sequence and all values of a mapping. Values of
-other types are accepted.
+An annotation is a constraint by itself where it is `int`, `float`, `str`, `bool`, a `Literal`, a tuple or mapping of
+these, or a union. Limits apply to every number of a value: to all elements of a sequence and all values of a mapping.
+Values of other types are accepted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dataclasses import dataclass, fields
 from functools import cache
 from itertools import pairwise
 from numbers import Integral, Real
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from mjlab_core.errors import ConfigError
 from mjlab_core.names import unknown
@@ -113,7 +113,13 @@ class Items:
     return "name each element once" if self.unique and len(set(value)) < len(value) else ""
 
 
-_TYPE_RULES = ("be a whole number", "be a number", "be a tuple", "be a mapping")
+_TYPES: Final = {
+  float: (Real, "be a number"),
+  int: (Integral, "be a whole number"),
+  str: (str, "be a string"),
+  bool: (bool, "be a bool"),
+}
+_TYPE_RULES = (*(rule for _, rule in _TYPES.values()), "be a tuple", "be a mapping")
 
 Count = Annotated[int, Limits(ge=0)]
 """Whole number from 0 on."""
@@ -125,6 +131,14 @@ Positive = Annotated[float, Limits(gt=0)]
 """Finite number above 0."""
 Finite = Annotated[float, Limits()]
 """Finite number."""
+Share = Annotated[float, Limits(ge=0, le=1)]
+"""Number in [0, 1]."""
+Range = Annotated[tuple[float, float], Limits(), Ascending()]
+"""Least and greatest value, finite."""
+NonNegativeRange = Annotated[Range, Limits(ge=0)]
+"""Least and greatest value, finite, from 0 on."""
+Bounds = Annotated[tuple[float, float], Limits(finite=False), Ascending()]
+"""Least and greatest value, either of them possibly infinite."""
 
 
 def check_fields(cfg: Any, owner: str) -> None:
@@ -147,33 +161,27 @@ def field_problem(value: Any, hint: Any) -> str:
   return f"must {rule}, got {value!r}" if rule else ""
 
 
+def named_problem(name: str, value: Any, hint: Any) -> str:
+  """Return `field_problem` behind the value's name, for a misspelt choice with the nearest ones; else empty."""
+  problem = field_problem(value, hint)
+  return problem and (_names_close(name, value, hint) or f"{name} {problem}")
+
+
 def check_value(name: str, value: Any, hint: Any) -> None:
   """Check one value against an annotation.
 
   Raises:
     ConfigError: the value breaks it; the message begins with `name`.
   """
-  if problem := field_problem(value, hint):
-    raise ConfigError(f"{name} {problem}")
+  if problem := named_problem(name, value, hint):
+    raise ConfigError(problem)
 
 
 def field_problems(cfg: Any) -> list[str]:
   """Return one line for each field of a dataclass whose value breaks a constraint, without the name of the config."""
   hints = field_hints(type(cfg))
-  problems = []
-  for name in (field.name for field in fields(cfg) if field.name in hints):
-    value, hint = getattr(cfg, name), hints[name]
-    if problem := field_problem(value, hint):
-      problems.append(_names_close(name, value, hint) or f"{name} {problem}")
-  return problems
-
-
-def why_no_count(value: object, least: int = 0) -> str:
-  """Return the reason why a value is not a whole number from `least` on: "must be at least 1, got 0"; else "".
-
-  The reason is written to follow the value's name.
-  """
-  return field_problem(value, Annotated[int, Limits(ge=least)])
+  names = [field.name for field in fields(cfg) if field.name in hints]
+  return [problem for name in names if (problem := named_problem(name, getattr(cfg, name), hints[name]))]
 
 
 @cache
@@ -214,9 +222,9 @@ def _broken_rule(value: Any, hint: Any) -> str:
     if not isinstance(value, Mapping):
       return "be a mapping"
     return next((broken for element in value.values() if (broken := _broken_rule(element, args[1]))), "")
-  if hint is int:
-    return "" if isinstance(value, Integral) and not isinstance(value, bool) else "be a whole number"
-  return "be a number" if hint is float and not isinstance(value, Real) else ""
+  kind, rule = _TYPES.get(hint, (object, "")) if isinstance(hint, type) else (object, "")
+  is_wrong = not isinstance(value, kind) or (hint in (int, float) and isinstance(value, bool))
+  return rule if is_wrong else ""
 
 
 def _is_for(value: Any, rule: str, hint: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Draws from distributions, whole batches at a time and without a host sync, seeds, and checks of ranges.
+"""Draws from distributions, whole batches at a time and without a host sync, and seeds.
 
 Bounds are numbers or tensors that broadcast against `shape`. The amount of randomness consumed depends on `shape`
 alone, so that what a world draws does not depend on which worlds are asked for.
@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjlab_core.constraints import Limits, field_problem
 from mjlab_core.errors import MjlabError
 
 
@@ -89,39 +88,6 @@ def truncated_normal(
   x = x.clamp_(min=lo) if not isinstance(lo, Tensor) else torch.maximum(x, lo)
   x = x.clamp_(max=hi) if not isinstance(hi, Tensor) else torch.minimum(x, hi)
   return x.to(dtype)
-
-
-def check_bounds(name: str, bounds: object, *, minimum: float = -math.inf, finite: bool = False) -> None:
-  """Check a pair (lo, hi) of a config as `check_range` does.
-
-  Raises:
-    MjlabError: the value is not a pair of numbers, or not such a range; the message begins with `name`.
-  """
-  if not isinstance(bounds, Sequence) or field_problem(bounds, tuple[float, float]):
-    raise MjlabError(f"{name}: must be two numbers, the lowest and the highest, got {bounds!r}.")
-  check_range(name, *bounds, minimum=minimum, finite=finite)
-
-
-def check_range(
-  name: str,
-  lo: float,
-  hi: float,
-  *,
-  minimum: float = -math.inf,
-  maximum: float = math.inf,
-  open_minimum: bool = False,
-  finite: bool = False,
-) -> None:
-  """Check that lo <= hi are numbers inside [minimum, maximum], or (minimum, maximum] if `open_minimum`.
-
-  Raises:
-    MjlabError: they are not; the message begins with `name`.
-  """
-  limits = Limits(ge=minimum, gt=minimum if open_minimum else -math.inf, le=maximum, finite=finite)
-  problem = limits.problem((lo, hi))
-  if problem or lo > hi:
-    problem = f"must {problem}." if problem else f"is inverted. Did you mean ({hi}, {lo})?"
-    raise MjlabError(f"{name}: range ({lo}, {hi}) {problem}")
 
 
 def draw_seed() -> int:

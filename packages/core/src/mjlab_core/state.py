@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -138,30 +138,30 @@ class Stateful:
     Raises:
       StateError: a name is missing or unknown, or a shape or dtype differs; the message gives the full name.
     """
-    self.check_state_dict(state)
+    if problem := next(self.state_problems(state), ""):
+      raise StateError(problem)
     self.restore(state)
 
-  def check_state_dict(self, state: Mapping[str, Any], path: str = "") -> None:
-    """Raise what `load_state_dict` would raise, and write nothing.
+  def state_problems(self, state: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    """Yield the reasons why `load_state_dict` refuses a state, each with the full name.
 
     Args:
       state: the state to check.
-      path: name of this object in messages; its class if empty.
+      path: name of this object; its class if empty.
     """
     path, registry = path or type(self).__name__, _registry(self)
     if not isinstance(state, Mapping):
-      raise StateError(f"{path}: expected a mapping, got {type(state).__name__}.")
+      yield f"{path}: expected a mapping, got {type(state).__name__}."
+      return
     expected = [*registry.tensors, *registry.children]
     for name in expected:
       if name not in state:
-        raise StateError(f"{path}.{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
-    for name in state:
-      if name not in expected:
-        raise StateError(unknown("saved entry", name, expected, owner=path))
-    for name, declared in registry.tensors.items():
-      _check_tensor(state[name], declared.tensor, f"{path}.{name}")
-    for name, child in registry.children.items():
-      child.check_state_dict(state[name], f"{path}.{name}")
+        yield f"{path}.{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}."
+      elif name in registry.tensors:
+        yield from _tensor_problems(state[name], registry.tensors[name].tensor, f"{path}.{name}")
+      else:
+        yield from registry.children[name].state_problems(state[name], f"{path}.{name}")
+    yield from (unknown("saved entry", name, expected, owner=path) for name in state if name not in expected)
 
   def restore(self, state: Mapping[str, Any], mask: Tensor | None = None) -> None:
     """Write a state of this very object back, in place and unchecked.
@@ -188,8 +188,7 @@ class Stateful:
     registry = _registry(self)
     for declared in registry.tensors.values():
       if declared.fill is not None and not declared.shared:
-        fill = declared.fill
-        where_(declared.tensor, mask, fill)
+        where_(declared.tensor, mask, declared.fill)
     for child in registry.children.values():
       child.refill(mask)
 
@@ -249,11 +248,11 @@ def _label(owner: Stateful) -> str:
   return f"{kind} '{name}'" if name and name != kind else kind
 
 
-def _check_tensor(source: Any, target: Tensor, path: str) -> None:
-  if not isinstance(source, Tensor):
-    raise StateError(f"{path}: expected a tensor, got {type(source).__name__}.")
-  if source.shape != target.shape:
-    raise StateError(f"{path}: saved shape {tuple(source.shape)}, here {tuple(target.shape)}.")
+def _tensor_problems(saved: Any, here: Tensor, path: str) -> Iterator[str]:
+  if not isinstance(saved, Tensor):
+    yield f"{path}: expected a tensor, got {type(saved).__name__}."
+  elif saved.shape != here.shape:
+    yield f"{path}: saved shape {tuple(saved.shape)}, here {tuple(here.shape)}."
   # Precision may differ between engines; the kind of number may not.
-  if source.dtype != target.dtype and not (source.is_floating_point() and target.is_floating_point()):
-    raise StateError(f"{path}: saved dtype {source.dtype}, here {target.dtype}.")
+  elif saved.dtype != here.dtype and not (saved.is_floating_point() and here.is_floating_point()):
+    yield f"{path}: saved dtype {saved.dtype}, here {here.dtype}."

@@ -85,8 +85,6 @@ class RandomizeField:
     field = FIELDS[cfg.field]
     self._form, self._sim, self._generator, self._target = field.form, sim, generator, target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
-    if field.in_model == (target is not None):
-      raise MjlabError(f"{owner}: a target is for fields outside of MjModel, and only for those.")
     model = sim.mj_model
     if target is None or isinstance(target, Tensor):
       binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mjlab_core import UnknownNameError, match_names, unknown
+from mjlab_core import Limits, UnknownNameError, match_names, unknown
 from mjlab_core.errors import MjlabError
 
 from mjlab_dr.catalogue import FIELDS
@@ -209,11 +209,11 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
   for distribution in cfg.values.values():
     assert isinstance(distribution, Categorical)
     chosen = distribution.named(find)
-    for value in chosen.values:
-      if field.names and value not in range(len(known)):
-        raise MjlabError(f"{owner}: {value!r} is no {field.names}; there are {len(known)}, from 0.")
-      if value != int(value):
-        raise MjlabError(f"{owner}: {value!r} must be a whole number.")
+    limits = Limits(ge=0, le=len(known) - 1) if field.names else Limits()
+    if any(value != int(value) for value in chosen.values) or limits.problem(chosen.values):
+      raise MjlabError(
+        f"{owner}: {chosen.values} must be whole numbers{f' below {len(known)}' if field.names else ''}."
+      )
     out.append(chosen)
   return out
 

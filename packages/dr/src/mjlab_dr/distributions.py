@@ -10,9 +10,9 @@ from numbers import Real
 from typing import Annotated, Any, ClassVar, Protocol
 
 import torch
-from mjlab_core import check_range, log_uniform, truncated_normal, uniform
-from mjlab_core.constraints import Finite, Limits, NonNegative, field_problems
-from mjlab_core.errors import ConfigError, MjlabError
+from mjlab_core import log_uniform, truncated_normal, uniform
+from mjlab_core.constraints import Bounds, Finite, Limits, NonNegative, Positive, check_fields, check_value
+from mjlab_core.errors import MjlabError
 from torch import Tensor
 
 
@@ -60,44 +60,42 @@ class _Parametric:
     return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
 
 
+class _Bounded:
+  """A distribution within [lo, hi]."""
+
+  lo: Any
+  hi: Any
+
+  def check(self, name: str) -> None:
+    """Raise ConfigError, beginning with `name`, if the parameters are impossible."""
+    check_fields(self, name)
+    check_value(f"{name}: (lo, hi)", self.support(), Bounds)
+
+  def support(self) -> tuple[float, float]:
+    """Return (lo, hi)."""
+    return self.lo, self.hi
+
+
 @dataclass(frozen=True)
-class Uniform(_Parametric):
+class Uniform(_Parametric, _Bounded):
   """Every value of [lo, hi] equally likely."""
 
   lo: Finite
   hi: Finite
   _draw = staticmethod(uniform)
 
-  def check(self, name: str) -> None:
-    """Raise MjlabError if the range is inverted or not finite."""
-    check_range(name, self.lo, self.hi)
-    _check_fields(self, name)
-
-  def support(self) -> tuple[float, float]:
-    """Return (lo, hi)."""
-    return self.lo, self.hi
-
 
 @dataclass(frozen=True)
-class LogUniform(_Parametric):
+class LogUniform(_Parametric, _Bounded):
   """Every ratio within [lo, hi] equally likely; for quantities that range over orders of magnitude."""
 
-  lo: Finite
-  hi: Finite
+  lo: Positive
+  hi: Positive
   _draw = staticmethod(log_uniform)
-
-  def check(self, name: str) -> None:
-    """Raise MjlabError if the range is inverted, not finite, or not above zero."""
-    check_range(f"{name}, log-uniform", self.lo, self.hi, minimum=0.0, open_minimum=True)
-    _check_fields(self, name)
-
-  def support(self) -> tuple[float, float]:
-    """Return (lo, hi)."""
-    return self.lo, self.hi
 
 
 @dataclass(frozen=True)
-class Gaussian(_Parametric):
+class Gaussian(_Parametric, _Bounded):
   """Normal with this mean and standard deviation, conditioned on [lo, hi]."""
 
   mean: Finite
@@ -107,17 +105,10 @@ class Gaussian(_Parametric):
   _draw = staticmethod(truncated_normal)
 
   def check(self, name: str) -> None:
-    """Raise MjlabError if `std` is negative, or [lo, hi] is inverted or more than 5 std away from the mean."""
-    check_range(f"{name}, Gaussian", self.lo, self.hi)
-    _check_fields(self, name)
+    """Raise MjlabError also if [lo, hi] is more than 5 std away from the mean."""
+    super().check(name)
     if not self.lo - 5.0 * self.std <= self.mean <= self.hi + 5.0 * self.std:
-      raise MjlabError(
-        f"{name}: mean {self.mean} is more than five standard deviations ({self.std}) outside [{self.lo}, {self.hi}]."
-      )
-
-  def support(self) -> tuple[float, float]:
-    """Return (lo, hi)."""
-    return self.lo, self.hi
+      raise MjlabError(f"{name}: mean {self.mean} is more than 5 std ({self.std}) outside [{self.lo}, {self.hi}].")
 
 
 @dataclass(frozen=True)
@@ -129,7 +120,7 @@ class Categorical:
 
   def check(self, name: str) -> None:
     """Raise MjlabError if there is nothing to choose from, or weights do not fit it."""
-    _check_fields(self, name)
+    check_fields(self, name)
     weights = (1.0,) * len(self.values) if self.weights is None else self.weights
     if len(weights) != len(self.values) or not sum(weights):
       raise MjlabError(f"{name}: needs values, and as many weights, not all zero; got {self.values} and {weights}.")
@@ -172,7 +163,7 @@ class Categorical:
 
 
 @dataclass(frozen=True)
-class Custom:
+class Custom(_Bounded):
   """Draws of a function, which must stay within [lo, hi].
 
   It runs inside a captured step: it must draw from the generator it is given, and not wait for the device.
@@ -182,30 +173,14 @@ class Custom:
   lo: Finite
   hi: Finite
 
-  def check(self, name: str) -> None:
-    """Raise MjlabError if the range is inverted or not finite."""
-    check_range(name, self.lo, self.hi)
-    _check_fields(self, name)
-
-  def support(self) -> tuple[float, float]:
-    """Return (lo, hi)."""
-    return self.lo, self.hi
-
   def sample(
     self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
   ) -> Tensor:
     """Return the draws of the function, clamped to [lo, hi]."""
     drawn = self.function(shape, generator=generator, device=device, dtype=dtype)
-    if not isinstance(drawn, Tensor):
-      raise MjlabError(f"a custom distribution returned {drawn!r} where a tensor was asked for.")
     if drawn.shape != tuple(shape):
       raise MjlabError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
     return drawn.to(dtype).clamp(self.lo, self.hi)
-
-
-def _check_fields(distribution: Any, name: str) -> None:
-  if problems := field_problems(distribution):
-    raise ConfigError(*(f"{name}: {problem}" for problem in problems))
 
 
 def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) -> Any:
@@ -217,8 +192,7 @@ def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) ->
 
 def check_distribution(distribution: Distribution, name: str) -> None:
   """Raise MjlabError, beginning with `name`, if it is not a distribution, or has impossible parameters."""
-  methods = [getattr(distribution, method, None) for method in ("check", "support", "sample")]
-  if isinstance(distribution, type) or not all(map(callable, methods)):
+  if isinstance(distribution, type) or not hasattr(distribution, "sample"):
     raise MjlabError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
   distribution.check(name)
 

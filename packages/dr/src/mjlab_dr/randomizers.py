@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from mjlab_core import unknown
-from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError
+from mjlab_core import check_name, unknown
+from mjlab_core.errors import ConfigError, MjlabError
 
 from mjlab_dr.catalogue import FIELDS, needs_constants
 from mjlab_dr.distributions import (
@@ -175,10 +175,8 @@ def randomize_field(
   """
   pattern = pattern if isinstance(pattern, str) else tuple(pattern)
   label = f"{field} {pattern!r}"
-  if field not in FIELDS:
-    raise UnknownNameError(unknown("field", field, FIELDS, owner="randomizer"))
-  if distribution not in _BY_NAME:
-    raise UnknownNameError(unknown("distribution", distribution, _BY_NAME, owner=label))
+  check_name("field", field, FIELDS, "randomizer")
+  check_name("distribution", distribution, _BY_NAME, label)
   names = FIELDS[field].axes
   if isinstance(values, Mapping):
     if axes is not None:
@@ -190,8 +188,6 @@ def randomize_field(
   by_axis: dict[int, Distribution] = {}
   for given, value in pairs:
     axis = _axis(given, names, label)
-    if axis in by_axis:
-      raise MjlabError(f"{label}: axis {given!r} is given values twice.")
     by_axis[axis] = as_distribution(value, _BY_NAME[distribution])
   return FieldRandomizer(
     field=field,
@@ -207,9 +203,7 @@ def randomize_field(
 def _axis(axis: int | str, names: tuple[str, ...], label: str) -> int:
   if isinstance(axis, int):
     return axis
-  if axis not in names:
-    raise UnknownNameError(unknown("axis", str(axis), names, owner=label))
-  return names.index(axis)
+  return names.index(check_name("axis", axis, names, label))
 
 
 def geom_friction(

@@ -11,8 +11,8 @@ from typing import overload
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import draw_seed, make_generator, unknown, why_no_count
-from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core import PositiveCount, check_name, check_value, draw_seed, make_generator
+from mjlab_core.errors import MjlabError
 from mjlab_core.model_fields import followers
 from mjlab_core.tables import table
 from numpy.typing import NDArray
@@ -180,21 +180,15 @@ def randomize(
   """
   seed = draw_seed() if seed is None else seed
   if tensors is not None:
-    if not tensors:
-      raise MjlabError("randomize: tensors: none is given.")
-    if num_worlds is not None:
-      raise MjlabError("randomize: give either num_worlds or tensors, which say how many worlds there are.")
     known = {*FIELDS, *(name for field in FIELDS for name in followers_of(field))}
     for name in tensors:
-      if name not in known:
-        raise UnknownNameError(unknown("field", name, sorted(known), owner="randomize: tensors"))
+      check_name("field", name, sorted(known), "randomize: tensors")
     first = next(iter(tensors.values()))
     num_worlds, device = len(first), first.device
     dtype = next((x.dtype for x in tensors.values() if x.is_floating_point()), dtype)
   if num_worlds is None:
     return Randomization(model, randomizers, seed)
-  if wrong := why_no_count(num_worlds, 1):
-    raise MjlabError(f"randomize: num_worlds {wrong}.")
+  check_value("randomize: num_worlds", num_worlds, PositiveCount)
   fields = _BatchedFields(copy.copy(model), num_worlds, torch.device(device), dtype, tensors or {})
   return RandomizedTensors(randomizers, fields, seed)
 

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -167,23 +167,27 @@ class ManagerBasedEnv:
     Raises:
       StateError: the state belongs to another task, number of worlds or kind of device; nothing was changed.
     """
+    if problem := next(self._state_problems(state), ""):
+      raise StateError(problem)
+    self.sim.load_state_dict(state["sim"])
+    for name, part in self._stateful_parts().items():
+      part.load_state_dict(state[name])
+    for name, tensor in self._own_state().items():
+      tensor.copy_(state[name])
+    self.rng.set_state(state["rng"].cpu())
+
+  def _state_problems(self, state: dict[str, Any]) -> Iterator[str]:
     own, parts = self._own_state(), self._stateful_parts()
     for name in (*own, *parts, "sim", "rng"):
       if name not in state:
-        raise StateError(f"{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}.")
+        yield f"{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}."
     for name, tensor in own.items():
       if state[name].shape != tensor.shape:
-        raise StateError(f"{name}: saved shape {tuple(state[name].shape)}, here {tuple(tensor.shape)}.")
+        yield f"{name}: saved shape {tuple(state[name].shape)}, here {tuple(tensor.shape)}."
     if state["rng"].shape != self.rng.get_state().shape:
-      raise StateError(f"rng: saved on another kind of device, here it is {self.device}.")
+      yield f"rng: saved on another kind of device, here it is {self.device}."
     for name, part in parts.items():
-      part.check_state_dict(state[name])
-    self.sim.load_state_dict(state["sim"])
-    for name, part in parts.items():
-      part.load_state_dict(state[name])
-    for name, tensor in own.items():
-      tensor.copy_(state[name])
-    self.rng.set_state(state["rng"].cpu())
+      yield from part.state_problems(state[name])
 
   def _own_state(self) -> dict[str, torch.Tensor]:
     return {
@@ -272,17 +276,16 @@ def select_worlds(env_ids: torch.Tensor | Sequence[int] | None, num_envs: int, d
   if env_ids is None:
     return torch.ones(num_envs, dtype=torch.bool, device=device)
   chosen = torch.as_tensor(env_ids, device=device)
-  if chosen.dtype == torch.bool:
-    if chosen.shape != (num_envs,):
-      raise ValueError(f"a mask of worlds must have shape ({num_envs},), got {tuple(chosen.shape)}")
+  if chosen.dtype == torch.bool and chosen.shape == (num_envs,):
     return chosen.clone()
-  mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
-  if chosen.numel() == 0:
-    return mask
-  if chosen.is_floating_point() or chosen.dim() != 1:
-    raise ValueError(f"world numbers must be whole and in one row, got {chosen.dtype} of shape {tuple(chosen.shape)}")
+  if chosen.numel() and (chosen.is_floating_point() or chosen.dtype == torch.bool or chosen.dim() != 1):
+    raise ValueError(
+      f"worlds are a bool mask of shape ({num_envs},) or whole numbers in one row, got {chosen.dtype} of shape "
+      f"{tuple(chosen.shape)}"
+    )
   outside = chosen[(chosen < 0) | (chosen >= num_envs)]
   if outside.numel():
     raise ValueError(f"world {int(outside[0])} does not exist; there are worlds 0 to {num_envs - 1}")
+  mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
   mask[chosen.long()] = True
   return mask

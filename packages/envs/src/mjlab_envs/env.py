@@ -3,11 +3,12 @@
 import copy
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
 from mjlab_core import DebugDraw
+from mjlab_core.constraints import check_value
 from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_core.sampling import draw_seed, make_generator
 from mjlab_managers import (
@@ -52,7 +53,9 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     self, cfg: ManagerBasedRlEnvCfg, device: str | torch.device = "auto", render_mode: str | None = None
   ) -> None:
     self.cfg = copy.deepcopy(cfg)
+    check_value("render_mode", render_mode, viewing.RenderMode | None)
     self.render_mode = render_mode
+    """Kind of picture that `render` returns: "rgb_array", or None for no picture."""
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
     self._closed = False
@@ -61,7 +64,8 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
       self._build(device, problems)
     except Exception as error:
       self._abandon()
-      unread = [line for part, (_, kind) in MANAGERS.items() for line in kind.check(getattr(cfg, part))]
+      parts = [(kind, getattr(cfg, part)) for part, (_, kind) in MANAGERS.items()]
+      unread = [line for kind, terms in parts if isinstance(terms, dict) for line in kind.check(terms)]
       if not (problems or unread):
         raise
       if isinstance(error, MjlabError):
@@ -96,7 +100,7 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     self.max_episode_length = math.ceil(self.max_episode_length_s / self.step_dt - 1e-9)
     autoreset = "SameStep" if self.cfg.auto_reset else "Disabled"
     self.metadata: dict[str, Any] = {
-      "render_modes": list(viewing.RENDER_MODES),
+      "render_modes": list(get_args(viewing.RenderMode)),
       "render_fps": 1.0 / self.step_dt,
       "autoreset_mode": autoreset,
     }
@@ -298,7 +302,7 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     Args:
       seed: Restart the environment's generator from this seed.
       env_ids: Worlds to reset: a bool mask (num_envs,), or world numbers as a tensor or sequence; all by default.
-      options: Must be empty or None; it exists for Gymnasium.
+      options: Ignored; it exists for Gymnasium.
 
     Returns:
       Observations of all worlds by group, fresh tensors, and an empty dict. Observations of the other worlds stay
@@ -308,8 +312,7 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
       ValueError: `env_ids` does not fit the number of worlds; nothing was changed.
     """
     self._check_open()
-    if options:
-      raise ValueError(f"reset knows no options, got: {', '.join(options)}")
+    del options
     mask = select_worlds(env_ids, self.num_envs, self.device)
     if seed is not None:
       self.seed = seed
@@ -335,17 +338,6 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
         self._warn_of_divergence()
       finally:
         self.sim.close()
-
-  @property
-  def render_mode(self) -> str | None:
-    """Kind of picture that `render` returns: "rgb_array", or None for no picture."""
-    return self._render_mode
-
-  @render_mode.setter
-  def render_mode(self, mode: str | None) -> None:
-    if mode is not None and mode not in viewing.RENDER_MODES:
-      raise ValueError(f"render_mode '{mode}' does not exist; there is {', '.join(viewing.RENDER_MODES)} (and None)")
-    self._render_mode = mode
 
   def render(self) -> np.ndarray | None:
     """Return a picture of the first worlds side by side, (height, width, 3) uint8; None if `render_mode` is None.

@@ -1,11 +1,10 @@
 """Configuration of a manager-based environment."""
 
-import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from mjlab_core.config import Config
-from mjlab_core.constraints import why_no_count
+from mjlab_core.constraints import Limits, NonNegative, PositiveCount, field_problems
 from mjlab_managers import (
   ActionTermCfg,
   CommandTermCfg,
@@ -69,11 +68,11 @@ class ViewerCfg(Config):
 class ManagerBasedRlEnvCfg(Config):
   """Configuration of an environment. A term set to None is left out."""
 
-  decimation: int
+  decimation: PositiveCount
   """Physics steps per environment step."""
   scene: SceneCfg
-  episode_length_s: float = 0.0
-  """Length of a full episode [s]."""
+  episode_length_s: NonNegative = 0.0
+  """Length of a full episode [s]; 0 is without end."""
   sim: SimulationCfg = field(default_factory=SimulationCfg)
   observations: dict[str, ObservationGroupCfg | None] = field(default_factory=dict)
   actions: dict[str, ActionTermCfg | None] = field(default_factory=dict)
@@ -85,7 +84,7 @@ class ManagerBasedRlEnvCfg(Config):
   curriculum: dict[str, CurriculumTermCfg | None] = field(default_factory=dict)
   metrics: dict[str, MetricsTermCfg | None] = field(default_factory=dict)
   recorders: dict[str, RecorderTermCfg | None] = field(default_factory=dict)
-  seed: int | None = None
+  seed: Annotated[int, Limits(ge=-(2**63), lt=2**64)] | None = None
   """Seed of the environment's generator; None draws one, see `ManagerBasedRlEnv.seed`."""
   auto_reset: bool = True
   """Reset worlds whose episode ended within the step that ended it."""
@@ -103,17 +102,7 @@ class ManagerBasedRlEnvCfg(Config):
 
   def problems(self) -> list[str]:
     """Return the mistakes in these values, one sentence each."""
-    found: list[str] = []
-    if wrong := why_no_count(self.decimation, 1):
-      found.append(f"decimation {wrong}")
-    if self.episode_length_s < 0:
-      found.append(f"episode_length_s must not be negative, got {self.episode_length_s}")
-    elif not math.isfinite(self.episode_length_s):
-      found.append(f"episode_length_s must be finite, got {self.episode_length_s}; 0 is without end")
-    if self.seed is not None and (wrong := why_no_count(self.seed, -(2**63))):
-      found.append(f"seed {wrong}")
-    elif self.seed is not None and self.seed >= 2**64:
-      found.append(f"seed must fit into 64 bits, got {self.seed}")
+    found = field_problems(self)
     if self.capture_terminal_observations and not self.auto_reset:
       found.append("capture_terminal_observations is for auto_reset; without it, steps return terminal observations")
     timed = [name for name, term in self.terminations.items() if term is not None and term.time_out]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
   from mjlab_envs.base_env import ManagerBasedEnv
   from mjlab_envs.env_cfg import ViewerCfg
 
-RENDER_MODES = ("rgb_array",)
+RenderMode = Literal["rgb_array"]
 MOST_TILES = 4
 
 

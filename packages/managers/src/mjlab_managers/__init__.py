@@ -11,7 +11,6 @@ from mjlab_managers.curriculum_manager import CurriculumManager, CurriculumTermC
 from mjlab_managers.deployment import ActionTargets, Reading, TermSource, sourced
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.event_manager import EventManager, EventMode, EventTermCfg
-from mjlab_managers.log import LogBuffer
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.metrics_manager import MetricsManager, MetricsTermCfg
 from mjlab_managers.noise import (
@@ -30,6 +29,7 @@ from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
 from mjlab_managers.scene_entity import SceneEntityCfg
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.termination_manager import TerminationManager, TerminationTermCfg
+from mjlab_managers.vector_manager import LogBuffer
 
 __all__ = [
   "ActionManager",

@@ -102,17 +102,15 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
     self._finish()
 
-    self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
+    self._applied = [t for t in self._terms.values() if type(t).apply_actions is not ActionTerm.apply_actions]
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
     # Newest first. One block, so that a reset is one operation.
     self._history = self.state((3, self.total_action_dim))
     self._frames = tuple(self._history[:, age] for age in range(3))
     self._nonfinite = self.state(dtype=torch.int64, shared=True)
-    start = 0
-    for term, width in zip(self._terms.values(), self.action_term_dim, strict=True):
-      term._raw_action = self._frames[0][:, start : start + width]
-      start += width
+    for name, columns in self.term_slices().items():
+      self._terms[name]._raw_action = self._frames[0][:, columns]
 
   @property
   def action(self) -> torch.Tensor:
@@ -146,18 +144,8 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     return slices
 
   def process_action(self, action: torch.Tensor) -> None:
-    """Take the policy's output, (N, total_action_dim). NaN and infinite entries become 0.
-
-    Raises:
-      ValueError: wrong shape or type; nothing was changed.
-    """
+    """Take the policy's output, (N, total_action_dim). NaN and infinite entries become 0."""
     newest, previous, oldest = self._frames
-    if action.shape != newest.shape or not action.dtype.is_floating_point:
-      widths = ", ".join(f"{n} {w}" for n, w in zip(self._terms, self.action_term_dim, strict=True))
-      raise ValueError(
-        f"action: expected float {tuple(newest.shape)} ({widths or 'no terms'}), "
-        f"got {str(action.dtype).removeprefix('torch.')} {tuple(action.shape)}."
-      )
     if not self._terms:
       return
     oldest.copy_(previous)
@@ -165,19 +153,13 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
-    for name, term in self._terms.items():
-      try:
-        term.process_actions(term._raw_action)
-      except Exception as error:
-        raise self._failure(name, error) from error
+    for term in self._terms.values():
+      term.process_actions(term._raw_action)
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
-    for name, term in self._applied.items():
-      try:
-        term.apply_actions()
-      except Exception as error:
-        raise self._failure(name, error) from error
+    for term in self._applied:
+      term.apply_actions()
 
   def rehearse(self) -> None:
     for name, term in self._terms.items():

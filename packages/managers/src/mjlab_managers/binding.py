@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar, cast
 
 import torch
-from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.errors import ConfigError, MjlabError, StateError
 from mjlab_core.names import unknown
 
 from mjlab_managers.env import ManagerEnv
@@ -65,9 +65,7 @@ class Term:
 
   def __call__(self, *args: Any) -> Any:
     try:
-      if self._kind is not None:
-        return self.func(*args)
-      return self.func(self._env, *args, **self._values)
+      return self.call(*args)
     except Exception as error:
       raise MjlabError(f"{self.owner}: term '{self.name}': {type(error).__name__}: {error}") from error
 
@@ -103,7 +101,7 @@ class Term:
       MjlabError: a parameter does not exist or has a wrong value; nothing was changed.
     """
     if problems := list(self._signature.problems(params, complete=False)):
-      raise MjlabError("; ".join(problem.rstrip(".") for problem in problems) + ".")
+      raise ConfigError(*problems)
     resolved = self._resolved(params)
     changed = {name: value for name, value in resolved.items() if not same(value, self.given.get(name))}
     if all(
@@ -215,8 +213,6 @@ def term_problems(cfg: ManagerTermBaseCfg, base: type = ManagerTermBase, *, mask
   func = cfg.func
   if not callable(func):
     return [f"func {func!r} is not callable."]
-  if not isinstance(cfg.params, dict):
-    return [f"params must be a dict, got {cfg.params!r}."]
   if isinstance(func, type):
     wrong = _class_problem(func, base, masked=masked)
     return [wrong] if wrong else list(Signature(func, 1).problems(cfg.params))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
-from mjlab_core.indexing import where_
-from mjlab_core.sampling import check_range
+from mjlab_core.constraints import Limits, NonNegativeRange, PositiveCount, Range, check_fields
+from mjlab_core.indexing import as_slice, where_
 
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
-
-Range = tuple[float, float]
 
 
 @dataclass(kw_only=True)
@@ -29,22 +28,22 @@ class CameraNoiseCfg(NoiseModelCfg):
   """Channel that holds depth."""
   lost: tuple[int, ...] = ()
   """Adjacent channels that become 0 in the holes of depth, such as a mask of valid depth."""
-  gain: Range = (1.0, 1.0)
+  gain: NonNegativeRange = (1.0, 1.0)
   """Factor of colours, as from the exposure time."""
-  gamma: Range = (1.0, 1.0)
+  gamma: NonNegativeRange = (1.0, 1.0)
   """Exponent of colours. A value above 1 darkens the tones between black and white."""
   bias: Range = (0.0, 0.0)
   """Offset of colours."""
-  color_std: Range = (0.0, 0.0)
+  color_std: NonNegativeRange = (0.0, 0.0)
   """Standard deviation of the colour noise, drawn for each channel of each pixel in every frame."""
-  depth_std: Range = (0.0, 0.0)
+  depth_std: NonNegativeRange = (0.0, 0.0)
   """Standard deviation of the depth noise at depth 1, drawn in every frame. It grows with the square of depth, as in
   stereo cameras."""
-  disparity_step: Range = (0.0, 0.0)
+  disparity_step: NonNegativeRange = (0.0, 0.0)
   """Step of the inverse of depth, as in stereo cameras; 0 means no rounding."""
-  hole_share: Range = (0.0, 0.0)
+  hole_share: Annotated[NonNegativeRange, Limits(le=1)] = (0.0, 0.0)
   """Share of pixels in holes, which are drawn in every frame. These pixels read 1."""
-  hole_size: int = 3
+  hole_size: PositiveCount = 3
   """Edge length of the square holes [pixel]."""
 
   def build(
@@ -77,12 +76,8 @@ class CameraNoise(NoiseModel):
   ) -> None:
     if len(shape) != 3:
       raise ValueError(f"CameraNoiseCfg: needs images (channels, height, width), not {shape}.")
-    if cfg.hole_size < 1:
-      raise ValueError(f"CameraNoiseCfg: hole_size must be at least 1, got {cfg.hole_size}.")
+    check_fields(cfg, "CameraNoiseCfg")
     bounds = {name: getattr(cfg, name) for name in _RANGES}
-    for name, (lo, hi) in bounds.items():
-      least = float("-inf") if name == "bias" else 0.0
-      check_range(f"CameraNoiseCfg: {name}", lo, hi, minimum=least, maximum=1.0 if name == "hole_share" else 1e9)
     self._color, self._lost = _neighbours("color", cfg.color, shape[0]), _neighbours("lost", cfg.lost, shape[0])
     depth = () if cfg.depth is None else (cfg.depth,)
     self._depth = _neighbours("depth", depth, shape[0])
@@ -149,10 +144,7 @@ def _neighbours(name: str, channels: Sequence[int], count: int) -> slice | None:
   """Return the slice that selects channels as a view, or None for no channels."""
   if not channels:
     return None
-  for channel in channels:
-    if channel not in range(count):
-      raise ValueError(f"CameraNoiseCfg: {name}: channel {channel} does not exist; there are {count}, from 0.")
-  first = channels[0]
-  if list(channels) != list(range(first, first + len(channels))):
-    raise ValueError(f"CameraNoiseCfg: {name}: channels must be neighbours in their order, got {tuple(channels)}.")
-  return slice(first, first + len(channels))
+  found = as_slice(channels)
+  if found is None or not 0 <= found.start < found.stop <= count:
+    raise ValueError(f"CameraNoiseCfg: {name}: channels must be neighbours from 0..{count - 1}, got {tuple(channels)}.")
+  return found

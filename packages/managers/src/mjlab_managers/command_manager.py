@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from mjlab_core.config import Config
+from mjlab_core.constraints import NonNegativeRange
 from mjlab_core.indexing import fill_, where_
-from mjlab_core.sampling import check_bounds, uniform
+from mjlab_core.sampling import uniform
 from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.log import LogBuffer
 from mjlab_managers.manager import ManagerBase
+from mjlab_managers.vector_manager import LogBuffer
 
 # Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.
 _DUE = 1e-6
@@ -27,7 +28,7 @@ _DUE = 1e-6
 class CommandTermCfg(Config, ABC):
   """Base of command configs."""
 
-  resampling_time_range: tuple[float, float] | None
+  resampling_time_range: NonNegativeRange | None
   """Shortest and longest time between two draws [s]; None keeps a command until the reset."""
   debug_vis: bool = False
   """Initial state of the drawing in viewers. The term draws by a method `debug_draw(draw)`."""
@@ -164,15 +165,6 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     self._log = LogBuffer(log_names, self.device)
     self._finish()
 
-  @classmethod
-  def _cfg_problems(cls, name: str, cfg: CommandTermCfg) -> Iterator[str]:
-    yield from super()._cfg_problems(name, cfg)
-    if isinstance(cfg, CommandTermCfg) and cfg.resampling_time_range is not None:
-      try:
-        check_bounds(f"term '{name}': resampling_time_range", cfg.resampling_time_range, minimum=0.0, finite=True)
-      except ValueError as error:
-        yield str(error)
-
   def rehearse(self) -> None:
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
     for name, term in self._terms.items():
@@ -185,18 +177,12 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     self._raise_problems()
 
   def _check_command(self, name: str, term: CommandTerm) -> bool:
-    try:
-      command = term.command
-    except Exception as error:
-      self._failed_trial(name, "reading its command", error)
-      return False
-    what = f"a command of shape ({self.num_envs}, d)"
-    if not self._check_tensor(name, command, what, lambda dtype: not dtype.is_complex):
-      return False
-    if command.dim() < 2 or command.shape[0] != self.num_envs:
-      self._problem(f"term '{name}': must return {what}, returned {tuple(command.shape)}.")
-      return False
-    return True
+    def fits(command: torch.Tensor) -> bool:
+      return command.dim() >= 2 and command.shape[0] == self.num_envs
+
+    with self._noting(name, "while reading its command"):
+      return self._check_tensor(name, term.command, f"a command of shape ({self.num_envs}, d)", fits)
+    return False
 
   def _lay_out_metrics(self, name: str, term: CommandTerm) -> bool:
     for metric, value in term.metrics.items():
@@ -239,14 +225,12 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     moving = ~self.fresh
     passed = moving.double()
     for name, term in self._terms.items():
-      try:
+      with self._naming(name):
         term.update_metrics()
         if term.cfg.resampling_time_range is not None:
           term.time_left.sub_(passed, alpha=dt)
           term._renew((term.time_left <= _DUE) & moving)
         term.update()
-      except Exception as error:
-        raise self._failure(name, error) from error
 
   def reset(self, mask: torch.Tensor) -> None:
     """Log the metrics of the worlds in `mask`, bool (N,), set them to zero, and draw new commands there."""
@@ -264,20 +248,16 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       if term.metrics:
         fill_(term._metric_values, mask, 0.0)
       term.command_counter.masked_fill_(mask, 0)
-      try:
+      with self._naming(name):
         term._renew(mask)
-      except Exception as error:
-        raise self._failure(name, error) from error
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Metrics/<command>/<metric>`, means over the episodes that ended, and the `log_values` of terms."""
     names, values = self._log.tensors()
     own: dict[str, torch.Tensor] = {}
     for name, term in self._terms.items():
-      try:
+      with self._naming(name):
         own |= {f"Metrics/{name}/{key}": value for key, value in term.log_values().items()}
-      except Exception as error:
-        raise self._failure(name, error) from error
     if not own:
       return names, values
     return [*names, *own], torch.cat((values, torch.stack([value.double() for value in own.values()])))

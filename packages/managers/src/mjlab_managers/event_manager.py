@@ -7,10 +7,8 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.constraints import why_no_count
+from mjlab_core.constraints import Count, NonNegativeRange
 from mjlab_core.indexing import where_
-from mjlab_core.names import unknown
-from mjlab_core.sampling import check_bounds
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of
@@ -40,11 +38,11 @@ class EventTermCfg(ManagerTermBaseCfg):
   _: KW_ONLY
   mode: EventMode
   """`startup`: once; `reset`: when an episode begins; `interval`: when a timer expires; `step`: in every step."""
-  interval_range_s: tuple[float, float] | None = None
+  interval_range_s: NonNegativeRange | None = None
   """Shortest and longest time between two events [s]; required in mode interval, not allowed in others."""
   is_global_time: bool = False
   """True: one timer for all worlds, which resets do not change; mode interval only."""
-  min_step_count_between_reset: int = 0
+  min_step_count_between_reset: Count = 0
   """Smallest number of environment steps between two events in one world; mode reset only."""
 
 
@@ -98,27 +96,21 @@ class EventManager(ManagerBase[EventTermCfg]):
     yield from super()._cfg_problems(name, cfg)
     if not isinstance(cfg, EventTermCfg):
       return
-    if cfg.mode not in _MODES:
-      yield unknown("mode", str(cfg.mode), _MODES, owner=f"term '{name}'")
-    elif cfg.mode == "interval" and cfg.interval_range_s is None:
+    if cfg.mode == "interval" and cfg.interval_range_s is None:
       yield f"term '{name}': mode interval needs interval_range_s."
-    elif cfg.mode != "interval" and (cfg.interval_range_s is not None or cfg.is_global_time):
-      option = "is_global_time" if cfg.interval_range_s is None else "interval_range_s"
-      yield f"term '{name}': {option} is for mode interval, the mode is {cfg.mode}."
-    if cfg.interval_range_s is not None:
-      try:
-        check_bounds(f"term '{name}': interval_range_s", cfg.interval_range_s, minimum=0.0, finite=True)
-      except ValueError as error:
-        yield str(error)
-    if wrong := why_no_count(cfg.min_step_count_between_reset):
-      yield f"term '{name}': min_step_count_between_reset {wrong}."
-    elif cfg.min_step_count_between_reset > 0 and cfg.mode != "reset":
-      yield f"term '{name}': min_step_count_between_reset is for mode reset, the mode is {cfg.mode}."
+    for option, mode in (
+      ("interval_range_s", "interval"),
+      ("is_global_time", "interval"),
+      ("min_step_count_between_reset", "reset"),
+    ):
+      if getattr(cfg, option) and cfg.mode != mode:
+        yield f"term '{name}': {option} is for mode {mode}, the mode is {cfg.mode}."
 
   def rehearse(self) -> None:
     for term in self._all_terms():
       worlds = torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._all_worlds
-      self._dry_run(term, worlds)
+      with self._trial(term.name, term.func) as trial:
+        term.try_call(worlds, rebuilt=trial.rebuilt)
     self._raise_problems()
 
   def _check_again(self, term: Term) -> bool:

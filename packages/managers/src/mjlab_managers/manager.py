@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
+from mjlab_core.constraints import field_problems
 from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError, as_consequence, is_consequence
 from mjlab_core.names import unknown
 from mjlab_core.state import Stateful, StatefulDict
@@ -55,32 +56,26 @@ class ManagerBase(Stateful, Generic[CfgT]):
     self._broken: set[str] = set()
     self._cfgs: dict[str, CfgT] = {}
     self._live: list[tuple[Any, frozenset[str]]] = []
-    if isinstance(cfgs, Mapping):
-      for name, cfg in cfgs.items():
-        if cfg is not None:
-          self._read(name, cfg)
-    else:
-      self._problem(_NO_MAPPING.format(described(cfgs)))
+    for name, cfg in cfgs.items():
+      if cfg is not None:
+        self._read(name, cfg)
 
   @classmethod
   def check(cls, cfgs: Mapping[str, CfgT | None]) -> list[str]:
     """Return the mistakes in configs that show without an environment, one line each."""
-    lines: list[str] = []
-    if not isinstance(cfgs, Mapping):
-      return [f"{cls.__name__}: {_NO_MAPPING.format(described(cfgs))}"]
-    for name, cfg in cfgs.items():
-      if cfg is not None:
-        lines += [f"{cls.__name__}: {problem}" for problem in cls._cfg_problems(name, cfg)]
-    return lines
+    given = [(name, cfg) for name, cfg in cfgs.items() if cfg is not None]
+    return [f"{cls.__name__}: {problem}" for name, cfg in given for problem in cls._cfg_problems(name, cfg)]
 
   @classmethod
   def _cfg_problems(cls, name: str, cfg: CfgT) -> Iterator[str]:
     """Yield the mistakes in one config that show without an environment."""
     if not isinstance(cfg, cls.cfg_type):
       yield f"term '{name}': expected a {cls.cfg_type.__name__}, got {described(cfg)}."
-    elif isinstance(cfg, ManagerTermBaseCfg):
-      for problem in term_problems(cfg, masked=cls.masked):
-        yield f"term '{name}': {problem}"
+      return
+    problems = field_problems(cfg)
+    if not problems and isinstance(cfg, ManagerTermBaseCfg):
+      problems = term_problems(cfg, masked=cls.masked)
+    yield from (f"term '{name}': {problem}" for problem in problems)
 
   # Interface for users.
 
@@ -124,13 +119,9 @@ class ManagerBase(Stateful, Generic[CfgT]):
       UnknownNameError: no such term.
       ConfigError: a parameter does not exist or has a wrong value; nothing was changed.
     """
-    if name in self._cfgs and name not in self._bound:
-      raise MjlabError(f"{self.label}: term '{name}' has no parameters; its config is fixed at build.")
     term = self._lookup(self._bound, name)
-    try:
+    with self._naming(name):
       undo = term.set_params(params)
-    except MjlabError as error:
-      raise ConfigError(f"{self.label}: term '{name}': {error}") from error
     if undo is None:
       return
     if not self._check_again(term):
@@ -150,10 +141,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       MjlabError: no such parameter, or the term does not read it in every step.
     """
     term = self._lookup(self._bound, name)
-    try:
+    with self._naming(name):
       return term.scalar(parameter)
-    except MjlabError as error:
-      raise MjlabError(f"{self.label}: term '{name}': {error}") from error
 
   def describe(self) -> str:
     """Return a table of the terms."""
@@ -193,10 +182,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def reset(self, mask: torch.Tensor) -> None:
     """End the episodes of the worlds in `mask`, bool (N,): log their statistics and reset their state."""
     for name, reset in self._resets.items():
-      try:
+      with self._naming(name):
         reset(mask)
-      except Exception as error:
-        raise self._failure(name, error) from error
 
   def sync(self) -> None:
     """Read changes of live fields, on the host before each step, and request a new recording if needed."""
@@ -227,8 +214,23 @@ class ManagerBase(Stateful, Generic[CfgT]):
       raise as_consequence(error)
     raise error
 
-  def _failure(self, name: str, error: Exception) -> MjlabError:
-    return MjlabError(f"{self.label}: term '{name}': {type(error).__name__}: {error}")
+  @contextmanager
+  def _naming(self, name: str) -> Generator[None]:
+    """Add the names of manager and term to an error."""
+    try:
+      yield
+    except Exception as error:
+      kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
+      raise MjlabError(f"{self.label}: term '{name}': {kind}{error}") from error
+
+  @contextmanager
+  def _noting(self, name: str, what: str) -> Generator[None]:
+    """Note an error as a mistake of a term; `what` tells when it occurred, such as "in a trial call"."""
+    try:
+      yield
+    except Exception as error:
+      kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__} {what}{place_of(error)}: "
+      self._problem(f"term '{name}': {kind}{error}", error)
 
   def _problem(self, text: str, cause: BaseException | None = None) -> None:
     if not is_consequence(cause):
@@ -272,17 +274,12 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _bind(self, name: str, cfg: ManagerTermBaseCfg) -> Term | None:
     """Return the term with its parameters, or None with the mistake noted."""
-    try:
+    with self._noting(name, "while making it"):
       term = Term(name, self.label, cfg, self.env, masked=self.masked)
       self._adopt(name, term.func)
-    except (MjlabError, ValueError) as error:
-      self._problem(f"term '{name}': {error}", error)
-      return None
-    except Exception as error:
-      self._problem(f"term '{name}': {type(error).__name__} while making it{place_of(error)}: {error}", error)
-      return None
-    self._bound[name] = term
-    return term
+      self._bound[name] = term
+      return term
+    return None
 
   def _adopt(self, name: str, obj: Any) -> None:
     """Register a term for saving and for resets."""
@@ -294,34 +291,22 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _build(self, name: str, cfg: Any) -> Any:
     """Return `cfg.build(env)`, or None with the mistake noted."""
-    try:
+    with self._noting(name, "while making it"):
       obj = cfg.build(self.env)
       obj.name = name
       self._adopt(name, obj)
-    except ValueError as error:
-      self._problem(f"term '{name}': {error}", error)
-      return None
-    except Exception as error:
-      self._problem(f"term '{name}': {type(error).__name__} while making it{place_of(error)}: {error}", error)
-      return None
-    return obj
-
-  def _dry_run(self, term: Term, *args: Any) -> Any:
-    """Return the value of a trial call, or None with the mistake noted."""
-    with self._trial(term.name, term.func) as trial:
-      trial.value = term.try_call(*args, rebuilt=trial.rebuilt)
-    return trial.value
+      return obj
+    return None
 
   @contextmanager
   def _trial(self, name: str, obj: Any, what: str = "a trial call") -> Generator[Trial]:
     """Note errors of a trial and its writes to undeclared tensors; restore state and the generator."""
     trial, generator = Trial(obj), self.env.rng.get_state()
     state = obj.state_dict() if isinstance(obj, Stateful) else None
-    try:
+    trial.failed = True
+    with self._noting(name, f"in {what}"):
       yield trial
-    except Exception as error:
-      self._failed_trial(name, what, error)
-      trial.failed = True
+      trial.failed = False
     self.env.rng.set_state(generator)
     before, after = trial.memory, undeclared_memory(obj)
     way = "Declare state in __init__, self.x = self.state(...), and write into it: copy_, mul_, where_."
@@ -340,21 +325,16 @@ class ManagerBase(Stateful, Generic[CfgT]):
     if isinstance(obj, Stateful) and state is not None:
       obj.restore(state)
 
-  def _failed_trial(self, name: str, what: str, error: Exception) -> None:
-    self._problem(f"term '{name}': {type(error).__name__} in {what}{place_of(error)}: {error}", error)
-
   def _check_again(self, term: Term) -> bool:
     """Return True if a term works after a build or rebuild; note the mistakes otherwise."""
     del term
     return True
 
-  def _check_tensor(self, name: str, value: Any, what: str, fits: Callable[[torch.dtype], bool]) -> bool:
-    if not isinstance(value, torch.Tensor):
-      self._problem(f"term '{name}': must return {what}, returned {described(value)}.")
-    elif not fits(value.dtype) or value.device.type != self.device.type:
-      self._problem(f"term '{name}': must return {what} on {self.device}, returned {described(value)}.")
-    else:
+  def _check_tensor(self, name: str, value: Any, what: str, fits: Callable[[torch.Tensor], bool]) -> bool:
+    """Return True for a tensor on the device that fits; note the mistake otherwise."""
+    if isinstance(value, torch.Tensor) and value.device.type == self.device.type and fits(value):
       return True
+    self._problem(f"term '{name}': must return {what} on {self.device}, returned {described(value)}.")
     return False
 
 
@@ -372,19 +352,11 @@ class Trial:
     self.memory = undeclared_memory(self._obj)
 
 
-def is_float(dtype: torch.dtype) -> bool:
-  """Return True for a real floating-point type."""
-  return dtype.is_floating_point
-
-
 def described(value: Any) -> str:
   """Return a description of a value for messages; for a tensor its type, shape and device."""
   if isinstance(value, torch.Tensor):
     return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)} on {value.device}"
   return f"{type(value).__name__} {value!r}" if isinstance(value, int | float | str) else type(value).__name__
-
-
-_NO_MAPPING = "terms must be a dict by name, got {}."
 
 
 def place_of(error: Exception) -> str:

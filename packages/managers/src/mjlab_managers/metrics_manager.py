@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
 from mjlab_core.indexing import fill_, where_
-from mjlab_core.names import unknown
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.log import LogBuffer
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import VectorManager
+from mjlab_managers.vector_manager import LogBuffer, VectorManager
 
 Reduction = Literal["mean", "sum", "last", "max"]
 
@@ -69,12 +67,6 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
     self._log = LogBuffer([f"Episode_Metrics/{term.name}" for term in self._terms], self.device)
     self._finish()
-
-  @classmethod
-  def _cfg_problems(cls, name: str, cfg: MetricsTermCfg) -> Iterator[str]:
-    yield from super()._cfg_problems(name, cfg)
-    if isinstance(cfg, MetricsTermCfg) and cfg.reduce not in _REDUCTIONS:
-      yield unknown("reduce", str(cfg.reduce), _REDUCTIONS, owner=f"term '{name}'")
 
   def compute_substep(self) -> None:
     """Evaluate the per-substep metrics. Call it after every physics substep."""

@@ -5,17 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import torch
 from mjlab_core.config import Config
+from mjlab_core.constraints import Limits, Range, check_fields, check_value
 from mjlab_core.indexing import where_
-from mjlab_core.names import unknown
-from mjlab_core.sampling import check_range
 from mjlab_core.state import Stateful
 
 Operation = Literal["add", "scale", "abs"]
-PerDim = float | tuple[float, ...]
+PerDim = Annotated[float | tuple[float, ...], Limits()]
 """One number for all components of a term, or one per component."""
 
 
@@ -56,10 +55,12 @@ class UniformNoiseCfg(NoiseCfg):
   n_max: PerDim = 1.0
 
   def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    lo, hi = _aligned(self.n_min, self.n_max)
-    for a, b in zip(lo, hi, strict=True):
-      check_range("UniformNoiseCfg", a, b)
-    return lo, tuple(b - a for a, b in zip(lo, hi, strict=True)), 0.0
+    length = max(len(_tuple(self.n_min)), len(_tuple(self.n_max)))
+    ends = [_spread(value, length, "UniformNoiseCfg") for value in (self.n_min, self.n_max)]
+    pairs = list(zip(*ends, strict=True))
+    for pair in pairs:
+      check_value("UniformNoiseCfg: (n_min, n_max)", pair, Range)
+    return ends[0], tuple(hi - lo for lo, hi in pairs), 0.0
 
 
 @dataclass(kw_only=True)
@@ -67,11 +68,9 @@ class GaussianNoiseCfg(NoiseCfg):
   """Normal noise with `mean` and standard deviation `std`."""
 
   mean: PerDim = 0.0
-  std: PerDim = 1.0
+  std: Annotated[PerDim, Limits(ge=0)] = 1.0
 
   def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    if min(_tuple(self.std)) < 0.0:
-      raise ValueError(f"GaussianNoiseCfg: std must not be negative, got {self.std}.")
     return self.mean, 0.0, self.std
 
 
@@ -83,7 +82,7 @@ class NoiseModelWithAdditiveBiasCfg(Config):
   """Distribution of the bias; its `operation` does not matter."""
   noise_cfg: NoiseCfg | None = None
   sample_bias_per_component: bool = True
-  """True: one draw for each component of the term; False: one draw for all."""
+  """True: one draw for each component of the term; False: the draw of the first one for all."""
 
 
 class NoiseModel(Stateful, ABC):
@@ -128,14 +127,10 @@ class FusedNoise:
     base, width, std = (torch.zeros(1, columns) for _ in range(3))
     scales, replaces = (torch.zeros(1, columns, dtype=torch.bool) for _ in range(2))
     for start, stop, cfg in parts:
-      if cfg.operation not in get_args(Operation):
-        raise ValueError(unknown("operation", str(cfg.operation), get_args(Operation), owner=type(cfg).__name__))
+      check_fields(cfg, type(cfg).__name__)
       where = slice(start - self.start, stop - self.start)
       for vector, value in zip((base, width, std), cfg.affine(), strict=True):
-        numbers = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
-        if not numbers.isfinite().all():
-          raise ValueError(f"noise must be of finite numbers, got {cfg}.")
-        vector[0, where] = numbers
+        vector[0, where] = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
       scales[0, where] = cfg.operation == "scale"
       replaces[0, where] = cfg.operation == "abs"
     self._base = base.to(device)
@@ -192,8 +187,6 @@ class EpisodeBias:
     for start, stop, cfg in parts:
       if cfg.sample_bias_per_component:
         continue
-      if any(isinstance(value, tuple) and len(set(value)) > 1 for value in cfg.bias_noise_cfg.affine()):
-        raise ValueError("NoiseModelWithAdditiveBiasCfg: one draw for all components needs one distribution for all.")
       first = start - self._noise.start
       source[first : stop - self._noise.start] = [first] * (stop - start)
     shared = source != list(range(len(source)))
@@ -213,12 +206,6 @@ class EpisodeBias:
 
 def _tuple(value: PerDim) -> tuple[float, ...]:
   return tuple(value) if isinstance(value, tuple | list) else (float(value),)
-
-
-def _aligned(a: PerDim, b: PerDim) -> tuple[tuple[float, ...], tuple[float, ...]]:
-  a, b = _tuple(a), _tuple(b)
-  length = max(len(a), len(b))
-  return _spread(a, length, "UniformNoiseCfg"), _spread(b, length, "UniformNoiseCfg")
 
 
 def _spread(value: PerDim, length: int, owner: str) -> tuple[float, ...]:

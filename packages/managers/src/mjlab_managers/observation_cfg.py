@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from mjlab_core.config import Config
+from mjlab_core.constraints import Bounds, Count, Share
 
 from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.term import ManagerTermBaseCfg
 
 NanPolicy = Literal["sanitize", "warn", "disabled", "error"]
-
-NAN_POLICIES: tuple[NanPolicy, ...] = get_args(NanPolicy)
 
 
 @dataclass
@@ -25,23 +24,23 @@ class ObservationTermCfg(ManagerTermBaseCfg):
   _: KW_ONLY
   noise: NoiseCfg | NoiseModelWithAdditiveBiasCfg | NoiseModelCfg | None = None
   """Noise, applied in groups with `corrupt=True`."""
-  clip: tuple[float, float] | None = None
+  clip: Bounds | None = None
   """Smallest and largest value."""
   scale: float | tuple[float, ...] | None = None
   """Factor for all components, or one for each."""
-  delay_min_lag: int = 0
+  delay_min_lag: Count = 0
   """Smallest delay [env steps]."""
-  delay_max_lag: int = 0
+  delay_max_lag: Count = 0
   """Largest delay [env steps]."""
-  delay_hold_prob: float = 0.0
+  delay_hold_prob: Share = 0.0
   """Probability that a world keeps its delay at a draw."""
-  delay_update_period: int = 0
+  delay_update_period: Count = 0
   """Steps between two draws of the delay; 0 draws in every step."""
   delay_per_env: bool = True
   """True: each world draws its own delay; False: one draw for all worlds."""
   delay_per_env_phase: bool = True
   """True: worlds draw at different steps of the period."""
-  history_length: int = 0
+  history_length: Count = 0
   """Number of frames H, oldest first, the newest included; 0 gives the newest frame without a time axis."""
   flatten_history_dim: bool = True
   """True: a history is (N, H * d); False: (N, H, d)."""
@@ -58,7 +57,7 @@ class ObservationGroupCfg(Config):
   """True: the group is one tensor, (N, D); False: a dict of terms."""
   corrupt: bool = False
   """True: the noise of the terms is applied."""
-  history_length: int | None = None
+  history_length: Count | None = None
   """Number of frames of every term, used with `flatten_history_dim` of the group; None uses those of the terms."""
   flatten_history_dim: bool = True
   nan_policy: NanPolicy = "sanitize"

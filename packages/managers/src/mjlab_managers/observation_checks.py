@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import torch
-from mjlab_core.constraints import why_no_count
-from mjlab_core.names import unknown
-from mjlab_core.sampling import check_bounds
+from mjlab_core.constraints import Bounds, field_problem, field_problems
 
 from mjlab_managers.binding import term_problems
 from mjlab_managers.manager import described
-from mjlab_managers.noise import EpisodeBias, FusedNoise, NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
-from mjlab_managers.observation_cfg import NAN_POLICIES, ObservationGroupCfg, ObservationTermCfg
+from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
+from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 from mjlab_managers.observation_slots import Slot
 
 
@@ -22,14 +20,10 @@ def group_problems(group: str, cfg: Any) -> Iterator[str]:
   if not isinstance(cfg, ObservationGroupCfg):
     yield f"group '{group}': expected an ObservationGroupCfg, got {described(cfg)}."
     return
-  if cfg.nan_policy not in NAN_POLICIES:
-    yield unknown("nan_policy", str(cfg.nan_policy), NAN_POLICIES, owner=f"group '{group}'")
-  if cfg.history_length is not None and (wrong := why_no_count(cfg.history_length)):
-    yield f"group '{group}': history_length {wrong}."
-  if not isinstance(cfg.terms, Mapping):
-    yield f"group '{group}': terms must be a dict by name, got {described(cfg.terms)}."
-  elif not any(term is not None for term in cfg.terms.values()):
-    yield f"group '{group}': has no terms. Give it some, or set the group itself to None to leave it out."
+  problems = field_problems(cfg)
+  if not problems and not any(term is not None for term in cfg.terms.values()):
+    problems = ["has no terms. Give it some, or set the group itself to None to leave it out."]
+  yield from (f"group '{group}': {problem}" for problem in problems)
 
 
 def group_term_problems(path: str, cfg: Any) -> Iterator[str]:
@@ -39,25 +33,17 @@ def group_term_problems(path: str, cfg: Any) -> Iterator[str]:
   if not isinstance(cfg, ObservationTermCfg):
     yield f"term '{path}': expected an ObservationTermCfg, got {described(cfg)}."
     return
-  for problem in term_problems(cfg):
-    yield f"term '{path}': {problem}"
-  counts = ("delay_min_lag", "delay_max_lag", "delay_update_period", "history_length")
-  wrong = [f"term '{path}': {name} {why}." for name in counts if (why := why_no_count(getattr(cfg, name)))]
-  yield from wrong
-  if not wrong and cfg.delay_min_lag > cfg.delay_max_lag:
-    yield f"term '{path}': needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."
-  if not 0.0 <= cfg.delay_hold_prob <= 1.0:
-    yield f"term '{path}': delay_hold_prob must be in [0, 1], got {cfg.delay_hold_prob}."
+  problems = field_problems(cfg) or term_problems(cfg)
+  if not problems and cfg.delay_min_lag > cfg.delay_max_lag:
+    problems = [f"needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."]
+  yield from (f"term '{path}': {problem}" for problem in problems)
 
 
 def processing_problems(slot: Slot) -> Iterator[str]:
   """Yield the mistakes in clip, scale and noise of a term whose shape is known."""
   cfg = slot.cfg
-  if cfg.clip is not None:
-    try:
-      check_bounds(f"term '{slot.path}': clip", cfg.clip)
-    except ValueError as error:
-      yield str(error)
+  if wrong := field_problem(cfg.clip, Bounds | None):
+    yield f"term '{slot.path}': clip {wrong}"
   if cfg.scale is not None:
     factors = torch.as_tensor(cfg.scale, dtype=torch.float32).flatten()
     if factors.numel() not in (1, slot.width):
@@ -68,13 +54,13 @@ def processing_problems(slot: Slot) -> Iterator[str]:
   if not slot.group_cfg.corrupt or noise is None or isinstance(noise, NoiseModelCfg):
     return
   biased = noise if isinstance(noise, NoiseModelWithAdditiveBiasCfg) else None
-  try:
-    for part in (noise,) if biased is None else (biased.noise_cfg, biased.bias_noise_cfg):
-      if part is not None and not isinstance(part, NoiseCfg):
-        raise TypeError(f"expected a NoiseCfg or a model of noise, got {described(part)}.")
-      if part is not None:
-        FusedNoise([(0, slot.width, part)], "cpu")
-    if biased is not None:
-      EpisodeBias([(0, slot.width, biased)], torch.zeros(1, slot.width), torch.Generator())
-  except (AttributeError, TypeError, ValueError) as error:
-    yield f"term '{slot.path}': noise: {error}"
+  for part in (noise,) if biased is None else (biased.noise_cfg, biased.bias_noise_cfg):
+    if part is None:
+      continue
+    if not isinstance(part, NoiseCfg):
+      yield f"term '{slot.path}': noise: expected a NoiseCfg or a model of noise, got {described(part)}."
+      continue
+    try:
+      FusedNoise([(0, slot.width, part)], "cpu")
+    except (TypeError, ValueError) as error:
+      yield f"term '{slot.path}': noise: {error}"

@@ -7,16 +7,16 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, copy_cfg
 from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase, is_float
+from mjlab_managers.manager import ManagerBase
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
 from mjlab_managers.observation_checks import group_problems, group_term_problems, processing_problems
 from mjlab_managers.observation_memory import Memory
@@ -118,15 +118,14 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       trial.value = term.try_call(rebuilt=trial.rebuilt)
       if isinstance(term.func, ManagerTermBase):
         term.func.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
-    value, what = trial.value, f"float ({self.num_envs}, ...)"
-    if trial.failed or not self._check_tensor(term.name, value, what, is_float):
+
+    def fits(value: torch.Tensor) -> bool:
+      return value.is_floating_point() and value.dim() >= 2 and value.shape[0] == self.num_envs
+
+    what = f"float ({self.num_envs}, ...) with at least two dimensions"
+    if trial.failed or not self._check_tensor(term.name, trial.value, what, fits):
       return None
-    if value.dim() < 2 or value.shape[0] != self.num_envs:
-      self._problem(
-        f"term '{term.name}': must return {what} with at least two dimensions, returned {tuple(value.shape)}."
-      )
-      return None
-    return tuple(value.shape[1:])
+    return tuple(trial.value.shape[1:])
 
   def _check_shapes(self, group: str, slots: list[Slot]) -> None:
     if self._cfgs[group].concatenate_terms and len(slots) > 1:
@@ -248,14 +247,10 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     cfg = self._lookup(self._cfgs, group)
     if name is None:
       return cfg
-    if name not in cfg.terms:
-      raise UnknownNameError(unknown("term", name, list(cfg.terms), owner=f"{self.label}: group '{group}'"))
-    return cfg.terms[name]
+    return cfg.terms[check_name("term", name, cfg.terms, f"{self.label}: group '{group}'")]
 
   def set_params(self, name: str, /, **params: Any) -> None:
     """Change parameters of the term `name`, "group/term"; see `ManagerBase.set_params`."""
-    if name in self._cfgs:
-      raise MjlabError(f"{self.label}: '{name}' is a group; name one of its terms, such as '{name}/<term>'.")
     super().set_params(name, **params)
     before = self._terms
     self._share()

@@ -7,10 +7,11 @@ import inspect
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from numbers import Integral, Real
-from typing import Any, Final
+from numbers import Real
+from typing import Any
 
 import torch
+from mjlab_core.constraints import named_problem
 from mjlab_core.names import nearest
 
 Scalar = torch.Tensor | tuple[torch.Tensor, ...]
@@ -18,12 +19,6 @@ Scalar = torch.Tensor | tuple[torch.Tensor, ...]
 
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-_PLAIN: Final = {
-  float: (Real, "a number"),
-  int: (Integral, "an integer"),
-  bool: (bool, "a bool"),
-  str: (str, "a string"),
-}
 
 
 class Signature:
@@ -56,8 +51,8 @@ class Signature:
         close = nearest(name, self.names)
         hint = f" Nearest: {', '.join(close)}." if close else ""
         yield f"unknown parameter '{name}'.{hint} Given: {_listed(given)}; possible: {_listed(self.names)}."
-      elif wrong := _why_wrong(value, self.hints.get(name)):
-        yield f"parameter '{name}' must be {wrong}, got {value!r}."
+      elif not _has_tensors(value) and (wrong := named_problem(f"parameter '{name}'", value, self.hints.get(name))):
+        yield f"{wrong}."
     if missing:
       yield (
         f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}. Given: {_listed(given)}; "
@@ -123,21 +118,18 @@ def _resolved(annotation: Any, func: Any) -> Any:
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
-  if typing.get_origin(hint) in (typing.Union, types.UnionType):
-    return typing.get_args(hint)
+  """Return the types of a union, without their constraints."""
+  origin, args = typing.get_origin(hint), typing.get_args(hint)
+  if origin is typing.Annotated:
+    return _alternatives(args[0])
+  if origin in (typing.Union, types.UnionType):
+    return tuple(part for arg in args for part in _alternatives(arg))
   return (hint,)
 
 
-def _why_wrong(value: Any, hint: Any) -> str:
-  """Return the allowed types for a value that does not fit its hint; empty if it fits or cannot be checked."""
-  hints = _alternatives(hint)
-  if isinstance(value, torch.Tensor) or not all(h in _PLAIN or h is type(None) for h in hints):
-    return ""
-  if value is None:
-    return "" if type(None) in hints else " or ".join(_PLAIN[h][1] for h in hints)
-  if any(isinstance(value, _PLAIN[h][0]) and isinstance(value, bool) <= (h is bool) for h in hints if h in _PLAIN):
-    return ""
-  return " or ".join("None" if h is type(None) else _PLAIN[h][1] for h in hints)
+def _has_tensors(value: Any) -> bool:
+  """Return True for a scalar on the device, or a sequence with one, which cannot be checked on the host."""
+  return any(isinstance(part, torch.Tensor) for part in (value if isinstance(value, list | tuple) else (value,)))
 
 
 def _is_number(value: Any) -> bool:

@@ -79,10 +79,8 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     for name, term in self._terms.items():
       twin = _twin(term)
       for hook, args in (("pre_reset", (everywhere,)), ("post_reset", (everywhere,)), ("post_step", ())):
-        try:
+        with self._noting(name, f"in {hook}"):
           getattr(twin, hook)(*args)
-        except Exception as error:
-          self._failed_trial(name, hook, error)
     self._raise_problems()
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -123,10 +121,8 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
 
     def call() -> None:
       for name, function in hooks:
-        try:
+        with self._naming(name):
           function(*args)
-        except Exception as error:
-          raise self._failure(name, error) from error
 
     self.env.run_eagerly(call, name=f"recorders {', '.join(term.name for term in terms)} ({hook})")
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
-from numbers import Real
 from typing import Any
 
 import torch
+from mjlab_core.constraints import Finite, field_problem
 from mjlab_core.indexing import fill_
 from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.log import LogBuffer
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import VectorManager
+from mjlab_managers.vector_manager import LogBuffer, VectorManager
 
 
 @dataclass
@@ -23,7 +21,7 @@ class RewardTermCfg(ManagerTermBaseCfg):
   """Config of a reward: `func(env, **params)` returns float (N,)."""
 
   _: KW_ONLY
-  weight: float
+  weight: Finite
   """Factor of the term, which may be changed at any time. A term with weight 0 is not evaluated."""
 
 
@@ -130,6 +128,10 @@ class RewardManager(VectorManager[RewardTermCfg]):
     weights = self._read_host_weights()
     if weights == self._host_weights:
       return
+    for term, weight in zip(self._terms, weights, strict=True):
+      if wrong := field_problem(weight, Finite):
+        self._problem(f"term '{term.name}': weight {wrong}")
+    self._raise_problems()
     for index, (new, old) in enumerate(zip(weights, self._host_weights, strict=True)):
       if new != old:
         self._weights[0, index].fill_(new)
@@ -143,18 +145,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
       if term.name not in self._on_device:
         self._weights[0, index].fill_(weight)
 
-  @classmethod
-  def _cfg_problems(cls, name: str, cfg: RewardTermCfg) -> Iterator[str]:
-    yield from super()._cfg_problems(name, cfg)
-    if isinstance(cfg, RewardTermCfg) and (wrong := _weight_problem(name, cfg.weight)):
-      yield wrong
-
   def _read_host_weights(self) -> tuple[float, ...]:
-    for term in self._terms:
-      if wrong := _weight_problem(term.name, self._cfgs[term.name].weight):
-        self._problem(wrong)
-    self._raise_problems()
-    return tuple(float(self._cfgs[term.name].weight) for term in self._terms)
+    return tuple(self._cfgs[term.name].weight for term in self._terms)
 
   def _update_activity(self) -> None:
     active = [
@@ -190,9 +182,3 @@ class RewardManager(VectorManager[RewardTermCfg]):
 
   def describe(self) -> str:
     return table(("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()], title="Rewards")
-
-
-def _weight_problem(name: str, weight: Any) -> str:
-  if isinstance(weight, bool) or not isinstance(weight, Real) or not math.isfinite(weight):
-    return f"term '{name}': weight must be a finite number, got {weight!r}."
-  return ""

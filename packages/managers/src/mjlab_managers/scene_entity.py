@@ -6,10 +6,11 @@ import copy
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
 from mjlab_core.config import Config
+from mjlab_core.constraints import Items, Limits, check_value
 from mjlab_core.errors import MjlabError, as_consequence
 from mjlab_core.indexing import Index, as_index
 from mjlab_core.names import match_names, unknown
@@ -108,8 +109,6 @@ class SceneEntityCfg(Config):
       names = getattr(entity, f"{kind}_names", None)
       selection = getattr(self, f"{kind}_names")
       if names is None:
-        if selection is not None:
-          raise ValueError(f"entity '{self.name}': has no {kind}s to select from.")
         continue
       picked = _select(selection, tuple(names), kind, f"entity '{self.name}'", self.preserve_order)
       ids[kind] = slice(None) if picked == list(range(len(names))) else as_index(picked, device)
@@ -129,8 +128,6 @@ class SceneEntityCfg(Config):
         f"SceneEntityCfg({self.name!r}).{kind}_ids: not resolved. Pass it to a term through `params` (also nested in "
         "lists, dicts and dataclasses) or as a default argument, or call `resolve(scene, device)`."
       )
-    if kind not in self._ids:
-      raise RuntimeError(f"SceneEntityCfg({self.name!r}).{kind}_ids: entity '{self.name}' has no {kind}s.")
     if kind == "joint" and self._wide is not None:
       raise MjlabError(
         f"SceneEntityCfg({self.name!r}).joint_ids: joint '{self._wide}' has several columns, so ids of some joints "
@@ -147,17 +144,10 @@ def _select(selection: Any, names: tuple[str, ...], kind: str, owner: str, prese
   if isinstance(selection, slice):
     selection = list(range(*selection.indices(len(names))))
   items: list[Any] = [selection] if isinstance(selection, str | int) else list(selection)
-  if not items:
-    raise ValueError(f"{owner}: empty selection of {kind}s. Use None for all of them: {', '.join(names)}.")
-  if all(isinstance(item, str) for item in items):
+  if items and all(isinstance(item, str) for item in items):
     return match_names(items, names, what=kind, owner=owner, preserve_order=preserve_order)[0]
-  if not all(isinstance(item, int) and not isinstance(item, bool) for item in items):
-    raise ValueError(f"{owner}: {kind}s are selected by patterns or by indices, got {selection!r}.")
-  for item in items:
-    if not 0 <= item < len(names):
-      raise ValueError(f"{owner}: {kind} index {item} is outside 0..{len(names) - 1}.")
-  if len(set(items)) != len(items):
-    raise ValueError(f"{owner}: {kind} indices {items} name one twice.")
+  distinct = Annotated[tuple[int, ...], Limits(ge=0, le=len(names) - 1), Items(unique=True)]
+  check_value(f"{owner}: {kind} indices", items, distinct)
   return items if preserve_order else sorted(items)
 
 

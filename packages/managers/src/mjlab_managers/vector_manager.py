@@ -1,14 +1,45 @@
-"""Base of managers whose terms return one number per world: rewards, terminations, metrics."""
+"""Base of managers whose terms return one number per world, and their statistics over episodes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
 
 from mjlab_managers.binding import Term
-from mjlab_managers.manager import CfgT, ManagerBase, described, is_float
+from mjlab_managers.manager import CfgT, ManagerBase
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
+
+
+class LogBuffer:
+  """Means over pairs of world and time, one for each name.
+
+  Args:
+    names: K log keys.
+    device: device of the sums.
+  """
+
+  def __init__(self, names: Sequence[str], device: torch.device | str) -> None:
+    self.names = list(names)
+    self._sums = torch.zeros(len(self.names), dtype=torch.float64, device=device)
+    self._count = torch.zeros((), dtype=torch.int64, device=device)
+
+  def add(self, values: torch.Tensor, mask: torch.Tensor) -> None:
+    """Add the rows of `values`, (N, K), of the worlds in `mask`, bool (N,)."""
+    if not self.names:
+      return
+    self._sums.add_(values.masked_fill(~mask[:, None], 0.0).sum(0))
+    self._count.add_(mask.sum())
+
+  def tensors(self) -> tuple[list[str], torch.Tensor]:
+    """Return names and means, float64 (K,), NaN if nothing was added since `clear`."""
+    return self.names, self._sums / self._count
+
+  def clear(self) -> None:
+    """Begin a new interval."""
+    self._sums.zero_()
+    self._count.zero_()
 
 
 class VectorManager(ManagerBase[CfgT]):
@@ -38,14 +69,11 @@ class VectorManager(ManagerBase[CfgT]):
       trial.value = term.try_call(rebuilt=trial.rebuilt)
       if isinstance(term.func, ManagerTermBase):
         term.func.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
-    if trial.failed:
-      return False
-    what = f"{self.dtype_name} ({self.num_envs},)"
-    fits = is_float if self.dtype_name == "float" else lambda dtype: dtype is torch.bool
-    value = trial.value
-    if not self._check_tensor(term.name, value, what, fits):
-      return False
-    if value.shape != (self.num_envs,):
-      self._problem(f"term '{term.name}': must return {what}, returned {described(value)}.")
-      return False
-    return True
+
+    def fits(value: torch.Tensor) -> bool:
+      is_kind = value.is_floating_point() if self.dtype_name == "float" else value.dtype is torch.bool
+      return is_kind and value.shape == (self.num_envs,)
+
+    return not trial.failed and self._check_tensor(
+      term.name, trial.value, f"{self.dtype_name} ({self.num_envs},)", fits
+    )

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.errors import MjlabError
 from mjlab_core.names import check_name
 
-from mjlab_scene.articulated import FIELDS, Skeleton, is_articulated, merge_articulated
+from mjlab_scene.articulated import FIELDS, Skeleton, all_float, is_articulated, merge_articulated
 from mjlab_scene.entity import Entity, EntityCfg
 from mjlab_scene.entity_spec import name_everything
 
@@ -164,20 +164,21 @@ class VariantEntity(Entity):
     # Who has which variant is told by its number.
     return {**super().state_dict(), _VARIANTS: self._contents}
 
-  def check_state_dict(self, state: Mapping[str, Any], path: str = "") -> None:
+  def state_problems(self, state: Mapping[str, Any], path: str = "") -> Iterator[str]:
     saved, here = state.get(_VARIANTS, {}), self.variant_names
-    if tuple(saved) != here or not isinstance(saved, Mapping):
-      named = ", ".join(saved) or "(not told)"
-      raise StateError(f"{path}: saved with the variants {named}; here there are {', '.join(here)}.")
+    if tuple(saved) != here:
+      yield f"{path}: saved with the variants {', '.join(saved) or '(not told)'}; here there are {', '.join(here)}."
+      return
     for name, content in self._contents.items():
       if saved[name].keys() != content.keys():
         there, now = ("nothing" if not of else "an object" for of in (saved[name], content))
-        raise StateError(f"{path}: variant '{name}' was saved as {there}; here it is {now}.")
+        yield f"{path}: variant '{name}' was saved as {there}; here it is {now}."
+        continue
       for quantity, value in content.items():
         before = saved[name][quantity].to(value)
         if before.shape != value.shape or not torch.allclose(before, value, rtol=1e-5, atol=1e-9):
-          raise StateError(f"{path}: variant '{name}' was saved with another {quantity} than it has here.")
-    super().check_state_dict({name: value for name, value in state.items() if name != _VARIANTS}, path)
+          yield f"{path}: variant '{name}' was saved with another {quantity} than it has here."
+    yield from super().state_problems({name: value for name, value in state.items() if name != _VARIANTS}, path)
 
 
 _OBJECT = "object"
@@ -230,7 +231,6 @@ def _merge(
   contents: dict[str, dict[str, torch.Tensor]] = {}
   floats: dict[str, bool] = {}
   for name, spec in variants.items():
-    _check_variant(name, owner)
     if spec is None:
       inertias[name], contents[name] = None, {}
       continue
@@ -256,14 +256,11 @@ def _merge(
     for key in list(spec.keys):
       spec.delete(key)
     merged.attach(spec, prefix=f"{name}/", frame=root.add_frame())
-  if len(set(floats.values())) > 1:
-    fixed = next(name for name, is_free in floats.items() if not is_free)
-    raise MjlabError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
   joint = root.add_freejoint()
   # Contacts are as stiff as the inverse weight of their geom's body says: all geoms belong to the one that has it.
   merged.fuse_static()
   root = merged.body(_OBJECT)
-  if not all(floats.values()):
+  if not all_float(floats, owner):
     merged.delete(joint)
   solid = next(inertia for inertia in inertias.values() if inertia is not None)
   root.explicitinertial = True
@@ -278,18 +275,12 @@ def _merge_articulated(variants: Mapping[str, mujoco.MjSpec | None], owner: str)
   """Return the spec with the joints of all variants, and the numbers of each."""
   specs: dict[str, mujoco.MjSpec] = {}
   for name, spec in variants.items():
-    _check_variant(name, owner)
     if spec is None:
       raise MjlabError(f"{owner}: variant '{name}' is None, but others have joints; only rigid objects can be absent")
     name_everything(spec)
     _only_body(spec, f"{owner}: variant '{name}'")
     specs[name] = spec
   return merge_articulated(specs, owner)
-
-
-def _check_variant(name: str, owner: str) -> None:
-  if not name or "/" in name:
-    raise MjlabError(f"{owner}: a variant's name must be a word without '/', got {name!r}")
 
 
 def _only_body(spec: mujoco.MjSpec, what: str) -> mujoco.MjsBody:

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
+from mjlab_core.constraints import Finite, Limits
 from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
 from mjlab_managers import ActionTargets
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 class AffineActionCfg(DrivenTargetsCfg):
   """Base of actions with one column for each target: target = clip(scale * action + offset)."""
 
-  scale: float | dict[str, float] = 1.0
+  scale: Finite | dict[str, Finite] = 1.0
   """One factor, or one per target by pattern."""
-  offset: float | dict[str, float] | None = None
+  offset: Finite | dict[str, Finite] | None = None
   """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
 
 
@@ -63,7 +64,7 @@ class SmoothedJointPositionActionCfg(JointPositionActionCfg):
   the beginning of an episode.
   """
 
-  smoothing: float = 0.5
+  smoothing: Annotated[float, Limits(ge=0, lt=1)] = 0.5
   """Share of the previous target in the new one, in [0, 1)."""
 
   def build(self, env: Any) -> "SmoothedJointPositionAction":
@@ -88,9 +89,9 @@ class RelativeJointPositionActionCfg(AffineActionCfg):
 class BinaryJointPositionActionCfg(DrivenTargetsCfg):
   """Gripper with one column: it opens for an action of 0 or more, and closes for a negative one."""
 
-  open: dict[str, float]
+  open: dict[str, Finite]
   """Targets of the open gripper by joint pattern [rad, m]; each driven joint must have one."""
-  close: dict[str, float]
+  close: dict[str, Finite]
   """Targets of the closed gripper, likewise."""
 
   def build(self, env: Any) -> "BinaryJointPositionAction":
@@ -206,8 +207,6 @@ class SmoothedJointPositionAction(JointPositionAction):
 
   def __init__(self, cfg: SmoothedJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    if not 0.0 <= cfg.smoothing < 1.0:
-      raise MjlabError(f"smoothing must be in [0, 1), got {cfg.smoothing}")
     self._weight = 1.0 - cfg.smoothing
     self._smoothed = self.state_of(self.measured_positions().clone())
 
@@ -235,8 +234,6 @@ class RelativeJointPositionAction(AffineAction, DrivenJoints):
 
   def __init__(self, cfg: RelativeJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    if cfg.relative_to not in ("position", "target"):
-      raise MjlabError(f"relative_to must be 'position' or 'target', got {cfg.relative_to!r}")
     self._from_target = cfg.relative_to == "target"
     self._previous = self.state_of(self.measured_positions().clone())
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
+from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import MjlabError
 from mjlab_managers import ManagerBase, ManagerTermBase
 
@@ -45,7 +46,7 @@ class termination_curriculum(ManagerTermBase):
   env: "ManagerBasedRlEnv"
 
   def __init__(
-    self, env: "ManagerBasedRlEnv", *, termination: str, stages: Stages, steps_per_iteration: int = 1
+    self, env: "ManagerBasedRlEnv", *, termination: str, stages: Stages, steps_per_iteration: PositiveCount = 1
   ) -> None:
     super().__init__(env)
     read = _read(stages)
@@ -71,8 +72,6 @@ class termination_curriculum(ManagerTermBase):
 
   def _tabulate(self, stages: list[Stage], steps_per_iteration: int) -> None:
     """Make a table of the values: first as configured, then one row for each stage."""
-    if steps_per_iteration < 1:
-      raise MjlabError(f"steps_per_iteration must be at least 1, got {steps_per_iteration}")
     self._params = tuple(dict.fromkeys(name for stage in stages for name in stage.params))
     rows = [[float(self._manager.scalar(self._term, name)) for name in self._params]]
     for stage in stages:
@@ -98,7 +97,9 @@ class reward_curriculum(termination_curriculum):
   also while it is 0.
   """
 
-  def __init__(self, env: "ManagerBasedRlEnv", *, reward: str, stages: Stages, steps_per_iteration: int = 1) -> None:
+  def __init__(
+    self, env: "ManagerBasedRlEnv", *, reward: str, stages: Stages, steps_per_iteration: PositiveCount = 1
+  ) -> None:
     ManagerTermBase.__init__(self, env)
     read = _read(stages)
     self._term = reward
@@ -125,10 +126,6 @@ class reward_curriculum(termination_curriculum):
 
 def _read(stages: Stages) -> list[Stage]:
   read = [stage if isinstance(stage, Stage) else Stage(**stage) for stage in stages]
-  if not read:
-    raise MjlabError("stages is empty; give at least one Stage(step=..., weight=..., params=...)")
   if any(later.step <= sooner.step for sooner, later in pairwise(read)):
     raise MjlabError(f"stages must follow in order, got steps {[stage.step for stage in read]}")
-  if idle := [stage.step for stage in read if stage.weight is None and not stage.params]:
-    raise MjlabError(f"the stage from step {idle[0]} changes nothing; give it a weight or params")
   return read

@@ -1,12 +1,13 @@
 """Differential inverse kinematics: the policy sets the goal of a frame, damped least squares the joint positions."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
-from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.constraints import Limits, NonNegative
+from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import as_index, fill_, select
-from mjlab_core.names import match_names, match_values_full, unknown
+from mjlab_core.names import match_names, match_values_full
 from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
 
 from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargetsCfg
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 FrameType = Literal["body", "site", "geom"]
 
-_WEIGHTS = ("position_weight", "orientation_weight", "joint_limit_weight", "posture_weight")
+AboveZero = Annotated[float, Limits(gt=0, finite=False)]
 
 
 @dataclass(kw_only=True)
@@ -45,20 +46,20 @@ class DifferentialIKActionCfg(DrivenTargetsCfg):
   """True: actions are changes; False: actions are poses."""
   relative_to: Literal["pose", "goal"] = "pose"
   """Base of changes: the frame's pose, which lets an arm sink under its weight, or the goal of the previous step."""
-  max_lead: tuple[float, float] = (0.1, 0.5)
+  max_lead: tuple[AboveZero, AboveZero] = (0.1, 0.5)
   """Greatest distance of the goal from the frame with relative_to="goal" [m, rad]."""
   delta_pos_scale: float = 1.0
   """Metres per unit of action, relative mode."""
   delta_ori_scale: float = 1.0
   """Radians per unit of action, relative mode."""
-  damping: float = 0.05
+  damping: Annotated[float, Limits(ge=1e-6)] = 0.05
   """Damping factor; larger values keep dq small near singular poses and slow the frame down; at least 1e-6."""
-  max_dq: float = 0.5
+  max_dq: AboveZero = 0.5
   """Largest dq of a joint [rad, m]."""
-  position_weight: float = 1.0
-  orientation_weight: float = 1.0
-  joint_limit_weight: float = 0.0
-  posture_weight: float = 0.0
+  position_weight: NonNegative = 1.0
+  orientation_weight: NonNegative = 1.0
+  joint_limit_weight: NonNegative = 0.0
+  posture_weight: NonNegative = 0.0
   posture_target: dict[str, float] | None = None
   """Posture by joint pattern [rad, m], for each driven joint; None takes the default pose."""
 
@@ -77,7 +78,6 @@ class DifferentialIKAction(DrivenJoints):
 
   def __init__(self, cfg: DifferentialIKActionCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    _check_numbers(cfg)
     self._sim = env.sim
     self._frame, self._body = self._find_frame(cfg)
     self._tree = int(env.sim.mj_model.body_rootid[self._body])
@@ -92,13 +92,10 @@ class DifferentialIKAction(DrivenJoints):
 
   def _find_frame(self, cfg: DifferentialIKActionCfg) -> tuple[int, int]:
     """Return the ids of the frame and of its body in the model."""
-    if cfg.frame_type not in get_args(FrameType):
-      raise UnknownNameError(unknown("frame_type", str(cfg.frame_type), get_args(FrameType)))
     ix, model = self._entity.indexing, self._sim.mj_model
     found, names = match_names(cfg.frame_name, ix.names[cfg.frame_type], what=cfg.frame_type, owner=self._owner)
     if len(found) > 1:
-      many = ", ".join(names)
-      raise MjlabError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {many}")
+      raise MjlabError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {names}")
     frame = int(ix.ids[cfg.frame_type][found[0]])
     owner = {"body": range(model.nbody), "site": model.site_bodyid, "geom": model.geom_bodyid}[cfg.frame_type]
     return frame, int(owner[frame])
@@ -111,14 +108,9 @@ class DifferentialIKAction(DrivenJoints):
       carriers.add(body)
       body = int(model.body_parentid[body])
     joints = [model.joint(self._entity.prefix + name).id for name in self.joint_names]
-    idle = [
-      name for name, joint in zip(self.joint_names, joints, strict=True) if model.jnt_bodyid[joint] not in carriers
-    ]
-    if idle:
-      raise MjlabError(
-        f"{self._owner}: {cfg.frame_type} '{cfg.frame_name}' is not moved by {', '.join(idle)}; leave out of actuators "
-        "what does not move it"
-      )
+    bodies = dict(zip(self.joint_names, model.jnt_bodyid[joints], strict=True))
+    if idle := [name for name, carrier in bodies.items() if carrier not in carriers]:
+      raise MjlabError(f"{self._owner}: {', '.join(idle)} in actuators cannot move {cfg.frame_type} '{cfg.frame_name}'")
     return [int(model.jnt_dofadr[joint]) for joint in joints]
 
   def _posture_target(self, cfg: DifferentialIKActionCfg) -> torch.Tensor:
@@ -243,21 +235,3 @@ def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
 def _limited(vector: torch.Tensor, length: float) -> torch.Tensor:
   """Return `vector`, (num_envs, 3), shortened to `length` where it is longer."""
   return vector * (length / torch.linalg.vector_norm(vector, dim=-1, keepdim=True).clamp(min=1e-9)).clamp(max=1.0)
-
-
-def _check_numbers(cfg: DifferentialIKActionCfg) -> None:
-  for name in _WEIGHTS:
-    if not 0.0 <= getattr(cfg, name) < float("inf"):
-      raise MjlabError(f"{name} must be at least 0 and finite, got {getattr(cfg, name)}")
-  if not cfg.position_weight and not cfg.orientation_weight:
-    raise MjlabError("position_weight and orientation_weight are both 0: there is nothing to reach")
-  if not cfg.damping >= 1e-6:
-    raise MjlabError(f"damping must be at least 1e-6, got {cfg.damping}")
-  if cfg.relative_to not in ("pose", "goal"):
-    raise MjlabError(f"relative_to must be 'pose' or 'goal', got {cfg.relative_to!r}")
-  if cfg.relative_to == "goal" and not cfg.use_relative_mode:
-    raise MjlabError("relative_to='goal' says what changes are of, but use_relative_mode is off: actions are poses")
-  if not min(cfg.max_lead) > 0.0:
-    raise MjlabError(f"max_lead must be positive, got {cfg.max_lead}")
-  if not cfg.max_dq > 0.0:
-    raise MjlabError(f"max_dq must be positive, got {cfg.max_dq}")

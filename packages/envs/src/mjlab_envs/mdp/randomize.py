@@ -1,10 +1,11 @@
 """Domain randomisation: one event for model fields, parameters of actuator models, and tensors of an entity."""
 
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
 from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Transmission
+from mjlab_core.constraints import Ascending, Limits
 from mjlab_core.errors import MjlabError
 from mjlab_dr import (
   FIELDS,
@@ -88,16 +89,18 @@ class widen_randomization(ManagerTermBase):
   The strength grows from 0 to 1 between two numbers of environment steps, `steps`. It is logged, ().
   """
 
-  def __init__(self, env: "ManagerBasedRlEnv", *, event: str, steps: tuple[int, int]) -> None:
+  def __init__(
+    self,
+    env: "ManagerBasedRlEnv",
+    *,
+    event: str,
+    steps: Annotated[tuple[int, int], Limits(ge=0), Ascending(strict=True)],
+  ) -> None:
     super().__init__(env)
     self._begin, self._end = steps
-    if not 0 <= self._begin < self._end:
-      raise MjlabError(f"steps must grow from 0 or more, got {steps}")
     # The term, whose parts are made again when its parameters change.
-    self._event: Any = env.event_manager.get_term_cfg(event).func
-    if not isinstance(self._event, randomize):
-      raise MjlabError(f"event '{event}' has no strength to widen; only randomize and randomize_actuator have one")
-    self.strength  # noqa: B018  # Some draws have no strength.
+    self._event = _randomize_event(env, event)
+    _ = self.strength  # Some draws have no strength.
     if env.event_manager.get_term_cfg(event).mode == "startup":
       raise MjlabError(f"event '{event}' fires once, at startup, before its strength grows; give it another mode")
     self(env.reset_buf)
@@ -145,7 +148,7 @@ def randomizer_of(env: "ManagerBasedRlEnv", event: str) -> RandomizeField:
 def _randomize_event(env: "ManagerBasedRlEnv", event: str) -> randomize:
   term = env.event_manager.get_term_cfg(event).func
   if not isinstance(term, randomize):
-    raise MjlabError(f"event '{event}' is not an mdp.randomize, so it has no field")
+    raise MjlabError(f"event '{event}' is neither randomize nor randomize_actuator")
   return term
 
 

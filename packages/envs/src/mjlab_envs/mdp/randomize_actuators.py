@@ -1,13 +1,11 @@
 """Short forms of `randomize` for gains, effort limits and delays of actuators."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from mjlab_actuators import Transmission
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import unknown
-from mjlab_core.sampling import check_range
-from mjlab_dr import FIELDS, Categorical, Distribution, Operation, randomize_field
+from mjlab_actuators import ParameterName, Transmission
+from mjlab_core.constraints import Ascending, Limits
+from mjlab_dr import Categorical, Distribution, Operation, randomize_field
 from mjlab_managers import SceneEntityCfg
 
 from mjlab_envs.mdp.randomize import randomize
@@ -34,16 +32,13 @@ class randomize_actuator(randomize):
     self,
     env: "ManagerBasedRlEnv",
     *,
-    parameter: str,
+    parameter: ParameterName,
     values: Values,
     operation: Operation = "scale",
     targets: Patterns = ".*",
     transmission_type: Transmission = "joint",
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
-    known = [name for name, field in FIELDS.items() if field.kind == "target" and not field.integer]
-    if parameter not in known:
-      raise MjlabError(unknown("actuator parameter", parameter, known))
     randomizer = randomize_field(parameter, targets, values, operation=operation)
     super().__init__(env, randomizer=randomizer, asset=asset, transmission_type=transmission_type)
 
@@ -59,14 +54,11 @@ class randomize_actuator_delay(randomize):
     self,
     env: "ManagerBasedRlEnv",
     *,
-    lag_range: tuple[int, int],
+    lag_range: Annotated[tuple[int, int], Limits(ge=0), Ascending()],
     targets: Patterns = ".*",
     transmission_type: Transmission = "joint",
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
-    lo, hi = lag_range
-    check_range("lag_range", lo, hi, minimum=0)
-    if not (isinstance(lo, int) and isinstance(hi, int)):
-      raise MjlabError(f"lag_range is ({lo}, {hi}); lags are whole numbers of physics steps")
-    randomizer = randomize_field("delay", targets, Categorical(tuple(range(lo, hi + 1))))
+    lags = range(lag_range[0], lag_range[1] + 1)
+    randomizer = randomize_field("delay", targets, Categorical(tuple(lags)))
     super().__init__(env, randomizer=randomizer, asset=asset, transmission_type=transmission_type)

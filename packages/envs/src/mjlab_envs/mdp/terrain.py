@@ -3,11 +3,12 @@
 from typing import TYPE_CHECKING
 
 import torch
+from mjlab_core.constraints import Range
 from mjlab_core.errors import MjlabError
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
-from mjlab_envs.mdp.events import Range, reset_root_state_uniform
+from mjlab_envs.mdp.events import reset_root_state_uniform
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -35,8 +36,7 @@ class reset_root_state_from_flat_patches(reset_root_state_uniform):
     self._patches: torch.Tensor | None = None
     terrain = env.scene.terrain
     if terrain is not None and env.scene.terrain_levels is not None:
-      if patches not in terrain.flat_patches:
-        raise MjlabError(unknown("set of flat patches", patches, list(terrain.flat_patches), owner="terrain"))
+      check_name("set of flat patches", patches, terrain.flat_patches, "terrain")
       points = torch.tensor(terrain.flat_patches[patches], device=env.device, dtype=env.sim.dtype)
       self._per_tile = points.shape[2]
       self._patches = points.flatten(0, 2)

@@ -1,20 +1,19 @@
 """Events that push bodies with forces and torques."""
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.errors import MjlabError
+from mjlab_core.constraints import Limits, NonNegativeRange, Range
 from mjlab_core.indexing import fill_, where_
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_core.rotations import quat_apply
-from mjlab_core.sampling import check_range, uniform
+from mjlab_core.sampling import uniform
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
-Range = tuple[float, float]
 Components = Range | dict[str, Range]
 """One range for all three components, or ranges by component (x, y, z), where those left out are 0."""
 
@@ -87,16 +86,14 @@ class apply_body_impulse(apply_external_force_torque):
     self,
     env: "ManagerBasedRlEnv",
     *,
-    cooldown_s: Range,
-    duration_s: Range,
+    cooldown_s: NonNegativeRange,
+    duration_s: Annotated[Range, Limits(gt=0)],
     force_range: Components = (0.0, 0.0),
     torque_range: Components = (0.0, 0.0),
     body_point_offset: tuple[float, float, float] | None = None,
     asset: SceneEntityCfg = _ROBOT,
   ) -> None:
     super().__init__(env, force_range=force_range, torque_range=torque_range, asset=asset)
-    check_range("cooldown_s", *cooldown_s, minimum=0.0)
-    check_range("duration_s", *duration_s, minimum=0.0, open_minimum=True)
     self._times = torch.tensor([cooldown_s, duration_s], dtype=torch.float64, device=env.device)
     self._offset = None
     if body_point_offset is not None:
@@ -150,13 +147,11 @@ def _bounds(components: Components, name: str) -> list[list[float]]:
   """Return the lowest and the highest values of x, y and z.
 
   Raises:
-    MjlabError: a component that does not exist, or an inverted range.
+    UnknownNameError: a component does not exist.
   """
   if not isinstance(components, dict):
     components = dict.fromkeys("xyz", components)
-  for axis, (lo, hi) in components.items():
-    if axis not in tuple("xyz"):
-      raise MjlabError(unknown("component", axis, "xyz", owner=name))
-    check_range(f"{name}['{axis}']", lo, hi)
+  for axis in components:
+    check_name("component", axis, "xyz", name)
   ranges = [components.get(axis, (0.0, 0.0)) for axis in "xyz"]
   return [[float(lo) for lo, _ in ranges], [float(hi) for _, hi in ranges]]

@@ -6,18 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.constraints import Ascending, Limits, NonNegative, check_fields
+from mjlab_core.constraints import Limits, NonNegative, Range, check_fields, check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
-from mjlab_core.sampling import check_range
 from mjlab_managers import CommandTerm, CommandTermCfg
 
 from mjlab_manipulation.mdp.extent import Extent
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
-
-Range = Annotated[tuple[float, float], Limits(), Ascending()]
 
 
 @dataclass(kw_only=True)
@@ -81,7 +78,7 @@ class LiftCommand(CommandTerm):
     for name, entity in zip(cfg.objects, self._objects, strict=True):
       if entity.is_fixed_base:
         raise MjlabError(f"entity '{name}' cannot be lifted: its base is fixed")
-    check_range("goal_time_range", *cfg.goal_time_range, minimum=env.step_dt)
+    check_value("goal_time_range", cfg.goal_time_range, Annotated[Range, Limits(ge=env.step_dt)])
     count = len(self._objects)
     width = cfg.start.y[1] - cfg.start.y[0]
     if width < (count - 1) * cfg.min_distance:
