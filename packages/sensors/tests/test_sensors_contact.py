@@ -560,10 +560,10 @@ def test_a_pattern_that_does_not_fit_is_refused_by_name(
 
 def test_names_are_given_once() -> None:
   cfg = ContactSensorCfg(primary=BOX)
-  with pytest.raises(ValueError, match="needs a name"):
+  with pytest.raises(ValueError, match="needs one name"):
     cfg.build()
   assert cfg.build("feet").name == "feet"
-  with pytest.raises(ValueError, match="give one name"):
+  with pytest.raises(ValueError, match="needs one name"):
     ContactSensorCfg(name="feet", primary=BOX).build("hands")
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, Limits, MjlabError, check_fields, check_name, quat_from_matrix
+from mjlab_core import DebugDraw, Items, Limits, check_fields, check_name, quat_from_matrix
 from mjlab_core.config import Config
 
 from mjlab_sensors._elements import add_sensor, find_element, names_of
@@ -119,40 +119,40 @@ class BuiltinSensorCfg(SensorCfg):
   cutoff: Annotated[float, Limits(ge=0, finite=False)] = 0.0
   """Readings are clamped to this magnitude, in the sensor's own unit; 0 for no limit. It is the range of "distance",
   "normal" and "fromto" [m]; with 0 they measure penetration only."""
-  ray_data: tuple[RayDataField, ...] = ("dist",)
+  ray_data: Annotated[tuple[RayDataField, ...], Items(ge=1)] = ("dist",)
   """Quantities that a rangefinder measures for each of its rays, in this order: distance [m], -1 without a hit;
   direction; origin, hit point and normal in the world frame [m]; depth along the axis of a camera [m]."""
   enclosed: bool = False
   """Let "insidesite" measure the distance by which an object reaches out of the site [m]; False measures if the
   object's frame is inside."""
 
-  def validate(self) -> None:
-    if (kind := NATIVE_TYPES.get(self.sensor_type or "")) is not None and kind.declared_by != BuiltinSensorCfg.__name__:
-      instead = f"declare it with {kind.declared_by}" if kind.declared_by else "declare it in an MJCF"
-      raise MjlabError(f"{self.label}: BuiltinSensorCfg cannot declare a {self.sensor_type} sensor; {instead}")
-    super().validate()
+  def problems(self) -> Iterator[str]:
     if self.element is not None:
       others = [field for field in fields(self) if field.name not in ("name", "debug_vis", "element")]
       if given := [field.name for field in others if getattr(self, field.name) != field.default]:
-        raise MjlabError(f"{self.label}: `element` names an existing sensor; leave {', '.join(given)} out")
+        yield f"`element` names an existing sensor; leave {', '.join(given)} out"
       return
+    kind = NATIVE_TYPES.get(self.sensor_type or "")
     if kind is None:
-      raise MjlabError(f"{self.label}: give `element`, a sensor of the scene, or `sensor_type` for a new one")
-    self._check_object("obj", self.obj, kind.objects, needed=True)
-    self._check_object("ref", self.ref, kind.references, needed=kind.needs_reference)
+      yield "give `element`, a sensor of the scene, or `sensor_type` for a new one"
+      return
+    yield from self._object_problems("obj", self.obj, kind.objects, needed=True)
+    yield from self._object_problems("ref", self.ref, kind.references, needed=kind.needs_reference)
     for field, owner in (("ray_data", "rangefinder"), ("enclosed", "insidesite")):
       if self.sensor_type != owner and getattr(self, field) != getattr(BuiltinSensorCfg, field):
-        raise MjlabError(f"{self.label}: {field} requires sensor_type='{owner}', got {self.sensor_type!r}")
-    if tuple(self.ray_data) != tuple(name for name in _RAY_FIELDS if name in self.ray_data) or not self.ray_data:
-      raise MjlabError(f"{self.label}: ray_data must keep the order {_RAY_FIELDS}, got {self.ray_data}")
+        yield f"{field} requires sensor_type='{owner}', got {self.sensor_type!r}"
+    if tuple(self.ray_data) != tuple(name for name in _RAY_FIELDS if name in self.ray_data):
+      yield f"ray_data must keep the order {_RAY_FIELDS}, got {self.ray_data}"
 
-  def _check_object(self, field: str, ref: ObjRef | None, allowed: tuple[str, ...], *, needed: bool) -> None:
+  def _object_problems(
+    self, field: str, ref: ObjRef | None, allowed: tuple[str, ...], *, needed: bool
+  ) -> Iterator[str]:
     kinds = " or ".join(allowed)
     if ref is None and needed and allowed:
-      raise MjlabError(f"{self.label}: a {self.sensor_type} sensor needs a {kinds} as `{field}`")
+      yield f"a {self.sensor_type} sensor needs a {kinds} as `{field}`"
     if ref is not None and ref.type not in allowed:
       takes = f"takes a {kinds}" if allowed else "takes none"
-      raise MjlabError(f"{self.label}: a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}")
+      yield f"a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}"
 
   def _make(self, name: str) -> BuiltinSensor:
     return BuiltinSensor(name, self)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +23,7 @@ from mjlab_sim import DataType
 
 from mjlab_sensors._elements import find_element, names_of
 from mjlab_sensors.frames import FrameSet
-from mjlab_sensors.pinhole import check_resolution, resolution_of
+from mjlab_sensors.pinhole import resolution_of, resolution_problems
 from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
 
 if TYPE_CHECKING:
@@ -72,19 +72,18 @@ class CameraSensorCfg(SensorCfg):
   use_shadows: bool = False
   """Let lights cast shadows."""
 
-  def validate(self) -> None:
-    super().validate()
-    check_resolution(self.label, self.width, self.height, self.camera)
+  def problems(self) -> Iterator[str]:
+    yield from resolution_problems(self.width, self.height, self.camera)
     if self.camera is not None:
       new = ("body", "pos", "quat", "orthographic")
       if given := [field for field in new if getattr(self, field) != getattr(CameraSensorCfg, field)]:
-        raise MjlabError(f"{self.label}: camera {self.camera!r} exists already; leave {', '.join(given)} out")
+        yield f"camera {self.camera!r} exists already; leave {', '.join(given)} out"
     elif self.orthographic and self.fovy is None:
-      raise MjlabError(f"{self.label}: an orthographic camera needs fovy, the height of its image [m]")
+      yield "an orthographic camera needs fovy, the height of its image [m]"
     if self.fovy is not None and self.fovy >= 180.0 and not self.orthographic:
-      raise MjlabError(f"{self.label}: fovy must be below 180 degrees, got {self.fovy}")
+      yield f"fovy must be below 180 degrees, got {self.fovy}"
     if not any(self.quat):
-      raise MjlabError(f"{self.label}: quat must not be zero")
+      yield "quat must not be zero"
 
   def _make(self, name: str) -> CameraSensor:
     return CameraSensor(name, self)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
@@ -88,14 +88,13 @@ class ContactSensorCfg(SensorCfg):
   history_length: Count | Literal["decimation"] = 0
   """Number of past substeps whose force is kept; "decimation" for the substeps of one environment step."""
 
-  def validate(self) -> None:
-    super().validate()
+  def problems(self) -> Iterator[str]:
     if not self.fields and not self.track_air_time:
-      raise MjlabError(f"{self.label}: fields is empty; choose from {', '.join(_WIDTHS)}")
+      yield f"fields is empty; choose from {', '.join(_WIDTHS)}"
     if self.reduce == "netforce" and self.num_slots != 1:
-      raise MjlabError(f"{self.label}: netforce is one sum of all contacts: num_slots must be 1, got {self.num_slots}")
+      yield f"netforce is one sum of all contacts: num_slots must be 1, got {self.num_slots}"
     if self.history_length and "force" not in self.fields:
-      raise MjlabError(f"{self.label}: history_length keeps the force; add 'force' to fields {self.fields}")
+      yield f"history_length keeps the force; add 'force' to fields {self.fields}"
 
   def _make(self, name: str) -> ContactSensor:
     return ContactSensor(name, self)

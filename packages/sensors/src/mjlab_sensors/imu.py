@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import sqrt
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,6 @@ import mujoco
 import torch
 from mjlab_core import (
   DebugDraw,
-  MjlabError,
   NonNegative,
   quat_apply,
   quat_apply_inverse,
@@ -56,10 +55,9 @@ class ImuSensorCfg(SensorCfg):
   accelerometer_walk: NonNegative = 0.0
   """Random walk of the accelerometer's bias, likewise [m/s^2 / sqrt(s)]."""
 
-  def validate(self) -> None:
-    super().validate()
+  def problems(self) -> Iterator[str]:
     if self.site.type != "site":
-      raise MjlabError(f"{self.label}: site must be a site, got {self.site.type} {self.site.name!r}")
+      yield f"site must be a site, got {self.site.type} {self.site.name!r}"
 
   def _make(self, name: str) -> ImuSensor:
     return ImuSensor(name, self)

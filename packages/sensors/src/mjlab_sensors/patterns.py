@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import floor
 from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
-from mjlab_core import Ascending, Count, Limits, MjlabError, NonNegative, Positive, PositiveCount, check_fields
+from mjlab_core import Ascending, ConfigError, Count, Limits, NonNegative, Positive, PositiveCount, field_problems
 from mjlab_core.config import Config
 
 
@@ -18,7 +19,12 @@ class RayPatternCfg(Config, ABC):
   """Fixed set of rays in the coordinates of a frame."""
 
   def __post_init__(self) -> None:
-    check_fields(self, type(self).__name__)
+    if problems := field_problems(self) or list(self.problems()):
+      raise ConfigError(*(f"{type(self).__name__}: {problem}" for problem in problems))
+
+  def problems(self) -> Iterator[str]:
+    """Yield the mistakes in fields that fit their annotations."""
+    yield from ()
 
   @abstractmethod
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
@@ -46,10 +52,9 @@ class RingPatternCfg(RayPatternCfg):
   include_center: bool = True
   """Put one more ray, the first, at the frame itself."""
 
-  def __post_init__(self) -> None:
-    super().__post_init__()
+  def problems(self) -> Iterator[str]:
     if self.num_samples + self.include_center < 1:
-      raise MjlabError("RingPatternCfg: num_samples must be at least 1 without include_center, got 0")
+      yield "num_samples must be at least 1 without include_center, got 0"
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     angle = 2.0 * np.pi * np.arange(self.num_samples) / max(self.num_samples, 1)
@@ -75,11 +80,10 @@ class LidarPatternCfg(RayPatternCfg):
   horizontal_fov: Annotated[tuple[float, float], Limits(ge=-360, le=360), Ascending()] = (-180.0, 180.0)
   """Rightmost and leftmost angle, counted to the left from the frame's x axis [deg]."""
 
-  def __post_init__(self) -> None:
-    super().__post_init__()
+  def problems(self) -> Iterator[str]:
     right, left = self.horizontal_fov
     if left - right > 360.0:
-      raise MjlabError(f"LidarPatternCfg: horizontal_fov must span at most 360 degrees, got {self.horizontal_fov}")
+      yield f"horizontal_fov must span at most 360 degrees, got {self.horizontal_fov}"
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
     full_turn = self.horizontal_fov[1] - self.horizontal_fov[0] == 360.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import radians, tan
 from typing import Annotated, Self
@@ -14,10 +14,10 @@ from mjlab_core import Count, Limits, MjlabError, Positive, check_name
 from mjlab_sensors.patterns import RayPatternCfg
 
 
-def check_resolution(owner: str, width: int, height: int, camera: str | None) -> None:
-  """Refuse an image without pixels; zeros take the resolution of `camera`."""
+def resolution_problems(width: int, height: int, camera: str | None) -> Iterator[str]:
+  """Yield the mistake in an image without pixels; zeros take the resolution of `camera`."""
   if (width == 0 or height == 0) and (camera is None or width != height):
-    raise MjlabError(f"{owner}: width and height must be at least 1, got {width} and {height}")
+    yield f"width and height must be at least 1, got {width} and {height}"
 
 
 def resolution_of(owner: str, camera: str, resolution: Sequence[int]) -> tuple[int, int]:
@@ -89,15 +89,12 @@ class PinholeCameraPatternCfg(RayPatternCfg):
     focal, center = (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))
     return cls(width=width, height=height, focal=focal, center=center)
 
-  def __post_init__(self) -> None:
-    super().__post_init__()
-    check_resolution("PinholeCameraPatternCfg", self.width, self.height, self.camera)
+  def problems(self) -> Iterator[str]:
+    yield from resolution_problems(self.width, self.height, self.camera)
     if self.camera is not None and (self.focal is not None or self.center is not None):
-      raise MjlabError(f"PinholeCameraPatternCfg: camera {self.camera!r} has its own focal and center; leave them out")
+      yield f"camera {self.camera!r} has its own focal and center; leave them out"
 
   def rays(self) -> tuple[np.ndarray, np.ndarray]:
-    if self.camera is not None:
-      raise MjlabError(f"PinholeCameraPatternCfg: camera {self.camera!r} is in the model; call `resolve` first")
     focal = self.height / (2.0 * tan(radians(self.fovy) / 2.0))
     fx, fy = self.focal or (focal, focal)
     cx, cy = self.center or (self.width / 2.0, self.height / 2.0)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, Items, Limits, MjlabError, Stateful, check_fields
+from mjlab_core import ConfigError, DebugDraw, Items, Limits, MjlabError, Stateful, field_problems
 from mjlab_core.config import Config
 
 if TYPE_CHECKING:
@@ -32,8 +32,13 @@ class SensorCfg(Config, ABC):
     self.validate()
 
   def validate(self) -> None:
-    """Raise MjlabError for values that are wrong in every scene. Runs when made, and again at `build`."""
-    check_fields(self, self.label)
+    """Raise ConfigError for values that are wrong in every scene. Runs when made, and again at `build`."""
+    if problems := field_problems(self) or list(self.problems()):
+      raise ConfigError(*(f"{self.label}: {problem}" for problem in problems))
+
+  def problems(self) -> Iterator[str]:
+    """Yield the mistakes in fields that fit their annotations."""
+    yield from ()
 
   @property
   def label(self) -> str:
@@ -49,11 +54,9 @@ class SensorCfg(Config, ABC):
     Raises:
       MjlabError: the configuration is wrong, or it has no name, or two different ones.
     """
-    if name and self.name and name != self.name:
-      raise MjlabError(f"{self.label}: the scene calls this sensor {name!r}; give one name, or leave `name` empty")
+    if (not name and not self.name) or (name and self.name not in ("", name)):
+      raise MjlabError(f"{self.label}: needs one name; the scene calls this sensor {name!r}")
     name = name or self.name
-    if not name:
-      raise MjlabError(f"{type(self).__name__}: a sensor needs a name")
     # A copy, so that messages give the name.
     replace(self, name=name).validate()
     return self._make(name)
