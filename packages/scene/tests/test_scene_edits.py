@@ -134,8 +134,6 @@ def test_a_sky_of_the_scene_is_changed() -> None:
 @pytest.mark.parametrize(
   ("edit", "message"),
   [
-    (TextureCfg(name="new"), "entity 'robot': texture 'new' is new and has no picture"),
-    (TextureCfg(name="new", builtin="flat"), "texture 'new' is new and built in; give its width"),
     (TextureCfg(name="new", file="lost.png"), "texture 'new': there is no file 'lost.png'"),
     (MaterialCfg(name="m", texture="pain"), "texture 'pain' does not exist. Nearest: paint"),
     (MaterialCfg(name="m", geoms="head"), "pattern 'head' matches no geom"),
@@ -143,7 +141,7 @@ def test_a_sky_of_the_scene_is_changed() -> None:
     (GeomCfg(names="foot", group=7), "group must be in"),
     (GeomCfg(names="foot", material="stel"), "material 'stel' does not exist. Nearest: steel"),
     (MeshCfg(names="cube"), "pattern 'cube' matches no mesh"),
-    (MeshCfg(maxhullvert=3), "maxhullvert must be -1 or at least 4, got 3"),
+    (MeshCfg(maxhullvert=3), "maxhullvert must be -1 or be at least 4, got 3"),
     (CameraCfg(name="c", body="bas"), "entity 'robot', camera 'c': body 'bas' does not exist. Nearest: base"),
     (CameraCfg(name="c", mode="targetbody"), "camera 'c' looks at a body in this mode; give target"),
     (CameraCfg(name="eye", body="world"), "camera 'eye' is on body 'base' already"),

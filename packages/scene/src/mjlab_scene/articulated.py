@@ -6,13 +6,13 @@ with a body of no mass there, whose joint rests.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from mjlab_core.errors import MjlabError
+from mjlab_core.errors import ConfigError, MjlabError
 from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
@@ -122,18 +122,20 @@ def merge_articulated(specs: Mapping[str, mujoco.MjSpec], owner: str) -> tuple[m
   """
   merged, models, dummies = mujoco.MjSpec(), {}, list[str]()
   floats = {name: any(joint.type == _FREE for joint in spec.joints) for name, spec in specs.items()}
-  if len(set(floats.values())) > 1:
-    fixed = next(name for name, is_free in floats.items() if not is_free)
-    raise MjlabError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
+  is_floating = all_float(floats, owner)
   top = next(iter(specs.values())).bodies[1].name
+  problems: list[str] = []
   for name, spec in specs.items():
-    what = f"{owner}: variant '{name}'"
-    _check(spec, what)
+    found = list(_part_problems(spec))
     if spec.bodies[1].name != top:
-      raise MjlabError(f"{what}: its body on top is '{spec.bodies[1].name}', that of another variant is '{top}'")
-    models[name] = spec.copy().compile()
-    for body in spec.bodies[1:]:
-      dummies += _add_body(merged, spec, body, models[name], what)
+      found.append(f"its body on top is '{spec.bodies[1].name}', that of another variant is '{top}'")
+    if not found:
+      models[name] = spec.copy().compile()
+      for body in spec.bodies[1:]:
+        dummies += _add_body(merged, spec, body, models[name], found)
+    problems += [f"{owner}: variant '{name}': {problem}" for problem in found]
+  if problems:
+    raise ConfigError(*problems)
   for name, spec in specs.items():
     for body in spec.bodies[1:]:
       if body.geoms or body.cameras or body.lights:
@@ -153,11 +155,19 @@ def merge_articulated(specs: Mapping[str, mujoco.MjSpec], owner: str) -> tuple[m
     bodies=[body.name for body in merged.bodies[1:]],
     joints=[joint.name for joint in merged.joints if joint.type != _FREE],
     sites=[site.name for site in merged.sites],
-    floats=any(floats.values()),
+    floats=is_floating,
   )
 
 
-def _check(spec: mujoco.MjSpec, what: str) -> None:
+def all_float(floats: Mapping[str, bool], owner: str) -> bool:
+  """Return True if all variants have a free joint, False if none has."""
+  if len(set(floats.values())) > 1:
+    fixed = next(name for name, is_free in floats.items() if not is_free)
+    raise MjlabError(f"{owner}: variant '{fixed}' has no free joint, but others have; all must float, or none")
+  return any(floats.values())
+
+
+def _part_problems(spec: mujoco.MjSpec) -> Iterator[str]:
   for kind, found, instead in (
     ("actuator", spec.actuators, "configure actuators in EntityCfg.articulation"),
     ("tendon", spec.tendons, "worlds share tendons"),
@@ -167,13 +177,13 @@ def _check(spec: mujoco.MjSpec, what: str) -> None:
     ("exclude", spec.excludes, "worlds share excludes"),
   ):
     if found:
-      raise MjlabError(f"{what}: {kind} '{found[0].name}' cannot be part of a variant with joints; {instead}")
+      yield f"{kind} '{found[0].name}' cannot be part of a variant with joints; {instead}"
 
 
 def _add_body(
-  merged: mujoco.MjSpec, spec: mujoco.MjSpec, body: mujoco.MjsBody, alone: mujoco.MjModel, what: str
+  merged: mujoco.MjSpec, spec: mujoco.MjSpec, body: mujoco.MjsBody, alone: mujoco.MjModel, problems: list[str]
 ) -> list[str]:
-  """Add a body with its joints and sites to the skeleton, or check that it fits the one there; return new dummies."""
+  """Add a body with its joints and sites to the skeleton, and return new dummies; note what differs from there."""
   parent = "world" if body.parent == spec.worldbody else body.parent.name
   found, dummies = merged.body(body.name), []
   if found is None:
@@ -187,16 +197,16 @@ def _add_body(
     if not body.joints:
       dummies.append(found.add_joint(name=f"{body.name}/dummy").name)
   elif found.parent.name != parent:
-    raise MjlabError(f"{what}: body '{body.name}' is on '{parent}', but on '{found.parent.name}' in another variant")
+    problems.append(f"body '{body.name}' is on '{parent}', but on '{found.parent.name}' in another variant")
   else:
-    _check_joints(found, body, alone, what)
+    problems += _joint_problems(found, body, alone)
   here = [site.name for site in merged.sites]
   for site in body.sites:
     if site.name not in here:
       twin = alone.site(site.name)
       found.add_site(name=site.name, pos=twin.pos, quat=twin.quat, size=twin.size, type=int(twin.type[0]))
     elif merged.site(site.name).parent.name != body.name:
-      raise MjlabError(f"{what}: site '{site.name}' is on another body than in another variant")
+      problems.append(f"site '{site.name}' is on another body than in another variant")
   return dummies
 
 
@@ -212,21 +222,16 @@ def _add_joint(body: mujoco.MjsBody, name: str, alone: mujoco.MjModel) -> None:
     joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_TRUE, alone.jnt_actfrcrange[twin.id]
 
 
-def _check_joints(found: mujoco.MjsBody, body: mujoco.MjsBody, alone: mujoco.MjModel, what: str) -> None:
+def _joint_problems(found: mujoco.MjsBody, body: mujoco.MjsBody, alone: mujoco.MjModel) -> Iterator[str]:
   theirs = [(joint.name, joint.type) for joint in found.joints if not joint.name.endswith("/dummy")]
   mine = [(joint.name, joint.type) for joint in body.joints]
   if mine != theirs:
     shown = [", ".join(f"'{name}'" for name, _ in of) or "none" for of in (mine, theirs)]
-    raise MjlabError(
-      f"{what}: joints of body '{body.name}' are {shown[0]}; those of another variant are {shown[1]}, or of other types"
-    )
-  for joint in found.joints:
-    if (
-      joint.type != _FREE
-      and mine
-      and list(alone.jnt_actfrcrange[alone.joint(joint.name).id]) != list(joint.actfrcrange)
-    ):
-      raise MjlabError(f"{what}: joint '{joint.name}' has another actuatorfrcrange than in another variant")
+    yield f"joints of body '{body.name}' are {shown[0]}; those of another variant are {shown[1]}, or of other types"
+    return
+  for joint in found.joints if mine else ():
+    if joint.type != _FREE and list(alone.jnt_actfrcrange[alone.joint(joint.name).id]) != list(joint.actfrcrange):
+      yield f"joint '{joint.name}' has another actuatorfrcrange than in another variant"
 
 
 def _add_parts(merged: mujoco.MjSpec, spec: mujoco.MjSpec, name: str, variant: str) -> None:

@@ -94,10 +94,6 @@ class TextureCfg(SpecEdit):
     what = f"{owner}: texture '{self.name}'"
     found = spec.texture(self.name)
     if found is None:
-      if self.builtin in (None, "none") and self.file is None and self.cubefiles is None:
-        raise MjlabError(f"{what} is new and has no picture; give builtin, file or cubefiles")
-      if self.builtin not in (None, "none") and (self.width is None or (self.height is None and self.type == "2d")):
-        raise MjlabError(f"{what} is new and built in; give its width and height [pixels]")
       found = spec.add_texture(name=self.name)
     self._write(found, "file", "cubefiles", "gridlayout")
     if self.file is not None:
@@ -149,15 +145,13 @@ class MeshCfg(SpecEdit):
 
   names: str | tuple[str, ...] = ".*"
   """Patterns; each must match a mesh."""
-  maxhullvert: Annotated[int, Limits(ge=-1)] | None = None
+  maxhullvert: Literal[-1] | Annotated[int, Limits(ge=4)] | None = None
   """Most vertices of the convex hull that collides; -1 for no limit, else at least 4."""
   scale: Annotated[tuple[float, float, float], Limits(nonzero=True)] | None = None
   inertia: Literal["convex", "exact", "legacy", "shell"] | None = None
   """Way to compute the inertia of bodies that have none."""
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
-    if self.maxhullvert is not None and -1 < self.maxhullvert < 4:
-      raise MjlabError(f"{owner}: maxhullvert must be -1 or at least 4, got {self.maxhullvert}")
     for mesh in _matched(spec.meshes, self.names, "mesh", owner):
       self._write(mesh)
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral
+from typing import Annotated
 
 import mujoco
 import numpy as np
 import torch
+from mjlab_core.constraints import Limits, check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import Index, as_index, select, where_
 
@@ -275,10 +276,7 @@ def _chosen_ids(selection: Selection, count: int, owner: str) -> list[int]:
   if isinstance(selection, slice):
     return list(range(count)[selection])
   ids = selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)
-  if any(isinstance(i, bool) or not isinstance(i, Integral) for i in ids):
-    raise MjlabError(f"{owner}: ids must be whole numbers, got {ids}")
-  if any(not -count <= i < count for i in ids):
-    raise MjlabError(f"{owner}: ids {ids} must be within {count}")
+  check_value(f"{owner}: ids", ids, Annotated[tuple[int, ...], Limits(ge=-count, le=count - 1)])
   return [i % count for i in ids]
 
 

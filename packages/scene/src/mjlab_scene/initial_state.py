@@ -1,7 +1,7 @@
 """State that an entity starts in: configured, read from its spec, and joined to the keyframe of a scene."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -9,7 +9,7 @@ import numpy as np
 from mjlab_actuators import command_fields_of
 from mjlab_core.config import Config
 from mjlab_core.constraints import Finite, check_fields, check_value
-from mjlab_core.errors import MjlabError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_core.names import match_values
 
 INIT_STATE = "init_state"
@@ -102,7 +102,9 @@ def read_initial_state(
     _read_key(spec, spec.keys[0], floating, state, owner)
   else:
     named = _set_joints(state.joint_pos, cfg.joint_pos, owner, "joint_pos")
-    _check_limits([joint for joint in joints if joint.name in named], state, spec.compiler.degree, owner)
+    given = [joint for joint in joints if joint.name in named]
+    if problems := list(_limit_problems(given, state, spec.compiler.degree)):
+      raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
   _set_joints(state.joint_vel, cfg.joint_vel, owner, "joint_vel")
 
   if cfg.pos is not None:
@@ -183,7 +185,7 @@ def _unit(quaternion: np.ndarray, where: str) -> np.ndarray:
   return quaternion / norm
 
 
-def _check_limits(joints: Sequence[mujoco.MjsJoint], state: InitialState, degree: bool, owner: str) -> None:
+def _limit_problems(joints: Sequence[mujoco.MjsJoint], state: InitialState, degree: bool) -> Iterator[str]:
   for joint in joints:
     limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
       joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and joint.range[0] != joint.range[1]
@@ -193,7 +195,7 @@ def _check_limits(joints: Sequence[mujoco.MjsJoint], state: InitialState, degree
     low, high = np.asarray(joint.range) * _radians(joint, degree)
     value = state.joint_pos[joint.name][0]
     if not low - 1e-6 <= value <= high + 1e-6:
-      raise MjlabError(f"{owner}: initial position {value:g} of joint '{joint.name}' is outside [{low:g}, {high:g}]")
+      yield f"initial position {value:g} of joint '{joint.name}' is outside [{low:g}, {high:g}]"
 
 
 def _num_inputs(actuator: mujoco.MjsActuator) -> int:

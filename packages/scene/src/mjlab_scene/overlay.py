@@ -15,13 +15,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 from mjlab_actuators import ActuatorCfg
+from mjlab_core.constraints import Finite, Items, check_value
 from mjlab_core.errors import FileError, MjlabError
 from mjlab_core.files import printable, reading
-from mjlab_core.names import match_values_full, unknown
+from mjlab_core.names import check_name, match_values_full
 
 MODEL_FIELDS: dict[str, tuple[str, str, int]] = {
   "dof_armature": ("joint", "armature", 1),
@@ -77,10 +78,8 @@ class Overlay:
     for name, values in self.model.items():
       kind, attribute, _ = MODEL_FIELDS[name]
       for element, numbers in values.items():
-        found = getattr(spec, kind)(element)
-        if found is None:
-          known = [item.name for item in getattr(spec, {"body": "bodies"}.get(kind, f"{kind}s"))]
-          raise FileError(unknown(kind, element, known, owner=self.source))
+        known = [item.name for item in getattr(spec, {"body": "bodies"}.get(kind, f"{kind}s"))]
+        found = getattr(spec, kind)(check_name(kind, element, known, self.source))
         if kind == "body":
           found.explicitinertial = True
           found.fullinertia = [math.nan] * 6
@@ -144,8 +143,7 @@ def read_overlay(path: str | Path) -> Overlay:
     }
     actuators = {name: _scalars(values) for name, values in content.get("actuators", {}).items()}
     for name in actuators:
-      if name not in _ACTUATOR_FIELDS:
-        raise FileError(unknown("actuator parameter", printable(name, 80), _ACTUATOR_FIELDS))
+      check_name("actuator parameter", printable(name, 80), _ACTUATOR_FIELDS)
     delay, bias = (_scalars(content.get(name, {})) for name in ("delay", "encoder_bias"))
     timestep = float(content.get("timestep", 0.0))
     if delay and not (0.0 < timestep < math.inf and all(0.0 <= value < 1e3 * timestep for value in delay.values())):
@@ -161,18 +159,15 @@ def read_overlay(path: str | Path) -> Overlay:
 
 
 def _numbers(name: str, values: Any) -> list[float]:
-  if name not in MODEL_FIELDS:
-    raise FileError(unknown("field", printable(name, 80), MODEL_FIELDS))
+  *_, count = MODEL_FIELDS[check_name("field", printable(name, 80), MODEL_FIELDS)]
   numbers = [float(value) for value in (values if isinstance(values, list) else [values])]
-  if len(numbers) != MODEL_FIELDS[name][2] or not all(map(math.isfinite, numbers)):
-    raise FileError(f"{name} must have {MODEL_FIELDS[name][2]} finite numbers, got {printable(values, 80)}")
+  check_value(name, numbers, Annotated[tuple[Finite, ...], Items(ge=count, le=count)])
   return numbers
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, float]:
   out = {str(name): float(value) for name, value in values.items()}
-  if not all(map(math.isfinite, out.values())):
-    raise FileError("a number is not finite")
+  check_value("values", out, dict[str, Finite])
   return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,9 +87,6 @@ class Scene(Stateful):
   """Origin of each world, world frame, (num_envs, 3) [m]; exists once the scene is initialized."""
 
   def __init__(self, cfg: SceneCfg, decimation: int | None = None, *, problems: list[str] | None = None) -> None:
-    for part in ("entities", "sensors"):
-      if not isinstance(given := getattr(cfg, part), Mapping):
-        raise MjlabError(f"scene: {part} must be a dict by name, got {type(given).__name__}: {part}={{'name': ...}}")
     check_fields(cfg, "scene")
     self._problems, self.missing = problems, set[str]()
     """Names of what has a mistake and is left out."""
