@@ -117,16 +117,11 @@ class Simulation:
     """
     self._fresh.check_open()
     missing = self._fields.missing(names)
-    if missing and self._recordings.is_inside:
-      raise MjlabError(
-        f"model fields {', '.join(missing)} cannot be expanded inside a recorded step; "
-        "expand them before the first step"
-      )
     if missing:
+      self._recordings.invalidate_outside(f"model fields {', '.join(missing)} cannot be expanded")
       self._fields.expand(missing)
       if self._fixed_geometry is not None:
         self._fixed_geometry.forget()
-      self._recordings.invalidate()
 
   @property
   def expanded_fields(self) -> tuple[str, ...]:
@@ -217,10 +212,8 @@ class Simulation:
     self._fresh.check_open()
     check_value("world", world, Annotated[int, Limits(ge=0, le=self.num_envs - 1)])
     if not self._keeps_contacts:
-      if self._recordings.is_inside:
-        raise MjlabError("contacts are kept from the first call on; call it before the first recorded step")
+      self._recordings.invalidate_outside("contacts cannot be asked for first")
       self._keeps_contacts = True
-      self._recordings.invalidate()
     return self._engine.contacts(world)
 
   def make_ray_caster(

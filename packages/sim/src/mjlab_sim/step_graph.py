@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
+from mjlab_core.errors import MjlabError
 
 from mjlab_sim.freshness import Freshness
 
@@ -33,6 +34,12 @@ class Recordings:
   def is_inside(self) -> bool:
     """True inside a function that is being recorded or replayed."""
     return self.recorder is not None or self.is_replaying
+
+  def invalidate_outside(self, change: str) -> None:
+    """Have every graph recorded again after a change, which is refused inside a recorded step."""
+    if self.is_inside:
+      raise MjlabError(f"{change} inside a recorded step; do it before the first step")
+    self.invalidate()
 
   def add(self, graph: "StepGraph") -> None:
     """Invalidate this graph with the others from now on."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import mujoco
 import torch
-from mjlab_core import MjlabError, StateError, unknown
+from mjlab_core import MjlabError, StateError
 
 from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure
 from mjlab_sim.freshness import Freshness, ModelView
@@ -97,14 +97,12 @@ class WorldFields:
     state["shared"] = as_compiled | state["shared"]
     shared = {name: view[name] for name in state["shared"] if name in PER_WORLD and name not in self.expanded}
     for kind, fields in (("data", data), ("model", model), ("shared", shared), ("default", self._defaults)):
+      if differing := sorted(state[kind].keys() ^ fields.keys()):
+        raise StateError(f"saved {kind} fields are not those here; they differ by {', '.join(differing)}")
       for name, value in state[kind].items():
-        if name not in fields:
-          raise StateError(unknown(f"saved {kind} field", name, list(fields)))
         shape = (1 if kind == "shared" else self._num_envs, *fields[name].shape[1:])
         if shape != value.shape:
           raise StateError(f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}")
-      if absent := [name for name in fields if name not in state[kind]]:
-        raise StateError(f"saved {kind} fields lack: {', '.join(absent)}")
     return state
 
   def load(self, state: State) -> bool:

@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import itertools
 import json
 import os
 import zipfile
@@ -219,10 +220,9 @@ class NanDump:
 def write_dump(folder: Path, contents: dict[str, np.ndarray]) -> Path:
   """Write a dump into a folder under a name that is still free; the file appears whole or not at all."""
   step = int(contents["worlds"][0, 1])
-  names = (f"nan_dump_step_{step}{suffix}.npz" for suffix in ("", *(f"_{k}" for k in range(2, 10_000))))
-  path = next((folder / name for name in names if not (folder / name).exists()), None)
-  if path is None:
-    raise OSError(f"{folder} holds too many dumps of step {step}")
+  path, copies = folder / f"nan_dump_step_{step}.npz", itertools.count(2)
+  while path.exists():
+    path = folder / f"nan_dump_step_{step}_{next(copies)}.npz"
   with AtomicWrite(path) as temporary:
     np.savez_compressed(temporary, allow_pickle=False, **contents)
   return path
