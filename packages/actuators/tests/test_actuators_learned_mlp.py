@@ -173,7 +173,7 @@ def test_saved_and_loaded_histories_continue_alike(tmp_path: Path) -> None:
 def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
   (law,) = build(cfg(stored(network(), tmp_path / "n.pt"))).groups
   assert isinstance(law, LearnedMlp)
-  with pytest.raises(ValueError, match="parameter 'stiffness' does not exist; this actuator model has: effort_limit"):
+  with pytest.raises(ValueError, match=r"parameter 'stiffness' does not exist.*effort_limit"):
     law.expand("stiffness")
   assert not any(parameter.requires_grad for parameter in law.network.parameters())
 
@@ -196,19 +196,19 @@ def test_a_file_that_would_run_code_is_refused_and_runs_none(
   tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
   torch.save({"0.weight": Trap()}, tmp_path / "trap.pt")
-  with pytest.raises(ValueError, match=r"trap.pt' is neither TorchScript nor a state dict"):
+  with pytest.raises(ValueError, match=r"network file .*trap.pt: .*Weights only load failed"):
     build(cfg(tmp_path / "trap.pt"))
   torch.save(network(), tmp_path / "whole.pt")
-  with pytest.raises(ValueError, match=r"whole.pt' is neither TorchScript nor a state dict"):
+  with pytest.raises(ValueError, match=r"network file .*whole.pt: .*Weights only load failed"):
     build(cfg(tmp_path / "whole.pt"))
   assert "sprung" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("save", [scripted, stored])
 def test_a_network_of_the_wrong_width_is_refused_by_name(tmp_path: Path, save: Any) -> None:
-  with pytest.raises(ValueError, match=r"LearnedMlpActuatorCfg: network file .*wide.pt' does not take 6 inputs"):
+  with pytest.raises(ValueError, match=r"LearnedMlpActuatorCfg: network file .*wide.pt: .*mat1 and mat2"):
     build(cfg(save(network(width=8), tmp_path / "wide.pt")))
-  with pytest.raises(ValueError, match=r"pair.pt' makes \(2, 2\) of two rows; it must make one number of each"):
+  with pytest.raises(ValueError, match=r"pair.pt: makes \(2, 2\) of two rows; it must make one number of each"):
     build(cfg(save(network(outputs=2), tmp_path / "pair.pt")))
   path = save(network(width=8), tmp_path / "four.pt")
   assert build(cfg(path, history_length=4)).groups
@@ -217,7 +217,7 @@ def test_a_network_of_the_wrong_width_is_refused_by_name(tmp_path: Path, save: A
 @pytest.mark.parametrize(
   ("changes", "message"),
   [
-    ({"path": "nowhere.pt"}, "LearnedMlpActuatorCfg: network file .*nowhere.pt' does not exist"),
+    ({"path": "nowhere.pt"}, "LearnedMlpActuatorCfg: network file .*nowhere.pt: no such file"),
     ({"activation": "softsing"}, "activation 'softsing' does not exist. Nearest: softsign"),
     ({"input_order": "velpos"}, "input_order 'velpos' does not exist. Nearest: vel_pos"),
     ({"history_length": 0}, "history_length must be at least 1, got 0"),
@@ -245,5 +245,5 @@ def test_state_dicts_that_are_no_chain_of_linear_layers_are_refused(tmp_path: Pa
   with pytest.raises(ValueError, match=r"'conv.weight' of shape \(1, 6, 3\) is not a linear layer"):
     build(cfg(tmp_path / "n.pt"))
   torch.save({"epoch": 3}, tmp_path / "n.pt")
-  with pytest.raises(ValueError, match="holds more than tensors by name"):
+  with pytest.raises(ValueError, match="not a chain of linear layers; it also has: epoch"):
     build(cfg(tmp_path / "n.pt"))

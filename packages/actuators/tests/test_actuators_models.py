@@ -268,9 +268,7 @@ def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> N
   torch.testing.assert_close(after[2], before[2] + KP * (cmd.position_target - cmd.position)[2])
   torch.testing.assert_close(law.nominal("stiffness"), torch.full((1, 3), KP, dtype=torch.float64))
   assert law.expand("stiffness") is stiffness
-  with pytest.raises(
-    ValueError, match="parameter 'stifness' does not exist; this actuator model has: stiffness, damping"
-  ):
+  with pytest.raises(ValueError, match=r"parameter 'stifness' does not exist. Nearest: stiffness"):
     law.expand("stifness")
 
 

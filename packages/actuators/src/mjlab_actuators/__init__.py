@@ -19,6 +19,8 @@ from mjlab_actuators.motor_design import (
 )
 from mjlab_actuators.native import (
   NativeMotorActuatorCfg,
+  NativePd,
+  NativePdActuatorCfg,
   NativePositionActuatorCfg,
   NativeVelocityActuatorCfg,
   PassThrough,
@@ -26,7 +28,6 @@ from mjlab_actuators.native import (
 from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
-from mjlab_actuators.native_pd import NativePd, NativePdActuatorCfg
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
 

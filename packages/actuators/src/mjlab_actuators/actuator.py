@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import torch
 from mjlab_core.buffers import DelayBuffer
-from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name
 from mjlab_core.state import Stateful
 
 from mjlab_actuators.transmission import Target
@@ -196,12 +196,7 @@ class Actuator(Stateful, ABC):
     return torch.tensor([self.group.parameters[name]], device=values.device, dtype=values.dtype)
 
   def _parameter(self, name: str) -> torch.Tensor:
-    if name not in self.group.parameters:
-      raise MjlabError(
-        f"{type(self).__name__}: parameter {name!r} does not exist; "
-        f"this actuator model has: {', '.join(self.group.parameters) or 'none'}"
-      )
-    return getattr(self, name)
+    return getattr(self, check_name("parameter", name, self.group.parameters, type(self).__name__))
 
   def _stacked(self, cmd: ActuatorCmd) -> torch.Tensor:
     fields = [getattr(cmd, field) for field in self.group.command_fields]

@@ -10,8 +10,8 @@ import mujoco
 import torch
 from mjlab_core.config import Config
 from mjlab_core.constraints import Count, Limits, check_fields, field_problems
-from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError
-from mjlab_core.names import match_names, match_values_full, unknown
+from mjlab_core.errors import ConfigError, MjlabError
+from mjlab_core.names import check_name, match_names, match_values_full
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorGroup, CommandField, DelaySettings
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, actuators_of, add_element, targets_of
@@ -93,8 +93,8 @@ class ActuatorCfg(Config, ABC):
         actuator model needs.
     """
     self.validate(target_names)
-    if self.refsite is not None and self.refsite not in targets_of(spec, "site"):
-      raise UnknownNameError(unknown("refsite", self.refsite, targets_of(spec, "site"), owner=type(self).__name__))
+    if self.refsite is not None:
+      check_name("refsite", self.refsite, targets_of(spec, "site"), type(self).__name__)
     element_of = spec.joint if self.transmission_type == "joint" else spec.tendon
     for name in ("armature", "frictionloss", "viscous_damping"):
       for target, value in zip(target_names, self._by_target(name, target_names, default=None), strict=True):

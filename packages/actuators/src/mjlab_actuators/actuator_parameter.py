@@ -7,10 +7,10 @@ from typing import Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError, UnknownNameError
+from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
 from mjlab_core.model_fields import ModelFields
-from mjlab_core.names import match_names, unknown
+from mjlab_core.names import check_name, match_names
 
 from mjlab_actuators.actuator import Actuator
 from mjlab_actuators.actuator_set import ActuatorSet
@@ -69,8 +69,7 @@ class ActuatorParameter:
       UnknownNameError: A pattern matches nothing that is driven.
       MjlabError: A target has no such parameter, or scaling it would change nothing; the message names it.
     """
-    if name not in get_args(ParameterName):
-      raise UnknownNameError(unknown("actuator parameter", name, get_args(ParameterName), owner=actuators.owner))
+    check_name("actuator parameter", name, get_args(ParameterName), actuators.owner)
     self.name, self.targets = name, _matched(actuators, patterns, transmission)
     self.names = tuple(target.name for target in self.targets)
     self._sim = sim

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from mjlab_core.constraints import NonNegative, Positive, check_value
 from mjlab_core.errors import MjlabError
 
 
@@ -96,13 +97,11 @@ def rotary_to_linear(inertia: float, velocity_limit: float, effort_limit: float,
   Raises:
     MjlabError: An argument is negative or not finite, or the radius is zero.
   """
-  _require_non_negative(inertia=inertia, velocity_limit=velocity_limit, effort_limit=effort_limit, radius=radius)
-  if radius == 0.0:
-    raise MjlabError("rotary_to_linear: radius is 0; a lever arm has a length")
+  _require_non_negative(inertia=inertia, velocity_limit=velocity_limit, effort_limit=effort_limit)
+  check_value("radius", radius, Positive)
   return LinearMotor(inertia / radius**2, velocity_limit * radius, effort_limit / radius)
 
 
 def _require_non_negative(**values: float) -> None:
   for name, value in values.items():
-    if not (math.isfinite(value) and value >= 0.0):
-      raise MjlabError(f"{name} is {value}; it must be a finite number that is not negative")
+    check_value(name, value, NonNegative)

@@ -1,4 +1,4 @@
-"""Actuator models that MuJoCo computes: position servo, velocity servo, motor. Torch only hands the target over."""
+"""Actuator models that MuJoCo computes: position servo, velocity servo, motor, PD. Torch hands the targets over."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,15 @@ from typing import ClassVar
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, CommandField
-from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, Gear, NonNegativePerTarget, is_zero
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, CommandField
+from mjlab_actuators.actuator_cfg import (
+  ActuatorCfg,
+  EffortLimit,
+  Gear,
+  NonNegativePerTarget,
+  PositivePerTarget,
+  is_zero,
+)
 from mjlab_actuators.transmission import Target, limit_force, range_of
 
 
@@ -118,3 +125,41 @@ class NativeMotorActuatorCfg(GearedActuatorCfg):
     for element, limit in zip(self._bare_elements(spec, target_names, self.gear), limits, strict=True):
       limit_force(element, limit)
       element.ctrlrange = element.forcerange
+
+
+class NativePd(PassThrough):
+  """Position servo whose ctrl also carries the targets of velocity and effort: u = q* + (kd q*' + effort*) / kp."""
+
+  stiffness: torch.Tensor
+  """kp, (1, n) or (num_envs, n) [N/m or N m/rad]; the servo in MuJoCo has the same."""
+  damping: torch.Tensor
+  """kd, (1, n) or (num_envs, n) [N s/m or N m s/rad]; the servo in MuJoCo has the same."""
+
+  @property
+  def is_geared(self) -> bool:
+    """True: ctrl is another number than the position target."""
+    return True
+
+  def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
+    """Return the position target that gives the effort of all three targets."""
+    position, velocity, effort = self._delayed_targets(cmd)
+    return position + torch.addcmul(effort, self.damping, velocity) / self.stiffness
+
+
+@dataclass(kw_only=True)
+class NativePdActuatorCfg(NativePositionActuatorCfg):
+  """PD control inside MuJoCo: force = clamp(kp (q* - q) + kd (q*' - q') + effort*, +-effort_limit).
+
+  Implicit integrators see the derivative of the force, so stiff gains stay stable; `IdealPdActuatorCfg` is the same in
+  torch, without that. Each target has one actuator in MuJoCo, a position servo, so that the limit is on the sum.
+  """
+
+  stiffness: PositivePerTarget
+  """kp [N/m or N m/rad]. Without stiffness, take `NativeVelocityActuatorCfg`."""
+
+  command_fields: ClassVar[tuple[CommandField, ...]] = COMMAND_FIELDS
+  actuator_model = NativePd
+
+  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Return the gains."""
+    return self._numbers(target_names, "stiffness", "damping")

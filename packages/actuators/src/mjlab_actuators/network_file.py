@@ -1,14 +1,13 @@
 """Actuator networks in files, read without executing Python code of the file."""
 
-import pickle
 import warnings
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 import torch
 from mjlab_core.errors import FileError
+from mjlab_core.files import reading
 
 Activation = Literal["softsign", "elu", "relu", "tanh"]
 """Function between the linear layers of a network that is stored as a plain state dict."""
@@ -36,20 +35,21 @@ def load_network(
   Raises:
     FileError: The file does not exist, is neither of the two, or holds a network of another width.
   """
-  path = Path(path)
-  if not path.is_file():
-    raise FileError(f"network file {str(path)!r} does not exist")
-  if _is_torchscript(path):
-    with warnings.catch_warnings():
-      # Torch advises against writing new archives; networks of this kind have long been written.
-      warnings.filterwarnings("ignore", message=".*torch.jit.load", category=FutureWarning)
-      network = torch.jit.load(str(path), map_location=device)
-  else:
-    network = _from_state_dict(_read_state_dict(path), path, activation).to(device)
-  network = network.eval()
-  for parameter in network.parameters():
-    parameter.requires_grad_(False)
-  _check_widths(network, path, num_inputs, device)
+  with reading("network file", path) as file:
+    if _is_torchscript(file):
+      with warnings.catch_warnings():
+        # Torch advises against writing new archives; networks of this kind have long been written.
+        warnings.filterwarnings("ignore", message=".*torch.jit.load", category=FutureWarning)
+        network = torch.jit.load(str(file), map_location=device)
+    else:
+      state = torch.load(file, map_location="cpu", weights_only=True)
+      network = _from_state_dict(state, activation).to(device)
+    network = network.eval()
+    for parameter in network.parameters():
+      parameter.requires_grad_(False)
+    output = network(torch.zeros(2, num_inputs, device=device))
+    if output.shape != (2, 1):
+      raise FileError(f"makes {tuple(output.shape)} of two rows; it must make one number of each, (2, 1)")
   return network
 
 
@@ -60,19 +60,7 @@ def _is_torchscript(path: Path) -> bool:
     return any("/code/" in name for name in archive.namelist())
 
 
-def _read_state_dict(path: Path) -> dict[str, torch.Tensor]:
-  try:
-    state = torch.load(path, map_location="cpu", weights_only=True)
-  except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-    raise FileError(
-      f"network file {str(path)!r} is neither TorchScript nor a state dict of tensors; save network.state_dict()"
-    ) from error
-  if not isinstance(state, Mapping) or not all(isinstance(value, torch.Tensor) for value in state.values()):
-    raise FileError(f"network file {str(path)!r} holds more than tensors by name; save network.state_dict() alone")
-  return dict(state)
-
-
-def _from_state_dict(state: dict[str, torch.Tensor], path: Path, activation: Activation) -> torch.nn.Module:
+def _from_state_dict(state: dict[str, torch.Tensor], activation: Activation) -> torch.nn.Module:
   left = dict(state)
   layers: list[torch.nn.Module] = []
   for name, weight in state.items():
@@ -81,27 +69,11 @@ def _from_state_dict(state: dict[str, torch.Tensor], path: Path, activation: Act
     del left[name]
     bias_name = name.removesuffix("weight") + "bias"
     bias = left.pop(bias_name, None)
-    if weight.dim() != 2 or (bias is not None and bias.shape != weight.shape[:1]):
-      raise FileError(f"network file {str(path)!r}: {name!r} of shape {tuple(weight.shape)} is not a linear layer")
+    if weight.dim() != 2:
+      raise FileError(f"{name!r} of shape {tuple(weight.shape)} is not a linear layer")
     layer = torch.nn.Linear(weight.shape[1], weight.shape[0], bias=bias is not None)
     layer.load_state_dict({"weight": weight} if bias is None else {"weight": weight, "bias": bias})
     layers += [layer, ACTIVATIONS[activation]()]
   if left or not layers:
-    raise FileError(
-      f"network file {str(path)!r} is not a chain of linear layers; it also has: {', '.join(left) or 'nothing at all'}"
-    )
+    raise FileError(f"not a chain of linear layers; it also has: {', '.join(left) or 'nothing at all'}")
   return torch.nn.Sequential(*layers[:-1])
-
-
-def _check_widths(network: torch.nn.Module, path: Path, num_inputs: int, device: torch.device | str) -> None:
-  try:
-    output = network(torch.zeros(2, num_inputs, device=device))
-  except RuntimeError as error:
-    raise FileError(f"network file {str(path)!r} does not take {num_inputs} inputs: {_last_line(error)}") from error
-  if not isinstance(output, torch.Tensor) or output.shape != (2, 1):
-    shape = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-    raise FileError(f"network file {str(path)!r} makes {shape} of two rows; it must make one number of each, (2, 1)")
-
-
-def _last_line(error: RuntimeError) -> str:
-  return str(error).strip().splitlines()[-1].removeprefix("RuntimeError: ")
