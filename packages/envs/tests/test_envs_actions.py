@@ -178,14 +178,14 @@ def test_a_binary_action_opens_for_zero_or_more_and_closes_below(make: Make) -> 
     ({"legs": mdp.SmoothedJointPositionActionCfg(smoothing=1.0)}, r"smoothing must be in \[0, 1\), got 1.0"),
     (
       {"legs": mdp.RelativeJointPositionActionCfg(relative_to="goal")},  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
-      "relative_to must be 'position' or 'target', got 'goal'",
+      "relative_to 'goal' does not exist",
     ),
     ({"grip": mdp.BinaryJointPositionActionCfg(open={"hip": 1.0}, close={".*": 0.0})}, "open.*joint knee"),
     ({"legs": mdp.JointPositionActionCfg(offset=5.0)}, "offset requires use_default_offset=False"),
     ({"legs": mdp.JointVelocityActionCfg(offset=5.0)}, "offset requires use_default_offset=False; got offset=5.0"),
     ({"legs": mdp.JointPositionActionCfg(clip=(1.0, -1.0))}, "clip"),
-    ({"legs": mdp.JointPositionActionCfg(clip={"hip": (1.0, -1.0)})}, r"clip\['hip'\]"),
-    ({"legs": mdp.JointPositionActionCfg(scale=float("nan"))}, "scale must be finite, got nan"),
+    ({"legs": mdp.JointPositionActionCfg(clip={"hip": (1.0, -1.0)})}, "clip must not fall"),
+    ({"legs": mdp.JointPositionActionCfg(scale=float("nan"))}, "scale must be a number, got nan"),
     ({"legs": mdp.JointPositionActionCfg(actuators="hop")}, "'hop' matches no actuated joint. Nearest: hip"),
     ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0})}, "knee"),
     ({"legs": mdp.JointPositionActionCfg(scale={"hip": 1.0, "knee": 1.0, "toe": 2.0})}, "toe"),

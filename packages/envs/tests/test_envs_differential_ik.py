@@ -381,7 +381,7 @@ def test_a_step_that_solves_never_waits_for_the_device(make: Make) -> None:
   ("options", "message"),
   [
     ({"frame_name": "tap"}, "'tap' matches no site. Nearest: tip"),
-    ({"frame_type": "body", "frame_name": ".*er"}, r"must match one body, matches \['upper', 'slider'\]"),
+    ({"frame_type": "body", "frame_name": ".*er"}, r"must match one body, matches \['upper', 'slider', 'finger'\]"),
     ({"frame_type": "bone"}, "frame_type 'bone' does not exist"),
     ({"actuators": ".*"}, "finger, thumb in actuators cannot move site 'tip'"),
     ({"actuators": "knee"}, "'knee' matches no actuated joint"),

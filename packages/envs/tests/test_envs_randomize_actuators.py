@@ -305,10 +305,10 @@ def delays(**params: Any) -> EventTermCfg:
   ("events", "message"),
   [
     ({"a": drawn("stifness", (0.8, 1.2))}, "parameter 'parameter' 'stifness' does not exist. Nearest: stiffness"),
-    ({"a": drawn("stiffness", (1.2, 0.8))}, "stiffness.* 1.2"),
+    ({"a": drawn("stiffness", (1.2, 0.8))}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
     ({"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
     ({"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
-    ({"a": drawn("stiffness", (0.8, 1.2), operation="multiply")}, "operation 'multiply' does not exist. .*scale"),
+    ({"a": drawn("stiffness", (0.8, 1.2), operation="multiply")}, "operation' 'multiply' does not exist. .*scale"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="motor")}, "stiffness of joint 'motor': its actuator has none"),
     ({"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),

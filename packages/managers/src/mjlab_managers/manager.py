@@ -73,8 +73,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       yield f"term '{name}': expected a {cls.cfg_type.__name__}, got {described(cfg)}."
       return
     problems = field_problems(cfg)
-    if not problems and isinstance(cfg, ManagerTermBaseCfg):
-      problems = term_problems(cfg, masked=cls.masked)
+    if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
+      problems += term_problems(cfg, masked=cls.masked)
     yield from (f"term '{name}': {problem}" for problem in problems)
 
   # Interface for users.

@@ -33,7 +33,9 @@ def group_term_problems(path: str, cfg: Any) -> Iterator[str]:
   if not isinstance(cfg, ObservationTermCfg):
     yield f"term '{path}': expected an ObservationTermCfg, got {described(cfg)}."
     return
-  problems = field_problems(cfg) or term_problems(cfg)
+  problems = field_problems(cfg)
+  if isinstance(cfg.params, dict):
+    problems += term_problems(cfg)
   if not problems and cfg.delay_min_lag > cfg.delay_max_lag:
     problems = [f"needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."]
   yield from (f"term '{path}': {problem}" for problem in problems)

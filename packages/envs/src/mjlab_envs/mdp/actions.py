@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class AffineActionCfg(DrivenTargetsCfg):
   """Base of actions with one column for each target: target = clip(scale * action + offset)."""
 
-  scale: Finite | dict[str, Finite] = 1.0
+  scale: Annotated[float | dict[str, float], Limits()] = 1.0
   """One factor, or one per target by pattern."""
-  offset: Finite | dict[str, Finite] | None = None
+  offset: Annotated[float | dict[str, float] | None, Limits()] = None
   """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
 
 
