@@ -126,7 +126,7 @@ def save(scene: Scene, sim: Simulation) -> dict[str, Any]:
 
 
 def load(scene: Scene, sim: Simulation, state: dict[str, Any]) -> None:
-  assert not list(scene.state_problems(state["scene"]))
+  scene.load_state_dict(state["scene"])
   sim.load_state_dict(state["sim"])
   scene.load_state_dict(state["scene"])
 

@@ -178,6 +178,8 @@ class Custom(_Bounded):
   ) -> Tensor:
     """Return the draws of the function, clamped to [lo, hi]."""
     drawn = self.function(shape, generator=generator, device=device, dtype=dtype)
+    if not isinstance(drawn, Tensor):
+      raise MjlabError(f"a custom distribution returned {drawn!r} where a tensor was asked for.")
     if drawn.shape != tuple(shape):
       raise MjlabError(f"a custom distribution returned {tuple(drawn.shape)} where {tuple(shape)} was asked for.")
     return drawn.to(dtype).clamp(self.lo, self.hi)
