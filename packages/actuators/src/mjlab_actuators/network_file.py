@@ -47,7 +47,11 @@ def load_network(
     network = network.eval()
     for parameter in network.parameters():
       parameter.requires_grad_(False)
-    output = network(torch.zeros(2, num_inputs, device=device))
+    try:
+      output = network(torch.zeros(2, num_inputs, device=device))
+    except RuntimeError as error:
+      # TorchScript puts its own traceback before the reason.
+      raise FileError(f"does not take {num_inputs} inputs: {str(error).strip().splitlines()[-1]}") from error
     if output.shape != (2, 1):
       raise FileError(f"makes {tuple(output.shape)} of two rows; it must make one number of each, (2, 1)")
   return network
