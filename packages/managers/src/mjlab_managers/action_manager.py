@@ -102,7 +102,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
     self._finish()
 
-    self._applied = [t for t in self._terms.values() if type(t).apply_actions is not ActionTerm.apply_actions]
+    self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
     # Newest first. One block, so that a reset is one operation.
@@ -153,13 +153,19 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
-    for term in self._terms.values():
-      term.process_actions(term._raw_action)
+    for name, term in self._terms.items():
+      try:
+        term.process_actions(term._raw_action)
+      except Exception as error:
+        raise self._named(name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
-    for term in self._applied:
-      term.apply_actions()
+    for name, term in self._applied.items():
+      try:
+        term.apply_actions()
+      except Exception as error:
+        raise self._named(name, error) from error
 
   def rehearse(self) -> None:
     for name, term in self._terms.items():

@@ -220,8 +220,11 @@ class ManagerBase(Stateful, Generic[CfgT]):
     try:
       yield
     except Exception as error:
-      kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
-      raise MjlabError(f"{self.label}: term '{name}': {kind}{error}") from error
+      raise self._named(name, error) from error
+
+  def _named(self, name: str, error: Exception) -> MjlabError:
+    kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
+    return MjlabError(f"{self.label}: term '{name}': {kind}{error}")
 
   @contextmanager
   def _noting(self, name: str, what: str) -> Generator[None]:
