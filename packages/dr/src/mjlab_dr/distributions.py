@@ -60,11 +60,9 @@ class _Parametric:
     return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
 
 
+@dataclass(frozen=True)
 class _Bounded:
-  """A distribution within [lo, hi]."""
-
-  lo: Any
-  hi: Any
+  """A distribution within [lo, hi], its last two fields."""
 
   def check(self, name: str) -> None:
     """Raise ConfigError, beginning with `name`, if the parameters are impossible."""
@@ -73,7 +71,8 @@ class _Bounded:
 
   def support(self) -> tuple[float, float]:
     """Return (lo, hi)."""
-    return self.lo, self.hi
+    lo, hi = (getattr(self, f.name) for f in fields(self)[-2:])
+    return lo, hi
 
 
 @dataclass(frozen=True)
