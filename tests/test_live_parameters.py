@@ -22,15 +22,12 @@ UNSEEN: dict[str, str] = {
   "held.hold": "no object is at its goal",
   "time_to_success.hold": "no object is at its goal",
   "dropped.low": "no object was lifted",
-  "dropped.high": "no object is lifted",
   "reward_curriculum.steps_per_iteration": "no stage begins within so few steps",
 }
 """Parameters, "function.parameter", whose change cannot be seen here, with the reason."""
 
 RECORDED: dict[str, str] = {
   **dict.fromkeys(("held.hold", "time_to_success.hold"), "a number of steps, counted on the host"),
-  **dict.fromkeys(("held.within", "time_to_success.within"), "checked on the host"),
-  **dict.fromkeys(("dropped.low", "dropped.high"), "compared with each other on the host"),
   **dict.fromkeys(
     ("variable_posture.walking_threshold", "variable_posture.running_threshold"), "compared with each other on the host"
   ),
