@@ -18,6 +18,7 @@ Values of other types are accepted.
 
 from __future__ import annotations
 
+import builtins
 import math
 import sys
 import types
@@ -192,7 +193,8 @@ def field_hints(cls: type) -> dict[str, Any]:
   """
   hints: dict[str, Any] = {}
   for base in reversed(cls.__mro__):
-    namespace = vars(sys.modules[base.__module__])
+    # Code that was run without a module has only its own names.
+    namespace = vars(sys.modules.get(base.__module__, builtins))
     for name, hint in vars(base).get("__annotations__", {}).items():
       hints.pop(name, None)
       holder: Any = types.SimpleNamespace(__annotations__={name: hint})

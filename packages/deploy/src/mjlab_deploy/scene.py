@@ -48,6 +48,8 @@ def load_scene(bundle: Bundle) -> mujoco.MjModel:
   Raises:
     DeployError: It is missing, MuJoCo refuses it, or its numbers do not fit it.
   """
+  if not bundle.has("scene.xml"):
+    raise DeployError("the bundle has no scene.xml")
   text = bundle.read_bytes("scene.xml").decode("utf-8", errors="replace")
   if "<include" in text or "file=" in text or "<plugin" in text:
     raise DeployError("scene.xml: refers to other files or plugins, which is not read")
