@@ -190,7 +190,7 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     (["--init-from", "x", "--resume", "y"], 2, "exclude each other: a resumed run keeps its policy"),
     (["--init-from", "Test-Pendulun"], 2, "Nearest task: Test-Pendulum"),
     (["--seed", "1", "--resume"], 2, "exclude each other: a resumed run keeps its random numbers"),
-    (["--seed", str(2**64)], 1, "does not fit into 64 bits"),
+    (["--seed", str(2**64)], 1, "env.seed: must be in"),
     # More than any machine has addresses for: it must not be tried.
     (["--env.scene.num-envs", str(10**15)], 1, "not enough memory"),
     (["--agent.num-steps-per-env", str(10**15)], 1, "not enough memory"),
@@ -204,7 +204,7 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     ),
     (["--device", "cuda:77"], 2, "device 'cuda:77' does not exist"),
     (["--env.actions.torque.actuators", "hings"], 2, "Nearest: hinge"),
-    (["--env.decimation", "0"], 2, "decimation must be at least 1"),
+    (["--env.decimation", "0"], 2, "env.decimation: must be at least 1"),
     (["--agent.obs-groups.actor", "acto"], 2, "acto"),
   ],
 )

@@ -36,7 +36,7 @@ WRONG = [
   (f"train {TASK} --device gpu", "device 'gpu' does not exist"),
   (f"train {TASK} --device cpu --resume gone", "'gone' is neither a checkpoint nor a run"),
   (f"train {TASK} --device cpu --agent.max-iterations 0", "agent.max_iterations must be at least 1, got 0"),
-  (f"train {TASK} --device cpu --env.decimation 0", "decimation must be at least 1, got 0"),
+  (f"train {TASK} --device cpu --env.decimation 0", "env.decimation: must be at least 1, got 0"),
   (f"train {TASK} --device cpu --video --video-length 0", "--video-length 0: must be from 1"),
   (f"play {TASK} --device cpu --checkpoint gone.onnx", "policy gone.onnx: no such file"),
   (f"evaluate {TASK} --device cpu --checkpoint gone", "'gone' is neither a checkpoint nor a run"),

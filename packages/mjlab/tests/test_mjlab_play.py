@@ -399,7 +399,7 @@ def test_a_scene_is_exported_whole_and_replaced_only_by_force(
   (folder / "mine.txt").write_text("kept")
   assert cli.main(["export-scene", TASK, "--output", str(folder), "--force"]) == 2
   assert (folder / "mine.txt").exists()
-  assert "is not an exported scene" in capsys.readouterr().err
+  assert "has no scene.xml, so it is not replaced" in capsys.readouterr().err
 
 
 # Class: a name that is read from a file (here an asset of an MJCF) becomes part of a path.

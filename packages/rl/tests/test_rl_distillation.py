@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab_core import seed_everything
-from mjlab_core.errors import ConfigError, FileError
+from mjlab_core.errors import ConfigError, FileError, MjlabError
 from mjlab_rl import (
   CheckpointPolicy,
   Console,
@@ -540,7 +540,7 @@ def test_several_teachers_that_do_not_fit_are_refused_by_name(tmp_path: Path, te
     ("position", r"'position' of .* has -?[\d.e-]+; the 2 teachers are 0 to 1"),
     ("sides", r"observation group 'sides' does not exist"),
   ):
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(MjlabError, match=message):
       run(student_agent(obs_groups=SIDES | {"teacher_index": (group,)}), None, teacher=both)
   made = runner(student_agent(), *both)
   with pytest.raises(ConfigError, match=r"got 1 teachers; agent\.num_teachers is 2"):

@@ -59,7 +59,7 @@ def test_the_refusal_names_the_field(place: str, payload: Any, tmp_path: Path) -
 
 def test_what_is_refused_on_reading_is_refused_when_the_run_starts() -> None:
   cfg = rl_point_env.PointEnvCfg(rewards={"f": functools.partial(rl_point_env.point_reward, weight=2.0)})
-  with pytest.raises(ConfigError, match=r"env\.rewards\.f: a partial may stand only in .* could not be loaded again"):
+  with pytest.raises(ConfigError, match=r"env\.rewards\.f: a partial may stand only in"):
     encode_manifest(RunManifest(task="T", env=cfg, agent=RslRlOnPolicyRunnerCfg()))
   with pytest.raises(ConfigError, match=r"env\.rewards\.f: reference 'json:loads' is refused: .* could not be loaded"):
     encode(rl_point_env.PointEnvCfg(rewards={"f": json.loads}), "env")

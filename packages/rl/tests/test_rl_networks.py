@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab_core import seed_everything
-from mjlab_core.errors import ConfigError, FileError
+from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import (
   CheckpointPolicy,
   Console,
@@ -233,7 +233,8 @@ def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> 
 
 def test_a_group_that_is_not_there_is_named_with_the_nearest() -> None:
   cfg = agent(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
-  with pytest.raises(ConfigError, match=r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"):
+  message = r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"
+  with pytest.raises(UnknownNameError, match=message):
     runner(cfg)
 
 

@@ -172,7 +172,7 @@ def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) 
 @pytest.mark.parametrize(
   ("params", "message"),
   [
-    ({"channels": ("colour",)}, "channel 'colour' does not exist"),
+    ({"channels": ("colour",)}, "'channels' 'colour' does not exist"),
     ({"channels": ("rgb",)}, "channel 'rgb' needs 'rgb' among the data_types of sensor 'wrist_camera'"),
     ({"command": "lift"}, "lift_height"),
   ],

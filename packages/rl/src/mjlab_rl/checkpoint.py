@@ -118,6 +118,9 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     if isinstance(ours, dict) and ours.get("format") != FORMAT:
       raise FileError(f"written by another version of mjlab-rl; this one reads format {FORMAT}")
     msgspec.convert(state, _Checkpoint, dec_hook=as_tensor)
+    for name in wanted:
+      if name in state and not state[name]:
+        raise FileError(f"{name!r} is empty")
     return state
 
 

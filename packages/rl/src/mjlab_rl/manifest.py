@@ -102,7 +102,7 @@ def encode_manifest(manifest: RunManifest) -> dict[str, Json]:
   try:
     _manifest(json.loads(json.dumps(data)))
   except FileError as error:
-    raise ConfigError(f"{error}, so the run could not be loaded again") from error
+    raise ConfigError(str(error)) from error
   return {"format": _FORMAT, **data}
 
 

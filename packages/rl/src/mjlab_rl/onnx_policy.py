@@ -82,7 +82,11 @@ class OnnxPolicy:
       known = ["obs", "time_step", *self._groups, "h_in", "c_in"]
       raise FileError(unknown("meaning of input", printable(others[0], 80), known))
     self._memory_names = {name: f"{name[:-3]}_out" for name in memory}
+    if any(len(self._shapes[name]) != 3 or not all(self._shapes[name][::2]) for name in memory):
+      raise FileError(f"recurrent states must be (layers, worlds, width): {printable(memory, 200)}")
     actions = [name for name in self._outputs if name not in self._memory_names.values()]
+    if not actions:
+      raise FileError("has no output for actions")
     self._action = "actions" if "actions" in actions else actions[0]
 
   def __call__(self, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:

@@ -67,11 +67,11 @@ class _WithClip(nn.Module):
     self.network = network
     for name in REFERENCE_OUTPUTS:
       value = clip[name][:, bodies] if name.startswith("body_") else clip[name]
-      self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(value)).float())
+      self.register_buffer(f"clip_{name}", torch.from_numpy(np.ascontiguousarray(value)).float())
     self._last = len(clip["joint_pos"]) - 1
 
   def forward(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
     result = self.network(*inputs[:-1])
     frame = inputs[-1].reshape(-1).long().clamp(0, self._last)
-    shown = [getattr(self, name)[frame] for name in REFERENCE_OUTPUTS]
+    shown = [getattr(self, f"clip_{name}")[frame] for name in REFERENCE_OUTPUTS]
     return (*(result if isinstance(result, tuple) else (result,)), *shown)
