@@ -45,10 +45,16 @@ def words(value: Any) -> list[str]:
   return [value.name if isinstance(value, enum.Enum) else str(value)]
 
 
+@dataclasses.dataclass
+class Configs:
+  env: Any
+  agent: Any
+
+
 @pytest.mark.parametrize("name", mjlab.list_tasks())
 def test_every_number_switch_word_and_tuple_of_a_task_is_a_flag_that_sets_it(name: str) -> None:
   task = mjlab.load_task(name)
-  config = {"env": task.env, "agent": task.agent}
+  config = Configs(task.env, task.agent)
   wanted = {path: another(leaf) for path, leaf in leaves(config).items()}
   known = {flag.path: flag.name for flag in flags(config)}
   assert wanted.keys() <= known.keys()

@@ -8,6 +8,7 @@ ROOT = Path(__file__).parents[1]
 CLOCKS = {"sleep", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns", "process_time", "wait_for_timeout"}
 # Each waits for a condition and gives up after minutes.
 WAITS = {
+  "packages/deploy/tests/test_deploy_unitree_dds.py",
   "packages/mjlab/tests/mjlab_command.py",
   "packages/viewer/tests/viewer_page.py",
 }

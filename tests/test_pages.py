@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
-from mjlab.cli import _play
+from mjlab.cli import _watching
 from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
 from mjlab_viewer import BrowserViewer
 from PIL import Image
@@ -168,6 +168,6 @@ def test_the_demo_lifts_to_where_the_sliders_of_its_page_say(
     assert viewer.playback.error is None
     return 0
 
-  monkeypatch.setattr(_play, "_until_interrupted", look)
+  monkeypatch.setattr(_watching, "until_interrupted", look)
   assert cli.main("demo --task lift --port 8725 --num-envs 2 --device cpu --seed 1".split()) == 0
   assert not torch.equal(other[0], goal)

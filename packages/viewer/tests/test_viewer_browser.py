@@ -746,7 +746,7 @@ def test_a_thread_that_writes_to_the_page_leaves_it_to_the_loop_to_wake_the_send
   assert not event.is_set()
   loop.call_soon(event.set)
   # This thread may have a loop, that of Playwright.
-  thread = threading.Thread(target=loop.run_until_complete, args=(asyncio.sleep(0.0),))
+  thread = threading.Thread(target=loop.run_until_complete, args=(event.wait(),))
   thread.start()
   thread.join()
   assert event.is_set()
