@@ -4,23 +4,24 @@
     --title "G1 on flat ground" --output docs/benchmarks/learners_g1_flat
 
 A .csv may hold several runs; FILE#RUN names one, else it is the first. Writes OUTPUT.csv and OUTPUT.png, and prints a
-row for each curve: when five iterations on average have episodes of 950 steps and a velocity error below 0.3 m/s, and
-where the curve ends.
+row for each curve: when means of five iterations meet the target, and where the curve ends.
 """
 
 import argparse
 import csv
+import re
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from benchmark_learners import COLUMNS, LONG, seconds_to_target, smooth
+from benchmark_learners import COLUMNS, WALKS, seconds_to_target, smooth
 
-SHOWN = (
-  ("episode_length", "mean episode length [steps]"),
-  ("error_vel_xy", "velocity error [m/s]"),
-  ("reward", "mean reward per episode"),
-)
+LABELS = {
+  "episode_length": "mean episode length [steps]",
+  "error_vel_xy": "velocity error [m/s]",
+  "error_body_pos": "mean error of body positions [m]",
+  "reward": "mean reward per episode",
+}
 
 
 def read(path: Path, run: str) -> dict[str, np.ndarray]:
@@ -31,7 +32,7 @@ def read(path: Path, run: str) -> dict[str, np.ndarray]:
   with path.open(newline="") as file:
     rows = list(csv.DictReader(file))
   rows = [row for row in rows if row["run"] == (run or rows[0]["run"])]
-  return {name: np.array([float(row[name] or "nan") for row in rows]) for name in COLUMNS}
+  return {name: np.array([float(row.get(name) or "nan") for row in rows]) for name in COLUMNS}
 
 
 def main() -> None:
@@ -39,10 +40,13 @@ def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("curves", nargs="+", metavar="NAME=FILE")
   parser.add_argument("--title", required=True)
+  parser.add_argument("--target", nargs="+", default=WALKS, help="conditions, as in benchmark_learners.py")
   parser.add_argument("--seconds", type=float, default=500.0, help="end of the picture")
   parser.add_argument("--output", type=Path, required=True, help="path without suffix")
   args = parser.parse_args()
-  figure, axes = plt.subplots(1, len(SHOWN), figsize=(12, 3.6), layout="constrained")
+  bounds = {name: float(bound) for name, bound in (re.split("[<>]", condition) for condition in args.target)}
+  shown = [name for name in LABELS if name in bounds or name in ("episode_length", "reward")]
+  figure, axes = plt.subplots(1, len(shown), figsize=(4 * len(shown), 3.6), layout="constrained")
   lines = [["run", *COLUMNS]]
   for text in args.curves:
     name, _, path = text.rpartition("=")
@@ -51,16 +55,18 @@ def main() -> None:
     # About a hundred iterations are enough for a picture.
     rows = range(0, len(found["steps"]), 1 + len(found["steps"]) // 150)
     lines += [[name, *(f"{found[column][row]:.5g}" for column in COLUMNS)] for row in rows]
-    for axis, (column, label) in zip(axes, SHOWN, strict=True):
+    for axis, column in zip(axes, shown, strict=True):
       axis.plot(found["seconds"], smooth(found[column]), label=name)
-      axis.set(xlabel="wall time of training [s]", ylabel=label, xlim=(0, args.seconds))
-    reached = seconds_to_target(found)
-    last = [smooth(found[column])[-1] for column, _ in SHOWN]
+      axis.set(xlabel="wall time of training [s]", ylabel=LABELS[column], xlim=(0, args.seconds))
+    reached = seconds_to_target(found, args.target)
+    last = [f"{smooth(found[column])[-1]:.3g}" for column in shown]
     time = "-" if reached is None else f"{reached:.0f}"
-    print(f"| {name} | {time} | {found['seconds'][-1]:.0f} | {last[0]:.0f} | {last[1]:.2f} |")
-  axes[0].axhline(LONG, color="0.7", linewidth=1)
-  axes[1].set_ylim(0, 1.2)
-  axes[1].axhline(0.3, color="0.7", linewidth=1)
+    print(f"| {name} | {time} | {found['seconds'][-1]:.0f} | {found['steps'][-1] / 1e6:.1f} | {' | '.join(last)} |")
+  for axis, column in zip(axes, shown, strict=True):
+    if column in bounds:
+      axis.axhline(bounds[column], color="0.7", linewidth=1)
+    if column.startswith("error"):
+      axis.set_ylim(0, 4 * bounds[column])
   axes[0].legend()
   figure.suptitle(args.title)
   figure.savefig(args.output.with_suffix(".png"), dpi=100)

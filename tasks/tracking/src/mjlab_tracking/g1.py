@@ -2,7 +2,8 @@
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg
-from mjlab_rl import TaskCfg
+from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg
+from mjlab_rl.offpolicy import OffPolicyRunnerCfg, SacCfg, fastsac
 from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sim import SimulationCfg
 
@@ -68,4 +69,14 @@ def g1_flat_env() -> ManagerBasedRlEnvCfg:
 
 def _task(cfg: ManagerBasedRlEnvCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
   evaluator = TrackingEvaluation(end_effectors=END_EFFECTORS)
-  return TaskCfg(env=cfg, play=play, agent=agent("g1_tracking", 30_000), evaluator=evaluator)
+  ppo = agent("g1_tracking", 30_000)
+  return TaskCfg(env=cfg, play=play, agent=ppo, agents={"fastsac": _fastsac(ppo)}, evaluator=evaluator)
+
+
+def _fastsac(ppo: RslRlOnPolicyRunnerCfg) -> OffPolicyRunnerCfg:
+  """Return FastSAC in its authors' settings for clips (holosoma): farther horizon, finer values, slower targets."""
+  learner = fastsac(ppo)
+  learner.algorithm = SacCfg(
+    updates_per_step=4.0, policy_every=2, gamma=0.99, tau=0.05, num_atoms=501, target_entropy=-0.5
+  )
+  return learner
