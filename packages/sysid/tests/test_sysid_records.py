@@ -14,6 +14,8 @@ from mjlab_sysid import Record, check_joints, read_records, uniform, write_recor
 
 ROWS = 40
 JOINTS = ("hip", "knee")
+AXES = {"x": 0.0, "y": 0.0, "z": 0.0}
+UPRIGHT = {"w": 1.0, **AXES}
 
 
 def record(**changes: Any) -> Record:
@@ -108,6 +110,23 @@ def test_states_have_the_command_before_them_in_an_mcap_file(tmp_path: Path) -> 
   np.testing.assert_allclose(found.of("position", JOINTS)[3], [4.0, -4.0])
   np.testing.assert_allclose(found.of("position_target", JOINTS)[3], [20.0, 10.0])
   np.testing.assert_allclose(found.signals["angular_velocity"][3], [4.0, 0.0, 0.0])
+  # A base is tracked by another clock, here half as often; q and -q are one orientation.
+  turned = {"x": 0.0, "y": 0.0, "z": -math.sin(0.1), "w": -math.cos(0.1)}
+  base = [
+    (0.02 * k, {"pose": {"position": {"x": 2 * k, "y": 0, "z": 1}, "orientation": turned if k % 2 else UPRIGHT}})
+    for k in range(6)
+  ]
+  topics = {"/joint_states": states, "/joint_commands": commands, "/base_pose": base}
+  write_mcap(tmp_path / "c.mcap", topics)
+  (free,) = read_records([tmp_path / "c.mcap"])
+  np.testing.assert_allclose(free.signals["base_position"][3], [4.0, 0.0, 1.0], atol=1e-9)
+  half = [math.cos(0.05), 0.0, 0.0, math.sin(0.05)]
+  np.testing.assert_allclose(np.abs(free.signals["base_orientation"][2]), half, atol=1e-3)
+  # Motion capture that has lost the body writes zeros.
+  topics["/base_pose"] = [(time, {"pose": {"position": AXES, "orientation": {"w": 0.0, **AXES}}}) for time, _ in base]
+  write_mcap(tmp_path / "d.mcap", topics)
+  with pytest.raises(FileError, match=r"d\.mcap: base_orientation is not a unit quaternion"):
+    read_records([tmp_path / "d.mcap"])
   write_mcap(tmp_path / "b.mcap", {"/joint_state": states})
   with pytest.raises(FileError, match=r"b\.mcap: topic '/joint_states' does not exist\. Nearest: /joint_state"):
     read_records([tmp_path / "b.mcap"])

@@ -1,8 +1,8 @@
 """Overlay file: values of a robot that were identified, which take the place of those in its model and actuators.
 
-A JSON object with the keys `model` (values by field of MjModel, then by element), `actuators` (values of `stiffness`,
-`damping` and `effort_limit` by joint), `delay` [s] and `encoder_bias` [rad or m] by joint, and `timestep` [s], in whose
-steps delays act. Others are ignored.
+A JSON object with the keys `model` (values by field of MjModel, then by element; that of options is "option"),
+`actuators` (values of `stiffness`, `damping` and `effort_limit` by joint), `delay` [s] and `encoder_bias` [rad or m] by
+joint, and `timestep` [s], in whose steps delays act. Others are ignored.
 `Identified.save` of mjlab-sysid writes it.
 """
 
@@ -18,26 +18,41 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import mujoco
+import numpy as np
 from mjlab_actuators import ActuatorCfg
 from mjlab_core.constraints import Finite, Items, check_value
 from mjlab_core.errors import FileError, MjlabError
 from mjlab_core.files import printable, reading
 from mjlab_core.names import check_name, match_values_full
 
-MODEL_FIELDS: dict[str, tuple[str, str, int]] = {
-  "dof_armature": ("joint", "armature", 1),
-  "dof_frictionloss": ("joint", "frictionloss", 1),
-  "dof_damping": ("joint", "damping", 1),
-  "jnt_stiffness": ("joint", "stiffness", 1),
-  "body_mass": ("body", "mass", 1),
-  "body_ipos": ("body", "ipos", 3),
-  "body_inertia": ("body", "inertia", 3),
-  "body_iquat": ("body", "iquat", 4),
-  "geom_friction": ("geom", "friction", 3),
-  "geom_solref": ("geom", "solref", 2),
-  "geom_solimp": ("geom", "solimp", 5),
+_ATTRIBUTES = {
+  "opt": "gravity wind density viscosity magnetic",
+  "body": "mass inertia ipos iquat pos quat gravcomp",
+  "jnt": "pos axis range margin solref=solref_limit solimp=solimp_limit stiffness stiffnesspoly springyield "
+  "actfrcrange",
+  "dof": "damping dampingpoly armature frictionloss solref=solref_friction solimp=solimp_friction",
+  "geom": "friction size pos quat solref solimp solmix margin gap surfacevel adhesion",
+  "site": "pos quat",
+  "pair": "friction solref solreffriction solimp margin gap adhesion",
+  "eq": "data solref solimp",
+  "tendon": "range margin solref_lim=solref_limit solimp_lim=solimp_limit solref_fri=solref_friction "
+  "solimp_fri=solimp_friction actfrcrange stiffness stiffnesspoly damping dampingpoly armature frictionloss "
+  "lengthspring=springlength springyield",
+  "actuator": "gainprm biasprm dynprm forcerange ctrlrange actrange lengthrange gear cranklength armature damping "
+  "dampingpoly delay",
 }
-"""Kind and attribute in MjSpec, and number of values, of each field that an overlay may hold."""
+_KINDS = {"opt": "option", "jnt": "joint", "dof": "joint", "eq": "equality"}
+_PLURAL = {"body": "bodies", "equality": "equalities"}
+
+MODEL_FIELDS: dict[str, tuple[str, str]] = {
+  f"{prefix}{'.' if prefix == 'opt' else '_'}{words.partition('=')[0]}": (
+    _KINDS.get(prefix, prefix),
+    words.partition("=")[2] or words,
+  )
+  for prefix, attributes in _ATTRIBUTES.items()
+  for words in attributes.split()
+} | {"qpos0": ("joint", "ref"), "qpos_spring": ("joint", "springref")}
+"""Kind of element and attribute in MjSpec of each field that an overlay may hold."""
 
 _ACTUATOR_FIELDS = ("stiffness", "damping", "effort_limit")
 _MAX_BYTES = 2**24
@@ -74,20 +89,30 @@ class Overlay:
 
     Raises:
       UnknownNameError: An element does not exist.
+      MjlabError: A field has another number of values, or the compiled model would not have these values.
     """
+    if not self.model:
+      return
+    before = spec.copy().compile()
     for name, values in self.model.items():
-      kind, attribute, _ = MODEL_FIELDS[name]
+      kind, attribute = MODEL_FIELDS[name]
+      known = [item.name for item in getattr(spec, _PLURAL.get(kind, f"{kind}s"))] if kind != "option" else ["option"]
       for element, numbers in values.items():
-        known = [item.name for item in getattr(spec, {"body": "bodies"}.get(kind, f"{kind}s"))]
-        found = getattr(spec, kind)(check_name(kind, element, known, self.source))
-        if kind == "body":
-          found.explicitinertial = True
-          found.fullinertia = [math.nan] * 6
-          found.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        if attribute in ("damping", "stiffness"):
-          getattr(found, attribute)[0] = numbers[0]
-        else:
-          setattr(found, attribute, numbers if len(numbers) > 1 else numbers[0])
+        check_name(kind, element, known, self.source)
+        count = compiled_values(before, name, element).size
+        check_value(f"{self.source}: {name}", numbers, Annotated[list[float], Items(ge=count, le=count)])
+        found = spec.option if kind == "option" else getattr(spec, kind)(element)
+        _set(found, kind, attribute, numbers, before)
+    after = spec.copy().compile()
+    for name, values in self.model.items():
+      for element, numbers in values.items():
+        has, wanted = compiled_values(after, name, element), np.array(numbers)
+        sign = np.sign(has @ wanted) if name.endswith("quat") else 1.0
+        if not np.allclose(sign * has, wanted, rtol=1e-6, atol=1e-9):
+          raise MjlabError(
+            f"{self.source}: {name} of '{element}' cannot be {numbers}: a frame, a mesh or another attribute of the "
+            f"model makes it {has.tolist()}"
+          )
 
   def edited(self, actuators: Sequence[ActuatorCfg], spec: mujoco.MjSpec) -> tuple[ActuatorCfg, ...]:
     """Return actuator configs with the gains, limits and delays in place.
@@ -158,10 +183,50 @@ def read_overlay(path: str | Path) -> Overlay:
     )
 
 
+def compiled_values(model: mujoco.MjModel, name: str, element: str) -> np.ndarray:
+  """Return the values of an element, of the first degree of freedom of a joint, in a field of a compiled model."""
+  if name.startswith("opt."):
+    return np.atleast_1d(getattr(model.opt, name[4:])).astype(float)
+  kind, _ = MODEL_FIELDS[name]
+  item = getattr(model, kind)(element)
+  index = item.dofadr[0] if name.startswith("dof_") else item.qposadr[0] if name.startswith("qpos") else item.id
+  return np.atleast_1d(getattr(model, name)[index]).astype(float)
+
+
+def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: mujoco.MjModel) -> None:
+  """Write compiled values into an element of a spec, whose other attributes must not override them."""
+  has: Any = getattr(before, kind)(found.name) if kind != "option" else None
+  if kind == "body" and attribute in ("mass", "inertia", "ipos", "iquat"):
+    if not found.explicitinertial:
+      found.mass, found.inertia, found.ipos, found.iquat = has.mass[0], has.inertia, has.ipos, has.iquat
+    found.explicitinertial = True
+    found.fullinertia = [math.nan] * 6
+    found.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+  elif kind in ("geom", "site") and math.isfinite(found.fromto[0]):
+    found.pos, found.quat, found.size = has.pos, has.quat, has.size
+    found.fromto = [math.nan] * 6
+  if attribute == "quat":
+    found.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+  is_angle = (
+    kind == "joint" and attribute in ("range", "ref", "springref") and found.type != mujoco.mjtJoint.mjJNT_SLIDE
+  )
+  if is_angle and found.compiler.degree:
+    numbers = [math.degrees(value) for value in numbers]
+  if attribute == "data" and found.type == mujoco.mjtEq.mjEQ_WELD and not any(found.data[6:10]):
+    # The compiler derives the pose of a weld that none was given for, and notes so in the last number.
+    numbers = [*numbers[:3], *found.data[3:10], *numbers[10:11], *found.data[11:]]
+  if attribute.endswith("poly"):
+    getattr(found, attribute.removesuffix("poly"))[1:] = numbers
+  elif attribute in ("damping", "stiffness"):
+    getattr(found, attribute)[0] = numbers[0]
+  else:
+    setattr(found, attribute, numbers if np.ndim(getattr(found, attribute)) else numbers[0])
+
+
 def _numbers(name: str, values: Any) -> list[float]:
-  *_, count = MODEL_FIELDS[check_name("field", printable(name, 80), MODEL_FIELDS)]
+  check_name("field", printable(name, 80), MODEL_FIELDS)
   numbers = [float(value) for value in (values if isinstance(values, list) else [values])]
-  check_value(name, numbers, Annotated[tuple[Finite, ...], Items(ge=count, le=count)])
+  check_value(name, numbers, list[Finite])
   return numbers
 
 

@@ -11,7 +11,7 @@ from mjlab_core.errors import FileError
 from mjlab_core.files import printable, reading
 from mjlab_core.names import unknown
 
-from mjlab_sysid.records import JOINT_SIGNALS, Record, elements, interpolated
+from mjlab_sysid.records import JOINT_SIGNALS, Record, check_unit, elements, interpolated
 
 STATES, COMMANDS, IMU, BASE = "/joint_states", "/joint_commands", "/imu", "/base_pose"
 """Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), one of `sensor_msgs/Imu`, and one of
@@ -79,6 +79,7 @@ def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
     for name, path in paths.items() if len(at) else ():
       found = [functools.reduce(_get, path, message) for _, message in series[topic]]
       values = np.array([[_get(part, axis) for axis in elements(name, ())] for part in found], np.float64)
+      check_unit(source, name, values)
       signals[name] = interpolated(name, time, at, values)
   return Record(source=source, joints=names, time=time - time[0] if len(time) else time, signals=signals)
 

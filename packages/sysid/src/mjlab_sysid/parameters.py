@@ -89,6 +89,8 @@ def parse_term(text: str) -> FitTerm:
     raise UnknownNameError(unknown("axis", axis, row.axes, owner=f"fit {text!r}"))
   if row.integer and field != "delay":
     raise MjlabError(f"fit {text!r}: it is a choice, which cannot be fitted")
+  if row.kind in ("camera", "light", "material") or field in ("geom_rgba", "opt.timestep"):
+    raise MjlabError(f"fit {text!r}: it does not act on the motion of a robot")
   range_: Range | None = None
   if match["lo"] is not None:
     try:

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 import torch
 from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
-from mjlab_dr import FIELDS
 
 from mjlab_sysid.engines import EngineName
 from mjlab_sysid.identified import Trace
@@ -116,30 +115,7 @@ class Problem:
     """Return the physical values of told parameters at a candidate, as an overlay file holds them."""
     worlds = Worlds(self.robot, 1)
     worlds.bind(self._fit, self._ranges)
-    worlds.write(self.numbers(np.where(told, x, 0.0)[:, None]))
-    out: dict[str, Any] = {
-      "timestep": self.windows.timestep,
-      "model": {},
-      "actuators": {},
-      "delay": {},
-      "encoder_bias": {},
-    }
-    for parameter, is_told in zip(self.parameters, told, strict=True):
-      if not is_told:
-        continue
-      for element in parameter.elements:
-        if parameter.field in ("delay", "encoder_bias"):
-          out[parameter.field][element] = worlds.own(parameter.field, element)
-        elif FIELDS[parameter.field].kind == "target":
-          number = float(self.numbers(x[:, None])[0][self.parameters.index(parameter)])
-          scaled = worlds.default_of(parameter.field, element) * number
-          out["actuators"].setdefault(parameter.field, {})[element] = (
-            scaled if parameter.operation == "scale" else number
-          )
-        else:
-          for name, values in worlds.physical(parameter.field, element).items():
-            out["model"].setdefault(name, {})[element] = values
-    return out
+    return {"timestep": self.windows.timestep, **worlds.overlay(self.numbers(np.where(told, x, 0.0)[:, None])[0], told)}
 
   def predict(
     self, x: np.ndarray, position: np.ndarray | None = None, velocity: np.ndarray | None = None

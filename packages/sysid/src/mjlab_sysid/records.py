@@ -32,6 +32,16 @@ BODY_SIGNALS: dict[str, str] = {
 its position, (rows, 3), and its unit quaternion, (rows, 4)."""
 
 
+def check_unit(source: str, name: str, values: np.ndarray) -> None:
+  """Check that an orientation, (rows, 4), is one; other signals may have any values.
+
+  Raises:
+    FileError: A row is not a unit quaternion.
+  """
+  if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
+    raise FileError(f"{source}: base_orientation is not a unit quaternion (w, x, y, z)")
+
+
 def elements(signal: str, joints: Sequence[str]) -> tuple[str, ...]:
   """Return the names of the columns of a signal."""
   if signal in JOINT_SIGNALS:
@@ -91,8 +101,7 @@ class Record:
     for name, values in self.signals.items():
       if name in BODY_SIGNALS and np.isnan(values).any():
         raise FileError(f"{self.source}: {name} is not finite, or lacks one of {', '.join(elements(name, ()))}")
-      if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
-        raise FileError(f"{self.source}: base_orientation is not a unit quaternion (w, x, y, z)")
+      check_unit(self.source, name, values)
       # A joint may lack a signal altogether, but not now and then.
       broken = ~np.isfinite(values) & ~np.isnan(values).all(0)
       if broken.any():

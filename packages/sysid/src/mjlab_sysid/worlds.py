@@ -115,31 +115,45 @@ class Worlds:
     if any(bound.needs_constants for bound in self._bound):
       self.sim.recompute_constants()
 
-  def own(self, name: str, joint: str) -> float:
-    """Return the delay or the encoder offset of a joint in the first world."""
-    values = self.delay if name == "delay" else self.encoder_bias
-    return float(values[0, self.actuators.target_names.index(joint)])
+  def overlay(self, numbers: np.ndarray, told: np.ndarray) -> dict[str, Any]:
+    """Write one candidate, (parameters,), and return the physical values of told parameters as an overlay holds them.
 
-  def default_of(self, name: Any, joint: str) -> float:
-    """Return the configured gain or limit of a joint."""
-    return float(ActuatorParameter(self.actuators, self.sim, name, re.escape(joint)).default[0, 0])
+    Args:
+      numbers: The candidate.
+      told: True where a parameter is part of the overlay, bool (parameters,).
+    """
+    self.write(numbers[None].repeat(self.num_envs, 0))
+    out: dict[str, Any] = {"model": {}, "actuators": {}, "delay": {}, "encoder_bias": {}}
+    parameters = [parameter for bound in self._bound for parameter in bound.parameters]
+    for parameter, number, is_told in zip(parameters, numbers.tolist(), told, strict=True):
+      for element in parameter.elements if is_told else ():
+        if parameter.field in ("delay", "encoder_bias"):
+          values = self.delay if parameter.field == "delay" else self.encoder_bias
+          out[parameter.field][element] = float(values[0, self.actuators.target_names.index(element)])
+        elif FIELDS[parameter.field].kind == "target":
+          name: Any = parameter.field
+          default = float(ActuatorParameter(self.actuators, self.sim, name, re.escape(element)).default[0, 0])
+          scaled = default * number if parameter.operation == "scale" else number
+          out["actuators"].setdefault(parameter.field, {})[element] = scaled
+        else:
+          for name, values in self.physical(parameter.field, element).items():
+            out["model"].setdefault(name, {})[element] = values
+    return out
 
   def physical(self, row: str, element: str) -> dict[str, list[float]]:
     """Return the present values of an element in the fields of MjModel that a row writes, of the first world.
 
     A body is described whole: its mass, centre, moments and axes.
     """
-    kind = FIELDS[row].kind
-    fields = _BODY if row in (*_BODY, "pseudo_inertia") else FIELDS[row].fields or (row,)
+    field = FIELDS[row]
+    names = (row, field.moves_with) if field.moves_with else (row,)
+    fields = _BODY if row in (*_BODY, "pseudo_inertia") else field.fields or names
     # Fields that nothing has written are shared by all worlds.
     values = {name: getattr(self.sim.model, name, self.sim.default_field(name))[0].cpu().numpy() for name in fields}
-    accessor = getattr(self.robot.model, kind, None)
-    if accessor is None:
-      return {name: np.atleast_1d(value).tolist() for name, value in values.items()}
-    item = accessor(element)
-    index = int(
-      item.dofadr[0] if fields[0].startswith("dof_") else item.qposadr[0] if fields[0] == "qpos0" else item.id
-    )
+    if field.kind == "option":
+      return {name: np.atleast_1d(value).astype(float).tolist() for name, value in values.items()}
+    item = getattr(self.robot.model, field.kind)(element)
+    index = int(item.dofadr[0] if field.at == "dof" else item.qposadr[0] if field.at == "qpos" else item.id)
     return {name: np.atleast_1d(value[index]).astype(float).tolist() for name, value in values.items()}
 
   def _add(self, parameters: list[Parameter], write: Any, constants: bool) -> None:
@@ -184,6 +198,8 @@ class Worlds:
         raise MjlabError(f"fit: {term.field} of '{element}' is also written by {self._written[key]}; fit one of them")
       self._written.setdefault(key, term.field)
     elements = list(bound.element_names)
+    if unnamed := [name for name in elements if name.startswith("(")]:
+      raise MjlabError(f"fit {term.field}: {unnamed[0]} has no name, which an overlay needs; name it, or fit others")
     known = {(c.element, c.axis): float(value) for c, value in zip(bound.components, bound.default[0], strict=True)}
     parameters: list[Parameter] = []
     for axis, range_ in bounds.items():

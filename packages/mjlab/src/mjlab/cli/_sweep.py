@@ -114,6 +114,8 @@ def _sweep(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       temporary.write_bytes(msgspec.json.format(msgspec.json.encode(sweep), indent=1))
   trials = run_trials(sweep, folder, wanted.address, is_resumed=wanted.resume is not None)
   print(report(trials, sweep.space, folder))
+  if any(trial.state != "done" for trial in trials):
+    print(f"not all trials are done: sweep {name} --resume {folder.name} continues them")
   return 1 if all(trial.state == "failed" for trial in trials) else 0
 
 

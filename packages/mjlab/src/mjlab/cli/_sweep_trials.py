@@ -1,6 +1,5 @@
 """Trials of `sweep`, in processes of Ray Tune. Needs the extra `sweep`."""
 
-import functools
 import os
 import random
 import shutil
@@ -14,11 +13,15 @@ from mjlab_core import MjlabError
 from mjlab.cli._sweep_space import Parts, Range, Scalar, Space, Sweep, Trial, trial_flags
 
 if TYPE_CHECKING:
+  from collections.abc import Callable
+
   from mjlab_rl.scalar_log import IterationReport
 
 # Statistics of use are not sent, and processes have the environment of this one, also under `uv run`.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
+# Ray writes tables of its own otherwise.
+os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
 
 import ray  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
 from ray import tune  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
@@ -29,6 +32,9 @@ from ray.tune.schedulers import (  # pyright: ignore[reportMissingImports]  # ty
 from ray.tune.search.basic_variant import (  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
   BasicVariantGenerator,
 )
+
+# A trial that begins again counts its checkpoints anew, so that Ray may put one into the folder of another.
+_CHECKPOINT, _REPORT = "model.pt", "report.json"
 
 
 class _Progress(tune.Callback):
@@ -74,6 +80,8 @@ def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: b
           num_samples=sweep.trials,
           scheduler=_scheduler(sweep),
           search_alg=BasicVariantGenerator(random_state=sweep.seed),
+          # The libraries of a process that ends a trial, or a part of one, serve the next.
+          reuse_actors=True,
           trial_name_creator=lambda trial: trial.trial_id,
           trial_dirname_creator=lambda trial: trial.trial_id,
         ),
@@ -120,7 +128,7 @@ def _mutation(values: list[Scalar] | Range) -> Any:
 def _result(found: Any, space: Space) -> Trial:
   metrics = found.metrics or {}
   values = {name: (found.config or {}).get(name, "") for name in space.values}
-  state = "failed" if found.error else "done"
+  state = "failed" if found.error else "done" if metrics.get("done") else "stopped"
   name = metrics.get("trial_id") or Path(found.path).name
   return Trial(name, values, metrics.get("reward", float("nan")), metrics.get("iteration", 0), state)
 
@@ -145,18 +153,27 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
   with tempfile.TemporaryDirectory() as place:
     resume = None
     if (checkpoint := tune.get_checkpoint()) is not None:
-      (resume,) = Path(checkpoint.to_directory(place)).glob("model_*.pt")
-    directories: list[Path] = []
+      resume = Path(checkpoint.to_directory(place)) / _CHECKPOINT
+      copied = msgspec.json.decode(resume.with_name(_REPORT).read_bytes(), type=dict[str, float])
+      if copied["iteration"] >= task.agent.max_iterations:
+        # In pbt a trial may copy one that has ended.
+        tune.report(copied)
+        return
+    reports = _Reports()
 
     def on_ready(env: Any, directory: Path | None) -> None:
-      if directory is not None:
-        directories.append(directory)
+      del directory
       for name in wanted.space.perturb:
         if name.startswith("env.rewards."):
           # The restored worlds have the weights of the trial that they come from.
           env.reward_manager.weight(name.split(".")[2].replace("-", "_")).fill_(float(values[name]))
 
-    console.on_report.append(functools.partial(_report, directories, set()))
+    def watch(env: Any, directory: Path | None) -> "Callable[[], None]":
+      del env
+      reports.directory = directory
+      return reports.send
+
+    console.on_report.append(reports.keep)
     train(
       task,
       name=wanted.task,
@@ -166,20 +183,38 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
       resume=resume,
       console=console,
       on_ready=on_ready,
+      watch=watch,
     )
+    reports.send()
 
 
-def _report(directories: list[Path], sent: set[Path], report: "IterationReport") -> None:
-  """Tell Ray the reward of an iteration, with the newest checkpoint if it is new."""
-  if report.mean_reward is None:
-    return
-  metrics = {"reward": report.mean_reward, "iteration": report.iteration + 1, "steps": report.total_steps}
-  found = [path for directory in directories for path in directory.glob("model_*.pt")]
-  new = max((path for path in found if path not in sent), key=lambda path: path.stat().st_mtime, default=None)
-  if new is None:
-    tune.report(metrics)
-    return
-  sent.update(found)
-  with tempfile.TemporaryDirectory() as place:
-    shutil.copy(new, place)
-    tune.report(metrics, checkpoint=tune.Checkpoint.from_directory(place))
+class _Reports:
+  """Reports to Ray, each with the checkpoint that is written after it.
+
+  Ray may end or copy a trial at any report; without that checkpoint the iterations since the one before would be lost.
+  """
+
+  def __init__(self) -> None:
+    self.directory: Path | None = None
+    """Run directory."""
+    self._pending: dict[str, float] | None = None
+
+  def keep(self, report: "IterationReport") -> None:
+    """Keep the reward of an iteration."""
+    if report.mean_reward is not None:
+      iteration = report.iteration + 1
+      self._pending = {"reward": report.mean_reward, "iteration": iteration, "steps": report.total_steps}
+
+  def send(self) -> None:
+    """Tell Ray what was kept, if anything, with the checkpoint of that iteration if there is one."""
+    if (metrics := self._pending) is None or self.directory is None:
+      return
+    self._pending = None
+    path = self.directory / f"model_{metrics['iteration']}.pt"
+    if not path.exists():
+      tune.report(metrics)
+      return
+    with tempfile.TemporaryDirectory() as place:
+      shutil.copy(path, Path(place) / _CHECKPOINT)
+      (Path(place) / _REPORT).write_bytes(msgspec.json.encode(metrics))
+      tune.report(metrics, checkpoint=tune.Checkpoint.from_directory(place))
