@@ -25,6 +25,8 @@ from mjlab_managers import (
 from mjlab_scene import Scene
 from mjlab_sim import NanGuard, Simulation, StepGraph
 
+from mjlab_envs.compiled_terms import CompiledTerms
+
 Observations = dict[str, torch.Tensor | dict[str, torch.Tensor]]
 """Observations by group: a tensor, or the tensors of its terms by name."""
 
@@ -86,6 +88,7 @@ class ManagerBasedEnv:
   _step_graph: StepGraph
   _pending: torch.Tensor
   _announced: set[str]
+  _compiled: tuple[CompiledTerms, ...] = ()
 
   @property
   def managers(self) -> dict[str, ManagerBase[Any]]:
@@ -104,6 +107,8 @@ class ManagerBasedEnv:
     if self.num_graphs > 0:
       _log.info("recording the step again: %s", reason)
     self._step_graph.invalidate()
+    for evaluation in self._compiled:
+      evaluation.clear()
 
   def recompute_constants(self, mask: torch.Tensor) -> None:
     """Recompute the model's derived fields of masked worlds."""

@@ -28,6 +28,7 @@ from mjlab_sim import NanGuard, Simulation
 
 from mjlab_envs import rehearsal, viewing
 from mjlab_envs.base_env import MANAGERS, ManagerBasedEnv, Observations, cloned, select_worlds
+from mjlab_envs.compiled_terms import CompiledTerms
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
 
@@ -119,6 +120,9 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     self._load_managers(problems)
     self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
     self._rehearse(problems)
+    if self.cfg.compile_terms:
+      managers = (self.observation_manager, self.reward_manager, self.termination_manager, self.metrics_manager)
+      self._compiled = tuple(CompiledTerms(self.sim, self.rng, manager) for manager in managers)
     if self.cfg.capture_terminal_observations:
       # Their memory is made here, not inside a recording.
       _ = self.observation_manager.terminal_buffers

@@ -94,6 +94,11 @@ class ManagerBasedRlEnvCfg(Config):
   Costs a second evaluation of all observations. Commands and events of the step are not yet in them."""
   scale_rewards_by_dt: bool = True
   """Multiply rewards by the duration of a step, so that weights are rates."""
+  compile_terms: bool = False
+  """Compile observations, rewards, terminations and metrics with torch.compile, which takes time at the first step.
+
+  Results are equal within float rounding. Terms that cast rays, draw random numbers or read the device stay as they
+  are."""
   is_finite_horizon: bool = False
   """True if the time limit is part of the task; values are then not bootstrapped at a time-out."""
 

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import torch
@@ -200,6 +200,11 @@ class Term:
     )
     vars(self.cfg)["params"] = LockedDict(self.given, advice)
     vars(self.cfg)["func"] = self.func
+
+
+def call_terms(terms: Sequence[Term]) -> list[torch.Tensor]:
+  """Return the values of terms, one after the other."""
+  return [term() for term in terms]
 
 
 def term_problems(cfg: ManagerTermBaseCfg, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:

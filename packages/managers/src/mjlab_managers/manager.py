@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -14,7 +14,7 @@ from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError, as_cons
 from mjlab_core.names import unknown
 from mjlab_core.state import Stateful, StatefulDict
 
-from mjlab_managers.binding import Term, copy_cfg, term_problems
+from mjlab_managers.binding import Term, call_terms, copy_cfg, term_problems
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.locked import lock
 from mjlab_managers.term import ManagerTermBaseCfg
@@ -47,6 +47,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def __init__(self, cfgs: Mapping[str, CfgT | None], env: ManagerEnv, *, problems: list[str] | None = None) -> None:
     self.env = env
     self.num_envs, self.device = env.num_envs, torch.device(env.device)
+    self.evaluate: Callable[[Sequence[Term]], list[torch.Tensor]] = call_terms
+    """Function that returns the values of terms in the step; the environment may set a compiled one."""
     self._stateful_terms: StatefulDict[Stateful] = StatefulDict()
     self._resets: dict[str, Callable[[torch.Tensor], Any]] = {}
     self._bound: dict[str, Term] = {}

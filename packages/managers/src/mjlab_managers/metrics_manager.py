@@ -83,7 +83,9 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
       means = (self._substep_sums / self._substeps).unbind(1)
       self._substep_sums.zero_()
       values = dict(zip(self._substep_columns, means, strict=True))
-    columns = [values[i] if i in values else term() for i, term in enumerate(self._terms)]
+    others = [i for i in range(len(self._terms)) if i not in values]
+    values |= dict(zip(others, self.evaluate([self._terms[i] for i in others]), strict=True))
+    columns = [values[i] for i in range(len(self._terms))]
     torch.stack(columns, dim=1, out=self._raw)
     torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._values)
     self._nonfinite.add_((self._raw != self._values).sum(0))

@@ -318,16 +318,18 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     ]
 
   def _evaluate(self, advance: torch.Tensor | None) -> list[torch.Tensor]:
-    raw: dict[Term, torch.Tensor] = {}
-    for term in self._terms:
-      func: Any = term.func
-      before = func.state_dict() if advance is not None and isinstance(func, Stateful) else None
-      value = term()
-      raw[term] = value if value.dim() == 2 else value.flatten(1)
-      if before is not None and advance is not None:
-        # The state of the other worlds must not advance with these.
-        func.restore(before, ~advance)
+    values = self.evaluate(self._terms) if advance is None else [self._observe(term, advance) for term in self._terms]
+    raw = {term: value.flatten(1) for term, value in zip(self._terms, values, strict=True)}
     return [raw[slot.term] for slot in self._slots]
+
+  def _observe(self, term: Term, advance: torch.Tensor) -> torch.Tensor:
+    """Return the value of a term, whose state advances in the worlds of `advance` only."""
+    func: Any = term.func
+    before = func.state_dict() if isinstance(func, Stateful) else None
+    value = term()
+    if before is not None:
+      func.restore(before, ~advance)
+    return value
 
   def reset(self, mask: torch.Tensor) -> None:
     """Draw the episode noise of the worlds in `mask`, bool (N,), and reset class terms there.

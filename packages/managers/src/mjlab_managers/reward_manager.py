@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
+from itertools import compress
 from typing import Any
 
 import torch
@@ -103,8 +104,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
     """Evaluate the step and return `reward`, (N,), always the same memory."""
     if not self._terms:
       return self.reward
-    values = [term() if active else self._idle for term, active in zip(self._terms, self._active, strict=True)]
-    torch.stack(values, dim=1, out=self._raw)
+    values = iter(self.evaluate(list(compress(self._terms, self._active))))
+    torch.stack([next(values) if active else self._idle for active in self._active], dim=1, out=self._raw)
     torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._clean)
     self._nonfinite.add_((self._raw != self._clean).sum(0))
     torch.mul(self._clean, self._weights, out=self._weighted)

@@ -68,7 +68,7 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
     """Evaluate the step and return `dones`, bool (N,), always the same memory."""
     if not self._terms:
       return self.dones
-    torch.stack([term() for term in self._columns], dim=1, out=self._masks)
+    torch.stack(self.evaluate(self._columns), dim=1, out=self._masks)
     torch.any(self._masks[:, : self._num_terminations], dim=1, out=self.terminated)
     torch.any(self._masks[:, self._num_terminations :], dim=1, out=self.time_outs)
     torch.logical_or(self.terminated, self.time_outs, out=self.dones)

@@ -29,6 +29,8 @@ class Freshness:
     self.is_closed = False
     self.version = 0
     """A number that changes whenever derived quantities do."""
+    self.num_sensed = 0
+    """Casts of rays and drawings of images so far."""
     self._kinematic = [plain(engine.data_field(name)) for name in KINEMATIC_STATE]
     self._state_version = versions(self._kinematic)
     self._model_changed = False

@@ -34,6 +34,7 @@ class RayCaster:
           raise MjlabError(f"cast: {name} must have shape {tuple(rays.shape)}, got {tuple(given.shape)}")
         rays.copy_(given)
     self._fresh.refresh()
+    self._fresh.num_sensed += 1
     self._rays.cast(self._ground.is_in_place())
     return self._rays.hits
 
@@ -58,6 +59,7 @@ class Renderer:
     if mask is not None:
       self._fresh.check_mask(mask, "render")
     self._fresh.refresh()
+    self._fresh.num_sensed += 1
     self._view.draw(self._fresh.version, mask)
     return self._view.images
 

@@ -100,6 +100,16 @@ class Simulation:
     self._fresh.refresh()
     return self._fresh.version
 
+  def expire(self) -> None:
+    """Have everything that follows from the state computed again when it is next read."""
+    self._fresh.refresh()
+    self._fresh.version += 1
+
+  @property
+  def num_sensed(self) -> int:
+    """Number of times that rays were cast or images drawn."""
+    return self._fresh.num_sensed
+
   # Model fields
 
   def expand_model_fields(self, names: Iterable[str]) -> None:

@@ -1,0 +1,130 @@
+"""Terms of a manager compiled as one function by torch.compile."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from mjlab_core.state import Stateful
+from mjlab_managers import ManagerBase
+from mjlab_managers.binding import Term, call_terms
+from mjlab_managers.watch import Watch
+from mjlab_sim import Simulation
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_map
+
+_log = logging.getLogger("mjlab")
+Values = list[torch.Tensor]
+
+
+class CompiledTerms:
+  """Evaluation of the terms of a manager as one compiled function.
+
+  The operations of the terms are traced in their first call, as a recording of the step does it, and compiled together.
+  Terms that cast rays, draw images or random numbers, or read the device run as they are.
+
+  Args:
+    sim: the simulation that terms read.
+    rng: source of randomness of the terms.
+    manager: the manager, whose `evaluate` this object becomes.
+  """
+
+  def __init__(self, sim: Simulation, rng: torch.Generator, manager: ManagerBase[Any]) -> None:
+    self._sim, self._rng, self._label = sim, rng, manager.label
+    self._programs: dict[tuple[Any, ...], Callable[[], Values]] = {}
+    manager.evaluate = self
+
+  def clear(self) -> None:
+    """Trace again at the next call, because operations have changed."""
+    self._programs.clear()
+
+  def __call__(self, terms: Sequence[Term]) -> Values:
+    # Model fields that are expanded have new memory.
+    key = (*map(id, terms), self._sim.expanded_fields)
+    if key not in self._programs:
+      self._programs[key] = self._compile(terms)
+    self._sim.forward()
+    with torch.no_grad():
+      return self._programs[key]()
+
+  def _compile(self, terms: Sequence[Term]) -> Callable[[], Values]:
+    arrays = _Arrays()
+    with torch.no_grad(), self._undone(terms):
+      own = [term for term in terms if not self._is_pure(term, arrays)]
+      pure = [term for term in terms if term not in own]
+      arrays.make_plain()
+      graph = self._trace(pure, arrays)
+    # Nothing computed while tracing may be read later.
+    self._sim.expire()
+    compiled = torch.compile(graph, fullgraph=True, dynamic=False)
+    names = f"; as they are: {', '.join(term.name for term in own)}" if own else ""
+    _log.info("%s: %d terms compiled%s", self._label, len(pure), names)
+
+    def evaluate() -> Values:
+      values = dict(zip(pure, compiled(), strict=True))
+      return [values[term] if term in values else term() for term in terms]
+
+    return evaluate if pure else lambda: call_terms(terms)
+
+  def _is_pure(self, term: Term, arrays: "_Arrays") -> bool:
+    """Return True if a term consists of operations on tensors alone, all seen by a trace."""
+    sensed, arrays.draws = self._sim.num_sensed, False
+    self._sim.expire()
+    with Watch() as watch, arrays:
+      term()
+    return not (watch.reads_host or arrays.draws or self._sim.num_sensed != sensed)
+
+  def _trace(self, terms: Sequence[Term], arrays: "_Arrays") -> torch.fx.GraphModule:
+    """Return the operations of terms, everything that follows from the state included."""
+    # The compiler takes seconds to import.
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    def values() -> Values:
+      with arrays:
+        return call_terms(terms)
+
+    self._sim.expire()
+    return make_fx(values)()
+
+  @contextmanager
+  def _undone(self, terms: Sequence[Term]) -> Iterator[None]:
+    """Restore the state of terms and of the generator afterwards."""
+    owners: list[Any] = [term.func for term in terms if isinstance(term.func, Stateful)]
+    states, generator = [owner.state_dict() for owner in owners], self._rng.get_state()
+    yield
+    for owner, state in zip(owners, states, strict=True):
+      owner.restore(state)
+    self._rng.set_state(generator)
+
+
+class _Arrays(TorchDispatchMode):
+  """Mode that has operations work on plain tensors over the arrays of an engine, which a trace requires."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.draws = False
+    """True if a random number was drawn."""
+    self._plain: dict[int, tuple[torch.Tensor, torch.Tensor | None]] = {}
+
+  @classmethod
+  def _should_skip_dynamo(cls) -> bool:
+    """Return False, as in `mjlab_managers.watch`."""
+    return False
+
+  def make_plain(self) -> None:
+    """Make the plain tensors of all arrays that were seen."""
+    self._plain = {
+      key: (array, array.as_subclass(torch.Tensor) if plain is None else plain)
+      for key, (array, plain) in self._plain.items()
+    }
+
+  def _replaced(self, value: Any) -> Any:
+    if not isinstance(value, torch.Tensor) or type(value) is torch.Tensor:
+      return value
+    _, plain = self._plain.setdefault(id(value), (value, None))
+    return value if plain is None else plain
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    self.draws |= torch.Tag.nondeterministic_seeded in func.tags
+    return func(*tree_map(self._replaced, args), **tree_map(self._replaced, kwargs or {}))
