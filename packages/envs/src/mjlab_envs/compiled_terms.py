@@ -1,7 +1,7 @@
 """Terms of a manager compiled as one function by torch.compile."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -88,7 +88,7 @@ class CompiledTerms:
     return make_fx(values)()
 
   @contextmanager
-  def _undone(self, terms: Sequence[Term]) -> Iterator[None]:
+  def _undone(self, terms: Sequence[Term]) -> Generator[None]:
     """Restore the state of terms and of the generator afterwards."""
     owners: list[Any] = [term.func for term in terms if isinstance(term.func, Stateful)]
     states, generator = [owner.state_dict() for owner in owners], self._rng.get_state()
