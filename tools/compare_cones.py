@@ -125,7 +125,7 @@ def main() -> None:
   if args.output:
     about = (
       "Rewards are means of five iterations. Evaluated in MuJoCo C with elliptic cones and an impratio of 10, on the\n"
-      "scenarios of `evaluate`. Slip is the root mean square speed of feet in contact.\nMade by `tools/compare_cones.py`."
+      "scenarios of `evaluate`. Slip is the root mean square speed of feet in contact. By `tools/compare_cones.py`."
     )
     args.output.write_text("\n\n".join((heading("Friction cones", "cpu"), about, "\n".join(lines))) + "\n")
 
