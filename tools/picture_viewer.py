@@ -6,6 +6,7 @@ dump. Needs Chromium, and OpenGL without a screen.
 
 import argparse
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -47,7 +48,7 @@ OUT = Path(__file__).parents[1] / "docs" / "pictures"
 SETTLE = 9000
 
 
-def look_at(browser: Browser, url: str, wait_for: str) -> Page:
+def look_at(browser: Browser, url: str, wait_for: str | re.Pattern[str]) -> Page:
   """Open a page without the note that there is no GPU, and wait until it shows a text."""
   page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
   page.set_default_timeout(300_000)
@@ -131,7 +132,8 @@ def training(browser: Browser) -> None:
     try:
       assert process.stdout is not None
       url = next(line.split()[-1] for line in process.stdout if line.startswith("watch at"))
-      page = look_at(browser, url, "Iteration 20 of")
+      # The page may miss a number while it draws.
+      page = look_at(browser, url, re.compile(r"Iteration ([2-9]\d|\d{3,}) of"))
       photograph(page, "viewer_training", is_still=False)
     finally:
       process.terminate()

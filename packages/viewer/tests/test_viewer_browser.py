@@ -599,7 +599,14 @@ def test_the_status_is_that_of_the_moment_that_is_looked_at_and_play_returns_to_
     assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
 
 
-@pytest.mark.parametrize(("rewards", "curve"), [((1.0,), "▁"), ((0.0, 7.0, 3.5, 7.0), "▁█▅█"), ((2.0, 2.0), "▁▁")])
+@pytest.mark.parametrize(
+  ("rewards", "curve"),
+  [
+    ((1.0,), "0,0 100,0"),
+    ((0.0, 8.0, 2.0, 4.0), "0,100 25,0 50,75 75,50 100,50"),
+    ((2.0, 2.0), "0,0 50,0 100,0"),
+  ],
+)
 def test_the_panel_of_a_training_shows_its_state_and_stops_it_once(rewards: tuple[float, ...], curve: str) -> None:
   stops: list[int] = []
   with BrowserViewer(BoxEnv(1), port=8300, label="Task", on_stop=lambda: stops.append(1)) as viewer:
@@ -612,8 +619,9 @@ def test_the_panel_of_a_training_shows_its_state_and_stops_it_once(rewards: tupl
       panel.show(iteration=2, reward=reward, episode_length=51.0, terms={"foot_slip": -0.1}, **common)
     lines = panel._text.content.split("\n\n")
     assert lines[0] == "**Iteration 2 of 300**, 12,346 steps/s, ETA 0:10:00"
-    assert lines[1:3] == [f"Reward **{rewards[-1]:.2f}**, episode 51 steps", curve]
-    assert "| success | 0.25 |\n| foot slip | -0.1 |" in lines[3]
+    assert lines[1:] == [f"Reward **{rewards[-1]:.2f}**, episode 51 steps"]
+    assert f'points="{curve}"' in panel._curve.content
+    assert "| success | 0.25 |\n| foot slip | -0.1 |" in panel._table.content
     for _ in range(2):
       panel._press()
     assert stops == [1]

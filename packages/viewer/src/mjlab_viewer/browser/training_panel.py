@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import viser
 
 from mjlab_viewer.browser.inputs import Buttons
 
-_BARS = "▁▂▃▄▅▆▇█"
-_WIDTH = 40
-"""Rewards in the small curve."""
+_POINTS = 200
+"""Greatest number of rewards in the small curve."""
 
 
 class TrainingPanel:
@@ -23,9 +21,11 @@ class TrainingPanel:
   """
 
   def __init__(self, server: viser.ViserServer, on_stop: Callable[[], None]) -> None:
-    self._rewards: deque[float] = deque(maxlen=_WIDTH)
+    self._rewards: list[float] = []
     self._terms: dict[str, float] = {}
     self._text = server.gui.add_markdown("The first iteration is running.")
+    self._curve = server.gui.add_html("", visible=False)
+    self._table = server.gui.add_markdown("", visible=False)
     self._on_stop = on_stop
     self._stop = server.gui.add_button("Save and stop", icon=viser.Icon.PLAYER_STOP)
     self.buttons = Buttons(server)
@@ -60,12 +60,12 @@ class TrainingPanel:
     else:
       self._rewards.append(reward)
       lines.append(f"Reward **{reward:.2f}**, episode {episode_length:.0f} steps")
-      lines.append(sparkline(self._rewards))
+      self._curve.content, self._curve.visible = sparkline(self._rewards), True
+    self._text.content = "\n\n".join(lines)
     self._terms |= terms
     if self._terms:
       rows = "\n".join(f"| {name.replace('_', ' ')} | {value:.4g} |" for name, value in self._terms.items())
-      lines.append(f"| term | mean of an episode |\n|---|---|\n{rows}")
-    self._text.content = "\n\n".join(lines)
+      self._table.content, self._table.visible = f"| term | mean of an episode |\n|---|---|\n{rows}", True
 
   def _press(self) -> None:
     if not self._stop.disabled:
@@ -74,8 +74,13 @@ class TrainingPanel:
       self._on_stop()
 
 
-def sparkline(values: deque[float]) -> str:
-  """Return a small curve of letters, from the lowest value to the highest."""
-  low, high = min(values), max(values)
-  scale = (len(_BARS) - 1) / (high - low) if high > low else 0.0
-  return "".join(_BARS[round((value - low) * scale)] for value in values)
+def sparkline(values: Sequence[float]) -> str:
+  """Return a small curve as SVG, from the lowest value to the highest; of many values, some."""
+  shown = [*values[:: len(values) // _POINTS + 1], values[-1]]
+  low, high = min(shown), max(shown)
+  across, up = 100.0 / (len(shown) - 1), 100.0 / (high - low) if high > low else 0.0
+  points = " ".join(f"{i * across:.4g},{(high - value) * up:.4g}" for i, value in enumerate(shown))
+  style = "width: calc(100% - 1.5em); height: 3.5em; margin: 0 .75em"
+  line = 'fill="none" stroke="#228be6" stroke-width="1.5" vector-effect="non-scaling-stroke"'
+  drawing = f'<polyline points="{points}" {line}/>'
+  return f'<svg viewBox="0 -4 100 108" preserveAspectRatio="none" style="{style}">{drawing}</svg>'

@@ -19,6 +19,9 @@ from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.pictures.page_look import look_like_the_page
 from mjlab_viewer.snapshot import Snapshot
 
+_SHADOW_REACH = 1.5
+"""Half the side of the ground that has shadows, in distances of the camera."""
+
 
 @dataclass(kw_only=True, frozen=True)
 class PictureCfg(Config):
@@ -75,11 +78,14 @@ class OffscreenRenderer:
     self._scene = self._new_scene(model.ngeom + 512)
     self._gl = make_context(self.cfg.width, self.cfg.height)
     try:
-      self._context: mujoco.MjrContext | None = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+      context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
     except mujoco.FatalError as error:
       self._gl.free()
       raise RenderingError(f"no picture of {self.cfg.width} x {self.cfg.height} can be drawn here: {error}") from error
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+    # The shadow map covers what the camera sees: the nearer the camera, the sharper the shadows.
+    context.shadowClip = _SHADOW_REACH * self._view.distance
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    self._context: mujoco.MjrContext | None = context
 
   def render(self, snapshot: Snapshot) -> np.ndarray:
     """Return the worlds of a snapshot side by side, (height, width, 3) uint8."""
@@ -116,7 +122,8 @@ class OffscreenRenderer:
 
   def _update_scene(self, snapshot: Snapshot, row: int) -> None:
     world = self._world
-    self._view.aim(self._camera, self._view.target(world.data.xpos))
+    target = self._view.target(world.data.xpos)
+    self._view.aim(self._camera, target)
     drawn = list(snapshot.drawings[row if len(snapshot.drawings) > 1 else 0].shapes)
     if self.cfg.contacts:
       drawn += contact_shapes(world.contacts(snapshot, row), world.model, points=True, forces=True)
@@ -129,7 +136,25 @@ class OffscreenRenderer:
       if wanted <= self._scene.maxgeom and not self._scene.status:
         break
       self._scene = self._new_scene(2 * max(wanted, self._scene.maxgeom))
+    self._place_shadows(target)
     add_to_scene(self._scene, world.model, drawn)
+
+  def _place_shadows(self, target: np.ndarray) -> None:
+    """Center the shadow maps of directional lights on a point; ground that their border cuts casts no shadow.
+
+    MuJoCo speckles triangles that the border cuts with shadows of their own.
+    """
+    model, reach = self._world.model, _SHADOW_REACH * self._view.distance
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    distance = np.linalg.norm(self._world.data.geom_xpos - target, axis=1)
+    is_cut = is_fixed & (is_plane | (distance + model.geom_rbound > reach))
+    for light in self._scene.lights[: self._scene.nlight]:
+      if light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
+        light.pos = target - reach * light.dir
+    for geom in self._scene.geoms[: self._scene.ngeom]:
+      if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and is_cut[geom.objid]:
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
 
 def tiles(count: int, width: int, height: int) -> list[tuple[int, int, int, int]]:

@@ -32,13 +32,12 @@ def look_like_the_page(model: mujoco.MjModel) -> None:
   visual = model.vis
   visual.rgba.haze[:] = 1.0
   visual.headlight.ambient[:], visual.headlight.diffuse[:], visual.headlight.specular[:] = 0.45, 0.3, 0.0
-  # The page has one lamp with shadows, far away; where its shadows end, ground is speckled: out of sight.
+  # The page has one lamp with shadows, far away.
   is_far = model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
   casting = sorted(np.flatnonzero(model.light_castshadow), key=lambda light: not is_far[light])
   model.light_castshadow[casting[1:]] = False
   if casting and is_far[casting[0]]:
     model.light_diffuse[:] = 0.0
-    visual.map.shadowclip = max(visual.map.shadowclip, 16.0)
   model.light_diffuse[casting[:1]] = 0.3
 
 
