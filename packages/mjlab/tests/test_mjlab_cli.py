@@ -18,7 +18,6 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab.cli._train import _environment_line
-from mjlab.environments import share_cores
 from mjlab.nan_replay import NanReplay
 from mjlab_command import running
 from mjlab_rl import checkpoints, load_run
@@ -338,25 +337,16 @@ def test_a_mistake_is_found_before_what_learns_is_imported(tmp_path: Path, monke
     assert not {"rsl_rl", "tensordict", "torch._dynamo"} & set(modules), command
 
 
-def test_torch_is_told_to_share_the_cores_before_it_is_imported(tmp_path: Path) -> None:
-  code = (
-    "import os, sys; from mjlab import cli, environments; share = environments.share_cores\n"
-    "def checked():\n  assert 'torch' not in sys.modules\n  share()\n"
-    "  assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'; os._exit(0)\n"
-    "environments.share_cores = checked; cli.train(['Mjlab-Cartpole-Balance', '--help', 'seed']); sys.exit(1)"
-  )
-  env = {name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")}
-  env["XDG_CACHE_HOME"] = str(tmp_path)  # Help that is kept imports nothing.
-  done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
-  assert done.returncode == 0, done.stderr
-
-
-def test_who_chose_how_threads_wait_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
-  monkeypatch.delenv("GOMP_SPINCOUNT", raising=False)
-  share_cores()
-  assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
-  assert "GOMP_SPINCOUNT" not in os.environ
+@pytest.mark.parametrize(
+  ("given", "set_by_import"),
+  [({}, ["PASSIVE", "1000"]), ({"OMP_WAIT_POLICY": "ACTIVE"}, ["ACTIVE", None])],
+)
+def test_import_tells_torch_to_share_the_cores(given: dict[str, str], set_by_import: list[str]) -> None:
+  names = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
+  env = {name: value for name, value in os.environ.items() if name not in names} | given
+  code = f"import os, sys, mjlab; assert 'torch' not in sys.modules; print([os.environ.get(name) for name in {names}])"
+  done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+  assert done.stdout.strip() == str(set_by_import)
 
 
 OWN = (

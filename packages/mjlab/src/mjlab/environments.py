@@ -70,17 +70,3 @@ def default_num_envs(device: str, configured: int) -> int:
 def cpu_cores() -> int:
   """Return the number of cores that this process may use."""
   return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def share_cores() -> None:
-  """Let torch's threads sleep soon after each operation; call it before torch is imported.
-
-  By default they spin for a millisecond or more on cores that MuJoCo's threads or other programs need. With 256
-  environments of the Go1 on two cores, an iteration of training takes 1.25 s with this default, 1.2 s if threads sleep
-  at once, and 1.1 s if they spin for ten microseconds. Beside another busy program it takes 10 s with the default, and
-  2 to 4 s otherwise. The runner sets the number of threads: one in rollouts, all in updates.
-  """
-  if "OMP_WAIT_POLICY" not in os.environ:
-    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-    # Only libgomp, torch's on Linux, can spin for so short a time.
-    os.environ.setdefault("GOMP_SPINCOUNT", "1000")

@@ -89,12 +89,10 @@ def run_with_task(
     text = {"variant": variant, "notes": line.notes}
     print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs), **text), end="")
     return 0
-  environments.share_cores()
   return action(name, load_task(name), given)
 
 
 def _rows(line: CommandLine, name: str, configs: "Callable[[TaskCfg[Any]], dict[str, Any]]") -> list[FlagRow]:
-  environments.share_cores()
   task = load_task(name)
   from mjlab.cli._flags import help_rows
 

@@ -11,7 +11,6 @@ from mjlab_core import MjlabError, UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab import environments
 from mjlab.cli._command_line import CommandLine, output_file, plot_problem
 from mjlab.cli._progress import ProgressBar
 
@@ -97,7 +96,6 @@ def run(words: list[str]) -> int:
   if _LINE.wants_help(words):
     return 0
   clips, flags = _LINE.split(words, most=None)
-  environments.share_cores()
   from mjlab.cli._flags import parse
 
   return _convert(clips, parse(Arguments(), flags))

@@ -9,7 +9,6 @@ from typing import Any
 from mjlab_core import UsageError
 from mjlab_core.constraints import Count
 
-from mjlab import environments
 from mjlab.cli._command_line import CommandLine, beside, build_env, building, output_folder
 from mjlab.registry import load_task
 
@@ -54,7 +53,6 @@ def run(words: list[str]) -> int:
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(), flags)
-  environments.share_cores()
   from mjlab_rl import find_checkpoint
 
   checkpoint = find_checkpoint(source, log_root=Path(wanted.log_root), experiment="")

@@ -83,7 +83,6 @@ def run(words: list[str]) -> int:
   if _LINE.wants_help(words):
     return 0
   paths, flags = _LINE.split(words, most=None)
-  environments.share_cores()
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(), flags)

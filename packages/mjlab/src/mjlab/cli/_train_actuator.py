@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core import UsageError
 
-from mjlab import environments
 from mjlab.cli._command_line import CommandLine, output_file, plot_problem
 
 if TYPE_CHECKING:
@@ -74,7 +73,6 @@ def run(words: list[str]) -> int:
   if _LINE.wants_help(words):
     return 0
   records, flags = _LINE.split(words, most=None)
-  environments.share_cores()
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(), flags)
