@@ -4,6 +4,7 @@ The records are made by MuJoCo C at 1 ms a step: of a leg of the Go1, and of the
 two follow a designed excitation. It prints the tables of docs/sysid.md.
 
   uv run python tools/identify_known.py leg
+  uv run python tools/identify_known.py leg --report leg.html --picture docs/pictures/sysid_report.png
   uv run python tools/identify_known.py yam
   uv run python tools/identify_known.py yam --motion designed
   uv run python tools/identify_known.py leg --engine warp --device cuda:0
@@ -12,9 +13,12 @@ two follow a designed excitation. It prints the tables of docs/sysid.md.
 import argparse
 import copy
 import dataclasses
+import io
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -34,6 +38,8 @@ from mjlab_sysid import (
   robot_on_stand,
   write_report,
 )
+from PIL import Image
+from playwright.sync_api import sync_playwright
 
 TIMESTEP, SUBSTEPS, DELAY = 0.001, 10, 7
 NOISE, VELOCITY_NOISE, QUANTUM = 1e-3, 2e-2, 5e-4
@@ -211,6 +217,19 @@ def found_in(known: Known, records: Sequence[Record], cfg: IdentifyCfg | None = 
   return identify(known.robot(), records, terms, cfg, held_out=[sine_record(known, 1, 4.0)])
 
 
+def photograph(page: Path, picture: Path) -> None:
+  """Draw the tables, identifiability and the first record of a report."""
+  with sync_playwright() as playwright:
+    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+    tab = browser.new_page(viewport={"width": 1150, "height": 900})
+    tab.goto(page.resolve().as_uri())
+    second = tab.locator("h2").nth(2).bounding_box()
+    height = round(second["y"]) if second else 1500
+    image = Image.open(io.BytesIO(tab.screenshot(full_page=True)))
+    browser.close()
+  image.crop((0, 0, 1040, height)).convert("RGB").quantize(64).save(picture, optimize=True)
+
+
 def main() -> None:
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
   parser.add_argument("robot", choices=ROBOTS)
@@ -218,7 +237,8 @@ def main() -> None:
   parser.add_argument("--engine", choices=("auto", "native", "warp"), default="auto")
   parser.add_argument("--device", default="cpu")
   parser.add_argument("--seconds", type=float, default=20.0)
-  parser.add_argument("--report", help="report to write, as HTML")
+  parser.add_argument("--report", type=Path, help="report to write, as HTML")
+  parser.add_argument("--picture", type=Path, help="picture of the report's first page; needs Chromium")
   args = parser.parse_args()
   known = ROBOTS[args.robot]
   if args.motion == "sines":
@@ -240,6 +260,8 @@ def main() -> None:
   print(table(("record", "joint", "error before [rad]", "after [rad]"), errors))
   if args.report:
     write_report(found, args.report)
+    if args.picture:
+      photograph(args.report, args.picture)
   print(f"{spent[0]:.0f} s of CPU time, {spent[1]:.0f} s")
 
 

@@ -74,13 +74,15 @@ class Origin:
 
   quantity: Literal[
     "joint_position", "joint_velocity", "sensor", "position", "orientation", "linear_velocity", "angular_velocity",
-    "projected_gravity",
+    "projected_gravity", "camera_rgb", "camera_depth",
   ]  # fmt: skip
   name: str = ""
-  """Sensor, body or site."""
-  object_type: Literal["body", "site", "sensor", ""] = ""
+  """Sensor, body, site or camera."""
+  object_type: Literal["body", "site", "sensor", "camera", ""] = ""
   relative_to: str = ""
   """Body in whose frame a position or an orientation is; empty: the world."""
+  geom_groups: tuple[int, ...] = ()
+  """Geom groups that a camera shows; empty: all."""
 
 
 @dataclass(frozen=True, kw_only=True)

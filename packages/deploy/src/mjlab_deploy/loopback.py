@@ -9,12 +9,13 @@ import mujoco
 import numpy as np
 
 from mjlab_deploy.bundle import Bundle
+from mjlab_deploy.camera import Cameras
 from mjlab_deploy.closed_loop import ClosedLoop
 from mjlab_deploy.description import Description
 from mjlab_deploy.errors import DeployError
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotIO, RobotState
 
-_STATE, _COMMAND = b"MJS1", b"MJC1"
+_STATE, _COMMAND, _IMAGE = b"MJS1", b"MJC1", b"MJI1"
 _HEAD = struct.Struct("<4sIdI")
 
 
@@ -38,7 +39,8 @@ def decode(kind: bytes, message: bytes, count: int) -> tuple[int, float, np.ndar
 class LoopbackRobot(RobotIO):
   """The robot of a bundle in MuJoCo C, which speaks and obeys as a real one. `advance` is its time.
 
-  Its drives let the robot go by themselves if no command has arrived for `watchdog`.
+  Its drives let the robot go by themselves if no command has arrived for `watchdog`. Its cameras draw an image in every
+  period of the policy. Images are messages of their own, which are late and get lost like those of the state.
 
   Args:
     bundle: The bundle.
@@ -70,6 +72,10 @@ class LoopbackRobot(RobotIO):
     self._joints = self.description.robot.joints
     measured = ("joint/position", "joint/velocity", "imu/gyro", "imu/projected_gravity")
     self._extra = [item for item in self._loop.sensors.inputs if item.name not in measured]
+    self._cameras = Cameras(self.model, self.description)
+    self._images: dict[str, np.ndarray] = {}
+    self._frames: deque[list[bytes]] = deque([[] for _ in range(delay)])
+    self._next_image = 0.0
     prefix = f"{self.description.robot.name}/"
     self._actuators = [_actuator(self.model, prefix + joint.name) for joint in self._joints]
     self._is_servo = [self.model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE for i in self._actuators]
@@ -99,7 +105,7 @@ class LoopbackRobot(RobotIO):
     return RobotInfo(
       joint_names=tuple(joint.name for joint in self._joints),
       rate=self.rate,
-      readings=tuple(item.name for item in self._extra),
+      readings=tuple(item.name for item in (*self._extra, *self._cameras.inputs)),
     )
 
   @property
@@ -175,10 +181,26 @@ class LoopbackRobot(RobotIO):
       )
     )
     values = values + self._rng.normal(0.0, self.noise, values.shape)
+    self._send_images()
     message = encode(_STATE, self._sequence, self.time, values)
     self._to_runner.append(b"" if self._rng.random() < self.loss else message)
-    if (found := decode(_STATE, self._to_runner.popleft(), len(values))) is not None:
+    # A camera that has sent nothing yet is one that is not ready.
+    is_ready = len(self._images) == len(self._cameras.inputs)
+    if (found := decode(_STATE, self._to_runner.popleft(), len(values))) is not None and is_ready:
       self._inbox = self._state(*found)
+
+  def _send_images(self) -> None:
+    """Draw and send images that are due, and take those that have arrived."""
+    sent: list[bytes] = []
+    if self._cameras.inputs and self.time >= self._next_image - 1e-9:
+      self._next_image = self.time + self.description.timing.control_dt
+      for place, image in enumerate(self._cameras.draw(self.data).values()):
+        message = encode(_IMAGE, place, self.time, image.ravel())
+        sent.append(b"" if self._rng.random() < self.loss else message)
+    self._frames.append(sent)
+    for message, item in zip(self._frames.popleft(), self._cameras.inputs, strict=False):
+      if (found := decode(_IMAGE, message, int(np.prod(item.shape)))) is not None:
+        self._images[item.name] = found[2].reshape(item.shape)
 
   def _state(self, sequence: int, time: float, values: np.ndarray) -> RobotState:
     if self.frozen is not None:
@@ -194,7 +216,7 @@ class LoopbackRobot(RobotIO):
       velocity=velocity,
       gyro=gyro,
       orientation=orientation,
-      readings={item.name: value for item, value in extra},
+      readings={item.name: value for item, value in extra} | self._images,
     )
 
 

@@ -7,10 +7,12 @@ from mjlab_deploy.description import Description, Input, Origin
 from mjlab_deploy.errors import reading
 
 Readings = dict[str, np.ndarray]
+CAMERA = ("camera_rgb", "camera_depth")
+"""Quantities that `mjlab_deploy.camera` draws."""
 
 
 class ModelReadings:
-  """Inputs of a policy that a MuJoCo model can supply.
+  """Inputs of a policy that a MuJoCo model can supply, but for images.
 
   Args:
     model: The model.
@@ -23,7 +25,9 @@ class ModelReadings:
   def __init__(self, model: mujoco.MjModel, description: Description) -> None:
     self.model = model
     self._prefix = f"{description.robot.name}/" if description.robot.name else ""
-    self.inputs: list[Input] = [item for item in description.inputs if item.origin is not None]
+    self.inputs: list[Input] = [
+      item for item in description.inputs if item.origin is not None and item.origin.quantity not in CAMERA
+    ]
     joints = [joint_id(model, self._prefix + joint.name) for joint in description.robot.joints]
     self.qpos = model.jnt_qposadr[joints]
     """Columns of the robot's joints in qpos."""

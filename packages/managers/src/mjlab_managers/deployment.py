@@ -26,7 +26,7 @@ class Reading:
   """Frame of a vector: a body or a site, or "world"."""
   columns: tuple[str, ...] = ()
   """Meaning of each column."""
-  origin: Mapping[str, str] | None = None
+  origin: Mapping[str, Any] | None = None
   """Place of the value in a MuJoCo model, as fields of `mjlab_deploy.Origin`; None if MuJoCo cannot supply it."""
 
 

@@ -10,7 +10,7 @@ from mjlab_core.rotations import quat_conjugate, quat_mul, rotvec_from_quat
 from mjlab_managers import ManagerTermBase, Reading, SceneEntityCfg, TermSource, sourced
 from mjlab_sensors import BuiltinSensor, ImuSensor
 
-from mjlab_envs.mdp.readings import joint_positions, joint_velocities, of_root, selected, sensor_reading
+from mjlab_envs.mdp.readings import image_of, joint_positions, joint_velocities, of_root, selected, sensor_reading
 
 if TYPE_CHECKING:
   from mjlab_sensors import CameraSensor, RayCastSensor
@@ -77,7 +77,8 @@ def _height_scan(env: "ManagerBasedRlEnv", *, sensor: str, offset: float, miss_v
 
 
 def _camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
-  return TermSource(readings=(Reading(name=f"camera/{sensor}/rgb", read=lambda: camera_rgb(env, sensor=sensor)),))
+  camera: CameraSensor = env.scene[sensor]
+  return TermSource(readings=(image_of(camera, "rgb", lambda: camera_rgb(env, sensor=sensor)),))
 
 
 def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None) -> TermSource:
@@ -85,7 +86,8 @@ def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, mi
     miss = max_depth if miss_value is None else miss_value
     return torch.where(depth < 0.0, miss, depth.clamp(max=max_depth))
 
-  reading = Reading(name=f"camera/{sensor}/depth", read=lambda: _drawn(env, sensor, "depth"), unit="m")
+  camera: CameraSensor = env.scene[sensor]
+  reading = image_of(camera, "depth", lambda: _drawn(env, sensor, "depth"))
   return TermSource(readings=(reading,), compute=compute)
 
 

@@ -1,13 +1,15 @@
-"""Readings of a robot: joints, its root, native sensors."""
+"""Readings of a robot: joints, its root, native sensors, cameras."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import torch
 from mjlab_managers import Reading
 
 if TYPE_CHECKING:
+  from mjlab_sensors import CameraSensor
+
   from mjlab_envs.env import ManagerBasedRlEnv
 
 # Native sensors that robots have under another name than their own.
@@ -88,6 +90,19 @@ def sensor_reading(env: "ManagerBasedRlEnv", sensor: str) -> Reading:
     unit=unit,
     frame=site,
     origin={"quantity": "sensor", "name": sensor, "object_type": "sensor"},
+  )
+
+
+def image_of(camera: "CameraSensor", kind: Literal["rgb", "depth"], read: Callable[[], torch.Tensor]) -> Reading:
+  """Return the reading of an image of a camera sensor: colours from 0 to 1, or depth [m], -1 where nothing is."""
+  # The cameras of bundles draw no shadows.
+  groups = camera.cfg.geom_groups
+  origin = {"quantity": f"camera_{kind}", "object_type": "camera", "name": camera.camera_name}
+  return Reading(
+    name=f"camera/{camera.name}/{kind}",
+    read=read,
+    unit="m" if kind == "depth" else "1",
+    origin=None if camera.cfg.use_shadows else {**origin, "geom_groups": () if groups is None else tuple(groups)},
   )
 
 

@@ -6,6 +6,7 @@ import mujoco
 import torch
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import check_name
+from mjlab_envs.mdp.readings import image_of
 from mjlab_managers import ManagerTermBase, Reading, TermSource
 from mjlab_sim import DataType
 
@@ -70,9 +71,9 @@ class camera_image(ManagerTermBase):
     name = f"camera/{self._sensor.name}"
     needed: dict[str, Reading] = {}
     if "rgb" in channels:
-      needed["rgb"] = Reading(name=f"{name}/rgb", read=lambda: self._sensor.data.rgb_float, unit="1")
+      needed["rgb"] = image_of(self._sensor, "rgb", lambda: self._sensor.data.rgb_float)
     if {"depth", "valid"} & set(channels):
-      needed["depth"] = Reading(name=f"{name}/depth", read=lambda: self._sensor.data.depth, unit="m")
+      needed["depth"] = image_of(self._sensor, "depth", lambda: self._sensor.data.depth)
     if "object" in channels:
       start = sum(3 if channel == "rgb" else 1 for channel in channels[: channels.index("object")])
       needed["object"] = Reading(name=f"{name}/object_mask", read=lambda: self()[:, start : start + 1])
