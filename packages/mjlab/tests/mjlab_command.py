@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
@@ -47,6 +47,16 @@ class Command:
         self._end(f"goes on: {pattern!r} was not said within {seconds:g} s")
       time.sleep(0.05)
     return found
+
+  def wait_until(self, condition: Callable[[], object], seconds: float = PATIENCE) -> None:
+    """Waits until a condition is true, such as that of a file that the command writes."""
+    end = time.monotonic() + seconds
+    while not condition():
+      if self.exit_code is not None:
+        pytest.fail(f"the command ended with exit code {self.exit_code}:\n{self.said}")
+      if time.monotonic() > end:
+        self._end(f"goes on, and the condition was not met within {seconds:g} s")
+      time.sleep(0.05)
 
   def interrupt(self, seconds: float = PATIENCE) -> str:
     """Ctrl-C; returns what the command says from then to its end, which must be that of one that did its work."""

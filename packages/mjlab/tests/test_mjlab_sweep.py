@@ -4,7 +4,9 @@ import csv
 import json
 import math
 import re
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mjlab.cli import sweep
@@ -91,29 +93,78 @@ def test_results_are_a_table_and_a_picture_with_the_best_trial_first(tmp_path: P
   assert (tmp_path / "trials.png").read_bytes().startswith(b"\x89PNG")
 
 
+needs_ray = pytest.mark.skipif(
+  find_spec("ray") is None,
+  reason="sweeps need Ray, the extra sweep of mjlab, which the developers' environment lacks",
+)
+# Each trial imports everything, and there are two cores for all of them [s].
+LONG = 1200.0
+SMALL = ("--env.scene.num-envs", "8", "--agent.max-iterations", "4", "--agent.num-steps-per-env", "40")
+DONE = r"(?m)^\w+ +[-\d.]+ +\d+ +done"
+CLUSTER = """
+import threading, ray
+print("cluster at", ray.init(num_cpus=2, include_dashboard=False).address_info["gcs_address"], flush=True)
+threading.Event().wait()
+"""
+
+
+def results(folder: Path) -> list[list[dict[str, Any]]]:
+  """What each trial has reported, in its order."""
+  return [list(map(json.loads, path.read_text().splitlines())) for path in folder.glob("*/result.json")]
+
+
+@needs_ray
 @pytest.mark.slow
-@pytest.mark.parametrize("scheduler", ["asha", "pbt"])
-def test_four_trials_of_cartpole_and_the_sweep_goes_on(scheduler: str, tmp_path: Path) -> None:
-  pytest.importorskip(
-    "ray", reason="sweeps need Ray, the extra sweep of mjlab, which the developers' environment lacks"
-  )
-  (tmp_path / "space.yaml").write_text(f"{VALUES}perturb: [{ENTROPY}]\n")
-  common = ["--log-root", "logs", "--scheduler", scheduler]
-  flags = ["--env.scene.num-envs", "8", "--agent.max-iterations", "10", "--agent.num-steps-per-env", "40"]
-  with running(
-    COMMAND, TASK, "--space", "space.yaml", "--trials", "4", "--name", "four", *common, *flags, folder=tmp_path
-  ) as command:
-    command.wait_for(r"wrote .*trials.png")
-    said = command.said
-  assert len(re.findall(r"(?m)^\w+ +[-\d.]+ +\d+ +done", said)) == 4
+def test_four_trials_of_cartpole_that_ctrl_c_ends_go_on_with_resume(tmp_path: Path) -> None:
+  (tmp_path / "space.yaml").write_text(VALUES)
   folder = tmp_path / "logs" / "sweeps" / "four"
+  with running(
+    COMMAND, TASK, "--space", "space.yaml", "--trials", "4", "--name", "four", *SMALL, folder=tmp_path
+  ) as command:
+    command.wait_until(lambda: any(results(folder)), LONG)
+    said = command.interrupt(LONG)
+  assert f"not all trials are done: sweep {TASK} --resume four continues them" in said
+  assert re.search(r"(?m)^\w+ +\S+ +\d+ +stopped", said)
+  with running(COMMAND, TASK, "--resume", "four", folder=tmp_path) as command:
+    command.wait_for(r"wrote .*trials.png", LONG)
+    said = command.said
+  assert len(re.findall(DONE, said)) == 4
+  assert "not all trials are done" not in said
   with (folder / "trials.csv").open(newline="") as file:
     rows = list(csv.DictReader(file))
-  assert max(int(row["iterations"]) for row in rows) == 10
+  assert max(int(row["iterations"]) for row in rows) == 4
   assert all(5e-3 <= float(row[KL]) <= 0.05 for row in rows)
-  # Trials copy each other in pbt, and change only what is named.
-  lines = [path.read_text().splitlines() for path in folder.glob("*/result.json")]
-  drawn = {json.loads(trial[0])["config"][KL] for trial in lines}
-  assert {json.loads(line)["config"][KL] for trial in lines for line in trial} <= drawn
-  with running(COMMAND, TASK, "--resume", "four", *common, folder=tmp_path) as command:
-    command.wait_for(r"wrote .*trials.png")
+
+
+@needs_ray
+@pytest.mark.slow
+def test_a_population_copies_learners_and_changes_only_what_is_named(tmp_path: Path) -> None:
+  (tmp_path / "space.yaml").write_text(f"{VALUES}perturb: [{ENTROPY}]\n")
+  words = (TASK, "--space", "space.yaml", "--trials", "4", "--name", "four", "--scheduler", "pbt")
+  with running(COMMAND, *words, *SMALL, folder=tmp_path) as command:
+    command.wait_for(r"wrote .*trials.png", LONG)
+    said = command.said
+  assert len(re.findall(DONE, said)) == 4, said
+  found = results(tmp_path / "logs" / "sweeps" / "four")
+  drawn = {trial[0]["config"][KL] for trial in found}
+  assert {line["config"][KL] for trial in found for line in trial} <= drawn
+  for trial in found:
+    # A part of a trial begins with the iteration after the checkpoint, so that none is lost.
+    iterations = [line["iteration"] for line in trial]
+    assert iterations == sorted(iterations)
+    assert iterations[-1] == 4
+
+
+@needs_ray
+@pytest.mark.slow
+def test_trials_run_on_a_cluster_that_is_there(tmp_path: Path) -> None:
+  (tmp_path / "space.yaml").write_text(VALUES)
+  words = (TASK, "--space", "space.yaml", "--trials", "2", "--scheduler", "none", "--name", "two")
+  with running(COMMAND, *words, *SMALL, "--address", "127.0.0.1:1", folder=tmp_path) as command:
+    command.wait_for("error: --address 127.0.0.1:1: .*refused")
+  with running(CLUSTER, folder=tmp_path) as cluster:
+    address = cluster.wait_for(r"cluster at (\S+)")[1]
+    with running(COMMAND, TASK, "--resume", "two", "--address", address, folder=tmp_path) as command:
+      command.wait_for(r"wrote .*trials.png", LONG)
+      assert len(re.findall(DONE, command.said)) == 2, command.said
+    assert cluster.exit_code is None

@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import socket
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,8 @@ from ray.tune.search.basic_variant import (  # pyright: ignore[reportMissingImpo
 
 # A trial that begins again counts its checkpoints anew, so that Ray may put one into the folder of another.
 _CHECKPOINT, _REPORT = "model.pt", "report.json"
+# Time for a cluster to answer [s].
+_REACHED = 10.0
 
 
 class _Progress(tune.Callback):
@@ -42,7 +45,7 @@ class _Progress(tune.Callback):
 
   def on_trial_complete(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
     del iteration, info
-    ended = sum(other.status in ("TERMINATED", "ERROR") for other in trials)
+    ended = sum(other is trial or other.status in ("TERMINATED", "ERROR") for other in trials)
     reward = (trial.last_result or {}).get("reward")
     print(f"trial {trial.trial_id} ended: reward {reward}; {ended} of {len(trials)} are done", flush=True)
 
@@ -55,20 +58,22 @@ def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: b
   """Run or continue the trials of a sweep; return their results.
 
   Raises:
-    MjlabError: There is no such cluster, or the sweep cannot be continued.
+    MjlabError: There is no such cluster.
   """
   random.seed(sweep.seed)  # From which pbt draws.
   try:
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if port.isdigit():
+      # Ray itself tries for minutes.
+      socket.create_connection((host, int(port)), _REACHED).close()
     own: dict[str, Any] = {"include_dashboard": False} if address is None else {}
     ray.init(address=address or "local", log_to_driver=False, configure_logging=False, **own)
-  except (ConnectionError, ValueError) as error:
+  except (OSError, ValueError) as error:
     raise MjlabError(f"--address {address}: {error}") from error
   try:
     function = tune.with_parameters(train_trial, sweep=msgspec.json.encode(sweep), folder=folder)
     trainable = tune.with_resources(function, {"cpu": sweep.cpus, "gpu": sweep.gpus})
-    if is_resumed:
-      if not tune.Tuner.can_restore(str(folder)):
-        raise MjlabError(f"--resume {folder.name}: no trial has begun in {folder}")
+    if is_resumed and tune.Tuner.can_restore(str(folder)):
       tuner = tune.Tuner.restore(str(folder), trainable, resume_errored=True)
     else:
       tuner = tune.Tuner(
@@ -154,7 +159,7 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
     resume = None
     if (checkpoint := tune.get_checkpoint()) is not None:
       resume = Path(checkpoint.to_directory(place)) / _CHECKPOINT
-      copied = msgspec.json.decode(resume.with_name(_REPORT).read_bytes(), type=dict[str, float])
+      copied = msgspec.json.decode(resume.with_name(_REPORT).read_bytes(), type=dict[str, int | float])
       if copied["iteration"] >= task.agent.max_iterations:
         # In pbt a trial may copy one that has ended.
         tune.report(copied)
