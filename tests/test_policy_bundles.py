@@ -60,8 +60,9 @@ def images_are_those_of_the_record(bundle: Bundle) -> None:
     loop.readings()
     for name, image in cameras.draw(loop.data).items():
       away = np.abs(image - golden[f"input/{name}"][step])
-      # Depth is the same; OpenGL shades textures otherwise.
-      assert away.mean() < (1e-5 if name.endswith("depth") else 0.05), (name, step)
+      # Depth is the same but for a pixel at an edge; OpenGL shades textures otherwise.
+      assert away.mean() < (1e-3 if name.endswith("depth") else 0.05), (name, step)
+      assert np.median(away) < (1e-5 if name.endswith("depth") else 0.05), (name, step)
 
 
 def sources(bundle: Bundle) -> set[str]:
