@@ -40,3 +40,12 @@ def test_recipes_train_tasks_that_exist_with_options_of_torchrun() -> None:
       options = parse_args(words[words.index("torchrun") + 1 :])
       assert options.no_python
       assert options.training_script == "train"
+
+
+def test_skypilot_reads_its_recipe() -> None:
+  """SkyPilot checks a task by its own schema; nothing is launched."""
+  sky = pytest.importorskip("sky", reason="SkyPilot is not installed; uv pip install skypilot")
+  task = sky.Task.from_yaml(str(RECIPES / "skypilot.yaml"))
+  assert task.num_nodes == 2
+  (resources,) = task.resources
+  assert set(resources.accelerators.values()) == {8}
