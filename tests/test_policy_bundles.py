@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -201,6 +202,26 @@ def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(tmp_path: Pat
     "velocity_commands": 3,
   }
   assert {term["history_length"] for term in data["observations"].values()} == {5}
+  # The pair as Unitree's trainings publish it, a network without metadata and this file, is read and runs alike.
+  model = onnx.load(folder / "policy.onnx")
+  del model.metadata_props[:]
+  (tmp_path / "published" / "params").mkdir(parents=True)
+  (tmp_path / "published" / "exported").mkdir()
+  onnx.save(model, tmp_path / "published" / "exported" / "policy.onnx")
+  (tmp_path / "published" / "params" / "deploy.yaml").write_text((folder / "deploy.yaml").read_text())
+  with (
+    adopted(tmp_path / "published" / "exported" / "policy.onnx", tmp_path / "bundle" / "scene.xml") as bundle,
+    open_bundle(tmp_path / "bundle") as ours,
+  ):
+    assert bundle.description.timing.control_dt == description.timing.control_dt
+    theirs, own, rng = Policy(bundle), Policy(ours), np.random.default_rng(0)
+    for _ in range(7):
+      readings = {item.name: rng.normal(0.0, 0.3, item.shape) for item in ours.description.inputs}
+      step, wanted = theirs.step(readings), own.step(readings)
+      np.testing.assert_allclose(step.targets["target/position"], wanted.targets["target/position"], atol=1e-5)
+    run = SimulatedRun(bundle)
+    run.run(1.2)
+    assert run.runner.phase == "policy", run.runner.reason
 
 
 def test_a_term_that_unitrees_runner_lacks_is_named(tmp_path: Path) -> None:

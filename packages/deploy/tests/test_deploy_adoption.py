@@ -1,5 +1,6 @@
 """Networks of others run by their metadata."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,42 @@ def test_metadata_that_do_not_fit_are_refused_by_name(
   tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str], metadata: dict[str, str | None], message: str
 ) -> None:
   path = network(tmp_path / "policy.onnx", **metadata)
+  assert main(["run", str(path), "--model", str(robot)]) == 1
+  error = capsys.readouterr().err
+  assert message in error
+  assert error.count("\n") == 1
+
+
+DEPLOY = {
+  "joint_ids_map": list(range(12)),
+  "step_dt": 0.02,
+  "stiffness": [20.0] * 12,
+  "damping": [0.5] * 12,
+  "default_joint_pos": [0.0] * 12,
+  "actions": {"JointPositionAction": {"scale": 0.25, "offset": [0.0] * 12, "clip": None, "joint_ids": None}},
+  "observations": {"joint_pos_rel": {"scale": None, "clip": None, "history_length": 1}},
+}
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    ({"step_dt": None}, "float"),
+    ({"joint_ids_map": [0, 1]}, "joint_ids_map numbers 2 motors, expected those of a G1 with 29 or of a quadruped"),
+    ({"stiffness": [20.0]}, "list index out of range"),
+    ({"actions": {"JointVelocityAction": {}}}, "action JointVelocityAction is not one of all joints without a clip"),
+    ({"default_joint_pos": [0.1] * 12}, "the offset of its action is not the default pose"),
+    ({"observations": {"gait_phase": {}}}, "observation 'gait_phase' of the network is not known"),
+    (None, "it has no 'joint_ids_map'"),
+    ("]", "expected the node content, but found ']'"),
+  ],
+)
+def test_a_wrong_deploy_yaml_is_one_line(
+  tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str], change: object, message: str
+) -> None:
+  path = network(tmp_path / "policy.onnx", **dict.fromkeys(METADATA))
+  content = DEPLOY | change if isinstance(change, dict) else change
+  (tmp_path / "deploy.yaml").write_text(content if isinstance(content, str) else json.dumps(content))
   assert main(["run", str(path), "--model", str(robot)]) == 1
   error = capsys.readouterr().err
   assert message in error

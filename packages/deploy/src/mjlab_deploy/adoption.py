@@ -29,6 +29,7 @@ from mjlab_deploy.network_graph import GROUP, NetworkGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
 from mjlab_deploy.policy import open_graph
 from mjlab_deploy.scene import write_scene
+from mjlab_deploy.unitree_policy import find_deploy_yaml, read_deploy_yaml, with_metadata
 
 _ROBOT = "robot"
 _MAX_FRAMES = 100_000
@@ -45,13 +46,13 @@ _ORIGINS: dict[str, Any] = {
 
 
 @contextlib.contextmanager
-def adopted(policy: Path, model: Path, rate: float = 50.0) -> Generator[Bundle]:
+def adopted(policy: Path, model: Path, rate: float | None = None) -> Generator[Bundle]:
   """Open an ONNX file with the metadata of mjlab 1.x or BeyondMimic as a bundle, for as long as it is needed.
 
   Args:
-    policy: The ONNX file.
+    policy: The ONNX file. Without metadata, a `deploy.yaml` of Unitree's runner beside it takes their place.
     model: MJCF file of its robot. Its actuators are replaced by position servos with the gains of the metadata.
-    rate: Rate of the policy, which the metadata does not tell [Hz].
+    rate: Rate of the policy [Hz]; None: that of `deploy.yaml`, or 50, because the metadata does not tell.
 
   Raises:
     DeployError: Either file cannot be read, or they do not fit; the message begins with the path of the policy.
@@ -62,11 +63,18 @@ def adopted(policy: Path, model: Path, rate: float = 50.0) -> Generator[Bundle]:
     yield bundle
 
 
-def _adopt(policy: Path, model: Path, rate: float, folder: Path) -> Bundle:
+def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundle:
   if policy.stat().st_size > MAX_BYTES["policy.onnx"]:
     raise DeployError("larger than a policy may be")
   data = policy.read_bytes()
-  graph = NetworkGraph(open_graph(data))
+  session = open_graph(data)
+  if "joint_names" not in session.get_modelmeta().custom_metadata_map and (beside := find_deploy_yaml(policy)):
+    metadata = read_deploy_yaml(beside)
+    data = with_metadata(data, metadata)
+    session = open_graph(data)
+    rate = rate or 1.0 / float(metadata["step_dt"])
+  rate = rate or 50.0
+  graph = NetworkGraph(session)
   (folder / "policy.onnx").write_bytes(data)
   spec = _scene(model, graph)
   if not write_scene(spec, folder):

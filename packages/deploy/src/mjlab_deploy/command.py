@@ -37,7 +37,7 @@ def _parser() -> argparse.ArgumentParser:
   run = commands.add_parser("run", help="run a policy in MuJoCo C through the messages of a robot")
   run.add_argument("bundle", help="folder or zip, or a network of others (.onnx) with --model")
   run.add_argument("--model", metavar="ROBOT.xml", help="MJCF file of the robot of a network of others")
-  run.add_argument("--rate", type=float, default=50.0, help="rate of a network of others [Hz]; default: 50")
+  run.add_argument("--rate", type=float, help="rate of a network of others [Hz]; default: that of deploy.yaml, or 50")
   run.add_argument(
     "--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . or a gamepad give commands"
   )

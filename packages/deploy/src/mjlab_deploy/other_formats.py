@@ -18,7 +18,8 @@ G1_MOTORS = tuple(_LEGS + _WAIST + _ARMS)
 """Joints of a G1 with 29 joints in the order of Unitree's SDK."""
 REFERENCE_OUTPUTS = ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w")
 """Outputs of BeyondMimic's policies that show the clip at `time_step`; its motion files have these keys too."""
-_MOTORS = (G1_MOTORS, QUADRUPED_MOTORS)
+MOTORS = (G1_MOTORS, QUADRUPED_MOTORS)
+"""Orders of motors that Unitree's runner knows here."""
 # Terms of Unitree's runner by the source that they are read from.
 _TERMS = {
   "imu/gyro": "base_ang_vel",
@@ -67,7 +68,7 @@ def unitree_deploy_yaml(description: Description) -> str:
   """
   robot = description.robot
   names = [joint.name for joint in robot.joints]
-  motors = next((order for order in _MOTORS if sorted(order) == sorted(names)), None)
+  motors = next((order for order in MOTORS if sorted(order) == sorted(names)), None)
   if motors is None:
     raise DeployError("Unitree's deploy.yaml: the joints are not those of a G1 with 29 joints, nor of a quadruped")
   if [target.quantity for target in description.targets] != ["position"] or description.action_scale is None:

@@ -1,0 +1,97 @@
+"""Policies of Unitree's runner: a network without metadata, and its `deploy.yaml`, in the metadata of mjlab 1.x."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjlab_deploy.errors import DeployError, library, reading
+from mjlab_deploy.other_formats import MOTORS
+
+_MAX_BYTES = 2**20
+_METADATA_PROPS = 14
+"""Number of the field of an ONNX model that holds its metadata."""
+
+
+def find_deploy_yaml(policy: Path) -> Path | None:
+  """Return the `deploy.yaml` of a network: beside it, or in the folder `params` as trainings write it."""
+  places = (policy.parent / "deploy.yaml", policy.parent.parent / "params" / "deploy.yaml")
+  return next((place for place in places if place.is_file()), None)
+
+
+def read_deploy_yaml(path: Path) -> dict[str, str]:
+  """Return the metadata of a network that a `deploy.yaml` describes, with `step_dt` [s] besides.
+
+  Raises:
+    DeployError: It cannot be read, lacks something, or describes what the runner here does not do.
+  """
+  yaml = library("yaml", "the extra 'yaml' of mjlab-deploy")
+  with reading(path, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError, IndexError):
+    if path.stat().st_size > _MAX_BYTES:
+      raise DeployError("larger than such a file may be")
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if missing := [key for key in _KEYS if not isinstance(data, dict) or key not in data]:
+      raise DeployError(f"it has no '{missing[0]}'")
+    return _metadata(data)
+
+
+def with_metadata(model: bytes, metadata: Mapping[str, str]) -> bytes:
+  """Return the bytes of an ONNX model with metadata; what is appended to a protobuf message belongs to it."""
+  out = bytearray(model)
+  for key, value in metadata.items():
+    out += _field(_METADATA_PROPS, _field(1, key.encode()) + _field(2, value.encode()))
+  return bytes(out)
+
+
+_KEYS = ("joint_ids_map", "step_dt", "stiffness", "damping", "default_joint_pos", "actions", "observations")
+
+
+def _metadata(data: Mapping[str, Any]) -> dict[str, str]:
+  motors = [int(number) for number in data["joint_ids_map"]]
+  known = {len(names): names for names in MOTORS}
+  if sorted(motors) != list(range(len(motors))) or len(motors) not in known:
+    raise DeployError(f"joint_ids_map numbers {len(motors)} motors, expected those of a G1 with 29 or of a quadruped")
+  names = known[len(motors)]
+  default = [float(value) for value in data["default_joint_pos"]]
+  ((kind, action),) = data["actions"].items()
+  offset = _spread(action.get("offset"), len(motors), 0.0)
+  if kind != "JointPositionAction" or action.get("joint_ids") is not None or action.get("clip") is not None:
+    raise DeployError(f"action {kind!s:.60} is not one of all joints without a clip")
+  if not all(math.isclose(one, other, abs_tol=1e-6) for one, other in zip(offset, default, strict=True)):
+    raise DeployError("the offset of its action is not the default pose")
+  terms = data["observations"]
+  return {
+    "joint_names": ",".join(names[i] for i in motors),
+    # Its gains are in the order of the motors, everything else in that of the policy.
+    "joint_stiffness": _csv(data["stiffness"][i] for i in motors),
+    "joint_damping": _csv(data["damping"][i] for i in motors),
+    "default_joint_pos": _csv(default),
+    "action_scale": _csv(_spread(action.get("scale"), len(motors), 1.0)),
+    "observation_names": ",".join(terms),
+    "observation_terms_scale": ";".join("None" if not (s := term.get("scale")) else _csv(s) for term in terms.values()),
+    "observation_terms_clip": ";".join("None" if not (c := term.get("clip")) else _csv(c) for term in terms.values()),
+    "observation_terms_history_length": _csv(term.get("history_length") or 1 for term in terms.values()),
+    "step_dt": repr(float(data["step_dt"])),
+  }
+
+
+def _spread(value: Any, count: int, default: float) -> list[float]:
+  values = value if isinstance(value, Sequence) else [default if value is None else value] * count
+  return [float(number) for number in values]
+
+
+def _csv(values: Any) -> str:
+  return ",".join(repr(float(value)) for value in values)
+
+
+def _field(number: int, content: bytes) -> bytes:
+  return _varint(number << 3 | 2) + _varint(len(content)) + content
+
+
+def _varint(value: int) -> bytes:
+  out = bytearray()
+  while value > 127:
+    out.append(value & 127 | 128)
+    value >>= 7
+  out.append(value)
+  return bytes(out)
