@@ -1,5 +1,6 @@
 """The runner drives a loopback robot, and lets it go within 20 ms when anything is wrong."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,13 @@ import pytest
 from deploy_bundles import DESCRIPTION, write_bundle
 from mjlab_deploy import Bundle, DeployError, open_bundle
 from mjlab_deploy.loopback import LoopbackRobot, decode, encode
-from mjlab_deploy.robot_io import RobotInfo
+from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotState
 from mjlab_deploy.runner import Runner
+from mjlab_deploy.safety import Safety, SafetyLimits
 
 MESSAGE = 0.002  # s
 IN_TIME = 0.020  # s
+SLOW = replace(DESCRIPTION.robot.joints[0], velocity_limit=1.0, effort_limit=0.05)
 
 
 @pytest.fixture
@@ -190,6 +193,51 @@ def test_targets_stay_within_ranges_torques_and_steps(bundle: Bundle, monkeypatc
   assert (
     abs(runner.safety.limited(np.array([50.0]), np.array([0.0]), replace(state, position=np.array([1.95])))[0]) <= 2.0
   )
+
+
+@pytest.mark.parametrize(
+  ("change", "reason"),
+  [
+    ({"orientation": np.array([math.cos(0.55), math.sin(0.55), 0.0, 0.0])}, "tilted by 1.10 rad, more than 1"),
+    ({"position": np.array([2.2])}, "joint 'hinge' is 0.20 rad outside of its range"),
+    ({"sequence": 1}, "messages come in the wrong order"),
+    ({}, None),
+  ],
+)
+def test_a_state_outside_of_the_limits_lets_go(change: dict[str, Any], reason: str | None) -> None:
+  floating = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, is_floating=True))
+  safety = Safety(floating, SafetyLimits())
+  one = np.array([1.0, 0.0, 0.0, 0.0])
+  state = RobotState(
+    time=0.0, sequence=5, position=np.zeros(1), velocity=np.zeros(1), gyro=np.zeros(3), orientation=one
+  )
+  assert safety.check_message(state) is None
+  found = safety.check_message(replace(state, **({"sequence": 6} | change)))
+  assert (found or "").startswith(reason or "")
+  assert (found is None) == (reason is None)
+
+
+def test_gains_and_targets_grow_at_the_start_and_targets_move_in_steps(bundle: Bundle) -> None:
+  robot = LoopbackRobot(bundle)
+  runner = Runner(bundle, robot, stand_time=0.5)
+  advance(robot, runner, 0.02)
+  sent: list[RobotCommand] = []
+  write = robot.write
+  robot.write = lambda command: (sent.append(command), write(command))[1]
+  runner.start()
+  advance(robot, runner, 0.6)
+  gains = np.array([command.stiffness[0] for command in sent]) / 20.0
+  assert gains[0] < 0.02
+  assert np.diff(gains).max() < 0.02
+  assert gains[-1] == 1.0
+  state = robot.read()
+  assert state is not None
+  slow = Safety(replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(SLOW,))), SafetyLimits())
+  # 0.02 s at 1 rad/s, and twice the reach of the servo, 0.05 / 20.
+  asked = slow.limited(
+    np.array([1.0]), np.array([0.0]), replace(state, position=np.array([0.024]), velocity=np.zeros(1))
+  )
+  assert asked[0] == pytest.approx(0.02 + 2.0 * 0.0025)
 
 
 def test_damaged_messages_are_not_read() -> None:
