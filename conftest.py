@@ -1,6 +1,7 @@
 """Settings that must hold before any package is imported by a test."""
 
 import faulthandler
+import importlib.util
 import os
 import re
 import sys
@@ -19,6 +20,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Processes that tests start import torch and its like from bytecode; from source each import takes three times as long.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# Tests step a few worlds a few times, so that kernels for a CPU take longer to compile than to run: without
+# optimisation, compiling takes a third of the time. Processes that tests start, and GPUs, compile as usual.
+if importlib.util.find_spec("warp"):
+  import warp
+
+  warp.config.cpu_compiler_flags = "-march=native -O0"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
