@@ -111,11 +111,11 @@ def test_every_world_is_the_model_recompiled_with_its_values(name: str) -> None:
 
 
 @each_row
-def test_a_hundred_repeats_on_one_model_do_not_drift(name: str) -> None:
+def test_repeats_on_one_model_do_not_drift(name: str) -> None:
   model = mujoco.MjModel.from_xml_string(EVERYTHING)
   once = randomize(model, [trial(name)], seed=2)
   first = once.changes()
-  for _ in range(100):
+  for _ in range(20):
     once.resample()
   once.resample(2)
   assert once.changes() == first

@@ -57,7 +57,7 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
   true = changed(robot, FACTORS)
   true.opt.timestep = 0.001
   more: dict[str, Any] = {"delay": 7, "noise": 5e-4, "quantum": 4e-4}
-  made = [record(robot, true, sines(robot, seed, 10.0), source=str(seed), **more) for seed in (0, 1)]
+  made = [record(robot, true, sines(robot, seed, 4.0), source=str(seed), **more) for seed in (0, 1)]
   found = fit(robot, made[:1], *TERMS, "delay:.*,shared", held_out=made[1:])
   agree(found, FACTORS | {"delay:.*": 0.007}, 0.05)
   assert found.told.all()
@@ -73,7 +73,7 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
 
 def test_what_records_cannot_tell_is_named_and_stays() -> None:
   robot = arm()
-  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 6.0), noise=1e-4)]
+  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 3.0), noise=1e-4)]
   # Both dampers of a servo's joint act as one, and nothing reaches its limit of effort.
   found = fit(robot, records, *TERMS, "damping:hip", "effort_limit:knee=20..60")
   told = dict(zip(numbers(found), zip(found.told, found.reasons, strict=True), strict=True))
@@ -94,7 +94,7 @@ def test_what_records_cannot_tell_is_named_and_stays() -> None:
 def test_contact_friction_is_found_where_a_foot_slides() -> None:
   robot = arm(pose={"hip": 0.3, "knee": -0.6}, floor=0.56)
   true = changed(robot, {"geom_friction:foot": 0.5})
-  made = record(robot, true, sines(robot, 2, 4.0, size=0.05), noise=1e-5)
+  made = record(robot, true, sines(robot, 2, 2.0, size=0.05), noise=1e-5)
   found = fit(robot, [made], "geom_friction:foot", cfg=IdentifyCfg(window=0.1))
   assert found.told.all()
   assert found.value("geom_friction.sliding:foot") == pytest.approx(0.5, rel=0.05)
@@ -102,7 +102,7 @@ def test_contact_friction_is_found_where_a_foot_slides() -> None:
 
 def test_encoder_offsets_and_masses_are_found_through_gravity() -> None:
   robot = arm(pose={"hip": 0.5, "knee": 0.5})
-  made = record(robot, changed(robot, {"body_mass:shank": 1.5}), sines(robot, 3, 4.0), bias=0.03)
+  made = record(robot, changed(robot, {"body_mass:shank": 1.5}), sines(robot, 3, 2.0), bias=0.03)
   found = fit(robot, [made], "encoder_bias:.*,shared", "body_mass:shank")
   assert numbers(found)["encoder_bias:.*"] == pytest.approx(0.03, rel=0.03)
   assert numbers(found)["body_mass:shank"] == pytest.approx(1.5, rel=0.01)
@@ -179,7 +179,7 @@ def test_efforts_tell_what_motion_does_not() -> None:
 def test_cma_needs_no_gradient() -> None:
   robot = arm()
   factors = {"dof_armature:hip": 1.6, "dof_frictionloss:hip": 3.0}
-  made = record(robot, changed(robot, factors), sines(robot, 0, 2.0))
+  made = record(robot, changed(robot, factors), sines(robot, 0, 1.0))
   found = fit(robot, [made], "armature:hip", "frictionloss:hip", cfg=IdentifyCfg(solver="cma", iterations=25))
   agree(found, factors, 0.02)
 
