@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mjlab_core import ConfigError
 from mjlab_sim import Simulation, SimulationCfg
-from sim_world import WORLD
+from sim_world import SIZES, WORLD
 
 
 def contacts(**options: Any) -> np.ndarray:
   spec = mujoco.MjSpec.from_string(WORLD)
-  sim = Simulation(2, spec, SimulationCfg(engine="warp", nconmax=64, njmax=256, **options), "cpu")
+  sim = Simulation(2, spec, SimulationCfg(engine="warp", **SIZES, **options), "cpu")
   for _ in range(60):
     sim.step()
   qpos = sim.data.qpos.numpy().copy()

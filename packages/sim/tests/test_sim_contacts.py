@@ -37,7 +37,7 @@ def test_what_rests_is_carried_by_its_contacts(make_sim: MakeSim, engine: str) -
   model = sim.mj_model
   for world in range(NUM_WORLDS):
     assert not sim.contacts(world).found.any()
-  for _ in range(1500):
+  for _ in range(300):
     sim.step()
   for world in range(NUM_WORLDS):
     contacts = found(sim.contacts(world))
