@@ -1,4 +1,4 @@
-"""PPO whose mini-batch step is recorded once as a CUDA graph, and updates that hold the actor."""
+"""PPO whose mini-batch step is recorded once as a CUDA graph."""
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator
@@ -209,25 +209,3 @@ class CapturedPPO(PPO):
     rate, desired = self._rate, self.desired_kl
     slower, faster = (rate / 1.5).clamp(min=1e-5), (rate * 1.5).clamp(max=1e-2)
     rate.copy_(torch.where(kl > 2.0 * desired, slower, torch.where((kl < 0.5 * desired) & (kl > 0.0), faster, rate)))
-
-
-@contextlib.contextmanager
-def actor_held(algorithm: Any) -> Generator[None]:
-  """Put the actor back on leaving: its weights and normaliser, its part of the optimiser's state, and the step size.
-
-  The update itself is that of any other iteration, so that it can be a CUDA graph: all is written in place.
-  """
-  kept = {name: value.clone() for name, value in algorithm.actor.state_dict().items()}
-  rate = algorithm.learning_rate
-  yield
-  with torch.no_grad():
-    for name, value in algorithm.actor.state_dict().items():
-      value.copy_(kept[name])
-    # Whatever the optimiser remembers of the actor comes from updates that were put back.
-    for parameter in algorithm.actor.parameters():
-      for value in algorithm.optimizer.state.get(parameter, {}).values():
-        if isinstance(value, torch.Tensor):
-          value.zero_()
-  algorithm.learning_rate = rate
-  for group in algorithm.optimizer.param_groups:
-    group["lr"] = rate

@@ -20,9 +20,9 @@ from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 
 from mjlab_rl import checkpoint
-from mjlab_rl.captured_ppo import actor_held
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.console import Console
+from mjlab_rl.critic_warmup import actor_held
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
