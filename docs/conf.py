@@ -29,7 +29,8 @@ html_theme_options = {
   "footer_start": [],
   "footer_end": [],
 }
-html_sidebars = {"index": []}
+# Pages without others below them have nothing to navigate.
+html_sidebars = {name: [] for name in ("index", "faq", "migration")}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
