@@ -11,6 +11,7 @@ import platform
 import statistics
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import version
@@ -44,6 +45,8 @@ class Cost:
   """CPU time of the quickest run [s]."""
   median: float
   """Median CPU time of all runs [s]."""
+  elapsed: float
+  """Least time of a run from start to end, which other programs on the cores lengthen [s]."""
   megabytes: float
   """Greatest memory of a run [MB]."""
   modules: int
@@ -52,23 +55,24 @@ class Cost:
   """Those of `WATCHED` among them."""
 
 
-def usage(statement: str, sources: str = "") -> tuple[float, float]:
-  """Return CPU time [s] and greatest memory [MB] of a new interpreter."""
+def usage(statement: str, sources: str = "") -> tuple[float, float, float]:
+  """Return CPU time [s], greatest memory [MB] and elapsed time [s] of a new interpreter."""
   environment = os.environ | ({"PYTHONPATH": sources} if sources else {})
+  started = time.perf_counter()
   process = subprocess.Popen([sys.executable, "-c", statement], stdout=subprocess.DEVNULL, env=environment)
   _, status, used = os.wait4(process.pid, 0)
   process.returncode = os.waitstatus_to_exitcode(status)
   if process.returncode:
     raise subprocess.CalledProcessError(process.returncode, statement)
-  return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+  return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, time.perf_counter() - started
 
 
 def measure(statement: str, repeats: int) -> Cost:
   report = subprocess.run([sys.executable, "-c", statement + REPORT], capture_output=True, text=True, check=True)
   modules = set(json.loads(report.stderr))
-  seconds, megabytes = zip(*(usage(statement) for _ in range(repeats)), strict=True)
+  seconds, megabytes, elapsed = zip(*(usage(statement) for _ in range(repeats)), strict=True)
   heavy = [name for name in WATCHED if name in modules]
-  return Cost(min(seconds), statistics.median(seconds), max(megabytes), len(modules), heavy)
+  return Cost(min(seconds), statistics.median(seconds), min(elapsed), max(megabytes), len(modules), heavy)
 
 
 def compare(clone: Path, repeats: int) -> None:
@@ -97,30 +101,29 @@ def main() -> None:
   if arguments.against is not None:
     compare(arguments.against, arguments.repeats)
     return
-  rows = []
+  rows, before = [], os.getloadavg()[0]
   for shown, statement in COMMANDS.items():
     if shown == "demo" and arguments.quick:
       continue
     cost = measure(statement, arguments.repeats)
     heavy = ", ".join(cost.heavy) or "-"
-    rows.append(
-      f"| `{shown}` | {cost.least:.3f} | {cost.median:.3f} | {cost.megabytes:.0f} | {cost.modules} | {heavy} |"
-    )
+    times = f"{cost.least:.3f} | {cost.median:.3f} | {cost.elapsed:.3f}"
+    rows.append(f"| `{shown}` | {times} | {cost.megabytes:.0f} | {cost.modules} | {heavy} |")
     print(rows[-1], flush=True)
   versions = ", ".join(f"{name} {version(name)}" for name in ("mjlab", "torch", "mujoco", "tyro"))
   table = "\n".join(rows)
   text = f"""# What a prompt costs
 
-CPU seconds of the whole process, least and median of {arguments.repeats} runs, its greatest memory, and the modules
-that are loaded when it is done; of `demo` until its page can be opened. The help of a task is read from a file that its
-first call writes; only that one imports the task, and its modules are shown. Absolute times hold on this machine only;
-compare rows. Made by `uv run python tools/benchmark_cli.py`.
+CPU seconds of the whole process, least and median of {arguments.repeats} runs, the least time from its start to its
+end, its greatest memory, and the modules that are loaded when it is done; of `demo` until its page can be opened. The
+help of a task is read from a file that its first call writes; only that one imports the task, and its modules are
+shown. Absolute times hold on this machine only; compare rows. Made by `uv run python tools/benchmark_cli.py`.
 
 {date.today()}, Python {platform.python_version()}, {versions};
-{os.cpu_count()} cores of {processor()}, shared with other work.
+{os.cpu_count()} cores of {processor()}, load average {before:.1f} before and {os.getloadavg()[0]:.1f} after.
 
-| command | CPU [s] | median [s] | memory [MB] | modules | of these |
-|---|---|---|---|---|---|
+| command | CPU [s] | median [s] | elapsed [s] | memory [MB] | modules | of these |
+|---|---|---|---|---|---|---|
 {table}
 """
   arguments.out.parent.mkdir(parents=True, exist_ok=True)
