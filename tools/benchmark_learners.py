@@ -40,7 +40,7 @@ COLUMNS = {
   "steps_per_second": "Perf/total_fps",
   "collect_s": "Perf/collection_time",
   "learn_s": "Perf/learning_time",
-  "error_body_pos": "Metrics/motion/error_body_pos",
+  "error_body_pos": "Episode_Metrics/error_body_pos",
 }
 WALKS = ("episode_length>950", "error_vel_xy<0.3")
 """Target of walking robots."""

@@ -46,7 +46,7 @@ def main() -> None:
   args = parser.parse_args()
   bounds = {name: float(bound) for name, bound in (re.split("[<>]", condition) for condition in args.target)}
   shown = [name for name in LABELS if name in bounds or name in ("episode_length", "reward")]
-  figure, axes = plt.subplots(1, len(shown), figsize=(4 * len(shown), 3.6), layout="constrained")
+  figure, axes = plt.subplots(1, len(shown), figsize=(4 * len(shown), 4.0), layout="constrained")
   lines = [["run", *COLUMNS]]
   for text in args.curves:
     name, _, path = text.rpartition("=")
@@ -67,7 +67,7 @@ def main() -> None:
       axis.axhline(bounds[column], color="0.7", linewidth=1)
     if column.startswith("error"):
       axis.set_ylim(0, 4 * bounds[column])
-  axes[0].legend()
+  figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
   figure.suptitle(args.title)
   figure.savefig(args.output.with_suffix(".png"), dpi=100)
   with args.output.with_suffix(".csv").open("w", newline="") as file:
