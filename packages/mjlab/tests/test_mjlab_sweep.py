@@ -162,9 +162,11 @@ def test_trials_run_on_a_cluster_that_is_there(tmp_path: Path) -> None:
   words = (TASK, "--space", "space.yaml", "--trials", "2", "--scheduler", "none", "--name", "two")
   with running(COMMAND, *words, *SMALL, "--address", "127.0.0.1:1", folder=tmp_path) as command:
     command.wait_for("error: --address 127.0.0.1:1: .*refused")
-  with running(CLUSTER, folder=tmp_path) as cluster:
+  # All that reaches a cluster shares its token.
+  token: dict[str, Any] = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0" * 64}
+  with running(CLUSTER, folder=tmp_path, **token) as cluster:
     address = cluster.wait_for(r"cluster at (\S+)")[1]
-    with running(COMMAND, TASK, "--resume", "two", "--address", address, folder=tmp_path) as command:
+    with running(COMMAND, TASK, "--resume", "two", "--address", address, folder=tmp_path, **token) as command:
       command.wait_for(r"wrote .*trials.png", LONG)
       assert len(re.findall(DONE, command.said)) == 2, command.said
     assert cluster.exit_code is None

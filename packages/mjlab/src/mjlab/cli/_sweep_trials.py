@@ -61,15 +61,18 @@ def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: b
     MjlabError: There is no such cluster.
   """
   random.seed(sweep.seed)  # From which pbt draws.
+  host, _, port = (address or "").removeprefix("ray://").rpartition(":")
   try:
-    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     if port.isdigit():
       # Ray itself tries for minutes.
       socket.create_connection((host, int(port)), _REACHED).close()
     own: dict[str, Any] = {"include_dashboard": False} if address is None else {}
     ray.init(address=address or "local", log_to_driver=False, configure_logging=False, **own)
   except (OSError, ValueError) as error:
-    raise MjlabError(f"--address {address}: {error}") from error
+    # Of the system's errors, which have a number, none is about a token.
+    is_refused = getattr(error, "errno", None) is None and "RAY_AUTH_MODE" not in os.environ
+    token = "; a cluster with a token needs RAY_AUTH_MODE=token" if port.isdigit() and is_refused else ""
+    raise MjlabError(f"--address {address}: {error}{token}") from error
   try:
     function = tune.with_parameters(train_trial, sweep=msgspec.json.encode(sweep), folder=folder)
     trainable = tune.with_resources(function, {"cpu": sweep.cpus, "gpu": sweep.gpus})
