@@ -96,7 +96,7 @@ _PRESETS: dict[str, tuple[CollisionCfg, ...]] = {
 # Files of a link share a frame, and most links' are numbered through.
 _UPPER_ARM = ((0.0199992, -0.1041, -2.44738e-05), (1.0, -1.0, -1.0, -1.0))
 _FOREARM = ((-0.244001, 0.104101, 2.44738e-05), (1.0, 1.0, 1.0, -1.0))
-_HAND = ((0.0, -0.164101, -0.110597), (1.0, -1.0, 0.0, 0.0))
+_HAND_FRAME = ((0.0, -0.164101, -0.110597), (1.0, -1.0, 0.0, 0.0))
 _LEFT_FINGER = ((0.171097, -0.203301, 0.037), (1.0, -1.0, -1.0, -1.0))
 _RIGHT_FINGER = ((0.171097, -0.124901, -0.037), (1.0, -1.0, -1.0, -1.0))
 _MESHES = tuple(
@@ -113,8 +113,8 @@ _MESHES = tuple(
     ("link_3", "model2__9", "black", _FOREARM),
     ("link_4", "model2__10", "black", ((0.00100023, 0.164101, 2.44738e-05), (1.0, 1.0, 1.0, -1.0))),
     ("link_5", "model2__11", "black", ((0.0, -0.0749971, 0.203601), (1.32679e-06, 1.0, 0.0, 0.0))),
-    ("link_6", "model2__12", "black", _HAND),
-    ("link_6", "model2__13", "black", _HAND),
+    ("link_6", "model2__12", "black", _HAND_FRAME),
+    ("link_6", "model2__13", "black", _HAND_FRAME),
     ("link_left_finger", "model2__14", "black", _LEFT_FINGER),
     ("link_left_finger", "model2__15", "black", _LEFT_FINGER),
     ("camera_d405", "d405", "black", ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))),
