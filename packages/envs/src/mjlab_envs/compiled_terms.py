@@ -9,10 +9,8 @@ import torch
 from mjlab_core.state import Stateful
 from mjlab_managers import ManagerBase
 from mjlab_managers.binding import Term, call_terms
-from mjlab_managers.watch import Watch
+from mjlab_managers.watch import PlainTensors, Watch
 from mjlab_sim import Simulation
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_map
 
 _log = logging.getLogger("mjlab")
 Values = list[torch.Tensor]
@@ -49,7 +47,7 @@ class CompiledTerms:
       return self._programs[key]()
 
   def _compile(self, terms: Sequence[Term]) -> Callable[[], Values]:
-    arrays = _Arrays()
+    arrays = PlainTensors()
     with torch.no_grad(), self._undone(terms):
       own = [term for term in terms if not self._is_pure(term, arrays)]
       pure = [term for term in terms if term not in own]
@@ -67,7 +65,7 @@ class CompiledTerms:
 
     return evaluate if pure else lambda: call_terms(terms)
 
-  def _is_pure(self, term: Term, arrays: "_Arrays") -> bool:
+  def _is_pure(self, term: Term, arrays: PlainTensors) -> bool:
     """Return True if a term consists of operations on tensors alone, all seen by a trace."""
     sensed, arrays.draws = self._sim.num_sensed, False
     self._sim.expire()
@@ -75,7 +73,7 @@ class CompiledTerms:
       term()
     return not (watch.reads_host or arrays.draws or self._sim.num_sensed != sensed)
 
-  def _trace(self, terms: Sequence[Term], arrays: "_Arrays") -> torch.fx.GraphModule:
+  def _trace(self, terms: Sequence[Term], arrays: PlainTensors) -> torch.fx.GraphModule:
     """Return the operations of terms, everything that follows from the state included."""
     # The compiler takes seconds to import.
     from torch.fx.experimental.proxy_tensor import make_fx
@@ -96,35 +94,3 @@ class CompiledTerms:
     for owner, state in zip(owners, states, strict=True):
       owner.restore(state)
     self._rng.set_state(generator)
-
-
-class _Arrays(TorchDispatchMode):
-  """Mode that has operations work on plain tensors over the arrays of an engine, which a trace requires."""
-
-  def __init__(self) -> None:
-    super().__init__()
-    self.draws = False
-    """True if a random number was drawn."""
-    self._plain: dict[int, tuple[torch.Tensor, torch.Tensor | None]] = {}
-
-  @classmethod
-  def _should_skip_dynamo(cls) -> bool:
-    """Return False, as in `mjlab_managers.watch`."""
-    return False
-
-  def make_plain(self) -> None:
-    """Make the plain tensors of all arrays that were seen."""
-    self._plain = {
-      key: (array, array.as_subclass(torch.Tensor) if plain is None else plain)
-      for key, (array, plain) in self._plain.items()
-    }
-
-  def _replaced(self, value: Any) -> Any:
-    if not isinstance(value, torch.Tensor) or type(value) is torch.Tensor:
-      return value
-    _, plain = self._plain.setdefault(id(value), (value, None))
-    return value if plain is None else plain
-
-  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-    self.draws |= torch.Tag.nondeterministic_seeded in func.tags
-    return func(*tree_map(self._replaced, args), **tree_map(self._replaced, kwargs or {}))

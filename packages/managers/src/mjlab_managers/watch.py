@@ -12,6 +12,7 @@ from typing import Any, Self
 
 import torch
 from mjlab_core.state import Stateful
+from torch.fx.node import map_aggregate
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -77,6 +78,38 @@ class _HostReads(TorchDispatchMode):
     if "_local_scalar_dense" in str(func):
       self._watch.reads_host = True
     return func(*args, **(kwargs or {}))
+
+
+class PlainTensors(TorchDispatchMode):
+  """Mode that has operations work on plain tensors over the arrays of an engine, which a trace requires."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.draws = False
+    """True if a random number was drawn."""
+    self._plain: dict[int, tuple[torch.Tensor, torch.Tensor | None]] = {}
+
+  @classmethod
+  def _should_skip_dynamo(cls) -> bool:
+    """Return False, as above."""
+    return False
+
+  def make_plain(self) -> None:
+    """Make the plain tensors of all arrays that were seen."""
+    self._plain = {
+      key: (array, array.as_subclass(torch.Tensor) if plain is None else plain)
+      for key, (array, plain) in self._plain.items()
+    }
+
+  def _replaced(self, value: Any) -> Any:
+    if not isinstance(value, torch.Tensor) or type(value) is torch.Tensor:
+      return value
+    _, plain = self._plain.setdefault(id(value), (value, None))
+    return value if plain is None else plain
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    self.draws |= torch.Tag.nondeterministic_seeded in func.tags
+    return func(*map_aggregate(args, self._replaced), **map_aggregate(kwargs or {}, self._replaced))
 
 
 def _leaves(value: Any) -> Iterator[Any]:
