@@ -12,6 +12,7 @@ import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp.fused_newton import FusedNewton, choose_solver
+from sim_problem import ROWS, Problem
 
 MakeSim = Callable[..., Simulation]
 CONES = {
@@ -19,7 +20,6 @@ CONES = {
   "elliptic": mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC,
 }
 """Each cone's type of constraint row."""
-ROWS = 96
 
 
 def random_model(seed: int, cone: str) -> mujoco.MjModel:
@@ -62,40 +62,15 @@ def random_model(seed: int, cone: str) -> mujoco.MjModel:
   </mujoco>""")
 
 
-class Problem:
-  """One state of a model, and MuJoCo C's view of a constrained acceleration there."""
-
-  def __init__(self, model: mujoco.MjModel, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    self.model, self.host = model, mujoco.MjData(model)
-    mujoco.mj_integratePos(model, self.host.qpos, rng.normal(0, 0.15, model.nv), 1.0)
-    self.host.qpos[2] = rng.uniform(0.08, 0.12)
-    self.host.qvel[:] = rng.normal(0, 1, model.nv)
-    mujoco.mj_forward(model, self.host)
-    self.best = self.host.qacc.copy()
-    self.m = mjw.put_model(model)
-    self.d: Any = mjw.put_data(model, self.host, nworld=1, nconmax=24, njmax=ROWS)
-    self.d.qacc_warmstart.zero_()
-    mjw.step1(self.m, self.d)
-    mjw.fwd_actuation(self.m, self.d)
-    mjw.fwd_acceleration(self.m, self.d)
-
-  def judge(self, qacc: np.ndarray) -> tuple[float, float]:
-    """Return the cost above that of MuJoCo C, in the unit of the tolerance, and the relative residual force."""
-    cost, residual = self._cost(qacc.astype(float))
-    size = np.linalg.norm(self.host.qfrc_constraint)
-    inertia = np.zeros((self.model.nv, self.model.nv))
-    mujoco.mj_fullM(self.model, self.host, inertia)
-    return (cost - self._cost(self.best)[0]) / np.trace(inertia), float(np.linalg.norm(residual) / size)
-
-  def _cost(self, qacc: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the cost of an acceleration, and the force that is missing for equilibrium."""
-    model, host = self.model, self.host
-    rows, force, cost = np.zeros(host.nefc), np.zeros(model.nv), np.zeros(1)
-    mujoco.mj_mulJacVec(model, host, rows, qacc)
-    mujoco.mj_constraintUpdate(model, host, rows - host.efc_aref, cost, 0)
-    mujoco.mj_mulM(model, host, force, qacc - host.qacc_smooth)
-    return cost[0] + 0.5 * (qacc - host.qacc_smooth) @ force, force - host.qfrc_constraint
+def random_problem(model: mujoco.MjModel, seed: int) -> Problem:
+  """A random state of a random model."""
+  rng = np.random.default_rng(seed)
+  host = mujoco.MjData(model)
+  mujoco.mj_integratePos(model, host.qpos, rng.normal(0, 0.15, model.nv), 1.0)
+  host.qpos[2] = rng.uniform(0.08, 0.12)
+  host.qvel[:] = rng.normal(0, 1, model.nv)
+  mujoco.mj_forward(model, host)
+  return Problem(model, host)
 
 
 @pytest.mark.warp
@@ -103,7 +78,7 @@ class Problem:
 def test_solutions_on_random_models_are_optimal_by_mujoco(cone: str) -> None:
   types, dims, worst = set(), set(), 0.0
   for seed in range(8):
-    problem = Problem(random_model(seed, cone), seed)
+    problem = random_problem(random_model(seed, cone), seed)
     m, d, host = problem.m, problem.d, problem.host
     assert d.nefc.numpy()[0] == host.nefc
     types |= set(host.efc_type.tolist())
@@ -129,7 +104,7 @@ def test_solutions_on_random_models_are_optimal_by_mujoco(cone: str) -> None:
 
 @pytest.mark.warp
 def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
-  problem = Problem(random_model(3, "elliptic"), 3)
+  problem = random_problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d
   found = []
   for sizes in ({}, {"rows": 4}, {"groups": 8}):
@@ -146,7 +121,7 @@ def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
 @pytest.mark.warp
 @pytest.mark.parametrize("run_qacc_smooth", [True, False])
 def test_a_world_without_rows_gets_its_smooth_acceleration(run_qacc_smooth: bool) -> None:
-  problem = Problem(random_model(3, "elliptic"), 3)
+  problem = random_problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d
   m.opt.run_qacc_smooth = run_qacc_smooth
   for count in (d.ne, d.nf, d.nefc):
@@ -159,7 +134,7 @@ def test_a_world_without_rows_gets_its_smooth_acceleration(run_qacc_smooth: bool
 
 @pytest.mark.warp
 def test_a_solver_follows_buffers_that_grow() -> None:
-  problem = Problem(random_model(3, "elliptic"), 3)
+  problem = random_problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d
   found = []
   for rows in (8, ROWS):
@@ -172,7 +147,7 @@ def test_a_solver_follows_buffers_that_grow() -> None:
 
 @pytest.mark.warp
 def test_forces_and_states_of_rows_are_those_of_mujoco_warp() -> None:
-  problem = Problem(random_model(3, "elliptic"), 3)
+  problem = random_problem(random_model(3, "elliptic"), 3)
   m, d = problem.m, problem.d
   found = []
   for solve in (FusedNewton(m, d).solve, mjw.solve):
