@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
+from mjlab.demos import shipped
 from mjlab.environments import standard_env
 from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
@@ -373,7 +374,8 @@ def test_the_demo_lifts_too_to_where_it_is_told(
   # Of eight that begin anywhere at most one may have slipped away.
   assert int((away[0] < 0.05).sum()) >= 7
   assert cli.main(["demo", "lift"]) == 2
-  assert capsys.readouterr().err == "error: 'lift': not a flag; --task selects the policy: g1, g1-rough, go1, lift\n"
+  names = ", ".join(shipped())
+  assert capsys.readouterr().err == f"error: 'lift': not a flag; --task selects the policy: {names}\n"
   assert cli.main(["demo", "--task", "lit"]) == 2
   assert "demo 'lit' does not exist" in capsys.readouterr().err
 

@@ -10,7 +10,7 @@ TASKS = {
   "go1-rough": "Mjlab-Velocity-Rough-Unitree-Go1-Blind",
   "track": "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
   "lift": "Mjlab-Lift-Cube-Yam",
-  "lift-rgb": "Mjlab-Lift-Cube-Yam-Rgb",
+  "lift-rgb": "Mjlab-Lift-Cube-Yam-Rgb-Distill",
 }
 """Task of each policy that can ship, by its name. The first that ships is the one that `demo` shows unasked."""
 _CHECKPOINTS = {"go1": "demo_policy", "lift": "demo_policy_lift"}

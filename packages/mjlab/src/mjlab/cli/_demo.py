@@ -23,8 +23,8 @@ _LINE = CommandLine(
   name="demo",
   words="",
   purpose=(
-    "Shows a robot that walks, or an arm that lifts a cube, in the browser. The control `Manual` gives commands and "
-    "moves the goal. Nothing is downloaded."
+    "Shows a robot that walks or follows a clip, or an arm that lifts a cube, in the browser. The control `Manual` "
+    "gives commands and moves the goal. Nothing is downloaded."
   ),
   arguments=Arguments,
 )
