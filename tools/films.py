@@ -16,8 +16,8 @@ import torch
 from mjlab import load_task
 from mjlab.demos import shipped
 from mjlab.environments import standard_env
-from mjlab_rl import BundlePolicy, CheckpointPolicy, checkpoints, load_run
-from mjlab_rl.bundle_policy import is_bundle, task_of_bundle
+from mjlab_rl import BundlePolicy
+from mjlab_rl.bundle_policy import task_of_bundle
 from mjlab_viewer import CameraCfg, OffscreenRenderer, PictureCfg, SnapshotTaker
 from PIL import Image
 
@@ -42,18 +42,13 @@ def camera_of(name: str) -> CameraCfg:
 
 def frames(folder: Path, camera: CameraCfg, size: tuple[int, int], rate: float, seconds: float) -> list[Image.Image]:
   """Return the frames of a film of a policy."""
-  task = load_task(task_of_bundle(folder) if is_bundle(folder) else load_run(folder).task)
+  task = load_task(task_of_bundle(folder))
   cfg: Any = task.env if task.play is None else task.play(task.env)
   cfg.scene.num_envs, cfg.seed = 1, 0
   picture = PictureCfg(width=size[0], height=size[1], camera=camera)
   found = []
   with standard_env(cfg, device="cpu") as env, OffscreenRenderer(env.sim.mj_model, picture) as renderer:
-    policy: Any
-    if is_bundle(folder):
-      policy = BundlePolicy(folder, env)
-    else:
-      policy = CheckpointPolicy(env, task.agent, task.runner)
-      policy.load(checkpoints(folder)[-1])
+    policy = BundlePolicy(folder, env)
     taker = SnapshotTaker(env)
     observations, _ = env.reset(seed=0)
     every = max(1, round(1.0 / (rate * env.step_dt)))

@@ -1,4 +1,4 @@
-"""Policies that come with the package: bundles in `demo_policies`, and two checkpoints."""
+"""Policies that come with the package: bundles in `demo_policies`."""
 
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -13,14 +13,9 @@ TASKS = {
   "lift-rgb": "Mjlab-Lift-Cube-Yam-Rgb-Distill",
 }
 """Task of each policy that can ship, by its name. The first that ships is the one that `demo` shows unasked."""
-_CHECKPOINTS = {"go1": "demo_policy", "lift": "demo_policy_lift"}
 
 
 def shipped() -> dict[str, Traversable]:
-  """Return the folders of the policies that ship, by name: a bundle, or a checkpoint with its manifest."""
-  package = files("mjlab")
-  found = {name: package / folder for name, folder in _CHECKPOINTS.items()}
-  found |= {
-    name: folder for name in TASKS if (folder := package / "demo_policies" / name).joinpath("bundle.json").is_file()
-  }
-  return {name: found[name] for name in TASKS if name in found}
+  """Return the folders of the bundles that ship, by name."""
+  folder = files("mjlab") / "demo_policies"
+  return {name: folder / name for name in TASKS if (folder / name / "bundle.json").is_file()}

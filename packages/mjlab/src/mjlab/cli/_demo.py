@@ -49,11 +49,9 @@ def run(words: list[str]) -> int:
   if not any(word.partition("=")[0] in ("--viewer", "--video") for word in flags):
     flags = ["--viewer", "browser", *flags]
   with as_file(policies[name]) as directory:
-    from mjlab_rl import load_run
-    from mjlab_rl.bundle_policy import is_bundle, task_of_bundle
+    from mjlab_rl.bundle_policy import task_of_bundle
 
-    task = task_of_bundle(directory) if is_bundle(directory) else load_run(directory).task
-    return _play.run([task, "--checkpoint", str(directory), *flags])
+    return _play.run([task_of_bundle(directory), "--checkpoint", str(directory), *flags])
 
 
 def _task(words: list[str], names: list[str]) -> tuple[str, list[str]]:
