@@ -13,7 +13,7 @@ from typing import Any
 import mjlab_rl
 import pytest
 import torch
-from mjlab_rl import MjlabOnPolicyRunner, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper, checkpoint
+from mjlab_rl import MjlabOnPolicyRunner, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper, checkpoint, checkpoints
 from mjlab_rl.ranks import Patience, Ranks
 from rl_point_env import PointEnv, PointEnvCfg
 from torch import distributed
@@ -21,11 +21,29 @@ from torch import distributed
 PROGRAM = Path(__file__).parent / "rl_fault_program.py"
 
 
+def ended(folder: Path, fault: str) -> subprocess.CompletedProcess[str]:
+  """Return a run of two processes of which the second one has a fault."""
+  launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+  done = subprocess.run([*launcher, PROGRAM, folder, fault], capture_output=True, text=True, check=False, timeout=500)
+  assert done.returncode != 0
+  return done
+
+
+@pytest.mark.slow
+def test_a_process_that_diverges_ends_all_with_the_last_good_checkpoint(tmp_path: Path) -> None:
+  done = ended(tmp_path, "diverges")
+  for rank in range(2):
+    assert re.search(
+      rf"rank{rank}\]:.*DivergedError: iteration 3: .* not finite, so the state is not saved", done.stderr
+    )
+  (run,) = tmp_path.glob("point/*")
+  assert [path.name for path in checkpoints(run)] == ["model_1.pt", "model_2.pt"]
+  assert not list(run.glob("emergency_*"))
+
+
 @pytest.mark.slow
 def test_a_process_that_hangs_ends_the_run_and_the_others_save_the_learner(tmp_path: Path) -> None:
-  command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", PROGRAM, tmp_path]
-  done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
-  assert done.returncode != 0
+  done = ended(tmp_path, "hangs")
   assert "Timeout (" in done.stderr  # of faulthandler
   assert re.search(r'rl_fault_program.py", line \d+ in step', done.stderr)
   assert "rank 0: another process of the run has ended or hangs" in done.stderr
