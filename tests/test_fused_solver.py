@@ -25,7 +25,7 @@ TASKS = (
 
 
 def states(task: str) -> list[tuple[mujoco.MjModel, mujoco.MjData]]:
-  """Two worlds of a rollout with random actions, as MuJoCo C sees them, with contacts."""
+  """Return two worlds of a rollout with random actions, as MuJoCo C sees them, with contacts."""
   cfg = load_task(task).env
   cfg.scene.num_envs, cfg.seed = 2, 1
   # The model of all worlds: its fields are not randomised.

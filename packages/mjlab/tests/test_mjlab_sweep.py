@@ -109,7 +109,7 @@ threading.Event().wait()
 
 
 def results(folder: Path) -> list[list[dict[str, Any]]]:
-  """What each trial has reported, in its order."""
+  """Return the reports of each trial, in their order."""
   return [list(map(json.loads, path.read_text().splitlines())) for path in folder.glob("*/result.json")]
 
 
