@@ -20,8 +20,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from mjlab import load_task
-from mjlab_envs import ManagerBasedRlEnv
-from mjlab_rl import CheckpointPolicy, Evaluation
+from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab_rl import CheckpointPolicy, Evaluation, TaskCfg
 from mjlab_velocity import VelocityEvaluation
 
 FOLDER = Path(__file__).parents[1] / "docs" / "benchmarks"
@@ -35,11 +35,10 @@ PAYLOAD = ("payload", "payload", "kg", 1, (0.0, 1.0, 2.5, 5.0))
 PUSHES = ("push", "pushes every 3 s", "m/s", 1, (0.0, 0.5, 1.0, 1.5))
 
 
-def play(task: str, checkpoint: Path, evaluator: VelocityEvaluation) -> Evaluation:
+def play(task: TaskCfg[ManagerBasedRlEnvCfg], checkpoint: Path, evaluator: VelocityEvaluation) -> Evaluation:
   """Return the results of an evaluation of a policy."""
-  parts = load_task(task)
-  with ManagerBasedRlEnv(evaluator.configure(parts.env), device="cpu") as env:
-    policy = CheckpointPolicy(env, parts.agent, parts.runner)
+  with ManagerBasedRlEnv(evaluator.configure(task.env), device="cpu") as env:
+    policy = CheckpointPolicy(env, task.agent, task.runner)
     policy.load(checkpoint)
     return evaluator.run(env, policy)
 
@@ -78,7 +77,7 @@ def main() -> None:
     pushes = across[4] if across is PUSHES else (0.0,)
     levels: dict[str, tuple[float, ...]] = {axis[0]: axis[4] for axis in (down, across) if axis is not PUSHES}
     evaluator = VelocityEvaluation(grid=COMMANDS, pushes=pushes, levels=levels, repeats=args.repeats)
-    result = play(args.task, args.checkpoint, evaluator)
+    result = play(load_task(args.task), args.checkpoint, evaluator)
     tables = {}
     for column, (metric, label) in enumerate((("fall_rate", "falls"), ("lin_vel_rmse", "velocity error [m/s]"))):
       values = np.array([[cell(result, metric, named(down, a), named(across, b)) for b in across[4]] for a in down[4]])

@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import ConfigError, UnknownNameError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_velocity import VelocityEvaluation, g1_rough_blind, go1_flat, go1_flat_env, sim_to_real
 
@@ -100,6 +100,14 @@ def test_the_preset_can_be_evaluated_at_levels_of_its_own_events() -> None:
     group = env.scene["robot"].actuators.groups[0]
     ratio = group.stiffness / group.nominal("stiffness")
     torch.testing.assert_close(ratio[:, 0].float(), torch.tensor([0.8, 1.2, 0.8, 1.2]))
+
+
+def test_parts_of_the_preset_are_taken_by_name() -> None:
+  plain, pushed = go1_flat().env, sim_to_real(go1_flat(), ["pushes"]).env
+  assert pushed.events.keys() == plain.events.keys()
+  assert [name for name in plain.events if plain.events[name] != pushed.events[name]] == ["push_robot"]
+  with pytest.raises(UnknownNameError, match=r"part of sim_to_real .*Nearest: gains"):
+    sim_to_real(go1_flat(), ["gain"])
 
 
 def test_the_preset_refuses_a_task_without_the_parts_that_it_changes() -> None:

@@ -84,9 +84,9 @@ class SimulationCfg(Config):
   """Duration of one physics step [s]."""
   integrator: Literal["euler", "rk4", "implicit", "implicitfast"] | None = "implicitfast"
   solver: Literal["newton", "cg", "pgs"] | None = None
-  solver_backend: Literal["auto", "mujoco_warp", "fused"] = "mujoco_warp"
+  solver_backend: Literal["auto", "mujoco_warp", "fused"] = "auto"
   """Program that runs Newton's method on MuJoCo Warp. `fused`: one kernel for all iterations of a world, which refuses
-  some models by name. `auto`: fused on a GPU where the model allows it."""
+  some models by name. `auto`: fused on a GPU where the model allows it, and MuJoCo Warp's own elsewhere."""
   cone: Literal["pyramidal", "elliptic"] | None = None
   jacobian: Literal["auto", "dense", "sparse"] | None = None
   iterations: PositiveCount | None = None

@@ -1,9 +1,13 @@
 """Velocity tasks for robots: actors that see what sensors measure, and a preset of randomisation and delays."""
 
+from collections.abc import Callable, Iterable
+
 from mjlab_actuators import DcMotorActuatorCfg, NativePositionActuatorCfg
 from mjlab_core.errors import ConfigError
+from mjlab_core.names import check_name
 from mjlab_dr import pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
+from mjlab_managers import EventTermCfg
 from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg
 
 from mjlab_velocity.levels import actuators_of, add_axis, torso_pattern
@@ -25,47 +29,73 @@ MEASURED = ("base_ang_vel", "projected_gravity", "joint_pos", "joint_vel")
 """Observations of the actor that arrive late."""
 
 
-def sim_to_real(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
+def sim_to_real(
+  task: TaskCfg[ManagerBasedRlEnvCfg], parts: Iterable[str] | None = None
+) -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return a velocity task that trains for a robot rather than for one model of it. The task is changed in place.
 
   | part | change |
   |---|---|
-  | `torso_inertia`, `link_inertia` | mass, centre of mass and inertia of all bodies; replace `base_com` |
-  | `stiffness`, `damping` | gains of each joint between 0.9 and 1.1 of their own |
+  | `inertia` | mass, centre of mass and inertia of all bodies are drawn; replaces the event `base_com` |
+  | `gains` | gains of each joint between 0.9 and 1.1 of their own |
   | `actuator_delay` | targets arrive up to 20 ms late, constant in a world |
-  | sensors | encoders and IMU up to one step of the policy late, constant in a world |
-  | torque-speed line | native servos become DC motors whose torque falls to 0 at the top speed |
-  | pushes | twice as large |
+  | `sensor_delay` | encoders and IMU up to one step of the policy late, constant in a world |
+  | `torque_speed` | native servos become DC motors whose torque falls to 0 at the top speed |
+  | `pushes` | twice as large |
 
   Friction of the feet and errors of encoders are drawn by the task already.
 
+  Args:
+    task: Velocity task, as in `go1_flat()`.
+    parts: Names of the table; None: all of them.
+
   Raises:
-    ConfigError: The task lacks a part that is to be changed; the message names it.
+    UnknownNameError: There is no such part.
+    ConfigError: The task lacks what a part changes; the message names it.
   """
-  cfg = task.env
-  for name in ("base_com", "push_robot"):
-    if cfg.events.get(name) is None:
-      raise ConfigError(f"sim_to_real: the task has no event '{name}'")
+  for name in PARTS if parts is None else parts:
+    check_name("part of sim_to_real", name, PARTS)
+    PARTS[name](task.env)
+  return _named(task, "_sim_to_real")
+
+
+def _vary_inertia(cfg: ManagerBasedRlEnvCfg) -> None:
+  _event(cfg, "base_com")
   torso = torso_pattern(cfg)
-  _limit_torque_by_speed(cfg)
   cfg.events["base_com"] = None
-  cfg.events |= {
-    "torso_inertia": mdp.randomize_at_startup(pseudo_inertia(torso, alpha=TORSO_ALPHA, t=COM_SHIFT)),
-    "link_inertia": mdp.randomize_at_startup(pseudo_inertia(f"(?!({torso})$).*", scale=LINK_SCALE)),
-    "stiffness": mdp.randomize_at_startup(randomize_field("stiffness", ".*", GAINS, operation="scale")),
-    "damping": mdp.randomize_at_startup(randomize_field("damping", ".*", GAINS, operation="scale")),
-  }
+  cfg.events["torso_inertia"] = mdp.randomize_at_startup(pseudo_inertia(torso, alpha=TORSO_ALPHA, t=COM_SHIFT))
+  cfg.events["link_inertia"] = mdp.randomize_at_startup(pseudo_inertia(f"(?!({torso})$).*", scale=LINK_SCALE))
+
+
+def _vary_gains(cfg: ManagerBasedRlEnvCfg) -> None:
+  for name in ("stiffness", "damping"):
+    cfg.events[name] = mdp.randomize_at_startup(randomize_field(name, ".*", GAINS, operation="scale"))
+
+
+def _delay_targets(cfg: ManagerBasedRlEnvCfg) -> None:
   add_axis(cfg, "actuator_delay", tuple(range(ACTUATOR_DELAY + 1)))
+
+
+def _delay_sensors(cfg: ManagerBasedRlEnvCfg) -> None:
   actor = cfg.observations["actor"]
   for name in MEASURED:
     term = None if actor is None else actor.terms.get(name)
     if term is not None:
       term.delay_max_lag = SENSOR_DELAY
-  push = cfg.events["push_robot"]
-  assert push is not None
-  ranges = push.params["velocity_range"]
-  push.params["velocity_range"] = {key: (PUSH_FACTOR * lo, PUSH_FACTOR * hi) for key, (lo, hi) in ranges.items()}
-  return _named(task, "_sim_to_real")
+
+
+def _push_harder(cfg: ManagerBasedRlEnvCfg) -> None:
+  params = _event(cfg, "push_robot").params
+  params["velocity_range"] = {
+    axis: (PUSH_FACTOR * low, PUSH_FACTOR * high) for axis, (low, high) in params["velocity_range"].items()
+  }
+
+
+def _event(cfg: ManagerBasedRlEnvCfg, name: str) -> EventTermCfg:
+  event = cfg.events.get(name)
+  if event is None:
+    raise ConfigError(f"sim_to_real: the task has no event '{name}'")
+  return event
 
 
 def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
@@ -88,6 +118,17 @@ def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
     else:
       motors.append(servo)
   articulation.actuators = tuple(motors)
+
+
+PARTS: dict[str, Callable[[ManagerBasedRlEnvCfg], None]] = {
+  "torque_speed": _limit_torque_by_speed,
+  "inertia": _vary_inertia,
+  "gains": _vary_gains,
+  "actuator_delay": _delay_targets,
+  "sensor_delay": _delay_sensors,
+  "pushes": _push_harder,
+}
+"""Parts of `sim_to_real` by name, in the order in which they change a task."""
 
 
 def blind(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
