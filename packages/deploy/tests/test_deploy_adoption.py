@@ -1,6 +1,7 @@
 """Networks of others run by their metadata."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from deploy_bundles import DEFAULT, EFFORT, KD, KP, SCALE, SCENE
 from mjlab_deploy import Policy
 from mjlab_deploy.adoption import adopted
 from mjlab_deploy.command import main
+from mjlab_deploy.simulated_run import SimulatedRun
 from onnx import TensorProto, helper, numpy_helper
 
 METADATA = {
@@ -26,15 +28,15 @@ METADATA = {
 WEIGHTS = np.array([[-0.4], [0.3], [-0.05], [0.1], [2.0], [0.0], [0.0]], np.float32)
 
 
-def network(path: Path, **metadata: str | None) -> Path:
+def network(path: Path, output: str = "actions", /, **metadata: str | None) -> Path:
   """Write actions = obs @ WEIGHTS with metadata; None leaves out a key."""
 
   def value(name: str, width: int) -> onnx.ValueInfoProto:
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
 
   graph = helper.make_graph(
-    [helper.make_node("MatMul", ["obs", "weights"], ["actions"])],
-    "policy", [value("obs", len(WEIGHTS))], [value("actions", 1)], [numpy_helper.from_array(WEIGHTS, "weights")],
+    [helper.make_node("MatMul", ["obs", "weights"], [output])],
+    "policy", [value("obs", len(WEIGHTS))], [value(output, 1)], [numpy_helper.from_array(WEIGHTS, "weights")],
   )  # fmt: skip
   model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
   model.ir_version = 9
@@ -69,6 +71,44 @@ def test_a_network_gets_the_observation_that_its_metadata_describes(tmp_path: Pa
     np.testing.assert_allclose(step.observations["actor"], seen, rtol=1e-5)
     action, before = float(np.array(seen) @ WEIGHTS[:, 0]), now
     np.testing.assert_allclose(step.targets["target/position"], [DEFAULT + SCALE * action], rtol=1e-5)
+
+
+def test_a_network_of_playground_gets_its_observation_from_a_description_beside_it(tmp_path: Path, robot: Path) -> None:
+  """MuJoCo Playground exports "obs" to "continuous_actions" without metadata; its robots are not only Unitree's."""
+  path = network(tmp_path / "policy.onnx", "continuous_actions", **dict.fromkeys(METADATA))
+  terms = {
+    "joint_pos_rel": {}, "joint_vel_rel": {"scale": [0.5], "clip": [-1.0, 1.0], "history_length": 2},
+    "last_action": {}, "velocity_commands": {},
+  }  # fmt: skip
+  content = {
+    "motor_names": ["hinge"], "joint_ids_map": [0], "step_dt": 0.02, "stiffness": [KP], "damping": [KD],
+    "default_joint_pos": [DEFAULT], "actions": {"JointPositionAction": {"scale": SCALE, "offset": [DEFAULT]}},
+    "observations": terms,
+  }  # fmt: skip
+  (tmp_path / "deploy.yaml").write_text(json.dumps(content))
+  readings = {"joint/position": [0.4], "joint/velocity": [3.0], "command/velocity": [0.2, 0.1, 0.0]}
+  steps = []
+  for file in (path, network(tmp_path / "with_metadata.onnx")):
+    with adopted(file, robot) as bundle:
+      policy = Policy(bundle)
+    steps.append([policy.step({name: np.array(value) for name, value in readings.items()}) for _ in range(2)])
+  for own, other in zip(*steps, strict=True):
+    assert own.observations["actor"] == pytest.approx(other.observations["actor"])
+    assert own.targets["target/position"] == pytest.approx(other.targets["target/position"])
+    assert own.action != 0.0
+
+
+PUBLISHED = Path(os.environ.get("MJLAB_PUBLISHED_POLICIES", "/nowhere"))
+
+
+@pytest.mark.parametrize("policy", sorted(PUBLISHED.rglob("*.onnx")) or [None], ids=str)
+def test_published_policies_run(policy: Path | None) -> None:
+  if policy is None:
+    pytest.skip("set MJLAB_PUBLISHED_POLICIES to folders with a network, robot.xml and, without metadata, deploy.yaml")
+  with adopted(policy, policy.parent / "robot.xml") as bundle:
+    run = SimulatedRun(bundle)
+    run.run(10.0)
+    assert run.runner.phase == "policy", run.runner.reason
 
 
 def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,7 +155,7 @@ DEPLOY = {
   ("change", "message"),
   [
     ({"step_dt": None}, "float"),
-    ({"joint_ids_map": [0, 1]}, "joint_ids_map numbers 2 motors, expected those of a G1 with 29 or of a quadruped"),
+    ({"joint_ids_map": [0, 1]}, "joint_ids_map numbers 2 motors, expected those of a G1 with 29, of a quadruped"),
     ({"stiffness": [20.0]}, "list index out of range"),
     ({"actions": {"JointVelocityAction": {}}}, "action JointVelocityAction is not one of all joints without a clip"),
     ({"default_joint_pos": [0.1] * 12}, "the offset of its action is not the default pose"),

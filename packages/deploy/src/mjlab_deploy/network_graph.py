@@ -53,7 +53,9 @@ class NetworkGraph:
     self._metadata: Mapping[str, str] = session.get_modelmeta().custom_metadata_map
     self._inputs = {item.name: [n if isinstance(n, int) else 1 for n in item.shape] for item in session.get_inputs()}
     self._outputs = [item.name for item in session.get_outputs()]
-    if "obs" not in self._inputs or "actions" not in self._outputs:
+    # Trainers agree on "obs", not on the output: rsl-rl writes "actions", MuJoCo Playground "continuous_actions".
+    self._action = "actions" if "actions" in self._outputs or len(self._outputs) != 1 else self._outputs[0]
+    if "obs" not in self._inputs or self._action not in self._outputs:
       raise DeployError(
         f"the network must take 'obs' and return 'actions'; it takes {', '.join(self._inputs)[:120]} and returns "
         f"{', '.join(self._outputs)[:120]}"
@@ -186,7 +188,7 @@ class NetworkGraph:
     if "time_step" in self._inputs:
       given["time_step"] = feed["memory/time_step"]
     values = dict(zip(self._outputs, self._session.run(None, given), strict=True))
-    action = np.asarray(values["actions"], np.float32).reshape(1, -1)
+    action = np.asarray(values[self._action], np.float32).reshape(1, -1)
     following |= {f"memory/{name}": np.asarray(values[output]) for name, output in self.states.items()}
     following |= {"memory/last_action": action, "memory/time_step": feed["memory/time_step"] + np.float32(1.0)}
     target = (self.default + self.action_scale * action).astype(np.float32)

@@ -48,9 +48,11 @@ _KEYS = ("joint_ids_map", "step_dt", "stiffness", "damping", "default_joint_pos"
 
 def _metadata(data: Mapping[str, Any]) -> dict[str, str]:
   motors = [int(number) for number in data["joint_ids_map"]]
-  known = {len(names): names for names in MOTORS}
+  known = {len(names): names for names in (*MOTORS, data.get("motor_names", ()))}
   if sorted(motors) != list(range(len(motors))) or len(motors) not in known:
-    raise DeployError(f"joint_ids_map numbers {len(motors)} motors, expected those of a G1 with 29 or of a quadruped")
+    raise DeployError(
+      f"joint_ids_map numbers {len(motors)} motors, expected those of a G1 with 29, of a quadruped, or of motor_names"
+    )
   names = known[len(motors)]
   default = [float(value) for value in data["default_joint_pos"]]
   ((kind, action),) = data["actions"].items()
