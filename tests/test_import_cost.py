@@ -73,5 +73,5 @@ def test_the_page_of_the_demo_opens_without_learner_compiler_or_warp() -> None:
   )
   assert {"torch", "viser", "mjlab_viewer.browser.viewer"} <= loaded
   # A bundle runs in ONNX Runtime.
-  unneeded = {"rsl_rl", "tensordict", "tensorboard", "git", "onnx", "matplotlib", "sympy"}
+  unneeded = {"rsl_rl", "tensordict", "tensorboard", "git", "onnx", "matplotlib", "sympy", "av"}
   assert not (unneeded | {"warp", "mujoco_warp", "torch._dynamo", "torch._inductor", "torch.onnx"}) & loaded

@@ -7,6 +7,7 @@ import itertools
 import socket
 import sys
 import threading
+import zipfile
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,17 +19,21 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+import trimesh
 import viser
 from mjlab_core import MjlabError
 from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, Snapshot, SnapshotTaker, ZeroPolicy
+from mjlab_viewer.browser import viser_internals
 from mjlab_viewer.browser.controls import _ratio
 from mjlab_viewer.browser.groups import geom_labels, site_labels
 from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
-from mjlab_viewer.browser.wakeup import LoopEvent
+from mjlab_viewer.browser.viser_internals import LoopEvent
+from mjviser import conversions
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import GROUND, BoxEnv
 from viewer_page import choose, closing_pages, eventually, headless_chromium, opened, press_until, row, slide, stepping
+from viser import _icons as icons
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
@@ -848,3 +853,25 @@ def test_the_field_of_view_is_that_of_the_slider() -> None:
     slider.value = 90
     viewer.update()
     assert viewer.server.initial_camera.fov == pytest.approx(np.pi / 2)
+
+
+def test_icons_are_read_from_one_opening_of_their_archive(monkeypatch: pytest.MonkeyPatch) -> None:
+  opened: list[Any] = []
+  monkeypatch.setattr(zipfile, "ZipFile", lambda path, of=zipfile.ZipFile: opened.append(path) or of(path))
+  viser_internals.read_icons_once()
+  viser_internals._archive.cache_clear()
+  icons.svg_from_icon.cache_clear()
+  texts = [icons.svg_from_icon(name) for name in (viser.Icon.PLAYER_PLAY, viser.Icon.REFRESH)]
+  assert all("<svg" in text for text in texts)
+  assert len(opened) == 1
+
+
+def test_vertices_merge_unless_their_colors_differ() -> None:
+  boxes = trimesh.util.concatenate([trimesh.creation.box()] * 2)
+  red, green = [255, 0, 0, 255], [0, 255, 0, 255]
+  for colors, merged in (([red] * 16, 8), (([red] * 4 + [green] * 4) * 2, 8), ([red] * 8 + [green] * 8, 16)):
+    mesh: Any = boxes.copy()
+    mesh.visual.vertex_colors = colors
+    # mjviser moves meshes to their places, and then merges.
+    result = conversions._merge_meshes([mesh], [np.zeros(3)], [np.array([1.0, 0.0, 0.0, 0.0])])
+    assert len(result.vertices) == merged

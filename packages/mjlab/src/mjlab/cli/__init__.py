@@ -5,6 +5,7 @@ or flag that does not exist, a value that is not allowed, or a task, run, file o
 """
 
 import contextlib
+import gc
 import importlib
 import io
 import os
@@ -81,6 +82,8 @@ def _command(name: str) -> Callable[..., int]:
 
 
 def _run(name: str, words: list[str]) -> int:
+  # Most of what a start makes stays, and Python would search it for garbage 700 times.
+  gc.set_threshold(50_000)
   return _guarded(importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}").run, words)
 
 

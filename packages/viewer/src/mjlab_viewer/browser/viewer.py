@@ -21,7 +21,7 @@ from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.signal_plot import SignalPlot
 from mjlab_viewer.browser.time_line import HISTORY
 from mjlab_viewer.browser.training_panel import TrainingPanel
-from mjlab_viewer.browser.wakeup import repair_wakeup
+from mjlab_viewer.browser.viser_internals import read_icons_once, repair_wakeup
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
 from mjlab_viewer.playback import Playback, one_line
@@ -93,6 +93,7 @@ class BrowserViewer:
     check_address(host, port)
     ignore_failed_handshakes()
     repair_wakeup()
+    read_icons_once()
     # viser prints a greeting, but standard output belongs to the caller.
     with contextlib.redirect_stdout(io.StringIO()):
       self.server = viser.ViserServer(host=host, port=port, label=label, verbose=False)

@@ -9,17 +9,19 @@ import threading
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import av
 import mujoco
 import numpy as np
-from av.container import OutputContainer
-from av.video.stream import VideoStream
 from mjlab_core import MjlabError
 from mjlab_core.files import AtomicWrite
 
 from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
 from mjlab_viewer.snapshot import Snapshot
+
+if TYPE_CHECKING:
+  from av.container import OutputContainer
+  from av.video.stream import VideoStream
 
 
 class VideoFile:
@@ -41,6 +43,8 @@ class VideoFile:
 
   def add(self, frame: np.ndarray) -> None:
     """Append a frame, (height, width, 3) uint8, of the size of the first one. An odd row or column is cut."""
+    import av
+
     # H.264 halves the resolution of colors, so sides are even.
     frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
     if self._open is None:

@@ -1,22 +1,31 @@
-"""Repair of viser's way to wake the thread that sends, and all uses of viser's private names.
+"""Repairs of viser, and all uses of its private names.
 
-viser 1.1 sets an `asyncio.Event` in the thread that writes a message, and then asks the thread of the event loop to set
-it too. The first call is not safe: it goes through the waiters while the loop may add one. Then the writer fails with
-"deque mutated during iteration", or the sender sleeps although there is a message. Without these names, viser does as
-before.
+Without these names, viser does as before.
+
+Its way to wake the thread that sends: viser 1.1 sets an `asyncio.Event` in the thread that writes a message, and then
+asks the thread of the event loop to set it too. The first call is not safe: it goes through the waiters while the loop
+may add one. Then the writer fails with "deque mutated during iteration", or the sender sleeps although there is a
+message.
+
+Its icons: viser 1.1 reads the list of an archive of 4,000 icons again for each icon.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
+import types
+import zipfile
 from typing import Any
 
+from viser import _icons as icons
 from viser.infra import _async_message_buffer as buffers
 
 PRIVATE_NAMES = {
   "AsyncMessageBuffer": "it has the event, and `event_loop`, its loop",
   "message_event": "only the thread of the loop may set it",
+  "_icons": "it opens the archive",
 }
 """Private names of viser that are used here, with the reason."""
 
@@ -49,3 +58,14 @@ def repair_wakeup() -> None:
 def _set_event(buffer: Any, event: asyncio.Event) -> None:
   del event
   buffer._loop_event = LoopEvent(buffer.event_loop)
+
+
+@functools.cache
+def _archive(path: Any) -> contextlib.nullcontext[zipfile.ZipFile]:
+  return contextlib.nullcontext(zipfile.ZipFile(path))
+
+
+def read_icons_once() -> None:
+  """Keep the archive of icons open, instead of reading its list for each icon."""
+  if hasattr(icons, name := "zipfile"):
+    setattr(icons, name, types.SimpleNamespace(ZipFile=_archive))
