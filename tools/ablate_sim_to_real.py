@@ -80,7 +80,7 @@ def robustness(checkpoint: Path, repeats: int) -> dict[str, tuple[float, float]]
   grids = {}
   for down, across in ((DELAY, FRICTION), (PAYLOAD, PUSHES)):
     pushes = across[4] if across is PUSHES else (0.0,)
-    levels = {axis[0]: axis[4] for axis in (down, across) if axis is not PUSHES}
+    levels: dict[str, tuple[float, ...]] = {axis[0]: axis[4] for axis in (down, across) if axis is not PUSHES}
     evaluator = VelocityEvaluation(grid=COMMANDS, pushes=pushes, levels=levels, repeats=repeats)
     grids[down[0]] = play(plain, checkpoint, evaluator)
 
