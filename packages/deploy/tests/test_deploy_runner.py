@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from deploy_bundles import DESCRIPTION, write_bundle
+from deploy_bundles import DEFAULT, DESCRIPTION, write_bundle
 from mjlab_deploy import Bundle, DeployError, open_bundle
 from mjlab_deploy.loopback import LoopbackRobot, decode, encode
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotState
@@ -45,6 +45,19 @@ def driven(bundle: Bundle, **options: Any) -> tuple[LoopbackRobot, Runner]:
   advance(robot, runner, 0.5)
   assert runner.phase == "policy", runner.reason
   return robot, runner
+
+
+def test_the_policy_of_an_arm_begins_in_the_default_pose_in_spite_of_gravity(bundle: Bundle) -> None:
+  robot = LoopbackRobot(bundle)
+  robot.model.opt.gravity[2] *= 15.0
+  runner = Runner(bundle, robot, stand_time=0.5)
+  advance(robot, runner, 0.02)
+  runner.start()
+  while runner.phase != "policy":
+    advance(robot, runner, MESSAGE)
+    assert runner.phase != "damping", runner.reason
+  # The servo alone sags to 0.16 rad.
+  assert float(robot.data.qpos[0]) == pytest.approx(DEFAULT, abs=0.02)
 
 
 @pytest.mark.parametrize(("delay", "loss"), [(0, 0.0), (1, 0.0), (0, 0.003)])

@@ -16,6 +16,8 @@ from mjlab_deploy.safety import Safety, SafetyLimits
 Phase = Literal["damping", "stand", "policy"]
 
 _MEASURED = ("joint/position", "joint/velocity", "imu/gyro", "imu/projected_gravity")
+_HOLDING, _MOST_HELD = 8.0, 0.3
+"""Rate at which targets of a fixed robot move against its sag while it stands [1/s], and their greatest move [rad]."""
 _DAMPING = 2.0
 """kd of a joint in damping whose drive has none in the bundle [N m s/rad]."""
 
@@ -59,8 +61,9 @@ class Runner:
     self._stand_time = stand_time
     self._sequence: int | None = None
     self._state: RobotState | None = None
-    self._phase_start = self._next_step = 0.0
+    self._phase_start = self._next_step = self._now = 0.0
     self._from = self._default
+    self._held = np.zeros(len(joints))
 
   def _width(self, name: str) -> int:
     return next(math.prod(item.shape) for item in self.description.inputs if item.name == name)
@@ -147,6 +150,12 @@ class Runner:
   def _stand(self, now: float, state: RobotState) -> None:
     share = min((now - self._phase_start) / max(self._stand_time, 1e-6), 1.0)
     self.targets = self._from + share * (self._default - self._from)
+    if not self.description.robot.is_floating:
+      # Gravity pulls an arm below its targets, but its policy begins in the default pose.
+      step = share * _HOLDING * min(now - self._now, 0.02)
+      self._held = np.clip(self._held + step * (self.targets - state.position), -_MOST_HELD, _MOST_HELD)
+      self.targets = self.targets + self._held
+    self._now = now
     # Gains grow within the first half, so that nothing jumps.
     self._write(self.safety.limited(self.targets, self.targets, state), min(2.0 * share, 1.0))
     if share >= 1.0:
@@ -200,7 +209,8 @@ class Runner:
 
   def _enter(self, phase: Phase, now: float) -> None:
     self.phase, self.reason = phase, ""
-    self._phase_start = self._next_step = now
+    self._phase_start = self._next_step = self._now = now
+    self._held[:] = 0.0
 
   def _write(self, targets: np.ndarray, gain: float) -> None:
     self.robot.write(
