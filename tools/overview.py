@@ -4,6 +4,7 @@ Figures of this project are read from the tables and curves in `docs/benchmarks`
 there, with their sources. Run it again after a figure has changed; a test holds the table against what this writes.
 """
 
+import csv
 import json
 import re
 import statistics
@@ -22,7 +23,7 @@ ROWS = (
   ("g1_flat", "A humanoid on flat ground (G1)", RATE, "step_Mjlab-Velocity-Flat-Unitree-G1_cuda.md"),
   ("g1_rough", "A humanoid on rough ground (G1)", RATE, "step_Mjlab-Velocity-Rough-Unitree-G1_cuda.md"),
   ("g1_clip", "A humanoid that follows a clip (G1)", RATE, "step_Mjlab-Tracking-Flat-Unitree-G1_cuda.md"),
-  ("g1_iteration", "One iteration of PPO, G1 on flat ground", SECONDS, "scaling.json"),
+  ("g1_iteration", "One iteration of PPO, G1 on flat ground", SECONDS, "learners_g1_flat.csv"),
   ("g1_walks", "Training until a G1 walks on flat ground", SECONDS, "learners_cuda.md"),
 )
 
@@ -50,11 +51,10 @@ def figures() -> list[Figure]:
   found = []
   for key, _, _, file in ROWS:
     text = (FOLDER / file).read_text(encoding="utf-8")
-    value = (
-      _of_iteration(text) if file.endswith(".json") else _of_learner(text) if key == "g1_walks" else _of_step(text)
-    )
+    value = _of_iteration(text) if file.endswith(".csv") else _of_learner(text) if key == "g1_walks" else _of_step(text)
     device = re.search(r"NVIDIA ([\w ]+),", text)
-    found.append(Figure(key, OURS, value, device[1] if device else "H200", True, file.replace(".json", ".md")))
+    source = "learners_cuda.md" if file.endswith(".csv") else file
+    found.append(Figure(key, OURS, value, device[1] if device else "H200", True, source))
   for item in json.loads((FOLDER / "others.json").read_text(encoding="utf-8"))["figures"]:
     found.append(Figure(**{"measured": False, "source": ""} | item))
   return found
@@ -89,10 +89,9 @@ def _of_step(text: str) -> float:
 
 
 def _of_iteration(text: str) -> float:
-  row = next(
-    row for row in json.loads(text)["rows"] if (row["kind"], row["gpus"]) == ("weak", 1) and "G1" in row["task"]
-  )
-  return row["rollout_s"] + row["update_s"]
+  """Return the median of the second half of a training."""
+  rows = [row for row in csv.DictReader(text.splitlines()) if row["run"] == "PPO, fused solver, seed 1"]
+  return statistics.median(float(row["collect_s"]) + float(row["learn_s"]) for row in rows[len(rows) // 2 :])
 
 
 def _of_learner(text: str) -> float:
