@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mjlab_viewer.pictures.opengl import make_context
+from mjlab_viewer.pictures.page_look import look_like_the_page
 from PIL import Image, ImageDraw, ImageFont
 
 from mjlab.new.limbs import Foot, colliding
@@ -26,7 +27,7 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
   data = mujoco.MjData(model)
   data.qpos[:] = home.qpos
   mujoco.mj_forward(model, data)
-  model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.45, 0.6
+  look_like_the_page(model)
   model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
   left = _render(model, data)
   soles = {name for foot in feet for name in foot.geoms}
