@@ -33,7 +33,7 @@ def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.Capt
   assert {path.name for path in records.parent.iterdir()} == {"motor.csv", "motor.pt", "motor.png"}
   shown = capsys.readouterr().out
   assert "400 rows every 0.005 s, joints joint" in shown
-  assert "not read: columns temperature" in shown
+  assert "not read: temperature" in shown
   assert "epoch 3/3  error: train " in shown
   assert "best PD   held out" in shown
   assert "(stiffness 2, damping 0.1)" in shown
@@ -66,7 +66,7 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
     (["motor.csv", "--histroy-length", "2"], 2, "no such option. Did you mean --history-length?"),
     (["motor.csv", "--epochs", "many"], 2, "--epochs: expected INT, got many"),
     (["motor.csv", "--activation", "relo"], 2, "--activation: expected"),
-    (["motor.csv", "--epochs", "0"], 1, "epochs is 0; it must be 1 or more"),
+    (["motor.csv", "--epochs", "0"], 1, "epochs must be at least 1, got 0"),
     (["motor.csv", "--output", "motor.csv"], 2, "--output: motor.csv is one of the records"),
     (["motor.csv", "--output", "."], 2, "--output: . is a folder"),
     (["motor.csv", "--output", "no/where.pt"], 2, "--output: folder no does not exist"),

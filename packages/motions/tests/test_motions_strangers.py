@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mjlab_core.errors import FileError, MjlabError
+from mjlab_core.npz import Npz
 from mjlab_motions import Motion, Statement, derived_arrays, find_clips, load_motion, read_motion, resample, save_motion
-from mjlab_motions.reading import Npz
+from mjlab_motions.clips import MAX_BYTES
 from motions_robot import constant, robot, wiggle
 
 EVIL = "\x1b[2J\nerror: disk erased\r\x07"
@@ -209,7 +210,7 @@ def test_texts_of_a_motion_have_neither_line_breaks_nor_control_characters(tmp_p
   arrays: dict[str, Any] = {**arrays_of(wiggle(), tmp_path), **texts}
   np.savez(tmp_path / "evil.npz", **arrays)
   assert read_motion(tmp_path / "evil.npz", robot()).history[0].isprintable()
-  assert Npz(tmp_path / "evil.npz").names.isprintable()
+  assert Npz(tmp_path / "evil.npz", MAX_BYTES).names.isprintable()
 
 
 def test_mutated_files_end_in_one_error_or_a_motion(tmp_path: Path) -> None:

@@ -229,12 +229,12 @@ def table(rows: int = 12) -> list[list[float]]:
 @pytest.mark.parametrize(
   ("changes", "message"),
   [
-    ({"history_length": 0}, "history_length is 0"),
-    ({"epochs": 0}, "epochs is 0"),
-    ({"hidden": ()}, r"hidden is \(\)"),
+    ({"history_length": 0}, "history_length must be at least 1, got 0"),
+    ({"epochs": 0}, "epochs must be at least 1"),
+    ({"hidden": ()}, "hidden must have at least 1 element"),
     ({"activation": "relo"}, "activation 'relo' does not exist. Nearest: relu"),
-    ({"learning_rate": 0.0}, "learning_rate is 0.0"),
-    ({"held_out": 1.0}, "held_out is 1.0"),
+    ({"learning_rate": 0.0}, "learning_rate must be positive"),
+    ({"held_out": 1.0}, r"held_out must be in \(0, 1\)"),
     ({"history_length": 5}, "stretch 1 of 1 has 12 rows; with history_length 5 and held_out 0.2 each of its two parts"),
   ],
 )

@@ -185,7 +185,7 @@ def test_files_that_are_no_records_are_refused_by_name(tmp_path: Path) -> None:
     ("nowhere.csv", None, r"nowhere\.csv: no such file"),
     ("a.txt", b"", r"a\.txt: expected a name that ends in \.csv, \.npz, \.mcap"),
     ("b.csv", b"time,\xff\xfe", r"b\.csv: .*codec can't decode"),
-    ("c.npz", b"PK\x03\x04 not really", r"c\.npz: not a NumPy archive"),
+    ("c.npz", b"PK\x03\x04 not really", r"c\.npz: File is not a zip file"),
     ("d.mcap", b"\x89MCAP0\r\n" + bytes(50), r"record .*d\.mcap: "),
   ):
     if content is not None:
@@ -205,10 +205,10 @@ def test_a_hostile_archive_is_refused_before_its_data_are_read(tmp_path: Path) -
   np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 10**6)})
   with zipfile.ZipFile(tmp_path / "bomb.npz", "w") as archive:
     archive.writestr("time.npy", header.getvalue())
-  with pytest.raises(FileError, match="more than 1024 MiB of arrays"):
+  with pytest.raises(FileError, match=r"time unpacks to .* MiB; the limit is for all numbers of a file 1024 MiB"):
     read_records([tmp_path / "bomb.npz"])
   np.savez(tmp_path / "objects.npz", time=np.array([{}], dtype=object))
-  with pytest.raises(FileError, match="array 'time' holds object"):
+  with pytest.raises(FileError, match="time holds Python objects, which are not read"):
     read_records([tmp_path / "objects.npz"])
   np.savez(tmp_path / "nan.npz", time=np.arange(3.0), joints=["hip"], position=[[0.0], [np.nan], [0.0]])
   with pytest.raises(FileError, match="row 2: position of 'hip' is not a finite number"):

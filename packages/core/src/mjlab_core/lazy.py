@@ -1,9 +1,10 @@
-"""Lazy imports: a package imports its public names at their first use."""
+"""Imports at first use: of a package's public names, and of libraries that an extra installs."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -28,3 +29,22 @@ def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[st
     return sorted({*vars(sys.modules[package]), *sys.modules[package].__all__})
 
   return getattr_, dir_
+
+
+@contextmanager
+def from_extra(extra: str, package: str, user: str) -> Generator[None]:
+  """Say which extra of a package to install if an import inside fails.
+
+  Args:
+    extra: Name of the extra.
+    package: Distribution that has it.
+    user: Feature that needs the import.
+
+  Raises:
+    ModuleNotFoundError: The library is not installed.
+  """
+  try:
+    yield
+  except ModuleNotFoundError as error:
+    message = f"{user} needs {error.name}: install {package} with its extra {extra!r}"
+    raise ModuleNotFoundError(message, name=error.name) from error

@@ -1,16 +1,21 @@
-"""Clips by name: those that ship with mjlab-motions, motion files, and folders of them."""
+"""Files of clips by name: those that ship with mjlab-motions, motion files, folders of them, and texts beside them."""
 
 import dataclasses
+import os
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 from mjlab_core.errors import FileError, UnknownNameError
+from mjlab_core.files import reading
 from mjlab_core.names import check_name, unknown
 
-from mjlab_motions.reading import read_json
-
+T = TypeVar("T")
+MAX_BYTES = 512 * 2**20
+"""Limit of a file, and of all numbers that are read from one [bytes]; 90 minutes of a G1 with its bodies."""
+MAX_TEXT_BYTES = 2**20
+"""Limit of a text beside a clip, such as a joint map [bytes]."""
 INDEX = "library.json"
 """Optional file of a folder: {"clip.npz": {"weight": 2.0, "split": "test"}, ...}."""
 
@@ -77,3 +82,25 @@ def _folder(folder: Path) -> list[ClipEntry]:
     check_name("clip", name, paths, str(file))
   settings = {name: index.get(name, _Settings()) for name in paths}
   return [ClipEntry(path=paths[name], weight=item.weight, split=item.split) for name, item in settings.items()]
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+  """Return the text of a small file in UTF-8.
+
+  Raises:
+    FileError: There is no such file, it is larger than `MAX_TEXT_BYTES`, or it is not a text.
+  """
+  with reading("text", path, MAX_TEXT_BYTES) as file:
+    return file.read_text(encoding="utf-8-sig")
+
+
+def read_json(path: str | os.PathLike[str], kind: type[T], example: str) -> T:
+  """Return the contents of a JSON file, converted to a type of msgspec.
+
+  Raises:
+    FileError: See `read_text`; or the contents are of another type than the example.
+  """
+  try:
+    return msgspec.json.decode(read_text(path), type=kind)
+  except (msgspec.DecodeError, RecursionError) as error:
+    raise FileError(f"{path}: {error}; expected {example}") from error

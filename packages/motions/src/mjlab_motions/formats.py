@@ -11,12 +11,13 @@ import numpy as np
 import torch
 from mjlab_core.errors import FileError
 from mjlab_core.files import reading
+from mjlab_core.npz import Npz
 
+from mjlab_motions.clips import MAX_BYTES
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
 from mjlab_motions.motion_file import metadata_of, motion_in
 from mjlab_motions.placing import check_bodies, from_seven_keys
-from mjlab_motions.reading import MAX_BYTES, Npz
 from mjlab_motions.statement import Statement, mapped
 from mjlab_motions.tables import from_csv, from_table
 
@@ -38,7 +39,7 @@ def read_motion(path: str | os.PathLike[str], robot: Kinematics, said: Statement
   with reading("clip", path, MAX_BYTES) as file:
     if file.suffix not in (".csv", ".npz"):
       raise FileError("expected .csv or .npz; convert other files without pickles to one of them")
-    motion = from_csv(file, robot, said) if file.suffix == ".csv" else _from_npz(Npz(file), robot, said)
+    motion = from_csv(file, robot, said) if file.suffix == ".csv" else _from_npz(Npz(file, MAX_BYTES), robot, said)
     robot.columns_of(motion)
     return motion
 

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from mjlab_core.errors import FileError, MjlabError
 from mjlab_core.files import AtomicWrite, reading
+from mjlab_core.npz import Npz
 
+from mjlab_motions.clips import MAX_BYTES
 from mjlab_motions.motion import Motion
-from mjlab_motions.reading import MAX_BYTES, Npz
 
 FORMAT = "mjlab-motion"
 VERSION = 1
@@ -83,7 +84,7 @@ def load_motion(path: str | os.PathLike[str]) -> Motion:
     FileError: There is no such file, it is damaged or too large, or it is not of this format.
   """
   with reading("clip", path, MAX_BYTES) as file:
-    archive = Npz(file)
+    archive = Npz(file, MAX_BYTES)
     if (metadata := metadata_of(archive)) is None:
       raise FileError(f"not a motion file, it has: {archive.names}; convert-motion may read it")
     return motion_in(archive, metadata)

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 import torch
 from mjlab_core.errors import FileError
 from mjlab_core.names import check_name
+from mjlab_core.npz import Npz
 from mjlab_core.rotations import quat_error_magnitude
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
-from mjlab_motions.reading import Npz
 from mjlab_motions.statement import Statement, mapped
 
-SEVEN_KEYS = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w")
 PLACED = 0.005
 """Largest distance of a body from forward kinematics [m, rad] for an order of names to count as proven."""
 
@@ -30,37 +29,33 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
   Raises:
     FileError: Arrays are missing or do not fit one another, or no order places the clip on the robot.
   """
-  path = archive.path
   body_pos, body_quat = _body_poses(archive, joint_pos.shape[0])
   if said.quaternion == "xyzw":
     body_quat = body_quat.roll(1, -1)
-  roots = _possible_roots(robot, said, body_pos.shape[1])
-  orders = {"as stated": tuple(said.joint_names)} if said.joint_names else _joint_orders(robot)
-  best, reason = float("inf"), ""
   few = torch.linspace(0, joint_pos.shape[0] - 1, min(joint_pos.shape[0], 8)).long()
-  for origin, names in orders.items():
-    if len(names) != joint_pos.shape[1]:
-      raise FileError(f"{joint_pos.shape[1]} joint columns, {len(names)} names ({origin})")
-    for root in roots:
+  best, reason = float("inf"), ""
+  for order, names in _joint_orders(robot, said, joint_pos.shape[1]).items():
+    for root in _possible_roots(robot, said, body_pos.shape[1]):
       motion = Motion(
-        name=path.stem,
+        name=archive.path.stem,
         rate=rate,
         root_body=robot.root_body,
         joint_names=names,
         root_pos=body_pos[:, root],
         root_quat=body_quat[:, root],
         joint_pos=joint_pos,
-        history=(f"read from {path.name}, {rate:g} Hz",),
+        history=(f"read from {archive.path.name}, {rate:g} Hz",),
       )
       motion = mapped(motion, robot, said)
-      error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names, few)
-      if error <= PLACED:
-        error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names)
-      if error <= PLACED:
-        note = f"orders of joints ({origin}) and bodies agree with forward kinematics within {error * 1e3:.2g} mm"
+      for frames in (few, slice(None)):
+        error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names, frames)
+        if error > PLACED:
+          break
+      else:
+        note = f"orders of joints ({order}) and bodies agree with forward kinematics within {error * 1e3:.2g} mm"
         return motion.changed(note)
       if error < best:
-        best, reason = error, f"joints {origin}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
+        best, reason = error, f"joints {order}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
   raise FileError(
     "it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
     f"Nearest: {reason}. State the orders with --joint-names and --body-names, or xyzw with --quaternion; or the clip "
@@ -98,14 +93,20 @@ def _possible_roots(robot: Kinematics, said: Statement, bodies: int) -> list[int
   return [list(said.body_names).index(robot.root_body)]
 
 
-def _joint_orders(robot: Kinematics) -> dict[str, tuple[str, ...]]:
-  """Return the joints depth first, as MuJoCo numbers them, and breadth first, as PhysX does."""
+def _joint_orders(robot: Kinematics, said: Statement, columns: int) -> dict[str, tuple[str, ...]]:
+  """Return the names of the joint columns: as stated, or depth first, as in MuJoCo, and breadth first, as in PhysX."""
   model = robot.model
   depth = {0: 0}
   for body in range(1, model.nbody):
     depth[body] = depth[int(model.body_parentid[body])] + 1
   by_level = sorted(range(len(robot.joint_ids)), key=lambda i: depth[int(model.jnt_bodyid[robot.joint_ids[i]])])
-  return {"depth first": robot.joint_names, "breadth first": tuple(robot.joint_names[i] for i in by_level)}
+  orders = {"depth first": robot.joint_names, "breadth first": tuple(robot.joint_names[i] for i in by_level)}
+  if said.joint_names:
+    orders = {"as stated": tuple(said.joint_names)}
+  for order, names in orders.items():
+    if len(names) != columns:
+      raise FileError(f"{columns} joint columns, {len(names)} names ({order})")
+  return orders
 
 
 def _misplacement(

@@ -123,47 +123,43 @@ def check_quality(motion: Motion, robot: Kinematics) -> QualityReport:
   Raises:
     MjlabError: The motion does not fit the robot.
   """
-  q = robot.columns_of(motion)
-  rate = motion.rate
+  q, rate = robot.columns_of(motion), motion.rate
   pos, quat = robot.poses(motion.root_pos, motion.root_quat, q)
-  root_lin, root_ang, joint_vel = (
-    derivative(motion.root_pos, rate),
-    angular_velocity(motion.root_quat, rate),
-    derivative(q, rate),
-  )
+  root_lin, root_ang = derivative(motion.root_pos, rate), angular_velocity(motion.root_quat, rate)
+  joint_vel = derivative(q, rate)
   linear, angular = robot.velocities(pos, quat, root_lin, root_ang, joint_vel)
   points, rows = robot.lowest_points(pos, quat)
-  lowest = points[..., 2]
-  deepest = lowest.argmin(1)
-
-  ranges = torch.as_tensor(robot.model.jnt_range[robot.joint_ids])
-  limited = torch.as_tensor(robot.model.jnt_limited[robot.joint_ids]).bool()
-  beyond = torch.maximum(ranges[:, 0] - q, q - ranges[:, 1]).clamp(min=0.0) * limited
-
   falling = _falls_freely(robot.center_of_mass(pos, quat)[:, 2], rate)
-  height = lowest.amin(1)
-  floating = torch.where(falling, 0.0, height.clamp(min=0.0))
-
-  arm = points - pos[:, rows]
-  sliding = torch.linalg.vector_norm((linear[:, rows] + torch.linalg.cross(angular[:, rows], arm))[..., :2], dim=-1)
-  standing = (lowest < TOUCHING) & ~falling[:, None]
-  sliding = torch.where(standing, sliding, math.inf)
-  skate = sliding.amin(1)
-  skate = _running_mean(torch.where(torch.isinf(skate), 0.0, skate), round(0.5 * SKATE_WINDOW * rate))
-
-  bodies = [robot.body_names[row] for row in rows]
-  joint, speed = robot.joint_names, joint_vel.abs()
+  height, deepest = points[..., 2].min(1)
+  arms = points - pos[:, rows]
+  sliding = torch.linalg.vector_norm((linear[:, rows] + torch.linalg.cross(angular[:, rows], arms))[..., :2], dim=-1)
+  beyond, fastest = _beyond_range(q, robot).max(1), joint_vel.abs().max(1)
+  bodies, joints = tuple(robot.body_names[row] for row in rows), robot.joint_names
+  # Of each check the values, which joint or body they are of, and its names.
   series: dict[str, tuple[torch.Tensor, torch.Tensor | None, tuple[str, ...]]] = {
-    "joint_limit": (beyond.amax(1), beyond.argmax(1), joint),
-    "joint_speed": (speed.amax(1), speed.argmax(1), joint),
+    "joint_limit": (beyond.values, beyond.indices, joints),
+    "joint_speed": (fastest.values, fastest.indices, joints),
     "root_speed": (torch.linalg.vector_norm(root_lin, dim=-1), None, (motion.root_body,)),
     "root_turning": (torch.linalg.vector_norm(root_ang, dim=-1), None, (motion.root_body,)),
-    "penetration": ((-height).clamp(min=0.0), deepest, tuple(bodies)),
-    "floating": (floating, deepest, tuple(bodies)),
-    "foot_skate": (skate, None, ()),
+    "penetration": ((-height).clamp(min=0.0), deepest, bodies),
+    "floating": (torch.where(falling, 0.0, height.clamp(min=0.0)), deepest, bodies),
+    "foot_skate": (_skate(sliding, (points[..., 2] < TOUCHING) & ~falling[:, None], rate), None, ()),
   }
   findings = tuple(_finding(check, *values, motion) for check, values in series.items())
   return QualityReport(motion=motion, findings=findings, series={name: values[0] for name, values in series.items()})
+
+
+def _beyond_range(q: torch.Tensor, robot: Kinematics) -> torch.Tensor:
+  """Return the distance of joints beyond their ranges, (frames, joints)."""
+  ranges = torch.as_tensor(robot.model.jnt_range[robot.joint_ids])
+  limited = torch.as_tensor(robot.model.jnt_limited[robot.joint_ids]).bool()
+  return torch.maximum(ranges[:, 0] - q, q - ranges[:, 1]).clamp(min=0.0) * limited
+
+
+def _skate(sliding: torch.Tensor, standing: torch.Tensor, rate: float) -> torch.Tensor:
+  """Return the mean speed of the slowest point that stands, (frames,), of speeds and marks (frames, points)."""
+  slowest = torch.where(standing, sliding, math.inf).amin(1)
+  return _running_mean(torch.where(torch.isinf(slowest), 0.0, slowest), round(0.5 * SKATE_WINDOW * rate))
 
 
 def _falls_freely(height: torch.Tensor, rate: float) -> torch.Tensor:

@@ -44,11 +44,11 @@ def mapped(motion: Motion, robot: Kinematics, said: Statement) -> Motion:
   columns: list[torch.Tensor] = []
   for joint in robot.joint_names:
     source = said.joint_map.get(joint, joint)
-    if not isinstance(source, str):
-      columns.append(torch.full((motion.num_frames,), float(source), dtype=torch.float64))
-    else:
+    if isinstance(source, str):
       check_name("column", source, motion.joint_names, f"joint map: joint '{joint}': motion '{motion.name}'")
       columns.append(motion.joint_pos[:, motion.joint_names.index(source)])
+    else:
+      columns.append(torch.full((motion.num_frames,), float(source), dtype=torch.float64))
   return motion.changed(
     "joints renamed", joint_names=robot.joint_names, joint_pos=torch.stack(columns, 1), root_body=robot.root_body
   )

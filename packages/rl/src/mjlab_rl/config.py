@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from mjlab_core.config import Config
-from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, field_problems
+from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, Share, field_problems
 from mjlab_core.errors import ConfigError
 
 from mjlab_rl.network_entries import Activation, DistributionEntries, encoder_problems, entry_problems
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
   from mjlab_rl.evaluation import Evaluator
 
 Optimizer = Literal["adam", "adamw", "sgd", "rmsprop"]
-Fraction = Annotated[float, Limits(ge=0, le=1)]
 EnvCfgT = TypeVar("EnvCfgT")
 
 
@@ -87,9 +86,9 @@ class RslRlPpoAlgorithmCfg(Config):
   """adaptive: the step size follows the measured KL divergence, within [1e-5, 1e-2]."""
   desired_kl: Positive = 0.01
   """KL divergence per mini-batch that the adaptive schedule aims at."""
-  gamma: Fraction = 0.99
+  gamma: Share = 0.99
   """Discount per environment step."""
-  lam: Fraction = 0.95
+  lam: Share = 0.95
   """Lambda of the generalised advantage estimate."""
   entropy_coef: Finite = 0.005
   """Weight of the entropy bonus."""

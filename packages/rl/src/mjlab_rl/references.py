@@ -15,6 +15,7 @@ from typing import Any
 
 from mjlab_core import nearest, printable
 from mjlab_core.errors import ConfigError, FileError
+from mjlab_core.names import check_name
 
 TASK_GROUP = "mjlab.tasks"
 """Entry-point group of tasks. A distribution that offers one is trusted."""
@@ -49,7 +50,7 @@ def reference(value: Any, where: str) -> str:
   """
   module: str = getattr(value, "__module__", None) or ""
   name: str = getattr(value, "__qualname__", None) or ""
-  if "<lambda>" in name or "<locals>" in name or not name:
+  if not name or "<" in name:
     kind = (
       "a lambda" if "<lambda>" in name else f"'{module}:{name}', defined inside a function," if name else repr(value)
     )
@@ -78,35 +79,45 @@ def resolve(text: object, where: str, extra: frozenset[str] = frozenset()) -> An
   Raises:
     FileError: The name is malformed, its package is not trusted, or no function or class of that name is defined there.
   """
-  shown = f"{where}: reference {printable(text, 120)!r}"
+  try:
+    return _resolved(text, extra)
+  except FileError as error:
+    raise FileError(f"{where}: reference {printable(text, 120)!r} {error}") from error
+
+
+def _resolved(text: object, extra: frozenset[str]) -> Any:
   match = _REFERENCE.fullmatch(text) if isinstance(text, str) else None
   if match is None or re.search(r"(^|[.:])__", match.string):
-    raise FileError(f"{shown} is not of the form 'module:name', without names that begin with two underscores")
+    raise FileError("is not of the form 'module:name', without names that begin with two underscores")
   module_name, name = match["module"], match["name"]
   package = module_name.partition(".")[0]
   if package not in _trusted_here | _installed_packages() | extra:
     raise FileError(
-      f"{shown} is refused: package '{package}' is not trusted. Members of mjlab and packages with an entry point of "
-      f"group '{TASK_GROUP}' or '{ROBOT_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
+      f"is refused: package '{package}' is not trusted. Members of mjlab and packages with an entry point of group "
+      f"'{TASK_GROUP}' or '{ROBOT_GROUP}' are; for another package call mjlab_rl.trust_package('{package}') first"
     )
   try:
-    found = _definition(_import(module_name, package, shown), name, shown)
+    found = _definition(_import(module_name, package), name)
   except FileError:
-    if (moved := _exported(module_name, name, package, shown)) is None:
+    if (moved := _exported(module_name, name, package)) is None:
       raise
     return moved
-  if not isinstance(found, (FunctionType, type, _CACHED)) and not _is_class_method(found):
-    raise FileError(f"{shown} is refused: it is a {type(found).__name__}, not a function or class")
+  if not _is_definition(found) and not (isinstance(found, MethodType) and isinstance(found.__self__, type)):
+    raise FileError(f"is refused: it is a {type(found).__name__}, not a function or class")
   if (found.__module__, found.__qualname__) != (module_name, name):
-    raise FileError(f"{shown} is refused: it is defined elsewhere, as '{found.__module__}:{found.__qualname__}'")
+    raise FileError(f"is refused: it is defined elsewhere, as '{found.__module__}:{found.__qualname__}'")
   return found
 
 
-def resolve_enum(text: object, member: object, where: str) -> Any:
+def _is_definition(value: Any) -> bool:
+  return isinstance(value, (FunctionType, type, _CACHED))
+
+
+def resolve_enum(text: object, member: str, where: str) -> Any:
   """Return a member of an enum of a trusted package or of MuJoCo.
 
   Raises:
-    FileError: There is no such enum or member.
+    MjlabError: There is no such enum or member.
   """
   # MuJoCo's enums are of a compiled module.
   if isinstance(text, str) and re.fullmatch(r"mujoco\._enums:mjt\w+", text):
@@ -118,9 +129,7 @@ def resolve_enum(text: object, member: object, where: str) -> Any:
   members = getattr(kind, "__members__", None)
   if members is None or not isinstance(kind, type):
     raise FileError(f"{where}: {printable(text, 120)!r} is not an enum")
-  if not isinstance(member, str) or member not in members:
-    raise FileError(f"{where}: enum {printable(text, 120)!r} has no member {printable(member, 120)!r}")
-  return members[member]
+  return members[check_name("member", printable(member, 120), members, f"{where}: enum {printable(text, 120)!r}")]
 
 
 def offered() -> list[metadata.EntryPoint]:
@@ -151,55 +160,48 @@ def _installed_packages() -> frozenset[str]:
   return frozenset(name for name in packages if name.isidentifier())
 
 
-def _import(module_name: str, package: str, shown: str) -> ModuleType:
+def _import(module_name: str, package: str) -> ModuleType:
   """Import a module that lies in the folder of its top-level package."""
   if (module := sys.modules.get(module_name)) is not None:
     return module
   try:
     top = importlib.import_module(package)
     spec = importlib.util.find_spec(module_name)
-    origin = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
-    if origin is None or not any(origin.is_relative_to(Path(folder).resolve()) for folder in top.__path__):
-      raise FileError(f"{shown} is refused: there is no module '{module_name}' in the folder of package '{package}'")
-    return importlib.import_module(module_name)
-  except FileError:
-    raise
+    origin = Path(spec.origin).resolve() if spec is not None and spec.origin is not None else None
+    if origin is not None and any(origin.is_relative_to(Path(folder).resolve()) for folder in top.__path__):
+      return importlib.import_module(module_name)
   except Exception as error:
-    raise FileError(f"{shown}: module '{module_name}' cannot be imported ({printable(error, 200)})") from error
+    raise FileError(
+      f"cannot be resolved: module '{module_name}' cannot be imported ({printable(error, 200)})"
+    ) from error
+  raise FileError(f"is refused: there is no module '{module_name}' in the folder of package '{package}'")
 
 
-def _exported(module_name: str, name: str, package: str, shown: str) -> Any:
+def _exported(module_name: str, name: str, package: str) -> Any:
   """Return the function or class of this name that the package of a module exports; None if there is none.
 
   Definitions move between the modules of a package, whose public names stay.
   """
   parent = module_name.rpartition(".")[0]
-  if not parent:
-    return None
   try:
-    module = _import(parent, package, shown)
+    module = _import(parent, package) if parent else None
   except FileError:
     return None
   found: Any = getattr(module, name) if name in getattr(module, "__all__", ()) else None
-  if not isinstance(found, (FunctionType, type, _CACHED)) or found.__qualname__ != name:
-    return None
-  return found if found.__module__.partition(".")[0] == package else None
+  is_same = _is_definition(found) and found.__qualname__ == name and found.__module__.partition(".")[0] == package
+  return found if is_same else None
 
 
-def _definition(module: ModuleType, name: str, shown: str) -> Any:
+def _definition(module: ModuleType, name: str) -> Any:
   """Look a name up in the module's own dictionary and in those of its classes."""
   found: Any = module
   for part in name.split("."):
-    if not isinstance(found, (ModuleType, type)) or (found is not module and isinstance(found, ModuleType)):
-      raise FileError(f"{shown} is refused: it leads through a {type(found).__name__}")
+    if found is not module and not isinstance(found, type):
+      raise FileError(f"is refused: it leads through a {type(found).__name__}")
     names = vars(found)
     if part not in names:
       close = nearest(part, names, 1)
       hint = f". Nearest: {close[0]}" if close else ""
-      raise FileError(f"{shown}: '{found.__name__}' has no '{part}'{hint}")
+      raise FileError(f"does not exist: '{found.__name__}' has no '{part}'{hint}")
     found = getattr(found, part) if isinstance(names[part], (classmethod, staticmethod)) else names[part]
   return found
-
-
-def _is_class_method(value: Any) -> bool:
-  return isinstance(value, MethodType) and isinstance(value.__self__, type)

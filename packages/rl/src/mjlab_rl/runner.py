@@ -5,7 +5,7 @@ import io
 import math
 import os
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +13,6 @@ import torch
 from mjlab_core import printable
 from mjlab_core.errors import ConfigError, DivergedError, FileError
 from mjlab_core.files import reading
-from mjlab_core.names import check_name
 from rsl_rl.models import MLPModel
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils import resolve_callable
@@ -26,9 +25,9 @@ from mjlab_rl.critic_warmup import actor_held
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
-from mjlab_rl.rank_averages import RankAverages
+from mjlab_rl.rank_averages import Figures, RankAverages
 from mjlab_rl.ranks import Patience, Ranks
-from mjlab_rl.scalar_log import IterationReport, open_logs
+from mjlab_rl.scalar_log import IterationReport, ScalarLog, open_logs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.teachers import single_networks
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -67,15 +66,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     cfg.check_samples(env.num_envs)
     if not env.num_actions:
       raise ConfigError("the environment has no actions to learn")
-    seen = env.unwrapped.get_observations()
-    for network, groups in cfg.obs_groups.items():
-      for group in groups:
-        check_name("observation group", group, seen, f"agent.obs_groups['{network}']")
-    self._shapes_seen = {
-      network: [list(seen[group].shape[1:]) for group in groups] for network, groups in cfg.obs_groups.items()
-    }
-    # A rollout stores all groups that it gets.
-    env.groups = frozenset(group for groups in cfg.obs_groups.values() for group in groups)
+    self._shapes_seen = env.select(cfg.obs_groups)
     self.agent_cfg = cfg
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)
@@ -134,51 +125,60 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     ):
       started, before = time.perf_counter(), self._elapsed
       for iteration in range(start, end):
-        began = time.perf_counter()
         with self._emergency_checkpoint():
-          obs = self._collect(obs)
-          if self._torch_device.type == "cuda":
-            torch.cuda.synchronize(self._torch_device)
-          collected = time.perf_counter()
-          losses = self._update(obs)
-          means, action_std = self._fetch_statistics()
-          env_log = self.env.drain_log()
-        learned = time.perf_counter()
-
+          obs, own, collect, learn = self._iterate(obs)
         self.current_learning_iteration = iteration + 1
-        self._elapsed = before + learned - started
-        report = self._report(iteration, start, end, collected - began, learned - collected, learned - started)
-        own = {"loss": losses, "check": {"mean_std": action_std} | largest_weights(self.networks), "log": env_log}
-        own["episode"] = {} if means is None else {"reward": means[0], "length": means[1]}
+        running = time.perf_counter() - started
+        self._elapsed = before + running
+        report = self._report(iteration, start, end, collect, learn, running)
         # Ranks agree on the signal, so that they stop together.
         with self._emergency_checkpoint():
           figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
         self.patience.begin()
-        if ended := figures["episode"]:
-          report.mean_reward, report.mean_episode_length = ended["reward"], ended["length"]
-        report.add_scalars(figures["loss"], figures["check"]["mean_std"], figures["log"])
-        for log in logs:
-          log.write(report)
-        self.console.show(report)
+        self._show(report, figures, logs)
         self._check_finite(report, figures["loss"] | figures["check"])
-
         # Read once: a later signal waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
         self.stopped_by = None if is_end else received
         is_last = is_end or self.stopped_by is not None
         if self.log_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
-          # The disk of the first process, for which the others wait, may be slow.
-          with self.patience.suspended():
-            path = self.checkpoint_path()
-            self.save(str(path))
-            self._last_saved = path
-            for log in logs:
-              log.save_file(path)
-            if self.after_save is not None:
-              self.after_save(path)
-            self.ranks.gather(None)
+          self._save_with_logs(logs)
         if is_last:
           break
+
+  def _iterate(self, obs: TensorDict) -> tuple[TensorDict, Figures, float, float]:
+    """Return the last observations of a rollout and an update, figures of this process, and the times of both [s]."""
+    began = time.perf_counter()
+    obs = self._collect(obs)
+    if self._torch_device.type == "cuda":
+      torch.cuda.synchronize(self._torch_device)
+    collected = time.perf_counter()
+    losses = self._update(obs)
+    means, action_std = self._fetch_statistics()
+    own = {"loss": losses, "check": {"mean_std": action_std} | largest_weights(self.networks)}
+    own["log"] = self.env.drain_log()
+    own["episode"] = {} if means is None else {"reward": means[0], "length": means[1]}
+    return obs, own, collected - began, time.perf_counter() - collected
+
+  def _show(self, report: IterationReport, figures: Figures, logs: Sequence[ScalarLog]) -> None:
+    """Add the figures of all processes to a report, and hand it to the logs and the console."""
+    if ended := figures["episode"]:
+      report.mean_reward, report.mean_episode_length = ended["reward"], ended["length"]
+    report.add_scalars(figures["loss"], figures["check"]["mean_std"], figures["log"])
+    for log in logs:
+      log.write(report)
+    self.console.show(report)
+
+  def _save_with_logs(self, logs: Sequence[ScalarLog]) -> None:
+    # The disk of the first process, for which the others wait, may be slow.
+    with self.patience.suspended():
+      self._last_saved = path = self.checkpoint_path()
+      self.save(str(path))
+      for log in logs:
+        log.save_file(path)
+      if self.after_save is not None:
+        self.after_save(path)
+      self.ranks.gather(None)
 
   @contextlib.contextmanager
   def _emergency_checkpoint(self) -> Generator[None]:

@@ -2,9 +2,9 @@
 
 import contextlib
 import copy
+import dataclasses
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
 
-from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, TaskCfg
+from mjlab_rl.config import RslRlDistillationRunnerCfg, TaskCfg
 from mjlab_rl.console import Console
 from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
@@ -25,7 +25,7 @@ from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 
-@dataclass(kw_only=True)
+@dataclasses.dataclass(kw_only=True)
 class TrainingResult:
   """End of a run."""
 
@@ -85,37 +85,19 @@ def train(
   ranks = Ranks.launched()
   device = ranks.device(device)
   console = (console if console is not None else Console()) if ranks.is_first else Console("quiet")
-  env_cfg, agent = copy.deepcopy(task.env), copy.deepcopy(task.agent)
-  teaching = _teachers(agent, env_cfg, [teacher] if isinstance(teacher, Path) else list(teacher or ()), resume)
-  beginning = _beginning(agent, env_cfg, init_from, resume)
+  task = dataclasses.replace(task, env=copy.deepcopy(task.env), agent=copy.deepcopy(task.agent))
+  agent, env_cfg = task.agent, task.env
+  teaching = _teachers(task, [teacher] if isinstance(teacher, Path) else list(teacher or ()), resume)
+  beginning = _beginning(task, init_from, resume)
   agent.to_rsl_rl()
   kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
   if teaching and not issubclass(kind, MjlabDistillationRunner):
     raise ConfigError(f"the task's runner is {kind.__name__}; a distillation needs a MjlabDistillationRunner")
   if getattr(env_cfg, "seed", None) is None:
     env_cfg.seed = agent.seed
-  teachers = [found.record for found in teaching if found.record is not None]
-  if resume is not None and teaching and teaching[0].run is not None:
-    teachers += teaching[0].run.more_teachers
-  manifest = RunManifest(
-    task=name,
-    env=copy.deepcopy(env_cfg),
-    agent=copy.deepcopy(agent),
-    runner=task.runner,
-    make_env=task.make_env,
-    play=task.play,
-    seed=agent.seed,
-    device=device,
-    created=datetime.now().astimezone().isoformat(timespec="seconds"),
-    command=list(command or []),
-    launch=os.environ.get("TORCHELASTIC_RUN_ID", ""),
-    resumed_from=None if resume is None else str(resume.resolve()),
-    teacher=teachers[0] if teachers else None,
-    more_teachers=teachers[1:],
-    init_from=None if beginning is None else beginning.record,
-    versions=package_versions(),
-    git=None if code is None else git_state(code),
-  )
+  manifest = _manifest(task, name, teaching, beginning, resume)
+  manifest.device, manifest.command = device, list(command or [])
+  manifest.git = None if code is None else git_state(code)
   if log_root is not None:
     encode_manifest(manifest)
   agent.prepare_env(env_cfg)
@@ -126,25 +108,14 @@ def train(
     env_cfg.seed = ranks.seed(env_cfg.seed)
     env = (task.make_env or make_env)(env_cfg, device=device)
     stack.callback(env.close)
-    wrapped = RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions)
-    runner = kind(wrapped, agent, None, device, console=console)
-    if resume is not None:
-      runner.load(str(resume))
-    elif isinstance(runner, MjlabDistillationRunner) and teaching:
-      runner.load_teacher(*teaching)
-    if beginning is not None:
-      runner.load_policy(beginning.path)
-    remaining = agent.max_iterations - runner.current_learning_iteration
-    if remaining <= 0:
-      raise ConfigError(
-        f"{resume} has {runner.current_learning_iteration} iterations, agent.max_iterations is {agent.max_iterations}: "
-        "no iterations are left. Raise --agent.max-iterations."
-      )
+    runner = kind(RslRlVecEnvWrapper(env, clip_actions=agent.clip_actions), agent, None, device, console=console)
+    remaining = _load(runner, resume, teaching, beginning)
     directory: Path | None = None
     if log_root is not None and ranks.is_first:
       directory = create_run_directory(Path(log_root), agent.experiment_name, agent.run_name)
       write_manifest(directory, manifest)
       env.output_dir = directory
+      runner.after_save = NewestBundle(env, agent, name, lambda: runner.networks[agent.policy], console)
     # All processes have its name: one that fails saves the learner there.
     runner.log_dir = ranks.gather(directory)[0]
     runner.patience.seconds = rank_timeout
@@ -152,8 +123,6 @@ def train(
       on_ready(env, directory)
     if watch is not None:
       runner.after_step = watch(env, directory)
-    if directory is not None:
-      runner.after_save = NewestBundle(env, agent, name, lambda: runner.networks[agent.policy], console)
     runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)
     return TrainingResult(
       directory=directory,
@@ -163,8 +132,9 @@ def train(
     )
 
 
-def _teachers(agent: RslRlBaseRunnerCfg, env: Any, given: Sequence[Path], resume: Path | None) -> list[TrainedPolicy]:
-  """Return the teachers of a distillation, or those of a resumed one as one, and describe them in `agent`."""
+def _teachers(task: TaskCfg[Any], given: Sequence[Path], resume: Path | None) -> list[TrainedPolicy]:
+  """Return the teachers of a distillation, or those of a resumed one as one, and describe them in the learner."""
+  agent = task.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if given:
       raise ConfigError(f"teacher {given[0]}: only a RslRlDistillationRunnerCfg has a teacher")
@@ -173,27 +143,73 @@ def _teachers(agent: RslRlBaseRunnerCfg, env: Any, given: Sequence[Path], resume
     raise ConfigError(f"teacher {given[0]}: a resumed run keeps its teacher ({resume})")
   if not given and resume is None:
     raise ConfigError("a distillation needs a teacher, the checkpoint of a trained policy")
-  teaching = [read_trained_policy(path) for path in given]
   if resume is None:
+    teaching = [read_trained_policy(path) for path in given]
     agent.num_teachers = len(teaching)
   else:
     teaching = [read_trained_policy(resume, resumed=True)]
     if teaching[0].run is not None and isinstance(teaching[0].run.agent, RslRlDistillationRunnerCfg):
       agent.num_teachers = teaching[0].run.agent.num_teachers
   for found in teaching:
-    found.check(env, agent)
+    found.check(task.env, agent)
     agent.teacher = copy.deepcopy(found.network(agent))
   return teaching
 
 
-def _beginning(
-  agent: RslRlBaseRunnerCfg, env: Any, init_from: Path | None, resume: Path | None
-) -> TrainedPolicy | None:
+def _beginning(task: TaskCfg[Any], init_from: Path | None, resume: Path | None) -> TrainedPolicy | None:
   """Return the trained policy to start from."""
   if init_from is None:
     return None
   if resume is not None:
     raise ConfigError(f"init_from {init_from}: a resumed run keeps its policy ({resume})")
   found = read_trained_policy(init_from)
-  found.check_beginning(env, agent)
+  found.check_beginning(task.env, task.agent)
   return found
+
+
+def _manifest(
+  task: TaskCfg[Any],
+  name: str,
+  teaching: Sequence[TrainedPolicy],
+  beginning: TrainedPolicy | None,
+  resume: Path | None,
+) -> RunManifest:
+  """Return the manifest of a run that begins now."""
+  teachers = [found.record for found in teaching if found.record is not None]
+  if resume is not None and teaching and teaching[0].run is not None:
+    teachers += teaching[0].run.more_teachers
+  return RunManifest(
+    task=name,
+    env=copy.deepcopy(task.env),
+    agent=copy.deepcopy(task.agent),
+    runner=task.runner,
+    make_env=task.make_env,
+    play=task.play,
+    seed=task.agent.seed,
+    created=datetime.now().astimezone().isoformat(timespec="seconds"),
+    launch=os.environ.get("TORCHELASTIC_RUN_ID", ""),
+    resumed_from=None if resume is None else str(resume.resolve()),
+    teacher=teachers[0] if teachers else None,
+    more_teachers=teachers[1:],
+    init_from=None if beginning is None else beginning.record,
+    versions=package_versions(),
+  )
+
+
+def _load(
+  runner: MjlabOnPolicyRunner, resume: Path | None, teaching: Sequence[TrainedPolicy], beginning: TrainedPolicy | None
+) -> int:
+  """Load what the run continues or starts from; return the iterations that are left."""
+  if resume is not None:
+    runner.load(str(resume))
+  elif isinstance(runner, MjlabDistillationRunner):
+    runner.load_teacher(*teaching)
+  if beginning is not None:
+    runner.load_policy(beginning.path)
+  done, most = runner.current_learning_iteration, runner.agent_cfg.max_iterations
+  if done >= most:
+    raise ConfigError(
+      f"{resume} has {done} iterations, agent.max_iterations is {most}: no iterations are left. Raise "
+      "--agent.max-iterations."
+    )
+  return most - done

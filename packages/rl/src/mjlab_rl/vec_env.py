@@ -1,9 +1,10 @@
 """Adapter from an environment to rsl-rl's `VecEnv`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+from mjlab_core.names import check_name
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
@@ -47,6 +48,20 @@ class RslRlVecEnvWrapper(VecEnv):
     self, value: torch.Tensor
   ) -> None:
     self.env.episode_length_buf.copy_(value)
+
+  def select(self, obs_groups: Mapping[str, Sequence[str]]) -> dict[str, list[list[int]]]:
+    """Pass on only the observation groups of some networks; return the shapes of each network's, for one world.
+
+    Raises:
+      UnknownNameError: The environment has no such group.
+    """
+    seen = self.env.get_observations()
+    for network, groups in obs_groups.items():
+      for group in groups:
+        check_name("observation group", group, seen, f"agent.obs_groups['{network}']")
+    # A rollout stores all groups that it gets.
+    self.groups = frozenset(group for groups in obs_groups.values() for group in groups)
+    return {network: [list(seen[group].shape[1:]) for group in groups] for network, groups in obs_groups.items()}
 
   def get_observations(self) -> TensorDict:
     """Return the current observations, batch size (num_envs,)."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from mjlab_core.errors import FileError
 from mjlab_core.files import printable, reading
+from mjlab_core.lazy import from_extra
 from mjlab_core.names import unknown
 
 from mjlab_sysid.records import JOINT_SIGNALS, Record, check_unit, elements, interpolated
@@ -24,20 +25,16 @@ _BODY_TOPICS: dict[str, dict[str, tuple[str, ...]]] = {
 _MAX_MESSAGES = 5_000_000
 
 
-def read_mcap(path: Path) -> Record:
-  """Return the record in an MCAP file: measurements at their times, with the latest command before each.
+def read_mcap(path: Path) -> list[Record]:
+  """Return the one record in an MCAP file: measurements at their times, with the latest command before each.
 
   Raises:
     FileError: The file is damaged, lacks a topic, or messages of one topic differ in their joints.
     ModuleNotFoundError: The library is not installed; the message says how to get it.
   """
-  try:
+  with from_extra("mcap", "mjlab-sysid", "an MCAP file"):
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
-  except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-      "an MCAP file needs the library mcap: install mjlab-sysid with its extra 'mcap'", name="mcap"
-    ) from error
   series: dict[str, list[tuple[float, Any]]] = {STATES: [], COMMANDS: [], IMU: [], BASE: []}
   with reading("record", path), path.open("rb") as file:
     reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
@@ -61,7 +58,7 @@ def read_mcap(path: Path) -> Record:
     for topic in (STATES, COMMANDS):
       if not series[topic]:
         raise FileError(unknown("topic", topic, [printable(name, 80) for name in sorted(present)]))
-    return _merged(printable(path, 200), series)
+    return [_merged(printable(path, 200), series)]
 
 
 def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
@@ -79,7 +76,8 @@ def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
     for name, path in paths.items() if len(at) else ():
       found = [functools.reduce(_get, path, message) for _, message in series[topic]]
       values = np.array([[_get(part, axis) for axis in elements(name, ())] for part in found], np.float64)
-      check_unit(source, name, values)
+      if name == "base_orientation":
+        check_unit(source, values)
       signals[name] = interpolated(name, time, at, values)
   return Record(source=source, joints=names, time=time - time[0] if len(time) else time, signals=signals)
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core.errors import MjlabError
+from mjlab_core.lazy import from_extra
 from mujoco.batch import Batch, SimulationError
 
 from mjlab_sysid.robot import Robot
@@ -26,12 +27,8 @@ def make_engine(robot: Robot, num_worlds: int, engine: EngineName, device: str, 
     if device != "cpu":
       raise MjlabError(f"engine 'native' runs on a CPU, the device is '{device}'; set device 'cpu' or engine 'warp'")
     return NativeWorlds(robot.model, num_worlds, threads)
-  try:
+  with from_extra("warp", "mjlab-sysid", "MuJoCo Warp"):
     from mjlab_sim import Simulation, SimulationCfg
-  except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-      "MuJoCo Warp needs mjlab-sim: install mjlab-sysid with its extra 'warp'", name="mjlab_sim"
-    ) from error
   return Simulation(num_worlds, robot.spec, SimulationCfg(engine="warp", integrator=None), device)
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from mjlab_core.errors import MjlabError
+from mjlab_core.lazy import from_extra
 from mujoco.minimize import Verbosity, least_squares
 
 from mjlab_sysid.identified import Identified, Score, Trace
@@ -23,6 +24,8 @@ from mjlab_sysid.robot import Robot
 from mjlab_sysid.windows import cut
 
 _PASSES = 2
+_Residual = Callable[[np.ndarray], np.ndarray]
+_Report = Callable[[int, float, np.ndarray], None]
 
 
 class Progress(NamedTuple):
@@ -67,48 +70,40 @@ def identify(
   """
   if not fit:
     raise MjlabError("no parameter to fit is given")
-  problem = Problem(robot, cut(robot, records, (cfg := cfg or IdentifyCfg()).window), fit, ranges or {}, cfg)
-  tested = Problem(robot, cut(robot, held_out, cfg.window), fit, ranges or {}, cfg) if held_out else None
-  file = None if progress is None else Path(progress)
-  state = FitState(x=np.zeros(problem.count))
-  if resume:
-    if file is None:
-      raise MjlabError("resume needs the file of a fit: progress")
-    state = load_state(file, problem.key, problem.count)
-  fitting = _Fit(problem, cfg, on_iteration, state, file)
-  if not resume:
-    state.x = problem.off_plateaus(state.x)
-  if state.told is None:
-    x = fitting.solve("fit", np.ones(problem.count, dtype=bool))
-    told, reasons = problem.identifiable(x, cfg.tell)
-    fitting.state = FitState(x=np.where(told, x, 0.0), told=told, reasons=reasons)
-  else:
-    told, reasons = state.told, state.reasons
-  x = fitting.solve("fit what the records tell", told) if told.any() and not told.all() else fitting.state.x
-  if file is not None and not fitting.stopped:
-    file.unlink(missing_ok=True)
-  jacobian, scale = problem.information(x)
-  information = jacobian.T @ jacobian / scale
-  covariance = np.diag(np.full(problem.count, PRIOR**2))
-  covariance[np.ix_(told, told)] = np.linalg.inv(information[np.ix_(told, told)] + np.eye(int(told.sum())) / PRIOR**2)
-  half = np.array([parameter.half for parameter in problem.parameters])
-  traces = problem.traces(x)
-  tested_traces = tested.traces(x) if tested else []
-  scores = [_score(trace, False) for trace in traces] + [_score(trace, True) for trace in tested_traces]
+  cfg = cfg or IdentifyCfg()
+
+  def problem_of(some: Sequence[Record]) -> Problem:
+    return Problem(robot, cut(robot, some, cfg.window), fit, ranges or {}, cfg)
+
+  problem = problem_of(records)
+  fitting = _Fit(problem, cfg, on_iteration, None if progress is None else Path(progress), resume)
+  x, told, reasons = fitting.run()
+  singular_values, covariance = _information(problem, x, told)
+  traces, tested = problem.traces(x), problem_of(held_out).traces(x) if held_out else []
   return Identified(
     parameters=tuple(problem.parameters),
     numbers=problem.numbers(x[:, None])[0],
-    covariance=covariance * np.outer(half, half),
+    covariance=covariance,
     told=told,
     reasons=tuple(reasons),
-    singular_values=np.linalg.svd(jacobian / math.sqrt(scale), compute_uv=False),
-    scores=tuple(scores),
-    traces=(*traces, *tested_traces),
+    singular_values=singular_values,
+    scores=tuple(_score(trace, i >= len(traces)) for i, trace in enumerate([*traces, *tested])),
+    traces=(*traces, *tested),
     period=problem.windows.timestep * problem.windows.substeps,
     sources=tuple(dict.fromkeys(record.source for record in records)),
     overlay=problem.overlay(x, told),
     stopped=fitting.stopped,
   )
+
+
+def _information(problem: Problem, x: np.ndarray, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+  """Return the singular values of the Jacobian, and the covariance of the numbers; that of the prior if not told."""
+  jacobian, scale = problem.information(x)
+  information = (jacobian.T @ jacobian / scale)[np.ix_(told, told)]
+  covariance = np.diag(np.full(problem.count, PRIOR**2))
+  covariance[np.ix_(told, told)] = np.linalg.inv(information + np.eye(int(told.sum())) / PRIOR**2)
+  half = np.array([parameter.half for parameter in problem.parameters])
+  return np.linalg.svd(jacobian / math.sqrt(scale), compute_uv=False), covariance * np.outer(half, half)
 
 
 def _score(trace: Trace, is_held_out: bool) -> Score:
@@ -117,24 +112,44 @@ def _score(trace: Trace, is_held_out: bool) -> Score:
 
 
 class _Fit:
-  """Passes of a solver, which the caller may end."""
+  """Passes of a solver, which the caller may end, and whose state is kept in a file."""
 
   def __init__(
     self,
     problem: Problem,
     cfg: IdentifyCfg,
     on_iteration: Callable[[Progress], bool | None] | None,
-    state: FitState,
     file: Path | None,
+    is_resumed: bool,
   ) -> None:
     self._problem, self._cfg, self._on_iteration, self._file = problem, cfg, on_iteration, file
-    self.state = state
-    """State that is kept after every iteration."""
+    # The records do not change; their digest takes time.
+    self._key = problem.key
+    if is_resumed:
+      if file is None:
+        raise MjlabError("resume needs the file of a fit: progress")
+      self._state = load_state(file, self._key, problem.count)
+    else:
+      self._state = FitState(x=problem.off_plateaus(np.zeros(problem.count)))
     self.stopped = False
 
-  def solve(self, stage: str, free: np.ndarray) -> np.ndarray:
+  def run(self) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Fit all parameters, then those that the records tell; return the candidate, which they are, and reasons."""
+    if self._state.told is None:
+      x = self._solve("fit", np.ones(self._problem.count, dtype=bool))
+      told, reasons = self._problem.identifiable(x, self._cfg.tell)
+      self._state = FitState(x=np.where(told, x, 0.0), told=told, reasons=reasons)
+    else:
+      told, reasons = self._state.told, self._state.reasons
+    if told.any() and not told.all():
+      self._solve("fit what the records tell", told)
+    if self._file is not None and not self.stopped:
+      self._file.unlink(missing_ok=True)
+    return self._state.x, told, reasons
+
+  def _solve(self, stage: str, free: np.ndarray) -> np.ndarray:
     """Return the best candidate that differs from the state's in the free parameters alone."""
-    problem, state = self._problem, self.state
+    problem, state = self._problem, self._state
     state.x = np.clip(state.x, problem.lower, problem.upper)
     # States depend on parameters, so that their uncertainty is linearised again at what the first pass finds.
     while state.passes < _PASSES and not self.stopped:
@@ -144,8 +159,7 @@ class _Fit:
     return state.x
 
   def _pass(self, stage: str, free: np.ndarray) -> None:
-    problem, x = self._problem, self.state.x.copy()
-    key = problem.key
+    problem, x = self._problem, self._state.x.copy()
 
     def residual(z: np.ndarray) -> np.ndarray:
       full = np.repeat(x[:, None], z.shape[1], 1)
@@ -153,54 +167,47 @@ class _Fit:
       return np.concatenate((problem.whitened(full), z / PRIOR))
 
     def report(iteration: int, cost: float, candidate: np.ndarray) -> None:
-      self.state.x = x.copy()
-      self.state.x[free] = candidate
+      self._state.x = x.copy()
+      self._state.x[free] = candidate
       if self._file is not None:
-        save_state(self.state, self._file, key)
+        save_state(self._state, self._file, self._key)
       if self._on_iteration is not None and self._on_iteration(Progress(stage, iteration, cost)):
         raise StopIteration
 
+    search = self._evolve if self._cfg.solver == "cma" else self._descend
     try:
-      if self._cfg.solver == "cma":
-        self._evolve(residual, x[free], problem.lower[free], problem.upper[free], report)
-      else:
-        best, _ = least_squares(
-          x[free],
-          residual,
-          bounds=[problem.lower[free], problem.upper[free]],
-          eps=problem.steps.parameter,
-          xtol=1e-4,
-          gtol=1e-3,
-          mu_min=1e-3,
-          mu_factor=10.0,
-          max_iter=self._cfg.iterations,
-          verbose=Verbosity.SILENT,
-          output=io.StringIO(),
-          iter_callback=lambda trace: report(len(trace), float(trace[-1].objective), trace[-1].candidate[:, 0]),
-        )
-        self.state.x = x.copy()
-        self.state.x[free] = best
+      best = search(residual, x[free], [problem.lower[free], problem.upper[free]], report)
+      self._state.x = x.copy()
+      self._state.x[free] = best
     except StopIteration:
       self.stopped = True
 
-  def _evolve(
-    self,
-    residual: Callable[[np.ndarray], np.ndarray],
-    x: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    report: Callable[[int, float, np.ndarray], None],
-  ) -> None:
-    try:
+  def _descend(self, residual: _Residual, x: np.ndarray, bounds: list[np.ndarray], report: _Report) -> np.ndarray:
+    best, _ = least_squares(
+      x,
+      residual,
+      bounds=bounds,
+      eps=self._problem.steps.parameter,
+      xtol=1e-4,
+      gtol=1e-3,
+      mu_min=1e-3,
+      mu_factor=10.0,
+      max_iter=self._cfg.iterations,
+      verbose=Verbosity.SILENT,
+      output=io.StringIO(),
+      iter_callback=lambda trace: report(len(trace), float(trace[-1].objective), trace[-1].candidate[:, 0]),
+    )
+    return best
+
+  def _evolve(self, residual: _Residual, x: np.ndarray, bounds: list[np.ndarray], report: _Report) -> np.ndarray:
+    with from_extra("cma", "mjlab-sysid", "CMA-ES"):
       import cma
-    except ModuleNotFoundError as error:
-      raise ModuleNotFoundError(
-        "CMA-ES needs the library cma: install mjlab-sysid with its extra 'cma'", name="cma"
-      ) from error
-    options = {"bounds": [lower.tolist(), upper.tolist()], "seed": self._cfg.seed + 1, "verbose": -9}
-    search = cma.CMAEvolutionStrategy(x.tolist(), 0.3, options | {"maxiter": self._cfg.iterations})
+    limits = [bound.tolist() for bound in bounds]
+    options = {"bounds": limits, "seed": self._cfg.seed + 1, "verbose": -9, "maxiter": self._cfg.iterations}
+    search = cma.CMAEvolutionStrategy(x.tolist(), 0.3, options)
     while not search.stop():
       candidates = search.ask()
       costs = 0.5 * np.square(residual(np.array(candidates).T)).sum(0)
       search.tell(candidates, costs.tolist())
       report(search.countiter, float(search.result.fbest), np.asarray(search.result.xbest))
+    return np.asarray(search.result.xbest)

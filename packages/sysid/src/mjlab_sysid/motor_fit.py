@@ -4,17 +4,17 @@ import copy
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 import torch
 from mjlab_actuators.network_file import ACTIVATIONS, Activation
+from mjlab_core.constraints import Items, Limits, Positive, PositiveCount, check_fields
 from mjlab_core.errors import MjlabError
 from mjlab_core.files import AtomicWrite
-from mjlab_core.names import unknown
+from mjlab_core.lazy import from_extra
 
 from mjlab_sysid.motor_law import MotorLaw, fit_motor_law
 from mjlab_sysid.records import Record, uniform
@@ -27,42 +27,27 @@ if TYPE_CHECKING:
 class MotorFitCfg:
   """Settings of the network and of its training."""
 
-  history_length: int = 3
+  history_length: PositiveCount = 3
   """Samples of position error and velocity that the network sees, the present one included."""
-  hidden: tuple[int, ...] = (32, 32)
+  hidden: Annotated[tuple[int, ...], Items(), Limits(ge=1)] = (32, 32)
   """Widths of the hidden layers."""
   activation: Activation = "softsign"
   """Between the layers."""
-  epochs: int = 100
+  epochs: PositiveCount = 100
   """Passes over the records."""
-  batch_size: int = 128
+  batch_size: PositiveCount = 128
   """Samples of one step of Adam."""
-  learning_rate: float = 1e-2
+  learning_rate: Positive = 1e-2
   """At the beginning; it falls to zero along a cosine."""
-  held_out: float = 0.2
+  held_out: Annotated[float, Limits(gt=0, lt=1)] = 0.2
   """Share at the end of each segment that is never trained on."""
   joints: str = ".*"
   """Pattern of the joints whose motors the network stands for."""
   seed: int = 0
   """Of the first weights and of the order of the samples."""
 
-  def validate(self) -> None:
-    """Refuse impossible settings by name.
-
-    Raises:
-      MjlabError: A setting is impossible.
-    """
-    for name in ("history_length", "epochs", "batch_size"):
-      if getattr(self, name) < 1:
-        raise MjlabError(f"{name} is {getattr(self, name)}; it must be 1 or more")
-    if not self.hidden or min(self.hidden) < 1:
-      raise MjlabError(f"hidden is {self.hidden}; give the width of at least one layer, 1 or more")
-    if self.activation not in get_args(Activation):
-      raise MjlabError(unknown("activation", self.activation, get_args(Activation)))
-    if not self.learning_rate > 0.0:
-      raise MjlabError(f"learning_rate is {self.learning_rate}; it must be positive")
-    if not 0.0 < self.held_out < 1.0:
-      raise MjlabError(f"held_out is {self.held_out}; it must lie between 0 and 1")
+  def __post_init__(self) -> None:
+    check_fields(self, "MotorFitCfg")
 
 
 class FitProgress(NamedTuple):
@@ -155,10 +140,8 @@ def require_matplotlib() -> None:
   Raises:
     ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
   """
-  if find_spec("matplotlib") is None:
-    raise ModuleNotFoundError(
-      "a plot needs matplotlib: install it, or mjlab-sysid with its extra 'plot'", name="matplotlib"
-    )
+  with from_extra("plot", "mjlab-sysid", "a plot"):
+    import matplotlib as mpl  # noqa: F401
 
 
 def fit_motor(
@@ -180,38 +163,15 @@ def fit_motor(
     MjlabError: A setting is impossible, a segment is too short, or the efforts never change.
   """
   cfg = MotorFitCfg() if cfg is None else cfg
-  cfg.validate()
   period, tables = _tables(records, cfg)
   trained, held = _split(tables, cfg)
   (x, y), (x_held, y_held) = (_samples(parts, cfg.history_length) for parts in (trained, held))
   if y.std() == 0.0:
     raise MjlabError("signal 'effort' never changes, so there is nothing to learn")
-  generator = torch.Generator().manual_seed(cfg.seed)
-  standard = _Standard.of(x, y, cfg.history_length)
-  inputs, wanted = x @ standard.inputs.T - standard.center, (y - standard.effort_center) / standard.effort_scale
-  network = _network(cfg, generator)
-  optimizer = torch.optim.Adam(network.parameters(), lr=cfg.learning_rate)
-  schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, cfg.epochs)
-
-  result = network
-  curve: list[FitProgress] = []
-  for epoch in range(1, cfg.epochs + 1):
-    squares = 0.0
-    with _one_thread():
-      for rows in torch.randperm(len(x), generator=generator).split(cfg.batch_size):
-        loss = (network(inputs[rows])[:, 0] - wanted[rows]).square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        squares += loss.item() * len(rows)
-    schedule.step()
-    result = standard.folded_into(network)
-    train_error = (squares / len(x)) ** 0.5 * standard.effort_scale.item()
-    curve.append(FitProgress(epoch, train_error, _error(result, x_held, y_held)))
-    if on_epoch is not None and on_epoch(curve[-1]):
-      break
-  motor = fit_motor_law(trained, cfg.history_length - 1)
-  away = [(motor.efforts(part) - part[:, 3])[cfg.history_length - 1 :] for part in held]
+  result, curve = _trained((x, y), (x_held, y_held), cfg, on_epoch)
+  first = cfg.history_length - 1
+  motor = fit_motor_law(trained, first)
+  away = [(motor.efforts(part) - part[:, 3])[first:] for part in held]
   pd_gains, pd_error = _best_pd(x, y, x_held, y_held, cfg.history_length)
   with torch.no_grad():
     held_out = torch.stack((y_held, result(x_held)[:, 0]), dim=1)
@@ -219,7 +179,7 @@ def fit_motor(
     cfg=cfg,
     period=period,
     network=result,
-    curve=tuple(curve),
+    curve=curve,
     train_error=_error(result, x, y),
     held_out_error=_error(result, x_held, y_held),
     pd_error=pd_error,
@@ -271,6 +231,36 @@ def _windows(rows: np.ndarray, length: int) -> np.ndarray:
   errors, velocities = rows[:, 0] - rows[:, 1], rows[:, 2]
   past = [np.lib.stride_tricks.sliding_window_view(series, length)[:, ::-1] for series in (errors, velocities)]
   return np.concatenate((*past, rows[length - 1 :, 3:]), axis=1)
+
+
+def _trained(
+  samples: Samples, held: Samples, cfg: MotorFitCfg, on_epoch: Callable[[FitProgress], bool | None] | None
+) -> tuple[torch.nn.Sequential, tuple[FitProgress, ...]]:
+  """Return the trained network for rows and efforts in their own units, and its errors after each epoch."""
+  x, y = samples
+  generator = torch.Generator().manual_seed(cfg.seed)
+  standard = _Standard.of(x, y, cfg.history_length)
+  inputs, wanted = x @ standard.inputs.T - standard.center, (y - standard.effort_center) / standard.effort_scale
+  network = _network(cfg, generator)
+  optimizer = torch.optim.Adam(network.parameters(), lr=cfg.learning_rate)
+  schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, cfg.epochs)
+  result, curve = network, []
+  for epoch in range(1, cfg.epochs + 1):
+    squares = 0.0
+    with _one_thread():
+      for rows in torch.randperm(len(x), generator=generator).split(cfg.batch_size):
+        loss = (network(inputs[rows])[:, 0] - wanted[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        squares += loss.item() * len(rows)
+    schedule.step()
+    result = standard.folded_into(network)
+    train_error = (squares / len(x)) ** 0.5 * standard.effort_scale.item()
+    curve.append(FitProgress(epoch, train_error, _error(result, *held)))
+    if on_epoch is not None and on_epoch(curve[-1]):
+      break
+  return result, tuple(curve)
 
 
 def _network(cfg: MotorFitCfg, generator: torch.Generator) -> torch.nn.Sequential:

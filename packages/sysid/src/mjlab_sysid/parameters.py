@@ -1,12 +1,11 @@
 """Parameters to fit: patterns over the catalogue of mjlab-dr, with bounds that are their priors."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mjlab_core.errors import MjlabError, UnknownNameError
-from mjlab_core.names import unknown
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name
 from mjlab_dr import FIELDS, Operation
 
 ALIASES = {"armature": "dof_armature", "frictionloss": "dof_frictionloss", "viscous_damping": "dof_damping"}
@@ -25,9 +24,10 @@ _OFFSETS: dict[str, Range] = {
   "body_ipos": ("add", -0.05, 0.05),
 }
 _INERTIA = {"alpha": 0.7, "d": 0.3, "s": 0.3, "t": 0.05}
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PATTERN = re.compile(
   r"(?P<field>[a-z_0-9.]+?)(\.(?P<axis>[a-zA-Z_0-9]+))?:(?P<pattern>.+?)"
-  r"(=(?P<lo>[-+.\deE]+)\.\.(?P<hi>[-+.\deE]+))?(?P<shared>,shared)?"
+  rf"(=(?P<lo>{_NUMBER})\.\.(?P<hi>{_NUMBER}))?(?P<shared>,shared)?"
 )
 
 
@@ -82,22 +82,18 @@ def parse_term(text: str) -> FitTerm:
   if field == "opt" and axis:
     field, axis = f"opt.{axis}", None
   field = ALIASES.get(field, field)
-  if field not in FIELDS:
-    raise UnknownNameError(unknown("field", field, [*FIELDS, *ALIASES], owner=f"fit {text!r}"))
+  check_name("field", field, [*FIELDS, *ALIASES], owner=f"fit {text!r}")
   row = FIELDS[field]
-  if axis is not None and axis not in row.axes:
-    raise UnknownNameError(unknown("axis", axis, row.axes, owner=f"fit {text!r}"))
+  if axis is not None:
+    check_name("axis", axis, row.axes, owner=f"fit {text!r}")
   if row.integer and field != "delay":
     raise MjlabError(f"fit {text!r}: it is a choice, which cannot be fitted")
   if row.kind in ("camera", "light", "material") or field in ("geom_rgba", "opt.timestep"):
     raise MjlabError(f"fit {text!r}: it does not act on the motion of a robot")
   range_: Range | None = None
   if match["lo"] is not None:
-    try:
-      lo, hi = float(match["lo"]), float(match["hi"])
-    except ValueError as error:
-      raise MjlabError(f"fit {text!r}: {error}") from error
-    if not (math.isfinite(lo) and math.isfinite(hi) and lo < hi):
+    lo, hi = float(match["lo"]), float(match["hi"])
+    if not lo < hi:
       raise MjlabError(f"fit {text!r}: bounds {lo:g}..{hi:g} must rise")
     range_ = ("add" if row.operation == "add" else "absolute", lo, hi)
   return FitTerm(field=field, axis=axis, pattern=match["pattern"], range=range_, shared=bool(match["shared"]))

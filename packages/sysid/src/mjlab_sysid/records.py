@@ -2,15 +2,16 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mjlab_core.errors import FileError
 from mjlab_core.files import AtomicWrite, printable
-from mjlab_core.names import match_names, unknown
+from mjlab_core.names import check_name, match_names, unknown
 
 JOINT_SIGNALS: dict[str, str] = {
   "position_target": "position",
@@ -32,13 +33,20 @@ BODY_SIGNALS: dict[str, str] = {
 its position, (rows, 3), and its unit quaternion, (rows, 4)."""
 
 
-def check_unit(source: str, name: str, values: np.ndarray) -> None:
-  """Check that an orientation, (rows, 4), is one; other signals may have any values.
+SIGNALS = (*JOINT_SIGNALS, *BODY_SIGNALS)
+"""Names of all signals."""
+
+QUANTITIES = {"time": "time", **JOINT_SIGNALS, **BODY_SIGNALS}
+"""Quantity of time and of each signal."""
+
+
+def check_unit(source: str, orientations: np.ndarray) -> None:
+  """Check that orientations, (rows, 4), are unit quaternions.
 
   Raises:
-    FileError: A row is not a unit quaternion.
+    FileError: One is not.
   """
-  if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
+  if not np.allclose(np.linalg.norm(orientations, axis=1), 1.0, atol=0.01):
     raise FileError(f"{source}: base_orientation is not a unit quaternion (w, x, y, z)")
 
 
@@ -82,32 +90,31 @@ class Record:
   """Columns or arrays of the file that were not read."""
 
   def __post_init__(self) -> None:
+    if problem := next(self._problems(), ""):
+      raise FileError(f"{self.source}{problem}")
+    if "base_orientation" in self.signals:
+      check_unit(self.source, self.signals["base_orientation"])
+
+  def _problems(self) -> Iterator[str]:
+    """Yield what is wrong, to follow the source."""
     for name, values in self.signals.items():
-      if name not in (*JOINT_SIGNALS, *BODY_SIGNALS):
-        raise FileError(unknown("signal", printable(name, 80), (*JOINT_SIGNALS, *BODY_SIGNALS), owner=self.source))
-      width = len(elements(name, self.joints))
-      if values.shape != (len(self.time), width):
-        raise FileError(f"{self.source}: signal '{name}' is {values.shape}, expected {(len(self.time), width)}")
+      if name not in SIGNALS:
+        yield f": {unknown('signal', printable(name, 80), SIGNALS)}"
+      elif values.shape != (shape := (len(self.time), len(elements(name, self.joints)))):
+        yield f": signal '{name}' is {values.shape}, expected {shape}"
     if len(set(self.joints)) < len(self.joints):
-      raise FileError(f"{self.source}: a joint is there twice: {', '.join(self.joints)}")
+      yield f": a joint is there twice: {', '.join(self.joints)}"
     if len(self.time) < 2:
-      raise FileError(f"{self.source}: {len(self.time)} rows; a record has at least two")
-    late = np.flatnonzero(~(np.diff(self.time) > 0.0))
-    if late.size or not math.isfinite(self.time[0]):
-      row = int(late[0]) + 1 if late.size else 0
-      raise FileError(
-        f"{self.source}, row {row + 1}: time {self.time[row]:g} s does not follow the row before; sort it"
-      )
+      yield f": {len(self.time)} rows; a record has at least two"
+    rises = np.r_[True, self.time[1:] > self.time[:-1]] & np.isfinite(self.time)
+    for row in np.flatnonzero(~rises):
+      yield f", row {row + 1}: time {self.time[row]:g} s does not follow the row before; sort it"
     for name, values in self.signals.items():
       if name in BODY_SIGNALS and np.isnan(values).any():
-        raise FileError(f"{self.source}: {name} is not finite, or lacks one of {', '.join(elements(name, ()))}")
-      check_unit(self.source, name, values)
+        yield f": {name} is not finite, or lacks one of {', '.join(elements(name, ()))}"
       # A joint may lack a signal altogether, but not now and then.
-      broken = ~np.isfinite(values) & ~np.isnan(values).all(0)
-      if broken.any():
-        row, column = (int(index) for index in np.argwhere(broken)[0])
-        element = elements(name, self.joints)[column]
-        raise FileError(f"{self.source}, row {row + 1}: {name} of '{element}' is not a finite number")
+      for row, column in np.argwhere(~np.isfinite(values) & ~np.isnan(values).all(0)):
+        yield f", row {row + 1}: {name} of '{elements(name, self.joints)[column]}' is not a finite number"
 
   @property
   def num_rows(self) -> int:
@@ -133,8 +140,6 @@ class Record:
       FileError: A joint lacks the signal.
     """
     for joint in joints:
-      if joint not in self.joints:
-        raise FileError(unknown("joint", joint, self.joints, owner=self.source))
       if not self.has(signal, joint):
         others = f"; not read: {', '.join(self.ignored)}" if self.ignored else ""
         raise FileError(f"{self.source}: joint '{joint}' has no signal '{signal}'{others}")
@@ -186,7 +191,6 @@ def uniform(record: Record, period: float | None = None) -> list[Record]:
     period: Wanted period [s]; None for the record's own.
   """
   own = record.period
-  period = own if period is None else period
   steps = np.diff(record.time)
   cuts = np.flatnonzero(steps > _GAP * own) + 1
   if cuts.size:
@@ -201,11 +205,9 @@ def uniform(record: Record, period: float | None = None) -> list[Record]:
     warnings.warn(
       f"{record.source}: {share:.0%} of the rows are not {own:.3g} s apart; they are resampled", stacklevel=2
     )
-  out = []
-  for begin, end in zip([0, *cuts], [*cuts, len(record.time)], strict=True):
-    if end - begin >= 2 and (resampled := _resampled(record.rows(slice(begin, end)), period)) is not None:
-      out.append(resampled)
-  return out
+  parts = [record.rows(slice(begin, end)) for begin, end in pairwise([0, *cuts, record.num_rows]) if end - begin >= 2]
+  resampled = [_resampled(part, own if period is None else period) for part in parts]
+  return [part for part in resampled if part is not None]
 
 
 def _resampled(record: Record, period: float) -> Record | None:
@@ -241,16 +243,15 @@ def check_joints(record: Record, ranges: Mapping[str, tuple[float, float]]) -> N
     ranges: Range of each joint [rad or m]; infinite without limits.
 
   Raises:
-    FileError: A joint does not exist, or positions lie so far outside its range that the unit must be wrong.
+    UnknownNameError: A joint does not exist.
+    FileError: Positions lie so far outside the range of a joint that the unit must be wrong.
   """
   for joint in record.joints:
-    if joint not in ranges:
-      raise FileError(unknown("joint", joint, ranges, owner=record.source))
-    low, high = ranges[joint]
+    low, high = ranges[check_name("joint", joint, ranges, record.source)]
     span = high - low
-    if not record.has("position", joint) or not math.isfinite(span):
+    if not record.has("position", joint):
       continue
-    values = record.signals["position"][:, record.joints.index(joint)]
+    values = record.of("position", [joint])[:, 0]
     if values.min() < low - span or values.max() > high + span:
       raise FileError(
         f"{record.source}: positions of '{joint}' reach {values[np.abs(values).argmax()]:.3g}, but its range is "

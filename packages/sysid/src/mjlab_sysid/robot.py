@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_actuators import ActuatorCfg, ActuatorSet
-from mjlab_core.errors import MjlabError, UnknownNameError
-from mjlab_core.names import match_values_full, unknown
+from mjlab_core.errors import MjlabError
+from mjlab_core.names import check_name, match_values_full
 
 IMU = {
   "angular_velocity": mujoco.mjtSensor.mjSENS_GYRO,
@@ -179,10 +179,7 @@ def _robot(
 def _site_of_imu(spec: mujoco.MjSpec, name: str | None) -> str:
   if name is None:
     return next((sensor.objname for sensor in spec.sensors if sensor.type in IMU.values()), "")
-  sites = [site.name for site in spec.sites]
-  if name not in sites:
-    raise UnknownNameError(unknown("site", name, sites, owner="imu"))
-  return name
+  return check_name("site", name, [site.name for site in spec.sites], owner="imu")
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -60,6 +60,29 @@ class CommandLine:
     return leading, list(words[len(leading) :])
 
 
+def run_with_words(
+  line: CommandLine, words: list[str], action: Callable[[list[str], Any], int], most: int | None = 1
+) -> int:
+  """Run a command of the form `COMMAND WORDS [flags]`, or print its help; return the exit code.
+
+  Args:
+    line: Form of the command.
+    words: Words after the name of the command.
+    action: Function of the words before the flags, and of the arguments.
+    most: Largest number of words before the flags; None: any.
+
+  Raises:
+    UsageError: The words are missing, or a flag is wrong.
+  """
+  if line.wants_help(words):
+    return 0
+  leading, flags = line.split(words, most)
+  # tyro is heavy.
+  from mjlab.cli._flags import parse
+
+  return action(leading, parse(line.arguments(), flags))
+
+
 def run_with_task(
   line: CommandLine,
   words: list[str],

@@ -11,7 +11,7 @@ from mjlab_core import MjlabError, UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, output_file, plot_problem
+from mjlab.cli._command_line import CommandLine, output_file, plot_problem, run_with_words
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -93,44 +93,19 @@ examples:
 
 def run(words: list[str]) -> int:
   """Convert; return the exit code."""
-  if _LINE.wants_help(words):
-    return 0
-  clips, flags = _LINE.split(words, most=None)
-  from mjlab.cli._flags import parse
-
-  return _convert(clips, parse(Arguments(), flags))
+  return run_with_words(_LINE, words, _convert, most=None)
 
 
 def _convert(clips: list[str], wanted: Arguments) -> int:
-  from mjlab_motions import (
-    Kinematics,
-    check_quality,
-    concatenate,
-    derived_arrays,
-    plot_quality,
-    read_motion,
-    save_motion,
-  )
+  from mjlab_motions import Kinematics
 
   from mjlab.cli._clip_preview import Preview
 
   if wanted.report is not None and (problem := plot_problem()):
     raise UsageError(f"--report: no plots: {problem}")
-
   spec = robot_spec(wanted.robot)
   robot = Kinematics(spec.compile())
-  said = _statement(wanted)
-  motions: list[Motion] = []
-  with ProgressBar("reading", len(clips)) as bar:
-    for clip in clips:
-      motion = read_motion(_found(clip), robot, said)
-      with _edits():
-        motions.append(_edited(motion, robot, wanted))
-      bar.show(len(motions), motions[-1].name)
-  with _edits():
-    if wanted.concatenate is not None:
-      motions = [concatenate(motions, blend=wanted.concatenate)]
-    motions = [_finished(motion, robot, wanted) for motion in motions]
+  motions = _read(clips, robot, wanted)
   if wanted.preview and len(motions) > 1:
     raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
   targets, pictures, films = (
@@ -146,18 +121,7 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
     has_errors = False
     for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
       bar.show(index, motion.name)
-      report = check_quality(motion, robot)
-      print(report.table())
-      if picture is not None:
-        plot_quality(report, picture)
-        print(f"drew {picture}")
-      if report.severity == "error" and not wanted.accept_errors:
-        has_errors = True
-        if target is not None:
-          print(f"not written: {target}, because of the errors above; --accept-errors writes it", file=sys.stderr)
-      elif target is not None:
-        save_motion(motion, target, None if wanted.compact else derived_arrays(motion, robot))
-        print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
+      has_errors |= not _write(motion, robot, target, picture, wanted)
       if preview is not None and renderer is not None and film is not None:
         preview.film(motion, film, renderer, lambda share, done=index: bar.show(done + share, "filming"))
         print(f"filmed {film}")
@@ -165,6 +129,42 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   if preview is not None and wanted.preview:
     preview.browse(motions[0], host=wanted.host, port=wanted.port)
   return int(has_errors)
+
+
+def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Motion]":
+  """Return the edited clips."""
+  from mjlab_motions import concatenate, read_motion
+
+  said = _statement(wanted)
+  motions: list[Motion] = []
+  with ProgressBar("reading", len(clips)) as bar:
+    for clip in clips:
+      motion = read_motion(_found(clip), robot, said)
+      with _edits():
+        motions.append(_edited(motion, robot, wanted))
+      bar.show(len(motions), motions[-1].name)
+  with _edits():
+    if wanted.concatenate is not None:
+      motions = [concatenate(motions, blend=wanted.concatenate)]
+    return [_finished(motion, robot, wanted) for motion in motions]
+
+
+def _write(motion: "Motion", robot: "Kinematics", target: Path | None, picture: Path | None, wanted: Arguments) -> bool:
+  """Report on a clip and write it; return False if errors forbid that."""
+  from mjlab_motions import check_quality, derived_arrays, plot_quality, save_motion
+
+  report = check_quality(motion, robot)
+  print(report.table())
+  if picture is not None:
+    plot_quality(report, picture)
+    print(f"drew {picture}")
+  is_good = report.severity != "error" or wanted.accept_errors
+  if target is not None and is_good:
+    save_motion(motion, target, None if wanted.compact else derived_arrays(motion, robot))
+    print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
+  elif target is not None:
+    print(f"not written: {target}, because of the errors above; --accept-errors writes it", file=sys.stderr)
+  return is_good
 
 
 @contextlib.contextmanager
@@ -199,7 +199,7 @@ def robot_spec(name: str) -> "mujoco.MjSpec":
 
 def _statement(wanted: Arguments) -> "Statement":
   from mjlab_motions import Statement
-  from mjlab_motions.reading import read_json
+  from mjlab_motions.clips import read_json
 
   example = '{"robot joint": "column" or a number, ...}'
   return Statement(
@@ -213,7 +213,7 @@ def _statement(wanted: Arguments) -> "Statement":
 
 def _names(text: str | None) -> tuple[str, ...] | None:
   """Return names given as a,b,c or in a text file."""
-  from mjlab_motions.reading import read_text
+  from mjlab_motions.clips import read_text
 
   if text is None:
     return None

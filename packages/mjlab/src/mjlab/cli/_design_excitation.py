@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import UsageError
 
 from mjlab.cli._command_line import CommandLine, output_file, run_with_task
-from mjlab.cli._sysid import FitProgress, robot_of, task_ranges
-from mjlab.cli._train_actuator import stop_on_ctrl_c
+from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
+from mjlab.cli._sysid import iteration_text, robot_of, task_ranges
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -87,17 +87,15 @@ def _design(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   cfg = ExcitationCfg(period=1.0 / wanted.rate, **{field: getattr(wanted, field) for field in names})
   terms = [parse_term(text) for text in wanted.fit]
   robot = robot_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
-  progress = FitProgress("smallest singular value")
-  with stop_on_ctrl_c() as stopped:
+  with ProgressLine() as line, stop_on_ctrl_c() as stopped:
     found = design_excitation(
       robot,
       terms,
       cfg,
       joints=wanted.joints,
       ranges=task_ranges(wanted.env),
-      on_iteration=lambda seen: progress.show(seen) or bool(stopped),
+      on_iteration=lambda seen: line.show(iteration_text(seen, "smallest singular value")) or bool(stopped),
     )
-  progress.end()
   if found.stopped:
     print("stopped (Ctrl-C) before the search ended")
   print(found.summary())

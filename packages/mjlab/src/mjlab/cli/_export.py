@@ -9,7 +9,7 @@ from typing import Any
 from mjlab_core import UsageError
 from mjlab_core.constraints import Count
 
-from mjlab.cli._command_line import CommandLine, beside, build_env, building, output_folder
+from mjlab.cli._command_line import CommandLine, beside, build_env, building, output_folder, run_with_words
 from mjlab.registry import load_task
 
 
@@ -47,28 +47,21 @@ _LINE = CommandLine(
 
 def run(words: list[str]) -> int:
   """Export; return the exit code."""
-  if _LINE.wants_help(words):
-    return 0
-  (source,), flags = _LINE.split(words)
-  from mjlab.cli._flags import parse
+  return run_with_words(_LINE, words, _export)
 
-  wanted = parse(Arguments(), flags)
+
+def _export(sources: list[str], wanted: Arguments) -> int:
   from mjlab_rl import find_checkpoint
 
-  checkpoint = find_checkpoint(source, log_root=Path(wanted.log_root), experiment="")
+  checkpoint = find_checkpoint(sources[0], log_root=Path(wanted.log_root), experiment="")
   folder = Path(wanted.output) if wanted.output is not None else beside(checkpoint, "bundle")
   output_folder(folder, "bundle.json", force=wanted.force or wanted.output is None)
-  return _export(checkpoint, folder, wanted)
-
-
-def _export(checkpoint: Path, folder: Path, wanted: Arguments) -> int:
   from mjlab_core import seed_everything
   from mjlab_rl import CheckpointPolicy
   from mjlab_rl.policy_bundle import BundleWriter, record, without_noise, write_zip
   from mjlab_rl.reference_policy import write_for_others
 
   parts, name = _parts(checkpoint, wanted.task)
-  others: Path | None = None
   with building():
     cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
   env = build_env(parts, cfg, "cpu")
@@ -90,11 +83,10 @@ def _export(checkpoint: Path, folder: Path, wanted: Arguments) -> int:
     )
     if wanted.others:
       others = write_for_others(folder.with_name(f"{folder.name}-others"), env, policy.network, description)
+      print(f"wrote {others}")
   finally:
     env.close()
   archive = write_zip(folder)
-  if wanted.others:
-    print(f"wrote {others}")
   print(f"wrote {folder} and {archive}; check it with: mjlab-deploy verify {folder}")
   return 0
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from mjlab_core import UsageError, printable, unknown
 
-from mjlab.cli._command_line import CommandLine, building
+from mjlab.cli._command_line import CommandLine, building, run_with_words
 from mjlab.cli._help import command_help
 from mjlab.registry import list_tasks
 
@@ -84,42 +84,34 @@ def run(words: list[str]) -> int:
   if kind not in _KINDS:
     usage = "; ".join(line.usage for line in _KINDS.values())
     raise UsageError(f"{unknown('kind', kind, list(_KINDS)) if kind else 'nothing given'}. usage: {usage}")
-  line = _KINDS[kind]
-  if line.wants_help(words):
-    return 0
-  given, flags = line.split(words[1:])
-  return (_new_robot if kind == "robot" else _new_task)(given[0], flags)
+  return run_with_words(_KINDS[kind], words[1:], _new_robot if kind == "robot" else _new_task)
 
 
-def _new_robot(file: str, flags: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(RobotArguments(), flags)
+def _new_robot(files: list[str], wanted: RobotArguments) -> int:
+  file = Path(files[0])
   from mjlab.new.package import check_new_package, package_name, write_package
 
-  name = wanted.name or package_name(Path(file).stem)
+  name = wanted.name or package_name(file.stem)
   folder = Path(wanted.output or name)
   check_new_package(name, folder)
   from mjlab.new.robot import read_robot, robot_files
 
   with building(from_file=True):
     new = read_robot(
-      Path(file), base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
+      file, base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
     )
-    files = robot_files(new, name)
-  write_package(folder, files)
+    made = robot_files(new, name)
+  write_package(folder, made)
   for line in new.report():
     print(line)
-  if "robot.png" in files:
+  if "robot.png" in made:
     print(f"look at {folder / 'robot.png'}")
   print(f"wrote {folder}; next: uv pip install -e {shlex.quote(str(folder))} && pytest {shlex.quote(str(folder))}")
   return 0
 
 
-def _new_task(name: str, flags: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(TaskArguments(), flags)
+def _new_task(names: list[str], wanted: TaskArguments) -> int:
+  (name,) = names
   from mjlab.new.package import check_new_package, write_package
   from mjlab.new.task import task_files, task_id
 

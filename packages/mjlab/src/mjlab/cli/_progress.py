@@ -1,7 +1,10 @@
-"""Progress bars of commands."""
+"""Progress of commands: bars, lines, and an end by Ctrl-C."""
 
+import signal
 import sys
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -63,3 +66,49 @@ class ProgressBar:
       eta = timedelta(seconds=round((now - self._began) * (self._total - done) / done))
       parts = [f"{100 * done / self._total:.0f} %", *([note] if note else []), f"ETA {eta}"]
       print(f"{self._label}: {', '.join(parts)}", file=sys.stderr, flush=True)
+
+
+class ProgressLine:
+  """Line on standard output that is rewritten in place on a terminal; elsewhere a line for every call.
+
+  Args:
+    live: Least time between two texts on a terminal [s].
+    plain: The same elsewhere [s].
+  """
+
+  def __init__(self, live: float = 0.0, plain: float = 0.0) -> None:
+    self._is_live = sys.stdout.isatty()
+    self._interval = live if self._is_live else plain
+    self._shown: float | None = None
+
+  def __enter__(self) -> Self:
+    return self
+
+  def __exit__(
+    self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+  ) -> None:
+    if self._is_live and self._shown is not None:
+      print()
+
+  def show(self, text: str, *, is_last: bool = False) -> None:
+    """Show a text, unless the one before is too recent and this is not the last."""
+    now = time.monotonic()
+    if self._shown is None or is_last or now - self._shown >= self._interval:
+      self._shown = now
+      print(f"\r\033[K{text}" if self._is_live else text, end="" if self._is_live else "\n", flush=True)
+
+
+@contextmanager
+def stop_on_ctrl_c() -> Generator[list[int]]:
+  """Yield a list that is filled by the first Ctrl-C; the second raises KeyboardInterrupt as usual."""
+  stopped: list[int] = []
+
+  def stop(number: int, _: object) -> None:
+    stopped.append(number)
+    signal.signal(signal.SIGINT, before)
+
+  before = signal.signal(signal.SIGINT, stop)
+  try:
+    yield stopped
+  finally:
+    signal.signal(signal.SIGINT, before)

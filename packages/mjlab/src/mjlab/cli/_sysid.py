@@ -1,16 +1,16 @@
 """`sysid RECORD ... --task TASK --fit PATTERN ... [flags]`: fit parameters of a task's robot to its records."""
 
 import dataclasses
-import sys
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from mjlab_core import MjlabError, UsageError, unknown
+from mjlab_core import MjlabError, UsageError
+from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine
-from mjlab.cli._train_actuator import stop_on_ctrl_c
+from mjlab.cli._command_line import CommandLine, output_file, run_with_words
+from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.registry import load_task
 
 if TYPE_CHECKING:
@@ -80,28 +80,19 @@ the model's value.
 
 def run(words: list[str]) -> int:
   """Identify; return the exit code."""
-  if _LINE.wants_help(words):
-    return 0
-  paths, flags = _LINE.split(words, most=None)
-  from mjlab.cli._flags import parse
+  return run_with_words(_LINE, words, _identify, most=None)
 
-  wanted = parse(Arguments(), flags)
+
+def _identify(paths: list[str], wanted: Arguments) -> int:
   if not wanted.task:
     raise UsageError("no --task given; list-envs lists the tasks")
   if not wanted.fit:
     raise UsageError("no --fit given, such as --fit armature:.* delay:.*,shared")
   output = Path(wanted.output)
   report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
-  for flag, path in (("output", output), ("report", report)):
-    if path.is_dir() or not path.absolute().parent.is_dir():
-      raise UsageError(f"--{flag}: {path} is a folder, or lies in one that does not exist")
-    if path.exists() and not (wanted.force or wanted.resume):
-      raise UsageError(f"--{flag}: {path} exists; name another file, or overwrite it with --force")
-  task = load_task(wanted.task)
-  return _identify(paths, wanted, task.env, output, report)
-
-
-def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, report: Path) -> int:
+  for flag, path in (("--output", output), ("--report", report)):
+    output_file(flag, path, path.suffix.lower(), force=wanted.force or wanted.resume)
+  env = load_task(wanted.task).env
   from mjlab_sysid import IdentifyCfg, identify, parse_term, read_records, write_report
 
   terms = [parse_term(text) for text in wanted.fit]
@@ -109,11 +100,10 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
   device = environments.resolve_device(wanted.device) if wanted.engine != "native" else "cpu"
   cfg = IdentifyCfg(device=device, **{name: getattr(wanted, name) for name in names})
   records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
-  _describe([*records, *held_out])
+  describe_records([*records, *held_out])
   robot = robot_of(env, wanted.entity, height=wanted.height, floor=wanted.floor, base=wanted.base, imu=wanted.imu)
   kept = Path(f"{output}.progress")
-  progress = FitProgress("cost")
-  with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
+  with warnings.catch_warnings(record=True) as caught, ProgressLine() as line, stop_on_ctrl_c() as stopped:
     warnings.simplefilter("always")
     found = identify(
       robot,
@@ -122,11 +112,10 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
       cfg,
       held_out=held_out,
       ranges=task_ranges(env),
-      on_iteration=lambda seen: progress.show(seen) or bool(stopped),
+      on_iteration=lambda seen: line.show(iteration_text(seen, "cost")) or bool(stopped),
       progress=kept,
       resume=wanted.resume,
     )
-  progress.end()
   for text in dict.fromkeys(str(entry.message) for entry in caught):
     print(f"warning: {text}")
   if found.stopped:
@@ -139,7 +128,13 @@ def _identify(paths: list[str], wanted: Arguments, env: Any, output: Path, repor
   return 0
 
 
-def _describe(records: "list[Record]") -> None:
+def iteration_text(seen: "Progress", value: str) -> str:
+  """Return a line about an iteration of a fit or a design, whose cost is called `value`."""
+  return f"{seen.stage}: iteration {seen.iteration}, {value} {seen.cost:.5g}"
+
+
+def describe_records(records: "list[Record]") -> None:
+  """Print what was read from files of records."""
   for record in records:
     print(f"{record.source}: {record.num_rows} rows every {record.period:g} s, joints {', '.join(record.joints)}")
     if record.ignored:
@@ -163,10 +158,7 @@ def robot_of(
   """
   from mjlab_sysid import robot_on_ground, robot_on_stand
 
-  entities = env.scene.entities
-  if entity not in entities:
-    raise MjlabError(unknown("entity", entity, entities))
-  built = entities[entity].build(entity)
+  built = env.scene.entities[check_name("entity", entity, env.scene.entities)].build(entity)
   if built.actuators is None:
     raise MjlabError(f"entity '{entity}' has no actuator models, so nothing commands it")
   env.sim.apply(built.spec)
@@ -188,21 +180,3 @@ def task_ranges(env: Any) -> "dict[str, Range]":
         lo, hi = next(iter(value.values.values())).support()
         found[value.field] = (value.operation, lo, hi)
   return found
-
-
-class FitProgress:
-  """Progress line, rewritten in place on a terminal and one line an iteration elsewhere."""
-
-  def __init__(self, value: str) -> None:
-    self._value = value
-    self._live = sys.stdout.isatty()
-    self._shown = False
-
-  def show(self, seen: "Progress") -> None:
-    self._shown = True
-    text = f"{seen.stage}: iteration {seen.iteration}, {self._value} {seen.cost:.5g}"
-    print(f"\r\033[K{text}" if self._live else text, end="" if self._live else "\n", flush=True)
-
-  def end(self) -> None:
-    if self._live and self._shown:
-      print()

@@ -16,7 +16,7 @@ from mjlab.cli._watching import Watchers
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
-  from mjlab_rl import RlEnv, TaskCfg
+  from mjlab_rl import Console, RlEnv, TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -154,46 +154,65 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
   task, given = _chosen(task, _with_latest(words))
   # First to find the run to start from; again below, with the configuration of that run as the default.
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
-  if wanted.verbose and wanted.quiet:
-    raise UsageError("--verbose and --quiet exclude each other")
-  for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
-    if wanted.resume is not None and getattr(wanted, flag) not in (None, ()):
-      raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
+  _check_combinations(wanted)
   ranks = Ranks.launched()
   if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:
     return launch(wanted, name, task, given)
   console = Console("quiet" if wanted.quiet or not ranks.is_first else "verbose" if wanted.verbose else "normal")
   device = ranks.device(environments.resolve_device(wanted.device))
-  restarted = restarted_from(Path(wanted.log_root), wanted.agent.experiment_name)
-  checkpoint = restarted or _checkpoint(wanted, name)
+  experiment = wanted.agent.experiment_name
+  restarted = restarted_from(Path(wanted.log_root), experiment)
+  checkpoint = restarted
+  if checkpoint is None and wanted.resume is not None:
+    checkpoint = _trained(wanted.resume, wanted, experiment, name)
   run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
+  default = None
   if run is None:
     default = environments.default_num_envs(device, task.env.scene.num_envs)
     task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
   else:
-    default = None
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   if restarted is not None:
     wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
-  teachers = _teachers(wanted, name)
-  beginning = _beginning(wanted)
   if wanted.seed is not None:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
     wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
+  teachers, beginning = _teachers(wanted, name), _beginning(wanted)
+  hint = " (--env.scene.num-envs sets it)" if wanted.env.scene.num_envs == default else ""
+  console.say(_place_line(name, wanted.env, device, ranks.world_size, hint))
+  known = {"continuing from": checkpoint, "imitating": ", ".join(map(str, teachers)), "starting from": beginning}
+  for what, found in known.items():
+    if found:
+      console.say(f"{what} {found}")
+  options = {
+    "task": dataclasses.replace(task, env=wanted.env, agent=wanted.agent),
+    "device": device,
+    "resume": checkpoint,
+    "teacher": teachers,
+    "init_from": beginning,
+    "command": ["train", name, *_with_latest(words)],
+  }
+  try:
+    return _run(name, wanted, console, is_watched=ranks.is_first, is_from_file=run is not None, **options)
+  except DivergedError:
+    if ranks.is_first:
+      raise
+    return 1  # The first process says it.
 
-  num_envs = wanted.env.scene.num_envs
-  hint = " (--env.scene.num-envs sets it)" if num_envs == default else ""
-  where = f"{device} ({environments.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
-  each = f" in each of {ranks.world_size} processes" if ranks.world_size > 1 else ""
-  console.say(f"{name}: {num_envs} environment{'s' * (num_envs != 1)}{each}{hint} on {where}")
-  if checkpoint is not None:
-    console.say(f"continuing from {checkpoint}")
-  if teachers:
-    console.say(f"imitating {', '.join(map(str, teachers))}")
-  if beginning is not None:
-    console.say(f"starting from {beginning}")
 
+def _check_combinations(wanted: Arguments) -> None:
+  if wanted.verbose and wanted.quiet:
+    raise UsageError("--verbose and --quiet exclude each other")
+  for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
+    if wanted.resume is not None and getattr(wanted, flag) not in (None, ()):
+      raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
+
+
+def _run(
+  name: str, wanted: Arguments, console: "Console", *, is_watched: bool, is_from_file: bool, **options: Any
+) -> int:
+  """Train with viewers and films, and say how it went; return the exit code."""
   watchers = Watchers(wanted, name, console)
   # This import takes seconds, so it comes after the checks.
   from mjlab_rl import train
@@ -211,49 +230,30 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
 
   try:
     result = train(
-      dataclasses.replace(task, env=wanted.env, agent=wanted.agent),
       name=name,
       make_env=environments.standard_env,
-      device=device,
       log_root=wanted.log_root,
-      resume=checkpoint,
-      teacher=teachers,
-      init_from=beginning,
       console=console,
-      command=["train", name, *_with_latest(words)],
       code=task_file(name),
       # A viewer can pause the training.
       rank_timeout=None if wanted.viewer else wanted.rank_timeout or None,
       on_ready=on_ready,
-      watch=watchers.open if ranks.is_first and (wanted.viewer or wanted.video) else None,
+      watch=watchers.open if is_watched and (wanted.viewer or wanted.video) else None,
+      **options,
     )
-  except DivergedError:
-    if ranks.is_first:
-      raise
-    return 1  # The first process says it.
   except Exception as error:
     if is_built:
       raise
-    with building(from_file=run is not None):
+    with building(from_file=is_from_file):
       raise error
   finally:
     watchers.close()
-  if result.stopped_by is not None:
+  if result.stopped_by is None:
+    console.say(f"done: {result.iterations} iterations, {result.checkpoint}")
+  else:
     console.say(f"stopped ({result.stopped_by}) after {result.iterations} iterations; saved {result.checkpoint}")
     console.say(f"continue with: {shlex.join(['train', name, '--resume', str(result.directory)])}")
-  else:
-    console.say(f"done: {result.iterations} iterations, {result.checkpoint}")
   return 0
-
-
-def _checkpoint(wanted: Arguments, task: str) -> Path | None:
-  if wanted.resume is None:
-    return None
-  from mjlab_rl import find_checkpoint
-
-  return find_checkpoint(
-    wanted.resume, log_root=Path(wanted.log_root), experiment=wanted.agent.experiment_name, task=task
-  )
 
 
 def _teachers(wanted: Arguments, task: str) -> list[Path]:
@@ -270,14 +270,11 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
   if wanted.resume is not None:
     return []
   names = wanted.teacher or ("latest",)
-  if agent.teacher_task is None:
-    if "latest" in names:
-      raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
-    experiment = agent.experiment_name
-  else:
-    experiment = load_task(agent.teacher_task).agent.experiment_name
+  if agent.teacher_task is None and "latest" in names:
+    raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
+  experiment = (agent if agent.teacher_task is None else load_task(agent.teacher_task).agent).experiment_name
   try:
-    return [_trained(name, wanted, experiment, agent.teacher_task) for name in names]
+    return [_of_task(name, wanted, experiment, agent.teacher_task) for name in names]
   except UnknownNameError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if names == ("latest",) else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
@@ -285,21 +282,35 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
 
 def _beginning(wanted: Arguments) -> Path | None:
   """Return the checkpoint of the policy to start from, if one is given."""
-  return None if wanted.init_from is None else _trained(wanted.init_from, wanted, wanted.agent.experiment_name)
+  named, experiment = wanted.init_from, wanted.agent.experiment_name
+  return None if named is None else _of_task(named, wanted, experiment)
 
 
-def _trained(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
-  """Return the checkpoint of `named`, which `find_checkpoint` describes, or the latest of a task."""
+def _of_task(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
+  """Return the checkpoint of `named`, as `_trained` does, or the latest of a task of this name."""
   from mjlab_core import nearest
-  from mjlab_rl import find_checkpoint
 
   if named in list_tasks():
-    named, task, experiment = "latest", named, load_task(named).agent.experiment_name
+    return _trained("latest", wanted, load_task(named).agent.experiment_name, named)
   try:
-    return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
+    return _trained(named, wanted, experiment, task)
   except UnknownNameError as error:
     close = nearest(named, list_tasks(), 1)
     raise UnknownNameError(f"{error}. Nearest task: {close[0]}" if close else str(error)) from error
+
+
+def _trained(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
+  """Return the checkpoint that `find_checkpoint` finds in the folder of all runs."""
+  from mjlab_rl import find_checkpoint
+
+  return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
+
+
+def _place_line(name: str, env: Any, device: str, processes: int, hint: str) -> str:
+  count = env.scene.num_envs
+  where = f"{device} ({environments.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
+  each = f" in each of {processes} processes" if processes > 1 else ""
+  return f"{name}: {count} environment{'s' * (count != 1)}{each}{hint} on {where}"
 
 
 def _gpu_name(device: str) -> str:

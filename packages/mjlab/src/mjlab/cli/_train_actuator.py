@@ -2,17 +2,15 @@
 
 import dataclasses
 import math
-import signal
-import sys
 import time
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mjlab_core import UsageError
 
-from mjlab.cli._command_line import CommandLine, output_file, plot_problem
+from mjlab.cli._command_line import CommandLine, output_file, plot_problem, run_with_words
+from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
+from mjlab.cli._sysid import describe_records
 
 if TYPE_CHECKING:
   from mjlab_sysid import FitProgress, MotorFit
@@ -70,16 +68,7 @@ records are .csv, .npz or .mcap files (docs/sysid.md); of each joint the command
 
 def run(words: list[str]) -> int:
   """Fit; return the exit code."""
-  if _LINE.wants_help(words):
-    return 0
-  records, flags = _LINE.split(words, most=None)
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(), flags)
-  output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
-  plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
-  _check_files(output, plot, wanted, records)
-  return _fit(records, output, plot, wanted)
+  return run_with_words(_LINE, words, _fit, most=None)
 
 
 def _check_files(output: Path, plot: Path, wanted: Arguments, records: list[str]) -> None:
@@ -91,18 +80,31 @@ def _check_files(output: Path, plot: Path, wanted: Arguments, records: list[str]
     output_file(f"--{flag}", path, path.suffix.lower(), force=wanted.force)
 
 
-def _fit(records: list[str], output: Path, plot: Path, wanted: Arguments) -> int:
+def _fit(records: list[str], wanted: Arguments) -> int:
+  output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
+  plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
+  _check_files(output, plot, wanted, records)
   from mjlab_sysid import MotorFitCfg, fit_motor, read_records
 
   found = read_records(records)
-  for record in found:
-    print(f"{record.source}: {record.num_rows} rows every {record.period:g} s, joints {', '.join(record.joints)}")
-    if record.ignored:
-      print(f"not read: columns {', '.join(record.ignored)}")
-  options = {field.name: getattr(wanted, field.name) for field in dataclasses.fields(MotorFitCfg)}
-  with _Progress(wanted.epochs) as progress, stop_on_ctrl_c() as stopped:
-    fit = fit_motor(found, MotorFitCfg(**options), lambda seen: progress.show(seen) or bool(stopped))
-  _report(fit, wanted.epochs)
+  describe_records(found)
+  cfg = MotorFitCfg(**{field.name: getattr(wanted, field.name) for field in dataclasses.fields(MotorFitCfg)})
+  begin = 0.0
+  with ProgressLine(0.1, 5.0) as line, stop_on_ctrl_c() as stopped:
+
+    def show(seen: "FitProgress") -> bool:
+      nonlocal begin
+      text = f"epoch {seen.epoch}/{cfg.epochs}  error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}"
+      if seen.epoch == 1:
+        # The first pays for what torch loads late.
+        begin = time.monotonic()
+      elif seen.epoch < cfg.epochs:
+        text += f"  {(time.monotonic() - begin) / (seen.epoch - 1) * (cfg.epochs - seen.epoch):.0f} s left"
+      line.show(text, is_last=seen.epoch == cfg.epochs)
+      return bool(stopped)
+
+    fit = fit_motor(found, cfg, show)
+  _report(fit, cfg.epochs)
   fit.save(output)
   print(f"network: {output}")
   if problem := plot_problem():
@@ -123,56 +125,8 @@ def _report(fit: "MotorFit", epochs: int) -> None:
   print(f"  network   train {fit.train_error:.4g}, held out {fit.held_out_error:.4g}")
   print(f"  best PD   held out {fit.pd_error:.4g} (stiffness {stiffness:.4g}, damping {damping:.4g})")
   motor = fit.motor
-  words = [
-    f"stiffness {motor.stiffness:.4g}",
-    f"damping {motor.damping:.4g}",
-    f"delay {motor.delay * fit.period:.3g} s",
-  ]
-  words += [f"friction {motor.friction:.3g}"]
+  words = [f"stiffness {motor.stiffness:.4g}", f"damping {motor.damping:.4g}"]
+  words += [f"delay {motor.delay * fit.period:.3g} s", f"friction {motor.friction:.3g}"]
   limits = {name: getattr(motor, name) for name in ("effort_limit", "saturation_effort", "velocity_limit")}
   words += [f"{name} {value:.4g}" for name, value in limits.items() if math.isfinite(value)]
   print(f"  motor     held out {fit.motor_error:.4g} ({', '.join(words)})")
-
-
-@contextmanager
-def stop_on_ctrl_c() -> Generator[list[int], None, None]:
-  """Yield a list that is filled by the first Ctrl-C; the second raises KeyboardInterrupt as usual."""
-  stopped: list[int] = []
-
-  def stop(number: int, _: object) -> None:
-    stopped.append(number)
-    signal.signal(signal.SIGINT, before)
-
-  before = signal.signal(signal.SIGINT, stop)
-  try:
-    yield stopped
-  finally:
-    signal.signal(signal.SIGINT, before)
-
-
-class _Progress:
-  """Progress line, rewritten in place on a terminal and repeated at intervals elsewhere."""
-
-  def __init__(self, epochs: int) -> None:
-    self._epochs, self._begin, self._shown = epochs, 0.0, float("-inf")
-    self._live = sys.stdout.isatty()
-
-  def __enter__(self) -> "_Progress":
-    return self
-
-  def __exit__(self, *_: object) -> None:
-    if self._live:
-      print()
-
-  def show(self, seen: "FitProgress") -> None:
-    now = time.monotonic()
-    if seen.epoch == 1:
-      # The first pays for what torch loads late.
-      self._begin = now
-    if now - self._shown < (0.1 if self._live else 5.0) and seen.epoch < self._epochs:
-      return
-    self._shown = now
-    text = f"epoch {seen.epoch}/{self._epochs}  error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}"
-    if 1 < seen.epoch < self._epochs:
-      text += f"  {(now - self._begin) / (seen.epoch - 1) * (self._epochs - seen.epoch):.0f} s left"
-    print(f"\r\033[K{text}" if self._live else text, end="" if self._live else "\n", flush=True)

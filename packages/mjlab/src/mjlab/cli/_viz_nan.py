@@ -6,13 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core.constraints import Positive
 
-from mjlab.cli._command_line import CommandLine, output_file
+from mjlab.cli._command_line import CommandLine, output_file, run_with_words
 from mjlab.cli._watching import browse
 
 if TYPE_CHECKING:
   from mjlab_sim import NanDump
-
-  from mjlab.nan_replay import NanReplay
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -50,12 +48,11 @@ _LINE = CommandLine(
 
 def run(words: list[str]) -> int:
   """Print a report on every environment of the file; show them if wanted."""
-  if _LINE.wants_help(words):
-    return 0
-  (file,), flags = _LINE.split(words)
-  from mjlab.cli._flags import parse
+  return run_with_words(_LINE, words, _explain)
 
-  wanted = parse(Arguments(), flags)
+
+def _explain(files: list[str], wanted: Arguments) -> int:
+  (file,) = files
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
   from mjlab_sim import NanDump
@@ -69,9 +66,18 @@ def run(words: list[str]) -> int:
 
   replay = NanReplay(dump, in_mujoco_c=wanted.show == "mujoco-c")
   if wanted.video is not None:
-    _film(replay, wanted)
+    from mjlab_viewer import OffscreenRenderer
+
+    with OffscreenRenderer(replay.sim.mj_model) as renderer:
+      replay.film(wanted.video, renderer, speed=wanted.speed)
+    print(f"film: {wanted.video}")
   if wanted.viewer == "browser":
-    _browse(replay, wanted, file)
+    from mjlab_viewer import Playback, ZeroPolicy
+
+    playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
+    playback.speed = wanted.speed
+    print()
+    browse(playback, host=wanted.host, port=wanted.port, label=Path(file).name)
   return 0
 
 
@@ -87,21 +93,3 @@ def _report(path: str, dump: "NanDump") -> None:
       print(f"  MuJoCo C diverges too, in physics step {replay.diverged_at + 1} of {world.num_steps}")
     if world.model_fields:
       print(f"  the world had its own {', '.join(sorted(world.model_fields))}")
-
-
-def _film(replay: "NanReplay", wanted: Arguments) -> None:
-  from mjlab_viewer import OffscreenRenderer
-
-  assert wanted.video is not None
-  with OffscreenRenderer(replay.sim.mj_model) as renderer:
-    replay.film(wanted.video, renderer, speed=wanted.speed)
-  print(f"film: {wanted.video}")
-
-
-def _browse(replay: "NanReplay", wanted: Arguments, path: str) -> None:
-  from mjlab_viewer import Playback, ZeroPolicy
-
-  playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
-  playback.speed = wanted.speed
-  print()
-  browse(playback, host=wanted.host, port=wanted.port, label=Path(path).name)

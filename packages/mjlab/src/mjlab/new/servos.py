@@ -2,8 +2,8 @@
 
 import dataclasses
 import re
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -36,6 +36,10 @@ Transmissions = {
   mujoco.mjtTrn.mjTRN_SITE: "site",
   mujoco.mjtTrn.mjTRN_JOINT: "joint",
 }
+
+
+MotorData = tuple[float, float | None, float | None]
+"""Effort [N m or N], armature [kg m^2 or kg] and speed [rad/s or m/s] of a motor."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,23 +103,12 @@ class Drives:
     made: list[ActuatorCfg] = []
     for group in self.groups():
       one, names = group[0], tuple(re.escape(servo.joint) for servo in group)
+      same: dict[str, Any] = {name: getattr(one, name) for name in ("damping", "effort_limit", "armature")}
       if one.kind == "velocity":
-        made.append(
-          NativeVelocityActuatorCfg(
-            target_names_expr=names, damping=one.damping, effort_limit=one.effort_limit, armature=one.armature
-          )
-        )
+        made.append(NativeVelocityActuatorCfg(target_names_expr=names, **same))
       else:
-        made.append(
-          NativePositionActuatorCfg(
-            target_names_expr=names,
-            stiffness=one.stiffness,
-            damping=one.damping,
-            effort_limit=one.effort_limit,
-            velocity_limit=one.velocity_limit,
-            armature=one.armature,
-          )
-        )
+        limits: dict[str, Any] = {"stiffness": one.stiffness, "velocity_limit": one.velocity_limit}
+        made.append(NativePositionActuatorCfg(target_names_expr=names, **same, **limits))
     for transmission, target in self.kept:
       made.append(XmlActuatorCfg(target_names_expr=(re.escape(target),), transmission_type=transmission))  # type: ignore
     return tuple(made)
@@ -136,42 +129,22 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
     UsageError: Motor data cannot be read, or names no joint.
     MjlabError: No joint has an effort limit.
   """
-  model = robot.compiled()
-  given = _motor_data(motors, [joint.name for joint in robot.joints])
-  servos: dict[str, Servo] = {}
-  kept: list[tuple[str, str]] = []
-  replaced: set[str] = set()
-  for i in range(model.nu):
-    kind = mujoco.mjtTrn(model.actuator_trntype[i])
-    name, target = model.actuator(i).name, robot.spec.actuators[i].target
-    if kind == mujoco.mjtTrn.mjTRN_JOINT and target in given:
-      replaced.add(name)
-      continue
-    if kind == mujoco.mjtTrn.mjTRN_JOINT and not _is_single(model, target):
-      raise MjlabError(f"actuator '{printable(name)}' drives neither a hinge nor a slide; remove it, or the joint")
-    servo = _servo_of(model, i, target, target in wheels) if kind == mujoco.mjtTrn.mjTRN_JOINT else None
-    if servo is not None and target not in servos:
-      servos[target] = servo
-      replaced.add(name)
-    elif kind in Transmissions:
-      kept.append((Transmissions[kind], target))
-    else:
-      raise MjlabError(f"actuator '{printable(name)}' drives neither a joint nor a tendon nor a site; remove it")
-  for joint, (effort, armature, speed) in given.items():
-    servos[joint] = _motor(model, joint, effort, armature, speed, joint in wheels)
+  model, order = robot.compiled(), [joint.name for joint in robot.joints]
+  given = _motor_data(motors, order)
+  servos, kept, replaced = _from_actuators(robot, model, given, wheels)
+  for joint, data in given.items():
+    servos[joint] = _motor(model, joint, *data, joint in wheels)
   if not servos and not kept:
-    for joint in robot.joints:
-      limit = _joint_effort(model, joint.name)
-      if limit is not None:
-        servos[joint.name] = _motor(model, joint.name, limit, None, None, joint.name in wheels)
+    limits = {joint: _joint_effort(model, joint) for joint in order}
+    servos = {
+      joint: _motor(model, joint, effort, None, None, joint in wheels) for joint, effort in limits.items() if effort
+    }
   if not servos and not kept:
     raise MjlabError(
       f"{robot.source}: no joint has an actuator or an effort limit; give motor data: --motors '.*=EFFORT'. "
-      f"Joints: {', '.join(printable(joint.name) for joint in robot.joints[:12])}"
+      f"Joints: {', '.join(map(printable, order[:12]))}"
     )
-  order = [joint.name for joint in robot.joints]
-  passive = [name for name in order if name not in servos and ("joint", name) not in kept]
-  if passive:
+  if passive := [name for name in order if name not in servos and ("joint", name) not in kept]:
     robot.notes.append(f"passive joints: {', '.join(map(printable, passive[:12]))}")
   if kept:
     robot.notes.append(f"kept as in the file: actuators of {', '.join(printable(target) for _, target in kept[:12])}")
@@ -180,8 +153,31 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
   )
 
 
-def _motor_data(motors: Sequence[str], joints: list[str]) -> dict[str, tuple[float, float | None, float | None]]:
-  found: dict[str, tuple[float, float | None, float | None]] = {}
+def _from_actuators(
+  robot: RobotModel, model: mujoco.MjModel, given: Mapping[str, MotorData], wheels: Sequence[str]
+) -> tuple[dict[str, Servo], list[tuple[str, str]], set[str]]:
+  """Return servos of the actuators of the file, the actuators to keep, and those that servos or given data replace."""
+  servos: dict[str, Servo] = {}
+  kept: list[tuple[str, str]] = []
+  replaced: set[str] = set()
+  for i in range(model.nu):
+    kind = mujoco.mjtTrn(model.actuator_trntype[i])
+    name, target = model.actuator(i).name, robot.spec.actuators[i].target
+    is_of_joint = kind == mujoco.mjtTrn.mjTRN_JOINT
+    if kind not in Transmissions or (is_of_joint and not _is_single(model, target)):
+      raise MjlabError(f"actuator '{printable(name)}' drives neither a hinge nor a slide, tendon or site; remove it")
+    if is_of_joint and target in given:
+      replaced.add(name)
+    elif is_of_joint and target not in servos and (servo := _servo_of(model, i, target, target in wheels)) is not None:
+      servos[target] = servo
+      replaced.add(name)
+    else:
+      kept.append((Transmissions[kind], target))
+  return servos, kept, replaced
+
+
+def _motor_data(motors: Sequence[str], joints: list[str]) -> dict[str, MotorData]:
+  found: dict[str, MotorData] = {}
   for text in motors:
     pattern, _, values = text.rpartition("=")
     try:

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from mjlab_core.config import Config
-from mjlab_core.constraints import Finite, Limits, Positive, PositiveCount
+from mjlab_core.constraints import Finite, Limits, NonNegative, Positive, PositiveCount, Share
 from mjlab_core.errors import ConfigError
 
-from mjlab_rl.config import Fraction, RslRlBaseRunnerCfg, RslRlModelCfg
+from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlModelCfg
 from mjlab_rl.network_entries import Activation
-
-Rows = Annotated[int, Limits(ge=8)]
 
 
 @dataclass(kw_only=True)
@@ -52,23 +50,23 @@ class SacCfg(Config):
   """Updates of the critic for each update of the policy."""
   learning_starts: PositiveCount = 10
   """Steps of all worlds before the first update."""
-  replay_steps: Rows = 1024
+  replay_steps: Annotated[int, Limits(ge=8)] = 1024
   """Steps of each world that the replay memory keeps."""
   replay_half: bool = False
   """Keep observations and actions as float16."""
   n_step: PositiveCount = 1
   """Most rewards summed before the value of the critic."""
-  gamma: Fraction = 0.97
+  gamma: Share = 0.97
   """Discount per environment step."""
-  tau: Fraction = 0.125
+  tau: Share = 0.125
   """Share of the critic that goes into its slow copy after each update."""
   learning_rate: Positive = 3e-4
   """Step size at the start."""
   final_learning_rate: Positive | None = None
   """Step size at the last iteration, reached along a cosine (FlashSAC); None: the same throughout."""
-  betas: tuple[Fraction, Fraction] = (0.9, 0.95)
+  betas: tuple[Share, Share] = (0.9, 0.95)
   """Decay of the moments of AdamW."""
-  weight_decay: Annotated[float, Limits(ge=0)] = 1e-3
+  weight_decay: NonNegative = 1e-3
   """Weight decay of AdamW for both networks."""
   num_atoms: Annotated[int, Limits(ge=2)] = 101
   """Values of the critic's distribution (C51, arXiv:1707.06887)."""

@@ -1,48 +1,28 @@
-"""Files of clips read within bounds: sizes are known before data is unpacked, and only wanted arrays are."""
+"""Arrays of `.npz` files from strangers: sizes are known before data is unpacked, and only wanted arrays are."""
+
+from __future__ import annotations
 
 import io
 import math
 import os
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
-from mjlab_core.errors import FileError
-from mjlab_core.files import printable, reading
-from numpy.typing import NDArray
 
-T = TypeVar("T")
-MAX_BYTES = 512 * 2**20
-"""Limit of a file, and of all numbers that are read from one [bytes]; 90 minutes of a G1 with its bodies."""
+from mjlab_core.errors import FileError
+from mjlab_core.files import printable
+
+if TYPE_CHECKING:
+  from numpy.typing import NDArray
+
 MAX_TEXT_BYTES = 2**20
-"""Limit of a text in a clip or beside it, such as a joint map [bytes]."""
+"""Limit of a text, or of a list of names, in a file [bytes]."""
 _MAX_HEADER = 10_000
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-
-
-def read_text(path: str | os.PathLike[str]) -> str:
-  """Return the text of a small file in UTF-8.
-
-  Raises:
-    FileError: There is no such file, it is larger than `MAX_TEXT_BYTES`, or it is not a text.
-  """
-  with reading("text", path, MAX_TEXT_BYTES) as file:
-    return file.read_text(encoding="utf-8-sig")
-
-
-def read_json(path: str | os.PathLike[str], kind: type[T], example: str) -> T:
-  """Return the contents of a JSON file, converted to a type of msgspec.
-
-  Raises:
-    FileError: See `read_text`; or the contents are of another type than the example.
-  """
-  try:
-    return msgspec.json.decode(read_text(path), type=kind)
-  except (msgspec.DecodeError, RecursionError) as error:
-    raise FileError(f"{path}: {error}; expected {example}") from error
 
 
 class Npz:
@@ -52,22 +32,24 @@ class Npz:
 
   Args:
     path: The file.
+    max_bytes: Limit of all numbers that are read from it.
   """
 
-  def __init__(self, path: str | os.PathLike[str]) -> None:
+  def __init__(self, path: str | os.PathLike[str], max_bytes: int) -> None:
     self.path = Path(path)
     with zipfile.ZipFile(self.path) as archive:
       members = archive.infolist()
     self._members = {info.filename.removesuffix(".npy"): info for info in members if info.filename.endswith(".npy")}
-    self._left = MAX_BYTES
+    self._max_bytes = self._left = max_bytes
 
   @property
   def names(self) -> str:
     """Names of the arrays, for messages."""
     return printable(", ".join(self._members)) or "nothing"
 
-  def __contains__(self, name: str) -> bool:
-    return name in self._members
+  def __iter__(self) -> Iterator[str]:
+    """Yield the names of the arrays as they are in the file."""
+    return iter(self._members)
 
   def numbers(self, name: str, *, ndim: int) -> NDArray[np.float64]:
     """Return an array of numbers with `ndim` axes.
@@ -135,7 +117,7 @@ class Npz:
       raise FileError(f"{name} holds Python objects, which are not read")
     if not fits:
       raise FileError(f"{name} has shape {shape} and type {dtype}, expected {expected}")
-    limit = f"all numbers of a file {MAX_BYTES >> 20} MiB" if is_numeric else f"a text {MAX_TEXT_BYTES >> 20} MiB"
+    limit = f"all numbers of a file {self._max_bytes >> 20} MiB" if is_numeric else f"a text {MAX_TEXT_BYTES >> 20} MiB"
     raise FileError(f"{name} unpacks to {size >> 20} MiB; the limit is for {limit}")
 
 
