@@ -107,51 +107,22 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     FileError: A joint does not exist, lacks a signal, or its unit must be wrong.
     MjlabError: Records are shorter than a window.
   """
-  timestep, joints = float(robot.model.opt.timestep), robot.joints
   if not records:
     raise MjlabError("no record is given")
-  periods = [record.period for record in records]
-  substeps = max(1, round(float(np.median(periods)) / timestep))
+  timestep = float(robot.model.opt.timestep)
+  substeps = max(1, round(float(np.median([record.period for record in records])) / timestep))
   period = substeps * timestep
   rows = max(2, round(window / period))
-  addresses, _ = robot.addresses(joints)
-  pose = robot.pose[addresses]
-  pad = round(_LONGEST_DELAY / period)
   body = _body_signals(robot, records)
-  tables: dict[str, list[np.ndarray]] = {name: [] for name in (*TARGETS, *JOINTS, *body)}
-  first: list[int] = []
-  names: list[str] = []
-  offset = 0
-  for record in records:
-    check_joints(record, robot.ranges())
-    _check_signals(record)
-    for part in uniform(record, period):
-      full = {name: _spread(part, name, joints) for name in tables}
-      position = full["position"]
-      target = full["position_target"]
-      # A joint that is not commanded stays where it is told to, or where it was.
-      unmoved = np.isnan(target).all(0)
-      target[:, unmoved] = np.where(np.isnan(position[0, unmoved]), pose[unmoved], position[0, unmoved])
-      for name in TARGETS[1:]:
-        full[name] = np.nan_to_num(full[name])
-      # Velocities need rows before.
-      begins = range(2, part.num_rows - rows, rows) or range(0, part.num_rows - rows, rows)
-      first += [offset + pad + begin for begin in begins]
-      names += [record.source] * len(begins)
-      for name, values in full.items():
-        tables[name].append(np.concatenate((np.repeat(values[:1], pad, 0), values)))
-      offset += pad + part.num_rows
-  if not first:
+  whole, names, starts = _joined(robot, records, body, period, rows)
+  if not len(starts):
     longest = max(record.time[-1] - record.time[0] for record in records)
     raise MjlabError(f"windows of {window:g} s are longer than the records, of at most {longest:.3g} s")
-  whole = {name: np.concatenate(parts) for name, parts in tables.items()}
-  starts = np.array(first)
-  after = starts[:, None] + np.arange(1, rows + 1)
   seen = {name: whole[name] for name in (*JOINTS, *body) if not np.isnan(whole[name]).all()}
   series = seen | ({"base_orientation": _turns(seen["base_orientation"])} if robot.base else {})
   sigma = {name: _noise(values) for name, values in series.items()}
   position, velocity, uncertain = _beginnings(series, sigma, "position", starts, period, timestep)
-  position = np.where(np.isnan(position), pose, position)
+  position = np.where(np.isnan(position), _pose(robot), position)
   orientation = None
   if robot.base:
     orientation = seen["base_orientation"][starts]
@@ -162,9 +133,10 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     position = np.concatenate((position, place, np.zeros_like(place)), 1)
     velocity = np.concatenate((velocity, speed, turning), 1)
     uncertain = np.concatenate((uncertain, place_noise, turn_noise), 2)
+  after = starts[:, None] + np.arange(1, rows + 1)
   return Windows(
-    joints=joints,
-    records=tuple(names),
+    joints=robot.joints,
+    records=names,
     timestep=timestep,
     substeps=substeps,
     position=position,
@@ -176,6 +148,40 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     commands={name: whole[name] for name in TARGETS},
     first=starts,
   )
+
+
+def _joined(
+  robot: Robot, records: Sequence[Record], body: Sequence[str], period: float, rows: int
+) -> tuple[dict[str, np.ndarray], tuple[str, ...], np.ndarray]:
+  """Return the signals of all records, one after the other, and record and first row of each window."""
+  tables: dict[str, list[np.ndarray]] = {name: [] for name in (*TARGETS, *JOINTS, *body)}
+  pad, offset = round(_LONGEST_DELAY / period), 0
+  names: list[str] = []
+  first: list[int] = []
+  for record in records:
+    check_joints(record, robot.ranges())
+    _check_signals(record)
+    for part in uniform(record, period):
+      full = {name: _spread(part, name, robot.joints) for name in tables}
+      # A joint that is not commanded stays where it is told to, or where it was.
+      target, measured = full["position_target"], full["position"][0]
+      unmoved = np.isnan(target).all(0)
+      target[:, unmoved] = np.where(np.isnan(measured), _pose(robot), measured)[unmoved]
+      for name in TARGETS[1:]:
+        full[name] = np.nan_to_num(full[name])
+      # Velocities need rows before.
+      begins = range(2, part.num_rows - rows, rows) or range(0, part.num_rows - rows, rows)
+      first += [offset + pad + begin for begin in begins]
+      names += [record.source] * len(begins)
+      for name, values in full.items():
+        tables[name].append(np.concatenate((np.repeat(values[:1], pad, 0), values)))
+      offset += pad + part.num_rows
+  whole = {name: np.concatenate(parts) for name, parts in tables.items() if parts}
+  return whole, tuple(names), np.array(first, dtype=np.int64)
+
+
+def _pose(robot: Robot) -> np.ndarray:
+  return robot.pose[robot.addresses(robot.joints)[0]]
 
 
 def _body_signals(robot: Robot, records: Sequence[Record]) -> tuple[str, ...]:

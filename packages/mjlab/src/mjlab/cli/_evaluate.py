@@ -13,7 +13,7 @@ from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
-  from mjlab_rl import Evaluation, Evaluator, TaskCfg
+  from mjlab_rl import Evaluation, Evaluator, TaskCfg, Threshold
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -74,52 +74,25 @@ def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
 
 
 def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab_core import seed_everything
-  from mjlab_core.errors import ConfigError
-  from mjlab_rl import Threshold
-
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
-  try:
-    thresholds = [Threshold.parse(text) for text in wanted.require.split(",")] if wanted.require is not None else []
-  except ConfigError as error:
-    raise UsageError(f"--require: {error}") from error
+  thresholds = _thresholds(wanted.require)
   source, parts = find_policy(wanted, name, task)
   # Again, with the configuration of the run as the default.
   wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
   folder = _folder(wanted, source)
   device = environments.resolve_device(wanted.device)
-  evaluator = wanted.eval
-  if wanted.grid is not None:
-    if not hasattr(evaluator, "levels"):
-      raise UsageError(f"--grid: {type(evaluator).__name__}, the evaluation of {name}, has no levels")
-    evaluator.levels = {**evaluator.levels, **_levels(wanted.grid)}
-  num_envs, default = wanted.env.scene.num_envs, parts.env.scene.num_envs
-  with building():
-    cfg = evaluator.configure(wanted.env)
-  if num_envs not in (default, cfg.scene.num_envs):
-    raise UsageError(
-      "--env.scene.num-envs: an evaluation plays one episode in each environment; --help eval shows how to set them"
-    )
+  cfg = _configured(wanted, name, parts.env.scene.num_envs)
   env = build_env(parts, without_teacher(cfg, parts.agent), device)
+  what = f"{wanted.agent} actions" if source is None else str(source)
   try:
-    from mjlab_rl import FinitePolicy
-
-    policy = FinitePolicy(make_policy(wanted.agent, source, env, parts))
-    what = f"{wanted.agent} actions" if source is None else str(source)
     if not wanted.quiet:
       print(f"{name}: {what}, {env.num_envs} episodes on {device}", flush=True)
-    # Random actions are the same in every evaluation.
-    seed_everything(getattr(evaluator, "seed", 0))
-    if wanted.quiet:
-      evaluation = evaluator.run(env, policy, None)
-    else:
-      evaluation = _with_progress(evaluator, env, policy)
+    evaluation, broken = _played(wanted, source, env, parts)
   finally:
     env.close()
   print(evaluation.table())
-  broken = policy.num_broken
   if folder is not None:
     about = {"task": name, "policy": what, "device": device, "command": ["evaluate", name, *given]}
     _write(folder, evaluation, {**about, "nonfinite_actions": broken})
@@ -130,6 +103,52 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   if broken:
     print(f"failed: {broken} actions of the policy were NaN or infinite, which the environment takes for zero")
   return int(broken > 0 or not all(reached for reached, _ in outcomes))
+
+
+def _thresholds(text: str | None) -> "list[Threshold]":
+  from mjlab_core.errors import ConfigError
+  from mjlab_rl import Threshold
+
+  try:
+    return [] if text is None else [Threshold.parse(part) for part in text.split(",")]
+  except ConfigError as error:
+    raise UsageError(f"--require: {error}") from error
+
+
+def _configured(wanted: Arguments, name: str, default: int) -> Any:
+  """Return the environment configuration of an evaluation of `name`, whose run has `default` environments."""
+  evaluator, num_envs = wanted.eval, wanted.env.scene.num_envs
+  if wanted.grid is not None:
+    if not hasattr(evaluator, "levels"):
+      raise UsageError(f"--grid: {type(evaluator).__name__}, the evaluation of {name}, has no levels")
+    evaluator.levels = {**evaluator.levels, **_levels(wanted.grid)}
+  with building():
+    cfg = evaluator.configure(wanted.env)
+  if num_envs not in (default, cfg.scene.num_envs):
+    raise UsageError(
+      "--env.scene.num-envs: an evaluation plays one episode in each environment; --help eval shows how to set them"
+    )
+  return cfg
+
+
+def _played(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Evaluation, int]":
+  """Return the evaluation of a policy, and the number of its actions that were not finite."""
+  from mjlab_core import seed_everything
+  from mjlab_rl import FinitePolicy
+
+  policy = FinitePolicy(make_policy(wanted.agent, source, env, parts))
+  # Random actions are the same in every evaluation.
+  seed_everything(getattr(wanted.eval, "seed", 0))
+  if wanted.quiet:
+    return wanted.eval.run(env, policy, None), policy.num_broken
+  steps = int(env.max_episode_length)
+  with ProgressBar("evaluating", steps) as bar:
+
+    def show(step: int, left: int, total: int) -> None:
+      # All episodes may end before their longest time.
+      bar.show(steps if left == 0 else min(step, steps), f"{total - left} of {total} episodes done")
+
+    return wanted.eval.run(env, policy, show), policy.num_broken
 
 
 def _levels(text: str) -> dict[str, tuple[float, ...]]:
@@ -155,17 +174,6 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   # Fails before the work if the folder cannot be made.
   folder.mkdir(parents=True, exist_ok=True)
   return folder
-
-
-def _with_progress(evaluator: "Evaluator", env: Any, policy: Any) -> "Evaluation":
-  steps = int(env.max_episode_length)
-  with ProgressBar("evaluating", steps) as bar:
-
-    def show(step: int, left: int, total: int) -> None:
-      # All episodes may end before their longest time.
-      bar.show(steps if left == 0 else min(step, steps), f"{total - left} of {total} episodes done")
-
-    return evaluator.run(env, policy, show)
 
 
 def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """Trials of `sweep`, in processes of Ray Tune. Needs the extra `sweep`."""
 
+import dataclasses
 import os
 import random
 import shutil
@@ -14,8 +15,7 @@ from mjlab_core import MjlabError
 from mjlab.cli._sweep_space import Parts, Range, Scalar, Space, Sweep, Trial, trial_flags
 
 if TYPE_CHECKING:
-  from collections.abc import Callable
-
+  from mjlab_rl import TaskCfg
   from mjlab_rl.scalar_log import IterationReport
 
 # Statistics of use are not sent, and processes have the environment of this one, also under `uv run`.
@@ -61,6 +61,21 @@ def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: b
     MjlabError: There is no such cluster.
   """
   random.seed(sweep.seed)  # From which pbt draws.
+  _connect(address)
+  try:
+    function = tune.with_parameters(train_trial, sweep=msgspec.json.encode(sweep), folder=folder)
+    trainable = tune.with_resources(function, {"cpu": sweep.cpus, "gpu": sweep.gpus})
+    if is_resumed and tune.Tuner.can_restore(str(folder)):
+      tuner = tune.Tuner.restore(str(folder), trainable, resume_errored=True)
+    else:
+      tuner = _tuner(sweep, trainable, folder)
+    return [_result(found, sweep.space) for found in tuner.fit()]
+  finally:
+    ray.shutdown()
+
+
+def _connect(address: str | None) -> None:
+  """Connect to a cluster, or start Ray on this machine."""
   host, _, port = (address or "").removeprefix("ray://").rpartition(":")
   try:
     if port.isdigit():
@@ -73,37 +88,32 @@ def run_trials(sweep: Sweep, folder: Path, address: str | None, *, is_resumed: b
     is_refused = getattr(error, "errno", None) is None and "RAY_AUTH_MODE" not in os.environ
     token = "; a cluster with a token needs RAY_AUTH_MODE=token" if port.isdigit() and is_refused else ""
     raise MjlabError(f"--address {address}: {error}{token}") from error
-  try:
-    function = tune.with_parameters(train_trial, sweep=msgspec.json.encode(sweep), folder=folder)
-    trainable = tune.with_resources(function, {"cpu": sweep.cpus, "gpu": sweep.gpus})
-    if is_resumed and tune.Tuner.can_restore(str(folder)):
-      tuner = tune.Tuner.restore(str(folder), trainable, resume_errored=True)
-    else:
-      tuner = tune.Tuner(
-        trainable,
-        param_space={name: _domain(values) for name, values in sweep.space.values.items()},
-        tune_config=tune.TuneConfig(
-          metric="reward",
-          mode="max",
-          num_samples=sweep.trials,
-          scheduler=_scheduler(sweep),
-          search_alg=BasicVariantGenerator(random_state=sweep.seed),
-          # The libraries of a process that ends a trial, or a part of one, serve the next.
-          reuse_actors=True,
-          trial_name_creator=lambda trial: trial.trial_id,
-          trial_dirname_creator=lambda trial: trial.trial_id,
-        ),
-        run_config=tune.RunConfig(
-          name=folder.name,
-          storage_path=str(folder.parent),
-          verbose=0,
-          callbacks=[_Progress()],
-          checkpoint_config=tune.CheckpointConfig(num_to_keep=4),
-        ),
-      )
-    return [_result(found, sweep.space) for found in tuner.fit()]
-  finally:
-    ray.shutdown()
+
+
+def _tuner(sweep: Sweep, trainable: Any, folder: Path) -> Any:
+  """Return the tuner of a new sweep."""
+  return tune.Tuner(
+    trainable,
+    param_space={name: _domain(values) for name, values in sweep.space.values.items()},
+    tune_config=tune.TuneConfig(
+      metric="reward",
+      mode="max",
+      num_samples=sweep.trials,
+      scheduler=_scheduler(sweep),
+      search_alg=BasicVariantGenerator(random_state=sweep.seed),
+      # The libraries of a process that ends a trial, or a part of one, serve the next.
+      reuse_actors=True,
+      trial_name_creator=lambda trial: trial.trial_id,
+      trial_dirname_creator=lambda trial: trial.trial_id,
+    ),
+    run_config=tune.RunConfig(
+      name=folder.name,
+      storage_path=str(folder.parent),
+      verbose=0,
+      callbacks=[_Progress()],
+      checkpoint_config=tune.CheckpointConfig(num_to_keep=4),
+    ),
+  )
 
 
 def _domain(values: list[Scalar] | Range) -> Any:
@@ -146,18 +156,20 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
   from mjlab_rl import Console, train
 
   from mjlab import environments
-  from mjlab.cli._flags import parse, replaced
-  from mjlab.registry import load_task
 
   wanted = msgspec.json.decode(sweep, type=Sweep)
-  task = load_task(wanted.task)
   device = environments.resolve_device("cuda" if wanted.gpus else "cpu")
-  envs = environments.default_num_envs(device, task.env.scene.num_envs)
-  arguments = Parts(agent=task.agent, env=replaced(task.env, ("scene", "num_envs"), envs))
-  flags = parse(arguments, [*wanted.flags, *trial_flags(values)])
-  task.agent, task.env = flags.agent, flags.env
-  task.agent.save_interval, task.agent.logger = _interval(wanted), "none"
-  console = Console("quiet")
+  task = _task_of(wanted, values, device)
+  console, reports = Console("quiet"), _Reports()
+  console.on_report.append(reports.keep)
+
+  def on_ready(env: Any, directory: Path | None) -> None:
+    reports.directory = directory
+    for name in wanted.space.perturb:
+      if name.startswith("env.rewards."):
+        # The restored worlds have the weights of the trial that they come from.
+        env.reward_manager.weight(name.split(".")[2].replace("-", "_")).fill_(float(values[name]))
+
   with tempfile.TemporaryDirectory() as place:
     resume = None
     if (checkpoint := tune.get_checkpoint()) is not None:
@@ -167,21 +179,6 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
         # In pbt a trial may copy one that has ended.
         tune.report(copied)
         return
-    reports = _Reports()
-
-    def on_ready(env: Any, directory: Path | None) -> None:
-      del directory
-      for name in wanted.space.perturb:
-        if name.startswith("env.rewards."):
-          # The restored worlds have the weights of the trial that they come from.
-          env.reward_manager.weight(name.split(".")[2].replace("-", "_")).fill_(float(values[name]))
-
-    def watch(env: Any, directory: Path | None) -> "Callable[[], None]":
-      del env
-      reports.directory = directory
-      return reports.send
-
-    console.on_report.append(reports.keep)
     train(
       task,
       name=wanted.task,
@@ -191,9 +188,23 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
       resume=resume,
       console=console,
       on_ready=on_ready,
-      watch=watch,
+      watch=lambda env, directory: reports.send,
     )
     reports.send()
+
+
+def _task_of(sweep: Sweep, values: dict[str, Scalar], device: str) -> "TaskCfg[Any]":
+  """Return the task of a sweep with the values of a trial."""
+  from mjlab import environments
+  from mjlab.cli._flags import parse, replaced
+  from mjlab.registry import load_task
+
+  task = load_task(sweep.task)
+  num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
+  parts = Parts(agent=task.agent, env=replaced(task.env, ("scene", "num_envs"), num_envs))
+  flags = parse(parts, [*sweep.flags, *trial_flags(values)])
+  flags.agent.save_interval, flags.agent.logger = _interval(sweep), "none"
+  return dataclasses.replace(task, agent=flags.agent, env=flags.env)
 
 
 class _Reports:
