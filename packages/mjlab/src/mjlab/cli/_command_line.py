@@ -21,6 +21,32 @@ if TYPE_CHECKING:
 _HELP = ("-h", "--help")
 
 
+@dataclasses.dataclass(kw_only=True)
+class CommonArguments:
+  """Flags that every command has; a subclass adds its own."""
+
+  traceback: bool = False
+  """Show the traceback of an error."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class TaskArguments(CommonArguments):
+  """Flags of commands with a task."""
+
+  env: Any = None
+  """Configuration of the environment."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class PageArguments(CommonArguments):
+  """Flags of commands that show a page."""
+
+  host: str = "127.0.0.1"
+  """Address that the page listens on; 0.0.0.0 lets other machines connect."""
+  port: int = 8080
+  """Port of the page; the next free one if it is taken."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CommandLine:
   """Form of a command: its words, its flags and its help."""

@@ -11,7 +11,7 @@ from mjlab_core import MjlabError, UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, output_file, plot_problem, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, output_file, plot_problem, run_with_words
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PageArguments):
   """All that can be given after the clips."""
 
   robot: str = "g1"
@@ -65,12 +65,6 @@ class Arguments:
   """Replace existing files."""
   preview: bool = False
   """Then play the clip in a browser."""
-  host: str = "127.0.0.1"
-  """Address of the preview; 0.0.0.0 admits other machines."""
-  port: int = 8080
-  """Port of the preview, or the next free one."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(

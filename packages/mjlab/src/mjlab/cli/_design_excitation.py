@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjlab_core import UsageError
 
-from mjlab.cli._command_line import CommandLine, output_file, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, output_file, run_with_task
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.cli._sysid import iteration_text, robot_of, task_ranges
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(TaskArguments):
   """All that can be given after the task."""
 
   fit: tuple[str, ...] = ()
@@ -49,10 +49,6 @@ class Arguments:
   """Candidates of a round."""
   seed: int = 0
   """Seed of the draws."""
-  traceback: bool = False
-  """Show the traceback of an error."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

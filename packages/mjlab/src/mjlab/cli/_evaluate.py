@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import AtomicWrite, UsageError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, beside, build_env, building, plot_problem, run_with_task
-from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
+from mjlab.cli._command_line import CommandLine, TaskArguments, beside, build_env, building, plot_problem, run_with_task
+from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -17,14 +17,9 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PolicyArguments, TaskArguments):
   """All that can be given after the task."""
 
-  checkpoint: str = "latest"
-  """Policy to evaluate: latest (the newest run of this task), the name or directory of a run, a checkpoint, a
-  bundle, or an exported policy (.onnx)."""
-  agent: Agent = "trained"
-  """Source of actions: a trained policy, zeros, or random numbers."""
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 if one is missed."""
   grid: str | None = None
@@ -35,18 +30,10 @@ class Arguments:
   that ships, in this folder."""
   force: bool = False
   """Replace an existing evaluation."""
-  device: str = "auto"
-  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
-  log_root: str = "logs"
-  """Folder of all runs."""
   quiet: bool = False
   """Show no progress."""
-  traceback: bool = False
-  """Show the traceback of an error."""
   eval: Any = None
   """Settings of the evaluation."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

@@ -9,12 +9,20 @@ from typing import Any
 from mjlab_core import UsageError
 from mjlab_core.constraints import Count
 
-from mjlab.cli._command_line import CommandLine, beside, build_env, building, output_folder, run_with_words
+from mjlab.cli._command_line import (
+  CommandLine,
+  CommonArguments,
+  beside,
+  build_env,
+  building,
+  output_folder,
+  run_with_words,
+)
 from mjlab.registry import load_task
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(CommonArguments):
   """All that can be given after the run."""
 
   output: str | None = None
@@ -30,8 +38,6 @@ class Arguments:
   """Replace an existing bundle."""
   log_root: str = "logs"
   """Folder of all runs."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(

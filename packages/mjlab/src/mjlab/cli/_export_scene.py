@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from mjlab_core import safe_name
 
-from mjlab.cli._command_line import CommandLine, building, output_folder, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, building, output_folder, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(TaskArguments):
   """All that can be given after the task."""
 
   output: str | None = None
@@ -23,10 +23,6 @@ class Arguments:
   """Use the configuration for watching instead of the one for training."""
   force: bool = False
   """Replace an existing folder."""
-  traceback: bool = False
-  """Show the traceback of an error."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

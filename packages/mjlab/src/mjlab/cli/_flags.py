@@ -25,7 +25,7 @@ from mjlab_core import UsageError, nearest
 from mjlab_core.constraints import field_problems
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from mjlab.cli._help import FlagRow, field_docs
+from mjlab.cli._help import FlagRow, field_docs, own_fields_first
 
 ConfigT = TypeVar("ConfigT")
 
@@ -160,7 +160,7 @@ def _walk(value: Any, path: tuple[Any, ...], annotation: Any, owner: type | None
     if type(None) in typing.get_args(annotation):
       yield Flag(path=path, value="on", kind=_PART)
     hints = _hints(type(value))
-    for field in dataclasses.fields(value):
+    for field in dataclasses.fields(value) if path else own_fields_first(type(value)):
       if field.init and not field.name.startswith("_"):
         kind = hints.get(field.name, Any)
         yield from _walk(getattr(value, field.name), (*path, field.name), kind, type(value))

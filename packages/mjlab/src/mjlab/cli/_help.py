@@ -39,10 +39,16 @@ def command_help(usage: str, purpose: str, arguments: Any, *, notes: str = "") -
   docs = field_docs(arguments)
   rows = [
     FlagRow(field.name.replace("_", "-"), _metavar(field.type), _shown(field), docs.get(field.name, ""))
-    for field in dataclasses.fields(arguments)
+    for field in own_fields_first(arguments)
     if field.type is not Any
   ]
   return flags_help(usage, purpose, rows, notes=notes)
+
+
+def own_fields_first(cls: Any) -> list[dataclasses.Field[Any]]:
+  """Return the fields of a dataclass, and after them those of each of its bases."""
+  names = {field.name: field for field in dataclasses.fields(cls)}
+  return [names[name] for base in cls.__mro__ for name in vars(base).get("__annotations__", {}) if name in names]
 
 
 def flags_help(usage: str, purpose: str, rows: Sequence[FlagRow], *, notes: str = "") -> str:

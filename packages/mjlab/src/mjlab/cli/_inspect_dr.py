@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from mjlab_core import UsageError
 from mjlab_core.constraints import Limits
 
-from mjlab.cli._command_line import CommandLine, build_env, output_file, plot_problem, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, output_file, plot_problem, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(TaskArguments):
   """All that can be given after the task."""
 
   num_envs: Annotated[int, Limits(ge=2)] = 512
@@ -26,10 +26,6 @@ class Arguments:
   """Picture of distributions, total mass and inertia ellipsoids: FILE.png."""
   force: bool = False
   """Overwrite an existing picture."""
-  traceback: bool = False
-  """Show the traceback of an error."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

@@ -8,13 +8,13 @@ from typing import Literal
 
 from mjlab_core import UsageError, printable, unknown
 
-from mjlab.cli._command_line import CommandLine, building, run_with_words
+from mjlab.cli._command_line import CommandLine, CommonArguments, building, run_with_words
 from mjlab.cli._help import command_help
 from mjlab.registry import list_tasks
 
 
 @dataclasses.dataclass(kw_only=True)
-class RobotArguments:
+class RobotArguments(CommonArguments):
   """All that can be given after the model file."""
 
   name: str = ""
@@ -31,8 +31,6 @@ class RobotArguments:
   """Body of the torso; empty: the heaviest."""
   feet: tuple[str, ...] = ()
   """Patterns of the bodies of feet; none: the last links that reach the ground."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _ROBOT = CommandLine(
@@ -48,7 +46,7 @@ _ROBOT = CommandLine(
 
 
 @dataclasses.dataclass(kw_only=True)
-class TaskArguments:
+class TaskArguments(CommonArguments):
   """All that can be given after the name."""
 
   like: Literal["velocity", "tracking", "lift", "empty"] = "empty"
@@ -57,8 +55,6 @@ class TaskArguments:
   """Installed package of a legged robot that `new robot` wrote, for velocity; empty: a robot of mjlab."""
   output: str | None = None
   """Folder to write, which must not exist; None: the name."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _TASK = CommandLine(

@@ -12,8 +12,8 @@ from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import Positive, PositiveCount
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
-from mjlab.cli._policies import Agent, find_policy, make_policy, without_teacher
+from mjlab.cli._command_line import CommandLine, PageArguments, TaskArguments, build_env, output_file, run_with_task
+from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
 from mjlab.cli._watching import browse, until_interrupted
 
 if TYPE_CHECKING:
@@ -26,14 +26,9 @@ _MOST_FPS = 30.0
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PolicyArguments, PageArguments, TaskArguments):
   """All that can be given after the task."""
 
-  checkpoint: str = "latest"
-  """Policy to watch: latest (the newest run of this task), the name or directory of a run, a checkpoint, a
-  bundle, or an exported policy (.onnx)."""
-  agent: Agent = "trained"
-  """Source of actions: a trained policy, zeros, or random numbers."""
   viewer: Literal["auto", "native", "browser", "none"] = "auto"
   """Native window or browser; auto: a window if there is a screen."""
   video: str | None = None
@@ -48,26 +43,14 @@ class Arguments:
   """Overwrite the film."""
   num_envs: int | None = None
   """Number of environments; None: 8 in a browser, else 1."""
-  device: str = "auto"
-  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
   seed: int | None = None
   """Seed of the environments; None: a random one."""
   speed: Positive = 1.0
   """Simulated seconds per real second."""
   no_terminations: bool = False
   """Ignore all terminations except time-outs."""
-  host: str = "127.0.0.1"
-  """Address that the browser viewer listens on; 0.0.0.0 lets other machines connect."""
-  port: int = 8080
-  """Port of the browser viewer; the next free one if it is taken."""
   camera_body: str | None = None
   """Body that the camera follows, such as robot/trunk; None: the first that can move."""
-  log_root: str = "logs"
-  """Folder of all runs."""
-  traceback: bool = False
-  """Show the traceback of an error."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

@@ -1,5 +1,6 @@
 """Policies that a command line selects: those of runs, exported networks, zeros and random numbers."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,13 +14,30 @@ Agent = Literal["trained", "zero", "random"]
 """Source of actions: a trained policy, zeros, or random numbers."""
 
 
-def find_policy(wanted: Any, name: str, task: "TaskCfg[Any]") -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
+@dataclasses.dataclass(kw_only=True)
+class PolicyArguments:
+  """Flags of commands with a policy."""
+
+  checkpoint: str = "latest"
+  """Policy: latest (the newest run of this task), the name or directory of a run, a checkpoint, a bundle, or an
+  exported policy (.onnx)."""
+  agent: Agent = "trained"
+  """Source of actions: a trained policy, zeros, or random numbers."""
+  device: str = "auto"
+  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
+  log_root: str = "logs"
+  """Folder of all runs."""
+
+
+def find_policy(
+  wanted: PolicyArguments, name: str, task: "TaskCfg[Any]"
+) -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
   """Return the checkpoint, bundle or exported network that is wanted, and its run.
 
   The path is None for zero and random actions; the run is the task itself if the policy has no manifest of the task.
 
   Args:
-    wanted: Arguments of a command, with `agent`, `checkpoint` and `log_root`.
+    wanted: Arguments of a command.
     name: Name of the task.
     task: The task itself.
 

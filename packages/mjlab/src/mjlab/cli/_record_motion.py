@@ -8,8 +8,8 @@ from mjlab_core.constraints import NonNegative, Positive
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, build_env, output_file, run_with_task
-from mjlab.cli._policies import Agent, find_policy, make_policy
+from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, output_file, run_with_task
+from mjlab.cli._policies import PolicyArguments, find_policy, make_policy
 
 if TYPE_CHECKING:
   from mjlab_motions import MotionRecorder
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PolicyArguments, TaskArguments):
   """All that can be given after the task."""
 
   output: str | None = None
@@ -26,11 +26,6 @@ class Arguments:
   """Length of the clip [s]."""
   skip: NonNegative = 1.0
   """Time before the first frame [s]."""
-  checkpoint: str = "latest"
-  """Policy to record: latest (the newest run of this task), the name or directory of a run, a checkpoint, or an
-  exported policy (.onnx)."""
-  agent: Agent = "trained"
-  """Source of actions: a trained policy, zeros, or random numbers."""
   entity: str = "robot"
   """Entity to record."""
   license: str = ""
@@ -39,14 +34,6 @@ class Arguments:
   """Seed of starts and commands."""
   force: bool = False
   """Replace an existing file."""
-  device: str = "auto"
-  """Device of the simulation: cpu, cuda:0, or auto for a GPU if there is one."""
-  log_root: str = "logs"
-  """Folder of all runs."""
-  traceback: bool = False
-  """Show the traceback of an error."""
-  env: Any = None
-  """Configuration of the environment, as for watching."""
 
 
 _LINE = CommandLine(

@@ -14,7 +14,7 @@ from mjlab_core.constraints import NonNegative, PositiveCount
 from mjlab_core.files import reading
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine, plot_problem, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, plot_problem, run_with_task
 from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, check, read_space
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(TaskArguments):
   """All that can be given after the task."""
 
   space: str | None = None
@@ -45,12 +45,8 @@ class Arguments:
   """Seed of the values that are drawn."""
   log_root: str = "logs"
   """Folder of all runs; sweeps are in its folder sweeps."""
-  traceback: bool = False
-  """Show the traceback of an error."""
   agent: Any = None
   """Configuration of the learner."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

@@ -9,7 +9,7 @@ from mjlab_core import MjlabError, UsageError
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, run_with_words
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.registry import load_task
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(CommonArguments):
   """All that can be given after the records."""
 
   task: str = ""
@@ -57,8 +57,6 @@ class Arguments:
   """Largest number of iterations of a pass."""
   tell: float = 0.1
   """Standard deviation, in units of half the bounds' width, above which a parameter stays at its prior."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(

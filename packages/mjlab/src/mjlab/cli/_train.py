@@ -10,7 +10,7 @@ from mjlab_core import UnknownNameError, UsageError
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, building, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, building, run_with_task
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import Watchers
 from mjlab.registry import list_tasks, load_task, task_file
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(TaskArguments):
   """All that can be given after the task."""
 
   device: str = "auto"
@@ -65,12 +65,8 @@ class Arguments:
   """Show all values of every iteration."""
   quiet: bool = False
   """Show errors only."""
-  traceback: bool = False
-  """Show the traceback of an error."""
   agent: Any = None
   """Configuration of the learner."""
-  env: Any = None
-  """Configuration of the environment."""
 
 
 _LINE = CommandLine(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core import UsageError
 
-from mjlab.cli._command_line import CommandLine, output_file, plot_problem, run_with_words
+from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, plot_problem, run_with_words
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(CommonArguments):
   """All that can be given after the records."""
 
   output: str | None = None
@@ -45,8 +45,6 @@ class Arguments:
   """Share at the end of each segment that is not trained on."""
   seed: int = 0
   """Seed of the initial weights and of the order of samples."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(

@@ -11,14 +11,14 @@ from mjlab_core import UsageError
 from mjlab_core.constraints import Items, PositiveCount
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, output_file
+from mjlab.cli._command_line import CommandLine, PageArguments, output_file
 
 if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PageArguments):
   """All that can be given after the types."""
 
   difficulty: Annotated[tuple[float, ...], Items(ge=1, le=2)] = (0.0, 1.0)
@@ -45,12 +45,6 @@ class Arguments:
   """Width and height of the picture [px]."""
   plot: bool = False
   """Draw a map of heights instead of rendering; it needs no OpenGL."""
-  host: str = "127.0.0.1"
-  """Address that the page listens on; 0.0.0.0 lets other machines connect."""
-  port: int = 8080
-  """Port of the page; the next free one if it is taken."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core.constraints import Positive
 
-from mjlab.cli._command_line import CommandLine, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, output_file, run_with_words
 from mjlab.cli._watching import browse
 
 if TYPE_CHECKING:
@@ -14,25 +14,19 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Arguments:
+class Arguments(PageArguments):
   """All that can be given after the file."""
 
   show: Literal["recorded", "mujoco-c"] = "recorded"
   """Steps that viewer and film show: the stored ones, or those that MuJoCo C computes from the same states."""
   viewer: Literal["none", "browser"] = "none"
   """browser: play the steps in a browser, in a loop."""
-  host: str = "127.0.0.1"
-  """Address that the browser viewer listens on; 0.0.0.0 lets other machines connect."""
-  port: int = 8080
-  """Port of the browser viewer; the next free one if it is taken."""
   speed: Positive = 0.1
   """Simulated seconds per real second."""
   video: str | None = None
   """Film to write: FILE.mp4."""
   force: bool = False
   """Overwrite an existing film."""
-  traceback: bool = False
-  """Show the traceback of an error."""
 
 
 _LINE = CommandLine(
