@@ -1,6 +1,8 @@
 import sys
+from collections.abc import Generator
 from pathlib import Path
 
+import pytest
 import torch
 
 # Manifests name the pendulum by module, so it must be importable.
@@ -8,3 +10,18 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 # Tiny tensors: a second thread would only wait for the first.
 torch.set_num_threads(1)
+
+
+@pytest.fixture
+def pendulum() -> Generator[None]:
+  """The task of the pendulum."""
+  import mjlab_pendulum
+
+  with mjlab_pendulum.registered():
+    yield
+
+
+@pytest.fixture
+def pendulum_here(pendulum: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+  """The task of the pendulum, and an empty folder as the present one."""
+  monkeypatch.chdir(tmp_path)

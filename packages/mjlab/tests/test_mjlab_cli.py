@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Generator
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,12 +24,7 @@ from mjlab_sim import NanDump
 from mjlab_viewer import SnapshotTaker
 
 TASK = mjlab_pendulum.TASK
-
-
-@pytest.fixture(autouse=True)
-def _pendulum() -> Generator[None]:
-  with mjlab_pendulum.registered():
-    yield
+pytestmark = pytest.mark.usefixtures("pendulum")
 
 
 def train(root: Path, *flags: str) -> int:

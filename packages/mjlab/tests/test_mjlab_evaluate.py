@@ -6,7 +6,6 @@ import re
 import shutil
 import sys
 import warnings
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,7 @@ from mjlab.cli import _plots
 from mjlab.environments import standard_env
 
 TASK = mjlab_pendulum.TASK
-
-
-@pytest.fixture(autouse=True)
-def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
-  monkeypatch.chdir(tmp_path)
-  with mjlab_pendulum.registered():
-    yield
+pytestmark = pytest.mark.usefixtures("pendulum_here")
 
 
 def evaluate(*words: str) -> int:

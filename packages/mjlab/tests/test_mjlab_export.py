@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Generator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,13 +20,7 @@ from mjlab_rl import CheckpointPolicy, policy_bundle, policy_graph
 from PIL import Image
 
 TASK = mjlab_pendulum.TASK
-
-
-@pytest.fixture(autouse=True)
-def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
-  monkeypatch.chdir(tmp_path)
-  with mjlab_pendulum.registered():
-    yield
+pytestmark = pytest.mark.usefixtures("pendulum_here")
 
 
 def trained(*words: str) -> Path:

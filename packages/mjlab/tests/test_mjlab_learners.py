@@ -1,6 +1,5 @@
 """`train --agent NAME`: another learner behind the same commands."""
 
-from collections.abc import Generator
 from pathlib import Path
 
 import mjlab_pendulum
@@ -15,12 +14,7 @@ SMALL = (
   "--agent.save-replay", "--agent.logger", "none",
 )  # fmt: skip
 
-
-@pytest.fixture(autouse=True)
-def _pendulum(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Generator[None]:
-  monkeypatch.chdir(tmp_path)
-  with mjlab_pendulum.registered():
-    yield
+pytestmark = pytest.mark.usefixtures("pendulum_here")
 
 
 def run(*words: str) -> None:

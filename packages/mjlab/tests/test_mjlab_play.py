@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Generator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,12 +32,7 @@ from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.snapshot import Snapshot
 
 TASK = mjlab_pendulum.TASK
-
-
-@pytest.fixture(autouse=True)
-def _pendulum() -> Generator[None]:
-  with mjlab_pendulum.registered():
-    yield
+pytestmark = pytest.mark.usefixtures("pendulum")
 
 
 @pytest.fixture

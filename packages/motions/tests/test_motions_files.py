@@ -301,6 +301,14 @@ def test_a_seven_key_file_that_no_order_explains_is_refused(tmp_path: Path) -> N
   torch.testing.assert_close(robot().columns_of(back), wiggle().joint_pos, atol=1e-6, rtol=0)
 
 
+def test_a_body_whose_place_is_no_number_proves_no_order(tmp_path: Path) -> None:
+  arrays = seven_keys(wiggle())
+  arrays["body_pos_w"][:, -1] = np.nan
+  np.savez(tmp_path / "seven.npz", **arrays)
+  with pytest.raises(MjlabError, match="cannot be placed"):
+    read_motion(tmp_path / "seven.npz", robot())
+
+
 def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
   path = tmp_path / "seven.npz"
   np.savez(path, **seven_keys(wiggle()))

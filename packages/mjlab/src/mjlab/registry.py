@@ -73,15 +73,13 @@ def load_task(name: str) -> "TaskCfg[Any]":
   package, build = _found(name)
   from mjlab_rl import TaskCfg
 
-  if not callable(build):
-    kind = "module" if isinstance(build, ModuleType) else type(build).__name__
-    raise ConfigError(
-      f"task '{name}' of {package}: its entry point is a {kind}; name a function that returns a TaskCfg, such as "
-      "'my_tasks.walking:flat'"
-    )
-  task = build()
+  task = build() if callable(build) else build
   if not isinstance(task, TaskCfg):
-    raise ConfigError(f"task '{name}' of {package}: expected a mjlab_rl.TaskCfg, got {type(task).__name__}")
+    kind = "a module" if isinstance(task, ModuleType) else type(task).__name__
+    raise ConfigError(
+      f"task '{name}' of {package}: its entry point must name a function that returns a mjlab_rl.TaskCfg, such as "
+      f"'my_tasks.walking:flat'; got {kind}"
+    )
   return task
 
 

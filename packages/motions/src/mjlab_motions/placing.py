@@ -49,7 +49,8 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
       motion = mapped(motion, robot, said)
       for frames in (few, slice(None)):
         error, body = _misplacement(motion, robot, body_pos, body_quat, said.body_names, frames)
-        if error > PLACED:
+        # Not a number counts as misplaced.
+        if not error <= PLACED:
           break
       else:
         note = f"orders of joints ({order}) and bodies agree with forward kinematics within {error * 1e3:.2g} mm"

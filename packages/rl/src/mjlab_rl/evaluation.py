@@ -198,8 +198,8 @@ class Evaluation:
 
     groups = {
       group: {
-        name: {"mean": number(i.mean), "low": number(i.low), "high": number(i.high), "count": i.count}
-        for name, i in metrics.items()
+        name: {part: number(value) for part, value in dataclasses.asdict(interval).items()}
+        for name, interval in metrics.items()
       }
       for group, metrics in self.groups.items()
     }

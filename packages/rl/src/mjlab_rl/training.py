@@ -202,7 +202,7 @@ def _load(
   """Load what the run continues or starts from; return the iterations that are left."""
   if resume is not None:
     runner.load(str(resume))
-  elif isinstance(runner, MjlabDistillationRunner):
+  elif teaching and isinstance(runner, MjlabDistillationRunner):
     runner.load_teacher(*teaching)
   if beginning is not None:
     runner.load_policy(beginning.path)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from mjlab_core.errors import FileError
 from mjlab_core.files import AtomicWrite, printable
-from mjlab_core.names import check_name, match_names, unknown
+from mjlab_core.names import match_names, unknown
 
 JOINT_SIGNALS: dict[str, str] = {
   "position_target": "position",
@@ -243,11 +243,12 @@ def check_joints(record: Record, ranges: Mapping[str, tuple[float, float]]) -> N
     ranges: Range of each joint [rad or m]; infinite without limits.
 
   Raises:
-    UnknownNameError: A joint does not exist.
-    FileError: Positions lie so far outside the range of a joint that the unit must be wrong.
+    FileError: A joint does not exist, or positions lie so far outside its range that the unit must be wrong.
   """
   for joint in record.joints:
-    low, high = ranges[check_name("joint", joint, ranges, record.source)]
+    if joint not in ranges:
+      raise FileError(unknown("joint", joint, ranges, owner=record.source))
+    low, high = ranges[joint]
     span = high - low
     if not record.has("position", joint):
       continue

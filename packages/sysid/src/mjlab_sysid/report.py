@@ -4,6 +4,7 @@ import base64
 import io
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mjlab_core.files import AtomicWrite
@@ -70,10 +71,7 @@ def _correlations(found: Identified) -> str:
   return f"<h2>Identifiability</h2>{_image(figure)}"
 
 
-def _image(figure: object) -> str:
-  from matplotlib.figure import Figure
-
-  assert isinstance(figure, Figure)
+def _image(figure: Any) -> str:
   buffer = io.BytesIO()
   figure.savefig(buffer, format="png", dpi=90)
   return f'<img src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'

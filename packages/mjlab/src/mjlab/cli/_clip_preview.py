@@ -1,8 +1,7 @@
 """Clips in a viewer or a film: a robot takes one pose after another, without physics."""
 
 import math
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,23 +48,10 @@ class Preview:
     moments = {"qpos": qpos[:, None], "time": time}
     return Replay(model, moments, 1.0 / motion.rate, moment=f"clip {motion.name}, frame")
 
-  @contextmanager
-  def renderer(self) -> Generator["OffscreenRenderer"]:
-    """Open a renderer for films.
-
-    Raises:
-      RenderingError: OpenGL does not work here.
-    """
-    from mjlab_viewer import OffscreenRenderer
-
-    with OffscreenRenderer(self.model) as renderer:
-      yield renderer
-
   def film(self, motion: Motion, path: Path, renderer: "OffscreenRenderer", show: Callable[[float], None]) -> None:
     """Film a clip in real time, and call `show` with the share that is done."""
     every = math.ceil(motion.rate / MOST_FRAMES)
     frames = len(range(0, motion.num_frames, every))
-
     self.replay(motion).film(path, renderer, every=every, on_frame=lambda frame: show(frame / frames))
 
   def browse(self, motion: Motion, *, host: str, port: int) -> None:

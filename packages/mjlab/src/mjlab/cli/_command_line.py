@@ -205,6 +205,15 @@ def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any
 
 
 @contextlib.contextmanager
+def as_usage(flag: str = "") -> Generator[None]:
+  """Turn the refusal of a value into UsageError; the message begins with the flag that gives the value."""
+  try:
+    yield
+  except ValueError as error:
+    raise UsageError(f"{flag}: {error}" if flag else str(error)) from error
+
+
+@contextlib.contextmanager
 def building(*, from_file: bool = False) -> Generator[None]:
   """Turn errors that other libraries raise about a configuration, such as MuJoCo, into MjlabError.
 

@@ -3,20 +3,21 @@
 import contextlib
 import dataclasses
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_core import MjlabError, UsageError, safe_name
+from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, output_file, plot_problem, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, plot_problem, run_with_words
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
   import mujoco
   from mjlab_motions import Kinematics, Motion, Statement
+  from mjlab_viewer import OffscreenRenderer
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -109,7 +110,7 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   preview = Preview(spec) if wanted.preview or wanted.video is not None else None
   # Opened before anything is written: without OpenGL no part of the work is done.
   with (
-    contextlib.nullcontext() if preview is None or wanted.video is None else preview.renderer() as renderer,
+    contextlib.nullcontext() if preview is None or wanted.video is None else _renderer(preview.model) as renderer,
     ProgressBar("converting", len(motions)) as bar,
   ):
     has_errors = False
@@ -125,6 +126,12 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
   return int(has_errors)
 
 
+def _renderer(model: "mujoco.MjModel") -> "OffscreenRenderer":
+  from mjlab_viewer import OffscreenRenderer
+
+  return OffscreenRenderer(model)
+
+
 def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Motion]":
   """Return the edited clips."""
   from mjlab_motions import concatenate, read_motion
@@ -134,10 +141,10 @@ def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Mot
   with ProgressBar("reading", len(clips)) as bar:
     for clip in clips:
       motion = read_motion(_found(clip), robot, said)
-      with _edits():
+      with as_usage():
         motions.append(_edited(motion, robot, wanted))
       bar.show(len(motions), motions[-1].name)
-  with _edits():
+  with as_usage():
     if wanted.concatenate is not None:
       motions = [concatenate(motions, blend=wanted.concatenate)]
     return [_finished(motion, robot, wanted) for motion in motions]
@@ -159,15 +166,6 @@ def _write(motion: "Motion", robot: "Kinematics", target: Path | None, picture: 
   elif target is not None:
     print(f"not written: {target}, because of the errors above; --accept-errors writes it", file=sys.stderr)
   return is_good
-
-
-@contextlib.contextmanager
-def _edits() -> Generator[None]:
-  """Turn the refusal of an edit, which flags ask for, into UsageError."""
-  try:
-    yield
-  except MjlabError as error:
-    raise UsageError(str(error)) from error
 
 
 def robot_spec(name: str) -> "mujoco.MjSpec":

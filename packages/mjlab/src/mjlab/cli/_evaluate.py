@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 from mjlab_core import AtomicWrite, UsageError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, beside, build_env, building, plot_problem, run_with_task
+from mjlab.cli._command_line import (
+  CommandLine,
+  TaskArguments,
+  as_usage,
+  beside,
+  build_env,
+  building,
+  plot_problem,
+  run_with_task,
+)
 from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
 from mjlab.cli._progress import ProgressBar
 
@@ -93,13 +102,10 @@ def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
 
 def _thresholds(text: str | None) -> "list[Threshold]":
-  from mjlab_core.errors import ConfigError
   from mjlab_rl import Threshold
 
-  try:
+  with as_usage("--require"):
     return [] if text is None else [Threshold.parse(part) for part in text.split(",")]
-  except ConfigError as error:
-    raise UsageError(f"--require: {error}") from error
 
 
 def _configured(wanted: Arguments, name: str, default: int) -> Any:

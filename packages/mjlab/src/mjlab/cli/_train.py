@@ -10,7 +10,7 @@ from mjlab_core import UnknownNameError, UsageError
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, building, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, as_usage, building, run_with_task
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import Watchers
 from mjlab.registry import list_tasks, load_task, task_file
@@ -124,7 +124,6 @@ def _chosen(task: "TaskCfg[Any]", words: list[str]) -> "tuple[TaskCfg[Any], list
   number = next((i for i, word in enumerate(words) if word.partition("=")[0] == "--agent"), None)
   if number is None:
     return task, words
-  from mjlab_core import MjlabError
   from mjlab_rl.offpolicy import with_agent
 
   _, equals, name = words[number].partition("=")
@@ -134,10 +133,8 @@ def _chosen(task: "TaskCfg[Any]", words: list[str]) -> "tuple[TaskCfg[Any], list
     raise UsageError("--agent: expected the name of a learner, such as flashsac; --agent.PATH VALUE sets a value")
   if any(word.partition("=")[0] == "--resume" for word in words):
     raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
-  try:
+  with as_usage("--agent"):
     return with_agent(task, name), words[:number] + rest
-  except MjlabError as error:
-    raise UsageError(f"--agent: {error}") from error
 
 
 def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:

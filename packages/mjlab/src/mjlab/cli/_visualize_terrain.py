@@ -7,11 +7,10 @@ import sys
 import textwrap
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from mjlab_core import UsageError
 from mjlab_core.constraints import Items, PositiveCount
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, output_file
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
 
 if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg
@@ -96,7 +95,7 @@ def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
   from mjlab_terrain.view.settings import apply_settings
 
   low, high = wanted.difficulty[0], wanted.difficulty[-1]
-  try:
+  with as_usage():
     types = _types(names or ["walking"])
     apply_settings(types, wanted.set)
     cfg = TerrainGridCfg(
@@ -111,9 +110,7 @@ def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
       border_width=wanted.border,
     )
     cfg.check()
-  except ValueError as error:
-    raise UsageError(str(error)) from error
-  return cfg
+    return cfg
 
 
 def _types(names: list[str]) -> "dict[str, TileCfg]":
