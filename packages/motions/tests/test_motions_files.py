@@ -306,7 +306,7 @@ def test_a_body_whose_place_is_no_number_proves_no_order(tmp_path: Path) -> None
   arrays["body_pos_w"][:, -1] = np.nan
   np.savez(tmp_path / "seven.npz", **arrays)
   with pytest.raises(MjlabError, match="cannot be placed"):
-    read_motion(tmp_path / "seven.npz", robot())
+    read_motion(tmp_path / "seven.npz", robot(), Statement(body_names=robot().body_names))
 
 
 def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
