@@ -26,7 +26,8 @@ def test_a_run_whose_process_dies_goes_on_by_itself_and_ctrl_c_ends_all(tmp_path
   flags = ["--device", "cpu", "--gpus", "2", "--max-restarts", "1", "--env.scene.num-envs", "4"]
   flags += ["--agent.max-iterations", "1_000_000", "--agent.save-interval", "1", "--agent.num-steps-per-env", "4"]
   with running(LAUNCH, TASK, *flags, folder=tmp_path) as command:
-    command.wait_for(r"\d/1000000 ")
+    # The second iteration begins when the checkpoint of the first is written.
+    command.wait_for(r"(?m)^ *([2-9]|\d\d+)/1000000 ")
     before = processes(command.pid)
     os.kill(before["1"], signal.SIGKILL)
     command.wait_for(r"continuing from logs/cartpole/.*/model_\d+.pt")
