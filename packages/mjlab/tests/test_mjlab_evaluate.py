@@ -39,7 +39,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(logs: Path) -> Path:
+def run(logs: Path, pendulum_here: None) -> Path:
   """A run of the test's own."""
   shutil.copytree(logs, "logs")
   (run,) = Path("logs/pendulum").iterdir()
