@@ -279,9 +279,9 @@ def test_a_policy_that_is_not_finite_is_not_trained_on_and_not_saved(tmp_path: P
   ],
 )
 def test_a_divergence_names_its_cause(scalars: dict[str, float], cause: str) -> None:
-  times = {"steps_per_second": 1.0, "collect_time": 1.0, "learn_time": 1.0, "elapsed": 1.0, "eta": 0.0}
-  rest: dict[str, Any] = {"mean_reward": None, "mean_episode_length": None, "scalars": scalars}
-  report = IterationReport(iteration=0, end=1, total_steps=0, **times, **rest)
+  unused: dict[str, Any] = dict.fromkeys(("steps_per_second", "collect_time", "learn_time", "elapsed", "eta"), 1.0)
+  unused |= {"iteration": 0, "end": 1, "total_steps": 0, "mean_reward": None, "mean_episode_length": None}
+  report = IterationReport(scalars=scalars, **unused)
   assert cause in report.cause_of_divergence()
 
 
