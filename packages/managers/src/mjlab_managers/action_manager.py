@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Set
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,6 @@ from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
 
 
@@ -81,10 +80,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
 
   cfg_type = ActionTermCfg
 
-  def __init__(
-    self, cfgs: Mapping[str, ActionTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     self._terms: dict[str, ActionTerm] = {}
     driver: dict[str, str] = {}
     for name, cfg in list(self._cfgs.items()):
@@ -100,7 +96,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         driver.setdefault(target, name)
       for other, targets in shared.items():
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
-    self._finish()
+    self._raise_problems()
 
     self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
     self.action_term_dim = [term.action_dim for term in self._terms.values()]

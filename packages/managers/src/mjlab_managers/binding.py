@@ -221,6 +221,8 @@ def term_problems(cfg: ManagerTermBaseCfg, base: type = ManagerTermBase, *, mask
   if isinstance(func, type):
     wrong = _class_problem(func, base, masked=masked)
     return [wrong] if wrong else list(Signature(func, 1).problems(cfg.params))
+  if base is not ManagerTermBase:
+    return [f"func must be a subclass of {base.__name__}, is {func!r}."]
   signature = Signature(func, 2 if masked else 1)
   if wrong := _leading_problem(signature, masked=masked):
     return [wrong]

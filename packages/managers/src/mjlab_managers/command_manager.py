@@ -16,7 +16,6 @@ from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import Reading, TermSource
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.vector_manager import LogBuffer
 
@@ -146,10 +145,7 @@ class CommandManager(ManagerBase[CommandTermCfg]):
 
   cfg_type = CommandTermCfg
 
-  def __init__(
-    self, cfgs: Mapping[str, CommandTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
     """Worlds that do not advance in the current `compute`, bool (N,)."""
     self._none = self.fresh
@@ -163,7 +159,6 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       self._terms[name] = term
       log_names += [f"Metrics/{name}/{metric}" for metric in term.metrics]
     self._log = LogBuffer(log_names, self.device)
-    self._finish()
 
   def rehearse(self) -> None:
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)

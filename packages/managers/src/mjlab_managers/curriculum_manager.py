@@ -46,8 +46,10 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     others: Iterable[ManagerBase[Any]] = (),
     problems: list[str] | None = None,
   ) -> None:
-    super().__init__(cfgs, env, problems=problems)
     self._others = tuple(others)
+    super().__init__(cfgs, env, problems=problems)
+
+  def _make(self) -> None:
     self._no_world = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
     self._terms: list[Term] = []
     self._names: list[str] = []
@@ -63,12 +65,6 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     self._raise_problems()
     self._last = torch.full((len(self._names),), torch.nan, dtype=torch.float64, device=self.device)
     self._from_ids: dict[str, torch.Tensor] = {}
-    self._masks = {
-      term.name: torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-      for term in self._terms
-      if term.wants_ids
-    }
-    self._finish()
 
   def rehearse(self) -> None:
     for term in self._terms:
@@ -94,25 +90,15 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     values: list[torch.Tensor] = []
     for term in self._terms:
       if term.wants_ids:
-        self._compute_with_ids(term, mask)
+        self._with_ids(term.name, mask, lambda ids, term=term: self._compute_with_ids(term, ids))
       else:
         values += _entries(term, term(mask)).values()
     if values:
       self._last.copy_(torch.stack([value.double() for value in values]))
 
-  def _compute_with_ids(self, term: Term, mask: torch.Tensor) -> None:
-    kept = self._masks[term.name]
-    kept.copy_(mask)
-
-    def call() -> None:
-      ids = kept.nonzero().flatten()
-      if ids.numel() == 0:
-        return
-      state = _as_tensor(term(ids), self.device)
-      for key, value in _entries(term, state).items():
-        self._from_ids.setdefault(key, torch.zeros((), dtype=torch.float64, device=self.device)).copy_(value)
-
-    self.env.run_eagerly(call, name=f"curriculum '{term.name}'")
+  def _compute_with_ids(self, term: Term, ids: torch.Tensor) -> None:
+    for key, value in _entries(term, _as_tensor(term(ids), self.device)).items():
+      self._from_ids.setdefault(key, torch.zeros((), dtype=torch.float64, device=self.device)).copy_(value)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return the last states as `Curriculum/<term>` or `Curriculum/<term>/<key>`."""

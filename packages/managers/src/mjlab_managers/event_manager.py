@@ -12,7 +12,6 @@ from mjlab_core.indexing import where_
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBaseCfg
 
@@ -52,10 +51,7 @@ class EventManager(ManagerBase[EventTermCfg]):
   cfg_type = EventTermCfg
   masked = True
 
-  def __init__(
-    self, cfgs: Mapping[str, EventTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     self._terms: dict[EventMode, list[Term]] = {mode: [] for mode in _MODES}
     for name, cfg in list(self._cfgs.items()):
       term = self._bind(name, cfg)
@@ -68,11 +64,6 @@ class EventManager(ManagerBase[EventTermCfg]):
     self.model_fields = self._written_fields()
     """Model fields that terms write per world. They must be expanded before the first event."""
     self._needs_constants = self._deriving()
-    self._masks = {
-      term.name: torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-      for term in self._all_terms()
-      if term.wants_ids
-    }
     self._all_worlds = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
 
     interval = self._terms["interval"]
@@ -89,7 +80,6 @@ class EventManager(ManagerBase[EventTermCfg]):
     steps = [self._cfgs[term.name].min_step_count_between_reset for term in self._gated]
     self._min_steps = torch.tensor([steps], dtype=torch.int64, device=self.device)
     self._last_fired = self.state((len(self._gated),), fill=_NEVER, dtype=torch.int64)
-    self._finish()
 
   @classmethod
   def _cfg_problems(cls, name: str, cfg: EventTermCfg) -> Iterator[str]:
@@ -191,7 +181,7 @@ class EventManager(ManagerBase[EventTermCfg]):
     for term in terms:
       where = fired.get(term.name, mask)
       if term.wants_ids:
-        self._call_with_ids(term, where)
+        self._with_ids(term.name, where, term)
       else:
         term(where)
       if term.name in self._needs_constants and not any(where is other for other in derived):
@@ -223,17 +213,6 @@ class EventManager(ManagerBase[EventTermCfg]):
     allowed = (now - self._last_fired >= self._min_steps) & mask[:, None]
     where_(self._last_fired, allowed, now)
     return {term.name: column for term, column in zip(self._gated, allowed.unbind(1), strict=True)}
-
-  def _call_with_ids(self, term: Term, where: torch.Tensor) -> None:
-    kept = self._masks[term.name]
-    kept.copy_(where)
-
-    def call() -> None:
-      ids = kept.nonzero().flatten()
-      if ids.numel() > 0:
-        term(ids)
-
-    self.env.run_eagerly(call, name=f"event '{term.name}'")
 
   def reset(self, mask: torch.Tensor) -> None:
     """Draw new timers in the worlds of `mask`, bool (N,), and reset class terms; after `apply("reset", mask)`."""

@@ -17,7 +17,7 @@ from mjlab_core.state import Stateful, StatefulDict
 from mjlab_managers.binding import Term, call_terms, copy_cfg, term_problems
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.locked import lock
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.watch import undeclared_memory
 
 CfgT = TypeVar("CfgT")
@@ -41,6 +41,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
   cfg_type: ClassVar[type]
   live_fields: ClassVar[frozenset[str]] = frozenset()
   """Fields of a term config that may be assigned after build."""
+  term_base: ClassVar[type] = ManagerTermBase
+  """Required base of class terms."""
   masked: ClassVar[bool] = False
   """True if terms take the worlds to act on."""
 
@@ -58,9 +60,15 @@ class ManagerBase(Stateful, Generic[CfgT]):
     self._broken: set[str] = set()
     self._cfgs: dict[str, CfgT] = {}
     self._live: list[tuple[Any, frozenset[str]]] = []
+    # Masks of the terms that take indices, read outside the recorded step.
+    self._id_masks: dict[str, torch.Tensor] = {}
     for name, cfg in cfgs.items():
       if cfg is not None:
         self._read(name, cfg)
+    self._make()
+    self._raise_problems()
+    self._collected = None
+    self._seal()
 
   @classmethod
   def check(cls, cfgs: Mapping[str, CfgT | None]) -> list[str]:
@@ -71,13 +79,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
   @classmethod
   def _cfg_problems(cls, name: str, cfg: CfgT) -> Iterator[str]:
     """Yield the mistakes in one config that show without an environment."""
-    if not isinstance(cfg, cls.cfg_type):
-      yield f"term '{name}': expected a {cls.cfg_type.__name__}, got {described(cfg)}."
-      return
-    problems = field_problems(cfg)
-    if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
-      problems += term_problems(cfg, masked=cls.masked)
-    yield from (f"term '{name}': {problem}" for problem in problems)
+    yield from cfg_problems(f"term '{name}'", cfg, cls.cfg_type, cls.term_base, masked=cls.masked)
 
   # Interface for users.
 
@@ -199,6 +201,9 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   # Interface for subclasses.
 
+  def _make(self) -> None:
+    """Make the terms of the configs, which are read by now; note the mistakes."""
+
   def _read(self, name: str, cfg: CfgT) -> None:
     """Keep a copy of a config without mistakes; note the mistakes otherwise."""
     if found := list(self._cfg_problems(name, cfg)):
@@ -252,13 +257,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       raise ConfigError(*lines) from cause
     self._collected += lines
 
-  def _finish(self) -> None:
-    """End the build: report mistakes, and make the configs read-only."""
-    self._raise_problems()
-    self._collected = None
-    self._seal()
-
   def _seal(self) -> None:
+    """Make the configs read-only."""
     for name, cfg in self._cfgs.items():
       self._lock(name, cfg, self.live_fields)
 
@@ -283,6 +283,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       term = Term(name, self.label, cfg, self.env, masked=self.masked)
       self._adopt(name, term.func)
       self._bound[name] = term
+      if term.wants_ids:
+        self._id_masks[name] = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
       return term
     return None
 
@@ -302,6 +304,18 @@ class ManagerBase(Stateful, Generic[CfgT]):
       self._adopt(name, obj)
       return obj
     return None
+
+  def _with_ids(self, name: str, mask: torch.Tensor, act: Callable[[torch.Tensor], object]) -> None:
+    """Call `act` with the indices of the worlds in `mask` outside the recorded step, if there are any."""
+    kept = self._id_masks[name]
+    kept.copy_(mask)
+
+    def call() -> None:
+      ids = kept.nonzero().flatten()
+      if ids.numel() > 0:
+        act(ids)
+
+    self.env.run_eagerly(call, name=f"{self.label.removesuffix('Manager').lower()} '{name}'")
 
   @contextmanager
   def _trial(self, name: str, obj: Any, what: str = "a trial call") -> Generator[Trial]:
@@ -355,6 +369,24 @@ class Trial:
   def rebuilt(self) -> None:
     """Take the memory again, because the object was built again."""
     self.memory = undeclared_memory(self._obj)
+
+
+def cfg_problems(name: str, cfg: Any, kind: type, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:
+  """Return the mistakes in one config that show without an environment; `name` begins each line.
+
+  Args:
+    name: the config, such as "term 'upright'".
+    cfg: the config.
+    kind: its required class.
+    base: required base of class terms.
+    masked: terms act on some worlds.
+  """
+  if not isinstance(cfg, kind):
+    return [f"{name}: expected a {kind.__name__}, got {described(cfg)}."]
+  problems = field_problems(cfg)
+  if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
+    problems += term_problems(cfg, base, masked=masked)
+  return [f"{name}: {problem}" for problem in problems]
 
 
 def described(value: Any) -> str:

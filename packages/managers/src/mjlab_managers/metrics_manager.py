@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
@@ -11,9 +10,8 @@ from mjlab_core.indexing import fill_, where_
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import LogBuffer, VectorManager
+from mjlab_managers.vector_manager import FiniteValues, LogBuffer, VectorManager, nan_if_zero
 
 Reduction = Literal["mean", "sum", "last", "max"]
 
@@ -40,10 +38,7 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
 
   cfg_type = MetricsTermCfg
 
-  def __init__(
-    self, cfgs: Mapping[str, MetricsTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     terms = self._bind_vectors()
 
     def rank(term: Term) -> int:
@@ -54,19 +49,17 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     self._num_mean, self._num_added = ranks.count(0), ranks.count(0) + ranks.count(1)
     self._max_start = self._num_added + ranks.count(2)
     self._substep_columns = [i for i, term in enumerate(self._terms) if self._cfgs[term.name].per_substep]
-    self._substeps = round(env.step_dt / env.physics_dt)
+    self._substeps = round(self.env.step_dt / self.env.physics_dt)
 
     count = len(self._terms)
-    self._raw = torch.zeros(self.num_envs, count, device=self.device)
-    self._values = torch.zeros_like(self._raw)
     self._initial = torch.zeros(1, count, device=self.device)
     self._initial[:, self._max_start :] = -torch.inf
     self._episode = self.state((count,), fill=self._initial)
     self._steps = self.state(dtype=torch.int64)
     self._substep_sums = self.state((len(self._substep_columns),))
-    self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
-    self._log = LogBuffer([f"Episode_Metrics/{term.name}" for term in self._terms], self.device)
-    self._finish()
+    names = [term.name for term in self._terms]
+    self._finite = FiniteValues(names, "metrics", self.num_envs, self.device)
+    self._log = LogBuffer([f"Episode_Metrics/{name}" for name in names], self.device)
 
   def compute_substep(self) -> None:
     """Evaluate the per-substep metrics. Call it after every physics substep."""
@@ -85,18 +78,15 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
       values = dict(zip(self._substep_columns, means, strict=True))
     others = [i for i in range(len(self._terms)) if i not in values]
     values |= dict(zip(others, self.evaluate([self._terms[i] for i in others]), strict=True))
-    columns = [values[i] for i in range(len(self._terms))]
-    torch.stack(columns, dim=1, out=self._raw)
-    torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._values)
-    self._nonfinite.add_((self._raw != self._values).sum(0))
-    added, top = self._num_added, self._max_start
+    self._finite.put([values[i] for i in range(len(self._terms))])
+    now, added, top = self._finite.values, self._num_added, self._max_start
     if added:
-      self._episode[:, :added].add_(self._values[:, :added])
+      self._episode[:, :added].add_(now[:, :added])
     if top > added:
-      self._episode[:, added:top].copy_(self._values[:, added:top])
+      self._episode[:, added:top].copy_(now[:, added:top])
     if top < len(self._terms):
       highest = self._episode[:, top:]
-      highest.copy_(torch.maximum(highest, self._values[:, top:]))
+      highest.copy_(torch.maximum(highest, now[:, top:]))
     self._steps.add_(1)
 
   def get_value(self, name: str) -> torch.Tensor:
@@ -106,7 +96,7 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
       UnknownNameError: no such term; the message lists the nearest names.
     """
     columns = {term.name: column for column, term in enumerate(self._terms)}
-    return self._values[:, self._lookup(columns, name)]
+    return self._finite.values[:, self._lookup(columns, name)]
 
   def reset(self, mask: torch.Tensor) -> None:
     """Log the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and reset them there."""
@@ -131,18 +121,14 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     A value is NaN if there was no such episode or no replaced value.
     """
     names, means = self._log.tensors()
-    counts = self._nonfinite.double()
-    return (
-      [*names, *(f"Nonfinite/metrics/{term.name}" for term in self._terms)],
-      torch.cat([means, counts.masked_fill(counts == 0, torch.nan)]),
-    )
+    return [*names, *self._finite.names], torch.cat([means, nan_if_zero(self._finite.counts)])
 
   def clear_log(self) -> None:
     self._log.clear()
-    self._nonfinite.zero_()
+    self._finite.counts.zero_()
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = dict(zip((term.name for term in self._terms), self._values[env_idx].tolist(), strict=True))
+    values = dict(zip((term.name for term in self._terms), self._finite.values[env_idx].tolist(), strict=True))
     return [(name, [values[name]]) for name in self._cfgs]
 
   def describe(self) -> str:

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from mjlab_core.constraints import Bounds, field_problem, field_problems
+from mjlab_core.constraints import Bounds, field_problem
 
-from mjlab_managers.binding import term_problems
-from mjlab_managers.manager import described
+from mjlab_managers.manager import cfg_problems, described
 from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 from mjlab_managers.observation_slots import Slot
@@ -17,28 +16,20 @@ from mjlab_managers.observation_slots import Slot
 
 def group_problems(group: str, cfg: Any) -> Iterator[str]:
   """Yield the mistakes in a group, apart from those in its terms."""
-  if not isinstance(cfg, ObservationGroupCfg):
-    yield f"group '{group}': expected an ObservationGroupCfg, got {described(cfg)}."
-    return
-  problems = field_problems(cfg)
+  problems = cfg_problems(f"group '{group}'", cfg, ObservationGroupCfg)
+  yield from problems
   if not problems and not any(term is not None for term in cfg.terms.values()):
-    problems = ["has no terms. Give it some, or set the group itself to None to leave it out."]
-  yield from (f"group '{group}': {problem}" for problem in problems)
+    yield f"group '{group}': has no terms. Give it some, or set the group itself to None to leave it out."
 
 
 def group_term_problems(path: str, cfg: Any) -> Iterator[str]:
   """Yield the mistakes in a term that show without an environment; `path` is "group/term"."""
   if cfg is None:
     return
-  if not isinstance(cfg, ObservationTermCfg):
-    yield f"term '{path}': expected an ObservationTermCfg, got {described(cfg)}."
-    return
-  problems = field_problems(cfg)
-  if isinstance(cfg.params, dict):
-    problems += term_problems(cfg)
+  problems = cfg_problems(f"term '{path}'", cfg, ObservationTermCfg)
+  yield from problems
   if not problems and cfg.delay_min_lag > cfg.delay_max_lag:
-    problems = [f"needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."]
-  yield from (f"term '{path}': {problem}" for problem in problems)
+    yield f"term '{path}': needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}."
 
 
 def processing_problems(slot: Slot) -> Iterator[str]:

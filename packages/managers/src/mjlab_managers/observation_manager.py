@@ -15,7 +15,6 @@ from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, copy_cfg
 from mjlab_managers.deployment import Reading, TermSource
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
 from mjlab_managers.observation_checks import group_problems, group_term_problems, processing_problems
@@ -39,10 +38,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   cfg_type = ObservationGroupCfg
   live_fields = frozenset({"corrupt", "nan_policy"})
 
-  def __init__(
-    self, cfgs: Mapping[str, ObservationGroupCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     slots: list[Slot] = []
     for group, cfg in self._cfgs.items():
       for name, term_cfg in cfg.terms.items():
@@ -62,13 +58,12 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     self._out = self.state((out_width,))
     # Processing compares configs by identity, so they are made read-only first.
     self._seal()
-    self._processing = Processing(self._slots, frame_width, env)
+    self._processing = Processing(self._slots, frame_width, self.env)
     self._note(self._processing.problems)
-    self._memory = Memory(self._slots, frame_width, env)
+    self._memory = Memory(self._slots, frame_width, self.env)
     self._share()
     self.buffers: dict[str, Observation] = {group: self._view(group, self._out) for group in self.active_groups}
     """Observation of each group, float32 (N, D) or a dict of terms; always the same memory."""
-    self._finish()
 
   # Build.
 

@@ -43,37 +43,25 @@ class Memory(Stateful):
         per_env=cfg.delay_per_env,
         per_env_phase=cfg.delay_per_env_phase,
       )
-    self._build_histories(slots, width)
+    self._sources = {slot.path: torch.arange(slot.frame.start, slot.frame.stop) for slot in slots}
+    self._build_histories([slot for slot in slots if slot.needs_history], width)
+    sources = [self._sources[slot.path] for slot in slots]
+    self._permutation = torch.cat(sources).to(self.device) if self._histories else None
     self.is_empty = not (self._delays or self._histories)
 
   def _build_histories(self, slots: Sequence[Slot], width: int) -> None:
     """Make one history buffer per length, and the index of each output column in [frame, history, history, ...]."""
-    lengths = sorted({slot.history for slot in slots if slot.needs_history})
     self._histories: StatefulDict[HistoryBuffer] = StatefulDict()
     self._history_columns: dict[str, Index] = {}
-    source: list[int] = []
-    offsets: dict[int, int] = {}
-    widths: dict[int, int] = {}
-    position: dict[str, int] = {}
-    offset = width
-    for length in lengths:
-      columns: list[int] = []
-      for slot in slots:
-        if slot.history == length and slot.needs_history:
-          position[slot.path] = len(columns)
-          columns += range(slot.frame.start, slot.frame.stop)
+    for length in sorted({slot.history for slot in slots}):
+      those = [slot for slot in slots if slot.history == length]
+      columns = [column for slot in those for column in range(slot.frame.start, slot.frame.stop)]
       self._history_columns[str(length)] = as_index(columns, self.device)
       self._histories[str(length)] = HistoryBuffer(length, self.num_envs, (len(columns),), self.device, torch.float32)
-      offsets[length], widths[length] = offset, len(columns)
-      offset += length * len(columns)
-    for slot in slots:
-      if slot.needs_history:
-        for age in range(slot.history):
-          first = offsets[slot.history] + age * widths[slot.history] + position[slot.path]
-          source += range(first, first + slot.width)
-      else:
-        source += range(slot.frame.start, slot.frame.stop)
-    self._permutation = torch.tensor(source, dtype=torch.int64, device=self.device) if lengths else None
+      places = torch.arange(width, width + length * len(columns)).view(length, len(columns))
+      parts = places.split([slot.width for slot in those], dim=1)
+      self._sources |= {slot.path: part.flatten() for slot, part in zip(those, parts, strict=True)}
+      width += places.numel()
 
   def advance(self, frame: torch.Tensor, fresh: torch.Tensor | None, only: torch.Tensor | None) -> torch.Tensor:
     """Delay the columns of `frame`, (N, W), in place, and return the output with all histories.

@@ -5,16 +5,14 @@ from __future__ import annotations
 import collections
 import contextlib
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import term_problems
-from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase, described
+from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 
 
@@ -50,11 +48,9 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
   """Manager that calls the hooks of all recorders."""
 
   cfg_type = RecorderTermCfg
+  term_base = RecorderTerm
 
-  def __init__(
-    self, cfgs: Mapping[str, RecorderTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     self._terms: dict[str, RecorderTerm] = {}
     for name, cfg in list(self._cfgs.items()):
       term = self._bind(name, cfg)
@@ -63,16 +59,6 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
       else:
         assert isinstance(term.func, RecorderTerm)
         self._terms[name] = term.func
-    self._finish()
-
-  @classmethod
-  def _cfg_problems(cls, name: str, cfg: RecorderTermCfg) -> Iterator[str]:
-    if not isinstance(cfg, RecorderTermCfg):
-      yield f"term '{name}': expected a RecorderTermCfg, got {described(cfg)}."
-    elif not (isinstance(cfg.func, type) and issubclass(cfg.func, RecorderTerm)):
-      yield f"term '{name}': func must be a subclass of RecorderTerm, is {cfg.func!r}."
-    else:
-      yield from (f"term '{name}': {problem}" for problem in term_problems(cfg, RecorderTerm))
 
   def rehearse(self) -> None:
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)

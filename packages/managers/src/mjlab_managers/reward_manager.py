@@ -14,7 +14,7 @@ from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import LogBuffer, VectorManager
+from mjlab_managers.vector_manager import FiniteValues, LogBuffer, VectorManager, nan_if_zero
 
 
 @dataclass
@@ -47,14 +47,15 @@ class RewardManager(VectorManager[RewardTermCfg]):
     scale_by_dt: bool = True,
     problems: list[str] | None = None,
   ) -> None:
+    self.scale_by_dt = scale_by_dt
     super().__init__(cfgs, env, problems=problems)
+
+  def _make(self) -> None:
     self._terms = self._bind_vectors()
     self._raise_problems()
 
     names = [term.name for term in self._terms]
-    count = len(names)
-    self.scale_by_dt = scale_by_dt
-    self._scale = env.step_dt if scale_by_dt else 1.0
+    self._scale = self.env.step_dt if self.scale_by_dt else 1.0
     self._host_weights = self._read_host_weights()
     weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
     self._weights = self.state_of(weights, shared=True)
@@ -65,13 +66,10 @@ class RewardManager(VectorManager[RewardTermCfg]):
     self.reward = self.state()
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
-    self._raw = torch.zeros(self.num_envs, count, device=self.device)
-    self._clean = torch.zeros_like(self._raw)
-    self._weighted = torch.zeros_like(self._raw)
-    self._episode_sums = self.state((count,))
-    self._nonfinite = torch.zeros(count, dtype=torch.int64, device=self.device)
+    self._finite = FiniteValues(names, "reward", self.num_envs, self.device)
+    self._weighted = torch.zeros_like(self._finite.values)
+    self._episode_sums = self.state((len(names),))
     self._log = LogBuffer([f"Episode_Reward/{name}" for name in names], self.device)
-    self._finish()
 
   @property
   def step_reward(self) -> torch.Tensor:
@@ -86,7 +84,7 @@ class RewardManager(VectorManager[RewardTermCfg]):
   @property
   def nonfinite_counts(self) -> torch.Tensor:
     """Values per term that were NaN or infinite since `clear_log`, int64 (R,)."""
-    return self._nonfinite
+    return self._finite.counts
 
   def weight(self, name: str) -> torch.Tensor:
     """Return the weight of a term on the device, 0-d, that curricula may write inside the step.
@@ -105,10 +103,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
     if not self._terms:
       return self.reward
     values = iter(self.evaluate(list(compress(self._terms, self._active))))
-    torch.stack([next(values) if active else self._idle for active in self._active], dim=1, out=self._raw)
-    torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self._clean)
-    self._nonfinite.add_((self._raw != self._clean).sum(0))
-    torch.mul(self._clean, self._weights, out=self._weighted)
+    self._finite.put([next(values) if active else self._idle for active in self._active])
+    torch.mul(self._finite.values, self._weights, out=self._weighted)
     self._episode_sums.add_(self._weighted, alpha=self._scale)
     torch.sum(self._weighted, dim=1, out=self.reward)
     if self.scale_by_dt:
@@ -167,15 +163,12 @@ class RewardManager(VectorManager[RewardTermCfg]):
     were none.
     """
     names, means = self._log.tensors()
-    counts = self._nonfinite.double()
-    return (
-      [*names, *(f"Nonfinite/reward/{term.name}" for term in self._terms)],
-      torch.cat([means / (self.env.max_episode_length_s or 1.0), counts.masked_fill(counts == 0, torch.nan)]),
-    )
+    rates = means / (self.env.max_episode_length_s or 1.0)
+    return [*names, *self._finite.names], torch.cat([rates, nan_if_zero(self._finite.counts)])
 
   def clear_log(self) -> None:
     self._log.clear()
-    self._nonfinite.zero_()
+    self._finite.counts.zero_()
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     values = self._weighted[env_idx].tolist()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
 import torch
 from mjlab_core.tables import table
 
-from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
 
@@ -29,10 +27,7 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
   live_fields = frozenset({"time_out"})
   dtype_name = "bool"
 
-  def __init__(
-    self, cfgs: Mapping[str, TerminationTermCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
-  ) -> None:
-    super().__init__(cfgs, env, problems=problems)
+  def _make(self) -> None:
     self._terms = self._bind_vectors()
     self.terminated = self.state(dtype=torch.bool)
     """Worlds that ended for another reason than time in the last `compute`, bool (N,)."""
@@ -43,7 +38,6 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
     self._masks = self.state((len(self._terms),), dtype=torch.bool)
     self._counts = torch.zeros(len(self._terms), dtype=torch.int64, device=self.device)
     self._order()
-    self._finish()
 
   def _order(self) -> None:
     # Columns hold terminations first, so that both unions are over a slice.

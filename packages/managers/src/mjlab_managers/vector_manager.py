@@ -42,6 +42,36 @@ class LogBuffer:
     self._count.zero_()
 
 
+class FiniteValues:
+  """Values of terms side by side, in fixed memory; NaN and infinite ones become 0 and are counted.
+
+  Args:
+    names: names of the terms.
+    kind: what they are, for log keys.
+    num_envs: number of worlds.
+    device: device of the values.
+  """
+
+  def __init__(self, names: Sequence[str], kind: str, num_envs: int, device: torch.device | str) -> None:
+    self.names = [f"Nonfinite/{kind}/{name}" for name in names]
+    self._raw = torch.zeros(num_envs, len(names), device=device)
+    self.values = torch.zeros_like(self._raw)
+    """Values of the last `put`, (N, K)."""
+    self.counts = torch.zeros(len(names), dtype=torch.int64, device=device)
+    """Values that were replaced, int64 (K,)."""
+
+  def put(self, columns: Sequence[torch.Tensor]) -> None:
+    """Take the values of all terms, (N,) each."""
+    torch.stack(list(columns), dim=1, out=self._raw)
+    torch.nan_to_num(self._raw, nan=0.0, posinf=0.0, neginf=0.0, out=self.values)
+    self.counts.add_((self._raw != self.values).sum(0))
+
+
+def nan_if_zero(counts: torch.Tensor) -> torch.Tensor:
+  """Return counts for a log, float64, in which NaN stands for none."""
+  return counts.double().masked_fill(counts == 0, torch.nan)
+
+
 class VectorManager(ManagerBase[CfgT]):
   """Base of managers whose terms return one number per world.
 
