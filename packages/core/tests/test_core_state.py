@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_core import HistoryBuffer, MjlabError, StateError, Stateful, StatefulDict, where_
+from mjlab_core import HistoryBuffer, MjlabError, Stateful, StatefulDict, where_
 
 SECOND = torch.tensor([False, True, False])
 
@@ -59,7 +59,7 @@ def test_state_that_does_not_fit_is_named_and_nothing_is_written() -> None:
   target = Tree()
   state = Tree(2.0).state_dict()
   state["table"]["b"]["memory"] = torch.zeros(4, 2)
-  with pytest.raises(StateError, match=r"Tree\.table\.b\.memory: saved shape \(4, 2\), here \(3, 2\)"):
+  with pytest.raises(MjlabError, match=r"Tree\.table\.b\.memory: saved shape \(4, 2\), here \(3, 2\)"):
     target.load_state_dict(state)
   assert list(target.state_problems(Tree(2.0).state_dict())) == []
   assert (target.memory == 0.0).all()
@@ -73,7 +73,7 @@ def test_state_that_does_not_fit_is_named_and_nothing_is_written() -> None:
     (good | {"leaf": 3}, r"Tree\.leaf: expected a mapping, got int"),
     (good | {"memory": [1.0]}, r"Tree\.memory: expected a tensor, got list"),
   ):
-    with pytest.raises(StateError, match=message):
+    with pytest.raises(MjlabError, match=message):
       target.load_state_dict(wrong)
 
 

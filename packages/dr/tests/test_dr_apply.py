@@ -22,7 +22,6 @@ from mjlab_dr import (
   FIELDS,
   Categorical,
   Custom,
-  Distribution,
   FieldRandomizer,
   RandomizeField,
   Uniform,
@@ -383,25 +382,6 @@ def test_a_function_of_ones_own_is_held_within_its_bounds() -> None:
   friction = sim.model.geom_friction[:, sim.mj_model.geom("shin").id, 0]
   assert friction.unique().numel() > 1
   assert ((friction >= 0.2) & (friction <= 1.1)).all()
-
-
-NO_TENSOR: Any = [0.5]
-WRONG: list[Any] = [
-  (Custom(lambda shape, **more: torch.zeros(1), 0.0, 1.0), r"returned \(1,\) where \(256,\) was asked for"),
-  (Custom(lambda shape, **more: NO_TENSOR, 0.0, 1.0), r"returned \[0\.5\] where a tensor"),
-  (Custom(lambda shape, **more: torch.full(tuple(shape), torch.nan), 0.0, 1.0), "sliding: .* drew nan, outside of"),
-  (Beyond(), r"sliding: Beyond\(\) drew 3\.0, outside of its support \[0\.5, 1\]"),
-]
-
-
-@pytest.mark.parametrize(("distribution", "message"), WRONG)
-def test_a_distribution_of_ones_own_is_tried_when_it_is_bound(distribution: Distribution, message: str) -> None:
-  sim = FakeSim(EVERYTHING)
-  rng = make_generator("cpu", 0)
-  state = rng.get_state()
-  with pytest.raises(ValueError, match=message):
-    RandomizeField(geom_friction("shin", distribution), sim, generator=rng)
-  assert torch.equal(rng.get_state(), state)
 
 
 def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> None:

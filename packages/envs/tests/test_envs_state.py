@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
-from mjlab_core import MjlabError
-from mjlab_core.errors import ConfigError, StateError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
@@ -108,7 +107,7 @@ def test_a_state_of_another_size_or_task_is_refused(make: Make) -> None:
   cfg = hopper_cfg()
   cfg.observations["actor"].terms["joint_pos"].history_length = 3
   other = make(cfg)
-  with pytest.raises(StateError):
+  with pytest.raises(MjlabError):
     env.load_state_dict(other.state_dict())
 
 

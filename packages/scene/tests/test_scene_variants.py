@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_core.errors import StateError
+from mjlab_core.errors import MjlabError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntity, VariantEntityCfg
 from mjlab_scene.variants import assign
 from mjlab_sim import Simulation, SimulationCfg
@@ -158,7 +158,7 @@ def test_objects_of_other_names_or_in_another_order_are_refused_by_name(make, na
   scene, other = make(VariantEntityCfg(variants=variants, init_state=START))
   before = scene["thing"].variant.clone()
   message = f"thing: saved with the variants ball, crate, wedge, nothing; here there are {', '.join(names)}"
-  with pytest.raises(StateError, match=message):
+  with pytest.raises(MjlabError, match=message):
     load(scene, other, save(saved, sim))
   assert torch.equal(scene["thing"].variant, before)
 
@@ -183,7 +183,7 @@ def test_an_object_that_kept_only_its_name_is_refused_by_name(make, name: str, o
   changed = VariantEntityCfg(variants={**OBJECTS, name: other}, init_state=START, assignment=NAMES)
   scene, another = make(changed)
   before = another.data.qpos.clone()
-  with pytest.raises(StateError, match=message):
+  with pytest.raises(MjlabError, match=message):
     load(scene, another, save(saved, sim))
   assert torch.equal(another.data.qpos, before)
 

@@ -25,18 +25,18 @@ REFUSALS = [
   ({"tolerance": -1.0}, "tolerance must not be negative"),
   ({"num_threads": -2}, "num_threads must not be negative, got -2"),
   ({"engine": "wrap"}, "engine 'wrap' does not exist. Nearest: warp"),
-  ({"engine": None}, "engine 'None' does not exist"),
+  ({"engine": None}, "engine must be 'auto' or 'native' or 'warp', got None"),
   ({"solver": "newtn"}, "solver 'newtn' does not exist. Nearest: newton"),
   ({"integrator": "rk5"}, "integrator 'rk5' does not exist"),
   ({"cone": "eliptic"}, "Nearest: elliptic"),
-  ({"disableflags": ("contac",)}, "disable flag 'contac' does not exist. Nearest: contact"),
-  ({"enableflags": ("enrgy",)}, "enable flag 'enrgy' does not exist. Nearest: energy"),
+  ({"disableflags": ("contac",)}, "disableflags 'contac' does not exist. Nearest: contact"),
+  ({"enableflags": ("enrgy",)}, "enableflags 'enrgy' does not exist. Nearest: energy"),
 ]
 WARP_REFUSALS = [
   ({"solver": "pgs"}, "Newton and CG only"),
   ({"integrator": "rk4"}, "choose 'implicitfast', 'implicit' or 'euler'"),
-  ({"disableflags": ("midphase",)}, "'midphase' does not exist on MuJoCo Warp"),
-  ({"enableflags": ("fwdinv",)}, "'fwdinv' does not exist on MuJoCo Warp"),
+  ({"disableflags": ("midphase",)}, "'midphase': MuJoCo Warp does not have it"),
+  ({"enableflags": ("fwdinv",)}, "'fwdinv': MuJoCo Warp does not have it"),
 ]
 
 

@@ -128,7 +128,6 @@ def test_nothing_is_reported_where_all_fits(make_sim: MakeSim, engine: str) -> N
 
 
 @pytest.mark.warp
-def test_too_little_for_the_initial_state_is_refused_with_both_settings(make_sim: MakeSim) -> None:
-  with pytest.raises(MjlabError, match="initial state alone has 7 contacts, nconmax is 4 and") as error:
+def test_too_little_for_the_initial_state_is_refused_with_the_setting(make_sim: MakeSim) -> None:
+  with pytest.raises(MjlabError, match="nconmax must be >= 7"):
     make_sim("warp", nconmax=4, njmax=8)
-  make_sim("warp", **advice(str(error.value))).step()

@@ -105,9 +105,6 @@ def test_rays_that_do_not_fit_are_refused(make_sim: MakeSim, engine: str) -> Non
     sim.make_ray_caster(1, geomgroup=(True, False))
   with pytest.raises(MjlabError, match=r"bodyexclude must be in \[-1, "):
     sim.make_ray_caster(1, bodyexclude=99)
-  caster = sim.make_ray_caster(2)
-  with pytest.raises(MjlabError, match=r"origins must have shape \(4, 2, 3\), got \(4, 1, 3\)"):
-    caster.cast(torch.zeros(4, 1, 3), torch.zeros(4, 2, 3))
 
 
 def test_casters_come_and_go(make_sim: MakeSim, engine: str) -> None:

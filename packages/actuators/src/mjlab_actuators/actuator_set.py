@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import torch
@@ -105,46 +106,43 @@ class ActuatorSet(Stateful):
     self.num_envs = num_envs
     names = self._candidates(model, target_names, prefix)
     groups = self._groups(model, names, prefix)
+    self._lay_out(model, names, groups, prefix)
+    self._place_ctrl(ctrl, device=device, dtype=dtype)
+    self._routes = [
+      self._route(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator) for group in fuse(groups)
+    ]
+    self.groups = tuple(route.actuator for route in self._routes)
+    self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(self.groups)})
+    self.needs_feedback = any(actuator.needs_feedback for actuator in self.groups)
+    return self
+
+  def _lay_out(self, model: mujoco.MjModel, names: _Names, groups: Sequence[ActuatorGroup], prefix: str) -> None:
+    """Order the targets, which are the columns of targets and measurements, and the controls."""
     target_of = _target_of_ctrl(groups, self.owner)
     driven = set(target_of.values())
-    joints = [Target("joint", name) for name in names["joint"]]
-    others = [Target(kind, name) for kind in TRANSMISSIONS[1:] for name in names[kind] if Target(kind, name) in driven]
-    self.targets = (*joints, *others)
-    self.ctrl_ids = tuple(sorted(target_of))
-    self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
-    # The MJCF's own elements come first, and none of them needs a measurement.
-    self.site_outputs = tuple(
-      int(model.actuator_outadr[actuators_of(model, target, prefix)[-1]])
-      for target in others
-      if target.transmission == "site"
-    )
+    columns = [Target(kind, name) for kind in TRANSMISSIONS for name in names[kind]]
+    self.targets = tuple(target for target in columns if target.transmission == "joint" or target in driven)
     self._driven = {
       kind: tuple(target.name for target in self.targets if target in driven and target.transmission == kind)
       for kind in TRANSMISSIONS
     }
-    self._place_ctrl(ctrl, device=device, dtype=dtype)
-    column = {target: index for index, target in enumerate(self.targets)}
-    position = {index: place for place, index in enumerate(self.ctrl_ids)}
-    actuators, self._routes = [], []
-    for group in fuse(groups):
-      # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
-      # columns are plain slices when they keep the order of the targets.
-      order = sorted(
-        range(len(group.targets)),
-        key=group.ctrl_ids.__getitem__
-        if issubclass(group.actuator_model, PassThrough)
-        else [column[target] for target in group.targets].__getitem__,
-      )
-      group = group.reordered(order)
-      actuator = group.actuator_model(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
-      actuators.append(actuator)
-      columns = [column[target] for target in group.targets]
-      places = [position[index] for index in group.ctrl_ids]
-      self._routes.append(_Route(actuator, columns, places, len(self.targets), self.ctrl))
-    self.groups = tuple(actuators)
-    self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(actuators)})
-    self.needs_feedback = any(actuator.needs_feedback for actuator in actuators)
-    return self
+    self.ctrl_ids = tuple(sorted(target_of))
+    self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
+    # The MJCF's own elements come first, and none of them needs a measurement.
+    last = [actuators_of(model, Target("site", name), prefix)[-1] for name in self._driven["site"]]
+    self.site_outputs = tuple(model.actuator_outadr[last].tolist())
+
+  def _route(self, group: ActuatorGroup, **options: Any) -> "_Route":
+    """Return an actuator model of one fused group, with the path of its columns into ctrl."""
+    columns = [self.targets.index(target) for target in group.targets]
+    # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
+    # columns are plain slices when they keep the order of the targets.
+    place = group.ctrl_ids if issubclass(group.actuator_model, PassThrough) else columns
+    order = sorted(range(len(columns)), key=place.__getitem__)
+    group = group.reordered(order)
+    actuator = group.actuator_model(group, **options)
+    places = [self.ctrl_ids.index(index) for index in group.ctrl_ids]
+    return _Route(actuator, [columns[i] for i in order], places, len(self.targets), self.ctrl)
 
   def compute(
     self,
@@ -260,7 +258,7 @@ class _Route:
   def __init__(
     self, actuator: Actuator, columns: Sequence[int], places: Sequence[int], num_targets: int, ctrl: torch.Tensor
   ) -> None:
-    self._actuator = actuator
+    self.actuator = actuator
     self._all = list(columns) == list(range(num_targets))
     self._slice = as_slice(columns)
     self._index = torch.tensor(columns, device=ctrl.device)
@@ -276,21 +274,21 @@ class _Route:
       self.gather = (COMMAND_FIELDS.index(self._fields[0]), self._index, self._into)
 
   def run(self, cmd: ActuatorCmd) -> None:
-    value = self._actuator.compute(self._select(cmd))
+    value = self.actuator.compute(self._select(cmd))
     if self._into is not None:
       self._into.copy_(value)
     else:
       self._ctrl.index_copy_(1, self._places, value)
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
-    if self._actuator.delay is not None or type(self._actuator).reset is not Actuator.reset:
-      self._actuator.reset(mask, self._select(cmd))
+    if self.actuator.delay is not None or type(self.actuator).reset is not Actuator.reset:
+      self.actuator.reset(mask, self._select(cmd))
 
   def _select(self, cmd: ActuatorCmd) -> ActuatorCmd:
     """Return the columns of this actuator model; fields that it does not read are handed over whole."""
     if self._all:
       return cmd
-    fields = (*self._fields, "position", "velocity") if self._actuator.needs_feedback else self._fields
+    fields = (*self._fields, "position", "velocity") if self.actuator.needs_feedback else self._fields
     selected = ActuatorCmd(cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity)
     if self._slice is not None:
       for field in fields:

@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple, get_args
 import mujoco
 import numpy as np
 from mjlab_core.errors import MjlabError
+from mjlab_core.model_fields import element_names
 
 Transmission = Literal["joint", "tendon", "site"]
 """Kind of target: a hinge or slide, a tendon, along which the force acts, or a site, at which a wrench acts."""
@@ -20,12 +21,6 @@ _TRN: dict[Transmission, tuple[mujoco.mjtTrn, ...]] = {
   "tendon": (mujoco.mjtTrn.mjTRN_TENDON,),
   "site": (mujoco.mjtTrn.mjTRN_SITE,),
 }
-_OBJECT: dict[Transmission, mujoco.mjtObj] = {
-  "joint": mujoco.mjtObj.mjOBJ_JOINT,
-  "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-  "site": mujoco.mjtObj.mjOBJ_SITE,
-}
-_COUNT: dict[Transmission, str] = {"joint": "njnt", "tendon": "ntendon", "site": "nsite"}
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
@@ -48,8 +43,8 @@ def targets_of(
     ]
   else:
     names = [
-      mujoco.mj_id2name(source, _OBJECT[transmission], index)
-      for index in range(getattr(source, _COUNT[transmission]))
+      name
+      for index, name in enumerate(element_names(source, transmission))
       if transmission != "joint" or mujoco.mjtJoint(source.jnt_type[index]) in _SCALAR
     ]
   return [name.removeprefix(prefix) for name in names if name and name.startswith(prefix)]
@@ -57,7 +52,8 @@ def targets_of(
 
 def actuators_of(model: mujoco.MjModel, target: Target, prefix: str = "") -> list[int]:
   """Return the ids of the actuators of a compiled model that act on `target`, in the model's order."""
-  index = mujoco.mj_name2id(model, _OBJECT[target.transmission], prefix + target.name)
+  kind = mujoco.mjtObj[f"mjOBJ_{target.transmission.upper()}"]
+  index = mujoco.mj_name2id(model, kind, prefix + target.name)
   acting = np.isin(model.actuator_trntype, [int(kind) for kind in _TRN[target.transmission]])
   return np.flatnonzero(acting & (model.actuator_trnid[:, 0] == index)).tolist() if index >= 0 else []
 

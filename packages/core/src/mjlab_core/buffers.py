@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from mjlab_core.constraints import Ascending, Count, PositiveCount, Share, check_value
-from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
 from mjlab_core.state import Stateful
 
@@ -27,7 +26,6 @@ class _Ring(Stateful):
     check_value(f"{type(self).__name__}: length", length, PositiveCount)
     self.length, self.num_envs, self.shape = length, num_envs, tuple(shape)
     self.device, self.dtype = torch.device(device), dtype
-    self._frame = (num_envs, *self.shape)
     self._frames = self.state((length, *self.shape), dtype=dtype)
     self._worlds = torch.arange(num_envs, device=device)
     # Tick of the newest frame, and tick of the first one since the reset: tick + 1 means that there is none.
@@ -58,8 +56,6 @@ class _Ring(Stateful):
     self._frames[self._worlds, slot] = where_(self._frames[self._worlds, slot], mask, x)
 
   def _write(self, x: Tensor) -> None:
-    if x.shape != self._frame:
-      raise MjlabError(f"{type(self).__name__}: expected a frame of shape {self._frame}, got {tuple(x.shape)}.")
     self._tick.add_(1)
     self._frames[self._worlds, self._tick % self.length] = x.to(self.dtype)
 

@@ -56,10 +56,6 @@ class FileError(MjlabError):
   """File from a user that cannot be read; the message gives its path and what it lacks."""
 
 
-class StateError(MjlabError):
-  """Saved state that does not fit the object it is loaded into."""
-
-
 class DivergedError(MjlabError):
   """NaN or infinite numbers where the computation cannot continue with them."""
 

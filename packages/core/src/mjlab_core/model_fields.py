@@ -117,6 +117,20 @@ class ModelFields(Protocol):
     ...
 
 
+_COUNTS = {"joint": "njnt", "camera": "ncam", "material": "nmat", "texture": "ntex", "equality": "neq"}
+
+
+def num_elements(model: Any, kind: str) -> int:
+  """Return the number of elements of an `MjModel`; a kind is "body", "joint", "geom" and so on."""
+  return getattr(model, _COUNTS.get(kind, f"n{kind}"))
+
+
+def element_names(model: Any, kind: str) -> list[str]:
+  """Return the names of all elements of a kind in an `MjModel`, in its order; empty where there is none."""
+  element = getattr(model, kind)
+  return [element(i).name for i in range(num_elements(model, kind))]
+
+
 def followers(name: str) -> tuple[str, ...]:
   """Return the fields that `mj_setConst` may derive from the field `name`, in a stable order."""
   return tuple(dict.fromkeys((*FOLLOWERS.get(name, ()), *ROUTE_FOLLOWERS.get(name, ()))))

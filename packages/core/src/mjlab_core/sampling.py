@@ -10,6 +10,7 @@ import math
 import random
 import secrets
 from collections.abc import Sequence
+from typing import TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -18,45 +19,46 @@ from torch import Tensor
 from mjlab_core.errors import MjlabError
 
 
+class Options(TypedDict, total=False):
+  """Source, place and type of a draw."""
+
+  generator: torch.Generator | None
+  """None is torch's global one."""
+  device: torch.device | str | None
+  dtype: torch.dtype
+  """float32 by default."""
+
+
 def uniform(
   lo: Tensor | float,
   hi: Tensor | float,
   shape: Sequence[int],
-  *,
-  generator: torch.Generator | None = None,
-  device: torch.device | str | None = None,
-  dtype: torch.dtype = torch.float32,
+  **like: Unpack[Options],
 ) -> Tensor:
   """Draw uniformly from [lo, hi], of shape `shape`."""
-  return torch.rand(tuple(shape), generator=generator, device=device, dtype=dtype).mul_(hi - lo).add_(lo)
+  return torch.rand(tuple(shape), **like).mul_(hi - lo).add_(lo)
 
 
 def log_uniform(
   lo: Tensor | float,
   hi: Tensor | float,
   shape: Sequence[int],
-  *,
-  generator: torch.Generator | None = None,
-  device: torch.device | str | None = None,
-  dtype: torch.dtype = torch.float32,
+  **like: Unpack[Options],
 ) -> Tensor:
   """Draw exp(uniform(log lo, log hi)) in [lo, hi], of shape `shape`; both bounds positive."""
   log_lo = lo.log() if isinstance(lo, Tensor) else math.log(lo)
   log_hi = hi.log() if isinstance(hi, Tensor) else math.log(hi)
-  return uniform(log_lo, log_hi, shape, generator=generator, device=device, dtype=dtype).exp_()
+  return uniform(log_lo, log_hi, shape, **like).exp_()
 
 
 def gaussian(
   mean: Tensor | float,
   std: Tensor | float,
   shape: Sequence[int],
-  *,
-  generator: torch.Generator | None = None,
-  device: torch.device | str | None = None,
-  dtype: torch.dtype = torch.float32,
+  **like: Unpack[Options],
 ) -> Tensor:
   """Draw from the normal distribution with `mean` and standard deviation `std`, of shape `shape`."""
-  return torch.randn(tuple(shape), generator=generator, device=device, dtype=dtype).mul_(std).add_(mean)
+  return torch.randn(tuple(shape), **like).mul_(std).add_(mean)
 
 
 def truncated_normal(

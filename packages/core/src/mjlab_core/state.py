@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from mjlab_core.errors import MjlabError, StateError
+from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import where_
 from mjlab_core.names import unknown
 
@@ -136,10 +136,9 @@ class Stateful:
     """Write a state from `state_dict` into this object's tensors, in place; check all before writing any.
 
     Raises:
-      StateError: a name is missing or unknown, or a shape or dtype differs; the message gives the full name.
+      MjlabError: a name is missing or unknown, or a shape or dtype differs; the message gives the full name.
     """
-    if problem := next(self.state_problems(state), ""):
-      raise StateError(problem)
+    refuse_state(self.state_problems(state))
     self.restore(state)
 
   def state_problems(self, state: Mapping[str, Any], path: str = "") -> Iterator[str]:
@@ -207,11 +206,14 @@ class StatefulDict(Stateful, dict[str, T]):
     _registry(child).owned = True
 
 
+def refuse_state(problems: Iterator[str]) -> None:
+  """Raise MjlabError with the first of the reasons why a state does not fit, if there is one."""
+  for problem in problems:
+    raise MjlabError(problem)
+
+
 def _registry(owner: Stateful) -> _Registry:
-  registry = owner.__dict__.get("_registry")
-  if registry is None:
-    registry = owner.__dict__["_registry"] = _Registry()
-  return registry
+  return owner.__dict__.setdefault("_registry", _Registry())
 
 
 def _register(owner: Stateful, registry: _Registry, name: str, value: Any) -> None:

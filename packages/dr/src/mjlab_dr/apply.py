@@ -12,9 +12,9 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.model_fields import ModelFields
 from torch import Tensor
 
-from mjlab_dr.binding import Binding, Component, bind, result_problems, with_ids
+from mjlab_dr.binding import Component, bind, bind_columns, result_problems, with_ids
 from mjlab_dr.catalogue import FIELDS
-from mjlab_dr.distributions import joint_sampler, try_out
+from mjlab_dr.distributions import Distribution, joint_sampler
 from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
 
@@ -82,69 +82,68 @@ class RandomizeField:
     owner: str = "",
   ) -> None:
     self.cfg, self.needs_constants = cfg, cfg.needs_constants
-    field = FIELDS[cfg.field]
-    self._form, self._sim, self._generator, self._target = field.form, sim, generator, target
+    self._form, self._sim, self._generator = FIELDS[cfg.field].form, sim, generator
+    self._tensor = target if isinstance(target, Tensor) else None
+    self._quantity = None if isinstance(target, Tensor) else target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
-    model = sim.mj_model
-    if target is None or isinstance(target, Tensor):
-      binding = bind(cfg, model, names, ids, is_target=target is not None, owner=owner)
+    if self._quantity is None:
+      binding = bind(cfg, sim.mj_model, names, ids, is_target=target is not None, owner=owner)
     else:
-      elements = tuple(target.names)
-      columns = [
-        Component(field=cfg.field, element=name, axis="", row=i, columns=(i,), source=i)
-        for i, name in enumerate(elements)
-      ]
-      binding = Binding(elements, tuple(columns))
+      binding = bind_columns(cfg.field, [(name, i) for i, name in enumerate(self._quantity.names)])
     self.element_names, self.components = binding.elements, binding.components
-    distributions = with_ids(cfg, model, owner, prefix)
+    distributions = with_ids(cfg, sim.mj_model, owner, prefix)
     self.distributions = dict(zip(cfg.values, distributions, strict=True))
     """Distribution of each axis, with the ids of this model in place of names."""
-
-    fields = list(dict.fromkeys(component.field for component in self.components))
-    if target is None:
-      sim.expand_model_fields((*fields, field.moves_with) if field.moves_with else fields)
-    defaults: list[np.ndarray] = []
-    self._writes: list[_Columns] = []
-    for name in fields:
-      components = [component for component in self.components if component.field == name]
-      if target is None:
-        default = _flat_default(sim, name)
-      else:
-        default = torch.zeros_like(target[:1]).flatten(1) if isinstance(target, Tensor) else target.default
-      write = _Columns(name, [component.columns for component in components], default, sim.num_envs)
-      write.start_from(upon)
-      defaults.append(write.default[:, write.first].double().cpu().numpy())
-      self._writes.append(write)
-    worlds = max(len(default) for default in defaults)
-    table = np.concatenate([np.broadcast_to(x, (worlds, x.shape[1])) for x in defaults], axis=1)
-    for problem in result_problems(cfg, binding, table, model):
+    self._strength: Tensor | None = None
+    self._find_columns(upon)
+    for problem in result_problems(cfg, binding, self.default.double().cpu().numpy(), sim.mj_model):
       raise MjlabError(f"{owner}: {problem}")
-    self._follower: _Columns | None = None
-    if field.moves_with:
-      columns, default = [component.columns for component in self.components], _flat_default(sim, field.moves_with)
-      self._follower = _Columns(field.moves_with, columns, default, sim.num_envs)
-      self._follower.start_from(upon)
+    self._prepare_draws(distributions)
 
-    dtype = self._writes[0].default.dtype
+  def _find_columns(self, upon: Container[tuple[str, int]]) -> None:
+    """Find the columns of each field that are written, and of the one that moves along; expand fields of the model."""
+    fields = list(dict.fromkeys(component.field for component in self.components))
+    follower = FIELDS[self.cfg.field].moves_with
+    if self._tensor is None and self._quantity is None:
+      self._sim.expand_model_fields((*fields, follower) if follower else fields)
+
+    def columns(field: str, components: Sequence[Component]) -> _Columns:
+      default, of_each = self._field_default(field), [component.columns for component in components]
+      return _Columns(field, of_each, default, self._sim.num_envs, upon)
+
+    self._writes = [columns(name, [c for c in self.components if c.field == name]) for name in fields]
+    self._follower = columns(follower, self.components) if follower else None
+
+  def _field_default(self, name: str) -> Tensor:
+    """Return the values of a field to start from, a flat row for each world, or one for all."""
+    if self._quantity is not None:
+      return self._quantity.default
+    if self._tensor is not None:
+      return torch.zeros_like(self._tensor[:1]).flatten(1)
+    # A view, through which later values of each world are seen.
+    default = self._sim.default_field(name)
+    return default.view(len(default), -1)
+
+  def _prepare_draws(self, distributions: Sequence[Distribution]) -> None:
+    """Make the sampler, and the way from its draws to axes and columns."""
+    cfg, device, dtype = self.cfg, self._sim.device, self._writes[0].default.dtype
     self._dtype = dtype if dtype.is_floating_point else torch.float64
-    for axis, distribution in self.distributions.items():
-      try_out(distribution, f"{owner} {field.axes[axis]}".rstrip(), device=sim.device, dtype=self._dtype)
     self._sample = joint_sampler(
-      distributions[:1] if cfg.isotropic else distributions, device=sim.device, dtype=self._dtype
+      distributions[:1] if cfg.isotropic else distributions, device=device, dtype=self._dtype
     )
-    axes, every = list(cfg.values), range(len(field.axes))
+    axes, every = list(cfg.values), range(len(FIELDS[cfg.field].axes))
     places = [axes.index(axis) if axis in axes else len(axes) + axis for axis in every]
-    self._places = None if places == list(every) else torch.tensor(places, device=sim.device)
+    self._places = None if places == list(every) else torch.tensor(places, device=device)
     """Index of each axis among those drawn, followed by all; None if all are drawn, in order."""
-    self._shape = (sim.num_envs, 1 if cfg.shared else len(self.element_names))
-    self._full = (sim.num_envs, len(self.element_names), len(axes))
+    self._shape = (self._sim.num_envs, 1 if cfg.shared else len(self.element_names))
+    self._full = (self._sim.num_envs, len(self.element_names), len(axes))
     sources = [component.source for component in self.components for _ in component.columns]
     is_all = sources == list(range(len(self.element_names) * len(axes)))
-    self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=sim.device)
-    self._strength: Tensor | None = None
+    self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=device)
     if self._form == "intrinsics":
       cameras = [component.row for component in self.components if component.field == "cam_fovy"]
-      self._half_heights = torch.tensor(0.5 * model.cam_sensorsize[cameras, 1], device=sim.device, dtype=self._dtype)
+      heights = 0.5 * self._sim.mj_model.cam_sensorsize[cameras, 1]
+      self._half_heights = torch.tensor(heights, device=device, dtype=self._dtype)
 
   @property
   def default(self) -> Tensor:
@@ -181,8 +180,8 @@ class RandomizeField:
     if self._follower is not None:
       led, flat = self._writes[0], self._flat(self._follower.field)
       self._follower.store(flat, mask, self._follower.start(flat) + (results[0] - led.start(self._flat(led.field))))
-    if self._target is not None and not isinstance(self._target, Tensor):
-      self._target.write(results[0], mask)
+    if self._quantity is not None:
+      self._quantity.write(results[0], mask)
     else:
       for write, value in zip(self._writes, results, strict=True):
         write.store(self._flat(write.field), mask, value)
@@ -196,24 +195,23 @@ class RandomizeField:
 
   def written(self) -> dict[tuple[str, int], str]:
     """Return the element of every number that it writes, by field and column."""
-    out = {(c.field, column): c.element for c in self.components for column in c.columns}
-    if self._follower is not None:
-      out |= {(self._follower.field, column): c.element for c in self.components for column in c.columns}
-    return out
+    along = FIELDS[self.cfg.field].moves_with
+    written = [(field, c) for c in self.components for field in (c.field, along) if field]
+    return {(field, column): c.element for field, c in written for column in c.columns}
 
   @property
   def claims(self) -> dict[tuple[str, Hashable], str]:
     """Descriptions of the numbers that it writes, by field and column or element."""
-    if self._target is not None and not isinstance(self._target, Tensor):
-      return dict(self._target.claims)
+    if self._quantity is not None:
+      return dict(self._quantity.claims)
     kind = FIELDS[self.cfg.field].kind
     return {key: f"{key[0]} of {kind} '{element}'" for key, element in self.written().items()}
 
   def _flat(self, name: str) -> Tensor:
     # Looked up each time: another expansion may have replaced the array. A view, never a copy.
-    if self._target is not None and not isinstance(self._target, Tensor):
-      return self._target.values()
-    tensor = getattr(self._sim.model, name) if self._target is None else self._target
+    if self._quantity is not None:
+      return self._quantity.values()
+    tensor = getattr(self._sim.model, name) if self._tensor is None else self._tensor
     return tensor.view(self._sim.num_envs, -1)
 
   def _results(self, draw: Tensor) -> list[Tensor]:
@@ -269,7 +267,14 @@ class RandomizeField:
 class _Columns:
   """Columns of one field, in flat rows of worlds."""
 
-  def __init__(self, field: str, columns: Sequence[tuple[int, ...]], default: Tensor, num_envs: int) -> None:
+  def __init__(
+    self,
+    field: str,
+    columns: Sequence[tuple[int, ...]],
+    default: Tensor,
+    num_envs: int,
+    upon: Container[tuple[str, int]],
+  ) -> None:
     self.field = field
     device = default.device
     flat = [column for group in columns for column in group]
@@ -279,7 +284,9 @@ class _Columns:
     self.first = torch.tensor(starts, device=device)
     """Index in `all` of the first column of each component."""
     self._slice = as_slice(flat, spaced=True)
-    self._is_written: Tensor | None = None
+    written = [(field, column) in upon for column in flat]
+    # Columns that another randomiser has written before.
+    self._is_written = torch.tensor(written, device=device) if any(written) else None
     # Values per world change when a state of other worlds is loaded, so they are looked up every time.
     self._rows = default
     self._constant = None if len(default) == num_envs else default.index_select(1, self.all)
@@ -290,12 +297,6 @@ class _Columns:
     if self._constant is not None:
       return self._constant
     return self._rows.index_select(1, self.all) if self._slice is None else self._rows[:, self._slice]
-
-  def start_from(self, upon: Container[tuple[str, int]]) -> None:
-    """Note the columns that another randomiser has written before."""
-    written = [(self.field, column) in upon for column in self.all.tolist()]
-    if any(written):
-      self._is_written = torch.tensor(written, device=self.all.device)
 
   def start(self, flat: Tensor) -> Tensor:
     """Return the values to start from, (1 or num_envs, number of columns), of the field's rows `flat`."""
@@ -310,12 +311,6 @@ class _Columns:
     else:
       value = value.to(flat.dtype)
       flat.index_copy_(1, self.all, torch.where(mask[:, None], value, flat.index_select(1, self.all)))
-
-
-def _flat_default(sim: ModelFields, name: str) -> Tensor:
-  default = sim.default_field(name)
-  # A view, through which later values of each world are seen.
-  return default.view(len(default), -1)
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:

@@ -74,37 +74,15 @@ def bind(
   field = FIELDS[cfg.field]
   in_model = not is_target or names is None
   if names is None:
-    of_model = element_names(model, field.kind)
     ids = range(1 if field.kind == "body" else 0, count(model, field.kind))
-    names = [of_model[i] for i in ids]
-  elif ids is None:
-    ids = range(len(names))
+    names = element_names(model, field.kind)[ids.start :]
+  ids = range(len(names)) if ids is None else ids
   picked, _ = match_names(cfg.pattern, names, what=field.kind, owner=owner)
-  idle: dict[int, str] = {}
-  fixed: list[str] = []
-  for i in picked if in_model else ():
-    if (body := simple_body(cfg, model, int(ids[i]))) is not None:
-      idle[i] = f"{body} {SIMPLE}"
-      fixed.append(body)
-  reasons = idle_elements(model, cfg.field, [int(ids[i]) for i in picked if i not in idle]) if in_model else {}
-  for i in picked:
-    if why := reasons.get(int(ids[i])):
-      idle[i] = f"a change of {field.kind} {names[i]!r} would do nothing, for it {why}."
-  for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
-    matched = [i for i in picked if re.fullmatch(pattern, names[i])]
-    if all(i in idle for i in matched):
-      raise UnknownNameError(f"{owner}: {idle[matched[0]]}{_others(matched, pattern)}")
-  if fixed:
-    warnings.warn(f"{owner}: left out, because {', '.join(dict.fromkeys(fixed))} {SIMPLE}", stacklevel=4)
-  elements = [(names[i], int(ids[i])) for i in picked if i not in idle]
+  elements = [(names[i], int(ids[i])) for i in picked]
+  if in_model:
+    elements = _with_effect(cfg, model, elements, owner)
   if is_target:
-    return Binding(
-      tuple(name for name, _ in elements),
-      tuple(
-        Component(field=cfg.field, element=name, axis="", row=i, columns=(i,), source=e)
-        for e, (name, i) in enumerate(elements)
-      ),
-    )
+    return bind_columns(cfg.field, elements)
   if field.form == "servo":
     components = _servo(elements)
   elif field.form != "plain":
@@ -112,6 +90,35 @@ def bind(
   else:
     components = _single(cfg, field, model, elements, owner)
   return Binding(tuple(name for name, _ in elements), tuple(components))
+
+
+def bind_columns(field: str, elements: Sequence[tuple[str, int]]) -> Binding:
+  """Return the binding of a quantity outside the model, with one column for each element, by name and column."""
+  components = [
+    Component(field=field, element=name, axis="", row=i, columns=(i,), source=source)
+    for source, (name, i) in enumerate(elements)
+  ]
+  return Binding(tuple(name for name, _ in elements), tuple(components))
+
+
+def _with_effect(
+  cfg: FieldRandomizer, model: mujoco.MjModel, elements: list[tuple[str, int]], owner: str
+) -> list[tuple[str, int]]:
+  """Return the elements, by name and id, of which a change has an effect; each pattern must match one of them."""
+  simple = {i: body for _, i in elements if (body := simple_body(cfg, model, i)) is not None}
+  reasons = idle_elements(model, cfg.field, [i for _, i in elements if i not in simple])
+  idle = {i: f"{body} {SIMPLE}" for i, body in simple.items()}
+  for name, i in elements:
+    if i in reasons:
+      idle[i] = f"a change of {FIELDS[cfg.field].kind} {name!r} would do nothing, for it {reasons[i]}."
+  for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
+    matched = [i for name, i in elements if re.fullmatch(pattern, name)]
+    if all(i in idle for i in matched):
+      raise UnknownNameError(f"{owner}: {idle[matched[0]]}{_others(matched, pattern)}")
+  if simple:
+    bodies = ", ".join(dict.fromkeys(simple.values()))
+    warnings.warn(f"{owner}: left out, because {bodies} {SIMPLE}", stacklevel=5)
+  return [(name, i) for name, i in elements if i not in idle]
 
 
 SIMPLE = (
@@ -147,25 +154,22 @@ def _single(
   cfg: FieldRandomizer, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]], owner: str
 ) -> list[Component]:
   """Return a component for every axis of every element that has an effect."""
+  axes, ids = list(cfg.values), [i for _, i in elements]
+  idle = {axis: idle_on_axis(model, cfg.field, ids, axis) for axis in axes}
+  dead = [axis for axis in axes if len(idle[axis]) == len(ids)]
+  if dead and (not cfg.every_axis or len(dead) == len(axes)):
+    what = f"{'' if cfg.every_axis else f'{field.axes[dead[0]]} of '}{field.kind} {elements[0][0]!r}"
+    raise MjlabError(f"{owner}: a change of {what} would do nothing, for it {idle[dead[0]][ids[0]]}.")
   components: list[Component] = []
-  axes = list(cfg.values)
-  for j, axis in enumerate(axes):
-    idle = idle_on_axis(model, cfg.field, [i for _, i in elements], axis)
-    if len(idle) == len(elements) and not cfg.every_axis:
-      which = f"{field.axes[axis]} of {field.kind} {elements[0][0]!r}"
-      raise MjlabError(f"{owner}: a change of {which} would do nothing, for it {idle[elements[0][1]]}.")
-    for e, (name, i) in enumerate(elements):
-      if i not in idle:
-        at = rows(model, field, i)
-        where = tuple(row * field.width + axis for row in at)
-        source = e * len(axes) + j
+  for e, (name, i) in enumerate(elements):
+    at = rows(model, field, i)
+    for j, axis in enumerate(axes):
+      if i not in idle[axis]:
+        where, source = tuple(row * field.width + axis for row in at), e * len(axes) + j
         components.append(
           Component(field=cfg.field, element=name, axis=field.axes[axis], row=at[0], columns=where, source=source)
         )
-  if not components:
-    reason = idle_on_axis(model, cfg.field, [elements[0][1]], axes[0])[elements[0][1]]
-    raise MjlabError(f"{owner}: a change of {field.kind} {elements[0][0]!r} would do nothing, for it {reason}.")
-  return sorted(components, key=lambda component: component.source)
+  return components
 
 
 def _servo(elements: list[tuple[str, int]]) -> list[Component]:

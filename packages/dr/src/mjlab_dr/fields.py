@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
+from mjlab_core import model_fields
 
 Kind = Literal[
   "option",
@@ -100,35 +101,15 @@ class Field:
     return units[axis % len(units)]
 
 
-_OBJECTS: dict[str, tuple[mujoco.mjtObj, str]] = {
-  "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
-  "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
-  "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
-  "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
-  "camera": (mujoco.mjtObj.mjOBJ_CAMERA, "ncam"),
-  "light": (mujoco.mjtObj.mjOBJ_LIGHT, "nlight"),
-  "material": (mujoco.mjtObj.mjOBJ_MATERIAL, "nmat"),
-  "texture": (mujoco.mjtObj.mjOBJ_TEXTURE, "ntex"),
-  "tendon": (mujoco.mjtObj.mjOBJ_TENDON, "ntendon"),
-  "pair": (mujoco.mjtObj.mjOBJ_PAIR, "npair"),
-  "equality": (mujoco.mjtObj.mjOBJ_EQUALITY, "neq"),
-  "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
-}
-
-
 def count(model: mujoco.MjModel, kind: str) -> int:
   """Return the number of elements of a kind; the options are one."""
-  return 1 if kind == "option" else getattr(model, _OBJECTS[kind][1])
+  return 1 if kind == "option" else model_fields.num_elements(model, kind)
 
 
 def element_names(model: mujoco.MjModel, kind: str) -> list[str]:
   """Return the names of all elements of a kind, in the order of the model; without a name it is "(geom 3)"."""
-  if kind == "option":
-    return ["option"]
-  return [
-    mujoco.mj_id2name(model, _OBJECTS[kind][0], i) or ("world" if kind == "body" and i == 0 else f"({kind} {i})")
-    for i in range(count(model, kind))
-  ]
+  names = ["option"] if kind == "option" else model_fields.element_names(model, kind)
+  return [name or f"({kind} {i})" for i, name in enumerate(names)]
 
 
 def rows(model: mujoco.MjModel, field: Field, element: int) -> range:
@@ -136,7 +117,7 @@ def rows(model: mujoco.MjModel, field: Field, element: int) -> range:
   if field.at == "element":
     return range(element, element + 1)
   if field.at == "dof":
-    first, number = model.jnt_dofadr[element], _VELOCITIES[int(model.jnt_type[element])]
+    first, number = model.jnt_dofadr[element], (model.dof_jntid == element).sum()
   elif field.at == "qpos":
     # Only joints of one coordinate have a value that can be moved along a line.
     first, number = model.jnt_qposadr[element], 1
@@ -145,11 +126,3 @@ def rows(model: mujoco.MjModel, field: Field, element: int) -> range:
   else:
     first, number = model.actuator_outadr[element], model.actuator_outnum[element]
   return range(int(first), int(first) + int(number))
-
-
-_VELOCITIES = {
-  int(mujoco.mjtJoint.mjJNT_FREE): 6,
-  int(mujoco.mjtJoint.mjJNT_BALL): 3,
-  int(mujoco.mjtJoint.mjJNT_SLIDE): 1,
-  int(mujoco.mjtJoint.mjJNT_HINGE): 1,
-}

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from mjlab_core.errors import StateError
-from mjlab_core.state import Stateful
+from mjlab_core.state import Stateful, refuse_state
 from mjlab_managers import (
   ActionManager,
   CommandManager,
@@ -170,10 +169,9 @@ class ManagerBasedEnv:
     """Restore a `state_dict` of an environment with the same config.
 
     Raises:
-      StateError: the state belongs to another task, number of worlds or kind of device; nothing was changed.
+      MjlabError: the state belongs to another task, number of worlds or kind of device; nothing was changed.
     """
-    if problem := next(self._state_problems(state), ""):
-      raise StateError(problem)
+    refuse_state(self._state_problems(state))
     self.sim.load_state_dict(state["sim"])
     for name, part in self._stateful_parts().items():
       part.load_state_dict(state[name])

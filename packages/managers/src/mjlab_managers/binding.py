@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import torch
-from mjlab_core.errors import ConfigError, MjlabError, StateError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_core.names import unknown
 
 from mjlab_managers.env import ManagerEnv
@@ -292,7 +292,7 @@ def _carry_over(term: ManagerTermBase, state: Mapping[str, Any]) -> None:
   """Restore the state of a term that was built again, if it still fits."""
   try:
     term.load_state_dict(state)
-  except StateError:
+  except MjlabError:
     # Another parameter, another shape: its state begins again.
     return
 

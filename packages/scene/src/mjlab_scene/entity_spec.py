@@ -224,8 +224,6 @@ def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
     raise MjlabError(
       f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make several entities of them"
     )
-  if floating and floating[0].name not in [body.name for body in top]:
-    raise MjlabError(f"{owner}: body '{floating[0].name}' has a free joint but is not on top level")
   return next((body for body in (*floating, *top) if _floats(body) or body.mocap), None)
 
 

@@ -10,26 +10,12 @@ import torch
 from mjlab_core.constraints import Limits, check_value
 from mjlab_core.errors import MjlabError
 from mjlab_core.indexing import Index, as_index, select, where_
+from mjlab_core.model_fields import element_names
 
 from mjlab_scene.entity_spec import KINDS
-from mjlab_scene.initial_state import POSITION_WIDTH, VELOCITY_WIDTH
 
 Selection = slice | torch.Tensor | Sequence[int] | None
 """Elements of one kind of an entity: all (None), a slice, an int64 tensor or a list of entity-local ids."""
-
-_OBJECT = {
-  "body": mujoco.mjtObj.mjOBJ_BODY,
-  "joint": mujoco.mjtObj.mjOBJ_JOINT,
-  "geom": mujoco.mjtObj.mjOBJ_GEOM,
-  "site": mujoco.mjtObj.mjOBJ_SITE,
-  "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-  "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-  "camera": mujoco.mjtObj.mjOBJ_CAMERA,
-  "light": mujoco.mjtObj.mjOBJ_LIGHT,
-  "material": mujoco.mjtObj.mjOBJ_MATERIAL,
-}
-_COUNT = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "site": "nsite", "tendon": "ntendon"}
-_COUNT |= {"actuator": "nactuator", "camera": "ncam", "light": "nlight", "material": "nmat"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +55,6 @@ class EntityIndexing:
   trees: dict[str, Index]
   """Top body of the kinematic tree of each body, geom and site, by kind; one row if they share one."""
 
-  @property
-  def scalar_joints(self) -> bool:
-    """True if every joint has one position and one velocity, so that joint ids are columns."""
-    return all(len(columns) == 1 for columns in self.q_of_joint)
-
 
 def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.device) -> EntityIndexing:
   """Return the places of all elements of `model` whose names start with `prefix`.
@@ -84,30 +65,19 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     root: Full name of the entity's root body.
     device: Where index tensors live.
   """
-  names: dict[str, tuple[str, ...]] = {}
-  ids: dict[str, np.ndarray] = {}
-  for kind in KINDS:
-    found = [
-      (i, name.removeprefix(prefix))
-      for i in range(int(getattr(model, _COUNT[kind])))
-      if (name := mujoco.mj_id2name(model, _OBJECT[kind].value, i)) and name.startswith(prefix)
-      if not (kind == "joint" and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE)
-      if not (kind == "body" and i == 0)
-    ]
-    names[kind] = tuple(name for _, name in found)
-    ids[kind] = np.array([i for i, _ in found], dtype=np.int64)
-
-  root_body = model.body(root).id
-  joint = int(model.body_jntadr[root_body])
-  root_q = root_v = None
-  if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    root_q, root_v = slice(q, q + 7), slice(v, v + 6)
+  found = {kind: _elements(model, kind, prefix) for kind in KINDS}
+  names = {kind: tuple(of_kind.values()) for kind, of_kind in found.items()}
+  ids = {kind: np.array(list(of_kind), dtype=np.int64) for kind, of_kind in found.items()}
+  root_body = int(model.body(root).id)
+  first = int(model.body_jntadr[root_body])
+  is_floating = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
   mocap = int(model.body_mocapid[root_body])
-
-  kinds = [mujoco.mjtJoint(int(model.jnt_type[i])) for i in ids["joint"]]
-  qpos_of_joint = _ranges(model.jnt_qposadr[ids["joint"]], [POSITION_WIDTH[kind] for kind in kinds])
-  qvel_of_joint = _ranges(model.jnt_dofadr[ids["joint"]], [VELOCITY_WIDTH[kind] for kind in kinds])
+  # Each joint's columns end where those of the next one begin.
+  q, v = (
+    _ranges(starts, np.diff(starts, append=size))
+    for starts, size in ((model.jnt_qposadr, model.nq), (model.jnt_dofadr, model.nv))
+  )
+  qpos_of_joint, qvel_of_joint = (tuple(of[i] for i in ids["joint"]) for of in (q, v))
   bodies = {"body": ids["body"], "geom": model.geom_bodyid[ids["geom"]], "site": model.site_bodyid[ids["site"]]}
 
   def tops(bodies: np.ndarray) -> Index:
@@ -118,9 +88,9 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     names=names,
     ids=ids,
     index={kind: as_index(ids[kind], device) for kind in KINDS},
-    root_body=int(root_body),
-    root_q=root_q,
-    root_v=root_v,
+    root_body=root_body,
+    root_q=slice(q[first].start, q[first].stop) if is_floating else None,
+    root_v=slice(v[first].start, v[first].stop) if is_floating else None,
     mocap=mocap if mocap >= 0 else None,
     joint_q=as_index(_flat(qpos_of_joint), device),
     joint_v=as_index(_flat(qvel_of_joint), device),
@@ -132,6 +102,16 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     bodies={kind: as_index(ids, device) for kind, ids in bodies.items()},
     trees={kind: tops(ids) for kind, ids in bodies.items()},
   )
+
+
+def _elements(model: mujoco.MjModel, kind: str, prefix: str) -> dict[int, str]:
+  """Return local names by global id; the world and free joints left out."""
+  names = enumerate(element_names(model, kind))
+  found = {i: name.removeprefix(prefix) for i, name in names if name and name.startswith(prefix)}
+  if kind == "body":
+    found.pop(0, None)
+  is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+  return {i: name for i, name in found.items() if not (kind == "joint" and is_free[i])}
 
 
 def _ranges(starts: Sequence[int] | np.ndarray, widths: Sequence[int] | np.ndarray) -> tuple[range, ...]:

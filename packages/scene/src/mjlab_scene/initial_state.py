@@ -15,18 +15,8 @@ from mjlab_core.names import match_values
 INIT_STATE = "init_state"
 """Name of the scene's keyframe."""
 
-POSITION_WIDTH = {
-  mujoco.mjtJoint.mjJNT_FREE: 7,
-  mujoco.mjtJoint.mjJNT_BALL: 4,
-  mujoco.mjtJoint.mjJNT_SLIDE: 1,
-  mujoco.mjtJoint.mjJNT_HINGE: 1,
-}
-VELOCITY_WIDTH = {
-  mujoco.mjtJoint.mjJNT_FREE: 6,
-  mujoco.mjtJoint.mjJNT_BALL: 3,
-  mujoco.mjtJoint.mjJNT_SLIDE: 1,
-  mujoco.mjtJoint.mjJNT_HINGE: 1,
-}
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0, *_IDENTITY)
 
 
 @dataclass(kw_only=True)
@@ -88,45 +78,68 @@ def read_initial_state(
       no keyframe.
   """
   check_fields(cfg, owner)
+  state = _reference_state(spec, root)
+  _place_joints(spec, cfg, floating, state, owner)
+  _place_root(cfg, floating, state, owner)
+  _set_controls(spec, cfg, state, owner)
+  return state
+
+
+def _reference_state(spec: mujoco.MjSpec, root: mujoco.MjsBody | None) -> InitialState:
+  """Return what the model itself says, at rest."""
   joints = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-  state = InitialState(
-    root_pose=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) if root is None else _placed(spec, root),
+  return InitialState(
+    root_pose=np.array(_ORIGIN) if root is None else _placed(spec, root),
     root_velocity=np.zeros(6),
     joint_pos={joint.name: _reference(joint, spec.compiler.degree) for joint in joints},
-    joint_vel={joint.name: np.zeros(VELOCITY_WIDTH[joint.type]) for joint in joints},
+    joint_vel={joint.name: np.zeros(_widths(joint)[1]) for joint in joints},
     ctrl={},
   )
+
+
+def _place_joints(spec: mujoco.MjSpec, cfg: InitialStateCfg, floating: bool, state: InitialState, owner: str) -> None:
+  """Overwrite joints with the keyframe or the configured values, which must be within limits."""
   if cfg.joint_pos is None:
     if not spec.keys:
       raise MjlabError(f"{owner}: joint_pos=None takes the model's keyframe, but the model has none")
     _read_key(spec, spec.keys[0], floating, state, owner)
   else:
     named = _set_joints(state.joint_pos, cfg.joint_pos, owner, "joint_pos")
-    given = [joint for joint in joints if joint.name in named]
+    given = [joint for joint in spec.joints if joint.name in named]
     if problems := list(_limit_problems(given, state, spec.compiler.degree)):
       raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
+  for name, value in state.joint_pos.items():
+    if value.size == 4:
+      state.joint_pos[name] = _unit(value, f"{owner}, joint_pos of '{name}'")
   _set_joints(state.joint_vel, cfg.joint_vel, owner, "joint_vel")
 
+
+def _place_root(cfg: InitialStateCfg, floating: bool, state: InitialState, owner: str) -> None:
+  """Overwrite pose and velocity of the root with configured ones."""
   if cfg.pos is not None:
     state.root_pose[:3] = cfg.pos
   if cfg.rot is not None:
     state.root_pose[3:] = cfg.rot
   state.root_pose[3:] = _unit(state.root_pose[3:], f"{owner}, rot")
-  for name, value in state.joint_pos.items():
-    if value.size == 4:
-      state.joint_pos[name] = _unit(value, f"{owner}, joint_pos of '{name}'")
   velocity = [*cfg.lin_vel, *cfg.ang_vel]
   if any(velocity):
     if not floating:
       raise MjlabError(f"{owner}: lin_vel and ang_vel need a floating base; this one has no free joint")
     state.root_velocity[:] = velocity
 
+
+def _set_controls(spec: mujoco.MjSpec, cfg: InitialStateCfg, state: InitialState, owner: str) -> None:
+  """Overwrite controls with configured ones; those that no keyframe gave hold the joints where they are."""
   for actuator in spec.actuators:
     state.ctrl.setdefault(actuator.name, _resting_ctrl(actuator, state.joint_pos))
-  _, names, values = match_values(cfg.ctrl, [a.name for a in spec.actuators], what="actuator", owner=owner)
+  _, names, values = match_values(cfg.ctrl, list(state.ctrl), what="actuator", owner=owner)
   for name, value in zip(names, values, strict=True):
     state.ctrl[name] = tuple(_sized(value, len(state.ctrl[name]), f"{owner}, ctrl of '{name}'"))
-  return state
+
+
+def _widths(joint: mujoco.MjsJoint) -> tuple[int, int]:
+  """Return the numbers of a joint in qpos and in qvel."""
+  return {mujoco.mjtJoint.mjJNT_FREE: (7, 6), mujoco.mjtJoint.mjJNT_BALL: (4, 3)}.get(joint.type, (1, 1))
 
 
 def _set_joints(
@@ -141,7 +154,7 @@ def _set_joints(
 
 def _placed(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> np.ndarray:
   """Return the pose in the world of a body on top level, through the frames around it, (7,)."""
-  pose = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+  pose = np.array(_ORIGIN)
   element: mujoco.MjsBody | mujoco.MjsFrame | None = body
   while element is not None:
     quat = np.array(element.quat)
@@ -160,7 +173,7 @@ def _placed(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> np.ndarray:
 
 def _reference(joint: mujoco.MjsJoint, degree: bool) -> np.ndarray:
   if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-    return np.array([1.0, 0.0, 0.0, 0.0])
+    return np.array(_IDENTITY)
   return np.array([joint.ref * _radians(joint, degree)])
 
 
@@ -212,25 +225,23 @@ def _resting_ctrl(actuator: mujoco.MjsActuator, joint_pos: Mapping[str, np.ndarr
 
 def _read_key(spec: mujoco.MjSpec, key: mujoco.MjsKey, floating: bool, state: InitialState, owner: str) -> None:
   """Overwrite `state` with a keyframe of the entity's model."""
-  qpos, qvel = list(key.qpos), list(key.qvel)
-  for numbers, widths, what in ((qpos, POSITION_WIDTH, "qpos"), (qvel, VELOCITY_WIDTH, "qvel")):
-    expected = sum(widths[joint.type] for joint in spec.joints)
-    if numbers and len(numbers) != expected:
+  nq, nv = (sum(numbers) for numbers in zip((0, 0), *map(_widths, spec.joints), strict=True))
+  for numbers, expected, what in ((key.qpos, nq, "qpos"), (key.qvel, nv, "qvel")):
+    if len(numbers) not in (0, expected):
       raise MjlabError(f"{owner}: keyframe '{key.name}' has {len(numbers)} numbers in {what}, the model {expected}")
-  q, v = 0, 0
+  qpos, qvel = np.array(key.qpos), np.array(key.qvel)
   for joint in spec.joints:
-    nq, nv = POSITION_WIDTH[joint.type], VELOCITY_WIDTH[joint.type]
-    position, velocity = np.array(qpos[q : q + nq]), np.array(qvel[v : v + nv])
-    q, v = q + nq, v + nv
+    widths = _widths(joint)
+    (position, qpos), (velocity, qvel) = (np.split(of, [n]) for of, n in zip((qpos, qvel), widths, strict=True))
     if joint.type != mujoco.mjtJoint.mjJNT_FREE:
-      if qpos:
+      if position.size:
         state.joint_pos[joint.name] = position
-      if qvel:
+      if velocity.size:
         state.joint_vel[joint.name] = velocity
       continue
-    if qpos:
+    if position.size:
       state.root_pose[:] = position
-    if qvel:
+    if velocity.size:
       state.root_velocity[:3] = velocity[:3]
       quat = state.root_pose[3:] / np.linalg.norm(state.root_pose[3:])
       mujoco.mju_rotVecQuat(state.root_velocity[3:], velocity[3:], quat)
@@ -261,13 +272,10 @@ def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState], root
   for joint in spec.joints:
     prefix, state = _owner(joint.name, states)
     if state is None:
-      reference = [0.0] * POSITION_WIDTH[joint.type]
-      if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-        reference[0] = 1.0
-      elif joint.type == mujoco.mjtJoint.mjJNT_FREE:
-        reference = [*joint.parent.pos, *joint.parent.quat]
-      qpos.extend(reference)
-      qvel.extend([0.0] * VELOCITY_WIDTH[joint.type])
+      is_free = joint.type == mujoco.mjtJoint.mjJNT_FREE
+      nq, nv = _widths(joint)
+      qpos.extend([*joint.parent.pos, *joint.parent.quat] if is_free else _IDENTITY if nq == 4 else [0.0])
+      qvel.extend([0.0] * nv)
     elif joint.type == mujoco.mjtJoint.mjJNT_FREE:
       qpos.extend(state.root_pose)
       qvel.extend([*state.root_velocity[:3], *_into_body(state.root_pose[3:], state.root_velocity[3:])])
@@ -281,9 +289,10 @@ def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState], root
     if not body.mocap:
       continue
     prefix, state = _owner(body.name, states)
-    at_root = state is not None and roots[prefix] == body.name
-    mpos.extend(state.root_pose[:3] if state is not None and at_root else body.pos)
-    mquat.extend(state.root_pose[3:] if state is not None and at_root else body.quat)
+    is_root = state is not None and roots[prefix] == body.name
+    pose = state.root_pose if state is not None and is_root else [*body.pos, *body.quat]
+    mpos.extend(pose[:3])
+    mquat.extend(pose[3:])
   ctrl: list[float] = []
   for actuator in spec.actuators:
     prefix, state = _owner(actuator.name, states)

@@ -76,11 +76,7 @@ class Overlay:
   """Timestep of the simulation that the values are for [s]; it matters for delays alone."""
 
   def check_timestep(self, timestep: float) -> None:
-    """Check that delays are in steps of a simulation.
-
-    Raises:
-      MjlabError: They are not.
-    """
+    """Raise MjlabError unless delays are in steps of `timestep` [s]."""
     if self.delay and not math.isclose(self.timestep, timestep, rel_tol=1e-6):
       raise MjlabError(f"{self.source}: its delays are for a timestep of {self.timestep:g} s, not {timestep:g} s")
 
@@ -91,28 +87,27 @@ class Overlay:
       UnknownNameError: An element does not exist.
       MjlabError: A field has another number of values, or the compiled model would not have these values.
     """
-    if not self.model:
-      return
-    before = spec.copy().compile()
-    for name, values in self.model.items():
+    given = [(name, element, numbers) for name, of in self.model.items() for element, numbers in of.items()]
+    before = spec.copy().compile() if given else None
+    for name, element, numbers in given:
       kind, attribute = MODEL_FIELDS[name]
-      known = [item.name for item in getattr(spec, _PLURAL.get(kind, f"{kind}s"))] if kind != "option" else ["option"]
-      for element, numbers in values.items():
-        check_name(kind, element, known, self.source)
-        count = compiled_values(before, name, element).size
-        check_value(f"{self.source}: {name}", numbers, Annotated[list[float], Items(ge=count, le=count)])
-        found = spec.option if kind == "option" else getattr(spec, kind)(element)
-        _set(found, kind, attribute, numbers, before)
-    after = spec.copy().compile()
-    for name, values in self.model.items():
-      for element, numbers in values.items():
-        has, wanted = compiled_values(after, name, element), np.array(numbers)
-        sign = np.sign(has @ wanted) if name.endswith("quat") else 1.0
-        if not np.allclose(sign * has, wanted, rtol=1e-6, atol=1e-9):
-          raise MjlabError(
-            f"{self.source}: {name} of '{element}' cannot be {numbers}: a frame, a mesh or another attribute of the "
-            f"model makes it {has.tolist()}"
-          )
+      known = ["option"] if kind == "option" else [item.name for item in getattr(spec, _PLURAL.get(kind, f"{kind}s"))]
+      check_name(kind, element, known, self.source)
+      count = compiled_values(before, name, element).size
+      check_value(f"{self.source}: {name}", numbers, Annotated[list[float], Items(ge=count, le=count)])
+      _set(spec.option if kind == "option" else getattr(spec, kind)(element), kind, attribute, numbers, before)
+    after = spec.copy().compile() if given else None
+    for name, element, numbers in given:
+      self._check_compiled(name, element, np.array(numbers), compiled_values(after, name, element))
+
+  def _check_compiled(self, name: str, element: str, wanted: np.ndarray, has: np.ndarray) -> None:
+    """Raise MjlabError unless a compiled element has the wanted values."""
+    sign = np.sign(has @ wanted) if name.endswith("quat") else 1.0
+    if not np.allclose(sign * has, wanted, rtol=1e-6, atol=1e-9):
+      raise MjlabError(
+        f"{self.source}: {name} of '{element}' cannot be {wanted.tolist()}: a frame, a mesh or another attribute of "
+        f"the model makes it {has.tolist()}"
+      )
 
   def edited(self, actuators: Sequence[ActuatorCfg], spec: mujoco.MjSpec) -> tuple[ActuatorCfg, ...]:
     """Return actuator configs with the gains, limits and delays in place.
@@ -183,7 +178,7 @@ def read_overlay(path: str | Path) -> Overlay:
     )
 
 
-def compiled_values(model: mujoco.MjModel, name: str, element: str) -> np.ndarray:
+def compiled_values(model: Any, name: str, element: str) -> np.ndarray:
   """Return the values of an element, of the first degree of freedom of a joint, in a field of a compiled model."""
   if name.startswith("opt."):
     return np.atleast_1d(getattr(model.opt, name[4:])).astype(float)
@@ -193,9 +188,9 @@ def compiled_values(model: mujoco.MjModel, name: str, element: str) -> np.ndarra
   return np.atleast_1d(getattr(model, name)[index]).astype(float)
 
 
-def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: mujoco.MjModel) -> None:
+def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: Any) -> None:
   """Write compiled values into an element of a spec, whose other attributes must not override them."""
-  has: Any = getattr(before, kind)(found.name) if kind != "option" else None
+  has = getattr(before, kind)(found.name) if kind != "option" else None
   if kind == "body" and attribute in ("mass", "inertia", "ipos", "iquat"):
     if not found.explicitinertial:
       found.mass, found.inertia, found.ipos, found.iquat = has.mass[0], has.inertia, has.ipos, has.iquat

@@ -223,52 +223,60 @@ def _merge(
   variants: Mapping[str, mujoco.MjSpec | None], owner: str
 ) -> tuple[mujoco.MjSpec, dict[str, _Inertia | None], dict[str, dict[str, torch.Tensor]]]:
   """One spec with the geoms of all variants on one body, and what each variant weighs and is."""
-  if not any(spec is not None for spec in variants.values()):
+  solid = {name: spec for name, spec in variants.items() if spec is not None}
+  if not solid:
     raise MjlabError(f"{owner}: variants need at least one object")
   merged = mujoco.MjSpec()
   root = merged.worldbody.add_body(name=_OBJECT)
-  inertias: dict[str, _Inertia | None] = {}
-  contents: dict[str, dict[str, torch.Tensor]] = {}
-  floats: dict[str, bool] = {}
-  for name, spec in variants.items():
-    if spec is None:
-      inertias[name], contents[name] = None, {}
-      continue
-    what = f"{owner}: variant '{name}'"
-    name_everything(spec)
-    body = _only_body(spec, what)
-    joints = list(spec.joints)
-    floats[name] = bool(joints)
-    for joint in joints:
-      spec.delete(joint)
-    for kind, found in (("actuator", spec.actuators), ("tendon", spec.tendons), ("equality", spec.equalities)):
-      if found:
-        raise MjlabError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
-    body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    alone = spec.copy().compile()
-    inertias[name], contents[name] = _inertia(alone), _content(alone)
-    for part in spec.bodies[1:]:
-      part.explicitinertial = False
-      part.mass = 0.0
-    for geom in spec.geoms:
-      geom.mass = 0.0
-    for key in list(spec.keys):
-      spec.delete(key)
+  models = {name: _prepare(spec, f"{owner}: variant '{name}'") for name, spec in solid.items()}
+  floats = {
+    name: any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints) for name, spec in solid.items()
+  }
+  for name, spec in solid.items():
+    _strip(spec)
     merged.attach(spec, prefix=f"{name}/", frame=root.add_frame())
   joint = root.add_freejoint()
   # Contacts are as stiff as the inverse weight of their geom's body says: all geoms belong to the one that has it.
   merged.fuse_static()
-  root = merged.body(_OBJECT)
   if not all_float(floats, owner):
     merged.delete(joint)
+  inertias = {name: _inertia(models[name]) if name in models else None for name in variants}
+  contents = {name: _content(models[name]) if name in models else {} for name in variants}
+  _give_inertia(merged.body(_OBJECT), inertias)
+  return merged, inertias, contents
+
+
+def _prepare(spec: mujoco.MjSpec, what: str) -> mujoco.MjModel:
+  """Name everything, put the body of a rigid object to the origin, and return the model of the object alone."""
+  name_everything(spec)
+  body = _only_body(spec, what)
+  for kind, found in (("actuator", spec.actuators), ("tendon", spec.tendons), ("equality", spec.equalities)):
+    if found:
+      raise MjlabError(f"{what}: is no rigid object, for it has {kind} '{found[0].name}'")
+  body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+  body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+  return spec.copy().compile()
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+  """Remove what the merged body has instead: joints, keyframes and masses."""
+  for element in (*spec.joints, *spec.keys):
+    spec.delete(element)
+  for part in spec.bodies[1:]:
+    part.explicitinertial = False
+    part.mass = 0.0
+  for geom in spec.geoms:
+    geom.mass = 0.0
+
+
+def _give_inertia(root: mujoco.MjsBody, inertias: Mapping[str, _Inertia | None]) -> None:
+  """Give the merged body the inertia of the first object."""
   solid = next(inertia for inertia in inertias.values() if inertia is not None)
   root.explicitinertial = True
   # What is compiled as simple cannot have another centre of mass, and what is compiled weightless stays so.
   root.simple = False
   root.mass, root.ipos, root.inertia, root.iquat = solid.mass, solid.com, solid.moments, solid.quat
   root.gravcomp = 1.0 if None in inertias.values() else 0.0
-  return merged, inertias, contents
 
 
 def _merge_articulated(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> tuple[mujoco.MjSpec, Skeleton]:

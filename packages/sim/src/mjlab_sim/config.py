@@ -1,7 +1,9 @@
 """Simulation options, checked before anything is compiled."""
 
+import functools
+import operator
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Literal
 
 import mujoco
 from mjlab_core import (
@@ -11,7 +13,6 @@ from mjlab_core import (
   NonNegative,
   Positive,
   PositiveCount,
-  check_name,
   field_problems,
   unknown,
 )
@@ -19,33 +20,20 @@ from mjlab_core.config import Config
 
 EngineName = Literal["native", "warp"]
 
-_CHOICES: dict[str, dict[str, Any]] = {
-  "integrator": {
-    "euler": mujoco.mjtIntegrator.mjINT_EULER,
-    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
-    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-  },
-  "cone": {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC},
-  "jacobian": {
-    "auto": mujoco.mjtJacobian.mjJAC_AUTO,
-    "dense": mujoco.mjtJacobian.mjJAC_DENSE,
-    "sparse": mujoco.mjtJacobian.mjJAC_SPARSE,
-  },
-  "solver": {
-    "newton": mujoco.mjtSolver.mjSOL_NEWTON,
-    "cg": mujoco.mjtSolver.mjSOL_CG,
-    "pgs": mujoco.mjtSolver.mjSOL_PGS,
-  },
+_ENUMS = {
+  "integrator": ("mjINT_", mujoco.mjtIntegrator),
+  "cone": ("mjCONE_", mujoco.mjtCone),
+  "jacobian": ("mjJAC_", mujoco.mjtJacobian),
+  "solver": ("mjSOL_", mujoco.mjtSolver),
+  "disableflags": ("mjDSBL_", mujoco.mjtDisableBit),
+  "enableflags": ("mjENBL_", mujoco.mjtEnableBit),
 }
-_NUMBERS = "timestep iterations ls_iterations ccd_iterations tolerance ls_tolerance impratio gravity".split()
-_FLAGS: dict[str, dict[str, int]] = {
-  f"{kind}flags": {name.removeprefix(prefix).lower(): bit.value for name, bit in bits.__members__.items()}
-  for kind, prefix, bits in (
-    ("disable", "mjDSBL_", mujoco.mjtDisableBit),
-    ("enable", "mjENBL_", mujoco.mjtEnableBit),
-  )
+# Numbers of the options that are chosen by name.
+_CHOICES: dict[str, dict[str, int]] = {
+  option: {name.removeprefix(prefix).lower(): member.value for name, member in members.__members__.items()}
+  for option, (prefix, members) in _ENUMS.items()
 }
+_FLAGS = ("disableflags", "enableflags")
 
 RK4_REFUSED = (
   "a step is split around the control, which RK4 does not allow on MuJoCo Warp; choose 'implicitfast', 'implicit' or"
@@ -54,10 +42,10 @@ RK4_REFUSED = (
 _WARP_REFUSES = {
   ("solver", "pgs"): "MuJoCo Warp has Newton and CG only; choose solver 'newton' or 'cg'",
   ("integrator", "rk4"): RK4_REFUSED,
-}
-_WARP_LACKS = {
-  "disableflags": ("autoreset", "midphase"),
-  "enableflags": ("diagexact", "fwdinv", "override", "speculative"),
+  **{("disableflags", flag): "MuJoCo Warp does not have it" for flag in ("autoreset", "midphase")},
+  **{
+    ("enableflags", flag): "MuJoCo Warp does not have it" for flag in ("diagexact", "fwdinv", "override", "speculative")
+  },
 }
 
 
@@ -129,9 +117,8 @@ class SimulationCfg(Config):
     """Return the engine that runs on a device of this type ("cpu" or "cuda").
 
     Raises:
-      ConfigError: the native engine was asked for on a GPU, or one that does not exist.
+      ConfigError: the native engine was asked for on a GPU.
     """
-    check_name("engine", str(self.engine), ("auto", *get_args(EngineName)), "SimulationCfg")
     if self.engine == "native" and device_type != "cpu":
       raise ConfigError(
         f"engine 'native' runs on a CPU, the device is '{device_type}'; set device 'cpu' or engine 'auto'"
@@ -147,26 +134,20 @@ class SimulationCfg(Config):
       ConfigError: naming every option that cannot be served and what would work.
     """
     problems = [*field_problems(self), *(f"nan_guard.{problem}" for problem in field_problems(self.nan_guard))]
-    for field_name, known in _FLAGS.items():
-      given = getattr(self, field_name)
-      kind = f"{field_name.removesuffix('flags')} flag"
-      problems += [unknown(kind, flag, known) for flag in given if flag not in known]
-      if engine == "warp":
-        lacking = [flag for flag in _WARP_LACKS[field_name] if flag in given]
-        problems += [f"{kind} '{flag}' does not exist on MuJoCo Warp" for flag in lacking]
+    for option in _FLAGS:
+      known = _CHOICES[option]
+      problems += [unknown(option, flag, known) for flag in getattr(self, option) if flag not in known]
     if engine == "warp":
-      refused = [(choice, reason) for choice, reason in _WARP_REFUSES.items() if getattr(self, choice[0]) == choice[1]]
-      problems += [f"{name} '{value}': {reason}" for (name, value), reason in refused]
+      refused = [given for given in _WARP_REFUSES if given[1] in (getattr(self, given[0]) or ())]
+      problems += [f"{option} '{value}': {_WARP_REFUSES[option, value]}" for option, value in refused]
     if problems:
       raise ConfigError(*(f"SimulationCfg: {problem}" for problem in problems))
 
   def apply(self, spec: mujoco.MjSpec) -> None:
     """Write the options that are set over those of `spec`."""
-    option = spec.option
-    for name in (*_NUMBERS, *_CHOICES):
-      value = getattr(self, name)
-      if value is not None:
-        setattr(option, name, _CHOICES[name][value] if name in _CHOICES else value)
-    for name, bits in _FLAGS.items():
-      for flag in getattr(self, name):
-        setattr(option, name, getattr(option, name) | bits[flag])
+    for name, value in vars(self).items():
+      if value is None or not hasattr(spec.option, name):
+        continue
+      if name in _FLAGS:
+        value = functools.reduce(operator.or_, (_CHOICES[name][flag] for flag in value), getattr(spec.option, name))
+      setattr(spec.option, name, _CHOICES[name][value] if isinstance(value, str) else value)

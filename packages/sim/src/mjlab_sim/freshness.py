@@ -122,11 +122,8 @@ class Freshness:
       )
 
 
-class DataView:
-  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3).
-
-  A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
-  """
+class _View:
+  """Fields as attributes. A name is assigned in place: `sim.data.ctrl = u` writes every world's controls."""
 
   _fresh: Freshness
 
@@ -136,35 +133,39 @@ class DataView:
   def __getattr__(self, name: str) -> TorchArray:
     if name.startswith("__"):
       raise AttributeError(name)
-    try:
-      return self._fresh.data_field(name)
-    except KeyError:
-      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
+    return self[name]
+
+  def __getitem__(self, name: str) -> TorchArray:
+    raise NotImplementedError
 
   def __setattr__(self, name: str, value: torch.Tensor) -> None:
-    field = getattr(self, name)
+    field = self[name]
     # `data.qpos += x` adds in place and then assigns the result to the name it came from.
     if value is not field:
       field.copy_(value)
 
 
-class ModelView:
+class DataView(_View):
+  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3)."""
+
+  def __getitem__(self, name: str) -> TorchArray:
+    try:
+      return self._fresh.data_field(name)
+    except KeyError:
+      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
+
+
+class ModelView(_View):
   """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded.
 
-  A name is assigned in place. A write to a shared field reaches every world.
+  A write to a shared field reaches every world.
   """
 
-  _fresh: Freshness
   _prefix: str
 
   def __init__(self, fresh: Freshness, prefix: str = "") -> None:
-    object.__setattr__(self, "_fresh", fresh)
+    super().__init__(fresh)
     object.__setattr__(self, "_prefix", prefix)
-
-  def __getattr__(self, name: str) -> TorchArray:
-    if name.startswith("__"):
-      raise AttributeError(name)
-    return self[name]
 
   def __getitem__(self, name: str) -> TorchArray:
     try:
@@ -174,11 +175,6 @@ class ModelView:
         unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
         + " Others are the same in every world: read them from sim.mj_model."
       ) from None
-
-  def __setattr__(self, name: str, value: torch.Tensor) -> None:
-    field = self[name]
-    if value is not field:
-      field.copy_(value)
 
   @property
   def opt(self) -> "ModelView":

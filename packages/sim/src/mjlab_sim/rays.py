@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import Limits, MjlabError, PositiveCount, check_value
+from mjlab_core import Limits, PositiveCount, check_value
 from numpy.typing import NDArray
 
 _Geom = mujoco.mjtGeom
@@ -97,8 +97,6 @@ def find_targets(
   groups = as_groups(geomgroup)
   bodies = tuple(bodyexclude) if isinstance(bodyexclude, Sequence) else (bodyexclude,)
   check_value("bodyexclude", bodies, Annotated[tuple[int, ...], Limits(ge=-1, le=model.nbody - 1)])
-  if len(bodies) not in (1, num_rays):
-    raise MjlabError(f"bodyexclude must be one body, or one for each of {num_rays} rays, got {len(bodies)}")
   body_of_ray = np.array(np.broadcast_to(np.asarray(bodies, dtype=np.int32), num_rays))
   owner_of_body = model.body_rootid if exclude_trees else np.arange(model.nbody, dtype=np.int32)
   owner = owner_of_body[model.geom_bodyid]

@@ -86,7 +86,6 @@ class Simulation:
     Args:
       mask: Worlds to reset, bool (num_envs,); all by default. The others stay bit-identical.
     """
-    self._fresh.check_open()
     if mask is None:
       mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
     self._fresh.check_mask(mask, "reset")
@@ -125,7 +124,6 @@ class Simulation:
       UnknownNameError: A name that cannot differ per world.
       MjlabError: The call comes from inside a recorded step.
     """
-    self._fresh.check_open()
     missing = self._fields.missing(names)
     if missing:
       self._recordings.invalidate_outside(f"model fields {', '.join(missing)} cannot be expanded")
@@ -151,11 +149,7 @@ class Simulation:
     return self._fields.default(name)
 
   def rebase_default_fields(self, names: Iterable[str]) -> None:
-    """Make the present values of expanded fields the default of each world: for objects that differ between worlds.
-
-    Raises:
-      MjlabError: A field that all worlds share.
-    """
+    """Make the present values of expanded fields the default of each world: for objects that differ between worlds."""
     for name in names:
       self._fields.rebase_default(name)
 
@@ -168,7 +162,6 @@ class Simulation:
     Raises:
       MjlabError: MuJoCo cannot derive them for this model; the message says what to change in it.
     """
-    self._fresh.check_open()
     if mask is not None:
       self._fresh.check_mask(mask, "recompute_constants")
       # Looking is free on a CPU, and a forward pass of all worlds is not.
@@ -184,7 +177,6 @@ class Simulation:
 
     Model fields that all worlds share are in it where they are not as compiled.
     """
-    self._fresh.check_open()
     sizes = {name: torch.tensor(size) for name, size in self.buffer_sizes.items()}
     return {**self._fields.state_dict(), "buffers": sizes}
 
@@ -192,9 +184,8 @@ class Simulation:
     """Continue from a `state_dict` of the same model and number of worlds.
 
     Raises:
-      StateError: A field that is missing, unknown or of another shape; nothing was changed.
+      MjlabError: A field that is missing, unknown or of another shape; nothing was changed.
     """
-    self._fresh.check_open()
     state = self._fields.check(state)
     self.keep_buffer_sizes(state)
     self.expand_model_fields(state["model"])
@@ -219,7 +210,6 @@ class Simulation:
     Raises:
       MjlabError: no such world, or a first call from inside a recorded step.
     """
-    self._fresh.check_open()
     check_value("world", world, Annotated[int, Limits(ge=0, le=self.num_envs - 1)])
     if not self._keeps_contacts:
       self._recordings.invalidate_outside("contacts cannot be asked for first")
@@ -248,7 +238,6 @@ class Simulation:
       max_distance: How far rays see [m].
       geomid: Whether hits tell their geom. On a CPU terrains of many geoms are faster without.
     """
-    self._fresh.check_open()
     check_value("max_distance", max_distance, Annotated[float, Limits(gt=0, finite=False)])
     targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude, exclude_trees)
     if self._fixed_geometry is None:
@@ -283,7 +272,6 @@ class Simulation:
     Raises:
       MjlabError: an argument that does not fit the model, or a model that MuJoCo Warp cannot draw.
     """
-    self._fresh.check_open()
     look = Look(geomgroup=as_groups(geomgroup), textures=textures, shadows=shadows)
     view = View(camera=camera, width=width, height=height, data_types=tuple(data_types), look=look)
     check_fields(view, "renderer")
@@ -305,7 +293,6 @@ class Simulation:
     A line appears once, and again only when the demand has outgrown its advice: each advice is twice the demand. One
     line for each growth of a buffer has the sizes that a repeat to the last bit needs.
     """
-    self._fresh.check_open()
     return self._engine.overflow_report()
 
   @property

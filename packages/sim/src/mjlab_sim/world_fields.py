@@ -1,10 +1,10 @@
 """Model fields with one value per world, their defaults, and the saved state of a simulation."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 
 import mujoco
 import torch
-from mjlab_core import MjlabError, StateError
+from mjlab_core.state import refuse_state
 
 from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure
 from mjlab_sim.freshness import Freshness, ModelView
@@ -56,13 +56,7 @@ class WorldFields:
     return value.reshape(1, *view.shape[1:]).clone()
 
   def rebase_default(self, name: str) -> None:
-    """Make the present values of an expanded field the default of each world.
-
-    Raises:
-      MjlabError: All worlds share the field.
-    """
-    if name not in self.expanded:
-      raise MjlabError(f"model field '{name}' is shared by all worlds; expand it first")
+    """Make the present values of an expanded field the default of each world."""
     now = self._view[name].detach()
     if name in self._defaults:
       self._defaults[name].copy_(now)
@@ -84,26 +78,30 @@ class WorldFields:
     }
 
   def check(self, state: State) -> State:
-    """Return a state with the parts that it may lack; raise StateError where it does not fit."""
-    for kind in ("data", "model"):
-      if kind not in state:
-        raise StateError(f"saved state lacks '{kind}', it has: {', '.join(state) or 'nothing'}")
+    """Return a state with the parts that it may lack; raise MjlabError where it does not fit."""
+    state = {"default": {}, "shared": {}, **state}
+    refuse_state(
+      f"saved state lacks '{kind}', it has: {', '.join(state)}" for kind in ("data", "model") if kind not in state
+    )
     engine, view = self._engine, self._view
     data = {name: field for name in STATE if (field := engine.data_field(name)).numel()}
     model = {name: view[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: engine.model_field(name) for name in self.expanded}
-    state = {"default": {}, "shared": {}, **state}
     as_compiled = {name: self.default(name) for name in self._written_shared() if name not in state["model"]}
     state["shared"] = as_compiled | state["shared"]
     shared = {name: view[name] for name in state["shared"] if name in PER_WORLD and name not in self.expanded}
     for kind, fields in (("data", data), ("model", model), ("shared", shared), ("default", self._defaults)):
-      if differing := sorted(state[kind].keys() ^ fields.keys()):
-        raise StateError(f"saved {kind} fields are not those here; they differ by {', '.join(differing)}")
-      for name, value in state[kind].items():
-        shape = (1 if kind == "shared" else self._num_envs, *fields[name].shape[1:])
-        if shape != value.shape:
-          raise StateError(f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}")
+      refuse_state(self._problems(kind, state[kind], fields))
     return state
+
+  def _problems(self, kind: str, saved: dict[str, torch.Tensor], here: Mapping[str, torch.Tensor]) -> Iterator[str]:
+    """Yield the reasons why saved fields do not fit those here."""
+    if differing := sorted(saved.keys() ^ here.keys()):
+      yield f"saved {kind} fields are not those here; they differ by {', '.join(differing)}"
+    for name, value in saved.items():
+      shape = (1 if kind == "shared" else self._num_envs, *here[name].shape[1:])
+      if shape != value.shape:
+        yield f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}"
 
   def load(self, state: State) -> bool:
     """Write a checked state; return True if a field was written that others follow from."""

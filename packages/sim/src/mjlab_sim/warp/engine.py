@@ -14,7 +14,7 @@ from mjlab_sim.config import RK4_REFUSED, SimulationCfg
 from mjlab_sim.fields import CONSTANTS, PER_WORLD
 from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
-from mjlab_sim.tensors import TorchArray, version_of
+from mjlab_sim.tensors import TorchArray, version_of, versions
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes
@@ -23,7 +23,7 @@ from mjlab_sim.warp.fused_newton import choose_solver
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, check_capture
-from mjlab_sim.warp.overflow import Overflow, check_sizes
+from mjlab_sim.warp.overflow import Overflow
 from mjlab_sim.warp.rays import RayScene
 from mjlab_sim.warp.rendering import Stage
 
@@ -64,32 +64,10 @@ class WarpEngine:
         f"sensor '{model.sensor(sensor).name}': MuJoCo Warp knows no insidesite sensor with enclosed=\"true\";"
         " use it without, or the native engine"
       )
-    host = mujoco.MjData(model)
-    mujoco.mj_forward(model, host)
-    check_sizes(host, cfg)
-    sizes = starting_sizes(model) if "auto" in (cfg.nconmax, cfg.njmax) else {}
-    sizes |= {name: size for name in ("nconmax", "njmax") if (size := getattr(cfg, name)) != "auto"}
     with wp.ScopedDevice(self._wp_device):
-      try:
-        self._m = mjw.put_model(model)
-        self._d = mjw.put_data(model, host, nworld=num_envs, **sizes)
-      except (NotImplementedError, ValueError) as error:
-        raise MjlabError(f"MuJoCo Warp cannot run this model: {error}") from error
-      self._m.opt.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
-      if cfg.broadphase is not None:
-        self._m.opt.broadphase = mjw.BroadphaseType[cfg.broadphase.upper()]
-      if cfg.broadphase_filter is not None:
-        tests = sum(mjw.BroadphaseFilter[name.upper()] for name in cfg.broadphase_filter)
-        self._m.opt.broadphase_filter = mjw.BroadphaseFilter(tests)
-      # Printing from the device is slow and floods the terminal; overflow is counted instead.
-      self._m.opt.warn_overflow = 0
+      self._put(model, cfg)
       self._mask = wp.zeros(num_envs, dtype=wp.bool)
-      columns = np.zeros(model.nsensordata, dtype=bool)
-      for adr, dim, stage in zip(model.sensor_adr, model.sensor_dim, model.sensor_needstage, strict=True):
-        columns[adr : adr + dim] = stage == mujoco.mjtStage.mjSTAGE_ACC
-      self._has_acceleration_sensors = bool(columns.any())
-      self._is_acceleration = wp.array(columns, dtype=wp.bool)
-      self._saved_sensors = wp.zeros((num_envs, model.nsensordata), dtype=wp.float32)
+      self._find_acceleration_sensors(model)
       self._overflow = Overflow(self._d, cfg)
       self._fused = choose_solver(self._m, self._d, cfg.solver_backend)
     self._mask_torch = wp.to_torch(self._mask)
@@ -98,13 +76,44 @@ class WarpEngine:
     self._run = self._launcher.run
     self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
     self._rays = RayScene(model, num_envs, self._m, self._d, self._wp_device, self._run)
+    self._load_kernels()
+    self._run("forward", self._forward)
+
+  def _put(self, model: mujoco.MjModel, cfg: SimulationCfg) -> None:
+    """Make MuJoCo Warp's model and data, with the options and buffer sizes of `cfg`."""
+    host = mujoco.MjData(model)
+    mujoco.mj_forward(model, host)
+    sizes = starting_sizes(model) if "auto" in (cfg.nconmax, cfg.njmax) else {}
+    sizes |= {name: size for name in ("nconmax", "njmax") if (size := getattr(cfg, name)) != "auto"}
+    try:
+      self._m = mjw.put_model(model)
+      self._d = mjw.put_data(model, host, nworld=self._num_envs, **sizes)
+    except (NotImplementedError, ValueError) as error:
+      raise MjlabError(f"MuJoCo Warp cannot run this model: {error}") from error
+    option = self._m.opt
+    option.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
+    if cfg.broadphase is not None:
+      option.broadphase = mjw.BroadphaseType[cfg.broadphase.upper()]
+    if cfg.broadphase_filter is not None:
+      tests = sum(mjw.BroadphaseFilter[name.upper()] for name in cfg.broadphase_filter)
+      option.broadphase_filter = mjw.BroadphaseFilter(tests)
+    # Printing from the device is slow and floods the terminal; overflow is counted instead.
+    option.warn_overflow = 0
+
+  def _find_acceleration_sensors(self, model: mujoco.MjModel) -> None:
+    """Note the columns of sensors that belong to the acceleration stage, and make memory for their readings."""
+    columns = np.repeat(model.sensor_needstage == mujoco.mjtStage.mjSTAGE_ACC, model.sensor_dim)
+    self._has_acceleration_sensors = bool(columns.any())
+    self._is_acceleration = wp.array(columns, dtype=wp.bool)
+    self._saved_sensors = wp.zeros((self._num_envs, model.nsensordata), dtype=wp.float32)
+
+  def _load_kernels(self) -> None:
     stages = [self._forward, self._step, self._reset]
     # Most environments change a constant at their first reset, and what is loaded beside the rest costs no time.
     stages.append(lambda: self._recompute(list(CONSTANTS), places=True))
     # Copies and fills are no kernels, and do happen meanwhile.
     with self._launcher.stream(), self._launcher.preserved():
       load_kernels(stages, self._wp_device)
-    self._run("forward", self._forward)
 
   # Fields
 
@@ -160,8 +169,7 @@ class WarpEngine:
     self._run("reset", self._reset)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
-    version = sum(version_of(view) for name, view in self._model_views.items() if name not in self._expanded)
-    is_shared = version != self._shared_version
+    is_shared = self._shared_writes() != self._shared_version
     groups = [name for name, fields in CONSTANTS.items() if is_shared or not fields.isdisjoint(self._expanded)]
     if "INERT0" in groups and "KIN0" not in groups:
       # Weights are those of the reference pose, where the other group puts everything.
@@ -188,7 +196,11 @@ class WarpEngine:
         view.copy_(before)
       elif name in self._expanded and others is not None:
         where_(view, others, before)
-    self._shared_version = sum(version_of(v) for name, v in self._model_views.items() if name not in self._expanded)
+    self._shared_version = self._shared_writes()
+
+  def _shared_writes(self) -> int:
+    """Return a number that grows with every write to a field that all worlds share."""
+    return versions(view for name, view in self._model_views.items() if name not in self._expanded)
 
   def _has_moved(self) -> bool:
     """Return True if geoms that never move by themselves may have been moved."""

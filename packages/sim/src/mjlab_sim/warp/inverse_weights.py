@@ -52,6 +52,26 @@ class InverseWeights:
     Fields that all worlds share are those of world 0. `d.M` and what belongs to actuators are not left as the state
     has them.
     """
+    self._invert(mask)
+    m, d = self._m, self._d
+    rows, sliders = [m.M_rowadr, self._root], [self._is_slider, m.body_mass]
+    shared = [m.M_rowadr, self._num_shared, self._root]
+    joints = [m.dof_jntid, m.jnt_type, m.jnt_dofadr, m.dof_bodyid]
+    entries = [m.M_rownnz, m.M_colind]
+    tree = [m.body_parentid, m.body_rootid, m.body_dofadr, m.body_dofnum, m.dof_parentid]
+    motion = [d.subtree_com, d.xipos, d.cdof]
+    tendons = [m.ten_J_rownnz, m.ten_J_rowadr, m.ten_J_colind, d.ten_J]
+    moments = [d.moment_rownnz, d.moment_rowadr, d.moment_colind, d.actuator_moment]
+    for kernel, field, inputs in (
+      (kernels.weigh_dofs, m.dof_invweight0, [*shared, *joints, *sliders]),
+      (kernels.weigh_bodies, m.body_invweight0, [*rows, *entries, *sliders, *tree, *motion]),
+      (kernels.weigh_tendons, m.tendon_invweight0, [*shared, *tendons]),
+      (kernels.accelerate, m.actuator_acc0, [*shared, *moments]),
+    ):
+      wp.launch(kernel, dim=field.shape, inputs=[mask, *inputs], outputs=[field])
+
+  def _invert(self, mask: wp.array) -> None:
+    """Find R of inv(M) = R R' at qpos0, and the moments of the actuators there."""
     m, d = self._m, self._d
     mjw.crb(m, d)
     internals.tendon_armature(m, d)
@@ -63,41 +83,6 @@ class InverseWeights:
       outputs=[d.M, self._root],
       block_dim=_BLOCK,
     )
-    sliders = [self._is_slider, m.body_mass]
-    inverse = [m.M_rowadr, self._num_shared, self._root]
-    for kernel, field, inputs in (
-      (kernels.weigh_dofs, m.dof_invweight0, [*inverse, m.dof_jntid, m.jnt_type, m.jnt_dofadr, m.dof_bodyid, *sliders]),
-      (
-        kernels.weigh_bodies,
-        m.body_invweight0,
-        [
-          m.M_rowadr,
-          self._root,
-          m.M_rownnz,
-          m.M_colind,
-          *sliders,
-          m.body_parentid,
-          m.body_rootid,
-          m.body_dofadr,
-          m.body_dofnum,
-          m.dof_parentid,
-          d.subtree_com,
-          d.xipos,
-          d.cdof,
-        ],
-      ),
-      (
-        kernels.weigh_tendons,
-        m.tendon_invweight0,
-        [*inverse, m.ten_J_rownnz, m.ten_J_rowadr, m.ten_J_colind, d.ten_J],
-      ),
-      (
-        kernels.accelerate,
-        m.actuator_acc0,
-        [*inverse, d.moment_rownnz, d.moment_rowadr, d.moment_colind, d.actuator_moment],
-      ),
-    ):
-      wp.launch(kernel, dim=field.shape, inputs=[mask, *inputs], outputs=[field])
 
   def _transmit(self) -> None:
     """Moments of the actuators at qpos0, without the contacts that adhesion averages over, as in MuJoCo."""

@@ -3,12 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from mjlab_core import MjlabError
 
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.warp import engine_kernels as kernels
@@ -145,21 +143,6 @@ class Overflow:
         self._said.add(bit)
         lines.append(f"{what}: {count} of {d.nworld} worlds.")
     return lines
-
-
-def check_sizes(host: mujoco.MjData, cfg: SimulationCfg) -> None:
-  """Refuse buffers that are too small for the initial state.
-
-  Raises:
-    MjlabError: Naming each setting that is too small, and a value with room to move.
-  """
-  wanted = {"nconmax": (host.ncon, "contacts"), "njmax": (host.nefc, "constraint rows")}
-  fixed = {name: getattr(cfg, name) for name in wanted if getattr(cfg, name) != "auto"}
-  short = {name: wanted[name] for name, size in fixed.items() if wanted[name][0] > size}
-  if short:
-    found = " and ".join(f"{count} {unit}, {name} is {getattr(cfg, name)}" for name, (count, unit) in short.items())
-    settings = " ".join(f"--env.sim.{name} {_round_up(2 * count)}" for name, (count, _) in short.items())
-    raise MjlabError(f"the initial state alone has {found}. Set {settings}.")
 
 
 def _count(seen: np.ndarray, bits: int) -> int:
