@@ -74,6 +74,8 @@ class ActuatorCfg(Config, ABC):
   """Runtime class."""
   command_fields: ClassVar[tuple[CommandField, ...]] = COMMAND_FIELDS
   """Targets that the actuator model reads."""
+  number_fields: ClassVar[tuple[str, ...]] = ()
+  """Fields that are constants of the actuator model, one number per target each."""
 
   def match(self, candidates: Sequence[str], owner: str = "") -> list[str]:
     """Return the names to drive among `candidates`, in their order.
@@ -143,7 +145,7 @@ class ActuatorCfg(Config, ABC):
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """Return the constants of the actuator model, one number per target each."""
-    return {}
+    return self._numbers(target_names, *self.number_fields)
 
   def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
     """Return the groups that this config drives in a compiled model, with the ctrl index of each target.

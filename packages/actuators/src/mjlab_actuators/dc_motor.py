@@ -1,6 +1,6 @@
 """PD behind a DC motor, whose effort falls with speed."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -90,13 +90,9 @@ class DcMotorActuatorCfg(PdActuatorCfg):
   """True if the motor is forced to brake where it turns faster than its no-load speed; see `clip_to_dc_motor`."""
 
   actuator_model = DcMotor
+  number_fields = ("stiffness", "damping", "saturation_effort", "velocity_limit", "effort_limit")
 
   @property
   def settings(self) -> Hashable:
     """`braking`."""
     return self.braking
-
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gains and limits."""
-    names = ("stiffness", "damping", "saturation_effort", "velocity_limit", "effort_limit")
-    return self._numbers(target_names, *names)

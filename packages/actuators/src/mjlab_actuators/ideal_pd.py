@@ -4,6 +4,7 @@ import math
 from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import mujoco
 import torch
@@ -37,16 +38,8 @@ class IdealPd(Pd):
   effort_limit: torch.Tensor
   """Largest effort, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
 
-  def __init__(
-    self,
-    group: ActuatorGroup,
-    *,
-    num_envs: int,
-    device: torch.device | str,
-    dtype: torch.dtype,
-    generator: torch.Generator | None = None,
-  ) -> None:
-    super().__init__(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
+    super().__init__(group, **memory)
     self._clamps = not all(math.isinf(limit) for limit in group.parameters["effort_limit"])
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
@@ -86,12 +79,10 @@ class PdActuatorCfg(TorqueActuatorCfg):
   damping: NonNegativePerTarget
   """kd [N s/m or N m s/rad]."""
 
+  number_fields: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+
   def _reads_position(self) -> bool:
     return not is_zero(self.stiffness)
-
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gains."""
-    return self._numbers(target_names, "stiffness", "damping")
 
 
 @dataclass(kw_only=True)
@@ -102,7 +93,4 @@ class IdealPdActuatorCfg(PdActuatorCfg):
   """Largest effort [N or N m]; None for no limit."""
 
   actuator_model = IdealPd
-
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gains and the limit."""
-    return self._numbers(target_names, "stiffness", "damping", "effort_limit")
+  number_fields = ("stiffness", "damping", "effort_limit")

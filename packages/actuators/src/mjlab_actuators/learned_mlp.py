@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import mujoco
 import torch
@@ -68,12 +68,11 @@ class LearnedMlp(Actuator):
     self,
     group: ActuatorGroup,
     *,
-    num_envs: int,
-    device: torch.device | str,
     dtype: torch.dtype,
-    generator: torch.Generator | None = None,
+    **memory: Any,
   ) -> None:
-    super().__init__(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+    super().__init__(group, dtype=dtype, **memory)
+    num_envs, device = self.num_envs, self.device
     settings = group.settings
     assert isinstance(settings, MlpSettings)
     self._settings, self._dtype = settings, dtype

@@ -159,7 +159,4 @@ class NativePdActuatorCfg(NativePositionActuatorCfg):
 
   command_fields: ClassVar[tuple[CommandField, ...]] = COMMAND_FIELDS
   actuator_model = NativePd
-
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gains."""
-    return self._numbers(target_names, "stiffness", "damping")
+  number_fields = ("stiffness", "damping")

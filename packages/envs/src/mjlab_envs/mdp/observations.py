@@ -1,6 +1,6 @@
 """Observations that any task can use."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, cast
 
 import mujoco
@@ -22,22 +22,13 @@ _ROBOT = SceneEntityCfg("robot")
 # Sources, for the export of policies
 
 
-def _base_lin_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
-  return TermSource(
-    readings=(of_root(env, asset.name, "estimate/linear_velocity", "m/s", "root_link_lin_vel_b", "linear_velocity"),)
-  )
+def _root_vector(name: str, unit: str, attribute: str, quantity: str) -> Callable[..., TermSource]:
+  """Return the source of a vector of an entity's root in its own frame."""
 
+  def source(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
+    return TermSource(readings=(of_root(env, asset.name, name, unit, attribute, quantity),))
 
-def _base_ang_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
-  return TermSource(
-    readings=(of_root(env, asset.name, "imu/gyro", "rad/s", "root_link_ang_vel_b", "angular_velocity"),)
-  )
-
-
-def _projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
-  return TermSource(
-    readings=(of_root(env, asset.name, "imu/projected_gravity", "", "projected_gravity_b", "projected_gravity"),)
-  )
+  return source
 
 
 def _joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool, asset: SceneEntityCfg) -> TermSource:
@@ -91,19 +82,19 @@ def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, mi
   return TermSource(readings=(reading,), compute=compute)
 
 
-@sourced(_base_lin_vel)
+@sourced(_root_vector("estimate/linear_velocity", "m/s", "root_link_lin_vel_b", "linear_velocity"))
 def base_lin_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the linear velocity of the root, in the root frame, (num_envs, 3) [m/s]."""
   return env.scene[asset.name].data.root_link_lin_vel_b
 
 
-@sourced(_base_ang_vel)
+@sourced(_root_vector("imu/gyro", "rad/s", "root_link_ang_vel_b", "angular_velocity"))
 def base_ang_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the angular velocity of the root, in the root frame, (num_envs, 3) [rad/s]."""
   return env.scene[asset.name].data.root_link_ang_vel_b
 
 
-@sourced(_projected_gravity)
+@sourced(_root_vector("imu/projected_gravity", "", "projected_gravity_b", "projected_gravity"))
 def projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the unit direction of gravity in the root frame, (num_envs, 3)."""
   return env.scene[asset.name].data.projected_gravity_b

@@ -21,7 +21,7 @@ from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of
 
 if TYPE_CHECKING:
-  from mjlab_sim.warp.rendering import Stage
+  from mjlab_sim.warp.rendering import DrawnStage
 
 _NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _VEL = mujoco.mjtStage.mjSTAGE_VEL.value
@@ -80,7 +80,7 @@ class NativeEngine:
     self._known: dict[str, tuple[np.ndarray, int]] = {}
     self._shared: dict[str, tuple[TorchArray, int]] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
-    self._stage: Stage | None = None
+    self._stage: DrawnStage | None = None
     self._contacts: NativeContacts | None = None
     self._batch.reset(stage=_VEL)
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]

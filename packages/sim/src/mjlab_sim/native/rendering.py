@@ -14,7 +14,7 @@ from mjlab_core import MjlabError
 from mujoco import batch
 from numpy.typing import NDArray
 
-from mjlab_sim.warp.rendering import POSES, Stage
+from mjlab_sim.warp.rendering import POSES, DrawnStage
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -26,7 +26,7 @@ mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
 _OPTIONS = ("solver", "integrator", "jacobian", "disableflags", "enableflags")
 
 
-def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callable[[str], torch.Tensor]) -> Stage:
+def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callable[[str], torch.Tensor]) -> DrawnStage:
   """Return the worlds of a batch as MuJoCo Warp's renderer takes them, copied before each image.
 
   Args:
@@ -69,7 +69,7 @@ def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callab
         setattr(m, name, array)
       np.copyto(array.numpy(), rows, casting="same_kind")
 
-  return Stage(model, worlds, m, d, device, _run(device), refresh)
+  return DrawnStage(model, worlds, m, d, device, _run(device), refresh)
 
 
 def _run(device: Any) -> Callable[[str, Callable[[], None]], None]:

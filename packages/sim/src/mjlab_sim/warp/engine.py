@@ -25,7 +25,7 @@ from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, check_capture
 from mjlab_sim.warp.overflow import Overflow
 from mjlab_sim.warp.rays import RayScene
-from mjlab_sim.warp.rendering import Stage
+from mjlab_sim.warp.rendering import DrawnStage
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -74,7 +74,7 @@ class WarpEngine:
     self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._launcher = Launcher(self._d, device, capture=cfg.capture)
     self._run = self._launcher.run
-    self._stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
+    self._stage = DrawnStage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
     self._rays = RayScene(model, num_envs, self._m, self._d, self._wp_device, self._run)
     self._load_kernels()
     self._run("forward", self._forward)

@@ -3,14 +3,32 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import mujoco_warp as mjw
 import torch
 import warp as wp
 from mjlab_core import MjlabError
 
 from mjlab_sim.warp.recorder import Recorder
+
+
+@dataclass
+class Stage:
+  """Worlds that kernels work on: a model and the poses of its parts in every world."""
+
+  model: mujoco.MjModel
+  num_envs: int
+  m: Any
+  """MuJoCo Warp's model. Its arrays may be replaced, when a field is expanded."""
+  d: Any
+  """Holds the poses, under the names that MuJoCo Warp's data have."""
+  device: Any
+  """Warp's device."""
+  run: Callable[[str, Callable[[], None]], None]
+  """Runs launches under a name, by which they may be recorded and replayed."""
 
 
 class Launcher:

@@ -15,22 +15,12 @@ from numpy.typing import NDArray
 from mjlab_sim.rays import EngineRays, Geoms, Mesh, RayHits, RayTargets, hfield_surface, mesh_surface, triangulate
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.launching import Stage
 
 
 @dataclass
-class RayScene:
+class RayScene(Stage):
   """Geoms of a model and their poses in every world, for rays."""
-
-  model: mujoco.MjModel
-  num_envs: int
-  m: Any
-  """MuJoCo Warp's model. Its arrays may be replaced, when a field is expanded."""
-  d: Any
-  """MuJoCo Warp's data."""
-  device: Any
-  """Warp's device."""
-  run: Callable[[str, Callable[[], None]], None]
-  """Runs launches under a name, by which they may be recorded and replayed."""
 
   def __post_init__(self) -> None:
     self._numbers = itertools.count()

@@ -13,29 +13,18 @@ import warp as wp
 
 from mjlab_sim.rendering import EngineImages, Images, Look, View
 from mjlab_sim.warp import engine_kernels as kernels
+from mjlab_sim.warp.launching import Stage
 
 POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos")
 """Fields of the data that MuJoCo Warp's renderer reads."""
 _PER_VIEW = ("cam_res", "cam_id_map", "rgb_adr", "depth_adr", "seg_adr", "render_rgb", "render_depth", "render_seg")
 """Arrays of a render context that have one entry for each view."""
 
-Run = Callable[[str, Callable[[], None]], None]
-
 
 @dataclass
-class Stage:
-  """Stage that is drawn: a model and the poses of its parts in every world."""
+class DrawnStage(Stage):
+  """Stage that is drawn."""
 
-  model: mujoco.MjModel
-  num_envs: int
-  m: Any
-  """MuJoCo Warp's model. Its arrays may be replaced, when a field is expanded."""
-  d: Any
-  """Holds the poses, under the names that MuJoCo Warp's data have."""
-  device: Any
-  """Warp's device."""
-  run: Run
-  """Runs launches under a name, by which they may be recorded and replayed."""
   refresh: Callable[[], None]
   """Brings `m` and `d` up to date."""
 
@@ -57,7 +46,7 @@ class _Scene:
   name = ""
   """Another one whenever contexts are made: what was recorded with the old ones is not for them."""
 
-  def __init__(self, stage: Stage, look: Look) -> None:
+  def __init__(self, stage: DrawnStage, look: Look) -> None:
     self._stage, self._look = stage, look
     self._views: list[View] = []
     self._contexts: list[Any] = []
@@ -119,7 +108,7 @@ class _Scene:
 class WarpRenderer:
   """One view of a stage."""
 
-  def __init__(self, stage: Stage, scene: _Scene, view: View) -> None:
+  def __init__(self, stage: DrawnStage, scene: _Scene, view: View) -> None:
     self._stage, self._scene, self._view = stage, scene, view
     self._number = scene.add(view)
     worlds, pixels = stage.num_envs, view.width * view.height
