@@ -52,7 +52,7 @@ def targets_of(
 
 def actuators_of(model: mujoco.MjModel, target: Target, prefix: str = "") -> list[int]:
   """Return the ids of the actuators of a compiled model that act on `target`, in the model's order."""
-  kind = mujoco.mjtObj[f"mjOBJ_{target.transmission.upper()}"]
+  kind = getattr(mujoco.mjtObj, f"mjOBJ_{target.transmission.upper()}")
   index = mujoco.mj_name2id(model, kind, prefix + target.name)
   acting = np.isin(model.actuator_trntype, [int(kind) for kind in _TRN[target.transmission]])
   return np.flatnonzero(acting & (model.actuator_trnid[:, 0] == index)).tolist() if index >= 0 else []
