@@ -274,9 +274,3 @@ def test_a_muscle_from_a_config_is_the_muscle_of_the_mjcf() -> None:
 def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
   with pytest.raises(ValueError, match=message):
     build(cfg)
-
-
-def test_a_motor_of_several_inputs_needs_a_model() -> None:
-  cfg = dc(inputs=("position_target", "velocity_target"), stiffness=1.0, damping=1.0)
-  with pytest.raises(ValueError, match="without a model, a motor of one input can be built"):
-    cfg.build(target_names=["a"], num_envs=1, device="cpu", dtype=torch.float64)

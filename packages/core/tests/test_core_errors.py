@@ -8,7 +8,7 @@ from mjlab_core import ConfigError, MjlabError, UnknownNameError, errors
 
 def test_every_error_is_an_mjlab_error_and_a_value_error() -> None:
   family = [cls for cls in vars(errors).values() if isinstance(cls, type)]
-  assert len(family) == 8
+  assert len(family) == 7
   assert all(issubclass(cls, MjlabError) and issubclass(cls, ValueError) for cls in family)
 
 

@@ -107,12 +107,7 @@ class ActuatorCfg(Config, ABC):
     self._add_elements(spec, target_names)
 
   def validate(self, target_names: Sequence[str]) -> None:
-    """Check all fields.
-
-    Raises:
-      ConfigError: Fields are impossible, by themselves or for these targets; one line per problem.
-      UnknownNameError: A pattern of numbers matches no target, or two match one.
-    """
+    """Raise ConfigError if fields are impossible, by themselves or for these targets; one line per problem."""
     if problems := field_problems(self) or list(self.problems(target_names)):
       raise ConfigError(*(f"{type(self).__name__}: {problem}" for problem in problems))
     self.parameters(target_names)

@@ -219,11 +219,9 @@ def _find(
       elements.add(element)
       places += [place for _, place in numbers]
       value = value or next((number for number, _ in numbers if number != 0.0), 0.0)
-  if not places:
-    raise MjlabError(f"{owner}: its actuator has none")
-  if value == 0.0 or value == float("inf"):
-    why = "is zero" if value == 0.0 else "was not given"
-    raise MjlabError(f"{owner}: it {why}, so that scaling it changes nothing")
+  if value in (0.0, float("inf")):
+    why = "its actuator has none" if not places else "it is zero" if value == 0.0 else "it was not given"
+    raise MjlabError(f"{owner}: {why}, so that scaling it changes nothing")
   if name == "effort_limit":
     places += _shared_limits(sim.mj_model, target, elements, index, owner)
   return value, places

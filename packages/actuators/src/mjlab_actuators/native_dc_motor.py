@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 import mujoco
 from mjlab_core.constraints import Limits, NonNegative, Positive
-from mjlab_core.errors import MjlabError
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import EffortLimit
@@ -107,8 +106,6 @@ class NativeDcMotorActuatorCfg(GearedActuatorCfg):
     ]
 
   def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
-    if not ctrl_ids and len(self._fields) > 1:
-      raise MjlabError(f"{type(self).__name__}: without a model, a motor of one input can be built, not of several")
     return replace(super()._group(target_names, ctrl_ids), command_fields=self._fields[:1])
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:

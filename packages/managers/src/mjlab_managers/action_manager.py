@@ -14,7 +14,7 @@ from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets
-from mjlab_managers.manager import ManagerBase
+from mjlab_managers.manager import ManagerBase, Naming
 
 
 @dataclass(kw_only=True)
@@ -37,6 +37,7 @@ class ActionTerm(Stateful, ABC):
   """
 
   name: str = ""
+  _naming: Naming
   # The manager's memory, where the raw action is saved.
   _raw_action: torch.Tensor
 
@@ -98,7 +99,9 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
     self._raise_problems()
 
-    self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
+    for name, term in self._terms.items():
+      term._naming = Naming(self.label, name)
+    self._applied = [term for term in self._terms.values() if type(term).apply_actions is not ActionTerm.apply_actions]
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
     # Newest first. One block, so that a reset is one operation.
@@ -149,19 +152,15 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
-    for name, term in self._terms.items():
-      try:
+    for term in self._terms.values():
+      with term._naming:
         term.process_actions(term._raw_action)
-      except Exception as error:
-        raise self._named(name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
-    for name, term in self._applied.items():
-      try:
+    for term in self._applied:
+      with term._naming:
         term.apply_actions()
-      except Exception as error:
-        raise self._named(name, error) from error
 
   def rehearse(self) -> None:
     for name, term in self._terms.items():

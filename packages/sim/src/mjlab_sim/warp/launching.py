@@ -99,17 +99,11 @@ class Launcher:
 
 
 def check_capture(device: Any) -> None:
-  """Refuse a GPU that cannot replay a step as one graph, rather than run it slowly in silence.
-
-  Raises:
-    MjlabError: naming what is missing and the switch that runs without graphs.
-  """
-  if not device.is_cuda:
-    return
+  """Raise MjlabError for a GPU that cannot replay a step as one graph, rather than run it slowly in silence."""
   missing = []
-  if not wp.is_mempool_enabled(device):
+  if device.is_cuda and not wp.is_mempool_enabled(device):
     missing.append("Warp's memory pool is disabled on it")
-  if not wp.is_conditional_graph_supported():
+  if device.is_cuda and not wp.is_conditional_graph_supported():
     missing.append("the driver has no conditional graph nodes (CUDA 12.4 or newer has)")
   if missing:
     raise MjlabError(
