@@ -140,7 +140,7 @@ class ActuatorCfg(Config, ABC):
 
   def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """Return the constants of the actuator model, one number per target each."""
-    return self._numbers(target_names, *self.number_fields)
+    return self._numbers(target_names, *self.number_fields) if self.number_fields else {}
 
   def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
     """Return the groups that this config drives in a compiled model, with the ctrl index of each target.
