@@ -110,11 +110,3 @@ def test_generators_repeat_with_their_seed_and_are_their_owners_alone() -> None:
   a, b = core.make_generator("cpu", 3), core.make_generator("cpu", 3)
   torch.rand(3)
   assert torch.equal(torch.rand(4, generator=a), torch.rand(4, generator=b))
-
-
-@pytest.mark.parametrize("seed", [2**64, -(2**63) - 1])
-def test_a_seed_that_no_generator_takes_is_named(seed: int) -> None:
-  with pytest.raises(ValueError, match=f"seed {seed} does not fit into 64 bits"):
-    core.make_generator("cpu", seed)
-  with pytest.raises(ValueError, match=f"seed {seed} does not fit into 64 bits"):
-    core.seed_everything(seed)

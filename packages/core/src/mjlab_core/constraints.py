@@ -143,15 +143,7 @@ Bounds = Annotated[tuple[float, float], Limits(finite=False), Ascending()]
 
 
 def check_fields(cfg: Any, owner: str) -> None:
-  """Check the fields of a dataclass against their annotations.
-
-  Args:
-    cfg: the dataclass instance.
-    owner: name of the config in messages, such as "ContactSensorCfg 'feet'".
-
-  Raises:
-    ConfigError: values that break a constraint, all in one message.
-  """
+  """Raise ConfigError with the fields of a dataclass that break their annotations; messages begin with `owner`."""
   if problems := field_problems(cfg):
     raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
 
@@ -169,11 +161,7 @@ def named_problem(name: str, value: Any, hint: Any) -> str:
 
 
 def check_value(name: str, value: Any, hint: Any) -> None:
-  """Check one value against an annotation.
-
-  Raises:
-    ConfigError: the value breaks it; the message begins with `name`.
-  """
+  """Raise ConfigError, beginning with `name`, if a value breaks an annotation."""
   if problem := named_problem(name, value, hint):
     raise ConfigError(problem)
 

@@ -16,8 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjlab_core.errors import MjlabError
-
 
 class Options(TypedDict, total=False):
   """Source, place and type of a draw."""
@@ -98,12 +96,8 @@ def draw_seed() -> int:
 
 
 def seed_everything(seed: int | None = None) -> int:
-  """Seed the global generators of Python, NumPy and torch (all devices); return the seed, drawn if None.
-
-  Raises:
-    MjlabError: the seed does not fit into 64 bits.
-  """
-  seed = draw_seed() if seed is None else _checked(seed)
+  """Seed the global generators of Python, NumPy and torch (all devices); return the seed, drawn if None."""
+  seed = draw_seed() if seed is None else seed
   random.seed(seed)
   # The legacy call seeds libraries that draw from NumPy's global state.
   np.random.seed(seed % 2**32)  # noqa: NPY002
@@ -112,15 +106,5 @@ def seed_everything(seed: int | None = None) -> int:
 
 
 def make_generator(device: torch.device | str, seed: int) -> torch.Generator:
-  """Return a generator on `device` that starts from `seed`.
-
-  Raises:
-    MjlabError: the seed does not fit into 64 bits.
-  """
-  return torch.Generator(device=device).manual_seed(_checked(seed))
-
-
-def _checked(seed: int) -> int:
-  if not -(2**63) <= seed < 2**64:
-    raise MjlabError(f"seed {seed} does not fit into 64 bits")
-  return seed
+  """Return a generator on `device` that starts from `seed`."""
+  return torch.Generator(device=device).manual_seed(seed)

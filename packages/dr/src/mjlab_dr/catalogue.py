@@ -85,10 +85,7 @@ FIELDS: dict[str, Field] = {
     minimum=(0.0,),
     note="principal moments, none above the sum of the other two",
   ),
-  "body_ipos": _position(
-    "body",
-    note="centre of mass in the body frame; not of simple bodies",
-  ),
+  "body_ipos": _position("body", note="centre of mass in the body frame; not of simple bodies"),
   "body_iquat": _rotation("body", note="principal axes of inertia; not of simple bodies"),
   "pseudo_inertia": Field(
     kind="body",
@@ -138,11 +135,7 @@ FIELDS: dict[str, Field] = {
   "dof_dampingpoly": Field(
     kind="joint", axes=_POLY, unit="N m s^2/rad^2 or N s^2/m^2, N m s^3/rad^3 or N s^3/m^3", at="dof"
   ),
-  "dof_armature": _at_least_zero(
-    "joint",
-    "kg m^2 or kg",
-    at="dof",
-  ),
+  "dof_armature": _at_least_zero("joint", "kg m^2 or kg", at="dof"),
   "dof_frictionloss": _at_least_zero("joint", "N m or N", at="dof"),
   "dof_solref": _solref("joint", at="dof"),
   "dof_solimp": _solimp("joint", at="dof"),
@@ -160,20 +153,12 @@ FIELDS: dict[str, Field] = {
     note="spheres 1, capsules and cylinders 2, boxes and ellipsoids 3; mass and inertia stay",
   ),
   "geom_pos": _position("geom", note="a mesh is where MuJoCo centred it"),
-  "geom_quat": _rotation(
-    "geom",
-  ),
+  "geom_quat": _rotation("geom"),
   "geom_solref": _solref("geom"),
   "geom_solimp": _solimp("geom"),
   "geom_solmix": _at_least_zero("geom", "1"),
-  "geom_margin": _at_least_zero(
-    "geom",
-    "m",
-  ),
-  "geom_gap": _at_least_zero(
-    "geom",
-    "m",
-  ),
+  "geom_margin": _at_least_zero("geom", "m"),
+  "geom_gap": _at_least_zero("geom", "m"),
   "geom_surfacevel": Field(
     kind="geom", axes=(*_XYZ, *_ANGLES), unit="m/s, m/s, m/s, rad/s, rad/s, rad/s", from_zero=False
   ),
@@ -181,18 +166,10 @@ FIELDS: dict[str, Field] = {
   "geom_rgba": _share("geom", _RGBA, note="takes the place of a material's colour"),
   "geom_matid": _choice("geom", names="material"),
   # Sites, cameras, lights
-  "site_pos": _position(
-    "site",
-  ),
-  "site_quat": _rotation(
-    "site",
-  ),
-  "cam_pos": _position(
-    "camera",
-  ),
-  "cam_quat": _rotation(
-    "camera",
-  ),
+  "site_pos": _position("site"),
+  "site_quat": _rotation("site"),
+  "cam_pos": _position("camera"),
+  "cam_quat": _rotation("camera"),
   "cam_fovy": Field(
     kind="camera", unit="deg", minimum=(0.0,), maximum=(180.0,), positive=True, note="of cameras without a sensor size"
   ),
@@ -207,15 +184,8 @@ FIELDS: dict[str, Field] = {
     operation="scale",
     note="of cameras with a sensor size; their field of view follows",
   ),
-  "light_pos": _position(
-    "light",
-  ),
-  "light_dir": Field(
-    kind="light",
-    axes=_XYZ,
-    form="direction",
-    operation="add",
-  ),
+  "light_pos": _position("light"),
+  "light_dir": Field(kind="light", axes=_XYZ, form="direction", operation="add"),
   "light_active": _choice("light", minimum=(0.0,), maximum=(1.0,)),
   "light_castshadow": _choice("light", minimum=(0.0,), maximum=(1.0,)),
   "light_attenuation": _at_least_zero("light", "1, 1/m, 1/m^2", axes=("constant", "linear", "quadratic")),

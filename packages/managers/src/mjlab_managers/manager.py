@@ -150,7 +150,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def describe(self) -> str:
     """Return a table of the terms."""
-    raise NotImplementedError
+    return ""
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     """Return name and current values of each term in one world, for viewers. It reads from the device."""

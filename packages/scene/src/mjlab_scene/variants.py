@@ -26,10 +26,6 @@ _NO_CONTACT = -1e6
 _TINY = 1e-6
 
 
-def _no_spec() -> mujoco.MjSpec:
-  raise NotImplementedError
-
-
 @dataclass(kw_only=True)
 class VariantEntityCfg(EntityCfg):
   """An object or a robot that differs between worlds.
@@ -54,7 +50,7 @@ class VariantEntityCfg(EntityCfg):
   Shares are dealt out as evenly as whole worlds allow, and shuffled. None: equal shares."""
   seed: int = 0
   """Of the shuffle. A saved state that is loaded brings its own assignment."""
-  spec_fn: SpecFn = field(default=_no_spec, init=False, repr=False, compare=False)
+  spec_fn: SpecFn = field(default=mujoco.MjSpec, init=False, repr=False, compare=False)
   """Made from the variants."""
 
   def build(self, name: str) -> VariantEntity:

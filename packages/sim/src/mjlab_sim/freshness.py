@@ -122,21 +122,27 @@ class Freshness:
       )
 
 
-class _View:
-  """Fields as attributes. A name is assigned in place: `sim.data.ctrl = u` writes every world's controls."""
+class DataView:
+  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3).
+
+  A name is assigned in place: `sim.data.ctrl = u` writes every world's controls.
+  """
 
   _fresh: Freshness
 
   def __init__(self, fresh: Freshness) -> None:
     object.__setattr__(self, "_fresh", fresh)
 
+  def __getitem__(self, name: str) -> TorchArray:
+    try:
+      return self._fresh.data_field(name)
+    except KeyError:
+      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
+
   def __getattr__(self, name: str) -> TorchArray:
     if name.startswith("__"):
       raise AttributeError(name)
     return self[name]
-
-  def __getitem__(self, name: str) -> TorchArray:
-    raise NotImplementedError
 
   def __setattr__(self, name: str, value: torch.Tensor) -> None:
     field = self[name]
@@ -145,20 +151,10 @@ class _View:
       field.copy_(value)
 
 
-class DataView(_View):
-  """Fields of MjData as tensors, (num_envs, ...): `sim.data.qpos`. Matrices are (..., 3, 3)."""
-
-  def __getitem__(self, name: str) -> TorchArray:
-    try:
-      return self._fresh.data_field(name)
-    except KeyError:
-      raise AttributeError(unknown("data field", name, _DATA_FIELDS)) from None
-
-
-class ModelView(_View):
+class ModelView(DataView):
   """Fields of MjModel that may differ per world, as tensors: (1, ...) while shared, (num_envs, ...) once expanded.
 
-  A write to a shared field reaches every world.
+  A name is assigned in place, too. A write to a shared field reaches every world.
   """
 
   _prefix: str

@@ -113,7 +113,8 @@ class projected_gravity_from_sensor(ManagerTermBase):
 
   def __init__(self, env: "ManagerBasedRlEnv", *, sensor: str) -> None:
     super().__init__(env)
-    self._sensor, self._is_imu = sensor, isinstance(env.scene[sensor], ImuSensor)
+    self._sensor = sensor
+    self._is_imu = isinstance(env.scene[sensor], ImuSensor)
     if not (self._is_imu or self._is_vertical()):
       raise MjlabError(
         f"sensor '{sensor}' does not tell the vertical; give an ImuSensorCfg, or BuiltinSensorCfg(sensor_type="
