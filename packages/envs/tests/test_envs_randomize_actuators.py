@@ -200,7 +200,7 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
 def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
   names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
   env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)))
-  parameter = env.event_manager.get_term_cfg("kp").func.field._target
+  parameter = env.event_manager.get_term_cfg("kp").func.field._quantity
   assert torch.equal(parameter.factors(), torch.ones(WORLDS, len(names)))
   factor = torch.linspace(0.5, 2.0, WORLDS * len(names)).view(WORLDS, -1)
   parameter.scale(factor, torch.tensor([True, True, False, True]))

@@ -14,7 +14,7 @@ from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets
-from mjlab_managers.manager import ManagerBase, Naming
+from mjlab_managers.manager import ManagerBase
 
 
 @dataclass(kw_only=True)
@@ -37,7 +37,6 @@ class ActionTerm(Stateful, ABC):
   """
 
   name: str = ""
-  _naming: Naming
   # The manager's memory, where the raw action is saved.
   _raw_action: torch.Tensor
 
@@ -99,9 +98,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
         self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
     self._raise_problems()
 
-    for name, term in self._terms.items():
-      term._naming = Naming(self.label, name)
-    self._applied = [term for term in self._terms.values() if type(term).apply_actions is not ActionTerm.apply_actions]
+    self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
     # Newest first. One block, so that a reset is one operation.
@@ -152,14 +149,16 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
-    for term in self._terms.values():
-      with term._naming:
+    for name, term in self._terms.items():
+      try:
         term.process_actions(term._raw_action)
+      except Exception as error:
+        raise self._named(name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
-    for term in self._applied:
-      with term._naming:
+    for name, term in self._applied.items():
+      with self._naming(name):
         term.apply_actions()
 
   def rehearse(self) -> None:

@@ -221,9 +221,17 @@ class ManagerBase(Stateful, Generic[CfgT]):
       raise as_consequence(error)
     raise error
 
-  def _naming(self, name: str) -> Naming:
-    """Return a context that adds the names of manager and term to an error."""
-    return Naming(self.label, name)
+  @contextmanager
+  def _naming(self, name: str) -> Generator[None]:
+    """Add the names of manager and term to an error."""
+    try:
+      yield
+    except Exception as error:
+      raise self._named(name, error) from error
+
+  def _named(self, name: str, error: Exception) -> MjlabError:
+    kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
+    return MjlabError(f"{self.label}: term '{name}': {kind}{error}")
 
   @contextmanager
   def _noting(self, name: str, what: str) -> Generator[None]:
@@ -347,21 +355,6 @@ class ManagerBase(Stateful, Generic[CfgT]):
       return True
     self._problem(f"term '{name}': must return {what} on {self.device}, returned {described(value)}.")
     return False
-
-
-class Naming:
-  """Context that adds the names of manager and term to an error. It is cheap, and may be entered again."""
-
-  def __init__(self, label: str, name: str) -> None:
-    self._names = f"{label}: term '{name}'"
-
-  def __enter__(self) -> None:
-    pass
-
-  def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-    if isinstance(error, Exception):
-      cause = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
-      raise MjlabError(f"{self._names}: {cause}{error}") from error
 
 
 class Trial:
