@@ -190,7 +190,7 @@ def compiled_values(model: Any, name: str, element: str) -> np.ndarray:
 
 def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: Any) -> None:
   """Write compiled values into an element of a spec, whose other attributes must not override them."""
-  has = getattr(before, kind)(found.name) if kind != "option" else None
+  has: Any = getattr(before, kind)(found.name) if kind != "option" else None
   if kind == "body" and attribute in ("mass", "inertia", "ipos", "iquat"):
     if not found.explicitinertial:
       found.mass, found.inertia, found.ipos, found.iquat = has.mass[0], has.inertia, has.ipos, has.iquat
