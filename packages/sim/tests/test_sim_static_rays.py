@@ -229,7 +229,6 @@ def test_triangles_are_counter_clockwise_from_outside_and_closed() -> None:
 @pytest.mark.parametrize(
   ("options", "message"),
   [
-    ({"bodyexclude": (0, 1)}, "one for each of 3 rays, got 2"),
     ({"bodyexclude": (0, 1, 99)}, r"bodyexclude must be in \[-1, 2\], got \(0, 1, 99\)"),
     ({"max_distance": 0.0}, "max_distance must be positive"),
   ],

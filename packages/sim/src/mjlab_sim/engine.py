@@ -1,10 +1,10 @@
 """Interface of a physics engine. Nothing above this seam knows which engine runs."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
-from mjlab_core import Contacts
+from mjlab_core import Contacts, MjlabError
 
 from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
@@ -86,6 +86,13 @@ class Engine(Protocol):
   def close(self) -> None:
     """Release threads and graphs."""
     ...
+
+
+class Closed:
+  """Engine of a simulation that is closed: whatever is asked of it is refused."""
+
+  def __getattr__(self, name: str) -> Any:
+    raise MjlabError("this simulation is closed")
 
 
 class Watched:

@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 import mujoco
 import torch
 from mjlab_core import Contacts, Limits, MjlabError, PositiveCount, check_fields, check_value
 
 from mjlab_sim.config import SimulationCfg
-from mjlab_sim.engine import Engine
+from mjlab_sim.engine import Closed, Engine
 from mjlab_sim.freshness import DataView, Freshness, ModelView
 from mjlab_sim.rays import as_groups, find_targets
 from mjlab_sim.rendering import DataType, Look, View
@@ -344,6 +344,8 @@ class Simulation:
       self._fresh.is_closed = True
       self._recordings.invalidate()
       self._engine.close()
+      closed: Any = Closed()
+      self._engine = self._fresh.engine = closed
 
 
 def _resolve_device(device: str | torch.device) -> torch.device:

@@ -24,7 +24,7 @@ class WorldFields:
   """
 
   def __init__(self, fresh: Freshness, model: mujoco.MjModel, num_envs: int, device: torch.device) -> None:
-    self._fresh, self._engine, self._mj_model = fresh, fresh.engine, model
+    self._fresh, self._mj_model = fresh, model
     self._num_envs, self._device = num_envs, device
     self._view = ModelView(fresh)
     self.expanded: dict[str, None] = {}
@@ -37,7 +37,7 @@ class WorldFields:
     Raises:
       UnknownNameError: A name that cannot differ per world.
     """
-    field_of = self._engine.model_field
+    field_of = self._fresh.engine.model_field
     found = closure(list(names), self._mj_model)
     return [name for name in found if name not in self.expanded and field_of(name).numel() > 0]
 
@@ -68,7 +68,7 @@ class WorldFields:
 
     Model fields that all worlds share are in it where they are not as compiled.
     """
-    data = {name: self._engine.data_field(name).detach().clone() for name in STATE}
+    data = {name: self._fresh.engine.data_field(name).detach().clone() for name in STATE}
     shared = closure(self._written_shared(), self._mj_model)
     return {
       "data": {name: field for name, field in data.items() if field.numel()},
@@ -83,7 +83,7 @@ class WorldFields:
     refuse_state(
       f"saved state lacks '{kind}', it has: {', '.join(state)}" for kind in ("data", "model") if kind not in state
     )
-    engine, view = self._engine, self._view
+    engine, view = self._fresh.engine, self._view
     data = {name: field for name in STATE if (field := engine.data_field(name)).numel()}
     model = {name: view[name] for name in state["model"] if name in PER_WORLD}
     model |= {name: engine.model_field(name) for name in self.expanded}
@@ -106,7 +106,7 @@ class WorldFields:
   def load(self, state: State) -> bool:
     """Write a checked state; return True if a field was written that others follow from."""
     for name, value in state["data"].items():
-      self._engine.data_field(name).copy_(value)
+      self._fresh.engine.data_field(name).copy_(value)
     for name, value in state["default"].items():
       self._defaults[name].copy_(value)
     self.load_model(state)
@@ -116,7 +116,7 @@ class WorldFields:
   def load_model(self, state: State) -> None:
     """Write the model fields of a checked state."""
     for name, value in (state["shared"] | state["model"]).items():
-      self._engine.model_field(name).copy_(value)
+      self._fresh.engine.model_field(name).copy_(value)
 
   def _written_shared(self) -> list[str]:
     """Return the fields that all worlds share and that are not as compiled; reads the device."""
@@ -128,5 +128,5 @@ class WorldFields:
     ]
 
   def _values(self, names: Iterable[str]) -> dict[str, torch.Tensor]:
-    fields = {name: self._engine.model_field(name).detach().clone() for name in names}
+    fields = {name: self._fresh.engine.model_field(name).detach().clone() for name in names}
     return {name: field for name, field in fields.items() if field.numel()}
