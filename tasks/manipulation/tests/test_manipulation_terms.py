@@ -28,7 +28,7 @@ def test_rewards_are_their_formulas_on_any_state() -> None:
   scatter(env, 0)
   reward = env.reward_manager
   reward.compute()
-  values = dict(zip(env.cfg.rewards, reward._raw.T.double().numpy(), strict=True))
+  values = dict(zip(env.cfg.rewards, reward._finite.values.T.double().numpy(), strict=True))
   seen = {name: [] for name in ("lift", "lift_precise", "joint_vel_hinge", "joint_pos_limits")}
   soft = env.scene["robot"].data.soft_joint_pos_limits[0].numpy()
   for world in range(12):
@@ -55,7 +55,7 @@ def test_the_lift_reward_grows_at_every_stage() -> None:
   term.command[2:] = site[2:]
   place(env, site.numpy() + np.array([[0.3], [0.0], [0.3], [0.0]]) * [1.0, 0.0, 0.0])
   env.reward_manager.compute()
-  values = env.reward_manager._raw[:, 0].tolist()
+  values = env.reward_manager._finite.values[:, 0].tolist()
   # Far from everything; holding it far from the goal; at neither but nearer; holding it there: 0, 1, between, 2.
   assert values[0] == pytest.approx(np.exp(-2.25), rel=1e-5)
   assert values[1] == pytest.approx(1.0)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import torch
+from mjlab_core.constraints import field_problems
 from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_core.names import unknown
 
@@ -205,6 +206,31 @@ class Term:
 def call_terms(terms: Sequence[Term]) -> list[torch.Tensor]:
   """Return the values of terms, one after the other."""
   return [term() for term in terms]
+
+
+def cfg_problems(name: str, cfg: Any, kind: type, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:
+  """Return the mistakes in one config that show without an environment; `name` begins each line.
+
+  Args:
+    name: the config, such as "term 'upright'".
+    cfg: the config.
+    kind: its required class.
+    base: required base of class terms.
+    masked: terms act on some worlds.
+  """
+  if not isinstance(cfg, kind):
+    return [f"{name}: expected a {kind.__name__}, got {described(cfg)}."]
+  problems = field_problems(cfg)
+  if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
+    problems += term_problems(cfg, base, masked=masked)
+  return [f"{name}: {problem}" for problem in problems]
+
+
+def described(value: Any) -> str:
+  """Return a description of a value for messages; for a tensor its type, shape and device."""
+  if isinstance(value, torch.Tensor):
+    return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)} on {value.device}"
+  return f"{type(value).__name__} {value!r}" if isinstance(value, int | float | str) else type(value).__name__
 
 
 def term_problems(cfg: ManagerTermBaseCfg, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:

@@ -10,9 +10,9 @@ import torch
 from mjlab_core.errors import MjlabError
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term
+from mjlab_managers.binding import Term, described
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.manager import ManagerBase, described
+from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBaseCfg
 
 

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
-from mjlab_core.constraints import field_problems
 from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError, as_consequence, is_consequence
 from mjlab_core.names import unknown
 from mjlab_core.state import Stateful, StatefulDict
 
-from mjlab_managers.binding import Term, call_terms, copy_cfg, term_problems
+from mjlab_managers.binding import Term, call_terms, cfg_problems, copy_cfg, described
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.locked import lock
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
@@ -369,31 +368,6 @@ class Trial:
   def rebuilt(self) -> None:
     """Take the memory again, because the object was built again."""
     self.memory = undeclared_memory(self._obj)
-
-
-def cfg_problems(name: str, cfg: Any, kind: type, base: type = ManagerTermBase, *, masked: bool = False) -> list[str]:
-  """Return the mistakes in one config that show without an environment; `name` begins each line.
-
-  Args:
-    name: the config, such as "term 'upright'".
-    cfg: the config.
-    kind: its required class.
-    base: required base of class terms.
-    masked: terms act on some worlds.
-  """
-  if not isinstance(cfg, kind):
-    return [f"{name}: expected a {kind.__name__}, got {described(cfg)}."]
-  problems = field_problems(cfg)
-  if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
-    problems += term_problems(cfg, base, masked=masked)
-  return [f"{name}: {problem}" for problem in problems]
-
-
-def described(value: Any) -> str:
-  """Return a description of a value for messages; for a tensor its type, shape and device."""
-  if isinstance(value, torch.Tensor):
-    return f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)} on {value.device}"
-  return f"{type(value).__name__} {value!r}" if isinstance(value, int | float | str) else type(value).__name__
 
 
 def place_of(error: Exception) -> str:

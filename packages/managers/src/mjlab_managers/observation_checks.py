@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from mjlab_core.constraints import Bounds, field_problem
 
-from mjlab_managers.manager import cfg_problems, described
+from mjlab_managers.binding import cfg_problems, described
 from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 from mjlab_managers.observation_slots import Slot
