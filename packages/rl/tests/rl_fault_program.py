@@ -1,4 +1,4 @@
-"""Two processes of which the second one fails: `torchrun --nproc-per-node 2 rl_fault_program.py FOLDER FAULT`."""
+"""Two processes of which the second one fails: `rl_two_processes.py rl_fault_program.py FOLDER FAULT`."""
 
 import sys
 import threading

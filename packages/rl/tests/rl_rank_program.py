@@ -1,4 +1,4 @@
-"""Program of one process of a run: `torchrun --nproc-per-node 2 rl_rank_program.py FOLDER`."""
+"""Program of one process of a run: `rl_two_processes.py rl_rank_program.py FOLDER`."""
 
 import sys
 from collections import Counter

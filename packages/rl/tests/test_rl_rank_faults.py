@@ -18,13 +18,13 @@ from mjlab_rl.ranks import Patience, Ranks
 from rl_point_env import PointEnv, PointEnvCfg
 from torch import distributed
 
-PROGRAM = Path(__file__).parent / "rl_fault_program.py"
+HERE = Path(__file__).parent
 
 
 def ended(folder: Path, fault: str) -> subprocess.CompletedProcess[str]:
   """Return a run of two processes of which the second one has a fault."""
-  launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-  done = subprocess.run([*launcher, PROGRAM, folder, fault], capture_output=True, text=True, check=False, timeout=500)
+  command = [sys.executable, HERE / "rl_two_processes.py", HERE / "rl_fault_program.py", folder, fault]
+  done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
   assert done.returncode != 0
   return done
 

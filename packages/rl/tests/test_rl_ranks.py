@@ -26,7 +26,7 @@ from rl_point_env import PointEnv, PointEnvCfg
 from test_rl_runner import assert_same
 from torch import distributed
 
-PROGRAM = Path(__file__).parent / "rl_rank_program.py"
+HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def launched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
   alone = train(TaskCfg(env=PointEnvCfg(), agent=agent), name="Point", make_env=PointEnv, log_root=folder / "one")
   assert alone.checkpoint is not None
   alone.checkpoint.rename(folder / "alone.pt")
-  command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", PROGRAM, folder]
+  command = [sys.executable, HERE / "rl_two_processes.py", HERE / "rl_rank_program.py", folder]
   done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
   assert done.returncode == 0, done.stderr
   return folder, done.stdout
