@@ -268,16 +268,6 @@ def test_an_existing_element_is_wrapped_by_its_full_name() -> None:
   torch.testing.assert_close(named.data[0].norm(), torch.tensor(1.0, dtype=sim.dtype))
 
 
-def test_a_reading_after_a_write_is_never_stale_and_a_second_one_is_the_same_tensor() -> None:
-  sim, (sensor,) = build(BuiltinSensorCfg(sensor_type="framepos", obj=ref("xbody", "base")))
-  assert sensor.data[0, 2] == 1.0
-  sim.data.qpos[0, 2] = 5.0
-  assert sensor.data[:, 2].tolist() == [5.0, 1.0]
-  sim.reset(torch.tensor([True, False]))
-  assert sensor.data[:, 2].tolist() == [1.0, 1.0]
-  assert sensor.data is sensor.data
-
-
 def test_acceleration_readings_are_of_the_last_substep_and_zero_in_worlds_just_reset() -> None:
   sim, (sensor,) = build(BuiltinSensorCfg(sensor_type="accelerometer", obj=ref("site", "tip")))
   sim.data.qvel[:, 6] = 3.0
@@ -359,9 +349,3 @@ def test_a_new_sensor_does_not_take_the_name_of_an_existing_one() -> None:
 def test_an_unknown_type_of_object_is_refused_by_name() -> None:
   with pytest.raises(ValueError, match=r"type 'sites' does not exist. Nearest: site"):
     ref("sites", "imu")
-
-
-def test_nothing_derived_is_saved() -> None:
-  _, (sensor,) = build(BuiltinSensorCfg(sensor_type="gyro", obj=IMU))
-  _ = sensor.data
-  assert sensor.state_dict() == {}

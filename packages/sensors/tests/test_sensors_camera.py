@@ -189,19 +189,6 @@ def test_every_pixel_is_what_mujocos_ray_hits(engine: str) -> None:
   assert seen == expected | {-1}
 
 
-@pytest.mark.parametrize("camera", ["eye", "lens"])
-def test_a_pixel_has_the_distance_of_the_ray_that_is_cast_through_it(camera: str) -> None:
-  name = f"robot/{camera}"
-  pattern = PinholeCameraPatternCfg.from_mujoco_camera(name)
-  frame = FrameMatch(type="camera", pattern=camera, entity="robot")
-  rays_cfg = RayCastSensorCfg(frames=frame, pattern=pattern, max_distance=100.0, identify_geoms=True)
-  sim, (images, rays) = build(CameraSensorCfg(camera=name, data_types=("distance", "segmentation")), rays_cfg)
-  scatter(sim)
-  shape = images.data.distance.shape
-  torch.testing.assert_close(images.data.distance, rays.data.distances.float().view(shape), rtol=0.0, atol=2e-5)
-  assert torch.equal(images.data.segmentation[:, :1], rays.data.geom_ids.view(shape))
-
-
 _OPENGL = """
 import sys, mujoco, numpy as np
 model = mujoco.MjModel.from_xml_path(sys.argv[1])
