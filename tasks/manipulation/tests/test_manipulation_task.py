@@ -1,18 +1,16 @@
 """The numbers of the tasks, by joints and by the hand."""
 
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from manipulation_worlds import lift, place
-from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_envs import mdp
 from mjlab_manipulation import lift_cube, lift_cube_env, lift_cube_ik, lift_cube_ik_env, lift_objects_env
 from mjlab_manipulation.arm import ACTION_SCALE, ARM, JOINT_RANGE
 from mjlab_manipulation.lift import COMMAND
-from mjlab_rl import Console, train
 from mjlab_robots import YAM_ACTION_SCALE
 
 TASKS: dict[str, Any] = {"Mjlab-Lift-Cube-Yam": lift_cube, "Mjlab-Lift-Cube-Yam-IK": lift_cube_ik}
@@ -153,7 +151,7 @@ def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
 
 @pytest.mark.warp
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [lift_cube_env, lift_cube_ik_env, lift_objects_env], ids=["joints", "hand", "objects"])
+@pytest.mark.parametrize("make", [lift_cube_ik_env, lift_objects_env], ids=["cube by the hand", "objects by joints"])
 def test_both_engines_play_alike(make: Any) -> None:
   seen: list[tuple[np.ndarray, np.ndarray]] = []
   for engine in ("native", "warp"):
@@ -173,13 +171,3 @@ def test_both_engines_play_alike(make: Any) -> None:
     env.close()
   for one, other in zip(*seen, strict=True):
     np.testing.assert_allclose(one, other, atol=2e-3)
-
-
-def test_training_runs_on_the_native_engine(tmp_path: Path) -> None:
-  task = lift_cube()
-  task.env.scene.num_envs, task.env.seed = 8, 0
-  task.agent.num_steps_per_env, task.agent.max_iterations = 4, 2
-  console = Console("quiet")
-  result = train(task, name="Lift", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=console)
-  assert (result.iterations, result.stopped_by) == (2, None)
-  assert result.checkpoint is not None

@@ -167,27 +167,7 @@ def angle(a: torch.Tensor, b: torch.Tensor) -> float:
   return math.acos(min(1.0, (np.trace(rotation(a).T @ rotation(b)) - 1.0) / 2.0))
 
 
-def test_observations_are_the_reference_seen_from_the_robot(played: tuple[ManagerBasedRlEnv, MotionCommand]) -> None:
-  env, term = played
-  observed = env.get_observations()["critic"]
-  assert isinstance(observed, torch.Tensor)
-  for world in range(4):
-    seen = observed[world].double().numpy()
-    robot = rotation(term.robot_anchor_quat_w[world])
-    origin = term.robot_anchor_pos_w[world].numpy()
-    np.testing.assert_allclose(seen[58:61], robot.T @ (term.anchor_pos_w[world].numpy() - origin), atol=1e-6)
-    relative = robot.T @ rotation(term.anchor_quat_w[world])
-    np.testing.assert_allclose(seen[61:67], relative[:, :2].flatten(), atol=1e-6)
-    for body, name in enumerate(BODIES):
-      index = env.scene["robot"].body_names.index(name)
-      data = env.scene["robot"].data
-      at = robot.T @ (data.body_link_pos_w[world, index].numpy() - origin)
-      np.testing.assert_allclose(seen[67 + 3 * body : 70 + 3 * body], at, atol=1e-6)
-      turned = robot.T @ rotation(data.body_link_quat_w[world, index])
-      np.testing.assert_allclose(seen[109 + 6 * body : 115 + 6 * body], turned[:, :2].flatten(), atol=1e-6)
-
-
-def test_rewards_and_errors_are_their_closed_forms(played: tuple[ManagerBasedRlEnv, MotionCommand]) -> None:
+def test_errors_are_their_closed_forms(played: tuple[ManagerBasedRlEnv, MotionCommand]) -> None:
   env, term = played
   for world in range(4):
     bodies = range(len(BODIES))
@@ -197,19 +177,6 @@ def test_rewards_and_errors_are_their_closed_forms(played: tuple[ManagerBasedRlE
     spin = [(term.body_ang_vel_w - term.robot_body_ang_vel_w)[world, b].norm().item() for b in bodies]
     away = (term.anchor_pos_w - term.robot_anchor_pos_w)[world].norm().item()
     tilted = angle(term.anchor_quat_w[world], term.robot_anchor_quat_w[world])
-    expected = {
-      "motion_global_root_pos": away**2,
-      "motion_global_root_ori": tilted**2,
-      "motion_body_pos": float(np.mean(np.square(distance))),
-      "motion_body_ori": float(np.mean(np.square(turned))),
-      "motion_body_lin_vel": float(np.mean(np.square(speed))),
-      "motion_body_ang_vel": float(np.mean(np.square(spin))),
-    }
-    for name, value in expected.items():
-      cfg = env.reward_manager.get_term_cfg(name)
-      found = env.reward_manager.term(name)()[world].item()
-      assert 0.01 < found < 0.9999, name
-      assert found == pytest.approx(math.exp(-value / cfg.params["std"] ** 2), rel=1e-5), name
     means = {"body_pos": distance, "body_rot": turned, "body_lin_vel": speed, "body_ang_vel": spin}
     torso = BODIES.index("torso_link")
     singles = {"anchor_pos": away, "anchor_rot": tilted, "anchor_lin_vel": speed[torso], "anchor_ang_vel": spin[torso]}
@@ -323,25 +290,3 @@ def test_one_more_step_of_a_large_library_costs_as_many_operations(folder: Path)
       env.step(zeros(env))
     counts.append(waits.count)
   assert counts[0] == counts[1]
-
-
-@pytest.mark.warp
-def test_both_engines_play_the_same_task(folder: Path) -> None:
-  envs = []
-  for engine in ("native", "warp"):
-    cfg = still(folder)
-    cfg.sim.engine = engine
-    command(cfg).sampling = "start"
-    envs.append(make(cfg)[0])
-  generator = torch.Generator().manual_seed(0)
-  for _ in range(10):
-    action = 0.3 * torch.randn(4, 29, generator=generator)
-    (seen, reward, *_), (expected, exact, *_) = (env.step(action) for env in envs)
-    for group in ("actor", "critic"):
-      torch.testing.assert_close(seen[group], expected[group], atol=2e-3, rtol=0)
-    torch.testing.assert_close(reward, exact, atol=1e-4, rtol=0)
-  # Wild, with episodes that end in all ways, in single precision too.
-  for _ in range(20):
-    observations, reward, *_ = envs[1].step(3.0 * torch.randn(4, 29, generator=generator))
-    assert reward.isfinite().all()
-    assert torch.as_tensor(observations["critic"]).isfinite().all()

@@ -87,36 +87,6 @@ def test_the_drop_at_the_start_of_an_episode_is_neither_swing_nor_landing() -> N
   assert landed.all()
 
 
-def test_a_landing_is_scored_by_the_greatest_height_of_its_swing() -> None:
-  env = make_env(1, commands=commanded(0.4), curriculum={})
-  env.reset()
-  for _ in range(30):
-    env.step(torch.zeros(1, 12))
-  env.sim.data.qvel[:, 2] += 1.2
-  heights, cost = [np.zeros(4)], []
-  for _ in range(25):
-    env.step(torch.zeros(1, 12))
-    heights.append(env.scene["foot_height_scan"].data.heights[0].numpy().copy())
-    cost.append(values(env)["foot_swing_height"][0])
-    if cost[-1]:
-      break
-  landed = env.scene["feet_ground_contact"].data.found[0].numpy() > 0
-  peak = np.max(heights, 0)
-  assert peak.max() > 0.05
-  assert cost[-1] == pytest.approx(-0.25 * (((peak / 0.1 - 1.0) ** 2) * landed).sum(), rel=1e-5)
-
-
-def test_heights_are_those_of_the_state_that_is() -> None:
-  env = make_env(2)
-  env.reset()
-  sites = [env.sim.mj_model.site(f"robot/{foot}").id for foot in ("FR", "FL", "RR", "RL")]
-  env.step(torch.randn(2, 12))
-  for lift in (0.0, 0.123):
-    env.sim.data.qpos[:, 2] += lift
-    heights = env.scene["foot_height_scan"].data.heights
-    torch.testing.assert_close(heights, env.sim.data.site_xpos[:, sites, 2].clamp(min=0.0), rtol=0.0, atol=1e-9)
-
-
 def test_an_episode_remembers_nothing_of_the_one_before() -> None:
   seen = []
   for lift, spread in ((0.0, 0.1), (0.4, 2.0)):

@@ -43,19 +43,6 @@ def test_the_task_is_found_under_its_name(name: str) -> None:
   assert task.env == TASKS[name].make().env
 
 
-@every_task
-def test_a_task_that_somebody_changes_stays_as_it_is_for_others(name: str) -> None:
-  task = TASKS[name].make()
-  task.env.rewards.clear()
-  task.env.observations.clear()
-  task.env.scene.sensors.clear()
-  task.agent.max_iterations = 1
-  fresh = TASKS[name].make()
-  assert list(fresh.env.rewards) == list(TASKS[name].weights)
-  assert fresh.env.scene.sensors
-  assert fresh.agent.max_iterations == TASKS[name].iterations
-
-
 def test_observations_are_those_of_the_table_in_its_order(built: tuple[str, ManagerBasedRlEnv]) -> None:
   name, env = built
   observations, _ = env.reset()

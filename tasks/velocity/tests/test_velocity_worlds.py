@@ -30,7 +30,7 @@ def names(state: dict[str, Any], prefix: str = "") -> set[str]:
   return found
 
 
-@pytest.mark.parametrize("task", [name for name in TASKS if name.endswith("Flat-Unitree-Go1") or "Rough" in name])
+@pytest.mark.parametrize("task", ["Mjlab-Velocity-Flat-Unitree-Go1", "Mjlab-Velocity-Rough-Unitree-G1"])
 def test_what_a_world_sees_does_not_depend_on_who_is_reset(task: str) -> None:
   alone, disturbed = make_env(6, task=task), make_env(6, task=task)
   alone.reset()
@@ -43,7 +43,7 @@ def test_what_a_world_sees_does_not_depend_on_who_is_reset(task: str) -> None:
   assert not torch.equal(alone.sim.data.qpos[2], disturbed.sim.data.qpos[2])
 
 
-@pytest.mark.parametrize("task", [name for name in TASKS if name.endswith("Flat-Unitree-Go1") or "Rough" in name])
+@pytest.mark.parametrize("task", ["Mjlab-Velocity-Flat-Unitree-Go1", "Mjlab-Velocity-Rough-Unitree-G1"])
 def test_a_world_that_diverges_is_ended_counted_and_nobody_elses_business(task: str) -> None:
   healthy, ill = make_env(4, task=task), make_env(4, task=task)
   healthy.reset()
@@ -71,22 +71,8 @@ def test_the_same_seed_gives_the_same_worlds_and_another_seed_others() -> None:
   assert not torch.equal(runs[0][0][1], runs[2][0][1])
 
 
-def test_a_saved_state_goes_on_bit_for_bit() -> None:
-  first = make_env(4)
-  first.reset()
-  play(first, 30)
-  second = make_env(4, seed=99)
-  second.reset()
-  second.load_state_dict(first.state_dict())
-  for name in ("geom_friction", "body_ipos"):
-    assert torch.equal(getattr(first.sim.model, name), getattr(second.sim.model, name))
-  for one, other in zip(play(first, 30, seed=4), play(second, 30, seed=4), strict=True):
-    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
-
-
-@pytest.mark.parametrize("num_envs", [1, 3, 4, 12])
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds(num_envs: int) -> None:
-  assert names(make_env(num_envs).state_dict()) == names(make_env(37).state_dict())
+def test_what_is_saved_does_not_depend_on_the_number_of_worlds() -> None:
+  assert len({frozenset(names(make_env(num_envs).state_dict())) for num_envs in (1, 3, 4, 12, 37)}) == 1
 
 
 def test_neighbours_are_two_metres_apart() -> None:
