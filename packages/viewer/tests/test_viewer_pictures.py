@@ -93,26 +93,6 @@ def test_colours_sizes_and_meshes_of_each_world_are_shown(opengl: None) -> None:
   np.testing.assert_array_equal(again, first)
 
 
-def test_contacts_are_those_that_mujoco_computes_for_the_very_state(opengl: None) -> None:
-  env = BoxEnv(1)
-  for _ in range(60):
-    env.step(torch.zeros(1, 1))
-  cfg = PictureCfg(width=96, height=72, shadows=False, contacts=True)
-  snapshot = SnapshotTaker(env).take((0,))
-  with OffscreenRenderer(env.sim.mj_model, cfg) as renderer:
-    renderer.render(snapshot)
-    ours, theirs = renderer._world.data, env.sim.datas[0]
-    assert ours.ncon == theirs.ncon > 0
-    np.testing.assert_array_equal(ours.contact.pos, theirs.contact.pos)
-    force, expected = np.zeros(6), np.zeros(6)
-    for contact in range(ours.ncon):
-      mujoco.mj_contactForce(renderer._world.model, ours, contact, force)
-      mujoco.mj_contactForce(env.sim.mj_model, theirs, contact, expected)
-      np.testing.assert_allclose(force, expected, rtol=1e-6, atol=1e-6)
-    kinds = [geom.type for geom in renderer._scene.geoms[: renderer._scene.ngeom]]
-  assert kinds.count(mujoco.mjtGeom.mjGEOM_ARROW) == theirs.ncon
-
-
 def test_looking_leaves_the_model_as_it_was(opengl: None) -> None:
   env = BoxEnv(2)
   env.sim.expand("geom_rgba")[1] = 0.5

@@ -4,14 +4,13 @@ import itertools
 
 import pytest
 import torch
-from manipulation_worlds import lift, place, three_cubes
+from manipulation_worlds import place, three_cubes
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab_managers import TerminationTermCfg
 from mjlab_manipulation import LiftEvaluation, lift_cube, lift_cube_env, lift_objects_env
-from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.evaluation import _by_width
-from mjlab_manipulation.lift import COMMAND, DECIMATION
+from mjlab_manipulation.lift import COMMAND
 from mjlab_manipulation.mdp import lift_command
 from mjlab_manipulation.objects import OBJECTS
 from mjlab_scene import VariantEntityCfg
@@ -191,18 +190,6 @@ def test_many_widths_are_thirds() -> None:
 def test_no_group_of_widths_is_empty_where_most_worlds_have_the_same() -> None:
   groups = _by_width(torch.cat((torch.full((21,), 0.04), torch.linspace(0.05, 0.055, 6))))
   assert {name: int(mask.sum()) for name, mask in groups.items()} == {"to 40.0 mm": 21, "above 40.0 mm": 6}
-
-
-def test_the_peak_of_force_is_that_of_all_substeps() -> None:
-  env, _ = lift(2)
-  contact = env.scene["fingers"]
-  env.step(torch.zeros(2, 7))
-  assert contact.data.force_history.shape[2] == DECIMATION
-  history = contact.data.force_history
-  history.zero_()
-  # In the second of four substeps, by the second finger, in world 1 alone.
-  history[1, 1, 2] = torch.tensor([3.0, 0.0, 4.0], dtype=history.dtype)
-  assert lifting.finger_force(env, command=COMMAND, sensor="fingers").tolist() == [0.0, 5.0]
 
 
 def test_what_cannot_be_evaluated_is_refused() -> None:

@@ -157,19 +157,6 @@ def test_fingers_around_the_cube_reach_touch_and_grasp_it() -> None:
   assert metric(env, "grasped").tolist() == [1.0, 0.0, 0.0]
 
 
-def test_pressing_on_the_ground_is_a_failure_and_touching_it_is_none() -> None:
-  env, _ = lift(2)
-  press = torch.zeros(2, 7)
-  # Down with the second arm only.
-  press[1, 1] = 6.0
-  ended = torch.zeros(2, dtype=torch.bool)
-  for _ in range(100):
-    _, _, terminated, truncated, _ = env.step(press)
-    ended |= terminated
-    assert not truncated.any()
-  assert ended.tolist() == [False, True]
-
-
 def test_the_weight_of_joint_speed_follows_its_stages() -> None:
   env, _ = lift(2)
   weights = []
