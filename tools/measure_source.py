@@ -31,7 +31,7 @@ PRIVATE_HOMES = {
   "warp": ("mjlab_sim.warp.tile_solvers",),
   "torch": ("mjlab_sim.tensors", "mjlab_managers.watch"),
   "mjviser": ("mjlab_viewer.browser.mjviser_scene",),
-  "viser": ("mjlab_viewer.browser.wakeup",),
+  "viser": ("mjlab_viewer.browser.viser_internals",),
 }
 # Public names of named tuples, in spite of their form.
 NAMED_TUPLE = {"_asdict", "_fields", "_replace", "_make"}
