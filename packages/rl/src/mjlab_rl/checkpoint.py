@@ -107,7 +107,8 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
       state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
       reason = _first_line(error)
-      if "weights_only" in str(error) or "Unsupported" in reason:
+      # torch words its refusal of any file this way, also of a text.
+      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in reason):
         reason = "holds objects other than tensors and plain values, not loaded"
       raise FileError(reason if "not loaded" in reason else f"damaged or not a checkpoint ({reason})") from error
     wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
