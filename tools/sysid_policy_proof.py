@@ -11,8 +11,8 @@ All that is learned about it comes from one record on a stand.
     --env.scene.entities.robot.overlay docs/benchmarks/sysid_go1.json
   uv run python tools/sysid_policy_proof.py evaluate WRONG.pt IDENTIFIED.pt
 
-Three minutes each decide it only if both policies walk in the model they were trained in; the table shows that too.
-With three times this friction and weaker servos, policies of three minutes stood still in the identified model.
+They decide it only if both policies walk in the model they were trained in; the table shows that too. So far policies
+of the identified model stood still, whether they began from nothing or from a policy that walks.
 
 The last command needs no GPU. It exports both checkpoints, runs them by ONNX Runtime, and writes the table
 docs/benchmarks/sysid_policy.md.
