@@ -126,8 +126,8 @@ def evaluate(output: Path, repeats: int) -> None:
   lines = [
     "# Parts of the sim-to-real preset",
     "",
-    f"{date.today():%Y-%m-%d}. Policies of `{TASK}`, one seed each, trained by FastSAC with one part of the preset",
-    "`mjlab_velocity.sim_to_real`, with none or with all, and played on MuJoCo's native engine:",
+    f"{date.today():%Y-%m-%d}. Policies of `{TASK}`, one seed each, trained by FastSAC with one part of the",
+    "preset `mjlab_velocity.sim_to_real`, with none or with all, and played on MuJoCo's native engine:",
     f"{len(COMMANDS) * repeats} episodes of 10 s a cell. Cells are the share of episodes that end in a fall, and the",
     "root mean square error of the linear velocity [m/s]. Made by `tools/ablate_sim_to_real.py`.",
     "",
