@@ -1,4 +1,4 @@
-"""What each part of the sim-to-real preset does to robustness: a policy trained with it, and a table of all of them.
+"""Effect of each part of the sim-to-real preset on robustness: a policy trained with it, and a table of all of them.
 
   python tools/ablate_sim_to_real.py train pushes --seconds 80 --output OUT
   python tools/ablate_sim_to_real.py evaluate OUT
@@ -21,7 +21,7 @@ from evaluate_robustness import COMMANDS, DELAY, FOLDER, FRICTION, PAYLOAD, PUSH
 from mjlab import load_task
 from mjlab.environments import resolve_device, standard_env
 from mjlab_envs import ManagerBasedRlEnvCfg
-from mjlab_rl import Console, TaskCfg, load_run, train, with_agent
+from mjlab_rl import Console, TaskCfg, find_checkpoint, load_run, train, with_agent
 from mjlab_velocity import VelocityEvaluation, sim_to_real
 from mjlab_velocity.sim_to_real import PARTS
 
@@ -68,10 +68,6 @@ def train_part(args: argparse.Namespace) -> None:
   )
 
 
-def newest(run: Path) -> Path:
-  return max(run.glob("model_*.pt"), key=lambda path: int(path.stem.split("_")[1]))
-
-
 def robustness(checkpoint: Path, repeats: int) -> dict[str, tuple[float, float]]:
   """Return the share of falls and the velocity error of a policy in each condition."""
   run = load_run(checkpoint)
@@ -116,7 +112,7 @@ def evaluate(output: Path, repeats: int) -> None:
   rows = {}
   for part in CHOICES:
     if runs := sorted((output / part).glob("*/*/manifest.json")):
-      rows[part] = robustness(newest(runs[-1].parent), repeats)
+      rows[part] = robustness(find_checkpoint(str(runs[-1].parent), log_root=output, experiment=""), repeats)
       print(part, rows[part], flush=True)
   draw(rows, FOLDER / "sim_to_real.png")
   names = list(next(iter(rows.values())))
