@@ -3,37 +3,56 @@
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 import sysid_policy_proof as proof
 from mjlab import load_task
 from mjlab_robots import go1
+from mjlab_scene.overlay import read_overlay
+from mjlab_sysid import Robot
 
 OVERLAY = Path(__file__).parents[1] / "docs/benchmarks/sysid_go1.json"
 
 
 def test_the_identified_robot_is_the_real_one_and_the_model_is_not() -> None:
-  real, wrong = go1(meshes="never").build("robot"), go1(meshes="never").build("robot").spec.compile()
-  model = real.spec.compile()
-  proof.make_real(model)
-  cfg = go1(meshes="never")
-  cfg.overlay = str(OVERLAY)
-  entity = cfg.build("robot")
-  found = entity.spec.compile()
+  real, wrong, found = proof.stand().model, proof.stand().model, proof.stand(OVERLAY).model
+  proof.make_real(real)
   for leg in ("FR", "FL", "RR", "RL"):
     for kind in ("hip", "thigh", "calf"):
       joint = f"{leg}_{kind}_joint"
-      for name in ("armature", "frictionloss", "damping"):
-        true = float(getattr(model.joint(joint), name)[0])
-        # The record was made at 1 ms a step; at 5 ms a part of the damping is the integrator's.
-        assert getattr(found.joint(joint), name)[0] == pytest.approx(true, rel=0.25), (joint, name)
-        assert getattr(wrong.joint(joint), name)[0] != pytest.approx(true, rel=0.25), (joint, name)
-      assert found.actuator(joint).gainprm[0] == pytest.approx(model.actuator(joint).gainprm[0], rel=0.05)
-    assert found.body(f"{leg}_calf").mass[0] == pytest.approx(model.body(f"{leg}_calf").mass[0], rel=0.06)
-  assert entity.actuators is not None
-  lags = {(actuator.delay_min_lag, actuator.delay_max_lag) for actuator in entity.actuators.cfgs}
+      for name in ("frictionloss", "damping"):
+        true = float(getattr(real.joint(joint), name)[0])
+        assert getattr(found.joint(joint), name)[0] == pytest.approx(true, rel=0.15), (joint, name)
+        assert getattr(wrong.joint(joint), name)[0] != pytest.approx(true, rel=0.15), (joint, name)
+      # The steps of 5 ms act as a part of the armature, so less of it explains a record of steps of 1 ms.
+      assert wrong.joint(joint).armature[0] < found.joint(joint).armature[0] < real.joint(joint).armature[0]
+      assert found.actuator(joint).gainprm[0] == pytest.approx(real.actuator(joint).gainprm[0], rel=0.05)
+    assert found.body(f"{leg}_calf").mass[0] == pytest.approx(real.body(f"{leg}_calf").mass[0], rel=0.06)
+  entity = go1(meshes="never")
+  entity.overlay = str(OVERLAY)
+  actuators = entity.build("robot").actuators
+  assert actuators is not None
+  lags = {(actuator.delay_min_lag, actuator.delay_max_lag) for actuator in actuators.cfgs}
   timestep = load_task(proof.TASK).env.sim.timestep
-  assert lags == {(5, 6)}
-  assert 5 * timestep < proof.DELAY * proof.TIMESTEP < 6 * timestep
+  assert lags == {(8, 9)}
+  assert 8 * timestep < proof.DELAY * proof.TIMESTEP < 9 * timestep
+
+
+def test_the_identified_robot_moves_as_the_real_one() -> None:
+  model, real, found = proof.stand(), proof.stand(), proof.stand(OVERLAY)
+  proof.make_real(real.model)
+  commands = proof.excitation(real, 3.0, np.random.default_rng(1))
+  truth = proof.motion(real, commands, proof.DELAY * proof.TIMESTEP)[0]
+
+  def error(robot: Robot, delay: float) -> float:
+    return float(np.sqrt(np.mean((proof.motion(robot, commands, delay)[0] - truth) ** 2)))
+
+  (delay,) = set(read_overlay(OVERLAY).delay.values())
+  assert error(found, delay) < 0.002
+  assert error(model, 0.0) > 0.03
+  # The true numbers at 5 ms a step do not predict as well.
+  real.model.opt.timestep = found.model.opt.timestep
+  assert error(found, delay) < error(real, delay)
 
 
 def test_the_real_robot_walks_on_the_ground_of_the_task() -> None:
