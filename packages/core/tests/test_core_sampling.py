@@ -110,3 +110,26 @@ def test_generators_repeat_with_their_seed_and_are_their_owners_alone() -> None:
   a, b = core.make_generator("cpu", 3), core.make_generator("cpu", 3)
   torch.rand(3)
   assert torch.equal(torch.rand(4, generator=a), torch.rand(4, generator=b))
+
+
+def test_draws_follow_no_call_that_an_empty_mask_skips() -> None:
+  outside, inside = [], []
+
+  def act(mask: torch.Tensor) -> None:
+    inside.append(torch.rand(3, generator=rng))
+    core.call_where(mask[:1], lambda _: torch.rand(5, generator=rng), rng)
+    torch.randn(len(inside), generator=rng)
+
+  for worlds in ([], [0, 1], [1], []):
+    rng = core.make_generator("cpu", 3)
+    mask = torch.zeros(2, dtype=torch.bool)
+    mask[worlds] = True
+    core.call_where(mask, act, rng)
+    outside.append(torch.randn(3, generator=rng))
+  assert len(inside) == 2
+  assert torch.equal(*inside)
+  assert all(torch.equal(outside[0], other) for other in outside)
+  # The stream of the call is another one, and the next call has its own again.
+  core.call_where(~mask, act, rng)
+  rng.manual_seed(3)
+  assert len({tuple(draw.tolist()) for draw in (*inside[1:], torch.rand(3, generator=rng))}) == 3

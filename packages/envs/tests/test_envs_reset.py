@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from envs_hopper import actions, end, hopper_cfg
+from mjlab_core import call_where
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import EventTermCfg, RecorderTerm, RecorderTermCfg
 
@@ -57,6 +58,41 @@ def test_an_ended_world_sees_what_an_explicit_reset_would_show_it(make: Make, en
   expected, _ = b.reset(env_ids=[1, 2])
   for group in obs:
     assert torch.equal(obs[group][[1, 2]], expected[group][[1, 2]]), group
+
+
+def test_parts_of_a_step_that_act_on_no_world_change_nothing(make: Make, engine: str, monkeypatch) -> None:
+  calls: list[bool] = []
+
+  def always(mask: torch.Tensor, fn: Callable[[torch.Tensor], object], generator: torch.Generator) -> None:
+    calls.append(bool(mask.any()))
+    call_where(torch.ones(1, dtype=torch.bool), lambda _: fn(mask), generator)
+
+  pushed: list[torch.Tensor] = []
+
+  def push(env: ManagerBasedRlEnv, env_ids: torch.Tensor) -> None:
+    pushed.append(torch.rand(env.num_envs, generator=env.rng))
+
+  cfg = hopper_cfg(num_envs=2, engine=engine)
+  cfg.events["ids"] = EventTermCfg(push, mode="interval", interval_range_s=(0.05, 0.1))
+  outcomes = []
+  for every_call in (False, True):
+    if every_call:
+      for module in ("mjlab_envs.env", "mjlab_managers.command_manager", "mjlab_managers.event_manager"):
+        monkeypatch.setattr(f"{module}.call_where", always)
+    env = make(cfg)
+    env.reset()
+    pushed.clear()
+    steps = []
+    for step in range(300 if engine == "native" else 60):
+      observations, *rest, _ = env.step(actions(env, step))
+      steps.append((*observations.values(), *rest))
+    outcomes.append((steps, leaves(env.state_dict()), torch.stack(pushed)))
+  assert len(calls) / 4 < sum(not call for call in calls) < 3 * len(calls) / 4
+  (steps, state, own), (all_steps, all_state, all_own) = outcomes
+  for step, (one, other) in enumerate(zip(steps, all_steps, strict=True)):
+    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True)), step
+  assert [name for name, value in state.items() if not torch.equal(value, all_state[name])] == []
+  assert torch.equal(own, all_own)
 
 
 def test_without_auto_reset_an_ended_world_must_be_reset_before_the_next_step(make: Make) -> None:

@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     wrap_to_pi,
   )
   from mjlab_core.sampling import (
+    call_where,
     draw_seed,
     gaussian,
     log_uniform,
@@ -126,6 +127,7 @@ __all__ = [
   "UsageError",
   "as_index",
   "as_slice",
+  "call_where",
   "check_fields",
   "check_name",
   "check_value",
@@ -203,7 +205,7 @@ __getattr__, __dir__ = lazy_exports(
       "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
       "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
-    ".sampling": ("draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),
+    ".sampling": ("call_where draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),
     ".state": "Stateful StatefulDict",
   },
 )

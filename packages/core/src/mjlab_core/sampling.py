@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -88,6 +88,27 @@ def truncated_normal(
   x = x.clamp_(min=lo) if not isinstance(lo, Tensor) else torch.maximum(x, lo)
   x = x.clamp_(max=hi) if not isinstance(hi, Tensor) else torch.minimum(x, hi)
   return x.to(dtype)
+
+
+def call_where(mask: Tensor, fn: Callable[[Tensor], object], generator: torch.Generator) -> None:
+  """Call `fn(mask)`, which changes and draws numbers for the worlds in `mask` only, bool (num_envs,).
+
+  A GPU would have to wait for the mask, so the call is always made there. On a CPU an empty mask skips it. So that
+  this changes no number, `fn` draws there from a stream of its own, which `generator` seeds with one draw: what is
+  drawn afterwards does not depend on the call.
+  """
+  if mask.device.type != "cpu":
+    fn(mask)
+    return
+  seed = torch.empty((), dtype=torch.int64).random_(generator=generator)
+  if not mask.numpy().any():
+    return
+  state = generator.get_state()
+  generator.manual_seed(int(seed.numpy()))
+  try:
+    fn(mask)
+  finally:
+    generator.set_state(state)
 
 
 def draw_seed() -> int:

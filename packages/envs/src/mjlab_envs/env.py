@@ -10,7 +10,7 @@ import torch
 from mjlab_core import DebugDraw
 from mjlab_core.constraints import check_value
 from mjlab_core.errors import ConfigError, MjlabError
-from mjlab_core.sampling import draw_seed, make_generator
+from mjlab_core.sampling import call_where, draw_seed, make_generator
 from mjlab_managers import (
   ActionManager,
   CommandManager,
@@ -219,6 +219,9 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
   def _reset(self, mask: torch.Tensor) -> None:
     self.recorder_manager.pre_reset(mask)
     self.curriculum_manager.compute(mask)
+    call_where(mask, self._begin_episodes, self.rng)
+
+  def _begin_episodes(self, mask: torch.Tensor) -> None:
     self.sim.reset(mask)
     self.scene.reset(mask)
     self.event_manager.apply("reset", mask)

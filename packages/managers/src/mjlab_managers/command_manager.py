@@ -11,7 +11,7 @@ import torch
 from mjlab_core.config import Config
 from mjlab_core.constraints import NonNegativeRange
 from mjlab_core.indexing import fill_, where_
-from mjlab_core.sampling import uniform
+from mjlab_core.sampling import call_where, uniform
 from mjlab_core.state import Stateful
 from mjlab_core.tables import table
 
@@ -224,7 +224,7 @@ class CommandManager(ManagerBase[CommandTermCfg]):
         term.update_metrics()
         if term.cfg.resampling_time_range is not None:
           term.time_left.sub_(passed, alpha=dt)
-          term._renew((term.time_left <= _DUE) & moving)
+          call_where((term.time_left <= _DUE) & moving, term._renew, self.env.rng)
         term.update()
 
   def reset(self, mask: torch.Tensor) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import torch
 from mjlab_core.constraints import Count, NonNegativeRange
 from mjlab_core.indexing import where_
+from mjlab_core.sampling import call_where
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of
@@ -180,10 +182,11 @@ class EventManager(ManagerBase[EventTermCfg]):
     derived: list[torch.Tensor] = []
     for term in terms:
       where = fired.get(term.name, mask)
-      if term.wants_ids:
-        self._with_ids(term.name, where, term)
+      act = partial(self._with_ids, term.name, act=term) if term.wants_ids else term
+      if term.name in fired:
+        call_where(where, act, self.env.rng)
       else:
-        term(where)
+        act(where)
       if term.name in self._needs_constants and not any(where is other for other in derived):
         derived.append(where)
     if derived:
