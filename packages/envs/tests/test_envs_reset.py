@@ -87,7 +87,7 @@ def test_parts_of_a_step_that_act_on_no_world_change_nothing(make: Make, engine:
       observations, *rest, _ = env.step(actions(env, step))
       steps.append((*observations.values(), *rest))
     outcomes.append((steps, leaves(env.state_dict()), torch.stack(pushed)))
-  assert len(calls) / 4 < sum(not call for call in calls) < 3 * len(calls) / 4
+  assert len(calls) / 10 < sum(calls) < len(calls) / 2
   (steps, state, own), (all_steps, all_state, all_own) = outcomes
   for step, (one, other) in enumerate(zip(steps, all_steps, strict=True)):
     assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True)), step
