@@ -1,12 +1,35 @@
 """The documentation site: pages, links and forms for language models."""
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import griffe
 import overview
 import pytest
+import torch
 from mjlab.registry import list_tasks
 from mjlab_docs import check, llms, pages, results, sources
+
+DOCS = pages.ROOT / "docs"
+BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+# Tests of their own run the code of these pages.
+RUN_ELSEWHERE = {DOCS / name for name in ("architecture.md", "extending.md", "own_robot.md")}
+RUN_ELSEWHERE |= set(DOCS.glob("tutorials/*.md"))
+
+
+@pytest.mark.parametrize(
+  "page",
+  [
+    str(path.relative_to(DOCS))
+    for path in sorted(DOCS.rglob("*.md"))
+    if path not in RUN_ELSEWHERE and BLOCK.search(path.read_text(encoding="utf-8"))
+  ],
+)
+def test_code_of_a_page_runs(page: str) -> None:
+  env = SimpleNamespace(num_envs=2, device="cpu", rng=torch.Generator())
+  for code in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
+    exec(compile(code, page, "exec"), {"env": env})
 
 
 def test_links_between_files_lead_between_pages(tmp_path: Path) -> None:

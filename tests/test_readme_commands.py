@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from mjlab.cli import train
+from mjlab import cli
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted(
@@ -36,34 +36,36 @@ def commands(document: Path) -> list[list[str]]:
   return [words[2:] if words[:2] == ["uv", "run"] else words for words in lines if words]
 
 
-def train_commands() -> list[tuple[str, str, list[str]]]:
-  """(document, task, rest of the line) of every training command shown."""
-  return [
-    (str(document.relative_to(ROOT)), words[1], words[2:])
-    for document in DOCUMENTS
-    for words in commands(document)
-    if words[0] == "train"
-  ]
+def own_commands(document: Path) -> list[list[str]]:
+  """Return the lines of a document that run a command of mjlab."""
+  lines = [words[1:] if words[0] == "mjlab" else words for words in commands(document)]
+  return [words for words in lines if words[0] in SCRIPTS]
 
 
 @cache
-def options(task: str) -> str:
-  with contextlib.redirect_stdout(io.StringIO()) as shown:
-    assert train([task, "--help"]) == 0
+def options(*command: str) -> str:
+  # Some commands return after their help, others exit.
+  with contextlib.redirect_stdout(io.StringIO()) as shown, contextlib.suppress(SystemExit):
+    cli.main([*command, "--help"])
   return shown.getvalue()
 
 
-@pytest.mark.parametrize(("document", "task", "rest"), train_commands())
-def test_training_command_names_a_task_and_its_options(document: str, task: str, rest: list[str]) -> None:
-  for word in rest:
-    if word.startswith("--"):
-      assert re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w.-])", options(task)), word
-  if "--help" in rest and rest[-1] != "--help":
-    assert rest[-1] in options(task)
+@pytest.mark.parametrize(
+  "document", [path for path in DOCUMENTS if own_commands(path)], ids=lambda path: str(path.relative_to(ROOT))
+)
+def test_shown_commands_have_the_tasks_and_options_of_their_help(document: Path) -> None:
+  for words in own_commands(document):
+    has_object = words[0] == "new" or (len(words) > 1 and words[1].startswith("Mjlab-"))
+    help_text = options(*words[: 1 + has_object])
+    for word in words:
+      if word.startswith("--"):
+        assert re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w.-])", help_text), words
+    if "--help" in words and words[-1] != "--help":
+      assert words[-1] in help_text
 
 
 def test_documents_show_how_to_train() -> None:
-  assert "README.md" in {document for document, _, _ in train_commands()}
+  assert "train" in [words[0] for words in own_commands(ROOT / "README.md")]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
