@@ -90,6 +90,12 @@ def test_tasks_have_the_curve_and_the_scores_that_their_page_shows(task: str) ->
     assert all(line.count("|") == head.count("|") for line in rows)
 
 
+def test_every_film_is_shown_and_under_a_megabyte() -> None:
+  films = {str(path.relative_to(DOCS)): path.stat().st_size for path in DOCS.glob("pictures/films/*")}
+  assert max(films.values()) < 1_000_000
+  assert set(films) == {film for _, film in results.films().values()}
+
+
 def test_a_page_for_language_models_is_markdown() -> None:
   page = (
     '# T\n\n::::{py:class} A(x)\n:module: m\n\nText {py:obj}`B <m.B>`.\n\n:::{py:attribute} b\n:type: "int"\n\nBit.\n'
