@@ -37,3 +37,10 @@ def make() -> Iterator[Callable[..., ManagerBasedRlEnv]]:
 def engine(request: pytest.FixtureRequest) -> str:
   """Either engine."""
   return request.param
+
+
+@pytest.fixture
+def nothing_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+  """Run every part of a step for empty masks, too, as a GPU does."""
+  for module in ("mjlab_envs.env", "mjlab_managers.command_manager", "mjlab_managers.event_manager"):
+    monkeypatch.setattr(f"{module}.call_where", lambda mask, fn, generator: fn(mask))

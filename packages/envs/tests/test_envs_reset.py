@@ -9,7 +9,7 @@ import torch
 from envs_hopper import actions, end, hopper_cfg
 from mjlab_core import call_where
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_managers import EventTermCfg, RecorderTerm, RecorderTermCfg
+from mjlab_managers import CurriculumTermCfg, EventTermCfg, RecorderTerm, RecorderTermCfg
 
 # An environment, of which tests also touch what is not public.
 Make = Callable[..., Any]
@@ -39,10 +39,12 @@ def test_an_ended_world_sees_what_an_explicit_reset_would_show_it(make: Make, en
   states: list[torch.Tensor] = []
 
   def remember(env: ManagerBasedRlEnv, mask: torch.Tensor) -> None:
+    # Curricula come first in a reset.
     states.append(env.rng.get_state())
 
   cfg = hopper_cfg(engine=engine)
-  cfg.events = {"remember": EventTermCfg(remember, mode="reset"), **cfg.events, "push": None}
+  cfg.curriculum = {"remember": CurriculumTermCfg(remember)}
+  cfg.events["push"] = None
   cfg.observations["actor"].corrupt = False
   a, b = make(cfg), make(cfg)
   for env in (a, b):

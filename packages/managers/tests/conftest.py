@@ -122,3 +122,10 @@ def dispatched() -> Callable[[Callable[[], Any]], list[str]]:
     return [name for name in counter.names if not any(name.startswith(f"aten::{view}") for view in views)]
 
   return run
+
+
+@pytest.fixture
+def nothing_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+  """Run every part of a step for empty masks, too, as a GPU does."""
+  for module in ("mjlab_managers.command_manager", "mjlab_managers.event_manager"):
+    monkeypatch.setattr(f"{module}.call_where", lambda mask, fn, generator: fn(mask))
