@@ -57,6 +57,12 @@ def test_scales_offsets_and_clips_are_given_by_pattern(make: Make) -> None:
   assert (np.abs(expected[:, 1]) > 0.2).any()
 
 
+def test_the_reach_of_an_action_is_the_farther_limit_of_its_joint(make: Make) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg(scale={"hip": 0.5, "knee": -0.25}))
+  # The hip goes from -1 to 1 around 0.2, the knee from -1.5 to 0.5 around -0.4.
+  np.testing.assert_allclose(env.action_manager.get_term("legs").reach, [[1.2 / 0.5, 1.1 / 0.25]])
+
+
 def test_the_order_of_joints_is_no_state(make: Make) -> None:
   cfg = hopper_cfg(
     num_envs=2, actions={"legs": mdp.JointPositionActionCfg(actuators=("knee", "hip"), preserve_order=True)}

@@ -320,10 +320,11 @@ def test_rewards_are_rates_unless_told_otherwise(make: Make) -> None:
 
 
 @pytest.mark.usefixtures("nothing_skipped")
+@pytest.mark.parametrize(("is_kept", "most"), [(False, 310), (True, 370)], ids=["plain", "final_obs"])
 def test_a_step_never_waits_for_the_device_and_costs_few_operations(
-  make: Make, capsys: pytest.CaptureFixture[str]
+  make: Make, capsys: pytest.CaptureFixture[str], is_kept: bool, most: int
 ) -> None:
-  env = make()
+  env = make(capture_terminal_observations=is_kept)
   env.reset()
   for step in range(3):
     env.step(actions(env, step))
@@ -339,7 +340,7 @@ def test_a_step_never_waits_for_the_device_and_costs_few_operations(
     print(f"\nThe hopper's step: {counts[-1]} torch operations.")
   # Whether worlds end or are pushed makes no difference: a recorded step has one shape.
   assert len(set(counts)) == 1
-  assert counts[0] <= 310
+  assert counts[0] <= most
 
 
 def test_a_step_takes_one_of_torchs_threads_and_gives_the_others_back(make: Make) -> None:
@@ -438,8 +439,9 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GP
 
 
 @needs_gpu
-def test_a_recorded_step_is_one_graph_that_never_waits_on_a_gpu(make: Make) -> None:
-  env = make(num_envs=64, device="cuda", engine="auto")
+@pytest.mark.parametrize("is_kept", [False, True], ids=["plain", "final_obs"])
+def test_a_recorded_step_is_one_graph_that_never_waits_on_a_gpu(make: Make, is_kept: bool) -> None:
+  env = make(num_envs=64, device="cuda", engine="auto", capture_terminal_observations=is_kept)
   env.reset()
   for step in range(6):
     env.step(actions(env, step))

@@ -8,6 +8,7 @@ from typing import Any
 
 import mjlab_rl
 import torch
+from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
 from mjlab_rl.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg
 from torch import distributed
@@ -16,7 +17,7 @@ COLLECTIVES = ("all_reduce", "broadcast", "all_gather_object", "gather_object", 
 
 
 class KeepingRunner(mjlab_rl.MjlabOnPolicyRunner):
-  """Writes what each rank has at the end."""
+  """Runner that writes the state of each rank at the end."""
 
   folder: Path
 
@@ -33,6 +34,24 @@ class KeepingRunner(mjlab_rl.MjlabOnPolicyRunner):
       "draw": torch.rand(4),
     }
     torch.save(kept, self.folder / f"{self.log_dir.name.split('_')[-1]}_{self.ranks.rank}.pt")
+
+
+class KeepingOffPolicyRunner(KeepingRunner, MjlabOffPolicyRunner):
+  """The same with a replay memory."""
+
+
+def train_off_policy(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
+  """Train with FlashSAC, which has the most state for each world; return the last checkpoint."""
+  agent = mjlab_rl.offpolicy.flashsac(mjlab_rl.RslRlOnPolicyRunnerCfg(experiment_name=name, logger="none"))
+  agent.run_name, agent.num_steps_per_env, agent.max_iterations, agent.save_interval = name, 12, iterations, 100
+  agent.actor.hidden_dims, agent.critic.hidden_dims, agent.save_replay = (8,), (8,), True
+  algorithm = agent.algorithm
+  algorithm.batch_size, algorithm.learning_starts, algorithm.replay_steps = 16, 5, 40
+  algorithm.final_learning_rate = None
+  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingOffPolicyRunner)
+  mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)
+  (run,) = (folder / "logs" / name).iterdir()
+  return run / f"model_{iterations}.pt"
 
 
 def train(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
@@ -69,6 +88,9 @@ def main(folder: Path) -> None:
     train(folder, "whole", 5)
     if (alone := folder / "alone.pt").exists():
       train(folder, "alone", 5, resume=alone)
+    first = train_off_policy(folder, "replay-half", 2)
+    train_off_policy(folder, "replay-resumed", 4, resume=first)
+    train_off_policy(folder, "replay-whole", 4)
     counts: Counter[str] = Counter()
     for name in COLLECTIVES:
       setattr(distributed, name, counted(name, getattr(distributed, name), counts))

@@ -76,6 +76,27 @@ def test_a_resumed_run_of_two_processes_equals_an_uninterrupted_one(launched: tu
 
 
 @pytest.mark.slow
+def test_an_off_policy_run_of_two_processes_has_one_learner_and_resumes_exactly(launched: tuple[Path, str]) -> None:
+  folder, _ = launched
+  first, second = kept(folder, "replay-whole")
+  own = [state["learner"]["algorithm_state_dict"]["modules"] for state in (first, second)]
+  worlds = [(parts["noise"], parts["scale"].pop("running")) for parts in own]
+  assert not torch.isclose(worlds[0][0]["noise"], worlds[1][0]["noise"]).any()
+  for parts in own:
+    del parts["noise"]
+  assert_same(first["learner"], second["learner"])
+  assert int(own[0]["scale"]["statistics.count"]) == 2 * 4 * 12 * 4
+  for resumed, whole in zip(kept(folder, "replay-resumed"), kept(folder, "replay-whole"), strict=True):
+    del resumed["starts"], whole["starts"]
+    assert_same(resumed, whole)
+  memories = [
+    torch.load(next((folder / "logs" / "replay-whole").glob(f"*/{name}")))["replay"]["rows"]
+    for name in ("replay.pt", "replay_1.pt")
+  ]
+  assert not torch.isclose(*memories).all(-1).any()
+
+
+@pytest.mark.slow
 def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launched: tuple[Path, str]) -> None:
   folder, shown = launched
   assert "World state was not restored: it was saved by 1 process, there are 2 now" in shown

@@ -166,6 +166,8 @@ def _import(module_name: str, package: str) -> ModuleType:
     return module
   try:
     top = importlib.import_module(package)
+    if module_name == package:
+      return top
     spec = importlib.util.find_spec(module_name)
     origin = Path(spec.origin).resolve() if spec is not None and spec.origin is not None else None
     if origin is not None and any(origin.is_relative_to(Path(folder).resolve()) for folder in top.__path__):

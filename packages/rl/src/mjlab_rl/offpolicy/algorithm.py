@@ -10,6 +10,7 @@ from mjlab_core.errors import ConfigError
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 from torch import distributed
+from torch.nn import BatchNorm1d
 
 from mjlab_rl.offpolicy.config import SacCfg
 from mjlab_rl.offpolicy.networks import Actor, Critic
@@ -142,6 +143,16 @@ class OffPolicyAlgorithm(ABC):
       self._due -= 1.0
       self._recorded_round()
       self.rounds_done += 1
+      self._share_statistics()
+
+  def _share_statistics(self) -> None:
+    """Give the batch normalisations of all processes the means of their statistics."""
+    if distributed.is_initialized():
+      networks = (self.actor, self.critic, *self.modules.values())
+      layers = [layer for network in networks for layer in network.modules() if isinstance(layer, BatchNorm1d)]
+      parts = [part for layer in layers for part in (layer.running_mean, layer.running_var) if part is not None]
+      for part, mean in zip(parts, averaged(parts), strict=True):
+        part.copy_(mean)
 
   def sample(self) -> Transitions:
     """Draw a batch, with mirror images after it, and rewards in the scale of the critic."""
@@ -165,10 +176,7 @@ class OffPolicyAlgorithm(ABC):
     """Follow the gradient of a loss, averaged over all processes, for these parameters alone."""
     gradients = torch.autograd.grad(loss, parameters)
     if distributed.is_initialized():
-      flat = torch.cat([gradient.flatten() for gradient in gradients])
-      distributed.all_reduce(flat)
-      parts = (flat / distributed.get_world_size()).split([gradient.numel() for gradient in gradients])
-      gradients = [part.view_as(gradient) for part, gradient in zip(parts, gradients, strict=True)]
+      gradients = averaged(gradients)
     for parameter, gradient in zip(parameters, gradients, strict=True):
       parameter.grad = gradient
     self.optimizer.step()
@@ -189,6 +197,11 @@ class OffPolicyAlgorithm(ABC):
     self._lr.fill_(self.learning_rate)
 
   # State; the names are those of rsl-rl's algorithms.
+
+  @property
+  def parts_of_worlds(self) -> dict[str, torch.nn.Module]:
+    """Parts of `modules` with state for each world, named in their `of_worlds`."""
+    return {name: part for name, part in self.modules.items() if hasattr(part, "of_worlds")}
 
   @property
   def modules(self) -> dict[str, torch.nn.Module]:
@@ -257,10 +270,21 @@ class OffPolicyAlgorithm(ABC):
     """Do nothing: a GPU records the updates as a graph."""
 
   def broadcast_parameters(self) -> None:
-    """Give all processes the networks of the first."""
+    """Give all processes the networks of the first; each keeps the state of its own worlds."""
     for module in (self.actor, self.critic, *self.modules.values()):
-      for value in module.state_dict().values():
-        distributed.broadcast(value, src=0)
+      for name, value in module.state_dict().items():
+        if name not in getattr(module, "of_worlds", ()):
+          distributed.broadcast(value, src=0)
+
+
+def averaged(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+  """Return the means of tensors over all processes, with one message."""
+  if not tensors:
+    return []
+  flat = torch.cat([tensor.flatten() for tensor in tensors])
+  distributed.all_reduce(flat)
+  parts = (flat / distributed.get_world_size()).split([tensor.numel() for tensor in tensors])
+  return [part.view_as(tensor) for part, tensor in zip(parts, tensors, strict=True)]
 
 
 def action_bounds(env: Any, num_actions: int, cfg: SacCfg) -> torch.Tensor:

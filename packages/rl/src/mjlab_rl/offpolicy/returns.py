@@ -41,6 +41,8 @@ class ReturnScale(nn.Module):
     value_limit: End of the support.
   """
 
+  of_worlds = ("running",)
+
   def __init__(self, num_envs: int, gamma: float, value_limit: float) -> None:
     super().__init__()
     self.statistics = Normalizer(1)
@@ -74,6 +76,8 @@ class RepeatedNoise(nn.Module):
     num_actions: Number of actions.
     most: Largest number of steps; 1: new noise in every step.
   """
+
+  of_worlds = ("noise", "left")
 
   def __init__(self, num_envs: int, num_actions: int, most: int) -> None:
     super().__init__()

@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from mjlab_rl import checkpoint
 from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
+from mjlab_rl.offpolicy.returns import reset_to
 from mjlab_rl.process_state import set_for_now
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.scalar_log import IterationReport
@@ -47,6 +48,8 @@ class _ReplayFile(Struct):
   format: Literal[1]
   checkpoint: str
   replay: _Rows
+  worlds: dict[str, dict[str, torch.Tensor]] = {}
+  """State for each world of this process, which the checkpoint has of the first process alone."""
 
 
 class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
@@ -126,6 +129,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     if self.agent_cfg.save_replay:
       file = Path(path)
       state = {"format": 1, "checkpoint": file.name, "replay": self.algorithm.replay.state_dict()}
+      state["worlds"] = {name: part.state_dict() for name, part in self.algorithm.parts_of_worlds.items()}
       checkpoint.write_checkpoint(file.parent / self._replay_name, state)
 
   @property
@@ -151,7 +155,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
       own = part.state_dict()
       theirs = dict(state["modules"].get(name, {}))
       # Parts for each world are new if there are others.
-      theirs |= {key: own[key] for key in theirs if key in own and name in ("noise", "scale")}
+      theirs |= {key: own[key] for key in theirs if key in own and name in self.algorithm.parts_of_worlds}
       problems += checkpoint.network_problems(name, theirs, own)
     checkpoint.refuse(f"checkpoint {path}", problems)
 
@@ -170,4 +174,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
         self.console.say(f"{path} does not fit and is not loaded: {problem}.")
         return False
       self.algorithm.replay.load_state_dict(found["replay"])
+      for name, part in self.algorithm.parts_of_worlds.items():
+        if worlds := found.get("worlds", {}).get(name):
+          reset_to(part, worlds)
     return True

@@ -1,0 +1,208 @@
+"""Updates of off-policy learning: losses against slow references, waits, processes, and a learner of one's own."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import mjlab_rl
+import numpy as np
+import pytest
+import torch
+from mjlab_core import seed_everything
+from mjlab_rl import Console, TaskCfg, train
+from mjlab_rl.offpolicy.algorithm import action_bounds
+from mjlab_rl.offpolicy.config import SacCfg
+from mjlab_rl.ranks import Ranks
+from rl_point_env import PointEnv, PointEnvCfg
+from test_rl_offpolicy import agent_of, runner_of, slow_projection
+from torch import distributed
+from torch.utils._python_dispatch import TorchDispatchMode
+
+
+def filled(steps: int = 30, preset: str = "fastsac", **algorithm: Any) -> Any:
+  """Return an algorithm whose memory has some steps, with ends of both kinds."""
+  torch.manual_seed(0)
+  runner = runner_of(agent_of(preset, **algorithm), noise=0.4)
+  obs = runner.env.get_observations()
+  for _ in range(steps):
+    obs, *_ = runner.algorithm.collect(runner.env, obs)
+  return runner.algorithm
+
+
+@pytest.mark.parametrize("combine", ["mean", "min"])
+def test_losses_are_those_of_a_slow_reference(combine: str) -> None:
+  settings: dict[str, Any] = {"combine": combine, "n_step": 2, "num_atoms": 11, "value_limit": 3.0}
+  algorithm = filled(**settings, temperature=0.3)
+  batch = algorithm.sample()
+  assert bool((batch.discount == 0.0).any())
+
+  def drawn(obs: torch.Tensor) -> tuple[torch.Tensor, np.ndarray]:
+    torch.manual_seed(7)
+    action, log_prob = algorithm.actor.squash.sample_with_log_prob(algorithm.actor.output(algorithm.of_actor(obs)))
+    return action, log_prob.double().numpy()
+
+  def logits(critic: Any, obs: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+    return critic.logits(algorithm.of_critic(obs), action).double()
+
+  with torch.no_grad():
+    action, log_prob = drawn(batch.next_obs)
+    later = logits(algorithm.target, batch.next_obs, action).softmax(-1).numpy()
+    logs = logits(algorithm.critic, batch.obs, batch.action).log_softmax(-1).numpy()
+  support = np.linspace(-3.0, 3.0, 11)
+  expected = 0.0
+  for i, (reward, discount) in enumerate(zip(batch.reward.tolist(), batch.discount.tolist(), strict=True)):
+    # The value of a policy that acts at random has its entropy in it.
+    values = reward + discount * (support - 0.3 * log_prob[i])
+    least = int((later[:, i] @ support).argmin())
+    for critic in range(2):
+      goal = slow_projection(later[critic if combine == "mean" else least, i], values, support)
+      expected -= float(goal @ logs[critic, i]) / 32
+  torch.manual_seed(7)
+  algorithm._update_critic(batch)
+  assert float(algorithm.figures()["critic_loss"]) == pytest.approx(expected, rel=1e-4)
+
+  temperature = float(algorithm.log_temperature.detach().exp())
+  with torch.no_grad():
+    action, log_prob = drawn(batch.obs)
+    value = (logits(algorithm.critic, batch.obs, action).softmax(-1).numpy() @ support).T
+  combined = value.mean(1) if combine == "mean" else value.min(1)
+  torch.manual_seed(7)
+  algorithm._update_policy(batch)
+  expected = float((temperature * log_prob - combined).mean())
+  assert float(algorithm.figures()["policy_loss"]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_temperature_follows_the_entropy() -> None:
+  algorithm = filled(steps=1, temperature=0.1, target_entropy=0.5)
+
+  def change(entropy: float) -> float:
+    before = float(algorithm.log_temperature.detach())
+    algorithm.optimizer.state.clear()
+    algorithm._update_temperature(torch.full((8,), -entropy))
+    return float(algorithm.log_temperature.detach()) - before
+
+  assert change(0.2) > 0.0
+  assert change(0.8) < 0.0
+  assert change(0.5) == 0.0
+
+
+@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+def test_weights_of_unit_layers_keep_their_norm_in_training(preset: str) -> None:
+  algorithm = filled(preset=preset)
+  for _ in range(3):
+    algorithm.update()
+  assert algorithm.rounds_done
+  for network in (algorithm.actor, algorithm.critic):
+    norms = torch.cat([m.weight.norm(dim=-1) for m in network.modules() if isinstance(m, torch.nn.Linear)])
+    assert torch.allclose(norms, torch.ones(len(norms)), atol=1e-4) == (preset == "flashsac")
+
+
+class Waits(TorchDispatchMode):
+  """Notes operations that wait for a GPU."""
+
+  def __init__(self) -> None:
+    super().__init__()
+    self.found: list[str] = []
+
+  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    name = func.overloadpacket.__name__
+    masks = [i for x in args if isinstance(x, list | tuple) for i in x if isinstance(i, torch.Tensor)]
+    by_mask = name.startswith("index") and any(mask.dtype == torch.bool for mask in masks)
+    if by_mask or name in ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "equal", "unique"):
+      self.found.append(name)
+    return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+def test_collection_and_updates_never_wait_for_the_device(monkeypatch: pytest.MonkeyPatch, preset: str) -> None:
+  torch.manual_seed(0)
+  runner = runner_of(agent_of(preset))
+  algorithm = runner.algorithm
+  obs = runner.env.get_observations()
+  for _ in range(8):
+    obs, *_ = algorithm.collect(runner.env, obs)
+  # On a CPU torch's own optimiser reads its count of steps; on a GPU it is capturable.
+  monkeypatch.setattr(algorithm.optimizer, "step", lambda: None)
+  with Waits() as waits:
+    for _ in range(4):
+      obs, *_ = algorithm.collect(runner.env, obs)
+      algorithm.update()
+    algorithm.figures()
+  assert algorithm.rounds_done
+  assert waits.found == []
+  with Waits() as waits:
+    float(obs["actor"].sum())
+  assert waits.found == ["_local_scalar_dense"]
+
+
+@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+def test_two_processes_with_the_same_worlds_learn_what_one_learns(monkeypatch: pytest.MonkeyPatch, preset: str) -> None:
+  def trained() -> dict[str, Any]:
+    seed_everything(1)
+    runner = runner_of(agent_of(preset, return_scaling=True), noise=0.2)
+    runner.learn(3)
+    return runner.algorithm.save()
+
+  def all_reduce(numbers: torch.Tensor, op: Any = distributed.ReduceOp.SUM) -> None:
+    if op == distributed.ReduceOp.SUM:
+      numbers.mul_(2)
+
+  one = trained()
+  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
+  monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
+  monkeypatch.setattr(distributed, "is_initialized", lambda: True)
+  monkeypatch.setattr(distributed, "get_world_size", lambda: 2)
+  monkeypatch.setattr(distributed, "all_reduce", all_reduce)
+  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
+  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
+  two = trained()
+  for part in (one, two):
+    assert part["algorithm_state_dict"]["rounds_done"] > 5
+  counts = [part["algorithm_state_dict"]["modules"]["scale"].pop("statistics.count") for part in (one, two)]
+  assert 2 * counts[0] == counts[1]
+  for network in ("actor", "critic"):
+    counts = [part[f"{network}_state_dict"].pop("obs_normalizer.count", torch.tensor(0)) for part in (one, two)]
+    assert 2 * counts[0] == counts[1]
+  modules = [part["algorithm_state_dict"]["modules"]["target"] for part in (one, two)]
+  for state in modules:
+    state.pop("obs_normalizer.count", None)
+  torch.testing.assert_close(two, one, rtol=1e-4, atol=1e-5)
+
+
+def test_actions_are_bounded_by_the_reach_of_their_joints() -> None:
+  class Term:
+    reach = torch.tensor([[2.0, math.inf]])
+
+  class Manager:
+    total_action_dim = 3
+
+    def term_slices(self) -> dict[str, slice]:
+      return {"gripper": slice(0, 1), "legs": slice(1, 3)}
+
+    def get_term(self, name: str) -> Any:
+      return Term() if name == "legs" else object()
+
+  class Env:
+    action_manager = Manager()
+
+  env = Env()
+  assert action_bounds(env, 3, SacCfg(action_bound=0.5)).tolist() == [[0.5, 2.0, 0.5]]
+  assert action_bounds(env, 3, SacCfg(action_bound=0.5, joint_limits=False)).tolist() == [[0.5, 0.5, 0.5]]
+
+
+def test_a_learner_of_ones_own_is_one_class_in_one_file(tmp_path: Path) -> None:
+  def run(iterations: int, folder: str, resume: Path | None = None) -> Any:
+    agent = agent_of("fastsac", class_name="rl_third_learner:Weighted")
+    agent.max_iterations = iterations
+    task = TaskCfg(env=PointEnvCfg(), agent=agent)
+    console = Console("quiet")
+    return train(task, name="Point", make_env=PointEnv, log_root=tmp_path / folder, resume=resume, console=console)
+
+  whole, half = run(4, "whole"), run(2, "half")
+  resumed = run(4, "resumed", half.checkpoint)
+  ours, theirs = (torch.load(path.checkpoint, weights_only=True)["actor_state_dict"] for path in (whole, resumed))
+  assert all(torch.equal(ours[name], theirs[name]) for name in ours)
+  assert "Loss/loss" in (whole.directory / "progress.csv").read_text().splitlines()[0]
+
+
+mjlab_rl.trust_package("rl_third_learner")
