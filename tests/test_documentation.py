@@ -93,7 +93,9 @@ def test_tasks_have_the_curve_and_the_scores_that_their_page_shows(task: str) ->
 def test_every_film_is_shown_and_under_a_megabyte() -> None:
   films = {str(path.relative_to(DOCS)): path.stat().st_size for path in DOCS.glob("pictures/films/*")}
   assert max(films.values()) < 1_000_000
-  assert set(films) == {film for _, film in results.films().values()}
+  pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
+  named = set(re.findall(r"\]\((pictures/films/[\w-]+\.webp)\)", pages))
+  assert set(films) == named | {film for _, film in results.films().values()}
 
 
 def test_a_page_for_language_models_is_markdown() -> None:

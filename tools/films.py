@@ -7,6 +7,8 @@ robots have their real shape; otherwise they are drawn from primitives. Needs Op
 
 import argparse
 import dataclasses
+import functools
+from collections.abc import Callable
 from importlib.resources import as_file
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +18,7 @@ import torch
 from mjlab import load_task
 from mjlab.demos import shipped
 from mjlab.environments import standard_env
-from mjlab_rl import BundlePolicy
+from mjlab_rl import BundlePolicy, TaskCfg
 from mjlab_rl.bundle_policy import task_of_bundle
 from mjlab_viewer import CameraCfg, OffscreenRenderer, PictureCfg, SnapshotTaker
 from PIL import Image
@@ -40,15 +42,21 @@ def camera_of(name: str) -> CameraCfg:
   return next((camera for key, camera in CAMERAS.items() if key in name), CameraCfg())
 
 
-def frames(folder: Path, camera: CameraCfg, size: tuple[int, int], rate: float, seconds: float) -> list[Image.Image]:
-  """Return the frames of a film of a policy."""
-  task = load_task(task_of_bundle(folder))
+def frames(
+  task: TaskCfg[Any],
+  policy_of: Callable[[Any], Any],
+  camera: CameraCfg,
+  size: tuple[int, int],
+  rate: float,
+  seconds: float,
+) -> list[Image.Image]:
+  """Return the frames of a film of a policy, which `policy_of` makes for an environment."""
   cfg: Any = task.env if task.play is None else task.play(task.env)
   cfg.scene.num_envs, cfg.seed = 1, 0
   picture = PictureCfg(width=size[0], height=size[1], camera=camera)
   found = []
   with standard_env(cfg, device="cpu") as env, OffscreenRenderer(env.sim.mj_model, picture) as renderer:
-    policy = BundlePolicy(folder, env)
+    policy = policy_of(env)
     taker = SnapshotTaker(env)
     observations, _ = env.reset(seed=0)
     every = max(1, round(1.0 / (rate * env.step_dt)))
@@ -79,6 +87,14 @@ def webp(pictures: list[Image.Image], rate: float, quality: int) -> bytes:
   return file.getvalue()
 
 
+def write(path: Path, pictures: list[Image.Image], rate: float, quality: int) -> None:
+  """Write an animation of at most 1 MB."""
+  while len(data := webp(pictures, rate, quality)) > MOST_BYTES and quality > 10:
+    quality -= 10
+  path.write_bytes(data)
+  print(f"wrote {path}: {len(pictures)} frames, {len(data) / 1000:.0f} kB, quality {quality}")
+
+
 def main() -> None:
   policies = shipped()
   parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -97,12 +113,10 @@ def main() -> None:
     if args.distance is not None:
       camera = dataclasses.replace(camera, distance=args.distance)
     with as_file(policies[name]) as folder:
-      pictures = frames(folder, camera, tuple(args.size), args.rate, args.seconds)
-    quality = args.quality
-    while len(data := webp(pictures, args.rate, quality)) > MOST_BYTES and quality > 10:
-      quality -= 10
-    (FOLDER / f"{name}.webp").write_bytes(data)
-    print(f"wrote {FOLDER / name}.webp: {len(pictures)} frames, {len(data) / 1000:.0f} kB, quality {quality}")
+      task = load_task(task_of_bundle(folder))
+      policy_of = functools.partial(BundlePolicy, folder)
+      pictures = frames(task, policy_of, camera, tuple(args.size), args.rate, args.seconds)
+    write(FOLDER / f"{name}.webp", pictures, args.rate, args.quality)
 
 
 if __name__ == "__main__":
