@@ -10,6 +10,8 @@ import pytest
 import torch
 from mjlab.registry import list_tasks
 from mjlab_docs import check, llms, pages, results, sources
+from mjlab_rl import RslRlOnPolicyRunnerCfg
+from mjlab_rl.offpolicy import fastsac, flashsac
 
 DOCS = pages.ROOT / "docs"
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -96,6 +98,20 @@ def test_every_film_is_shown_and_under_a_megabyte() -> None:
   pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
   named = set(re.findall(r"\]\((pictures/films/[\w-]+\.webp)\)", pages))
   assert set(films) == named | {film for _, film in results.films().values()}
+
+
+def test_the_table_of_learners_has_the_numbers_of_the_presets() -> None:
+  lines = (DOCS / "learners.md").read_text(encoding="utf-8").splitlines()
+  rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
+  compared = []
+  for cells in rows:
+    for preset, text in zip((fastsac, flashsac), cells[2:], strict=False):
+      settings = preset(RslRlOnPolicyRunnerCfg()).algorithm
+      if re.fullmatch(r"[\d., ]+", text) and "target_entropy" not in cells[0]:
+        names = re.findall(r"`(\w+)`", cells[0])
+        assert [float(number) for number in text.split(", ")] == [getattr(settings, name) for name in names]
+        compared += names
+  assert len(compared) == 18
 
 
 def test_a_page_for_language_models_is_markdown() -> None:
