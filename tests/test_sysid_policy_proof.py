@@ -55,14 +55,20 @@ def test_the_identified_robot_moves_as_the_real_one() -> None:
   assert error(found, delay) < error(real, delay)
 
 
-def test_the_real_robot_walks_on_the_ground_of_the_task() -> None:
-  model, real = proof.walking_model(is_real=False), proof.walking_model(is_real=True)
+def test_the_real_robot_on_the_ground_of_the_task_is_one_for_both_policies() -> None:
+  (model, none), (real, delay) = proof.worlds(None).values()
+  (found, late), (same, again) = proof.worlds(OVERLAY).values()
+  assert (none, delay, again) == (0, proof.DELAY, proof.DELAY)
+  assert late == pytest.approx(proof.DELAY, abs=3)
+  for name in ("body_mass", "dof_armature", "dof_frictionloss", "actuator_gainprm", "actuator_biasprm"):
+    np.testing.assert_array_equal(getattr(same, name), getattr(real, name))
   assert real.geom("terrain").type == mujoco.mjtGeom.mjGEOM_PLANE
-  assert real.opt.timestep == model.opt.timestep == proof.TIMESTEP
+  assert real.opt.timestep == model.opt.timestep == found.opt.timestep == proof.TIMESTEP
   for name in ("robot/FR_calf", "robot/RL_calf"):
     assert real.body(name).mass[0] == pytest.approx(proof.SHANK * model.body(name).mass[0])
-  found = proof.walking_model(is_real=False, overlay=OVERLAY)
-  assert found.opt.timestep == proof.TIMESTEP
+  assert real.actuator("robot/FL_hip_joint").gainprm[0] == pytest.approx(
+    proof.GAIN * model.actuator("robot/FL_hip_joint").gainprm[0]
+  )
   true = proof.REAL["dof_frictionloss"]["thigh"]
   assert found.joint("robot/FL_thigh_joint").frictionloss[0] == pytest.approx(true, rel=0.1)
   assert real.joint("robot/FL_thigh_joint").frictionloss[0] == true

@@ -35,6 +35,7 @@ from mjlab_deploy import Bundle, Policy, open_bundle
 from mjlab_deploy.model_readings import ModelReadings
 from mjlab_robots.go1 import GO1_DEFAULT_HEIGHT
 from mjlab_scene import Scene
+from mjlab_scene.overlay import read_overlay
 from mjlab_sysid import Record, Robot, write_record
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
@@ -131,18 +132,23 @@ def record(path: Path, seconds: float = 20.0) -> None:
   write_record(Record(source=str(path), joints=robot.joints, time=times, signals=signals), path)
 
 
-def walking_model(is_real: bool, overlay: Path | None = None) -> mujoco.MjModel:
-  """Return the Go1 on the ground, as the real robot, or as the model of the repository with an overlay."""
+def walking_model(overlay: Path | None = None) -> mujoco.MjModel:
+  """Return the model of the repository on the ground, with an overlay."""
   cfg = load_task(TASK).env
   cfg.scene.entities["robot"].overlay = None if overlay is None else str(overlay)
   scene = Scene(cfg.scene, cfg.decimation)
   cfg.sim.apply(scene.spec)
   model = scene.spec.compile()
-  if is_real:
-    make_real(model, "robot/")
-  else:
-    model.opt.timestep = TIMESTEP
+  model.opt.timestep = TIMESTEP
   return model
+
+
+def worlds(overlay: Path | None) -> dict[str, tuple[mujoco.MjModel, int]]:
+  """Return model and delay in timesteps of each world in which a policy is evaluated, that of its training first."""
+  real = walking_model()
+  make_real(real, "robot/")
+  delay = 0 if overlay is None else round(min(read_overlay(overlay).delay.values()) / TIMESTEP)
+  return {"the model of its training": (walking_model(overlay), delay), "the real robot": (real, DELAY)}
 
 
 class Walk:
@@ -214,9 +220,8 @@ def rows_of(label: str, overlay: Path | None, checkpoint: Path, repeats: int) ->
     if cli.export([*words, "--task", TASK] if not (checkpoint.parent / "manifest.json").exists() else words):
       raise SystemExit(1)
     with open_bundle(f"{folder}/bundle") as bundle:
-      for world, is_real in (("the model of its training", False), ("the real robot", True)):
-        walk = Walk(bundle, walking_model(is_real, overlay), DELAY if is_real or overlay else 0)
-        rows.append((label, world, *measure(walk, repeats)))
+      for world, (model, delay) in worlds(overlay).items():
+        rows.append((label, world, *measure(Walk(bundle, model, delay), repeats)))
         print(rows[-1], flush=True)
   return rows
 
