@@ -86,10 +86,12 @@ def test_impacts_are_the_forces_of_feet_that_land_again() -> None:
   with ManagerBasedRlEnv(cfg, device="cpu") as env:
     env.reset(seed=0)
     contact, landed, has_flown = env.scene[sensor], torch.zeros(12), torch.zeros(12, dtype=torch.bool)
+    felt = torch.zeros(12)
     for step in range(50):
       if step == 15:
         # All robots jump.
         landed.zero_()
+        felt.zero_()
         velocity = torch.zeros(12, 6, dtype=env.sim.dtype)
         velocity[:, 2] = 1.0
         env.scene["robot"].write_root_velocity(velocity, torch.ones(12, dtype=torch.bool))
@@ -97,12 +99,15 @@ def test_impacts_are_the_forces_of_feet_that_land_again() -> None:
       count, force = landings(env, sensor=sensor), landing_force(env, sensor=sensor)
       total = contact.data.force.norm(dim=-1).sum(-1)
       torch.testing.assert_close(force[count == 4], total[count == 4])
-      assert ((force > 0) == (count > 0)).all()
+      # A foot may touch the ground without a force.
+      assert (count[force > 0] > 0).all()
       assert (force <= total + 1e-3).all()
       has_flown |= (contact.data.found == 0).all(-1)
       landed += count
+      felt += force > 0
     assert has_flown.all()
     assert (landed >= 1).all()
+    assert (felt >= 1).all()
 
 
 def test_the_summary_is_by_command_and_by_push() -> None:
@@ -110,8 +115,10 @@ def test_the_summary_is_by_command_and_by_push() -> None:
     result = evaluator().run(env, lambda _: torch.zeros(12, 12))
   assert list(result.groups) == ["all", "stand", "vx +1 wz +0.5", "push 0 m/s", "push 0.75 m/s", "push 1.5 m/s"]
   assert [metrics["fall_rate"].count for metrics in result.groups.values()] == [12, 6, 6, 4, 4, 4]
-  # A robot that stands still where it is to walk at 1 m/s is wrong by that.
-  assert result.groups["vx +1 wz +0.5"]["lin_vel_rmse"].mean == pytest.approx(1.0, abs=0.3)
+  error = {group: metrics["lin_vel_rmse"].mean for group, metrics in result.groups.items()}
+  # A robot that stands still is wrong where it is to walk, and by its speed after a push.
+  assert error["stand"] + 0.3 < error["vx +1 wz +0.5"]
+  assert error["push 0 m/s"] + 0.1 < error["push 0.75 m/s"] < error["push 1.5 m/s"] - 0.1
   assert result.groups["stand"]["cost_of_transport"].count == 0
   assert result.groups["vx +1 wz +0.5"]["cost_of_transport"].count == 6
   assert 0.3 < result.groups["all"]["survived"].mean < 0.4 + 1e-6
