@@ -10,7 +10,7 @@ there. `--only train` needs no renderer of Gymnasium; `--only evaluate`, elsewhe
 as --algorithm.batch-size change the settings of the learner.
 
 - pendulum: 20 000 steps as in the published run, of 16 worlds, with 10 000 updates of 256 transitions instead of
-  20 000. Networks of (64, 64). About half an hour on two cores.
+  20 000. Networks of (64, 64). A quarter of an hour on one core.
 - hopper: 1 000 000 steps as in the published run, of 64 worlds, with its discount, target entropy and networks. The
   published run makes an update of 256 transitions after each step; here there are an eighth of these updates with
   eight times as many transitions each.
