@@ -11,7 +11,7 @@ All that is learned about it comes from one record on a stand.
   uv run train Mjlab-Velocity-Flat-Unitree-Go1 --seed 1 --agent.run-name identified --agent.max-iterations 800 \
     --env.rewards.track-linear-velocity.weight 6 \
     --env.scene.entities.robot.overlay docs/benchmarks/sysid_go1.json
-  uv run python tools/sysid_policy_proof.py evaluate WRONG.pt IDENTIFIED.pt
+  uv run python tools/sysid_policy_proof.py evaluate WRONG.pt IDENTIFIED.pt --repeats 4
 
 They decide it only if both policies walk in the model they were trained in; the table shows that too. In the identified
 model the task's own rewards pay standing well, so the reward of linear velocity counts three times in both trainings.
