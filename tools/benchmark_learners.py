@@ -69,17 +69,24 @@ def seconds_to_target(found: dict[str, np.ndarray], target: Sequence[str] = WALK
   return float(found["seconds"][good.argmax()]) if good.any() else None
 
 
-def stop_after(seconds: float) -> Callable[..., Callable[[], None]]:
-  """Return a watcher that ends a training with a signal, as a user would, after a time from the first step."""
+def stop_after(seconds: float, target: Sequence[str], after_target: float) -> Callable[..., Callable[[], None]]:
+  """Return a watcher that ends a training with a signal, as a user would, `seconds` after the first step.
+
+  A training that reaches its target ends `after_target` seconds later.
+  """
 
   def watch(env: Any, directory: Path | None) -> Callable[[], None]:
-    del env, directory
-    began = time.monotonic()
-    is_sent = False
+    del env
+    assert directory is not None
+    began, steps, end, is_sent = time.monotonic(), 0, seconds, False
 
     def after_step() -> None:
-      nonlocal is_sent
-      if not is_sent and time.monotonic() - began > seconds:
+      nonlocal steps, end, is_sent
+      steps += 1
+      if steps % 200 == 0 and (directory / "progress.csv").exists():
+        reached = seconds_to_target(curve(directory), target)
+        end = seconds if reached is None else min(seconds, reached + after_target)
+      if not is_sent and time.monotonic() - began > end:
         is_sent = True
         signal.raise_signal(signal.SIGTERM)
 
@@ -93,6 +100,7 @@ def main() -> None:
   parser.add_argument("task")
   parser.add_argument("--agent", default="ppo", help="ppo, fastsac or flashsac")
   parser.add_argument("--seconds", type=float, required=True, help="training time without start and compilation")
+  parser.add_argument("--after-target", type=float, default=float("inf"), help="end so many seconds after the target")
   parser.add_argument("--target", nargs="+", default=WALKS, help="conditions on columns of the curve")
   parser.add_argument("--num-envs", type=int, default=4096)
   parser.add_argument("--seed", type=int, default=1)
@@ -115,7 +123,7 @@ def main() -> None:
     device=device,
     log_root=args.output.parent / "logs",
     console=Console(),
-    watch=stop_after(args.seconds),
+    watch=stop_after(args.seconds, args.target, args.after_target),
   )
   assert result.directory is not None
   found = curve(result.directory)
