@@ -81,7 +81,7 @@ def test_time_and_solver_are_those_of_the_table(built: tuple[str, ManagerBasedRl
   assert (option.tolerance, option.ls_tolerance) == (1e-8, 0.01)
   assert option.gravity.tolist() == [0.0, 0.0, -9.81]
   assert env.sim.mj_model.stat.extent == 2.0
-  assert env.cfg.sim.contact_sensor_maxmatch == (500 if TASKS[name].rough else 64)
+  assert env.cfg.sim.contact_sensor_maxmatch == (128 if TASKS[name].rough else 64)
 
 
 def test_actions_are_joint_set_points_in_the_order_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:

@@ -250,7 +250,7 @@ TASKS = {
     parameters=(286_604, 297_473),
     iterations=10_000,
     experiment="go1_velocity",
-    solver=_GO1_SOLVER | {"ccd": 500},
+    solver=_GO1_SOLVER,
   ),
   "Mjlab-Velocity-Rough-Unitree-G1": Task(
     make=g1_rough,
@@ -263,6 +263,6 @@ TASKS = {
     parameters=(314_909, 317_441),
     iterations=30_000,
     experiment="g1_velocity",
-    solver=_G1_SOLVER | {"ccd": 500},
+    solver=_G1_SOLVER,
   ),
 }

@@ -53,8 +53,7 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
   cfg = flat_env(robot)
   cfg.scene.terrain = rough_terrain()
   cfg.scene.max_init_terrain_level = 5
-  cfg.sim.ccd_iterations = 500
-  cfg.sim.contact_sensor_maxmatch = 500
+  cfg.sim.contact_sensor_maxmatch = 128
   cfg.scene.sensors["terrain_scan"] = RayCastSensorCfg(
     frames=FrameMatch(type="body", pattern=scan_body, entity="robot"),
     pattern=GridPatternCfg(size=(1.6, 1.0), resolution=0.1),

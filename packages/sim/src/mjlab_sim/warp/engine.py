@@ -1,6 +1,7 @@
 """MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 import mujoco
@@ -20,6 +21,7 @@ from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes
 from mjlab_sim.warp.contacts import WarpContacts
 from mjlab_sim.warp.fused_newton import choose_solver
+from mjlab_sim.warp.height_fields import height_field_collisions
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, check_capture
@@ -70,6 +72,7 @@ class WarpEngine:
       self._find_acceleration_sensors(model)
       self._overflow = Overflow(self._d, cfg)
       self._fused = choose_solver(self._m, self._d, cfg.solver_backend)
+      self._height_fields = height_field_collisions(self._m, self._d)
     self._mask_torch = wp.to_torch(self._mask)
     self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._launcher = Launcher(self._d, device, capture=cfg.capture)
@@ -216,11 +219,8 @@ class WarpEngine:
         outputs=[self._d.sensordata],
         device=self._wp_device,
       )
-    if self._fused is None:
+    with self._ours():
       mjw.step2(self._m, self._d)
-    else:
-      with internals.solving_with(self._fused.solve):
-        mjw.step2(self._m, self._d)
     self._overflow.count()
     if self._contacts is not None:
       self._contacts.record()
@@ -231,7 +231,8 @@ class WarpEngine:
     # to the substep just done: it is put aside and written back.
     if self._has_acceleration_sensors:
       wp.copy(self._saved_sensors, self._d.sensordata)
-    mjw.step1(self._m, self._d)
+    with self._ours():
+      mjw.step1(self._m, self._d)
     if self._has_acceleration_sensors:
       wp.launch(
         kernels.restore_acceleration_sensors,
@@ -240,6 +241,12 @@ class WarpEngine:
         outputs=[self._d.sensordata],
         device=self._wp_device,
       )
+
+  def _ours(self) -> AbstractContextManager[None]:
+    """Have MuJoCo Warp call the parts of a step that are ours."""
+    solve = None if self._fused is None else self._fused.solve
+    narrowphase = None if self._height_fields is None else self._height_fields.narrowphase
+    return internals.stepping_with(solve, narrowphase)
 
   def _reset(self) -> None:
     mjw.reset_data(self._m, self._d, self._mask)

@@ -16,6 +16,16 @@ import mujoco_warp as mjw
 
 TESTED = "4.0"
 PRIVATE = {
+  "mujoco_warp._src.collision_driver.convex_narrowphase": "collides height fields our way; else one thread per pair",
+  "mujoco_warp._src.collision_convex._hfield_filter": "finds the cells under a geom, for the same; else none is needed",
+  "mujoco_warp._src.collision_core.contact_margin_gap": "gives margins of a pair, for collisions with height fields",
+  "mujoco_warp._src.collision_core.contact_params": "gives all parameters of a contact, for the same",
+  "mujoco_warp._src.collision_core.geom_collision_pair": "reads two geoms, for the same",
+  "mujoco_warp._src.collision_core.write_contact": "writes a contact as the other collisions do",
+  "mujoco_warp._src.collision_gjk.ccd": "collides a geom and a prism, as MuJoCo Warp's own kernel does",
+  "mujoco_warp._src.collision_gjk.support": "gives the lowest point of a geom, to leave out prisms below it",
+  "mujoco_warp._src.math.make_frame": "makes a contact's frame from its normal, as for other contacts",
+  "mujoco_warp._src.math.upper_trid_index": "finds how many pairs of two types a model has",
   "mujoco_warp._src.ray.ray_geom": "casts a ray against one primitive inside a kernel; else `mjw.rays` casts all",
   "mujoco_warp._src.render_util.compute_ray": "gives the ray of a pixel for distance images; else there are none",
   "mujoco_warp._src.solver.solve": "gives way to the fused solver inside of a step; else MuJoCo Warp solves",
@@ -28,9 +38,39 @@ ray_geom: Any = None
 compute_ray: Any = None
 tendon_armature: Any = None
 solver: Any = None
+collision_driver: Any = None
+convex_narrowphase: Any = None
+hfield_filter: Any = None
+contact_margin_gap: Any = None
+contact_params: Any = None
+geom_collision_pair: Any = None
+write_contact: Any = None
+ccd: Any = None
+support: Any = None
+make_frame: Any = None
+upper_trid_index: Any = None
 
 if IS_TESTED:
-  from mujoco_warp._src import ray, render_util, smooth, solver
+  from mujoco_warp._src import (
+    collision_convex,
+    collision_core,
+    collision_driver,
+    collision_gjk,
+    math,
+    ray,
+    render_util,
+    smooth,
+    solver,
+  )
+
+  convex_narrowphase = collision_driver.convex_narrowphase
+  hfield_filter = collision_convex._hfield_filter
+  contact_margin_gap = collision_core.contact_margin_gap
+  contact_params = collision_core.contact_params
+  geom_collision_pair = collision_core.geom_collision_pair
+  write_contact = collision_core.write_contact
+  ccd, support = collision_gjk.ccd, collision_gjk.support
+  make_frame, upper_trid_index = math.make_frame, math.upper_trid_index
 
   ray_geom = ray.ray_geom
   compute_ray = render_util.compute_ray
@@ -38,11 +78,14 @@ if IS_TESTED:
 
 
 @contextmanager
-def solving_with(solve: Callable[[mjw.Model, mjw.Data], None]) -> Generator[None]:
-  """Have steps of MuJoCo Warp call `solve` meanwhile instead of its own constraint solver."""
-  before = solver.solve
-  solver.solve = solve
+def stepping_with(solve: Callable[..., None] | None, narrowphase: Callable[..., None] | None) -> Generator[None]:
+  """Have steps of MuJoCo Warp call these meanwhile, instead of its own solver and collisions; None keeps its own."""
+  ours = [(solver, "solve", solve), (collision_driver, "convex_narrowphase", narrowphase)]
+  replaced = [(owner, name, getattr(owner, name), call) for owner, name, call in ours if call is not None]
+  for owner, name, _, call in replaced:
+    setattr(owner, name, call)
   try:
     yield
   finally:
-    solver.solve = before
+    for owner, name, before, _ in replaced:
+      setattr(owner, name, before)

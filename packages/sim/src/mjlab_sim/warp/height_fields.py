@@ -1,0 +1,107 @@
+"""Collisions with height fields, one thread per prism.
+
+MuJoCo Warp gives a pair of geoms to one thread, which collides the geom with one prism of the height field after
+another. Few threads have such a pair, and the busiest decide how long all take. Here the prisms under all geoms are
+listed first, and then each is the work of one thread. The contacts are the same.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco_warp as mjw
+import warp as wp
+
+from mjlab_sim.warp import height_field_kernels as kernels
+from mjlab_sim.warp import internals
+
+_KINDS = [mjw.GeomType[name] for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")]
+_ROOM = 16
+"""Prisms of each type of geom that memory holds for every contact that it holds."""
+_THREADS_PER_PROCESSOR = 512
+_EPA_FACES, _EPA_HORIZON = 5, 24
+"""Faces of a polytope per iteration, and edges of its horizon, for which `ccd` wants memory."""
+
+
+def height_field_collisions(m: mjw.Model, d: mjw.Data) -> "HeightFields | None":
+  """Return the collisions of a model with its height fields; None if it has none, or MuJoCo Warp is another one."""
+  kinds = [kind for kind in _KINDS if internals.IS_TESTED and _pairs(m, kind)]
+  return HeightFields(m, d, kinds) if kinds else None
+
+
+def _pairs(m: mjw.Model, kind: int) -> int:
+  index = internals.upper_trid_index(len(mjw.GeomType), int(kernels.HFIELD), int(kind))
+  return int(m.geom_pair_type_count[index])
+
+
+class HeightFields:
+  """Collisions of geoms of the types `kinds` with height fields.
+
+  Args:
+    m: Model.
+    d: Data; its sizes may change.
+    kinds: Types of geoms that may touch a height field.
+  """
+
+  def __init__(self, m: mjw.Model, d: mjw.Data, kinds: Sequence[int]) -> None:
+    self._device: Any = d.qpos.device
+    self._kernels = [kernels.make_collide(kind, i, m.opt.ccd_iterations) for i, kind in enumerate(kinds)]
+    self._lists = [kinds.index(kind) if kind in kinds else -1 for kind in range(max(kinds) + 1)]
+    self._iterations = m.opt.ccd_iterations
+    self._build(d)
+
+  def _build(self, d: mjw.Data) -> None:
+    self._naconmax = d.naconmax
+    self._threads = min(d.naconmax, _THREADS_PER_PROCESSOR * self._device.sm_count) if self._device.is_cuda else 1
+    threads, iterations = self._threads, self._iterations
+    number = int(_ROOM * d.naconmax) * len(self._kernels)
+    prisms: Any = kernels.Prisms()
+    memory: Any = kernels.Polytopes()
+    with wp.ScopedDevice(self._device):
+      prisms.room = number // len(self._kernels)
+      prisms.list_of_type = wp.array(self._lists, dtype=int)
+      prisms.count = wp.zeros(len(self._kernels), dtype=int)
+      prisms.first = wp.zeros(d.naconmax, dtype=int)
+      prisms.number = wp.zeros(d.naconmax, dtype=int)
+      prisms.place = wp.zeros(number, dtype=wp.vec2i)
+      prisms.dist = wp.zeros(number, dtype=float)
+      prisms.pos = wp.zeros(number, dtype=wp.vec3)
+      prisms.normal = wp.zeros(number, dtype=wp.vec3)
+      memory.vert = wp.zeros((threads, 10 + 2 * iterations), dtype=wp.vec3)
+      memory.vert_index = wp.zeros((threads, 10 + 2 * iterations), dtype=int)
+      memory.face = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=int)
+      memory.pr = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=wp.vec3)
+      memory.norm2 = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=float)
+      memory.horizon = wp.zeros((threads, _EPA_HORIZON), dtype=int)
+    self._prisms, self._memory = prisms, memory
+
+  def narrowphase(self, m: mjw.Model, d: mjw.Data, pairs: Any, types: Sequence[tuple[int, int]]) -> None:
+    """Find the contacts of convex geoms, as MuJoCo Warp's `convex_narrowphase` does.
+
+    Args:
+      m: Model.
+      d: Data.
+      pairs: Pairs of geoms that may touch.
+      types: Types of geoms whose pairs are to be collided.
+    """
+    self._collide(m, d, pairs)
+    internals.convex_narrowphase(m, d, pairs, [pair for pair in types if kernels.HFIELD not in pair])
+
+  def _collide(self, m: mjw.Model, d: mjw.Data, pairs: Any) -> None:
+    if d.naconmax != self._naconmax:
+      self._build(d)
+    scene: Any = kernels.Scene()
+    for name in kernels.Scene.vars:
+      owner = next(owner for owner in (m, d, pairs, m.opt) if hasattr(owner, name))
+      setattr(scene, name, getattr(owner, name))
+    written: Any = kernels.Written()
+    for name in kernels.Written.vars:
+      owner, attribute = (d.contact, name.removeprefix("contact_")) if "_" in name else (d, name)
+      setattr(written, name, getattr(owner, attribute))
+    self._prisms.count.zero_()
+    self._launch(kernels.find_prisms, d.naconmax, scene, self._prisms, d.overflow)
+    for kernel in self._kernels:
+      self._launch(kernel, self._threads, scene, self._prisms, self._memory, self._threads, d.overflow)
+    self._launch(kernels.choose_contacts, d.naconmax, scene, self._prisms, written, d.overflow)
+
+  def _launch(self, kernel: Any, threads: int, *inputs: Any) -> None:
+    wp.launch(kernel, dim=threads, inputs=inputs, device=self._device)
