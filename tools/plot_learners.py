@@ -47,6 +47,9 @@ def main() -> None:
   bounds = {name: float(bound) for name, bound in (re.split("[<>]", condition) for condition in args.target)}
   shown = [name for name in LABELS if name in bounds or name in ("episode_length", "reward")]
   figure, axes = plt.subplots(1, len(shown), figsize=(4 * len(shown), 4.0), layout="constrained")
+  colors = plt.get_cmap("tab10" if len(args.curves) <= 10 else "tab20")(range(len(args.curves)))
+  for axis in axes:
+    axis.set_prop_cycle(color=colors)
   lines = [["run", *COLUMNS]]
   for text in args.curves:
     name, _, path = text.rpartition("=")
