@@ -34,7 +34,8 @@ def measure(task: str, variant: str, num_envs: int, device: str, steps: int) -> 
 
   settings = dict(VARIANTS[variant])
   if settings.pop("theirs", False):
-    engine.height_field_collisions = lambda m, d: None
+    module: Any = engine
+    module.height_field_collisions = lambda m, d: None
   cfg = load_task(task).env
   cfg.scene.num_envs, cfg.sim.engine, cfg.seed, cfg.curriculum = num_envs, "warp", 1, {}
   for name, value in settings.items():
@@ -62,7 +63,8 @@ def main() -> None:
   parser.add_argument("--output", type=Path)
   args = parser.parse_args()
   if args.only:
-    print(json.dumps(measure(*args.only, args.num_envs, args.device, args.steps)))
+    task, variant = args.only
+    print(json.dumps(measure(task, variant, args.num_envs, args.device, args.steps)))
     return
   lines = ["| task | collisions with height fields | step [ms] | memory in use [GB] |", "| --- | --- | ---: | ---: |"]
   for task in args.tasks:
