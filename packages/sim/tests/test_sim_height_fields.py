@@ -1,11 +1,14 @@
 """Collisions with height fields on MuJoCo Warp: those of its own kernel to the last bit, and those of MuJoCo C."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab_sim import Simulation, SimulationCfg
-from mjlab_sim.warp import engine, height_fields
+from mjlab_sim.warp import engine as warp_engine
+from mjlab_sim.warp import height_fields
 
 WORLDS, POINTS = 32, 41
 SHAPES = {
@@ -37,7 +40,8 @@ def make(margin: float = 0.0, height: float = 0.3, low: float = -0.05) -> Simula
 
 def contacts(sim: Simulation) -> np.ndarray:
   """All contacts, ordered: world, geoms, number in the pair, distance, place, frame, dimension, friction."""
-  d = sim._engine._d
+  engine: Any = sim._engine
+  d = engine._d
   found = int(d.nacon.numpy()[0])
   names = ("worldid", "geom", "geomcollisionid", "dist", "pos", "frame", "dim", "friction", "includemargin")
   columns = [getattr(d.contact, name).numpy()[:found].reshape(found, -1) for name in names]
@@ -49,7 +53,7 @@ def contacts(sim: Simulation) -> np.ndarray:
 @pytest.mark.parametrize("margin", [0.0, 0.03])
 def test_contacts_are_those_of_mujoco_warp_to_the_last_bit(margin: float, monkeypatch: pytest.MonkeyPatch) -> None:
   ours = contacts(make(margin))
-  monkeypatch.setattr(engine, "height_field_collisions", lambda m, d: None)
+  monkeypatch.setattr(warp_engine, "height_field_collisions", lambda m, d: None)
   theirs = contacts(make(margin))
   assert len(ours) > 2 * WORLDS
   np.testing.assert_array_equal(ours, theirs)
