@@ -69,7 +69,9 @@ def seconds_to_target(found: dict[str, np.ndarray], target: Sequence[str] = WALK
   return float(found["seconds"][good.argmax()]) if good.any() else None
 
 
-def stop_after(seconds: float, target: Sequence[str], after_target: float) -> Callable[..., Callable[[], None]]:
+def stop_after(
+  seconds: float, target: Sequence[str] = WALKS, after_target: float = float("inf")
+) -> Callable[..., Callable[[], None]]:
   """Return a watcher that ends a training with a signal, as a user would, `seconds` after the first step.
 
   A training that reaches its target ends `after_target` seconds later.
