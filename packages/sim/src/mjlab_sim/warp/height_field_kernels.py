@@ -1,4 +1,4 @@
-"""Kernels of `HeightFields`: find the prisms under a geom, collide each, and choose contacts among them.
+"""Kernels of `HeightFields`: find the prisms under geoms, and collide each.
 
 A cell of a height field is two prisms. The rules are those of MuJoCo Warp's own kernel, which follows MuJoCo's
 `mjc_ConvexHField`.
@@ -17,12 +17,7 @@ _mat63: Any = wp.types.matrix(shape=(6, 3), dtype=float)
 HFIELD = wp.constant(int(mujoco.mjtGeom.mjGEOM_HFIELD))
 MESH = wp.constant(int(mujoco.mjtGeom.mjGEOM_MESH))
 CCD_OVERFLOW = wp.constant(int(mjw.OverflowType.CCD))
-HFIELD_OVERFLOW = wp.constant(int(mjw.OverflowType.HFIELD))
 FAR = wp.constant(float(mujoco.mjMAXVAL))
-MOST = wp.constant(int(mujoco.mjMAXCONPAIR))
-"""Prisms that a geom may touch; further ones are not looked at."""
-DISTINCT = wp.constant(1e-3)
-"""Distance below which a further contact adds nothing [m]."""
 CLEAR = wp.constant(1e-4)
 """Distance from a prism's top that no rounding turns into a contact [m]."""
 
@@ -102,29 +97,6 @@ class Prisms:
 
 
 @wp.struct
-class Written:
-  """Arrays that contacts are written to, named as in MuJoCo Warp's `Data`."""
-
-  naconmax: int
-  contact_dist: wp.array[float]
-  contact_pos: wp.array[wp.vec3]
-  contact_frame: wp.array[wp.mat33]
-  contact_includemargin: wp.array[float]
-  contact_friction: wp.array[_vec5]
-  contact_solref: wp.array[wp.vec2]
-  contact_solreffriction: wp.array[wp.vec2]
-  contact_solimp: wp.array[_vec5]
-  contact_dim: wp.array[int]
-  contact_geom: wp.array[wp.vec2i]
-  contact_efc_address: wp.array2d[int]
-  contact_worldid: wp.array[int]
-  contact_type: wp.array[int]
-  contact_geomcollisionid: wp.array[int]
-  contact_adhesion: wp.array[float]
-  nacon: wp.array[int]
-
-
-@wp.struct
 class Polytopes:
   """Memory of the expanding polytope of each thread."""
 
@@ -200,7 +172,8 @@ def _geoms(s: Scene, geoms: wp.vec2i, world: int):
 
 
 @wp.func
-def _margin_gap(s: Scene, geoms: wp.vec2i, pair: int, world: int):
+def margin_gap(s: Scene, geoms: wp.vec2i, pair: int, world: int):
+  """Return the margin and the gap of a pair's contacts."""
   pairid = s.collision_pairid[pair][0]
   return internals.contact_margin_gap(s.geom_margin, s.geom_gap, s.pair_margin, s.pair_gap, geoms, pairid, world)
 
@@ -258,7 +231,7 @@ def find_prisms(s: Scene, prisms: Prisms, overflow: wp.array[int]):
   if is_apart:
     return
   kind = s.geom_type[geoms[1]]
-  margin, gap = _margin_gap(s, geoms, pair, world)
+  margin, gap = margin_gap(s, geoms, pair, world)
   _ground, geom = _geoms(s, geoms, world)
   clear = 2.0 * margin + gap + CLEAR
   field = _field(s, world, geoms[0])
@@ -306,7 +279,7 @@ def make_collide(kind: int, which: int, iterations: int) -> Any:
       if pair < 0:
         continue
       geoms, world = s.collision_pair[pair], s.collision_worldid[pair]
-      margin, gap = _margin_gap(s, geoms, pair, world)
+      margin, gap = margin_gap(s, geoms, pair, world)
       ground, geom = _geoms(s, geoms, world)
       geom.margin = margin
       field = _field(s, world, geoms[0])
@@ -345,117 +318,3 @@ def make_collide(kind: int, which: int, iterations: int) -> Any:
         prisms.normal[i] = turn @ wp.vec3(frame[0, 0], frame[0, 1], frame[0, 2])
 
   return collide_prisms
-
-
-@wp.kernel(enable_backward=False)
-def choose_contacts(s: Scene, prisms: Prisms, d: Written, overflow: wp.array[int]):
-  """Write up to four contacts of each pair: the deepest, and those that span most ground with it."""
-  pair = wp.tid()
-  if pair >= s.ncollision[0] or prisms.number[pair] == 0:
-    return
-  geoms, world = s.collision_pair[pair], s.collision_worldid[pair]
-  first = prisms.first[pair]
-  end = first + prisms.number[pair]
-  touching = wp.int32(0)
-  chosen = wp.vec4i(-1, -1, -1, -1)
-  least = wp.float32(FAR)
-  for i in range(first, end):
-    if touching == MOST:
-      wp.atomic_or(overflow, world, HFIELD_OVERFLOW)
-      end = i
-      break
-    if prisms.dist[i] < FAR:
-      touching += 1
-      if prisms.dist[i] < least:
-        least = prisms.dist[i]
-        chosen[0] = i
-  if touching == 0:
-    return
-
-  margin, gap = _margin_gap(s, geoms, pair, world)
-  _geoms_again, _margin, _gap, condim, friction, solref, solreffriction, solimp, adhesion = internals.contact_params(
-    s.geom_condim,
-    s.geom_priority,
-    s.geom_solmix,
-    s.geom_solref,
-    s.geom_solimp,
-    s.geom_friction,
-    s.geom_margin,
-    s.geom_gap,
-    s.geom_adhesion,
-    s.pair_dim,
-    s.pair_solref,
-    s.pair_solreffriction,
-    s.pair_solimp,
-    s.pair_margin,
-    s.pair_gap,
-    s.pair_adhesion,
-    s.pair_friction,
-    s.collision_pair,
-    s.collision_pairid,
-    pair,
-    world,
-  )
-  origin, up = prisms.pos[chosen[0]], prisms.normal[chosen[0]]
-  other = wp.vec3()
-  across = wp.vec3()
-  along = wp.vec3()
-  for k in range(4):
-    if k > 0:
-      best = wp.int32(-1)
-      most = wp.float32(-FAR)
-      for i in range(first, end):
-        if prisms.dist[i] < FAR and i != chosen[0] and i != chosen[1] and i != chosen[2]:
-          arm = prisms.pos[i] - origin
-          score = wp.length(arm)
-          if k == 2:
-            score = wp.abs(wp.dot(arm, across))
-          elif k == 3:
-            score = wp.abs(wp.dot(arm, across)) + wp.abs(wp.dot(other - prisms.pos[i], along))
-          if score > most:
-            best = i
-            most = score
-      if best == -1 or (most > 0.0 and most < DISTINCT):
-        return
-      chosen[k] = best
-      if k == 1:
-        other = prisms.pos[best]
-        across = wp.cross(up, origin - other)
-      elif k == 2:
-        across = wp.cross(up, origin - prisms.pos[best])
-        along = wp.cross(up, other - prisms.pos[best])
-    contact = chosen[k]
-    internals.write_contact(
-      d.naconmax,
-      k,
-      prisms.dist[contact],
-      prisms.pos[contact],
-      internals.make_frame(prisms.normal[contact]),
-      margin,
-      gap,
-      condim,
-      friction,
-      solref,
-      solreffriction,
-      solimp,
-      adhesion,
-      geoms,
-      s.collision_pairid[pair],
-      world,
-      d.contact_dist,
-      d.contact_pos,
-      d.contact_frame,
-      d.contact_includemargin,
-      d.contact_friction,
-      d.contact_solref,
-      d.contact_solreffriction,
-      d.contact_solimp,
-      d.contact_dim,
-      d.contact_geom,
-      d.contact_efc_address,
-      d.contact_worldid,
-      d.contact_type,
-      d.contact_geomcollisionid,
-      d.contact_adhesion,
-      d.nacon,
-    )

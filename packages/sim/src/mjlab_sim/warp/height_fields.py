@@ -13,6 +13,7 @@ import warp as wp
 
 from mjlab_sim.warp import height_field_kernels as kernels
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.prism_contact_kernels import Written, choose_contacts
 
 _KINDS = [mjw.GeomType[name] for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")]
 _ROOM = 16
@@ -93,15 +94,15 @@ class HeightFields:
     for name in kernels.Scene.vars:
       owner = next(owner for owner in (m, d, pairs, m.opt) if hasattr(owner, name))
       setattr(scene, name, getattr(owner, name))
-    written: Any = kernels.Written()
-    for name in kernels.Written.vars:
+    written: Any = Written()
+    for name in Written.vars:
       owner, attribute = (d.contact, name.removeprefix("contact_")) if "_" in name else (d, name)
       setattr(written, name, getattr(owner, attribute))
     self._prisms.count.zero_()
     self._launch(kernels.find_prisms, d.naconmax, scene, self._prisms, d.overflow)
     for kernel in self._kernels:
       self._launch(kernel, self._threads, scene, self._prisms, self._memory, self._threads, d.overflow)
-    self._launch(kernels.choose_contacts, d.naconmax, scene, self._prisms, written, d.overflow)
+    self._launch(choose_contacts, d.naconmax, scene, self._prisms, written, d.overflow)
 
   def _launch(self, kernel: Any, threads: int, *inputs: Any) -> None:
     wp.launch(kernel, dim=threads, inputs=inputs, device=self._device)
