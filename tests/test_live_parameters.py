@@ -18,7 +18,6 @@ STEPS = 6
 
 UNSEEN: dict[str, str] = {
   "illegal_contact.threshold": "nothing touches with a force between the values",
-  "variable_posture.std_running": "no command is as fast as running",
   "held.hold": "no object is at its goal",
   "time_to_success.hold": "no object is at its goal",
   "dropped.low": "no object was lifted",

@@ -155,12 +155,12 @@ def test_images_come_as_late_as_their_world_drew_and_stay_so() -> None:
     mine.delay_max_lag, mine.delay_hold_prob = theirs.delay_max_lag, theirs.delay_hold_prob
     return cfg
 
-  (prompt, _), (delayed, _) = lift(12, lift_cube_depth_env), lift(12, late)
+  (prompt, _), (delayed, _) = lift(16, lift_cube_depth_env), lift(16, late)
   for env in (prompt, delayed):
-    place(env, np.tile([0.3, 0.0, 0.02], (12, 1)))
+    place(env, np.tile([0.3, 0.0, 0.02], (16, 1)))
   at_once, later = steps(prompt, 8), steps(delayed, 8)
   lags = []
-  for world in range(12):
+  for world in range(16):
     fits = [lag for lag in range(3) if np.array_equal(later[3:, world], at_once[3 - lag : 8 - lag, world])]
     assert len(fits) == 1
     lags += fits
