@@ -1,4 +1,4 @@
-"""How much of a step on a CPU is saved by skipping the parts whose mask is empty.
+"""Time of a step on a CPU that skips the parts whose mask is empty, as a share of one that runs all parts.
 
   python tools/benchmark_skipping.py Mjlab-Velocity-Flat-Unitree-Go1 --output docs/benchmarks
 

@@ -1,4 +1,4 @@
-r"""Films policies of several learners beside one another, under the same commands.
+r"""Film of several learners' policies beside one another, under the same commands.
 
   MUJOCO_GL=egl python tools/film_learners.py Mjlab-Velocity-Flat-Unitree-Go1 "PPO=RUN_A/model_425.pt" \
     "FastSAC=RUN_B/model_130.pt" --output docs/pictures/films/learners_go1.webp
