@@ -99,7 +99,8 @@ class SimulationCfg(Config):
   njmax: PositiveCount | Literal["auto"] = "auto"
   """Constraint rows of each world on MuJoCo Warp. `auto` likewise."""
   broadphase: Literal["nxn", "sap_tile"] | None = None
-  """Search for pairs of geoms on MuJoCo Warp: all pairs, or sweep and prune. None lets MuJoCo Warp choose."""
+  """Search for pairs of geoms on MuJoCo Warp: all pairs, or sweep and prune. None lets MuJoCo Warp choose, and tests
+  groups of geoms first where a robot is among hundreds of geoms that stay in place."""
   broadphase_filter: tuple[Literal["plane", "sphere", "aabb", "obb"], ...] | None = None
   """Tests that a pair must pass on MuJoCo Warp. None lets MuJoCo Warp choose."""
   contact_sensor_maxmatch: PositiveCount = 64

@@ -21,6 +21,7 @@ from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes
 from mjlab_sim.warp.contacts import WarpContacts
 from mjlab_sim.warp.fused_newton import choose_solver
+from mjlab_sim.warp.grouped_broadphase import grouped_broadphase
 from mjlab_sim.warp.height_fields import height_field_collisions
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
@@ -72,6 +73,7 @@ class WarpEngine:
       self._find_acceleration_sensors(model)
       self._overflow = Overflow(self._d, cfg)
       self._fused = choose_solver(self._m, self._d, cfg.solver_backend)
+      self._broadphase = grouped_broadphase(model, self._m, self._d) if cfg.broadphase is None else None
       self._height_fields = height_field_collisions(self._m, self._d)
     self._mask_torch = wp.to_torch(self._mask)
     self._inverse_weights = InverseWeights(model, self._m, self._d)
@@ -245,8 +247,9 @@ class WarpEngine:
   def _ours(self) -> AbstractContextManager[None]:
     """Have MuJoCo Warp call the parts of a step that are ours."""
     solve = None if self._fused is None else self._fused.solve
+    broadphase = None if self._broadphase is None else self._broadphase.find_pairs
     narrowphase = None if self._height_fields is None else self._height_fields.narrowphase
-    return internals.stepping_with(solve, narrowphase)
+    return internals.stepping_with(solve, broadphase, narrowphase)
 
   def _reset(self) -> None:
     mjw.reset_data(self._m, self._d, self._mask)

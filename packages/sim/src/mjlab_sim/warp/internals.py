@@ -16,6 +16,10 @@ import mujoco_warp as mjw
 
 TESTED = "4.0"
 PRIVATE = {
+  "mujoco_warp._src.collision_driver.nxn_broadphase": "gives way to groups of geoms; else every pair is tested",
+  "mujoco_warp._src.collision_driver._broadphase_filter": "tests a pair, for the same",
+  "mujoco_warp._src.collision_driver._mesh_missing": "leaves out meshes that a world has not, for the same",
+  "mujoco_warp._src.collision_driver._add_geom_pair": "lists a pair as MuJoCo Warp's own kernel does",
   "mujoco_warp._src.collision_driver.convex_narrowphase": "collides height fields our way; else one thread per pair",
   "mujoco_warp._src.collision_convex._hfield_filter": "finds the cells under a geom, for the same; else none is needed",
   "mujoco_warp._src.collision_core.contact_margin_gap": "gives margins of a pair, for collisions with height fields",
@@ -39,7 +43,11 @@ compute_ray: Any = None
 tendon_armature: Any = None
 solver: Any = None
 collision_driver: Any = None
+nxn_broadphase: Any = None
 convex_narrowphase: Any = None
+broadphase_filter: Any = None
+mesh_missing: Any = None
+add_geom_pair: Any = None
 hfield_filter: Any = None
 contact_margin_gap: Any = None
 contact_params: Any = None
@@ -63,7 +71,10 @@ if IS_TESTED:
     solver,
   )
 
+  nxn_broadphase = collision_driver.nxn_broadphase
   convex_narrowphase = collision_driver.convex_narrowphase
+  broadphase_filter = collision_driver._broadphase_filter
+  mesh_missing, add_geom_pair = collision_driver._mesh_missing, collision_driver._add_geom_pair
   hfield_filter = collision_convex._hfield_filter
   contact_margin_gap = collision_core.contact_margin_gap
   contact_params = collision_core.contact_params
@@ -78,9 +89,17 @@ if IS_TESTED:
 
 
 @contextmanager
-def stepping_with(solve: Callable[..., None] | None, narrowphase: Callable[..., None] | None) -> Generator[None]:
+def stepping_with(
+  solve: Callable[..., None] | None,
+  broadphase: Callable[..., None] | None,
+  narrowphase: Callable[..., None] | None,
+) -> Generator[None]:
   """Have steps of MuJoCo Warp call these meanwhile, instead of its own solver and collisions; None keeps its own."""
-  ours = [(solver, "solve", solve), (collision_driver, "convex_narrowphase", narrowphase)]
+  ours = [
+    (solver, "solve", solve),
+    (collision_driver, "nxn_broadphase", broadphase),
+    (collision_driver, "convex_narrowphase", narrowphase),
+  ]
   replaced = [(owner, name, getattr(owner, name), call) for owner, name, call in ours if call is not None]
   for owner, name, _, call in replaced:
     setattr(owner, name, call)
