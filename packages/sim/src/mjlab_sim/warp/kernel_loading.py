@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
+from mjlab_sim.warp.tile_solvers import headers_shared, made_elsewhere, replaced
 
 fcntl: ModuleType | None = None
 # On Windows, which has none, each process compiles for itself.
@@ -36,9 +36,17 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
     for stage in stages:
       stage()
   cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-  with _once_per_cache(_digest(variants, device)), made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
+  with (
+    _once_per_cache(_digest(variants, device)),
+    made_elsewhere(cores),
+    headers_shared(),
+    ThreadPoolExecutor(cores) as pool,
+  ):
     # What ends last is to begin first.
     modules = sorted(variants, key=_work, reverse=True)
+    if modules and not wp.get_device(device).is_cuda:
+      # With the shortest, a CPU's compiler makes the headers that all others take.
+      _load(modules[-1], list(variants[modules[-1]]), device)
     made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
     for future in made:
       future.result()
