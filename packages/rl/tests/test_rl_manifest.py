@@ -97,7 +97,7 @@ def test_all_fields_with_lambdas_are_refused_at_once() -> None:
   with pytest.raises(ConfigError) as caught:
     encode(PointEnvCfg(rewards=rewards), "env")
   assert [problem.partition(":")[0] for problem in caught.value.problems] == ["env.rewards.a", "env.rewards.c[1]"]
-  assert "Write `def` at the top of a module" in caught.value.problems[0]
+  assert "write `def` at the top of a module" in caught.value.problems[0]
 
 
 def test_an_object_that_cannot_be_rebuilt_is_refused_with_its_field() -> None:

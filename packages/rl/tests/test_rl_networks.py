@@ -246,23 +246,6 @@ def test_images_cost_what_the_readme_says() -> None:
   assert f"4096 worlds x 24 steps x 3 x 32 x 32 take {4096 * 24 * 3 * 32 * 32 * per_value / 1e9:.2f} GB" in text
 
 
-@each_kind
-@each_memory
-def test_a_scripted_model_remembers_until_it_is_reset(kind: type[ImageModel], rnn_type: str) -> None:
-  network = model(kind, rnn_type).eval()
-  with warnings.catch_warnings():
-    # Of torch.jit, which is on its way out.
-    warnings.simplefilter("ignore")
-    scripted: Any = torch.jit.script(network.as_jit())
-  with torch.no_grad():
-    for step in range(4):
-      if step == 2:
-        network.reset()
-        scripted.reset()
-      seen = observations((1,), step)
-      torch.testing.assert_close(scripted(seen["speed"], [seen["camera"]]), network(seen))
-
-
 @pytest.mark.parametrize(("class_name", "rnn_type"), [(SOFTMAX, None), (SOFTMAX, "gru"), ("CNNModel", "lstm")])
 def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
   tmp_path: Path, class_name: str, rnn_type: Any

@@ -274,8 +274,9 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
     agent.to_rsl_rl()
   for word in ("clip_actions must be None", "same width", "n_step + 3 = 10"):
     assert word in str(caught.value)
-  with pytest.raises(ConfigError, match=r"has no field capture_terminal_observations"):
-    agent_of("fastsac").prepare_env(PointSceneCfg())
+  unprepared = MjlabOffPolicyRunner(RslRlVecEnvWrapper(PointEnv(PointEnvCfg())), agent_of("fastsac"), console=QUIET)
+  with pytest.raises(ConfigError, match="final_obs"):
+    unprepared.learn(1)
   ppo = train(task, name="Point", make_env=PointEnv, log_root=tmp_path, console=QUIET)
   assert ppo.checkpoint is not None
   other = copy.deepcopy(task)

@@ -151,7 +151,7 @@ def test_two_processes_with_the_same_worlds_learn_what_one_learns(
   one, one_names = trained()
   monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
   monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
-  monkeypatch.setattr(distributed, "all_reduce", lambda numbers: numbers.mul_(2))
+  monkeypatch.setattr(distributed, "all_reduce", lambda numbers, *_, **__: numbers.mul_(2))
   monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
   # With which older versions of rsl-rl send the weights.
   monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)

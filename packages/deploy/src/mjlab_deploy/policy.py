@@ -100,8 +100,11 @@ class Policy:
     )
 
 
-def open_graph(data: bytes) -> onnxruntime.InferenceSession:
-  """Return a session of a graph that needs no other file, on one thread of the CPU.
+def open_graph(graph: bytes | str) -> onnxruntime.InferenceSession:
+  """Return a session of a graph, on one thread of the CPU.
+
+  Args:
+    graph: Contents of a file that needs no other, or the path of one, whose weights may be in files beside it.
 
   Raises:
     DeployError: The graph is damaged.
@@ -110,7 +113,7 @@ def open_graph(data: bytes) -> onnxruntime.InferenceSession:
   options.intra_op_num_threads = options.inter_op_num_threads = 1
   options.log_severity_level = 4
   with reading("policy.onnx: not a graph that ONNX Runtime takes", Exception):
-    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
 
 def is_network(session: onnxruntime.InferenceSession) -> bool:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     wilson,
   )
   from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
-  from mjlab_rl.mlp_policy import MlpPolicy
   from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
   from mjlab_rl.offpolicy.presets import with_agent
   from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
@@ -63,7 +62,6 @@ __all__ = [
   "MjlabDistillationRunner",
   "MjlabOffPolicyRunner",
   "MjlabOnPolicyRunner",
-  "MlpPolicy",
   "OffPolicyModelCfg",
   "OffPolicyRunnerCfg",
   "OnnxPolicy",
@@ -120,7 +118,6 @@ __getattr__, __dir__ = lazy_exports(
       "play_first_episodes summarize wilson"
     ),
     ".manifest": "PolicyRecord RunManifest load_run",
-    ".mlp_policy": "MlpPolicy",
     ".offpolicy.config": "OffPolicyModelCfg OffPolicyRunnerCfg SacCfg",
     ".offpolicy.presets": "with_agent",
     ".offpolicy.runner": "MjlabOffPolicyRunner",

@@ -20,6 +20,7 @@ Shapes: TypeAlias = Sequence[Sequence[int]]
 """Shapes of the observation groups that a network sees, for one world."""
 _Count = Annotated[int, Meta(ge=0)]
 _Tensors = dict[str, torch.Tensor]
+_Weights = Annotated[_Tensors, Meta(min_length=1)]
 
 
 class _Generators(Struct):
@@ -68,10 +69,10 @@ class _Checkpoint(Struct):
   iter: _Count
   infos: _Infos | None = None
   mjlab: _Worlds | None = None
-  actor_state_dict: _Tensors | None = None
-  critic_state_dict: _Tensors | None = None
-  student_state_dict: _Tensors | None = None
-  teacher_state_dict: _Tensors | None = None
+  actor_state_dict: _Weights | None = None
+  critic_state_dict: _Weights | None = None
+  student_state_dict: _Weights | None = None
+  teacher_state_dict: _Weights | None = None
   optimizer_state_dict: _Optimizer | None = None
 
 
@@ -86,9 +87,7 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
       torch.save(state, temporary)
   except (OSError, RuntimeError) as error:
     # Torch reports a full disk as a RuntimeError about positions in the archive.
-    raise FileError(
-      f"checkpoint {path} could not be written ({_first_line(error)}); is there room on the disk?"
-    ) from error
+    raise FileError(f"checkpoint {path} could not be written: {_first_line(error)}; is there room?") from error
 
 
 def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
@@ -119,9 +118,6 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     if isinstance(ours, dict) and ours.get("format") != FORMAT:
       raise FileError(f"written by another version of mjlab-rl; this one reads format {FORMAT}")
     msgspec.convert(state, _Checkpoint, dec_hook=as_tensor)
-    for name in wanted:
-      if name in state and not state[name]:
-        raise FileError(f"{name!r} is empty")
     return state
 
 

@@ -236,11 +236,7 @@ class RslRlBaseRunnerCfg(Config):
     """
 
   def prepare_env(self, cfg: Any) -> None:
-    """Set what the learner needs in the configuration of an environment to train in.
-
-    Raises:
-      ConfigError: The environment cannot give it.
-    """
+    """Set what the learner needs in the configuration of an environment to train in."""
 
   def for_inference(self) -> Self:
     """Return a copy for a policy that only acts, in any number of worlds, with the smallest storage.

@@ -28,14 +28,11 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
     """Take the weights of a teacher, or of all `agent.num_teachers` teachers in their order.
 
     Raises:
-      ConfigError: There are more or fewer teachers.
       FileError: One saw observations of other shapes, or its network has other sizes; nothing has been
         changed then.
     """
     loaded: Any = self.networks["teacher"]
     networks = list(loaded) if isinstance(loaded, Teachers) else [loaded]
-    if len(teachers) != len(networks):
-      raise ConfigError(f"got {len(teachers)} teachers; agent.num_teachers is {len(networks)}")
     shapes = self._shapes_seen["teacher"]
     for teacher, network in zip(teachers, networks, strict=True):
       seen, weights = (teacher.shapes_seen, shapes), (teacher.weights, network.state_dict())

@@ -110,8 +110,10 @@ class ImageModel(CNNModel):
       self.rnn.detach_hidden_state(dones)
 
   def as_jit(self) -> nn.Module:
-    """Return a copy for torch.jit: `forward(obs_1d, images)` of one world, with its state until `reset()`."""
-    return super().as_jit() if self.rnn is None else _ScriptedModel(self)
+    """Return a copy for torch.jit: `forward(obs_1d, images)`; a recurrent model has `as_onnx` only."""
+    if self.rnn is not None:
+      raise ConfigError("a recurrent model with images is exported as ONNX only")
+    return super().as_jit()
 
   def as_onnx(self, verbose: bool = False) -> nn.Module:
     """Return a copy for ONNX: observations, image groups and hidden states are inputs, actions and states outputs."""
@@ -126,90 +128,35 @@ def largest_weights(networks: Mapping[str, nn.Module]) -> dict[str, float]:
   return {name: float(get_total_norm(values, math.inf)) for name, values in weights.items()}
 
 
-class _GruStep(nn.Module):
-  def __init__(self, rnn: nn.GRU) -> None:
-    super().__init__()
-    self.rnn = rnn
-
-  def forward(self, seen: torch.Tensor, memory: list[torch.Tensor]) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    out, hidden = self.rnn(seen.unsqueeze(0), memory[0])
-    return out.squeeze(0), [hidden]
-
-
-class _LstmStep(nn.Module):
-  def __init__(self, rnn: nn.LSTM) -> None:
-    super().__init__()
-    self.rnn = rnn
-
-  def forward(self, seen: torch.Tensor, memory: list[torch.Tensor]) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    out, (hidden, cell) = self.rnn(seen.unsqueeze(0), (memory[0], memory[1]))
-    return out.squeeze(0), [hidden, cell]
-
-
-class _Functional(nn.Module):
-  """The model as a function of observations and hidden state."""
+class _OnnxModel(nn.Module):
+  """The model as a function of the observations, images and hidden state of one world."""
 
   def __init__(self, model: ImageModel) -> None:
     super().__init__()
     assert model.rnn is not None
     # Without the hidden state, whose gradients cannot be copied.
-    rnn: nn.GRU | nn.LSTM = copy.deepcopy(model.rnn.rnn)
+    self.rnn: nn.GRU | nn.LSTM = copy.deepcopy(model.rnn.rnn)
     self.obs_normalizer = copy.deepcopy(model.obs_normalizer)
     self.cnns = nn.ModuleList([copy.deepcopy(model.cnns[group]) for group in model.obs_groups_2d])
-    self.step = _LstmStep(rnn) if isinstance(rnn, nn.LSTM) else _GruStep(rnn)
     self.mlp = copy.deepcopy(model.mlp)
     distribution = model.distribution
     self.output = nn.Identity() if distribution is None else distribution.as_deterministic_output_module()
-
-  def forward(
-    self, obs: torch.Tensor, images: list[torch.Tensor], memory: list[torch.Tensor]
-  ) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    seen = [self.obs_normalizer(obs)]
-    for i, cnn in enumerate(self.cnns):
-      seen.append(cnn(images[i]))
-    latent, memory = self.step(torch.cat(seen, dim=-1), memory)
-    return self.output(self.mlp(latent)), memory
-
-
-def _blank(model: ImageModel) -> list[torch.Tensor]:
-  """Return the initial hidden state of one world."""
-  assert model.rnn is not None
-  rnn: nn.GRU | nn.LSTM = model.rnn.rnn
-  return [torch.zeros(rnn.num_layers, 1, rnn.hidden_size) for _ in range(2 if isinstance(rnn, nn.LSTM) else 1)]
-
-
-class _ScriptedModel(nn.Module):
-  def __init__(self, model: ImageModel) -> None:
-    super().__init__()
-    self.function = _Functional(model)
-    self.memory: torch.Tensor
-    self.register_buffer("memory", torch.stack(_blank(model)))
-
-  def forward(self, obs_1d: torch.Tensor, obs_2d: list[torch.Tensor]) -> torch.Tensor:
-    actions, memory = self.function(obs_1d, obs_2d, list(self.memory.unbind(0)))
-    self.memory.copy_(torch.stack(memory))
-    return actions
-
-  @torch.jit.export
-  def reset(self) -> None:
-    self.memory.zero_()
-
-
-class _OnnxModel(nn.Module):
-  def __init__(self, model: ImageModel) -> None:
-    super().__init__()
-    self.function = _Functional(model)
-    names = ("h", "c")[: len(_blank(model))]
+    names = ("h", "c") if isinstance(self.rnn, nn.LSTM) else ("h",)
     self.input_names = ["obs", *model.obs_groups_2d, *(f"{name}_in" for name in names)]
     self.output_names = ["actions", *(f"{name}_out" for name in names)]
     sizes = zip(model.obs_channels_2d, model.obs_dims_2d, strict=True)
     images = [torch.zeros(1, channels, *size) for channels, size in sizes]
-    self._inputs = (torch.zeros(1, model.obs_dim), *images, *_blank(model))
-    self._num_images = len(images)
+    # The exporter would take one tensor for one input.
+    memory = [torch.zeros(self.rnn.num_layers, 1, self.rnn.hidden_size) for _ in names]
+    self._inputs = (torch.zeros(1, model.obs_dim), *images, *memory)
 
   def forward(self, obs: torch.Tensor, *rest: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    actions, memory = self.function(obs, list(rest[: self._num_images]), list(rest[self._num_images :]))
-    return actions, *memory
+    count = len(self.cnns)
+    seen = [self.obs_normalizer(obs), *(cnn(image) for cnn, image in zip(self.cnns, rest, strict=False))]
+    memory: Any = rest[count:] if isinstance(self.rnn, nn.LSTM) else rest[count]
+    latent, following = self.rnn(torch.cat(seen, dim=-1).unsqueeze(0), memory)
+    states = following if isinstance(following, tuple) else (following,)
+    return self.output(self.mlp(latent.squeeze(0))), *states
 
   def get_dummy_inputs(self) -> tuple[torch.Tensor, ...]:
     return self._inputs

@@ -91,10 +91,7 @@ class PolicyGraph(nn.Module):
   def _add(self, reading: Any, owner: str) -> str:
     known = self.readings.setdefault(reading.name, reading)
     if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
-      raise MjlabError(
-        f"{owner}: reading '{reading.name}' is here in frame '{reading.frame}' and elsewhere in '{known.frame}', or "
-        "has other columns; readings of one name must be the same"
-      )
+      raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
     return reading.name
 
   def _actions(self, env: Any) -> list[_Action]:
@@ -103,10 +100,8 @@ class PolicyGraph(nn.Module):
       term = manager.get_term(name)
       targets = term.exported()
       if targets is None:
-        raise MjlabError(
-          f"action '{name}' ({type(term).__name__}) has no computation outside the simulation, so the policy cannot be "
-          "exported; use an action that sets joint targets"
-        )
+        what = f"action '{name}' ({type(term).__name__}) has no computation outside the simulation"
+        raise MjlabError(f"{what}, so the policy cannot be exported; use an action that sets joint targets")
       inputs = tuple(self._add(reading, f"action '{name}'") for reading in targets.readings)
       memory = f"memory/target/{name}" if targets.start is not None else None
       if memory is not None:

@@ -1,7 +1,7 @@
 """Traffic between the ranks of a run: one reduction of gradients per update, and one of figures per iteration."""
 
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Mapping
 from typing import Any, TypeAlias
 
 import torch
@@ -16,16 +16,12 @@ from mjlab_rl.stop_signals import SIGNALS
 
 Figures: TypeAlias = dict[str, dict[str, float]]
 
-# Limits and factor of rsl-rl's adaptive learning rate.
-_RATES, _FACTOR = (1e-5, 1e-2), 1.5
-
 
 class RankAverages:
   """Averages over the ranks of a run, in place of rsl-rl's own traffic.
 
-  rsl-rl sends gradients, the KL divergence, the learning rate and the moments of each normaliser one by one, which are
-  several messages per mini-batch. Here the KL divergence travels with the gradients, and the moments of the
-  observations with the figures of the iteration. The results are the same.
+  The moments of observations, which rsl-rl sends for each normaliser, travel with the figures of the iteration. The KL
+  divergence of a `CapturedPPO` travels with its gradients. Updates that rsl-rl does itself send both its way.
 
   Args:
     alg: Algorithm of rsl-rl.
@@ -35,31 +31,20 @@ class RankAverages:
   """
 
   def __init__(self, alg: Any, networks: Mapping[str, MLPModel], ranks: Ranks, device: torch.device):
-    self._alg, self._ranks, self._device = alg, ranks, device
+    self._ranks, self._device = ranks, device
     normalizers: list[Any] = [network.obs_normalizer for network in networks.values() if network.obs_normalization]
     self._normalizers = normalizers
     self._moments: dict[int, torch.Tensor] = {}
     self._names: list[tuple[str, str]] = []
-    self._batch: Any = None
     if ranks.world_size > 1 and isinstance(alg, CapturedPPO):
       alg.sum_over_ranks = self._sum
 
   @contextlib.contextmanager
   def replacing(self) -> Generator[None]:
-    """Replace rsl-rl's traffic during an update; `reduce` must follow."""
+    """Keep the normalisers' moments during an update instead of sending them; `reduce` must follow."""
     if self._ranks.world_size == 1:
       yield
       return
-    is_rsl_rl = not (isinstance(self._alg, CapturedPPO) and self._alg.is_covered)
-    alg: Any = self._alg
-    storage = alg.storage
-    is_adaptive = is_rsl_rl and getattr(alg, "schedule", None) == "adaptive" and alg.desired_kl is not None
-    if is_rsl_rl:
-      alg.reduce_parameters = self._reduce_adaptively if is_adaptive else self._reduce_gradients
-    if is_adaptive:
-      alg.schedule = "fixed"  # _reduce_adaptively adapts.
-      for name in ("mini_batch_generator", "recurrent_mini_batch_generator"):
-        setattr(storage, name, self._remembering(getattr(storage, name)))
     for index, normalizer in enumerate(self._normalizers):
       normalizer.update = lambda seen, index=index: self._note(index, seen)
     try:
@@ -68,11 +53,6 @@ class RankAverages:
       # The methods of the classes are in effect again.
       for normalizer in self._normalizers:
         del normalizer.update
-      if is_rsl_rl:
-        del alg.reduce_parameters
-      if is_adaptive:
-        alg.schedule, self._batch = "adaptive", None
-        del storage.mini_batch_generator, storage.recurrent_mini_batch_generator
 
   def reduce(self, own: Mapping[str, Mapping[str, float]], signal: str | None) -> tuple[Figures, str | None]:
     """Update the normalisers with the observations of all ranks, and average the figures of an iteration.
@@ -126,44 +106,6 @@ class RankAverages:
     except RuntimeError as error:
       reason = printable((str(error).splitlines() or [""])[0], 200)
       raise MjlabError(f"rank {self._ranks.rank}: another process of the run has ended or hangs ({reason})") from error
-
-  def _remembering(self, generate: Callable[..., Iterable[Any]]) -> Callable[..., Iterator[Any]]:
-    def batches(*args: Any) -> Iterator[Any]:
-      for batch in generate(*args):
-        self._batch = batch
-        yield batch
-
-    return batches
-
-  def _reduce_gradients(self, *others: torch.Tensor) -> torch.Tensor:
-    """Average all gradients, and other numbers with them, in one buffer; return the buffer."""
-    optimizers = [self._alg.optimizer, *([self._alg.rnd.optimizer] if getattr(self._alg, "rnd", None) else [])]
-    groups = [group for optimizer in optimizers for group in optimizer.param_groups]
-    grads = [parameter.grad for group in groups for parameter in group["params"] if parameter.grad is not None]
-    flat = torch.cat([part.reshape(-1) for part in (*grads, *others)])
-    self._sum(flat)
-    flat /= self._ranks.world_size
-    parts = flat.split([grad.numel() for grad in grads] + [flat.numel() - sum(grad.numel() for grad in grads)])
-    for grad, part in zip(grads, parts, strict=False):
-      grad.copy_(part.view_as(grad))
-    return flat
-
-  def _reduce_adaptively(self) -> None:
-    """Average the gradients, and adapt the learning rate by the averaged KL divergence, as rsl-rl does."""
-    alg = self._alg
-    old = self._batch.old_distribution_params
-    with torch.no_grad():
-      new = tuple(
-        part[: len(was)].detach() for part, was in zip(alg.actor.output_distribution_params, old, strict=True)
-      )
-      kl = alg.actor.get_kl_divergence(old, new).mean()
-    kl_mean = float(self._reduce_gradients(kl)[-1])
-    if kl_mean > 2.0 * alg.desired_kl:
-      alg.learning_rate = max(_RATES[0], alg.learning_rate / _FACTOR)
-    elif 0.0 < kl_mean < 0.5 * alg.desired_kl:
-      alg.learning_rate = min(_RATES[1], alg.learning_rate * _FACTOR)
-    for group in alg.optimizer.param_groups:
-      group["lr"] = alg.learning_rate
 
   def _note(self, index: int, seen: torch.Tensor) -> None:
     """Keep the moments of this rank's observations about the mean so far, (3, dim), for `reduce`."""

@@ -33,12 +33,7 @@ def trust_package(name: str) -> None:
 
   Args:
     name: Top-level import name, such as "my_robots".
-
-  Raises:
-    ConfigError: The name is not one identifier.
   """
-  if not name.isidentifier():
-    raise ConfigError(f"trust_package takes a top-level import name such as 'my_robots', got {name!r}")
   _trusted_here.add(name)
 
 
@@ -51,12 +46,8 @@ def reference(value: Any, where: str) -> str:
   module: str = getattr(value, "__module__", None) or ""
   name: str = getattr(value, "__qualname__", None) or ""
   if not name or "<" in name:
-    kind = (
-      "a lambda" if "<lambda>" in name else f"'{module}:{name}', defined inside a function," if name else repr(value)
-    )
-    raise ConfigError(
-      f"{where}: {kind} has no importable name. Write `def` at the top of a module; bind values with params."
-    )
+    kind = "a lambda" if "<lambda>" in name else repr(name or value)
+    raise ConfigError(f"{where}: {kind} has no importable name: write `def` at the top of a module, with params.")
   if module == "__main__":
     raise ConfigError(f"{where}: '{name}' is defined in a script; move it into a module that can be imported.")
   try:
@@ -173,9 +164,7 @@ def _import(module_name: str, package: str) -> ModuleType:
     if origin is not None and any(origin.is_relative_to(Path(folder).resolve()) for folder in top.__path__):
       return importlib.import_module(module_name)
   except Exception as error:
-    raise FileError(
-      f"cannot be resolved: module '{module_name}' cannot be imported ({printable(error, 200)})"
-    ) from error
+    raise FileError(f"cannot be resolved: '{module_name}' cannot be imported ({printable(error, 200)})") from error
   raise FileError(f"is refused: there is no module '{module_name}' in the folder of package '{package}'")
 
 

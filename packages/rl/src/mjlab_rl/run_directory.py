@@ -1,6 +1,6 @@
 """Directories of runs, `<log root>/<experiment>/<date_time>[_<run name>]`, and the search for one."""
 
-import itertools
+import contextlib
 import re
 from datetime import datetime
 from pathlib import Path
@@ -26,14 +26,13 @@ def create_run_directory(log_root: Path, experiment: str, run_name: str = "") ->
   # Separate, so that an error here does not count as an existing run.
   folder.mkdir(parents=True, exist_ok=True)
   remove_leftovers(folder)
-  for attempt in itertools.count(1):
-    path = folder / f"{stamp}{'' if attempt == 1 else f'.{attempt}'}{suffix}"
-    try:
+  number = 1
+  while True:
+    path = folder / f"{stamp}{'' if number == 1 else f'.{number}'}{suffix}"
+    with contextlib.suppress(FileExistsError):
       path.mkdir()
-    except FileExistsError:
-      continue
-    return path
-  raise AssertionError("unreachable")
+      return path
+    number += 1
 
 
 def checkpoints(directory: Path) -> list[Path]:

@@ -199,10 +199,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
   def _check_finite(self, report: IterationReport, values: Mapping[str, float]) -> None:
     if broken := [name for name, value in values.items() if not math.isfinite(value)]:
       last = f"; the last checkpoint is {self._last_saved}" if self._last_saved else ""
-      raise DivergedError(
-        f"iteration {report.iteration + 1}: {', '.join(broken)} not finite, so the state is not saved{last}. "
-        f"{report.cause_of_divergence()}"
-      )
+      what = f"iteration {report.iteration + 1}: {', '.join(broken)} not finite"
+      raise DivergedError(f"{what}, so the state is not saved{last}. {report.cause_of_divergence()}")
 
   def checkpoint_path(self) -> Path:
     """Return the path of a checkpoint of the current iteration."""
@@ -272,10 +270,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     worlds = state.get("mjlab")
     wanted = [part for part in (*self.networks, "optimizer") if load_cfg is None or load_cfg.get(part)]
     if missing := [part for part in wanted if state.get(f"{part}_state_dict") is None]:
-      raise FileError(
-        f"checkpoint {path}: no {' and no '.join(missing)} in it, so its training cannot be resumed; a new run can "
-        "start from its policy (--init-from)"
-      )
+      lacks = f"no {' and no '.join(missing)} in it"
+      raise FileError(f"checkpoint {path}: {lacks}; a new run can start from its policy (--init-from)")
     for part in self.networks:
       if part in wanted:
         self.check_network(path, part, state[f"{part}_state_dict"], checkpoint.shapes_seen(state, part))

@@ -128,9 +128,7 @@ def read_trained_policy(path: Path, *, resumed: bool = False) -> TrainedPolicy:
   state = read_checkpoint(path, *roles)
   role = "teacher" if resumed else next(name for name in roles if f"{name}_state_dict" in state)
   if state.get(f"{role}_state_dict") is None:
-    raise FileError(
-      f"checkpoint {path} has no teacher, so it is not a distillation to resume; --teacher takes a policy to imitate"
-    )
+    raise FileError(f"checkpoint {path} has no teacher, so it is not a distillation to resume")
   check_finite(path, role, state[f"{role}_state_dict"])
   record = None if run is None else run.teacher
   if not resumed:

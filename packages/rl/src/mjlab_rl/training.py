@@ -208,8 +208,5 @@ def _load(
     runner.load_policy(beginning.path)
   done, most = runner.current_learning_iteration, runner.agent_cfg.max_iterations
   if done >= most:
-    raise ConfigError(
-      f"{resume} has {done} iterations, agent.max_iterations is {most}: no iterations are left. Raise "
-      "--agent.max-iterations."
-    )
+    raise ConfigError(f"{resume} has {done} iterations: raise --agent.max-iterations, which is {most}")
   return most - done

@@ -61,11 +61,7 @@ def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path
   from mjlab_rl import find_checkpoint
   from mjlab_rl.bundle_policy import is_bundle
 
-  if is_bundle(Path(checkpoint)):
-    return Path(checkpoint)
-  if checkpoint.endswith(".onnx"):
-    if not Path(checkpoint).is_file():
-      raise UnknownNameError(f"policy {checkpoint}: no such file")
+  if is_bundle(Path(checkpoint)) or checkpoint.endswith(".onnx"):
     return Path(checkpoint)
   try:
     return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)
@@ -129,13 +125,8 @@ def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Pol
     policy(env.get_observations())
     policy.reset(None)
     return policy
-  from mjlab_rl import MlpPolicy
+  from mjlab_rl import CheckpointPolicy
 
-  if MlpPolicy.suits(env, parts.agent, parts.runner):
-    trained = MlpPolicy(env, parts.agent)
-  else:
-    from mjlab_rl import CheckpointPolicy
-
-    trained = CheckpointPolicy(env, parts.agent, parts.runner)
+  trained = CheckpointPolicy(env, parts.agent, parts.runner)
   trained.load(source)
   return trained

@@ -7,7 +7,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from mjlab_core.config import Config
 from mjlab_core.constraints import Finite, Limits, NonNegative, Positive, PositiveCount, Share
-from mjlab_core.errors import ConfigError
 
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlModelCfg
 from mjlab_rl.network_entries import Activation
@@ -147,16 +146,7 @@ class OffPolicyRunnerCfg(RslRlBaseRunnerCfg):
     }
 
   def prepare_env(self, cfg: Any) -> None:
-    """Ask an environment configuration for the last observations of episodes.
-
-    Raises:
-      ConfigError: It cannot give them.
-    """
-    if not hasattr(cfg, "capture_terminal_observations"):
-      raise ConfigError(
-        f"{type(cfg).__name__} has no field capture_terminal_observations: an off-policy learner needs "
-        'extras["final_obs"], the last observations of episodes that run out of time'
-      )
+    """Ask an environment configuration for the last observations of episodes."""
     cfg.capture_terminal_observations = True
 
   def for_inference(self) -> Self:
