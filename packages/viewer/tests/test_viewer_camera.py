@@ -83,5 +83,5 @@ def test_of_a_robot_that_stands_on_a_base_one_looks_above_its_foot_in_every_worl
 
 
 def test_a_body_that_does_not_exist_is_refused_with_those_that_do() -> None:
-  with pytest.raises(MjlabError, match=r"body 'leg' does not exist; the model has: box"):
+  with pytest.raises(MjlabError, match=r"body 'leg' does not exist\. All 2: world, box"):
     CameraCfg(body="leg").resolve(MODEL)

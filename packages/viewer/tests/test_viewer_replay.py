@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_core import MjlabError
 from mjlab_viewer import (
   BrowserViewer,
   OffscreenRenderer,
@@ -132,7 +131,7 @@ def test_a_film_shows_every_moment_once(opengl: None, tmp_path: Path) -> None:
 def test_a_film_that_fails_leaves_nothing(opengl: None, tmp_path: Path) -> None:
   renderer = OffscreenRenderer(MODEL, PictureCfg(width=96, height=48, shadows=False))
   renderer.close()
-  with pytest.raises(MjlabError, match="closed"):
+  with pytest.raises(AssertionError):
     rising().film(tmp_path / "film.mp4", renderer)
   assert list(tmp_path.iterdir()) == []
 

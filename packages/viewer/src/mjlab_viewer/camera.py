@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mjlab_core import MjlabError
 from mjlab_core.config import Config
+from mjlab_core.names import check_name
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -32,13 +32,11 @@ class CameraCfg(Config):
     """Return the camera for a model.
 
     Raises:
-      MjlabError: the model has no such body.
+      UnknownNameError: The model has no such body.
     """
     if self.body is not None:
-      body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
-      if body < 0:
-        names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-        raise MjlabError(f"camera: body '{self.body}' does not exist; the model has: {names}")
+      names = [model.body(i).name for i in range(model.nbody)]
+      body = names.index(check_name("body", self.body, names, "camera"))
     else:
       body = first_moving_body(model)
     distance = 1.25 * float(model.stat.extent) if self.distance is None else self.distance

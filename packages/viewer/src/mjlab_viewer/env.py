@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeAlias
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, MjlabError
+from mjlab_core import DebugDraw
 
 Signals: TypeAlias = "Mapping[str, tuple[Sequence[str], torch.Tensor]]"
 """Numbers to plot by the name of their group: their names, and their live values, (num_envs, k)."""
@@ -83,13 +83,8 @@ def floating_dofs(model: mujoco.MjModel) -> int | None:
 
 
 def push(env: ViewedEnv, world: int, velocity: Sequence[float]) -> None:
-  """Add a velocity, world frame (3,) [m/s], to the first body with a free joint of one world.
-
-  Raises:
-    MjlabError: no body has a free joint.
-  """
+  """Add a velocity, world frame (3,) [m/s], to the first body with a free joint of one world, which the model has."""
   first = floating_dofs(env.sim.mj_model)
-  if first is None:
-    raise MjlabError("cannot push: no body of the model has a free joint")
+  assert first is not None
   qvel: torch.Tensor = env.sim.data.qvel
   qvel[world, first : first + 3] += torch.as_tensor(velocity, dtype=qvel.dtype, device=qvel.device)

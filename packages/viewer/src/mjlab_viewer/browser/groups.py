@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -65,23 +65,26 @@ class GroupControls:
 def geom_labels(model: mujoco.MjModel) -> dict[int, str]:
   """Return for each group of geoms the names of the entities in it, and whether these geoms collide."""
   labels = {}
-  for group in np.unique(model.geom_group):
-    geoms = np.flatnonzero(model.geom_group == group)
-    collide = (model.geom_contype[geoms] | model.geom_conaffinity[geoms]).astype(bool)
+  for group, names, bodies in _members(model.geom_group, model.geom, model.geom_bodyid):
+    collide = (model.geom_contype | model.geom_conaffinity)[model.geom_group == group].astype(bool)
     kind = "collision" if collide.all() else "" if collide.any() else "visual"
-    names = [model.geom(int(geom)).name for geom in geoms]
-    labels[int(group)] = _label(_owners(model, names, model.geom_bodyid[geoms]), kind)
+    labels[group] = _label(_owners(model, names, bodies), kind)
   return labels
 
 
 def site_labels(model: mujoco.MjModel) -> dict[int, str]:
   """Return for each group of sites the names of the entities in it."""
-  labels = {}
-  for group in np.unique(model.site_group):
-    sites = np.flatnonzero(model.site_group == group)
-    names = [model.site(int(site)).name for site in sites]
-    labels[int(group)] = _label(_owners(model, names, model.site_bodyid[sites]))
-  return labels
+  groups = _members(model.site_group, model.site, model.site_bodyid)
+  return {group: _label(_owners(model, names, bodies)) for group, names, bodies in groups}
+
+
+def _members(
+  groups: np.ndarray, element: Callable[[int], Any], bodies: np.ndarray
+) -> Iterator[tuple[int, list[str], np.ndarray]]:
+  """Yield each group with the names and bodies of its elements."""
+  for group in np.unique(groups):
+    found = np.flatnonzero(groups == group)
+    yield int(group), [element(int(i)).name for i in found], bodies[found]
 
 
 def _owners(model: mujoco.MjModel, names: Sequence[str], bodies: np.ndarray) -> list[str]:

@@ -66,8 +66,7 @@ class Recorder:
       MjlabError: there is no film; the message says why.
     """
     video, self._video = self._video, None
-    if video is None:
-      raise MjlabError("no film is being made")
+    assert video is not None
     path = video.close()
     if path is None:
       raise MjlabError(f"no film: {video.error or 'no step was taken'}")

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import viser
-from mjlab_core import MjlabError
 
 from mjlab_viewer.browser.address import check_address, ignore_failed_handshakes
 from mjlab_viewer.browser.controls import PlaybackControls, WorldControls
@@ -56,7 +55,7 @@ class BrowserViewer:
     on_stop: Function that stops a training; the page then has a panel of the training, with a button that calls it.
 
   Raises:
-    MjlabError: a number, body or address is impossible.
+    MjlabError: a body or address is impossible.
   """
 
   def __init__(
@@ -73,8 +72,6 @@ class BrowserViewer:
     label: str = "mjlab",
     on_stop: Callable[[], None] | None = None,
   ) -> None:
-    if max_worlds < 1:
-      raise MjlabError(f"max_worlds must be at least 1, got {max_worlds}")
     self.env = env
     self.playback = playback
     self.selection = Selection(num_envs=env.num_envs, most=max_worlds)
@@ -148,13 +145,8 @@ class BrowserViewer:
     self._due["frame"] = max(now + FRAME, self._clock() + FRAME / 4)
 
   def run(self, until: Callable[[], bool] = lambda: False) -> None:
-    """Step and show until `until` returns True; call it in the thread that owns the environment.
-
-    Raises:
-      MjlabError: there is no playback.
-    """
-    if self.playback is None:
-      raise MjlabError("run needs a playback; without one, call update after every step")
+    """Step and show until `until` returns True, with a playback; call it in the thread that owns the environment."""
+    assert self.playback is not None
     while not until():
       steps = self.playback.tick()
       self.update()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 import torch
+from mjlab_core.rotations import matrix_from_quat
 
 if TYPE_CHECKING:
   Array: TypeAlias = "torch.Tensor | np.ndarray"
@@ -72,14 +73,8 @@ class DrawList:
     # Rotated on the device, so that the axes come to the host with everything else.
     quat = torch.as_tensor(quaternion)
     position = torch.as_tensor(position, device=quat.device)
-    w, x, y, z = quat.unbind(-1)
-    axes = (
-      (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-      (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-      (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
-    for axis, color in zip(axes, _AXIS_COLORS, strict=True):
-      self.lines(position, position + size * torch.stack(axis, dim=-1), color, 0.05 * size)
+    for axis, color in zip(matrix_from_quat(quat).unbind(-1), _AXIS_COLORS, strict=True):
+      self.lines(position, position + size * axis, color, 0.05 * size)
 
   def ellipsoids(self, center: Array, quaternion: Array, radii: Array, color: Color) -> None:
     self._add("ellipsoid", "", center, quaternion, _color(color), radii)

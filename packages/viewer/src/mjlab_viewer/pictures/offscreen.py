@@ -8,8 +8,9 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from mjlab_core import MjlabError, RenderingError
+from mjlab_core import RenderingError
 from mjlab_core.config import Config
+from mjlab_core.constraints import PositiveCount
 
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.drawing.contacts import contact_shapes, embolden
@@ -27,9 +28,9 @@ _SHADOW_REACH = 1.5
 class PictureCfg(Config):
   """Size and content of pictures."""
 
-  width: int = 640
+  width: PositiveCount = 640
   """[px]"""
-  height: int = 480
+  height: PositiveCount = 480
   """[px]"""
   camera: CameraCfg = field(default_factory=CameraCfg)
   contacts: bool = False
@@ -52,13 +53,11 @@ class OffscreenRenderer:
 
   Raises:
     RenderingError: OpenGL does not work on this machine, or not for pictures of this size.
-    MjlabError: the size or camera is impossible.
+    MjlabError: the camera is impossible.
   """
 
   def __init__(self, model: mujoco.MjModel, cfg: PictureCfg | None = None) -> None:
     self.cfg = PictureCfg() if cfg is None else cfg
-    if self.cfg.width < 1 or self.cfg.height < 1:
-      raise MjlabError(f"width and height must be at least 1 pixel, got {self.cfg.width} x {self.cfg.height}")
     self._world = HostWorld(model)
     model = self._world.model
     model.vis.global_.offwidth, model.vis.global_.offheight = self.cfg.width, self.cfg.height
@@ -89,8 +88,7 @@ class OffscreenRenderer:
 
   def render(self, snapshot: Snapshot) -> np.ndarray:
     """Return the worlds of a snapshot side by side, (height, width, 3) uint8."""
-    if self._context is None:
-      raise MjlabError("this renderer is closed")
+    assert self._context is not None
     self._gl.make_current()
     for row, rectangle in enumerate(tiles(len(snapshot.worlds), self.cfg.width, self.cfg.height)):
       self._world.load(snapshot, row)

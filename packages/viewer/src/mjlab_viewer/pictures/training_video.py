@@ -40,7 +40,7 @@ class TrainingVideo:
     self, env: ViewedEnv, folder: Path, *, interval: int = 2000, length: int = 200, cfg: PictureCfg | None = None
   ) -> None:
     if not 1 <= length <= interval:
-      raise MjlabError(f"length must be between 1 and interval ({interval}), got {length}")
+      raise MjlabError(f"the length of a film must be from 1 to their interval ({interval}), got {length}")
     self._env, self._folder = env, folder
     self._interval, self._length, self._cfg = interval, length, cfg
     self._taker = SnapshotTaker(env, contacts=cfg is not None and cfg.contacts)

@@ -6,14 +6,12 @@ import contextlib
 import os
 import queue
 import threading
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from mjlab_core import MjlabError
 from mjlab_core.files import AtomicWrite
 
 from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
@@ -28,15 +26,12 @@ class VideoFile:
   """Film as mp4 (H.264), which appears under its name when it is closed.
 
   Args:
-    path: Path of the film; must end in .mp4.
+    path: Path of the film, which ends in .mp4.
     fps: Frames per second.
-
-  Raises:
-    MjlabError: the path does not end in .mp4, or is a folder.
   """
 
   def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
-    self.path = check_video_path(path)
+    self.path = Path(path)
     self._fps = Fraction(fps).limit_denominator(1000)
     self._open: tuple[OutputContainer, VideoStream, AtomicWrite] | None = None
     self.num_frames = 0
@@ -95,7 +90,6 @@ class BackgroundVideo:
     model: The simulation's model; copied.
     cfg: Size and content of pictures.
     wait: True makes `add` wait for room.
-    on_error: Called in the thread with the first error.
   """
 
   def __init__(
@@ -106,14 +100,12 @@ class BackgroundVideo:
     cfg: PictureCfg | None = None,
     *,
     wait: bool = False,
-    on_error: Callable[[Exception], None] | None = None,
   ) -> None:
     self.file = VideoFile(path, fps)
     self.error: Exception | None = None
     self.num_dropped = 0
     self._is_finished = False
     self._wait = wait
-    self._on_error = on_error
     self._missed = 0
     self._fps = fps
     # A snapshot, the next film, or the end; with the number of frames that were dropped before it.
@@ -140,15 +132,11 @@ class BackgroundVideo:
     self.file = VideoFile(path, self._fps)
     self._put(self.file)
 
-  def finish(self) -> None:
-    """Finish the file in the background; no more frames are added."""
+  def close(self) -> Path | None:
+    """Wait for all frames, finish the file, and return its path, or None if there is no file."""
     if not self._is_finished:
       self._is_finished = True
       self._put(None)
-
-  def close(self) -> Path | None:
-    """Wait for all frames, finish the file, and return its path, or None if there is no file."""
-    self.finish()
     self._thread.join()
     return self.file.path if self.error is None and self.file.num_frames else None
 
@@ -177,22 +165,6 @@ class BackgroundVideo:
     except Exception as error:
       self.error = error
       file.discard()
-      if self._on_error is not None:
-        self._on_error(error)
       # A caller that waits for room must not wait without end.
       while not is_over:
         is_over = self._queue.get()[0] is None
-
-
-def check_video_path(path: str | os.PathLike[str]) -> Path:
-  """Return the path of a film.
-
-  Raises:
-    MjlabError: it does not end in .mp4, or is a folder.
-  """
-  path = Path(path)
-  if path.suffix.lower() != ".mp4":
-    raise MjlabError(f"video '{path}': films are written as .mp4")
-  if path.is_dir():
-    raise MjlabError(f"video '{path}': this is a folder; give a file that ends in .mp4")
-  return path
