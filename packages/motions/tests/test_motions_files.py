@@ -92,8 +92,8 @@ def test_a_half_written_file_never_takes_the_place_of_a_whole_one(
   save_motion(wiggle(), path)
   before = path.read_bytes()
 
-  def fails(target: Path, **_: object) -> None:
-    Path(target).write_bytes(b"half")
+  def fails(target: Any, **_: object) -> None:
+    target.write(b"half")
     raise OSError("disk full")
 
   monkeypatch.setattr(np, "savez_compressed", fails)
@@ -168,7 +168,7 @@ def test_a_header_may_be_quoted_commented_out_or_come_after_other_lines(tmp_path
     (b"x,y,z\n", "it has no numbers"),
     (b"x\xe9,y\n1,2\n", "codec can.t decode"),
     (bytes(range(256)), "codec can.t decode"),
-    (b"dance\n1,2,3\n", "its header names 1 columns, the table has 3"),
+    (b"dance\n1,2,3\n", "3 columns, expected 7 of the root and 0 of joints"),
     (b"1;2;3\n1;2;3\n", "could not convert string"),
     (b"1,2,3\n1,2\n", "number of columns changed"),
   ],
@@ -256,7 +256,7 @@ def test_an_order_that_is_stated_is_never_passed_over(tmp_path: Path) -> None:
     read_motion(tmp_path / "ours.npz", robot(), Statement(quaternion="xyzw"))
   arrays = seven_keys(wiggle())
   np.savez(tmp_path / "seven.npz", **arrays | {"body_quat_w": np.roll(arrays["body_quat_w"], -1, -1)})
-  with pytest.raises(MjlabError, match="cannot be placed"):
+  with pytest.raises(MjlabError, match="no order of joints and bodies agrees"):
     read_motion(tmp_path / "seven.npz", robot())
   assert_same(read_motion(tmp_path / "seven.npz", robot(), Statement(quaternion="xyzw")), wiggle())
 
@@ -294,7 +294,7 @@ def test_a_seven_key_file_that_no_order_explains_is_refused(tmp_path: Path) -> N
   arrays["joint_pos"] = arrays["joint_pos"][:, [1, 2, 3, 4, 0]]
   path = tmp_path / "seven.npz"
   np.savez(path, **arrays)
-  with pytest.raises(MjlabError, match=r"cannot be placed .*--joint-names and --body-names"):
+  with pytest.raises(MjlabError, match=r"no order of joints and bodies agrees .*--joint-names and --body-names"):
     read_motion(path, robot())
   stated = [robot().joint_names[i] for i in (1, 2, 3, 4, 0)]
   back = read_motion(path, robot(), Statement(joint_names=stated))
@@ -305,7 +305,7 @@ def test_a_body_whose_place_is_no_number_proves_no_order(tmp_path: Path) -> None
   arrays = seven_keys(wiggle())
   arrays["body_pos_w"][:, -1] = np.nan
   np.savez(tmp_path / "seven.npz", **arrays)
-  with pytest.raises(MjlabError, match="cannot be placed"):
+  with pytest.raises(MjlabError, match="no order of joints and bodies agrees"):
     read_motion(tmp_path / "seven.npz", robot(), Statement(body_names=robot().body_names))
 
 
@@ -315,7 +315,7 @@ def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
   names = list(robot().body_names)
   assert_same(read_motion(path, robot(), Statement(body_names=names)), wiggle())
   names[1], names[3] = names[3], names[1]
-  with pytest.raises(MjlabError, match="cannot be placed"):
+  with pytest.raises(MjlabError, match="no order of joints and bodies agrees"):
     read_motion(path, robot(), Statement(body_names=names))
 
 
@@ -326,7 +326,7 @@ def test_bodies_that_say_nothing_about_some_joints_do_not_prove_their_order(tmp_
   arrays["body_names"] = np.array(["pelvis", "left_thigh", "right_thigh", "arm"])
   path = tmp_path / "seven.npz"
   np.savez(path, **arrays)
-  with pytest.raises(MjlabError, match=r"on the way to 'left_shin', which is missing; .*--joint-names"):
+  with pytest.raises(MjlabError, match=r"without body 'left_shin' .*--joint-names"):
     read_motion(path, robot())
   assert_same(read_motion(path, robot(), Statement(joint_names=robot().joint_names)), wiggle())
   arrays["body_names"] = np.array(["pelvis", "arm", "arm", "arm"])
@@ -374,7 +374,7 @@ def test_arrays_that_are_not_what_their_key_says_are_refused_by_name(tmp_path: P
     (np.zeros(60), "not evenly spaced"),
     (np.full(60, np.nan), "not evenly spaced"),
     (-np.arange(60.0), "not evenly spaced"),
-    (np.arange(20) / 50.0, "20 times for 60 frames"),
+    (np.arange(20) / 50.0, "does not contain its rate"),
   ],
 )
 def test_times_that_cannot_be_those_of_the_frames_are_refused(tmp_path: Path, times: np.ndarray, message: str) -> None:

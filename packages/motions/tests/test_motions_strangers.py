@@ -164,7 +164,7 @@ def test_a_rate_out_of_bounds_is_refused_wherever_it_comes_from(tmp_path: Path, 
 
 def test_resampling_refuses_more_frames_than_a_motion_may_have() -> None:
   slow = wiggle(frames=201, rate=1.0)
-  with pytest.raises(MjlabError, match=r"lasts 200 s, which is 2,000,001 frames at 10000 Hz; the limit is 1,000,000"):
+  with pytest.raises(MjlabError, match=r"has 2,000,001 frames at 10000 Hz; the limit is 1,000,000"):
     resample(slow, 10_000.0)
 
 

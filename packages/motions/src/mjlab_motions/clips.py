@@ -66,11 +66,7 @@ def find_clips(motion: str, split: str | None = None) -> list[ClipEntry]:
     if path.suffix != ".npz":
       raise FileError(f"{path}: a clip to follow is an .npz; `convert-motion {path} --output FILE.npz` makes one")
     return [ClipEntry(path=path)]
-  if (file := path.with_name(f"{path.name}.npz")).is_file():
-    raise UnknownNameError(f"no clip of the name '{motion}' ships; the file is called {file}")
-  raise UnknownNameError(
-    f"{unknown('motion', motion, list(shipped))} It may also be the path of an .npz or of a folder."
-  )
+  raise UnknownNameError(f"{unknown('motion', motion, shipped)} It may also be the path of an .npz or of a folder.")
 
 
 def _folder(folder: Path) -> list[ClipEntry]:

@@ -79,10 +79,7 @@ def _rate(archive: Npz, said: Statement, frames: int) -> float:
   """Return the frames per second that an archive contains or the user states [Hz]."""
   if "fps" in archive:
     return _agreed_rate(archive.number("fps"), said)
-  if "times" in archive and frames > 1:
-    times = archive.column("times")
-    if len(times) != frames:
-      raise FileError(f"{len(times)} times for {frames} frames")
+  if "times" in archive and len(times := archive.column("times")) == frames > 1:
     with np.errstate(all="ignore"):
       steps = np.diff(times)
     if not (steps.min() > 0.0 and np.ptp(steps) <= 1e-3 * steps.mean()):

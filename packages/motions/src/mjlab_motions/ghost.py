@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import DebugDraw
-from mjlab_core.rotations import quat_apply, quat_mul
+from mjlab_core.rotations import quat_apply, quat_conjugate, quat_mul
 
 from mjlab_motions.kinematics import Kinematics
 
@@ -50,7 +50,7 @@ class Ghost:
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
       mesh = int(model.geom_dataid[geom])
       # MuJoCo stores a mesh about its centre of mass; drawings use the frame of the file.
-      back = self._constant(_inverse(model.mesh_quat[mesh]), quat).expand(quat.shape[0], 4)
+      back = quat_conjugate(self._constant(model.mesh_quat[mesh], quat)).expand(quat.shape[0], 4)
       own = quat_mul(quat, back)
       origin = pos - quat_apply(own, self._constant(model.mesh_pos[mesh], pos).expand(pos.shape[0], 3))
       draw.meshes(model.mesh(mesh).name, origin, own, COLOR)
@@ -66,7 +66,3 @@ class Ghost:
 
   def _constant(self, value: object, like: torch.Tensor) -> torch.Tensor:
     return torch.as_tensor(np.asarray(value), dtype=like.dtype, device=like.device)
-
-
-def _inverse(quat: np.ndarray) -> np.ndarray:
-  return quat * np.array([1.0, -1.0, -1.0, -1.0])

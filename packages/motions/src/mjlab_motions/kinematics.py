@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core.errors import MjlabError
-from mjlab_core.names import nearest
+from mjlab_core.names import check_name
 from mjlab_core.rotations import cross, matrix_from_quat, quat_apply, quat_from_rotvec, quat_mul
 
 from mjlab_motions.motion import Motion
@@ -133,6 +133,22 @@ class Kinematics:
       angular.append(spin)
     return torch.stack(linear, 1), torch.stack(angular, 1)
 
+  def states(self, motion: Motion) -> tuple[torch.Tensor, ...]:
+    """Return joint positions and velocities of a motion, in this robot's order, and body states, on its device.
+
+    Body states are positions, orientations, linear and angular velocities, as from `poses` and `velocities`.
+
+    Raises:
+      UnknownNameError: See `columns_of`.
+    """
+    joint_pos, root_pos, root_quat = (
+      part.to(self.device) for part in (self.columns_of(motion), motion.root_pos, motion.root_quat)
+    )
+    joint_vel = derivative(joint_pos, motion.rate)
+    pos, quat = self.poses(root_pos, root_quat, joint_pos)
+    root_lin_vel, root_ang_vel = derivative(root_pos, motion.rate), angular_velocity(root_quat, motion.rate)
+    return joint_pos, joint_vel, pos, quat, *self.velocities(pos, quat, root_lin_vel, root_ang_vel, joint_vel)
+
   def center_of_mass(self, body_pos: torch.Tensor, body_quat: torch.Tensor) -> torch.Tensor:
     """Return the centre of mass of the whole robot in the world, (frames, 3) [m]."""
     mass = self._constant(self.model.body_mass[self._bodies], body_pos)
@@ -188,22 +204,16 @@ class Kinematics:
     """Return the joint positions of a motion in this robot's order, (frames, joints) [rad or m].
 
     Raises:
-      MjlabError: The motion is not of this robot; the message names what is missing and what is too much.
+      UnknownNameError: The motion is not of this robot; the message gives the nearest name.
     """
-    if set(motion.joint_names) != set(self.joint_names) or motion.root_body != self.root_body:
-      missing = [name for name in self.joint_names if name not in motion.joint_names]
-      strange = [name for name in motion.joint_names if name not in self.joint_names]
-      said = [f"motion '{motion.name}' does not fit the robot:"]
-      if motion.root_body != self.root_body:
-        said.append(f"its root is '{motion.root_body}', the robot's '{self.root_body}';")
-      if missing:
-        said.append(f"it lacks joint {_some(missing)};")
-      if strange:
-        # If no name fits, it is another robot and not a misspelt name.
-        close = nearest(strange[0], self.joint_names) if len(missing) < len(self.joint_names) else ()
-        said.append(f"the robot lacks joint {_some(strange)}" + (f" (nearest: {', '.join(close)})." if close else "."))
-      raise MjlabError(" ".join(said).rstrip(";"))
-    order = [motion.joint_names.index(name) for name in self.joint_names]
+    owner = f"motion '{motion.name}' does not fit the robot"
+    check_name("root body of the robot", motion.root_body, [self.root_body], owner)
+    for name in motion.joint_names:
+      check_name("joint of the robot", name, self.joint_names, owner)
+    order = [
+      motion.joint_names.index(check_name("joint of the motion", n, motion.joint_names, owner))
+      for n in self.joint_names
+    ]
     return motion.joint_pos[:, order]
 
   def local_name(self, name: str) -> str:
@@ -225,15 +235,9 @@ def derived_arrays(motion: Motion, robot: Kinematics) -> dict[str, np.ndarray]:
 
   `joint_vel` is in the order of the motion's own joint names; bodies are in the order of `body_names`.
   """
-  at = motion.rate
-  joint_vel = derivative(motion.joint_pos, at)
-  order = [motion.joint_names.index(name) for name in robot.joint_names]
-  pos, quat = robot.poses(motion.root_pos, motion.root_quat, robot.columns_of(motion))
-  linear, angular = robot.velocities(
-    pos, quat, derivative(motion.root_pos, at), angular_velocity(motion.root_quat, at), joint_vel[:, order]
-  )
+  _, _, pos, quat, linear, angular = robot.states(motion)
   arrays = {
-    "joint_vel": joint_vel,
+    "joint_vel": derivative(motion.joint_pos, motion.rate),
     "body_pos_w": pos,
     "body_quat_w": quat,
     "body_lin_vel_w": linear,
@@ -243,8 +247,3 @@ def derived_arrays(motion: Motion, robot: Kinematics) -> dict[str, np.ndarray]:
     "body_names": np.array(robot.body_names),
     **{name: value.numpy().astype(np.float32) for name, value in arrays.items()},
   }
-
-
-def _some(names: list[str]) -> str:
-  """Return a few of many names."""
-  return ", ".join(names) if len(names) <= 5 else f"{', '.join(names[:4])} and {len(names) - 4} more"

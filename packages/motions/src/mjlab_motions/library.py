@@ -10,7 +10,7 @@ from mjlab_motions.clips import find_clips
 from mjlab_motions.formats import read_motion
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
-from mjlab_motions.timeline import angular_velocity, derivative, resample
+from mjlab_motions.timeline import resample
 
 
 class MotionLibrary:
@@ -116,19 +116,8 @@ class MotionLibrary:
 
 def _rows(motion: Motion, robot: Kinematics, rows: list[int]) -> torch.Tensor:
   """Return joints and bodies of each frame, (frames, width), on the robot's device."""
-
-  def there(values: torch.Tensor) -> torch.Tensor:
-    return values.to(robot.device)
-
-  rate = motion.rate
-  joint_pos = there(robot.columns_of(motion))
-  joint_vel = derivative(joint_pos, rate)
-  root_pos, root_quat = there(motion.root_pos), there(motion.root_quat)
-  pos, quat = robot.poses(root_pos, root_quat, joint_pos)
-  linear, angular = robot.velocities(
-    pos, quat, derivative(root_pos, rate), angular_velocity(root_quat, rate), joint_vel
-  )
-  return torch.cat((joint_pos, joint_vel, *(part[:, rows].flatten(1) for part in (pos, quat, linear, angular))), 1)
+  joint_pos, joint_vel, *bodies = robot.states(motion)
+  return torch.cat((joint_pos, joint_vel, *(part[:, rows].flatten(1) for part in bodies)), 1)
 
 
 def load_library(

@@ -1,13 +1,12 @@
 """Motion files: `.npz` archives without pickles that say what they hold."""
 
 import os
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import torch
-from mjlab_core.errors import FileError, MjlabError
+from mjlab_core.errors import FileError
 from mjlab_core.files import AtomicWrite, reading
 from mjlab_core.npz import Npz
 
@@ -46,13 +45,7 @@ def save_motion(motion: Motion, path: str | os.PathLike[str], derived: dict[str,
     motion: Clip to write.
     path: The file, ending in `.npz`.
     derived: Arrays for other readers, by name, such as those of `derived_arrays`.
-
-  Raises:
-    MjlabError: The path does not end in `.npz`.
   """
-  path = Path(path)
-  if path.suffix != ".npz":
-    raise MjlabError(f"{path}: a motion file ends in .npz")
   metadata = Metadata(
     format=FORMAT,
     version=VERSION,
@@ -73,8 +66,8 @@ def save_motion(motion: Motion, path: str | os.PathLike[str], derived: dict[str,
     "joint_pos": motion.joint_pos.numpy().astype(np.float32),
     **(derived or {}),
   }
-  with AtomicWrite(path) as temporary:
-    np.savez_compressed(temporary, **arrays)
+  with AtomicWrite(path) as temporary, temporary.open("wb") as file:
+    np.savez_compressed(file, **arrays)
 
 
 def load_motion(path: str | os.PathLike[str]) -> Motion:

@@ -34,7 +34,7 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
     body_quat = body_quat.roll(1, -1)
   few = torch.linspace(0, joint_pos.shape[0] - 1, min(joint_pos.shape[0], 8)).long()
   best, reason = float("inf"), ""
-  for order, names in _joint_orders(robot, said, joint_pos.shape[1]).items():
+  for order, names in _joint_orders(robot, said).items():
     for root in _possible_roots(robot, said, body_pos.shape[1]):
       motion = Motion(
         name=archive.path.stem,
@@ -57,11 +57,8 @@ def from_seven_keys(archive: Npz, joint_pos: torch.Tensor, robot: Kinematics, sa
         return motion.changed(note)
       if error < best:
         best, reason = error, f"joints {order}, root in row {root}, body '{body}' is off by {error:.3g} m or rad"
-  raise FileError(
-    "it cannot be placed on this robot: no order of joints and bodies agrees with forward kinematics. "
-    f"Nearest: {reason}. State the orders with --joint-names and --body-names, or xyzw with --quaternion; or the clip "
-    "is of another robot."
-  )
+  remedy = "state the orders with --joint-names and --body-names, or xyzw with --quaternion, if it is of this robot"
+  raise FileError(f"no order of joints and bodies agrees with forward kinematics. Nearest: {reason}; {remedy}")
 
 
 def check_bodies(archive: Npz, motion: Motion, robot: Kinematics) -> None:
@@ -75,9 +72,7 @@ def check_bodies(archive: Npz, motion: Motion, robot: Kinematics) -> None:
   _check_body_names(names, body_pos.shape[1], robot)
   error, body = _misplacement(motion, robot, body_pos, body_quat, names)
   if error > PLACED:
-    raise FileError(
-      f"its body '{body}' is {error:.3g} m or rad from where this robot has it; the file was made for another model"
-    )
+    raise FileError(f"its body '{body}' is {error:.3g} m or rad from where this robot has it; it is of another model")
 
 
 def _possible_roots(robot: Kinematics, said: Statement, bodies: int) -> list[int]:
@@ -87,14 +82,11 @@ def _possible_roots(robot: Kinematics, said: Statement, bodies: int) -> list[int
   _check_body_names(said.body_names, bodies, robot)
   unseen = [body for body in robot.ends if body not in said.body_names]
   if unseen and not said.joint_names:
-    raise FileError(
-      f"its bodies do not prove the order of the joints on the way to '{unseen[0]}', which is missing; "
-      "state the order with --joint-names"
-    )
+    raise FileError(f"without body '{unseen[0]}' the order of joints is not proven; state it with --joint-names")
   return [list(said.body_names).index(robot.root_body)]
 
 
-def _joint_orders(robot: Kinematics, said: Statement, columns: int) -> dict[str, tuple[str, ...]]:
+def _joint_orders(robot: Kinematics, said: Statement) -> dict[str, tuple[str, ...]]:
   """Return the names of the joint columns: as stated, or depth first, as in MuJoCo, and breadth first, as in PhysX."""
   model = robot.model
   depth = {0: 0}
@@ -104,9 +96,6 @@ def _joint_orders(robot: Kinematics, said: Statement, columns: int) -> dict[str,
   orders = {"depth first": robot.joint_names, "breadth first": tuple(robot.joint_names[i] for i in by_level)}
   if said.joint_names:
     orders = {"as stated": tuple(said.joint_names)}
-  for order, names in orders.items():
-    if len(names) != columns:
-      raise FileError(f"{columns} joint columns, {len(names)} names ({order})")
   return orders
 
 
@@ -145,8 +134,7 @@ def _body_poses(archive: Npz, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
   """Return positions (frames, bodies, 3) and orientations (frames, bodies, 4) of the bodies in a file."""
   body_pos, body_quat = (archive.numbers(name, ndim=3) for name in ("body_pos_w", "body_quat_w"))
   if body_pos.shape[::2] != (frames, 3) or body_quat.shape != (*body_pos.shape[:2], 4):
-    shapes = f"shapes {body_pos.shape} and {body_quat.shape} of bodies"
-    raise FileError(f"{shapes} do not fit {frames} frames")
+    raise FileError(f"shapes {body_pos.shape} and {body_quat.shape} of bodies do not fit {frames} frames")
   return torch.from_numpy(body_pos), torch.from_numpy(body_quat)
 
 

@@ -11,7 +11,6 @@ from mjlab_core.tables import table
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
-from mjlab_motions.timeline import angular_velocity, derivative
 
 Severity = Literal["ok", "warning", "error"]
 TOUCHING = 0.01
@@ -123,11 +122,8 @@ def check_quality(motion: Motion, robot: Kinematics) -> QualityReport:
   Raises:
     MjlabError: The motion does not fit the robot.
   """
-  q, rate = robot.columns_of(motion), motion.rate
-  pos, quat = robot.poses(motion.root_pos, motion.root_quat, q)
-  root_lin, root_ang = derivative(motion.root_pos, rate), angular_velocity(motion.root_quat, rate)
-  joint_vel = derivative(q, rate)
-  linear, angular = robot.velocities(pos, quat, root_lin, root_ang, joint_vel)
+  rate = motion.rate
+  q, joint_vel, pos, quat, linear, angular = robot.states(motion)
   points, rows = robot.lowest_points(pos, quat)
   falling = _falls_freely(robot.center_of_mass(pos, quat)[:, 2], rate)
   height, deepest = points[..., 2].min(1)
@@ -139,8 +135,8 @@ def check_quality(motion: Motion, robot: Kinematics) -> QualityReport:
   series: dict[str, tuple[torch.Tensor, torch.Tensor | None, tuple[str, ...]]] = {
     "joint_limit": (beyond.values, beyond.indices, joints),
     "joint_speed": (fastest.values, fastest.indices, joints),
-    "root_speed": (torch.linalg.vector_norm(root_lin, dim=-1), None, (motion.root_body,)),
-    "root_turning": (torch.linalg.vector_norm(root_ang, dim=-1), None, (motion.root_body,)),
+    "root_speed": (torch.linalg.vector_norm(linear[:, 0], dim=-1), None, (motion.root_body,)),
+    "root_turning": (torch.linalg.vector_norm(angular[:, 0], dim=-1), None, (motion.root_body,)),
     "penetration": ((-height).clamp(min=0.0), deepest, bodies),
     "floating": (torch.where(falling, 0.0, height.clamp(min=0.0)), deepest, bodies),
     "foot_skate": (_skate(sliding, (points[..., 2] < TOUCHING) & ~falling[:, None], rate), None, ()),
@@ -173,10 +169,9 @@ def _falls_freely(height: torch.Tensor, rate: float) -> torch.Tensor:
 
 def _running_mean(values: torch.Tensor, reach: int) -> torch.Tensor:
   """Return the mean of the neighbours up to `reach` frames away, as many as exist, (frames,)."""
-  total = torch.cat((torch.zeros(1, dtype=values.dtype), values.cumsum(0)))
-  at = torch.arange(len(values))
-  first, end = (at - reach).clamp(min=0), (at + reach + 1).clamp(max=len(values))
-  return (total[end] - total[first]).clamp(min=0.0) / (end - first)
+  reach = min(reach, len(values) - 1)
+  pooled = torch.nn.functional.avg_pool1d(values[None], 2 * reach + 1, 1, reach, count_include_pad=False)
+  return pooled[0]
 
 
 def _finding(

@@ -35,8 +35,6 @@ def from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
   if len(lines) <= has_header:
     raise FileError("it has no numbers")
   table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
-  if has_header and len(header) != table.shape[1]:
-    raise FileError(f"its header names {len(header)} columns, the table has {table.shape[1]}")
   if has_header and said.joint_names is None:
     said = dataclasses.replace(said, joint_names=header[7:])
   if said.rate is None:
@@ -70,11 +68,8 @@ def from_table(
   """
   names = tuple(said.joint_names) if said.joint_names is not None else robot.joint_names
   if table.shape[1] != 7 + len(names):
-    source = "names were given" if said.joint_names is not None else "joints of the robot"
-    raise FileError(
-      f"{table.shape[1]} columns, expected 7 of the root and {len(names)} of joints ({source}); state their "
-      "names with --joint-names, and how they become the robot's with --joint-map"
-    )
+    found = f"{table.shape[1]} columns, expected 7 of the root and {len(names)} of joints"
+    raise FileError(f"{found}; name them with --joint-names, and with --joint-map for joints of the robot")
   order, proof = _quaternion_order(table[:, 3:7], said, is_mujoco)
   values = torch.from_numpy(table)
   motion = Motion(

@@ -46,8 +46,7 @@ def resample(motion: Motion, rate: float) -> Motion:
   count = math.floor(motion.duration * rate + 1e-6) + 1
   if count > MAX_FRAMES:
     raise MjlabError(
-      f"resample: motion '{motion.name}' lasts {motion.duration:.0f} s, which is {count:,} frames at {rate:g} Hz; the "
-      f"limit is {MAX_FRAMES:,}"
+      f"resample: motion '{motion.name}' has {count:,} frames at {rate:g} Hz; the limit is {MAX_FRAMES:,}"
     )
   at = (torch.arange(count, dtype=torch.float64) * (motion.rate / rate)).clamp(max=motion.num_frames - 1)
   before = at.floor().long().clamp(max=motion.num_frames - 2)
