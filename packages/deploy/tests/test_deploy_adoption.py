@@ -155,7 +155,7 @@ DEPLOY = {
   ("change", "message"),
   [
     ({"step_dt": None}, "float"),
-    ({"joint_ids_map": [0, 1]}, "joint_ids_map numbers 2 motors, expected those of a G1 with 29, of a quadruped"),
+    ({"joint_ids_map": [0, 1]}, "joint_ids_map has 2 motors, not those of a G1 with 29, a quadruped"),
     ({"stiffness": [20.0]}, "list index out of range"),
     ({"actions": {"JointVelocityAction": {}}}, "action JointVelocityAction is not one of all joints without a clip"),
     ({"default_joint_pos": [0.1] * 12}, "the offset of its action is not the default pose"),

@@ -47,7 +47,6 @@ def test_a_log_as_mcap_has_states_commands_and_what_the_operator_wanted(tmp_path
     (["--command", "1,2"], "command has 1 numbers, got 2"),
     (["--log"], "expected one argument"),
     (["--latency", "3h"], "invalid _seconds value"),
-    (["--seconds", "0.02", "--log", "a.txt"], "a.txt: a log is a .npz or a .mcap file"),
   ],
 )
 def test_a_mistake_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:

@@ -25,6 +25,7 @@ from mjlab_deploy.description import (
   Timing,
 )
 from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.model_readings import actuators_of
 from mjlab_deploy.network_graph import GROUP, NetworkGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
 from mjlab_deploy.policy import open_graph
@@ -120,11 +121,8 @@ def _effort(model: mujoco.MjModel, name: str, prefix: str) -> float | None:
   if number < 0:
     return None
   limits = [float(model.jnt_actfrcrange[number, 1])] if model.jnt_actfrclimited[number] else []
-  for i in np.flatnonzero(
-    (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == number)
-  ):
-    if model.actuator_forcelimited[i]:
-      limits.append(float(model.actuator_forcerange[i, 1]))
+  servos = actuators_of(model, number)
+  limits += [float(model.actuator_forcerange[i, 1]) for i in servos if model.actuator_forcelimited[i]]
   return min(limits) if limits else None
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.description import Joint
-from mjlab_deploy.errors import DeployError
-from mjlab_deploy.model_readings import ModelReadings, Readings, joint_id
+from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.model_readings import ModelReadings, Readings, actuators_of, joint_id
 from mjlab_deploy.scene import load_scene
 
 
@@ -31,29 +31,24 @@ class ClosedLoop:
     self._servos: list[tuple[str, int, int, float]] = []
     self._drives: list[tuple[str, int, int, int, int, Joint]] = []
     by_name = {joint.name: joint for joint in self.description.robot.joints}
-    for target in self.description.targets:
-      for column, name in enumerate(target.joints):
-        if name not in by_name:
-          raise DeployError(f"target '{target.name}': the robot has no joint {name[:60]!r}")
-        self._connect(target.name, target.quantity, column, by_name[name])
-
-  def _connect(self, output: str, quantity: str, column: int, joint: Joint) -> None:
-    model = self.model
-    number = joint_id(model, f"{self.description.robot.name}/{joint.name}")
-    of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == number)
-    found = np.flatnonzero(of_joint)
-    if len(found) != 1:
-      raise DeployError(f"joint '{joint.name}' has {len(found)} actuators in scene.xml; expected one")
-    actuator = int(found[0])
-    is_servo = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-    gear = float(model.actuator_gear[actuator, 0])
-    if is_servo or quantity == "effort":
-      self._servos.append((output, column, actuator, 1.0 / gear if quantity == "effort" else gear))
-    elif quantity == "position" and joint.stiffness is not None and joint.damping is not None:
-      q, v = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
-      self._drives.append((output, column, actuator, q, v, joint))
-    else:
-      raise DeployError(f"joint '{joint.name}': its actuator model is not one that MuJoCo computes")
+    with reading("targets: joint of the robot", KeyError):
+      targets = [(t, column, by_name[name]) for t in self.description.targets for column, name in enumerate(t.joints)]
+    for target, column, joint in targets:
+      model, number = self.model, joint_id(self.model, f"{self.description.robot.name}/{joint.name}")
+      with reading(f"joint '{joint.name}' needs one actuator in scene.xml", ValueError):
+        (actuator,) = actuators_of(model, number)
+      is_servo, is_effort = (
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE,
+        target.quantity == "effort",
+      )
+      gear = float(model.actuator_gear[actuator, 0])
+      if is_servo or is_effort:
+        self._servos.append((target.name, column, actuator, 1.0 / gear if is_effort else gear))
+      elif target.quantity == "velocity" or joint.stiffness is None or joint.damping is None:
+        raise DeployError(f"joint '{joint.name}': its actuator model is not one that MuJoCo computes")
+      else:
+        q, v = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
+        self._drives.append((target.name, column, actuator, q, v, joint))
 
   def start(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
     """Put the scene into a state."""

@@ -101,15 +101,10 @@ def _opened(arguments: argparse.Namespace) -> "AbstractContextManager[Bundle]":
   """Open the bundle of a command line, or the network and the model."""
   from mjlab_deploy.bundle import open_bundle
 
-  is_network = arguments.bundle.endswith(".onnx")
-  if is_network != (arguments.model is not None):
-    raise DeployError(
-      f"{arguments.bundle} is a network without a robot; name its MJCF file with --model"
-      if is_network
-      else "--model is for networks of others (.onnx); a bundle has its robot"
-    )
-  if not is_network:
+  if not arguments.bundle.endswith(".onnx"):
     return open_bundle(arguments.bundle)
+  if arguments.model is None:
+    raise DeployError(f"{arguments.bundle} is a network without a robot; name its MJCF file with --model")
   from mjlab_deploy.adoption import adopted
 
   return adopted(Path(arguments.bundle), Path(arguments.model), arguments.rate)

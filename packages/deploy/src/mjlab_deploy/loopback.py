@@ -13,6 +13,7 @@ from mjlab_deploy.camera import Cameras
 from mjlab_deploy.closed_loop import ClosedLoop
 from mjlab_deploy.description import Description
 from mjlab_deploy.errors import DeployError
+from mjlab_deploy.model_readings import actuators_of
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotIO, RobotState
 
 _STATE, _COMMAND, _IMAGE = b"MJS1", b"MJC1", b"MJI1"
@@ -222,12 +223,11 @@ class LoopbackRobot(RobotIO):
 
 def _actuator(model: mujoco.MjModel, joint: str) -> int:
   """Return the position servo or the motor of a joint; -1 if nothing drives it."""
-  number = model.joint(joint).id
-  found = np.flatnonzero((model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == number))
-  if len(found) == 0:
+  found = actuators_of(model, model.joint(joint).id)
+  if not found:
     return -1
   gain, bias = model.actuator_gainprm[found[0], 0], model.actuator_biastype[found[0]]
   is_motor = bias == mujoco.mjtBias.mjBIAS_NONE and gain == 1.0
   if bias != mujoco.mjtBias.mjBIAS_AFFINE and not is_motor:
     raise DeployError(f"{joint}: the loopback robot needs position servos or motors")
-  return int(found[0])
+  return found[0]

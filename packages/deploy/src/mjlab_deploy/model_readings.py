@@ -74,6 +74,12 @@ class ModelReadings:
     return quat
 
 
+def actuators_of(model: mujoco.MjModel, joint: int) -> list[int]:
+  """Return the numbers of the actuators of a joint."""
+  is_of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+  return np.flatnonzero(is_of_joint).tolist()
+
+
 def joint_id(model: mujoco.MjModel, name: str) -> int:
   """Return the number of a joint.
 

@@ -2,6 +2,7 @@
 
 import math
 
+import mujoco
 import numpy as np
 
 from mjlab_deploy.bundle import Bundle
@@ -68,10 +69,12 @@ def _heading(quat: np.ndarray) -> float:
 
 
 def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-  w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-  return np.concatenate(([w], v))
+  out = np.empty(4)
+  mujoco.mju_mulQuat(out, a, b)
+  return out
 
 
 def _rotate(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
-  cross = np.cross(quat[1:], vector)
-  return vector + 2.0 * (quat[0] * cross + np.cross(quat[1:], cross))
+  out = np.empty(3)
+  mujoco.mju_rotVecQuat(out, vector, quat)
+  return out

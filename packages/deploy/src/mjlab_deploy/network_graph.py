@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mjlab_deploy.errors import DeployError
@@ -56,10 +57,8 @@ class NetworkGraph:
     # Trainers agree on "obs", not on the output: rsl-rl writes "actions", MuJoCo Playground "continuous_actions".
     self._action = "actions" if "actions" in self._outputs or len(self._outputs) != 1 else self._outputs[0]
     if "obs" not in self._inputs or self._action not in self._outputs:
-      raise DeployError(
-        f"the network must take 'obs' and return 'actions'; it takes {', '.join(self._inputs)[:120]} and returns "
-        f"{', '.join(self._outputs)[:120]}"
-      )
+      takes, returns = (", ".join(names)[:120] for names in (self._inputs, self._outputs))
+      raise DeployError(f"the network must take 'obs' and return 'actions'; it takes {takes} and returns {returns}")
     self.joints = tuple(self.words("joint_names"))
     count = len(self.joints)
     self.default, self.stiffness, self.damping, self.action_scale = (
@@ -236,11 +235,6 @@ def _numbers(key: str, words: Sequence[str]) -> np.ndarray:
 
 def _matrix(quat: np.ndarray) -> np.ndarray:
   """Return the rotation matrix of a quaternion (w, x, y, z)."""
-  w, x, y, z = quat / max(float(np.linalg.norm(quat)), 1e-9)
-  return np.array(
-    [
-      [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-      [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-      [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-  )
+  matrix = np.empty(9)
+  mujoco.mju_quat2Mat(matrix, quat / max(float(np.linalg.norm(quat)), 1e-9))
+  return matrix.reshape(3, 3)

@@ -104,8 +104,9 @@ def unitree_deploy_yaml(description: Description) -> str:
   for term in description.observations:
     name = _TERMS.get(term.sources[0]) if len(term.sources) == 1 else None
     if name is None:
+      sources = ", ".join(term.sources)
       raise DeployError(
-        f"Unitree's deploy.yaml: its runner has no term for '{term.name}' ({', '.join(term.sources)}); train without it"
+        f"Unitree's deploy.yaml: its runner has no term for '{term.name}' ({sources}); train without it"
       )
     lines += [
       f"  {name}:",

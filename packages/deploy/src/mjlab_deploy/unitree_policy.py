@@ -50,9 +50,7 @@ def _metadata(data: Mapping[str, Any]) -> dict[str, str]:
   motors = [int(number) for number in data["joint_ids_map"]]
   known = {len(names): names for names in (*MOTORS, data.get("motor_names", ()))}
   if sorted(motors) != list(range(len(motors))) or len(motors) not in known:
-    raise DeployError(
-      f"joint_ids_map numbers {len(motors)} motors, expected those of a G1 with 29, of a quadruped, or of motor_names"
-    )
+    raise DeployError(f"joint_ids_map has {len(motors)} motors, not those of a G1 with 29, a quadruped, or motor_names")
   names = known[len(motors)]
   default = [float(value) for value in data["default_joint_pos"]]
   ((kind, action),) = data["actions"].items()
