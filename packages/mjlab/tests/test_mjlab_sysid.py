@@ -188,8 +188,8 @@ def test_a_gap_is_one_line_and_columns_come_in_any_order(tmp_path: Path, capsys:
   ("words", "code", "message"),
   [
     ([], 2, "no RECORD given"),
-    (["a.csv"], 2, "no --task given"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1"], 2, "no --fit given"),
+    (["a.csv", "--fit", "armature:.*"], 2, "task '' does not exist"),
+    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1"], 2, "--fit must have at least 1 element"),
     (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go", "--fit", "armature:.*"], 2, "task 'Mjlab-Velocity-Flat"),
     (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armour:.*"], 2, "field 'armour' does not exist"),
     (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armature:.*"], 2, "record a.csv: no such file"),

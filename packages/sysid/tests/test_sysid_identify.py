@@ -208,7 +208,6 @@ def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
     ),
     (["armature:hip=-1..1"], "below the physical minimum 0"),
     (["geom_matid:foot"], "it is a choice"),
-    ([], "no parameter to fit is given"),
   ],
 )
 def test_a_wrong_parameter_is_refused_by_name(terms: list[str], message: str) -> None:

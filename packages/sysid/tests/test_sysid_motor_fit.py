@@ -235,7 +235,7 @@ def table(rows: int = 12) -> list[list[float]]:
     ({"activation": "relo"}, "activation 'relo' does not exist. Nearest: relu"),
     ({"learning_rate": 0.0}, "learning_rate must be positive"),
     ({"held_out": 1.0}, r"held_out must be in \(0, 1\)"),
-    ({"history_length": 5}, "stretch 1 of 1 has 12 rows; with history_length 5 and held_out 0.2 each of its two parts"),
+    ({"history_length": 5}, "stretch 1 of 1 has 12 rows; both parts, by held_out 0.2, need history_length 5 or more"),
   ],
 )
 def test_impossible_settings_are_refused_by_name(tmp_path: Path, changes: dict[str, Any], message: str) -> None:

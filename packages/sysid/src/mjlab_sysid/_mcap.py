@@ -10,7 +10,7 @@ import numpy as np
 from mjlab_core.errors import FileError
 from mjlab_core.files import printable, reading
 from mjlab_core.lazy import from_extra
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 
 from mjlab_sysid.records import JOINT_SIGNALS, Record, check_unit, elements, interpolated
 
@@ -40,7 +40,7 @@ def read_mcap(path: Path) -> list[Record]:
     reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
     present: set[str] = set()
     for schema, channel, message in reader.iter_messages():
-      present.add(channel.topic)
+      present.add(printable(channel.topic, 80))
       if channel.topic not in series:
         continue
       if sum(map(len, series.values())) >= _MAX_MESSAGES:
@@ -51,13 +51,12 @@ def read_mcap(path: Path) -> list[Record]:
         decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
         if decode is None:
           raise FileError(
-            f"topic {channel.topic} is encoded as {printable(channel.message_encoding, 40)!r}; expected cdr or json"
+            f"topic {channel.topic}: encoding {printable(channel.message_encoding, 40)!r} is not cdr or json"
           )
         content = decode(message.data)
       series[channel.topic].append((message.log_time * 1e-9, content))
     for topic in (STATES, COMMANDS):
-      if not series[topic]:
-        raise FileError(unknown("topic", topic, [printable(name, 80) for name in sorted(present)]))
+      check_name("topic", topic, sorted(present))
     return [_merged(printable(path, 200), series)]
 
 
@@ -93,8 +92,6 @@ def _joint_series(
   for name in dict.fromkeys(JOINT_SIGNALS.values()):
     rows = [_get(message, name, ()) for _, message in messages]
     if any(len(row) for row in rows):
-      if any(len(row) != len(joints) for row in rows):
-        raise FileError(f"topic {topic}: {name} has another number of values than there are joints")
       signals[name] = np.array(rows, np.float64)
   return joints, np.array([stamp for stamp, _ in messages]), signals
 

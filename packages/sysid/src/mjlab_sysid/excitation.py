@@ -174,7 +174,7 @@ def design_excitation(
 
   Args:
     robot: The robot on its stand.
-    fit: Parameters to be fitted later.
+    fit: Parameters to be fitted later, at least one.
     cfg: Settings; None for the defaults.
     joints: Pattern of the joints to move; the others hold their pose.
     ranges: Operation and bounds by field, as in `identify`.
@@ -183,8 +183,6 @@ def design_excitation(
   Raises:
     MjlabError: A parameter is wrong, or a joint has no room to move.
   """
-  if not fit:
-    raise MjlabError("no parameter to fit is given")
   search = _Search(robot, fit, cfg or ExcitationCfg(), joints, ranges or {})
   return search.run(on_iteration)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mjlab_core.errors import MjlabError
 from mjlab_core.lazy import from_extra
 from mujoco.minimize import Verbosity, least_squares
 
@@ -55,8 +54,8 @@ def identify(
 
   Args:
     robot: The robot on its stand.
-    records: Records to fit to.
-    fit: Parameters to fit.
+    records: Records to fit to, at least one.
+    fit: Parameters to fit, at least one.
     cfg: Settings; None for the defaults.
     held_out: Records that are only scored.
     ranges: Operation and bounds by field, such as those of a task's randomisation, where a term gives none.
@@ -68,8 +67,6 @@ def identify(
     FileError: The file to resume from is missing, damaged, or of another fit.
     MjlabError: A record or a parameter is wrong; the message names it.
   """
-  if not fit:
-    raise MjlabError("no parameter to fit is given")
   cfg = cfg or IdentifyCfg()
 
   def problem_of(some: Sequence[Record]) -> Problem:
@@ -125,9 +122,7 @@ class _Fit:
     self._problem, self._cfg, self._on_iteration, self._file = problem, cfg, on_iteration, file
     # The records do not change; their digest takes time.
     self._key = problem.key
-    if is_resumed:
-      if file is None:
-        raise MjlabError("resume needs the file of a fit: progress")
+    if is_resumed and file is not None:
       self._state = load_state(file, self._key, problem.count)
     else:
       self._state = FitState(x=problem.off_plateaus(np.zeros(problem.count)))

@@ -195,8 +195,6 @@ Samples = tuple[torch.Tensor, torch.Tensor]
 
 def _tables(records: Sequence[Record], cfg: MotorFitCfg) -> tuple[float, list[np.ndarray]]:
   """Return the period, and one table (rows, 4) for each joint and stretch: target, position, velocity, effort."""
-  if not records:
-    raise MjlabError("no record is given")
   period, tables = records[0].period, []
   for record in records:
     for part in uniform(record.select(cfg.joints), period):
@@ -212,10 +210,8 @@ def _split(tables: Sequence[np.ndarray], cfg: MotorFitCfg) -> tuple[list[np.ndar
     begin = len(segment) - round(cfg.held_out * len(segment))
     for part, parts in ((segment[:begin], trained), (segment[begin:], held)):
       if len(part) < cfg.history_length:
-        raise MjlabError(
-          f"stretch {index + 1} of {len(tables)} has {len(segment)} rows; with history_length "
-          f"{cfg.history_length} and held_out {cfg.held_out} each of its two parts needs {cfg.history_length} or more"
-        )
+        needed = f"both parts, by held_out {cfg.held_out}, need history_length {cfg.history_length} or more"
+        raise MjlabError(f"stretch {index + 1} of {len(tables)} has {len(segment)} rows; {needed}")
       parts.append(part)
   return trained, held
 

@@ -29,14 +29,11 @@ def read_records(paths: Sequence[str | Path]) -> list[Record]:
       a finite number.
     ModuleNotFoundError: An MCAP file is given without the extra 'mcap'.
   """
-  if not paths:
-    raise FileError("no file of records is given")
   found: list[Record] = []
   for path in map(Path, paths):
     with reading("record", path, MAX_BYTES):
-      if path.suffix not in _READERS:
-        raise FileError(f"expected a name that ends in {', '.join(_READERS)}")
-    found += _READERS[path.suffix](path)
+      read = _READERS[check_name("ending", path.suffix, _READERS)]
+    found += read(path)
   return found
 
 

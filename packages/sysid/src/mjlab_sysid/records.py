@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from mjlab_core.errors import FileError
 from mjlab_core.files import AtomicWrite, printable
-from mjlab_core.names import match_names, unknown
+from mjlab_core.names import check_name, match_names, unknown
 
 JOINT_SIGNALS: dict[str, str] = {
   "position_target": "position",
@@ -161,15 +161,13 @@ class Record:
 
 
 def write_record(record: Record, path: str | Path) -> None:
-  """Write a record as .csv or .npz; a file of that name is replaced whole."""
+  """Write a record as .npz or else as .csv; a file of that name is replaced whole."""
   path = Path(path)
   if path.suffix == ".npz":
     with AtomicWrite(path) as temporary, temporary.open("wb") as file:
       arrays: dict[str, Any] = {"time": record.time, "joints": np.array(record.joints, dtype=str), **record.signals}
       np.savez_compressed(file, **arrays)
     return
-  if path.suffix != ".csv":
-    raise FileError(f"record {path}: expected a name that ends in .csv or .npz")
   columns = {"time": record.time}
   for name, values in record.signals.items():
     for element, column in zip(elements(name, record.joints), values.T, strict=True):
@@ -243,18 +241,17 @@ def check_joints(record: Record, ranges: Mapping[str, tuple[float, float]]) -> N
     ranges: Range of each joint [rad or m]; infinite without limits.
 
   Raises:
-    FileError: A joint does not exist, or positions lie so far outside its range that the unit must be wrong.
+    FileError: Positions lie so far outside a joint's range that the unit must be wrong.
+    UnknownNameError: A joint does not exist.
   """
   for joint in record.joints:
-    if joint not in ranges:
-      raise FileError(unknown("joint", joint, ranges, owner=record.source))
-    low, high = ranges[joint]
+    low, high = ranges[check_name("joint", joint, ranges, record.source)]
     span = high - low
     if not record.has("position", joint):
       continue
     values = record.of("position", [joint])[:, 0]
     if values.min() < low - span or values.max() > high + span:
-      raise FileError(
-        f"{record.source}: positions of '{joint}' reach {values[np.abs(values).argmax()]:.3g}, but its range is "
-        f"[{low:.3g}, {high:.3g}]; name the unit, such as 'position/{joint} [deg]', or correct the offset"
+      reach = (
+        f"positions of '{joint}' reach {values[np.abs(values).argmax()]:.3g}, its range is [{low:.3g}, {high:.3g}]"
       )
+      raise FileError(f"{record.source}: {reach}; name the unit, such as 'position/{joint} [deg]'")

@@ -107,8 +107,6 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     FileError: A joint does not exist, lacks a signal, or its unit must be wrong.
     MjlabError: Records are shorter than a window.
   """
-  if not records:
-    raise MjlabError("no record is given")
   timestep = float(robot.model.opt.timestep)
   substeps = max(1, round(float(np.median([record.period for record in records])) / timestep))
   period = substeps * timestep

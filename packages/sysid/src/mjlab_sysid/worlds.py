@@ -1,6 +1,7 @@
 """Many copies of a robot with different parameters, stepped together."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -97,15 +98,10 @@ class Worlds:
       else:
         self._bind_field(term, bounds)
     parameters = [parameter for bound in self._bound for parameter in bound.parameters]
-    seen: set[tuple[str, str, str]] = set()
-    for parameter in parameters:
-      for element in parameter.elements:
-        key = (parameter.field, parameter.axis, element)
-        if key in seen:
-          raise MjlabError(
-            f"fit: {parameter.field}{parameter.axis and '.'}{parameter.axis} of '{element}' is named twice"
-          )
-        seen.add(key)
+    named = Counter((p.field, p.axis and f".{p.axis}", element) for p in parameters for element in p.elements)
+    (field, axis, element), times = named.most_common(1)[0]
+    if times > 1:
+      raise MjlabError(f"fit: {field}{axis} of '{element}' is named twice")
     return parameters
 
   def write(self, numbers: np.ndarray) -> None:
