@@ -39,7 +39,7 @@ def test_commands_begin_and_end_in_the_pose_of_the_task(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
   ("words", "message"),
   [
-    ([TASK], "no --fit given"),
+    ([TASK], "--fit must have at least 1 element"),
     ([TASK, "--fit", "armour:.*"], "field 'armour' does not exist"),
     ([TASK, "--fit", "armature:.*", "--joints", "FR_knee"], "pattern 'FR_knee' matches no driven joint"),
     ([TASK, "--fit", "armature:.*", "--output", "a.txt"], "a.txt does not end in .csv"),

@@ -99,7 +99,7 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
     (["--agent", "zero", "--quiet", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
     (["--agent", "zero", "--require", ""], "expected [GROUP:]METRIC>=NUMBER"),
     (["--agent", "zero", "--env.scene.num-envs", "3"], "--env.scene.num-envs: an evaluation plays one episode in each"),
-    (["--checkpoint", "gone.onnx"], "policy gone.onnx: no such file"),
+    (["--checkpoint", "gone.onnx"], "gone.onnx: no such file"),
     (["--checkpoint", "gone"], "'gone' is neither a checkpoint nor a run"),
     ([], "no run of Test-Pendulum with a checkpoint"),
     (["--eval.episode", "3"], "--eval.episodes"),

@@ -259,11 +259,10 @@ def test_a_film_where_opengl_is_missing_is_one_line(
   [
     ([], 2, "no run of Test-Pendulum with a checkpoint in"),
     (["--checkpoint", "missing.pt"], 2, "'missing.pt' is neither a checkpoint nor a run"),
-    (["--checkpoint", "missing.onnx"], 2, "policy missing.onnx: no such file"),
+    (["--checkpoint", "missing.onnx"], 2, "missing.onnx: no such file"),
     (["--agent", "chance"], 2, "--agent: expected"),
     (["--viewer", "none"], 2, "--viewer none shows nothing; add --video FILE.mp4"),
     (["--video", "film.gif"], 2, "--video: film.gif does not end in .mp4"),
-    (["--video", "film.mp4", "--viewer", "native"], 2, "leave out --viewer native"),
     (["--num-envs", "0", "--agent", "zero"], 1, "num_envs"),
     (["--device", "cuda:7"], 2, "device 'cuda:7' does not exist"),
     (["--video", "film.mp4", "--video-length", "inf"], 2, "--video-length must be finite, got inf"),

@@ -55,7 +55,6 @@ def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest
     (["--output", "clip.csv"], "--output: clip.csv does not end in .npz"),
     (["--output", "clip.npz", "--seconds", "nan"], "--seconds must be a number, got nan"),
     (["--output", "clip.npz", "--skip", "-1"], "--skip must not be negative, got -1"),
-    (["--output", "gone/clip.npz"], "--output: folder gone does not exist"),
     (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist. Nearest: robot"),
   ],
 )

@@ -154,20 +154,15 @@ def _help_word(words: list[str]) -> str:
   return "-".join(itertools.takewhile(lambda word: word not in _HELP, itertools.islice(after, 1, None)))
 
 
-def output_file(flag: str, path: str | Path, ending: str, *, force: bool, makes_folder: bool = False) -> Path:
-  """Return the file that a flag names for writing.
+def output_file(flag: str, path: str | Path, ending: str = "", *, force: bool) -> Path:
+  """Return the file that a flag names for writing, with this ending if one is given; its folder need not exist.
 
   Raises:
-    UsageError: It has another ending, is a folder or in none (unless the command makes the folder), or exists and may
-      not be overwritten.
+    UsageError: It has another ending, or exists and may not be overwritten.
   """
   path = Path(path)
-  if path.is_dir():
-    raise UsageError(f"{flag}: {path} is a folder; name a file in it")
-  if path.suffix.lower() != ending:
+  if ending and path.suffix.lower() != ending:
     raise UsageError(f"{flag}: {path} does not end in {ending}")
-  if not makes_folder and not path.parent.is_dir():
-    raise UsageError(f"{flag}: folder {path.parent} does not exist")
   if path.exists() and not force:
     raise UsageError(f"{flag}: {path} exists; --force overwrites it")
   return path
@@ -227,6 +222,16 @@ def building(*, from_file: bool = False) -> Generator[None]:
       raise
     kind = "" if isinstance(error, (ValueError, OSError)) else f"the configuration fails with {type(error).__name__}: "
     raise MjlabError(f"{kind}{error}") from error
+
+
+def check_plots(flag: str) -> None:
+  """Check that plots can be drawn.
+
+  Raises:
+    UsageError: They cannot; the message begins with the flag that asks for them.
+  """
+  if problem := plot_problem():
+    raise UsageError(f"{flag}: no plots: {problem}")
 
 
 def plot_problem() -> str:

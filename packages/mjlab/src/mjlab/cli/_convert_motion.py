@@ -11,7 +11,7 @@ from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, plot_problem, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, check_plots, output_file, run_with_words
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -96,8 +96,8 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
 
   from mjlab.cli._clip_preview import Preview
 
-  if wanted.report is not None and (problem := plot_problem()):
-    raise UsageError(f"--report: no plots: {problem}")
+  if wanted.report is not None:
+    check_plots("--report")
   spec = robot_spec(wanted.robot)
   robot = Kinematics(spec.compile())
   motions = _read(clips, robot, wanted)
@@ -218,8 +218,6 @@ def _found(clip: str) -> Path:
   from mjlab_motions import shipped_clips
 
   path, shipped = Path(clip), shipped_clips()
-  if path.is_dir() and clip not in shipped:
-    raise UsageError(f"{clip} is a folder; name the clips in it: {clip}/*")
   return path if path.is_file() or path.suffix else shipped[check_name("clip", clip, shipped)]
 
 
@@ -254,11 +252,9 @@ def _targets(flag: str, motions: "Sequence[Motion]", ending: str, wanted: Argume
   if (given := getattr(wanted, flag)) is None:
     return [None] * len(motions)
   path = Path(given)
-  if path.suffix not in ("", ending):
-    raise UsageError(f"{path}: expected a file that ends in {ending}, or a folder")
   if path.suffix and len(motions) > 1:
     raise UsageError(f"{path}: {len(motions)} clips need a folder, not a file; --concatenate joins them")
   targets = [path] if path.suffix else [path / f"{safe_name(motion.name)}{ending}" for motion in motions]
   if len(set(targets)) < len(targets):
     raise UsageError(f"two clips would have the same file name in {path}; rename one of them")
-  return [output_file(f"--{flag}", target, ending, force=wanted.force, makes_folder=True) for target in targets]
+  return [output_file(f"--{flag}", target, ending, force=wanted.force) for target in targets]

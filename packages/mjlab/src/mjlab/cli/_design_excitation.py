@@ -1,9 +1,9 @@
 """`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record tells parameters of a task's robot well."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from mjlab_core import UsageError
+from mjlab_core.constraints import Items
 
 from mjlab.cli._command_line import CommandLine, TaskArguments, output_file, run_with_task
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 
-  fit: tuple[str, ...] = ()
+  fit: Annotated[tuple[str, ...], Items()] = ()
   """Parameters to be fitted later, as in sysid: armature:.*_calf_joint."""
   joints: tuple[str, ...] = (".*",)
   """Patterns of the joints to move; the others hold their pose."""
@@ -74,8 +74,6 @@ def _design(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
   from mjlab.cli._flags import parse
 
   wanted = parse(Arguments(env=task.env), given)
-  if not wanted.fit:
-    raise UsageError("no --fit given, such as --fit armature:.* delay:.*,shared")
   output = output_file("--output", wanted.output, ".csv", force=wanted.force)
   from mjlab_sysid import ExcitationCfg, design_excitation, parse_term, write_record
 

@@ -73,7 +73,7 @@ def _play(name: str, task: Any, given: list[str]) -> int:
   wanted = parse(Arguments(env=task.env), given)
   viewer = _viewer(wanted)
   if wanted.video is not None:
-    output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
+    output_file("--video", wanted.video, ".mp4", force=wanted.force)
   device = environments.resolve_device(wanted.device)
   source, parts = find_policy(wanted, name, task)
   cfg = copy.deepcopy(parts.env)
@@ -103,8 +103,6 @@ def _play(name: str, task: Any, given: list[str]) -> int:
 
 def _viewer(wanted: Arguments) -> str:
   if wanted.video is not None:
-    if wanted.viewer not in ("auto", "none"):
-      raise UsageError(f"--video replaces the viewer; leave out --viewer {wanted.viewer}")
     return "none"
   if wanted.viewer == "none":
     raise UsageError("--viewer none shows nothing; add --video FILE.mp4")

@@ -128,11 +128,7 @@ def _check_perturbed(space: Space, agent: Any) -> None:
     check_name("value", name, space.values, "--space: perturb")
     parts = name.split(".")
     if parts[0] == "env" and not (parts[1:2] == ["rewards"] and parts[3:] == ["weight"]):
-      raise UsageError(
-        f"--space: perturb: {name} cannot change in a training; of the environment only weights of rewards can"
-      )
+      raise UsageError(f"--space: perturb: {name} cannot change; of the environment only weights of rewards can")
     is_rate = name.replace("_", "-") == "agent.algorithm.learning-rate"
     if is_rate and getattr(agent.algorithm, "schedule", "fixed") != "fixed":
-      raise UsageError(
-        f"--space: perturb: {name} needs --agent.algorithm.schedule fixed; otherwise the learner adapts it"
-      )
+      raise UsageError(f"--space: perturb: {name} needs --agent.algorithm.schedule fixed")

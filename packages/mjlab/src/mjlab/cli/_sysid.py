@@ -3,9 +3,10 @@
 import dataclasses
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mjlab_core import MjlabError, UsageError
+from mjlab_core import MjlabError
+from mjlab_core.constraints import Items
 from mjlab_core.names import check_name
 
 from mjlab import environments
@@ -23,7 +24,7 @@ class Arguments(CommonArguments):
 
   task: str = ""
   """Task whose robot was recorded."""
-  fit: tuple[str, ...] = ()
+  fit: Annotated[tuple[str, ...], Items()] = ()
   """Parameters, each FIELD[.AXIS]:PATTERN[=LO..HI][,shared]: armature:.*_calf_joint."""
   held_out: tuple[str, ...] = ()
   """Records that are only scored."""
@@ -82,14 +83,10 @@ def run(words: list[str]) -> int:
 
 
 def _identify(paths: list[str], wanted: Arguments) -> int:
-  if not wanted.task:
-    raise UsageError("no --task given; list-envs lists the tasks")
-  if not wanted.fit:
-    raise UsageError("no --fit given, such as --fit armature:.* delay:.*,shared")
   output = Path(wanted.output)
   report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
   for flag, path in (("--output", output), ("--report", report)):
-    output_file(flag, path, path.suffix.lower(), force=wanted.force or wanted.resume)
+    output_file(flag, path, force=wanted.force or wanted.resume)
   env = load_task(wanted.task).env
   from mjlab_sysid import IdentifyCfg, identify, parse_term, read_records, write_report
 

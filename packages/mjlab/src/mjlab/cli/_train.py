@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import UnknownNameError, UsageError
+from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
@@ -57,9 +58,9 @@ class Arguments(TaskArguments):
   """Port of the viewer; the next free one if it is taken."""
   video: bool = False
   """Film four environments at intervals, into the run directory."""
-  video_interval: int = 2000
+  video_interval: PositiveCount = 2000
   """Steps from the start of one film to the start of the next."""
-  video_length: int = 200
+  video_length: PositiveCount = 200
   """Steps of a film."""
   verbose: bool = False
   """Show all values of every iteration."""
@@ -129,8 +130,6 @@ def _chosen(task: "TaskCfg[Any]", words: list[str]) -> "tuple[TaskCfg[Any], list
   _, equals, name = words[number].partition("=")
   rest = words[number + (1 if equals else 2) :]
   name = name if equals else next(iter(words[number + 1 : number + 2]), "")
-  if not name or name.startswith("--"):
-    raise UsageError("--agent: expected the name of a learner, such as flashsac; --agent.PATH VALUE sets a value")
   if any(word.partition("=")[0] == "--resume" for word in words):
     raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
   with as_usage("--agent"):
@@ -195,8 +194,6 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
 
 
 def _check_combinations(wanted: Arguments) -> None:
-  if wanted.verbose and wanted.quiet:
-    raise UsageError("--verbose and --quiet exclude each other")
   for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
     if wanted.resume is not None and getattr(wanted, flag) not in (None, ()):
       raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
@@ -256,9 +253,7 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
   agent = wanted.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if wanted.teacher:
-      raise UsageError(
-        f"--teacher applies to distillation tasks only (`list-envs distill` lists them); {task} is not one"
-      )
+      raise UsageError(f"--teacher applies to distillation tasks only; {task} is not one")
     return []
   if wanted.resume is not None:
     return []

@@ -6,8 +6,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab_core import UsageError
-
 from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, plot_problem, run_with_words
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
@@ -69,19 +67,11 @@ def run(words: list[str]) -> int:
   return run_with_words(_LINE, words, _fit, most=None)
 
 
-def _check_files(output: Path, plot: Path, wanted: Arguments, records: list[str]) -> None:
-  if output == plot:
-    raise UsageError(f"--plot: {plot} is the network's own file")
-  for flag, path in (("output", output), ("plot", plot)):
-    if path in map(Path, records):
-      raise UsageError(f"--{flag}: {path} is one of the records")
-    output_file(f"--{flag}", path, path.suffix.lower(), force=wanted.force)
-
-
 def _fit(records: list[str], wanted: Arguments) -> int:
   output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
   plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
-  _check_files(output, plot, wanted, records)
+  for flag, path in (("--output", output), ("--plot", plot)):
+    output_file(flag, path, force=wanted.force)
   from mjlab_sysid import MotorFitCfg, fit_motor, read_records
 
   found = read_records(records)

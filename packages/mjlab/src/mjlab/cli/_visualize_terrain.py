@@ -127,7 +127,7 @@ def _types(names: list[str]) -> "dict[str, TileCfg]":
 
 def _write_image(cfg: "TerrainGridCfg", wanted: Arguments, words: list[str]) -> int:
   """Write a picture: a rendering, or a plot if that is wanted or OpenGL does not work."""
-  path = output_file("--image", wanted.image or "", ".png", force=True, makes_folder=True)
+  path = output_file("--image", wanted.image or "", ".png", force=True)
   size = wanted.image_size
   # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
   is_headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ

@@ -48,7 +48,7 @@ def run(words: list[str]) -> int:
 def _explain(files: list[str], wanted: Arguments) -> int:
   (file,) = files
   if wanted.video is not None:
-    output_file("--video", wanted.video, ".mp4", force=wanted.force, makes_folder=True)
+    output_file("--video", wanted.video, ".mp4", force=wanted.force)
   from mjlab_sim import NanDump
 
   dump = NanDump.load(file)

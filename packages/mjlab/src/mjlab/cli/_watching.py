@@ -44,10 +44,8 @@ class Watchers:
       from mjlab_viewer import check_address
 
       check_address(wanted.viewer_host, wanted.viewer_port)
-    if wanted.video and not 1 <= wanted.video_length <= wanted.video_interval:
-      raise UsageError(
-        f"--video-length {wanted.video_length}: must be from 1 to --video-interval ({wanted.video_interval})"
-      )
+    if wanted.video and wanted.video_length > wanted.video_interval:
+      raise UsageError(f"--video-length must be at most --video-interval, {wanted.video_interval}")
     self._wanted, self._name, self._console = wanted, name, console
     self._open: list[Any] = []
 

@@ -117,9 +117,7 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
     actuators="".join(f"  {_actuator_source(cfg)},\n" for cfg in new.drives.configs()),
     action_scale=source({_pattern(servo.joint): round(servo.action_scale, 4) for servo in new.drives.servos}, lead=15),
   )
-  files[f"tests/test_{name}.py"] = filled(
-    "robot/test.py.txt", **facts, claim=_claim(new), check=_check(new), title=_title(new)
-  )
+  files[f"tests/test_{name}.py"] = filled("robot/test.py.txt", **facts, **_test(new))
   files["pyproject.toml"] = filled("robot/pyproject.toml.txt", **facts)
   picture = "![The robot and its guessed parts](robot.png)\n" if "robot.png" in files else ""
   report = "".join(f"- {line}\n" for line in new.report())
@@ -220,18 +218,12 @@ def _actuator_source(cfg: object) -> str:
   return f"{type(cfg).__name__}(\n{lines}  )"
 
 
-def _title(new: NewRobot) -> str:
-  return (
-    "stands" if new.home.stands and new.robot.is_floating else "holds its pose" if new.home.stands else "is at rest"
-  )
-
-
-def _claim(new: NewRobot) -> str:
-  if new.robot.is_floating:
-    return "it_stands" if new.home.stands else "its_home_pose_is_on_the_ground"
-  return "it_holds_its_home_pose"
-
-
-def _check(new: NewRobot) -> str:
-  kind = "standing" if new.home.stands and new.robot.is_floating else "floating" if new.robot.is_floating else "fixed"
-  return filled(f"robot/check_{kind}.py.txt").rstrip("\n")
+def _test(new: NewRobot) -> dict[str, str]:
+  """Return the title, the name and the code of the test of a robot."""
+  kind = "fixed" if not new.robot.is_floating else "standing" if new.home.stands else "floating"
+  title, claim = {
+    "fixed": ("holds its pose", "it_holds_its_home_pose"),
+    "standing": ("stands", "it_stands"),
+    "floating": ("is at rest", "its_home_pose_is_on_the_ground"),
+  }[kind]
+  return {"title": title, "claim": claim, "check": filled(f"robot/check_{kind}.py.txt").rstrip("\n")}
