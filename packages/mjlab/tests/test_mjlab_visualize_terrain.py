@@ -38,7 +38,7 @@ def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None
     (["stairs_up", "--set", "waves.amplitude=0,1"], "there is no type 'waves' here. There are stairs_up"),
     (["stairs_up", "--set", "hight=3"], "there is no setting 'hight'. There are border"),
     (["stairs_up", "--set", "step_height=3"], "must be like (0.0, 0.2), without brackets"),
-    (["stairs_up", "--set", "holes"], "has no value"),
+    (["stairs_up", "--set", "holes"], "must be like False"),
     (["waves", "--seed", "-1"], "seed -1 must be at least 0"),
     (["waves", "--plot", "--image-size", "0", "9"], "--image-size must be at least 1, got (0, 9"),
   ],

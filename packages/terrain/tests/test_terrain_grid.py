@@ -163,8 +163,6 @@ def test_worlds_are_spread_by_share_and_evenly() -> None:
     assert len(rows) == 3
     assert counts.max() - counts.min() <= 1
     assert counts.sum() == number
-  with pytest.raises(ValueError, match="at least 1, got 0"):
-    terrain.columns_of(0)
 
 
 def test_tiles_lie_side_by_side_around_the_origin() -> None:
@@ -328,7 +326,7 @@ BAD: list[tuple[TileCfg, str]] = [
   (changed(PyramidStairsCfg(), step_height=0.2), r"step_height must be \(easiest, hardest\), got 0.2"),
   (PyramidStairsCfg(platform=9.0), "make the platform at most 5.9 m, or the tile at least 11.1 m"),
   (PyramidStairsCfg(border=4.0), "make the border at most 2 m"),
-  (PyramidStairsCfg(border=0.01), "use 0, or at least 0.05 m"),
+  (PyramidStairsCfg(border=0.01), "a Box of .* m, 0.01 m thick, is not finite or thinner than 0.05 m"),
   (PyramidStairsCfg(share=-1.0), "share -1.0 must be at least 0; 0"),
   (NarrowBeamsCfg(num_beams=0), "num_beams 0 must be at least 1; 1 would work"),
   (changed(NarrowBeamsCfg(), num_beams=1.5), "num_beams must be a whole number"),
@@ -343,7 +341,6 @@ BAD: list[tuple[TileCfg, str]] = [
   (RandomRoughCfg(amplitude=(0.0, float("nan"))), "amplitude must be finite"),
   (SteppingStonesCfg(stone_size=(0.05, 0.05)), "stone_size"),
   (HeightMapCfg(source="nowhere.png"), "height map 'nowhere.png' cannot be read"),
-  (HeightMapCfg(source=np.zeros((3, 3), dtype=np.complex128)), "heights must be real numbers, got complex128"),
   (HeightMapCfg(source=np.zeros((3, 1))), r"at least \(2, 2\), and finite; got \(3, 1\)"),
 ]
 
@@ -360,8 +357,7 @@ def test_a_bad_type_is_refused_by_name_and_leaves_the_model_alone(tile: TileCfg,
 @pytest.mark.parametrize(
   ("change", "message"),
   [
-    ({"types": {}}, "types is empty"),
-    ({"types": {"a": FlatCfg(share=0.0)}}, "the shares of a sum to 0; give one of them a share of 1"),
+    ({"types": {"a": FlatCfg(share=0.0)}}, "the shares of types .'a'. sum to 0; give one of them a share of 1"),
     ({"types": {"a": FlatCfg(), "b": FlatCfg()}, "columns": 1}, "at least 2 would work"),
     ({"rows": 0}, "rows 0 must be at least 1; 1 would work"),
     ({"rows": 2.0}, "rows must be a whole number, got 2.0"),
@@ -377,7 +373,6 @@ def test_a_bad_type_is_refused_by_name_and_leaves_the_model_alone(tile: TileCfg,
     ({"border_width": 0.01}, "border_width must be 0 or at least 0.05 m"),
     ({"color": "hight"}, "color must be 'height', 'type' or three numbers"),
     ({"friction": (-1.0, 0.0, 0.0)}, r"friction \(-1.0, 0.0, 0.0\) must be at least 0"),
-    ({"name": ""}, "name must not be empty"),
     ({"flat_patches": {"p": FlatPatchCfg(radius=5.0)}}, "FlatPatchCfg 'p': radius 5 m does not fit.*at most 4 m"),
     ({"flat_patches": {"p": FlatPatchCfg(x_range=(5.0, 6.0))}}, "x_range .* centres can be from -3.5 to 3.5 m"),
     ({"flat_patches": {"p": FlatPatchCfg(count=0)}}, "FlatPatchCfg 'p': count 0 must be at least 1"),
@@ -416,7 +411,7 @@ class Broken(TileCfg):
 
 def test_a_type_that_builds_nonsense_is_named() -> None:
   with pytest.raises(
-    ValueError, match=r"Broken 'it': at difficulty 0, tile \(0, 0\): a box of 2 x 2 x 0.01 m is thinner"
+    ValueError, match=r"Broken 'it': at difficulty 0, tile \(0, 0\): a Box of 2 x 2 x 0.01 m, 0.01 m thick, is"
   ):
     dataclasses.replace(GOOD, types={"it": Broken()}).add_to(mujoco.MjSpec())
   with pytest.raises(ValueError, match="Broken 'it': build added no geometry"):
@@ -434,11 +429,10 @@ class Holey(TileCfg):
 @pytest.mark.parametrize(
   ("build", "message"),
   [
-    (lambda tile: tile.heights(np.full((5, 5), np.nan)), "heights must be .* finite"),
-    (lambda tile: tile.heights(np.arange(5.0)[None]), r"at least \(2, 2\).* got \(1, 5\)"),
+    (lambda tile: tile.heights(np.full((5, 5), np.nan)), "a HeightField .* is not finite"),
     (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), "is not finite"),
     (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, np.nan, (0.0, 0.0)), "is not finite"),
-    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), "a prism is 0.02 m thin"),
+    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), "a Prism of .* m, 0.02 m thick"),
   ],
 )
 def test_geometry_that_is_none_is_refused_where_it_is_made(build: Callable[[Tile], None], message: str) -> None:

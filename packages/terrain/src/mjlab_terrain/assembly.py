@@ -119,19 +119,19 @@ def merge_boxes(low: Floats, high: Floats, kind: NDArray[np.int64]) -> tuple[Flo
   return low, high, kind
 
 
-def check_names(spec: mujoco.MjSpec, label: str, needed: Sequence[tuple[str, str]]) -> None:
-  """Check that a model has no element of these kinds and names; `label` is the terrain in messages.
+def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoco.MjsBody:
+  """Return a new static body, whose geoms will have these names.
 
   Raises:
-    ValueError: it has one.
+    ValueError: the model already has an element of such a name; it is unchanged.
   """
-  for kind, name in needed:
-    taken = spec.assets.get(name) if kind == "asset" else getattr(spec, kind)(name)
-    if taken is not None:
-      raise ValueError(
-        f"{label}: the model '{spec.modelname}' already has a {kind} named '{name}'. "
-        "Give the terrain another name, or add it once."
-      )
+  taken = next((f"geom named '{geom}'" for geom in geom_names if spec.geom(geom)), None)
+  if spec.body(name):
+    taken = f"body named '{name}'"
+  if taken:
+    again = "Give the terrain another name, or add it once."
+    raise ValueError(f"terrain '{name}': the model '{spec.modelname}' already has a {taken}. {again}")
+  return spec.worldbody.add_body(name=name)
 
 
 def add_body(
@@ -146,13 +146,10 @@ def add_body(
   """Add a static body with a geom for each solid, and return the names of the geoms.
 
   Raises:
-    ValueError: the model already has an element of a name that is needed; it is unchanged.
+    ValueError: the model already has a body or a geom of a name that is needed; it is unchanged.
   """
   names = tuple(f"{name}_{index}" for index in range(len(solids)))
-  needed = [("body", name), *([("light", name)] if light else [])]
-  needed += [(kind, n) for kind in ("geom", "hfield", "mesh", "texture", "material") for n in names]
-  check_names(spec, f"terrain '{name}'", [*needed, *(("asset", f"{n}.png") for n in names)])
-  body = spec.worldbody.add_body(name=name)
+  body = new_body(spec, name, names)
   for geom_name, (solid, kind) in zip(names, solids, strict=True):
     if isinstance(solid, Box):
       own = _box(solid)

@@ -16,17 +16,20 @@ def scaled(
   return field(default=ends, metadata={"kind": "scaled", "harder": harder, "least": least, "most": most})
 
 
-def drawn(ends: tuple[float, float], *, least: float = 0.0, most: float = math.inf) -> Any:
-  """Declare a range, lowest and highest value, that a value is drawn from or may be in."""
-  return field(default=ends, metadata={"kind": "drawn", "least": least, "most": most})
+def drawn(ends: tuple[float, float], *, least: float = 0.0, most: float = math.inf, inside: bool = False) -> Any:
+  """Declare a range, lowest and highest value, that a value is drawn from or may be in; for `inside`, see `number`."""
+  return field(default=ends, metadata={"kind": "drawn", "least": least, "most": most, "inside": inside})
 
 
-def number(value: float | tuple[float, ...] | None, *, least: float = 0.0, most: float = math.inf) -> Any:
+def number(
+  value: float | tuple[float, ...] | None, *, least: float = 0.0, most: float = math.inf, inside: bool = False
+) -> Any:
   """Declare a number, or a tuple of independent numbers.
 
   If the default is a whole number, so is the value; if it is None, the value may be None; a tuple keeps its length.
+  With `inside`, it is a length that fits inside the border of a tile.
   """
-  return field(default=value, metadata={"kind": "number", "least": least, "most": most})
+  return field(default=value, metadata={"kind": "number", "least": least, "most": most, "inside": inside})
 
 
 def count(value: int | None, *, least: int = 0) -> Any:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from mjlab_terrain.assembly import FRICTION, add_light, check_names
+from mjlab_terrain.assembly import FRICTION, add_light, new_body
 from mjlab_terrain.checked_fields import check_fields, number
 from mjlab_terrain.colors import Rgb
 from mjlab_terrain.terrain import Terrain
@@ -41,13 +41,10 @@ class PlaneCfg:
     """Add a static body with the plane to the world of `spec`, in geom group 0.
 
     Raises:
-      ValueError: a setting is out of its range, or `spec` already has an element of this name; `spec` is unchanged.
+      ValueError: a setting is out of its range, or `spec` already has a body or geom of this name; it is unchanged.
     """
-    if not self.name:
-      raise ValueError("PlaneCfg: name must not be empty.")
     check_fields(self, self.name)
-    kinds = ["body", "geom", "material", "texture", *(["light"] if self.light else [])]
-    check_names(spec, f"PlaneCfg '{self.name}'", [(kind, self.name) for kind in kinds])
+    body = new_body(spec, self.name, [self.name])
     texture = spec.add_texture(
       name=self.name,
       type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -63,8 +60,6 @@ class PlaneCfg:
       name=self.name, texuniform=True, texrepeat=(0.5 / self.square, 0.5 / self.square), reflectance=self.reflectance
     )
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = self.name
-
-    body = spec.worldbody.add_body(name=self.name)
     # Two zeros make the plane infinite; the third number is the spacing of the squares that the renderer cuts it into.
     geom = body.add_geom(
       name=self.name,

@@ -51,6 +51,11 @@ class Box:
     return self.center + self.extent
 
   @property
+  def thickness(self) -> float:
+    """Least extent [m]."""
+    return 2.0 * float(self.half.min())
+
+  @property
   def color_height(self) -> float:
     """Height that its color shows [m]."""
     return float(self.high[2])
@@ -120,6 +125,11 @@ class Prism:
     return np.array((*(self.center[:2] + self.half), self.center[2] + np.abs(self.slope) @ np.array(self.half)))
 
   @property
+  def thickness(self) -> float:
+    """Least extent, between the lowest point of its top and its bottom too [m]."""
+    return float(min(*(self.high - self.low)[:2], 2.0 * self.center[2] - self.high[2] - self.bottom))
+
+  @property
   def color_height(self) -> float:
     """Height that its color shows [m]."""
     return float(self.center[2])
@@ -150,6 +160,11 @@ class HeightField:
   """Extent along y [m]."""
   bottom: float
   """Height of its bottom [m]."""
+
+  @property
+  def thickness(self) -> float:
+    """Least extent [m]."""
+    return float(self.heights.min()) - self.bottom
 
   @cached_property
   def low(self) -> Floats:

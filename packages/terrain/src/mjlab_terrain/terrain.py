@@ -47,13 +47,7 @@ class Terrain:
   """Lowest and highest point of the surface [m]; solids below it do not count."""
 
   def columns_of(self, num: int) -> NDArray[np.int64]:
-    """Return the column of each of `num` worlds, (num,): every column has its share, spread evenly over the worlds.
-
-    Raises:
-      ValueError: `num` is not positive.
-    """
-    if num < 1:
-      raise ValueError(f"terrain '{self.name}': the number of worlds must be at least 1, got {num}.")
+    """Return the column of each of `num` worlds, (num,): every column has its share, spread evenly over the worlds."""
     counts = apportion(self.column_shares, num)
     column = np.repeat(np.arange(len(counts)), counts)
     # The k-th world of a column with n worlds stands at (k + 1/2) / n of the sequence.
@@ -90,14 +84,7 @@ def grid_origins(num: int, spacing: float) -> NDArray[np.float64]:
   """Return the origins of `num` worlds on a nearly square grid around zero, at height zero, (num, 3) [m].
 
   Rows run along negative x and are filled along positive y, `spacing` [m] apart.
-
-  Raises:
-    ValueError: `num` is not positive, or `spacing` is negative or not finite.
   """
-  if num < 1:
-    raise ValueError(f"grid_origins: num must be at least 1, got {num}.")
-  if not 0.0 <= spacing < math.inf:
-    raise ValueError(f"grid_origins: spacing must be a finite length, not negative, got {spacing}.")
   rows = math.ceil(num / math.isqrt(num))
   columns = math.ceil(num / rows)
   i, j = np.divmod(np.arange(num), columns)

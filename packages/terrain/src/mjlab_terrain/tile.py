@@ -35,43 +35,35 @@ class Tile:
     """Return the extent inside a border of this width, along x and y [m]."""
     return self.size[0] - 2.0 * border, self.size[1] - 2.0 * border
 
-  def box(self, x: Interval, y: Interval, z: Interval) -> None:
-    """Add a box between these bounds [m].
-
-    Raises:
-      ValueError: it is thinner than 5 cm.
-    """
-    low, high = np.array([x, y, z], dtype=np.float64).T
-    self.turned_box(0.5 * (low + high), 0.5 * (high - low), None)
-
-  def turned_box(self, center: ArrayLike, half: ArrayLike, rotation: NDArray[np.float64] | None) -> None:
-    """Add a box by its centre, half extents [m] and axes, the columns of `rotation`.
-
-    Raises:
-      ValueError: it is thinner than 5 cm, or not finite.
-    """
-    half = np.array(half, dtype=np.float64)
-    if not np.isfinite([*half, *np.array(center, dtype=np.float64)]).all():
-      raise ValueError(f"a box of half extents {half.tolist()} at {np.array(center).tolist()} m is not finite.")
-    if half.min() < 0.5 * MIN_THICKNESS - 1e-9:
-      raise ValueError(f"a box of {' x '.join(f'{2 * h:.3g}' for h in half)} m is thinner than {MIN_THICKNESS} m.")
-    self.solids.append(Box(center=np.array(center, dtype=np.float64), half=half, rotation=rotation))
-
-  def prism(self, x: Interval, y: Interval, bottom: float, top: float, slope: tuple[float, float]) -> None:
-    """Add an upright prism over a rectangle: a plane from `slope` [1] through the height `top` at its middle [m].
+  def add(self, solid: Solid) -> None:
+    """Add a solid.
 
     Raises:
       ValueError: a part of it is thinner than 5 cm, or not finite.
     """
-    half = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
-    lowest = top - abs(slope[0]) * half[0] - abs(slope[1]) * half[1]
-    if not np.isfinite([*x, *y, bottom, top, *slope]).all():
-      raise ValueError(f"a prism over x {x} and y {y}, top {top} and slope {slope} is not finite.")
-    thinnest = min(2.0 * half[0], 2.0 * half[1], lowest - bottom)
-    if thinnest < MIN_THICKNESS - 1e-9:
-      raise ValueError(f"a prism is {thinnest:.3g} m thin; at least {MIN_THICKNESS} m are needed.")
+    # Comparisons with NaN are false.
+    if not MIN_THICKNESS - 1e-9 <= solid.thickness < np.inf or not np.isfinite([solid.low, solid.high]).all():
+      size = " x ".join(f"{extent:.3g}" for extent in solid.high - solid.low)
+      raise ValueError(
+        f"a {type(solid).__name__} of {size} m, {solid.thickness:.3g} m thick, is not finite "
+        f"or thinner than {MIN_THICKNESS} m."
+      )
+    self.solids.append(solid)
+
+  def box(self, x: Interval, y: Interval, z: Interval) -> None:
+    """Add a box between these bounds [m]."""
+    low, high = np.array([x, y, z], dtype=np.float64).T
+    self.turned_box(0.5 * (low + high), 0.5 * (high - low), None)
+
+  def turned_box(self, center: ArrayLike, half: ArrayLike, rotation: NDArray[np.float64] | None) -> None:
+    """Add a box by its centre, half extents [m] and axes, the columns of `rotation`."""
+    floats = np.array((center, half), dtype=np.float64)
+    self.add(Box(center=floats[0], half=floats[1], rotation=rotation))
+
+  def prism(self, x: Interval, y: Interval, bottom: float, top: float, slope: tuple[float, float]) -> None:
+    """Add an upright prism over a rectangle: a plane from `slope` [1] through the height `top` at its middle [m]."""
     center = np.array((0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), top))
-    self.solids.append(Prism(center=center, half=half, slope=slope, bottom=bottom))
+    self.add(Prism(center=center, half=(0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])), slope=slope, bottom=bottom))
 
   def slab(self, top: float = 0.0) -> None:
     """Add level ground over the whole tile, its top at this height [m]."""
@@ -115,19 +107,13 @@ class Tile:
     return t * t * (3.0 - 2.0 * t)
 
   def heights(self, heights: NDArray[np.float64]) -> None:
-    """Add a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first.
-
-    Raises:
-      ValueError: they are not finite, or not a grid of at least (2, 2).
-    """
-    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
-      raise ValueError(f"heights must be (nx, ny), at least (2, 2), and finite; got {heights.shape}.")
+    """Add a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first."""
     if np.ptp(heights) < FLAT:
       self.slab(float(heights.max()))
       return
     x, y = 0.5 * self.size[0], 0.5 * self.size[1]
     bottom = float(heights.min()) - GROUND_DEPTH
-    self.solids.append(HeightField(heights=heights, x=(-x, x), y=(-y, y), bottom=bottom))
+    self.add(HeightField(heights=heights, x=(-x, x), y=(-y, y), bottom=bottom))
 
   def spawn_height(self) -> float:
     """Return the height of the surface at `spawn` [m]."""

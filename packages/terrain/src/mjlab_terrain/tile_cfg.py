@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NoReturn
 
 import mujoco
@@ -38,19 +38,6 @@ class TileCfg(ABC):
       ValueError: a setting is out of its range, or does not fit; the message says what would.
     """
     check_fields(self, name)
-    border, platform = getattr(self, "border", 0.0), getattr(self, "platform", 0.0)
-    if 0.0 < border < MIN_THICKNESS:
-      self.refuse(name, f"border {border:g} m is thinner than a geom may be; use 0, or at least {MIN_THICKNESS} m")
-    if min(size) < 2.0 * border + platform + 2.0 * MIN_THICKNESS:
-      room = min(size) - 2.0 * border - 2.0 * MIN_THICKNESS
-      way_out = (
-        f"make the platform at most {room:g} m" if room > 0.0 else f"make the border at most {min(size) / 4:g} m"
-      )
-      self.refuse(
-        name,
-        f"platform {platform:g} m and border {border:g} m do not fit into a tile of {size[0]:g} x {size[1]:g} m; "
-        f"{way_out}, or the tile at least {2.0 * border + platform + 2.0 * MIN_THICKNESS:g} m",
-      )
 
   def refuse(self, name: str, message: str) -> NoReturn:
     """Raise a ValueError about this type, called `name`."""
@@ -72,17 +59,14 @@ class TileCfg(ABC):
     """Add a terrain of one such tile to `spec`, with nothing around it, and a directional light.
 
     Raises:
-      ValueError: a setting is out of its range, or `spec` already has an element of a name that is needed; `spec` is
-        unchanged.
+      ValueError: a setting is out of its range, or `spec` already has a body or a geom of a name that is needed;
+        `spec` is unchanged.
     """
     size = tile_size or self.natural_size()
     self.check("tile", size)
-    if not 0.0 <= difficulty <= 1.0:
-      self.refuse("tile", f"difficulty must be between 0 and 1, got {difficulty}")
     tile = Tile(size, difficulty, tile_rng(seed, 0, 0))
-    placed = place_tile(
-      self.build, f"{type(self).__name__} 'tile'", tile, row=0, column=0, kind=0, center=np.zeros(3)
-    )  # fmt: skip
+    label = f"{type(self).__name__} 'tile'"
+    placed = place_tile(self.build, label, tile, row=0, column=0, kind=0, center=np.zeros(3))
     return Terrain(
       name=name,
       geom_names=add_body(spec, name, gather([placed]), coloring_of("height")),
@@ -92,6 +76,31 @@ class TileCfg(ABC):
       type_names=("tile",),
       height_range=height_range([placed]),
     )
+
+
+@dataclass(kw_only=True)
+class BorderedTileCfg(TileCfg):
+  """Type of tile with a level rim; its field `platform`, if any, is the edge of what is level in the middle."""
+
+  border: float = number(0.25)
+  """Width of the level rim [m]."""
+
+  def check(self, name: str, size: tuple[float, float]) -> None:
+    super().check(name, size)
+    platform, tile = getattr(self, "platform", 0.0), f"a tile of {size[0]:g} x {size[1]:g} m"
+    inside = min(size) - 2.0 * self.border
+    room = inside - 2.0 * MIN_THICKNESS
+    if platform > room:
+      way_out = f"the platform at most {room:g} m" if room > 0.0 else f"the border at most {min(size) / 4:g} m"
+      self.refuse(
+        name,
+        f"platform {platform:g} m and border {self.border:g} m do not fit into {tile}; "
+        f"make {way_out}, or the tile at least {min(size) + platform - room:g} m",
+      )
+    for f in fields(self):
+      if f.metadata.get("inside") and np.max(getattr(self, f.name)) > inside:
+        got = f"{f.name} {getattr(self, f.name)} does not fit inside the border of {tile}"
+        self.refuse(name, f"{got}; at most {inside:g} m would work")
 
 
 def tile_rng(seed: int, *key: int) -> np.random.Generator:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mjlab_terrain.checked_fields import count, drawn, number, scaled
 from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS
 from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.tile_cfg import BorderedTileCfg, TileCfg
 
 
 @dataclass(kw_only=True)
@@ -39,31 +39,21 @@ def in_platform(x: NDArray[np.float64], y: NDArray[np.float64], platform: float)
 
 
 @dataclass(kw_only=True)
-class RandomGridCfg(TileCfg):
+class RandomGridCfg(BorderedTileCfg):
   """Square columns of random heights around a level platform. Harder: larger differences."""
 
   height: tuple[float, float] = scaled((0.0, 0.3), harder="more")
   """Columns are up to this much higher or lower than the rim [m]."""
-  cell: float = number(0.4, least=MIN_THICKNESS)
+  cell: float = number(0.4, least=MIN_THICKNESS, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
   levels: int | None = count(None, least=2)
   """Number of different heights; neighbours of equal height become one geom. None draws from all heights."""
   platform: float = number(1.0)
   """Edge of the level platform [m], in whole columns."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   holes: bool = False
   """True leaves only a cross as wide as the platform, with a pit between its arms."""
   pit_depth: float = number(2.0, least=MIN_THICKNESS)
   """Depth of the pit below the rim [m]."""
-
-  def check(self, name: str, size: tuple[float, float]) -> None:
-    super().check(name, size)
-    room = min(size) - 2.0 * self.border
-    if self.cell > room:
-      self.refuse(name, f"cell {self.cell:g} m does not fit inside the border; at most {room:g} m would work")
-    if self.holes and self.pit_depth < self.height[1] + MIN_THICKNESS:
-      self.refuse(name, f"pit_depth {self.pit_depth:g} m must be at least {self.height[1] + MIN_THICKNESS:g} m")
 
   def build(self, tile: Tile) -> None:
     height = tile.scaled(self.height)
@@ -92,7 +82,7 @@ class RandomGridCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class RandomBoxesCfg(TileCfg):
+class RandomBoxesCfg(BorderedTileCfg):
   """Boxes of random size scattered over level ground, turned at random. Harder: more and higher boxes."""
 
   num_boxes: tuple[int, int] = scaled((40, 80), harder="more")
@@ -155,7 +145,7 @@ def overlap_free(center: NDArray[np.float64], half: NDArray[np.float64], yaw: fl
 
 
 @dataclass(kw_only=True)
-class TiltedGridCfg(TileCfg):
+class TiltedGridCfg(BorderedTileCfg):
   """Square columns with sloping tops around a level platform. Harder: steeper and more uneven.
 
   Their sides are vertical, so that nothing can get under a neighbour's edge.
@@ -165,18 +155,10 @@ class TiltedGridCfg(TileCfg):
   """Tops slope by up to this along x and along y, either way [deg]."""
   height: tuple[float, float] = scaled((0.0, 0.1), harder="more")
   """Middles of tops differ by up to this much [m]."""
-  cell: float = number(1.0, least=0.2)
+  cell: float = number(1.0, least=0.2, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
   platform: float = number(1.0)
   """Edge of the level platform [m], in whole columns."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
-
-  def check(self, name: str, size: tuple[float, float]) -> None:
-    super().check(name, size)
-    room = min(size) - 2.0 * self.border
-    if self.cell > room:
-      self.refuse(name, f"cell {self.cell:g} m does not fit inside the border; at most {room:g} m would work")
 
   def build(self, tile: Tile) -> None:
     tilt, height = math.radians(tile.scaled(self.tilt)), tile.scaled(self.height)

@@ -10,11 +10,11 @@ import numpy as np
 from mjlab_terrain.checked_fields import number, scaled
 from mjlab_terrain.solids import FLAT, MIN_THICKNESS
 from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 @dataclass(kw_only=True)
-class SteppingStonesCfg(TileCfg):
+class SteppingStonesCfg(BorderedTileCfg):
   """Stones on a lattice over a pit, around a platform. Harder: smaller, farther apart and more irregular stones."""
 
   stone_size: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=0.1)
@@ -31,16 +31,6 @@ class SteppingStonesCfg(TileCfg):
   """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Least edge of the platform [m]; it grows towards the nearest whole stones."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
-
-  def check(self, name: str, size: tuple[float, float]) -> None:
-    super().check(name, size)
-    least = self.height_variation[1] + MIN_THICKNESS
-    if self.pit_depth < least:
-      self.refuse(
-        name, f"pit_depth {self.pit_depth:g} m is no deeper than stones vary; at least {least:g} m would work"
-      )
 
   def build(self, tile: Tile) -> None:
     side = tile.scaled(self.stone_size)
@@ -69,7 +59,7 @@ class SteppingStonesCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class NarrowBeamsCfg(TileCfg):
+class NarrowBeamsCfg(BorderedTileCfg):
   """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams.
 
   Their tops are 1 mm below the platform and the rim, so that a foot where they meet touches only one of them.
@@ -83,8 +73,6 @@ class NarrowBeamsCfg(TileCfg):
   """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=0.2)
   """Least edge of the platform [m]; it grows until beams are apart where they leave it."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)
@@ -128,7 +116,7 @@ class NarrowBeamsCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class NestedRingsCfg(TileCfg):
+class NestedRingsCfg(BorderedTileCfg):
   """Square rings over a pit, around a platform. Harder: narrower rings and wider gaps."""
 
   num_rings: int = number(8, least=1)
@@ -141,8 +129,6 @@ class NestedRingsCfg(TileCfg):
   """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Least edge of the platform, which fills what the rings leave [m]."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)

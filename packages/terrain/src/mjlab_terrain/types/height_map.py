@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from mjlab_terrain.checked_fields import number, scaled
 from mjlab_terrain.solids import Floats
 from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 @dataclass(kw_only=True)
-class HeightMapCfg(TileCfg):
+class HeightMapCfg(BorderedTileCfg):
   """Height map, stretched over the tile. Harder: higher, if `height` says so; by default, difficulty has no effect."""
 
   source: ArrayLike | str | Path
@@ -41,10 +41,7 @@ class HeightMapCfg(TileCfg):
   def _heights(self) -> Floats:
     if isinstance(self.source, str | Path):
       return _read_picture(Path(self.source))
-    heights = np.asarray(self.source)
-    if heights.dtype.kind not in "biuf":
-      raise ValueError(f"heights must be real numbers, got {heights.dtype}")
-    return heights.astype(np.float64)
+    return np.asarray(self.source, dtype=np.float64)
 
   def build(self, tile: Tile) -> None:
     z = self._heights() * tile.scaled(self.height)

@@ -11,11 +11,11 @@ import numpy as np
 from mjlab_terrain.checked_fields import choice, drawn, number, scaled
 from mjlab_terrain.solids import MIN_THICKNESS, Floats
 from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 @dataclass(kw_only=True)
-class PyramidSlopeCfg(TileCfg):
+class PyramidSlopeCfg(BorderedTileCfg):
   """Slopes on all four sides, up to a platform in the middle, or down to it. Harder: steeper."""
 
   slope: tuple[float, float] = scaled((0.0, 0.7), harder="more")
@@ -26,8 +26,6 @@ class PyramidSlopeCfg(TileCfg):
   """True makes the slopes go down."""
   platform: float = number(2.0, least=MIN_THICKNESS)
   """Edge of the platform [m]."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   resolution: float = number(0.1, least=0.01)
   """Distance between the vertices of the height field [m]."""
 
@@ -51,7 +49,7 @@ class PyramidSlopeCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class RandomRoughCfg(TileCfg):
+class RandomRoughCfg(BorderedTileCfg):
   """Rough ground of random heights. Harder: rougher."""
 
   amplitude: tuple[float, float] = scaled((0.0, 0.05), harder="more")
@@ -60,8 +58,6 @@ class RandomRoughCfg(TileCfg):
   """Heights are multiples of it [m]; None draws from all heights."""
   spacing: float = number(0.1, least=0.01)
   """Distance between the points whose heights are drawn [m]; between them the ground is smooth."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   blend: float = number(0.25)
   """Width over which the heights grow from the rim inwards [m]."""
   resolution: float = number(0.1, least=0.01)
@@ -99,15 +95,13 @@ def _smooth_weights(fine: int, coarse: int) -> Floats:
 
 
 @dataclass(kw_only=True)
-class WavesCfg(TileCfg):
+class WavesCfg(BorderedTileCfg):
   """Waves along x plus waves along y, with a crest in the middle. Harder: higher."""
 
   amplitude: tuple[float, float] = scaled((0.0, 0.2), harder="more")
   """Height of the highest crest above the rim, and depth of the deepest trough [m]."""
   num_waves: float = number(4.0, least=0.1)
   """Number of waves along the shorter side of the tile."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   blend: float = number(0.25)
   """Width over which the heights grow from the rim inwards [m]."""
   resolution: float = number(0.1, least=0.01)
@@ -122,7 +116,7 @@ class WavesCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class DiscreteObstaclesCfg(TileCfg):
+class DiscreteObstaclesCfg(BorderedTileCfg):
   """Rectangular obstacles and hollows around a level platform, later ones over earlier ones. Harder: higher and deeper.
 
   Their sides are as steep as one cell of the height field allows; for vertical ones see `RandomBoxesCfg`.
@@ -132,7 +126,7 @@ class DiscreteObstaclesCfg(TileCfg):
   """Height of the highest obstacles [m]."""
   mode: Literal["choice", "fixed"] = choice("choice", "fixed")
   """With "choice" heights are the full height or half of it, up or down; with "fixed" all are the full height up."""
-  width: tuple[float, float] = drawn((0.3, 1.0), least=MIN_THICKNESS)
+  width: tuple[float, float] = drawn((0.3, 1.0), least=MIN_THICKNESS, inside=True)
   """Edges of an obstacle [m]."""
   square: bool = False
   """True makes both edges of an obstacle equal."""
@@ -140,16 +134,8 @@ class DiscreteObstaclesCfg(TileCfg):
   """Number of obstacles, at any difficulty."""
   platform: float = number(1.0)
   """Edge of the level square in the middle [m]."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   resolution: float = number(0.1, least=0.01)
   """Distance between the vertices of the height field [m]."""
-
-  def check(self, name: str, size: tuple[float, float]) -> None:
-    super().check(name, size)
-    room = min(size) - 2.0 * self.border
-    if self.width[1] > room:
-      self.refuse(name, f"width {self.width!r} does not fit inside the border; at most {room:g} m would work")
 
   def build(self, tile: Tile) -> None:
     x, y = tile.grid(self.resolution)
@@ -171,7 +157,7 @@ class DiscreteObstaclesCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class PerlinNoiseCfg(TileCfg):
+class PerlinNoiseCfg(BorderedTileCfg):
   """Hills of fractal Perlin noise. Harder: higher."""
 
   height: tuple[float, float] = scaled((0.0, 1.0), harder="more")
@@ -184,8 +170,6 @@ class PerlinNoiseCfg(TileCfg):
   """Amplitude of each noise relative to that before it."""
   lacunarity: float = number(2.0, least=1.0)
   """Frequency of each noise relative to that before it."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   blend: float = number(0.5)
   """Width over which the heights grow from the rim inwards [m]."""
   resolution: float = number(0.1, least=0.01)

@@ -67,11 +67,9 @@ class MeshCfg(TileCfg):
       vertices, faces = _read_mesh(path, path.stat().st_mtime_ns)
     else:
       vertices, faces = (np.asarray(part) for part in self.source)
-    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, _whole(np.asarray(faces))
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, np.asarray(faces, dtype=np.int64)
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not len(faces):
       raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
-    if not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-      raise ValueError("vertices must be finite, and triangles name vertices")
     # Vertices that no triangle uses do not count.
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3)
@@ -84,13 +82,6 @@ class MeshCfg(TileCfg):
     z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
     tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
     tile.spawn_on_top()
-
-
-def _whole(indices: NDArray[Any]) -> NDArray[np.int64]:
-  whole = indices.astype(np.int64)
-  if not np.array_equal(whole, indices):
-    raise ValueError("triangles must be whole numbers")
-  return whole
 
 
 @lru_cache(maxsize=8)

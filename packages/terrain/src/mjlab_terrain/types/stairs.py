@@ -9,7 +9,7 @@ import numpy as np
 from mjlab_terrain.checked_fields import drawn, number, scaled
 from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS
 from mjlab_terrain.tile import Tile
-from mjlab_terrain.tile_cfg import TileCfg
+from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 def num_steps(extent: tuple[float, float], platform: float, step_width: float) -> int:
@@ -18,7 +18,7 @@ def num_steps(extent: tuple[float, float], platform: float, step_width: float) -
 
 
 @dataclass(kw_only=True)
-class PyramidStairsCfg(TileCfg):
+class PyramidStairsCfg(BorderedTileCfg):
   """Stairs on all four sides, up to a platform in the middle, or down to it. Harder: higher steps."""
 
   step_height: tuple[float, float] = scaled((0.0, 0.2), harder="more")
@@ -65,7 +65,7 @@ class PyramidStairsCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class OpenStairsCfg(TileCfg):
+class OpenStairsCfg(BorderedTileCfg):
   """Stairs of thin treads with open risers, on all four sides. Harder: higher and narrower steps.
 
   An open riser is a slot one tread deep, whose floor is level with the tread in front of it. A foot can slip under a
@@ -80,8 +80,6 @@ class OpenStairsCfg(TileCfg):
   """Thickness of each tread [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Edge of the platform [m]; it grows by what is left when no whole step fits any more."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
   inverted: bool = False
   """True makes the stairs go down."""
 
@@ -113,7 +111,7 @@ class OpenStairsCfg(TileCfg):
 
 
 @dataclass(kw_only=True)
-class RandomStairsCfg(TileCfg):
+class RandomStairsCfg(BorderedTileCfg):
   """Stairs up to a platform, each step of another height. Harder: higher steps."""
 
   step_height: tuple[float, float] = drawn((0.1, 0.3))
@@ -124,8 +122,6 @@ class RandomStairsCfg(TileCfg):
   """Depth of each tread [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Edge of the platform [m]; it grows by what is left when no whole step fits any more."""
-  border: float = number(0.25)
-  """Width of the level rim [m]."""
 
   def build(self, tile: Tile) -> None:
     outer = np.array(tile.inner(self.border))

@@ -50,10 +50,8 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
     ValueError: an assignment names what does not exist, or its value cannot be read.
   """
   for assignment in assignments:
-    target, equals, text = assignment.partition("=")
+    target, _, text = assignment.partition("=")
     type_name, _, setting = target.rpartition(".")
-    if not equals:
-      raise ValueError(f"'{assignment}' has no value; write [TYPE.]SETTING=VALUE.")
     if type_name and type_name not in types:
       raise ValueError(f"'{assignment}': there is no type '{type_name}' here. There are {', '.join(types)}.")
     meant = [types[type_name]] if type_name else list(types.values())
