@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import torch
-from mjlab_core.buffers import DelayBuffer
-from mjlab_core.names import check_name
-from mjlab_core.state import Stateful
+from mjlab_core import DelayBuffer, Stateful, check_name
 
 from mjlab_actuators.transmission import Target
 

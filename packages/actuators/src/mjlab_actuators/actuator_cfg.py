@@ -8,10 +8,18 @@ from typing import Annotated, ClassVar, TypeVar
 
 import mujoco
 import torch
-from mjlab_core.config import Config
-from mjlab_core.constraints import Count, Limits, check_fields, field_problems
-from mjlab_core.errors import ConfigError, MjlabError
-from mjlab_core.names import check_name, match_names, match_values_full
+from mjlab_core import (
+  Config,
+  ConfigError,
+  Count,
+  Limits,
+  MjlabError,
+  check_fields,
+  check_name,
+  field_problems,
+  match_names,
+  match_values_full,
+)
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorGroup, CommandField, DelaySettings
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, actuators_of, add_element, targets_of

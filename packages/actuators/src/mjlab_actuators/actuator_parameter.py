@@ -7,10 +7,7 @@ from typing import Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import where_
-from mjlab_core.model_fields import ModelFields
-from mjlab_core.names import check_name, match_names
+from mjlab_core import MjlabError, ModelFields, check_name, match_names, where_
 
 from mjlab_actuators.actuator import Actuator
 from mjlab_actuators.actuator_set import ActuatorSet

@@ -6,9 +6,7 @@ from typing import Any
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError, UnknownNameError
-from mjlab_core.indexing import as_slice
-from mjlab_core.state import Stateful, StatefulDict
+from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_slice
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg

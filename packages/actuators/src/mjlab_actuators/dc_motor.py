@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import torch
-from mjlab_core.constraints import Limits
+from mjlab_core import Limits
 
 from mjlab_actuators.actuator import ActuatorCmd
 from mjlab_actuators.actuator_cfg import EffortLimit, PerTarget, PositivePerTarget

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Annotated, NamedTuple
 
 import torch
-from mjlab_core.constraints import Limits
+from mjlab_core import Limits
 
 from mjlab_actuators.actuator import ActuatorCmd
 from mjlab_actuators.ideal_pd import Pd, PdActuatorCfg

@@ -11,9 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import mujoco
 import torch
-from mjlab_core.buffers import HistoryBuffer
-from mjlab_core.constraints import Limits, PositiveCount
-from mjlab_core.errors import MjlabError
+from mjlab_core import HistoryBuffer, Limits, MjlabError, PositiveCount
 
 from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import EffortLimit, PerTarget

@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mjlab_core.constraints import NonNegative, Positive, check_value
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError, NonNegative, Positive, check_value
 
 
 def radians_per_second(rpm: float) -> float:

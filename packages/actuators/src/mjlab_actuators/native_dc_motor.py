@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import mujoco
-from mjlab_core.constraints import Limits, NonNegative, Positive
+from mjlab_core import Limits, NonNegative, Positive
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import EffortLimit

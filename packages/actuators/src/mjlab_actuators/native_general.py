@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import mujoco
-from mjlab_core.constraints import Ascending, Limits
+from mjlab_core import Ascending, Limits
 
 from mjlab_actuators.actuator import ActuatorGroup, CommandField
 from mjlab_actuators.native import GearedActuatorCfg

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import mujoco
-from mjlab_core.constraints import Ascending, Limits, NonNegative, Positive
-from mjlab_core.errors import MjlabError
+from mjlab_core import Ascending, Limits, MjlabError, NonNegative, Positive
 
 from mjlab_actuators.actuator import CommandField
 from mjlab_actuators.actuator_cfg import PerTarget

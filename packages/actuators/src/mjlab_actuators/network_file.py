@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-from mjlab_core.errors import FileError
-from mjlab_core.files import reading
+from mjlab_core import FileError, reading
 
 Activation = Literal["softsign", "elu", "relu", "tanh"]
 """Function between the linear layers of a network that is stored as a plain state dict."""

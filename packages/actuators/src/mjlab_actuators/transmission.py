@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import mujoco
 import numpy as np
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 from mjlab_core.model_fields import element_names
 
 Transmission = Literal["joint", "tendon", "site"]

@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
-from mjlab_core.constraints import check_fields
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import match_names
+from mjlab_core import MjlabError, check_fields, match_names
 
 from mjlab_actuators.actuator import ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg

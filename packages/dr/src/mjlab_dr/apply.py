@@ -7,9 +7,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from mjlab_core import as_slice, normalize, quat_from_euler_xyz, quat_mul, where_
-from mjlab_core.errors import MjlabError
-from mjlab_core.model_fields import ModelFields
+from mjlab_core import MjlabError, ModelFields, as_slice, normalize, quat_from_euler_xyz, quat_mul, where_
 from torch import Tensor
 
 from mjlab_dr.binding import Component, bind, bind_columns, result_problems, with_ids

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mjlab_core import Limits, UnknownNameError, match_names, unknown
-from mjlab_core.errors import MjlabError
+from mjlab_core import Limits, MjlabError, UnknownNameError, match_names, unknown
 
 from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import Categorical, Distribution

@@ -10,9 +10,19 @@ from numbers import Real
 from typing import Annotated, Any, ClassVar, Protocol
 
 import torch
-from mjlab_core import log_uniform, truncated_normal, uniform
-from mjlab_core.constraints import Bounds, Finite, Limits, NonNegative, Positive, check_fields, check_value
-from mjlab_core.errors import MjlabError
+from mjlab_core import (
+  Bounds,
+  Finite,
+  Limits,
+  MjlabError,
+  NonNegative,
+  Positive,
+  check_fields,
+  check_value,
+  log_uniform,
+  truncated_normal,
+  uniform,
+)
 from torch import Tensor
 
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from mjlab_core import check_name, unknown
-from mjlab_core.errors import ConfigError, MjlabError
+from mjlab_core import ConfigError, MjlabError, check_name, unknown
 
 from mjlab_dr.catalogue import FIELDS, needs_constants
 from mjlab_dr.distributions import (

@@ -11,8 +11,7 @@ from typing import overload
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import PositiveCount, check_name, check_value, draw_seed, make_generator
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError, PositiveCount, check_name, check_value, draw_seed, make_generator
 from mjlab_core.model_fields import followers
 from mjlab_core.tables import table
 from numpy.typing import NDArray

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from mjlab_core.state import Stateful, refuse_state
+from mjlab_core import Stateful
+from mjlab_core.state import refuse_state
 from mjlab_managers import (
   ActionManager,
   CommandManager,

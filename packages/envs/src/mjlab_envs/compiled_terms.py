@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from mjlab_core.state import Stateful
+from mjlab_core import Stateful
 from mjlab_managers import ManagerBase
 from mjlab_managers.binding import Term, call_terms
 from mjlab_managers.watch import PlainTensors, Watch

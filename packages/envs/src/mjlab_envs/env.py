@@ -7,10 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
-from mjlab_core import DebugDraw
-from mjlab_core.constraints import check_value
-from mjlab_core.errors import ConfigError, MjlabError
-from mjlab_core.sampling import call_where, draw_seed, make_generator
+from mjlab_core import ConfigError, DebugDraw, MjlabError, call_where, check_value, draw_seed, make_generator
 from mjlab_managers import (
   ActionManager,
   CommandManager,

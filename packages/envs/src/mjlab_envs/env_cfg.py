@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mjlab_core.config import Config
-from mjlab_core.constraints import Limits, NonNegative, PositiveCount, field_problems
+from mjlab_core import Config, Limits, NonNegative, PositiveCount, field_problems
 from mjlab_managers import (
   ActionTermCfg,
   CommandTermCfg,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
-from mjlab_core import DebugDraw
-from mjlab_core.errors import ConfigError
+from mjlab_core import ConfigError, DebugDraw
 from mjlab_managers import ManagerBase
 from mjlab_managers.manager import place_of
 from mjlab_sim import Simulation

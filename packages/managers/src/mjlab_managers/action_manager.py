@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.config import Config
-from mjlab_core.indexing import fill_
-from mjlab_core.state import Stateful
+from mjlab_core import Config, Stateful, fill_
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets

@@ -11,9 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import torch
-from mjlab_core.constraints import field_problems
-from mjlab_core.errors import ConfigError, MjlabError
-from mjlab_core.names import unknown
+from mjlab_core import ConfigError, MjlabError, field_problems, unknown
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.locked import LockedDict

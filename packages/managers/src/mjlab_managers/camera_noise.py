@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from mjlab_core.constraints import Limits, NonNegativeRange, PositiveCount, Range, check_fields
-from mjlab_core.indexing import as_slice, where_
+from mjlab_core import Limits, NonNegativeRange, PositiveCount, Range, as_slice, check_fields, where_
 
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
 

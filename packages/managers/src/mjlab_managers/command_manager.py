@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.config import Config
-from mjlab_core.constraints import NonNegativeRange
-from mjlab_core.indexing import fill_, where_
-from mjlab_core.sampling import call_where, uniform
-from mjlab_core.state import Stateful
+from mjlab_core import Config, NonNegativeRange, Stateful, call_where, fill_, uniform, where_
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import Reading, TermSource

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, described

@@ -8,9 +8,7 @@ from functools import partial
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.constraints import Count, NonNegativeRange
-from mjlab_core.indexing import where_
-from mjlab_core.sampling import call_where
+from mjlab_core import Count, NonNegativeRange, call_where, where_
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 from typing import Any, NoReturn, TypeVar, cast
 
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 
 T = TypeVar("T")
 

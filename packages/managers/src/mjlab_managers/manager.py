@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
-from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError, as_consequence, is_consequence
-from mjlab_core.names import unknown
-from mjlab_core.state import Stateful, StatefulDict
+from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownNameError, unknown
+from mjlab_core.errors import as_consequence, is_consequence
 
 from mjlab_managers.binding import Term, call_terms, cfg_problems, copy_cfg, described
 from mjlab_managers.env import ManagerEnv

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
 import torch
-from mjlab_core.indexing import fill_, where_
+from mjlab_core import fill_, where_
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term

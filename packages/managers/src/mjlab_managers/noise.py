@@ -8,10 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import torch
-from mjlab_core.config import Config
-from mjlab_core.constraints import Limits, Range, check_fields, check_value
-from mjlab_core.indexing import where_
-from mjlab_core.state import Stateful
+from mjlab_core import Config, Limits, Range, Stateful, check_fields, check_value, where_
 
 Operation = Literal["add", "scale", "abs"]
 PerDim = Annotated[float | tuple[float, ...], Limits()]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
-from mjlab_core.config import Config
-from mjlab_core.constraints import Bounds, Count, Share
+from mjlab_core import Bounds, Config, Count, Share
 
 from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
 from mjlab_managers.term import ManagerTermBaseCfg

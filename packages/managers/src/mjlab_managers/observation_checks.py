@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from mjlab_core.constraints import Bounds, field_problem
+from mjlab_core import Bounds, field_problem
 
 from mjlab_managers.binding import cfg_problems, described
 from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg

@@ -7,10 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import where_
-from mjlab_core.names import check_name
-from mjlab_core.state import Stateful
+from mjlab_core import MjlabError, Stateful, check_name, where_
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, copy_cfg

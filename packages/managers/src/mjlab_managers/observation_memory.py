@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from mjlab_core.buffers import DelayBuffer, HistoryBuffer
-from mjlab_core.indexing import Index, as_index
-from mjlab_core.state import Stateful, StatefulDict
+from mjlab_core import DelayBuffer, HistoryBuffer, Index, Stateful, StatefulDict, as_index
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.observation_slots import Slot

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from mjlab_core.errors import DivergedError
-from mjlab_core.state import Stateful, StatefulDict
+from mjlab_core import DivergedError, Stateful, StatefulDict
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.noise import (

@@ -11,8 +11,8 @@ from numbers import Real
 from typing import Any
 
 import torch
+from mjlab_core import nearest
 from mjlab_core.constraints import named_problem
-from mjlab_core.names import nearest
 
 Scalar = torch.Tensor | tuple[torch.Tensor, ...]
 """Number, or tuple of numbers, as 0-d float64 tensors on the device."""

@@ -8,8 +8,7 @@ from itertools import compress
 from typing import Any
 
 import torch
-from mjlab_core.constraints import Finite, field_problem
-from mjlab_core.indexing import fill_
+from mjlab_core import Finite, field_problem, fill_
 from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv

@@ -9,11 +9,8 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, ClassVar
 
 import torch
-from mjlab_core.config import Config
-from mjlab_core.constraints import Items, Limits, check_value
-from mjlab_core.errors import MjlabError, as_consequence
-from mjlab_core.indexing import Index, as_index
-from mjlab_core.names import match_names, unknown
+from mjlab_core import Config, Index, Items, Limits, MjlabError, as_index, check_value, match_names, unknown
+from mjlab_core.errors import as_consequence
 
 from mjlab_managers.env import ManagerEnv
 

@@ -7,8 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import torch
-from mjlab_core.config import Config
-from mjlab_core.state import Stateful
+from mjlab_core import Config, Stateful
 
 
 @dataclass

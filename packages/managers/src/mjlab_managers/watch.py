@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from typing import Any, Self
 
 import torch
-from mjlab_core.state import Stateful
+from mjlab_core import Stateful
 from torch.fx.node import map_aggregate
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_actuators import ActuatorSet, Transmission
-from mjlab_core.indexing import as_index, fill_, select, where_
-from mjlab_core.state import Stateful
+from mjlab_core import Stateful, as_index, fill_, select, where_
 
 from mjlab_scene.indexing import EntityIndexing
 from mjlab_scene.initial_state import InitialState

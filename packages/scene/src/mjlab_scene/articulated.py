@@ -12,7 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mjlab_core.errors import ConfigError, MjlabError
+from mjlab_core import ConfigError, MjlabError
 from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import mujoco
-from mjlab_core.config import Config
-from mjlab_core.constraints import Items, Limits, NonNegative, check_fields
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import match_names, match_values
+from mjlab_core import Config, Items, Limits, MjlabError, NonNegative, check_fields, match_names, match_values
 
 Bits = Annotated[int, Limits(ge=0)]
 Share = Annotated[float, Limits(ge=0, le=1)]

@@ -7,10 +7,18 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal
 
 import mujoco
-from mjlab_core.config import Config
-from mjlab_core.constraints import Items, Limits, NonNegative, Positive, PositiveCount, check_fields
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import check_name, match_names
+from mjlab_core import (
+  Config,
+  Items,
+  Limits,
+  MjlabError,
+  NonNegative,
+  Positive,
+  PositiveCount,
+  check_fields,
+  check_name,
+  match_names,
+)
 
 Color = Annotated[tuple[float, float, float], Limits(ge=0, le=1)]
 ColorWithAlpha = Annotated[tuple[float, float, float, float], Limits(ge=0, le=1)]

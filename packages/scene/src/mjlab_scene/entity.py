@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import mujoco
 import torch
 from mjlab_actuators import ActuatorCfg, ActuatorSet, Transmission
-from mjlab_core.config import Config
-from mjlab_core.constraints import Limits, check_fields
-from mjlab_core.errors import MjlabError
-from mjlab_core.rotations import quat_apply, quat_apply_inverse
-from mjlab_core.state import Stateful
+from mjlab_core import Config, Limits, MjlabError, Stateful, check_fields, quat_apply, quat_apply_inverse
 
 from mjlab_scene.actuation import Actuation, Quantity
 from mjlab_scene.collision import CollisionCfg

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_actuators import Transmission
-from mjlab_core.indexing import Index, as_index, select
-from mjlab_core.state import Stateful
+from mjlab_core import Index, Stateful, as_index, select
 
 from mjlab_scene.actuation import Actuation
 from mjlab_scene.indexing import EntityIndexing

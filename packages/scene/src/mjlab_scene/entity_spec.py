@@ -6,8 +6,7 @@ from typing import Any
 
 import mujoco
 from mjlab_actuators import ActuatorSet
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import match_names
+from mjlab_core import MjlabError, match_names
 
 from mjlab_scene.collision import CollisionCfg, apply_collisions
 from mjlab_scene.edits import SpecEdit, apply_edits

@@ -7,9 +7,7 @@ from typing import Annotated
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.constraints import Limits, check_value
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import Index, as_index, select, where_
+from mjlab_core import Index, Limits, MjlabError, as_index, check_value, select, where_
 from mjlab_core.model_fields import element_names
 
 from mjlab_scene.entity_spec import KINDS

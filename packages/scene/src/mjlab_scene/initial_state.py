@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 from mjlab_actuators import command_fields_of
-from mjlab_core.config import Config
-from mjlab_core.constraints import Finite, check_fields, check_value
-from mjlab_core.errors import ConfigError, MjlabError
-from mjlab_core.names import match_values
+from mjlab_core import Config, ConfigError, Finite, MjlabError, check_fields, check_value, match_values
 
 INIT_STATE = "init_state"
 """Name of the scene's keyframe."""

@@ -20,10 +20,17 @@ from typing import Annotated, Any
 import mujoco
 import numpy as np
 from mjlab_actuators import ActuatorCfg
-from mjlab_core.constraints import Finite, Items, check_value
-from mjlab_core.errors import FileError, MjlabError
-from mjlab_core.files import printable, reading
-from mjlab_core.names import check_name, match_values_full
+from mjlab_core import (
+  FileError,
+  Finite,
+  Items,
+  MjlabError,
+  check_name,
+  check_value,
+  match_values_full,
+  printable,
+  reading,
+)
 
 _ATTRIBUTES = {
   "opt": "gravity wind density viscosity magnetic",

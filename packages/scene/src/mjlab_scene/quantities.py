@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, overload
 
 import torch
-from mjlab_core.indexing import select
-from mjlab_core.rotations import quat_mul
+from mjlab_core import quat_mul, select
 
 from mjlab_scene.indexing import EntityIndexing
 

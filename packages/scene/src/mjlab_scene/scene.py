@@ -12,11 +12,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.config import Config
-from mjlab_core.constraints import Count, NonNegative, Positive, PositiveCount, check_fields
-from mjlab_core.errors import MjlabError, UnknownNameError, as_consequence
-from mjlab_core.names import unknown
-from mjlab_core.state import Stateful, StatefulDict
+from mjlab_core import (
+  Config,
+  Count,
+  MjlabError,
+  NonNegative,
+  Positive,
+  PositiveCount,
+  Stateful,
+  StatefulDict,
+  UnknownNameError,
+  check_fields,
+  unknown,
+)
+from mjlab_core.errors import as_consequence
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
 from mjlab_terrain import Terrain, grid_origins
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 
 _OVERCAST = (0.72, 0.80, 0.90)
 _ZENITH = (0.30, 0.45, 0.68)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import torch
-from mjlab_core.constraints import Limits, check_value
-from mjlab_core.indexing import where_
-from mjlab_core.state import Stateful
+from mjlab_core import Limits, Stateful, check_value, where_
 from mjlab_terrain import Terrain
 
 

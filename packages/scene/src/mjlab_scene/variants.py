@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import check_name
+from mjlab_core import MjlabError, check_name
 
 from mjlab_scene.articulated import FIELDS, Skeleton, all_float, is_articulated, merge_articulated
 from mjlab_scene.entity import Entity, EntityCfg

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import DebugDraw, Items, Limits, check_fields, check_name, quat_from_matrix
-from mjlab_core.config import Config
+from mjlab_core import Config, DebugDraw, Items, Limits, check_fields, check_name, quat_from_matrix
 
 from mjlab_sensors._elements import add_sensor, find_element, names_of
 from mjlab_sensors.native_types import NATIVE_TYPES

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import Count, DebugDraw, Items, MjlabError, PositiveCount, check_fields, fill_
-from mjlab_core.config import Config
+from mjlab_core import Config, Count, DebugDraw, Items, MjlabError, PositiveCount, check_fields, fill_
 
 from mjlab_sensors._elements import add_sensor, match_elements
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns

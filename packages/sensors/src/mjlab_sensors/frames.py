@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import check_fields
-from mjlab_core.config import Config
+from mjlab_core import Config, check_fields
 
 from mjlab_sensors._elements import match_elements
 

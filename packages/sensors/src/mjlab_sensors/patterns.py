@@ -10,8 +10,17 @@ from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
-from mjlab_core import Ascending, ConfigError, Count, Limits, NonNegative, Positive, PositiveCount, field_problems
-from mjlab_core.config import Config
+from mjlab_core import (
+  Ascending,
+  Config,
+  ConfigError,
+  Count,
+  Limits,
+  NonNegative,
+  Positive,
+  PositiveCount,
+  field_problems,
+)
 
 
 @dataclass(kw_only=True, frozen=True)

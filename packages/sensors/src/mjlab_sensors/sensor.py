@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import ConfigError, DebugDraw, Items, Limits, MjlabError, Stateful, field_problems
-from mjlab_core.config import Config
+from mjlab_core import Config, ConfigError, DebugDraw, Items, Limits, MjlabError, Stateful, field_problems
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation

@@ -6,17 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import mujoco
-from mjlab_core import (
-  ConfigError,
-  Count,
-  Finite,
-  NonNegative,
-  Positive,
-  PositiveCount,
-  field_problems,
-  unknown,
-)
-from mjlab_core.config import Config
+from mjlab_core import Config, ConfigError, Count, Finite, NonNegative, Positive, PositiveCount, field_problems, unknown
 
 EngineName = Literal["native", "warp"]
 

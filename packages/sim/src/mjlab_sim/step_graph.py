@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 
 from mjlab_sim.freshness import Freshness
 

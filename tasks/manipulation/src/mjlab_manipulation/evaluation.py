@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 from mjlab_scene import VariantEntity

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import mujoco
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 from mjlab_dr import Categorical, FieldRandomizer, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (

@@ -6,8 +6,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.errors import ConfigError
-from mjlab_core.indexing import fill_, where_
+from mjlab_core import ConfigError, fill_, where_
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core import ConfigError
 from mjlab_dr import Categorical, FieldRandomizer, body_mass
 from mjlab_dr.distributions import SampleFunction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterable
 
 from mjlab_actuators import DcMotorActuatorCfg, NativePositionActuatorCfg
-from mjlab_core.errors import ConfigError
-from mjlab_core.names import check_name
+from mjlab_core import ConfigError, check_name
 from mjlab_dr import pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg

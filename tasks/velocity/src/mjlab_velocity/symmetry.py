@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core import ConfigError
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv

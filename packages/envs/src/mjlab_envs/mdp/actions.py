@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
-from mjlab_core.constraints import Finite, Limits
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import where_
+from mjlab_core import Finite, Limits, MjlabError, where_
 from mjlab_managers import ActionTargets
 
 from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargets, DrivenTargetsCfg

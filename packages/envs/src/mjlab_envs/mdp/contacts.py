@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv

@@ -6,8 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.constraints import PositiveCount
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError, PositiveCount
 from mjlab_managers import ManagerBase, ManagerTermBase
 
 if TYPE_CHECKING:

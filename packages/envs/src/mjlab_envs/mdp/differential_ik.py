@@ -4,11 +4,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
-from mjlab_core.constraints import Limits, NonNegative
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import as_index, fill_, select
-from mjlab_core.names import match_names, match_values_full
-from mjlab_core.rotations import normalize, quat_apply, quat_box_minus, quat_box_plus, quat_mul
+from mjlab_core import (
+  Limits,
+  MjlabError,
+  NonNegative,
+  as_index,
+  fill_,
+  match_names,
+  match_values_full,
+  normalize,
+  quat_apply,
+  quat_box_minus,
+  quat_box_plus,
+  quat_mul,
+  select,
+)
 
 from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargetsCfg
 

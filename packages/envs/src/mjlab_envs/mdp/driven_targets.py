@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from mjlab_actuators import Transmission
-from mjlab_core.constraints import Bounds
-from mjlab_core.indexing import as_index
-from mjlab_core.names import match_names, match_values_full
+from mjlab_core import Bounds, as_index, match_names, match_values_full
 from mjlab_managers import ActionTerm, ActionTermCfg, Reading
 from mjlab_scene import Quantity
 

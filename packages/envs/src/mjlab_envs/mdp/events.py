@@ -3,11 +3,7 @@
 from typing import TYPE_CHECKING, cast
 
 import torch
-from mjlab_core.constraints import Range
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import check_name
-from mjlab_core.rotations import quat_apply, quat_from_euler_xyz, quat_mul
-from mjlab_core.sampling import uniform
+from mjlab_core import MjlabError, Range, check_name, quat_apply, quat_from_euler_xyz, quat_mul, uniform
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, cast
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.rotations import quat_conjugate, quat_mul, rotvec_from_quat
+from mjlab_core import MjlabError, quat_conjugate, quat_mul, rotvec_from_quat
 from mjlab_managers import ManagerTermBase, Reading, SceneEntityCfg, TermSource, sourced
 from mjlab_sensors import BuiltinSensor, ImuSensor
 

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
 from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Transmission
-from mjlab_core.constraints import Ascending, Limits
-from mjlab_core.errors import MjlabError
+from mjlab_core import Ascending, Limits, MjlabError
 from mjlab_dr import (
   FIELDS,
   Distribution,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from mjlab_actuators import ParameterName, Transmission
-from mjlab_core.constraints import Ascending, Limits
+from mjlab_core import Ascending, Limits
 from mjlab_dr import Categorical, Distribution, Operation, randomize_field
 from mjlab_managers import SceneEntityCfg
 

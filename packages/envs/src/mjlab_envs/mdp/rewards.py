@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any, cast
 
 import torch
-from mjlab_core.names import match_values_full
+from mjlab_core import match_values_full
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:

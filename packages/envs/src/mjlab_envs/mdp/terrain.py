@@ -3,9 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.constraints import Range
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import check_name
+from mjlab_core import MjlabError, Range, check_name
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 from mjlab_envs.mdp.events import reset_root_state_uniform

@@ -3,12 +3,7 @@
 from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
-from mjlab_core import DebugDraw
-from mjlab_core.constraints import Limits, NonNegativeRange, Range
-from mjlab_core.indexing import fill_, where_
-from mjlab_core.names import check_name
-from mjlab_core.rotations import quat_apply
-from mjlab_core.sampling import uniform
+from mjlab_core import DebugDraw, Limits, NonNegativeRange, Range, check_name, fill_, quat_apply, uniform, where_
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 
 if TYPE_CHECKING:

@@ -5,10 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
-from mjlab_core import DebugDraw
-from mjlab_core.constraints import Limits, NonNegative, Range, check_fields, check_value
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import where_
+from mjlab_core import DebugDraw, Limits, MjlabError, NonNegative, Range, check_fields, check_value, where_
 from mjlab_managers import CommandTerm, CommandTermCfg
 
 from mjlab_manipulation.mdp.extent import Extent

@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.rotations import matrix_from_quat
+from mjlab_core import MjlabError, matrix_from_quat
 from mjlab_scene import Entity, VariantEntity
 
 if TYPE_CHECKING:

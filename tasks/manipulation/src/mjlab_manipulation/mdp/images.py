@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.names import check_name
+from mjlab_core import MjlabError, check_name
 from mjlab_envs.mdp.readings import image_of
 from mjlab_managers import ManagerTermBase, Reading, TermSource
 from mjlab_sim import DataType

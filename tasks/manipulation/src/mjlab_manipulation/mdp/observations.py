@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import torch
-from mjlab_core.rotations import matrix_from_quat, quat_apply_inverse, quat_conjugate, quat_mul, subtract_frames
+from mjlab_core import matrix_from_quat, quat_apply_inverse, quat_conjugate, quat_mul, subtract_frames
 from mjlab_envs.mdp.readings import pose_of
 from mjlab_managers import Reading, SceneEntityCfg, TermSource, sourced
 

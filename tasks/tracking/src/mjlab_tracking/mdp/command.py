@@ -6,20 +6,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
-from mjlab_core import DebugDraw
-from mjlab_core.constraints import Ascending, Limits, PositiveCount, check_fields
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import where_
-from mjlab_core.names import check_name
-from mjlab_core.rotations import (
+from mjlab_core import (
+  Ascending,
+  DebugDraw,
+  Limits,
+  MjlabError,
+  PositiveCount,
+  check_fields,
+  check_name,
   quat_apply,
   quat_apply_inverse,
   quat_conjugate,
   quat_from_euler_xyz,
   quat_mul,
   quat_yaw,
+  uniform,
+  where_,
 )
-from mjlab_core.sampling import uniform
 from mjlab_envs.mdp.events import axis_bounds
 from mjlab_managers import CommandTerm, CommandTermCfg, Reading, TermSource
 from mjlab_motions.ghost import Ghost

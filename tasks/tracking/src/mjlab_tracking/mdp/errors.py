@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-from mjlab_core.names import check_name
-from mjlab_core.rotations import quat_error_magnitude
+from mjlab_core import check_name, quat_error_magnitude
 
 from mjlab_tracking.mdp.command import MotionCommand
 from mjlab_tracking.mdp.observations import motion

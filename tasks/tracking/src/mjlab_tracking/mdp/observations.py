@@ -3,8 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.rotations import matrix_from_quat, subtract_frames
+from mjlab_core import MjlabError, matrix_from_quat, subtract_frames
 from mjlab_envs.mdp.readings import pose_of
 from mjlab_managers import Reading, TermSource, sourced
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.rotations import quat_error_magnitude
+from mjlab_core import quat_error_magnitude
 from mjlab_managers import ManagerTermBase
 
 from mjlab_tracking.mdp.errors import body_angle, body_distance, body_speed_error, body_spin_error, norm

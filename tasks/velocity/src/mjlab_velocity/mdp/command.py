@@ -5,11 +5,20 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
-from mjlab_core import DebugDraw
-from mjlab_core.config import Config
-from mjlab_core.constraints import Ascending, Limits, check_fields
-from mjlab_core.indexing import fill_, where_
-from mjlab_core.rotations import heading, quat_apply, quat_apply_inverse, quat_yaw, wrap_to_pi
+from mjlab_core import (
+  Ascending,
+  Config,
+  DebugDraw,
+  Limits,
+  check_fields,
+  fill_,
+  heading,
+  quat_apply,
+  quat_apply_inverse,
+  quat_yaw,
+  where_,
+  wrap_to_pi,
+)
 from mjlab_managers import CommandTerm, CommandTermCfg, Reading, TermSource
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.constraints import check_fields
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError, check_fields
 from mjlab_managers import ManagerTermBase
 
 from mjlab_velocity.mdp.command import Range, UniformVelocityCommand

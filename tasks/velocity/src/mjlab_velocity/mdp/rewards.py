@@ -3,8 +3,7 @@
 from typing import TYPE_CHECKING, cast
 
 import torch
-from mjlab_core.errors import MjlabError
-from mjlab_core.indexing import fill_
+from mjlab_core import MjlabError, fill_
 from mjlab_envs.mdp.rewards import inverse_variance
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core.errors import MjlabError
+from mjlab_core import MjlabError
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 from mjlab_scene import TerrainLevels
 
