@@ -67,7 +67,7 @@ class TestSelection:
   @pytest.mark.parametrize(("given", "ids"), [(2, slice(2, 3)), ((0, 1), slice(0, 2)), ([3, 1], [1, 3])])
   def test_indices_may_be_given_instead_of_names(self, env, given, ids):
     resolved = SceneEntityCfg("robot", joint_names=given).resolve(env.scene, env.device)
-    assert (resolved.joint_ids if isinstance(ids, slice) else resolved.joint_ids.tolist()) == ids  # type: ignore
+    assert (resolved.joint_ids if isinstance(ids, slice) else resolved.joint_ids.tolist()) == ids
 
   @pytest.mark.parametrize(
     ("given", "said"),

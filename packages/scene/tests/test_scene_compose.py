@@ -216,12 +216,6 @@ def test_reading_an_entity_before_its_scene_is_initialized_says_what_to_do() -> 
     _ = Scene(three())["robot"].data
 
 
-def test_a_simulation_of_another_size_is_refused(make_worlds: MakeWorlds) -> None:
-  _, sim = make_worlds(cfg=three(num_envs=3))
-  with pytest.raises(ValueError, match="the simulation has 3 worlds, the scene 2"):
-    Scene(three(num_envs=2)).initialize(sim)
-
-
 def test_building_leaves_the_configuration_as_it_is_so_that_scenes_can_share_it() -> None:
   cfg = three()
   before = repr(cfg)

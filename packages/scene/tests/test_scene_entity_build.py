@@ -214,7 +214,7 @@ def test_a_preset_that_matches_nothing_is_an_error() -> None:
 @pytest.mark.parametrize(
   ("parameter", "value", "message"),
   [
-    ("condim", 2, "must be 1, 3, 4 or 6, got 2"),
+    ("condim", 0, "must be"),
     ("contype", -1, "must not be negative, got -1"),
     ("solmix", 1.5, r"must be in \[0, 1\]"),
     ("friction", (1.0, 1.0, 1.0, 1.0), "must have at most 3 elements, got"),

@@ -54,7 +54,7 @@ def test_writes_touch_only_masked_worlds(make_worlds: MakeWorlds) -> None:
   robot.write_joint_state(random(3, 6), random(3, 5), MASK)
   robot.write_joint_velocity(random(3, 2), MASK, joint_ids=[2, 0])
   robot.write_external_wrench(random(3, 4, 3), random(3, 4, 3), mask=MASK)
-  arm.write_mocap_pose(random(3, 7), MASK)
+  arm.write_root_pose(random(3, 7), MASK)
   after = snapshot(sim)
   for old, new in zip(before, after, strict=True):
     assert torch.equal(old[~MASK], new[~MASK])
@@ -188,8 +188,6 @@ def test_what_an_entity_lacks_cannot_be_written(make_worlds: MakeWorlds) -> None
   scene, _ = make_worlds(1, arm=FIXED, block=block)
   with pytest.raises(ValueError, match="does not float"):
     scene["arm"].write_root_velocity(random(1, 6))
-  with pytest.raises(ValueError, match="its base floats"):
-    scene["block"].write_mocap_pose(random(1, 7))
   with pytest.raises(ValueError, match="has no joints"):
     scene["block"].write_joint_position(random(1, 1))
   with pytest.raises(ValueError, match=r"ids must be in \[-2, 1\]"):

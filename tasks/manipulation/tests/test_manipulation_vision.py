@@ -173,7 +173,7 @@ def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) 
   ("params", "message"),
   [
     ({"channels": ("colour",)}, "'channels' 'colour' does not exist"),
-    ({"channels": ("rgb",)}, "channel 'rgb' needs 'rgb' among the data_types of sensor 'wrist_camera'"),
+    ({"channels": ("rgb",)}, "sensor 'wrist_camera': image 'rgb' does not exist"),
     ({"command": "lift"}, "lift_height"),
   ],
   ids=["channel", "data", "command"],

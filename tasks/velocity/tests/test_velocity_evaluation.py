@@ -214,5 +214,5 @@ def test_a_task_without_a_velocity_command_is_refused() -> None:
   del cfg.commands["twist"]
   with pytest.raises(ConfigError, match="'twist' is not a velocity command"):
     evaluator().configure(cfg)
-  with pytest.raises(ConfigError, match="must not be empty"):
+  with pytest.raises(ConfigError, match="eval: grid must have at least 1 element"):
     VelocityEvaluation(grid=()).configure(go1_flat_env())

@@ -10,13 +10,11 @@ import mujoco
 import torch
 from mjlab_core import (
   Config,
-  ConfigError,
   Count,
   Limits,
   MjlabError,
   check_fields,
   check_name,
-  field_problems,
   match_names,
   match_values_full,
 )
@@ -116,8 +114,7 @@ class ActuatorCfg(Config, ABC):
 
   def validate(self, target_names: Sequence[str]) -> None:
     """Raise ConfigError if fields are impossible, by themselves or for these targets; one line per problem."""
-    if problems := field_problems(self) or list(self.problems(target_names)):
-      raise ConfigError(*(f"{type(self).__name__}: {problem}" for problem in problems))
+    check_fields(self, type(self).__name__, self.problems(target_names))
     self.parameters(target_names)
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:

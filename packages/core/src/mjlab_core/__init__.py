@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     check_value,
     field_problem,
     field_problems,
+    require,
   )
   from mjlab_core.contacts import Contacts, host_contacts
   from mjlab_core.drawing import DebugDraw
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
     unknown,
   )
   from mjlab_core.rotations import (
-    combine_frames,
     cross,
     euler_xyz_from_quat,
     heading,
@@ -69,8 +69,6 @@ if TYPE_CHECKING:
     quat_from_euler_xyz,
     quat_from_matrix,
     quat_from_rotvec,
-    quat_integrate,
-    quat_inverse,
     quat_mul,
     quat_slerp,
     quat_unique,
@@ -78,8 +76,6 @@ if TYPE_CHECKING:
     random_quat,
     rotvec_from_quat,
     subtract_frames,
-    transform_points,
-    velocity_at,
     wrap_to_pi,
   )
   from mjlab_core.sampling import (
@@ -131,7 +127,6 @@ __all__ = [
   "check_fields",
   "check_name",
   "check_value",
-  "combine_frames",
   "cross",
   "draw_seed",
   "euler_xyz_from_quat",
@@ -159,8 +154,6 @@ __all__ = [
   "quat_from_euler_xyz",
   "quat_from_matrix",
   "quat_from_rotvec",
-  "quat_integrate",
-  "quat_inverse",
   "quat_mul",
   "quat_slerp",
   "quat_unique",
@@ -168,17 +161,16 @@ __all__ = [
   "random_quat",
   "reading",
   "remove_leftovers",
+  "require",
   "rotvec_from_quat",
   "rows_of_worlds",
   "safe_name",
   "seed_everything",
   "select",
   "subtract_frames",
-  "transform_points",
   "truncated_normal",
   "uniform",
   "unknown",
-  "velocity_at",
   "where_",
   "wrap_to_pi",
 ]
@@ -190,7 +182,7 @@ __getattr__, __dir__ = lazy_exports(
     ".config": "FORMER_FIELDS Config",
     ".constraints": (
       "Ascending Bounds Count Finite Items Limits NonNegative NonNegativeRange Positive PositiveCount Range Share "
-      "check_fields check_value field_problem field_problems"
+      "check_fields check_value field_problem field_problems require"
     ),
     ".contacts": "Contacts host_contacts",
     ".drawing": "DebugDraw",
@@ -200,9 +192,9 @@ __getattr__, __dir__ = lazy_exports(
     ".model_fields": "ModelFields",
     ".names": "check_name match_names match_values match_values_full nearest unknown",
     ".rotations": (
-      "combine_frames heading subtract_frames transform_points velocity_at cross euler_xyz_from_quat "
+      "heading subtract_frames cross euler_xyz_from_quat "
       "matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus quat_conjugate "
-      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
+      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec "
       "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
     ".sampling": ("call_where draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),

@@ -22,16 +22,18 @@ import builtins
 import math
 import sys
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
 from itertools import pairwise
 from numbers import Integral, Real
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from mjlab_core.errors import ConfigError
 from mjlab_core.names import unknown
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,10 +144,24 @@ Bounds = Annotated[tuple[float, float], Limits(finite=False), Ascending()]
 """Least and greatest value, either of them possibly infinite."""
 
 
-def check_fields(cfg: Any, owner: str) -> None:
-  """Raise ConfigError with the fields of a dataclass that break their annotations; messages begin with `owner`."""
-  if problems := field_problems(cfg):
+def check_fields(cfg: Any, owner: str, others: Iterable[str] = ()) -> None:
+  """Raise ConfigError with the fields of a dataclass that break their annotations; messages begin with `owner`.
+
+  Without any, `others` are the problems; it may be a generator that relies on the annotations.
+  """
+  if problems := field_problems(cfg) or list(others):
     raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
+
+
+def require(value: object, kind: type[T], otherwise: str) -> T:
+  """Return a value that must be of this type.
+
+  Raises:
+    ConfigError: It is of another, or None; the message is `otherwise`.
+  """
+  if not isinstance(value, kind):
+    raise ConfigError(otherwise)
+  return value
 
 
 def field_problem(value: Any, hint: Any) -> str:

@@ -13,6 +13,7 @@ from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets
 from mjlab_managers.manager import ManagerBase
+from mjlab_managers.vector_manager import nan_if_zero
 
 
 @dataclass(kw_only=True)
@@ -148,10 +149,8 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
     for name, term in self._terms.items():
-      try:
+      with self._naming(name):
         term.process_actions(term._raw_action)
-      except Exception as error:
-        raise self._named(name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
@@ -174,8 +173,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Nonfinite/action`, the number of entries replaced by 0, or NaN if there were none."""
-    count = self._nonfinite.double().reshape(1)
-    return ["Nonfinite/action"], count.masked_fill(count == 0, torch.nan)
+    return ["Nonfinite/action"], nan_if_zero(self._nonfinite.reshape(1))
 
   def clear_log(self) -> None:
     self._nonfinite.zero_()

@@ -19,6 +19,7 @@ from mjlab_managers.observation_memory import Memory
 from mjlab_managers.observation_processing import Processing
 from mjlab_managers.observation_slots import Slot, place_columns, twin_of
 from mjlab_managers.term import ManagerTermBase
+from mjlab_managers.vector_manager import nan_if_zero
 
 Observation = torch.Tensor | dict[str, torch.Tensor]
 
@@ -343,8 +344,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     names = [f"Nonfinite/observation/{slot.path}" for slot in self._slots]
     if not names:
       return super().log_tensors()
-    counts = torch.stack([count.double() for count in self.nonfinite_counts.values()])
-    return names, counts.masked_fill(counts == 0, torch.nan)
+    return names, nan_if_zero(torch.stack(list(self.nonfinite_counts.values())))
 
   def clear_log(self) -> None:
     self._processing.nonfinite.zero_()

@@ -20,6 +20,15 @@ Selection = str | int | Sequence[str] | Sequence[int] | None
 KINDS = ("joint", "body", "geom", "site", "actuator", "tendon")
 
 
+def _indices(kind: str) -> Any:
+  """Return a property with the indices of selected elements, which only a resolved config has."""
+
+  def ids(self: SceneEntityCfg) -> Index:
+    return self._index(kind)
+
+  return property(ids)
+
+
 @dataclass
 class SceneEntityCfg(Config):
   """Entity of the scene, and the elements of it that a term uses.
@@ -44,45 +53,22 @@ class SceneEntityCfg(Config):
   _ids: ClassVar[dict[str, Index] | None] = None
   _wide: ClassVar[str | None] = None
 
-  @property
-  def joint_ids(self) -> Index:
-    """Selected joints, (num_selected,); not columns where some joints of an entity with a ball joint are selected."""
-    return self._index("joint")
-
-  @property
-  def joint_pos_ids(self) -> Index:
-    """Columns of the selected joints in positions, targets and limits."""
-    return self._index("joint_pos")
-
-  @property
-  def joint_vel_ids(self) -> Index:
-    """Columns of the selected joints in velocities, accelerations and forces."""
-    return self._index("joint_vel")
-
-  @property
-  def body_ids(self) -> Index:
-    """Selected bodies, (num_selected,)."""
-    return self._index("body")
-
-  @property
-  def geom_ids(self) -> Index:
-    """Selected geoms, (num_selected,)."""
-    return self._index("geom")
-
-  @property
-  def site_ids(self) -> Index:
-    """Selected sites, (num_selected,)."""
-    return self._index("site")
-
-  @property
-  def actuator_ids(self) -> Index:
-    """Selected actuators, (num_selected,)."""
-    return self._index("actuator")
-
-  @property
-  def tendon_ids(self) -> Index:
-    """Selected tendons, (num_selected,)."""
-    return self._index("tendon")
+  joint_ids = _indices("joint")
+  """Selected joints, (num_selected,); not columns where some joints of an entity with a ball joint are selected."""
+  joint_pos_ids = _indices("joint_pos")
+  """Columns of the selected joints in positions, targets and limits."""
+  joint_vel_ids = _indices("joint_vel")
+  """Columns of the selected joints in velocities, accelerations and forces."""
+  body_ids = _indices("body")
+  """Selected bodies, (num_selected,)."""
+  geom_ids = _indices("geom")
+  """Selected geoms, (num_selected,)."""
+  site_ids = _indices("site")
+  """Selected sites, (num_selected,)."""
+  actuator_ids = _indices("actuator")
+  """Selected actuators, (num_selected,)."""
+  tendon_ids = _indices("tendon")
+  """Selected tendons, (num_selected,)."""
 
   @property
   def resolved(self) -> bool:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import mujoco
-from mjlab_core import Config, Items, Limits, MjlabError, NonNegative, check_fields, match_names, match_values
+from mjlab_core import Config, Items, Limits, NonNegative, check_fields, match_names, match_values
 
 Bits = Annotated[int, Limits(ge=0)]
+Condim = Annotated[int, Limits(ge=1, le=6)]
 Share = Annotated[float, Limits(ge=0, le=1)]
 Friction = Annotated[tuple[NonNegative, ...], Items(le=3)]
 Solref = Annotated[tuple[float, ...], Items(le=mujoco.mjNREF)]
@@ -28,7 +29,7 @@ class CollisionCfg(Config):
   """Patterns; each must match at least one geom of the entity."""
   contype: Bits | Mapping[str, Bits] = 1
   conaffinity: Bits | Mapping[str, Bits] = 1
-  condim: int | Mapping[str, int] = 3
+  condim: Condim | Mapping[str, Condim] = 3
   priority: int | Mapping[str, int] = 0
   friction: Friction | Mapping[str, Friction] | None = None
   """Sliding [1], torsional [m] and rolling [m] friction."""
@@ -63,8 +64,6 @@ def apply_collisions(spec: mujoco.MjSpec, presets: Sequence[CollisionCfg], owner
       if not isinstance(setting, Mapping):
         setting = {} if setting is None else dict.fromkeys(map(re.escape, matched), setting)
       for geom, value in zip(*match_values(setting, matched, what="geom", owner=f"{owner}, {name}")[1:], strict=True):
-        if name == "condim" and value not in (1, 3, 4, 6):
-          raise MjlabError(f"{owner}, geom '{geom}': condim must be 1, 3, 4 or 6, got {value!r}")
         if isinstance(value, Sequence):
           getattr(geoms[geom], name)[: len(value)] = value
         else:

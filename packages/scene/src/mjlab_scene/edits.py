@@ -9,7 +9,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import mujoco
 from mjlab_core import (
   Config,
-  Items,
   Limits,
   MjlabError,
   NonNegative,
@@ -70,7 +69,7 @@ class SpecEdit(Config):
 
 @dataclass(kw_only=True)
 class TextureCfg(SpecEdit):
-  """Texture, new or changed. A new one has `builtin`, `file` or `cubefiles`."""
+  """Texture, new or changed. A new one has `builtin` or `file`."""
 
   kind: ClassVar[str] = "texture"
   stage: ClassVar[int] = 0
@@ -90,26 +89,12 @@ class TextureCfg(SpecEdit):
   """Share of pixels with a mark, for mark "random"."""
   file: str | None = None
   """Picture, from the working directory or absolute."""
-  cubefiles: Annotated[tuple[str, ...], Items(ge=6, le=6)] | None = None
-  """Pictures of the six sides of a cube: right, left, up, down, front, back."""
-  gridsize: Counts | None = None
-  gridlayout: str | None = None
-  nchannel: PositiveCount | None = None
-  hflip: bool | None = None
-  vflip: bool | None = None
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
-    what = f"{owner}: texture '{self.name}'"
-    found = spec.texture(self.name)
-    if found is None:
-      found = spec.add_texture(name=self.name)
-    self._write(found, "file", "cubefiles", "gridlayout")
+    found = spec.texture(self.name) or spec.add_texture(name=self.name)
+    self._write(found, "file")
     if self.file is not None:
-      found.file = _path(self.file, spec, what)
-    for side, file in enumerate(self.cubefiles or ()):
-      found.cubefiles[side] = _path(file, spec, what)
-    if self.gridlayout is not None:
-      found.gridlayout[: len(self.gridlayout)] = list(self.gridlayout)
+      found.file = _path(self.file, spec, f"{owner}: texture '{self.name}'")
 
 
 @dataclass(kw_only=True)

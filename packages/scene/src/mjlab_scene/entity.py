@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import mujoco
 import torch
 from mjlab_actuators import ActuatorCfg, ActuatorSet, Transmission
-from mjlab_core import Config, Limits, MjlabError, Stateful, check_fields, quat_apply, quat_apply_inverse
+from mjlab_core import (
+  Config,
+  Limits,
+  MjlabError,
+  Stateful,
+  check_fields,
+  quat_apply,
+  quat_apply_inverse,
+  require,
+)
 
 from mjlab_scene.actuation import Actuation, Quantity
 from mjlab_scene.collision import CollisionCfg
@@ -195,19 +204,16 @@ class Entity(EntitySpec, Stateful):
     self.write_root_velocity(state[:, 7:], mask)
 
   def write_root_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
-    """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised."""
+    """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised.
+
+    That of a base that does not float is the pose of its mocap body.
+    """
     pose = self._checked("write_root_pose", pose, 7)
     if self.is_floating:
       self._writes.view("write_root_pose").write(pose, mask)
     else:
       self._writes.view("write_root_pose, position").write(pose[:, :3], mask)
       self._writes.view("write_root_pose, orientation").write(pose[:, 3:], mask)
-
-  def write_mocap_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
-    """Set position [m] and orientation of a base that does not float, world frame, (num_envs, 7)."""
-    if self.is_floating:
-      raise MjlabError(f"{self.owner}: write_mocap_pose: its base floats; use write_root_pose")
-    self.write_root_pose(pose, mask)
 
   def write_root_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
@@ -389,6 +395,4 @@ def _make_spec(cfg: EntityCfg, owner: str) -> mujoco.MjSpec:
     spec = cfg.spec_fn() if callable(cfg.spec_fn) else None
   except (ValueError, OSError) as error:
     raise MjlabError(f"{owner}: its model cannot be made: {error}") from error
-  if not isinstance(spec, mujoco.MjSpec):
-    raise MjlabError(f"{owner}: spec_fn must be a function that returns an MjSpec")
-  return spec
+  return require(spec, mujoco.MjSpec, f"{owner}: spec_fn must be a function that returns an MjSpec")

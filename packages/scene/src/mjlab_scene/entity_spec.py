@@ -24,6 +24,17 @@ KINDS = ("body", "joint", "geom", "site", "tendon", "actuator", "camera", "light
 Found = tuple[list[int], list[str]]
 
 
+def _finder(kind: str) -> "Callable[..., Found]":
+  """Return the method of an entity that finds elements of a kind."""
+
+  def find(self: "EntitySpec", patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
+    names = getattr(self, f"{kind}_names")
+    return match_names(patterns, names, what=kind, owner=self.owner, preserve_order=preserve_order)
+
+  find.__doc__ = f"Return local ids and names of each {kind} that patterns match as a whole; each must match one."
+  return find
+
+
 class EntitySpec:
   """A robot, an object or a fixture as an edited spec: everything named, contact presets and actuators applied.
 
@@ -165,45 +176,15 @@ class EntitySpec:
     """Number of actuators in the model."""
     return len(self.actuator_names)
 
-  def find_bodies(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of the bodies that patterns match as a whole; each pattern must match one."""
-    return self._find("body", patterns, preserve_order)
-
-  def find_joints(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of joints; see `find_bodies`."""
-    return self._find("joint", patterns, preserve_order)
-
-  def find_geoms(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of geoms; see `find_bodies`."""
-    return self._find("geom", patterns, preserve_order)
-
-  def find_sites(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of sites; see `find_bodies`."""
-    return self._find("site", patterns, preserve_order)
-
-  def find_tendons(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of tendons; see `find_bodies`."""
-    return self._find("tendon", patterns, preserve_order)
-
-  def find_actuators(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of actuators; see `find_bodies`."""
-    return self._find("actuator", patterns, preserve_order)
-
-  def find_cameras(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of cameras; see `find_bodies`."""
-    return self._find("camera", patterns, preserve_order)
-
-  def find_lights(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of lights; see `find_bodies`."""
-    return self._find("light", patterns, preserve_order)
-
-  def find_materials(self, patterns: str | Sequence[str], preserve_order: bool = False) -> Found:
-    """Return local ids and names of materials; see `find_bodies`."""
-    return self._find("material", patterns, preserve_order)
-
-  def _find(self, kind: str, patterns: str | Sequence[str], preserve_order: bool) -> Found:
-    names = getattr(self, f"{kind}_names")
-    return match_names(patterns, names, what=kind, owner=self.owner, preserve_order=preserve_order)
+  find_bodies = _finder("body")
+  find_joints = _finder("joint")
+  find_geoms = _finder("geom")
+  find_sites = _finder("site")
+  find_tendons = _finder("tendon")
+  find_actuators = _finder("actuator")
+  find_cameras = _finder("camera")
+  find_lights = _finder("light")
+  find_materials = _finder("material")
 
   def _set_names(self, names: Mapping[str, tuple[str, ...]]) -> None:
     for kind in KINDS:

@@ -199,8 +199,6 @@ class Scene(Stateful):
       sim: Has as many worlds as the scene.
       rng: Source of randomness on the simulation's device.
     """
-    if sim.num_envs != self.num_envs:
-      raise MjlabError(f"scene: the simulation has {sim.num_envs} worlds, the scene {self.num_envs}")
     self.env_origins = self.state_of(torch.tensor(self._origins, dtype=sim.dtype, device=sim.device))
     if self.terrain is not None and math.isfinite(self.terrain.tile_size[0]):
       rng = torch.Generator(sim.device).manual_seed(0) if rng is None else rng

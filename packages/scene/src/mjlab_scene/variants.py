@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import MjlabError, check_name
+from mjlab_terrain.terrain import apportion
 
 from mjlab_scene.articulated import FIELDS, Skeleton, all_float, is_articulated, merge_articulated
 from mjlab_scene.entity import Entity, EntityCfg
@@ -205,12 +206,7 @@ def assign(
   weights = np.array([1.0 if assignment is None else assignment.get(name, 1.0) for name in names])
   if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.sum() > 0.0):
     raise MjlabError(f"{owner}: shares must be numbers from 0, not all 0, got {weights.tolist()}")
-  # Largest remainders: whole worlds as near to the shares as can be.
-  exact = weights / weights.sum() * num_envs
-  counts = np.floor(exact).astype(int)
-  for i in np.argsort(counts - exact, kind="stable")[: num_envs - counts.sum()]:
-    counts[i] += 1
-  dealt = np.repeat(np.arange(len(names)), counts)
+  dealt = np.repeat(np.arange(len(names)), apportion(weights / weights.sum(), num_envs))
   return np.random.default_rng(seed).permutation(dealt).tolist()
 
 

@@ -13,13 +13,12 @@ import numpy as np
 from mjlab_core import (
   Ascending,
   Config,
-  ConfigError,
   Count,
   Limits,
   NonNegative,
   Positive,
   PositiveCount,
-  field_problems,
+  check_fields,
 )
 
 
@@ -28,8 +27,7 @@ class RayPatternCfg(Config, ABC):
   """Fixed set of rays in the coordinates of a frame."""
 
   def __post_init__(self) -> None:
-    if problems := field_problems(self) or list(self.problems()):
-      raise ConfigError(*(f"{type(self).__name__}: {problem}" for problem in problems))
+    check_fields(self, type(self).__name__, self.problems())
 
   def problems(self) -> Iterator[str]:
     """Yield the mistakes in fields that fit their annotations."""

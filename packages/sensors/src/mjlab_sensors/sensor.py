@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import mujoco
 import torch
-from mjlab_core import Config, ConfigError, DebugDraw, Items, Limits, MjlabError, Stateful, field_problems
+from mjlab_core import (
+  Config,
+  DebugDraw,
+  Items,
+  Limits,
+  MjlabError,
+  Stateful,
+  check_fields,
+)
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -32,8 +40,7 @@ class SensorCfg(Config, ABC):
 
   def validate(self) -> None:
     """Raise ConfigError for values that are wrong in every scene. Runs when made, and again at `build`."""
-    if problems := field_problems(self) or list(self.problems()):
-      raise ConfigError(*(f"{self.label}: {problem}" for problem in problems))
+    check_fields(self, self.label, self.problems())
 
   def problems(self) -> Iterator[str]:
     """Yield the mistakes in fields that fit their annotations."""

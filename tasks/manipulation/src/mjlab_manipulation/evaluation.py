@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import ConfigError
+from mjlab_core import ConfigError, require
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 from mjlab_scene import VariantEntity
@@ -44,9 +44,8 @@ class LiftEvaluation:
   """Name of the lift command."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-    command = cfg.commands.get(self.command)
-    if not isinstance(command, LiftCommandCfg):
-      raise ConfigError(f"command '{self.command}' is not a lift command; commands: {', '.join(cfg.commands)}")
+    wrong = f"command '{self.command}' is not a lift command; commands: {', '.join(cfg.commands)}"
+    command = require(cfg.commands.get(self.command), LiftCommandCfg, wrong)
     missing = [name for name in _MEASURED if cfg.metrics.get(name) is None]
     if missing:
       raise ConfigError(f"the evaluation needs metrics {', '.join(missing)}, which the task does not have")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core import ConfigError
+from mjlab_core import require
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
@@ -60,9 +60,8 @@ class TrackingEvaluation:
     """Return the config that plays every clip as a whole, with one world for each episode."""
     from mjlab_motions import find_clips
 
-    term = cfg.commands.get(self.command)
-    if not isinstance(term, MotionCommandCfg):
-      raise ConfigError(f"command '{self.command}' is not a motion command; commands: {', '.join(cfg.commands)}")
+    wrong = f"command '{self.command}' is not a motion command; commands: {', '.join(cfg.commands)}"
+    term = require(cfg.commands.get(self.command), MotionCommandCfg, wrong)
     term.sampling = "each"
     cfg.scene.num_envs = self.repeats * len(find_clips(term.motion, term.split))
     cfg.seed = self.seed

@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, field, fields
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
-from mjlab_core import ConfigError, fill_, where_
+from mjlab_core import Items, PositiveCount, check_fields, fill_, require, where_
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
@@ -109,17 +109,17 @@ class VelocityEvaluation:
   - `foot_impact`: mean contact force of a foot in the step in which it lands, over the robot's weight.
   """
 
-  grid: tuple[Command, ...] = GRID
-  pushes: tuple[float, ...] = (0.0, 0.5, 1.0)
+  grid: Annotated[tuple[Command, ...], Items()] = GRID
+  pushes: Annotated[tuple[float, ...], Items()] = (0.0, 0.5, 1.0)
   """Sizes of pushes [m/s], one kind for each episode."""
   push_interval: float = 3.0
   """Time between pushes [s]."""
-  levels: dict[str, tuple[float, ...]] = field(default_factory=dict)
+  levels: dict[str, Annotated[tuple[float, ...], Items()]] = field(default_factory=dict)
   """Values of randomised quantities by event; worlds take them in turn instead of draws.
 
   Any event that draws by a `randomizer` can be named, and "actuator_delay" [physics steps] and "payload" [kg]. Every
   combination of levels, pushes and commands is played, and every pair of levels is a group of the results."""
-  repeats: int = 8
+  repeats: PositiveCount = 8
   """Episodes of each combination."""
   seconds: float = 10.0
   """Length of an episode [s]."""
@@ -132,11 +132,9 @@ class VelocityEvaluation:
   """Contact sensor of the feet; without it there is no `foot_impact`."""
 
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-    term = cfg.commands.get(self.command)
-    if not isinstance(term, UniformVelocityCommandCfg):
-      raise ConfigError(f"command '{self.command}' is not a velocity command; commands: {', '.join(cfg.commands)}")
-    if not self.grid or not self.pushes or self.repeats < 1:
-      raise ConfigError("eval.grid, eval.pushes and eval.repeats must not be empty")
+    check_fields(self, "eval")
+    wrong = f"command '{self.command}' is not a velocity command; commands: {', '.join(cfg.commands)}"
+    term = require(cfg.commands.get(self.command), UniformVelocityCommandCfg, wrong)
     kept = {field.name: getattr(term, field.name) for field in fields(UniformVelocityCommandCfg)}
     kept["resampling_time_range"] = None
     cfg.commands[self.command] = CommandGridCfg(grid=self.grid, **kept)

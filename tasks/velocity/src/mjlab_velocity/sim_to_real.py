@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable
 
 from mjlab_actuators import DcMotorActuatorCfg, NativePositionActuatorCfg
-from mjlab_core import ConfigError, check_name
+from mjlab_core import check_name, require
 from mjlab_dr import pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import EventTermCfg
+from mjlab_managers import EventTermCfg, ObservationGroupCfg
 from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg
 
 from mjlab_velocity.levels import actuators_of, add_axis, torso_pattern
@@ -91,10 +91,7 @@ def _push_harder(cfg: ManagerBasedRlEnvCfg) -> None:
 
 
 def _event(cfg: ManagerBasedRlEnvCfg, name: str) -> EventTermCfg:
-  event = cfg.events.get(name)
-  if event is None:
-    raise ConfigError(f"sim_to_real: the task has no event '{name}'")
-  return event
+  return require(cfg.events.get(name), EventTermCfg, f"sim_to_real: the task has no event '{name}'")
 
 
 def _limit_torque_by_speed(cfg: ManagerBasedRlEnvCfg) -> None:
@@ -138,9 +135,9 @@ def blind(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
   Raises:
     ConfigError: The task has no observation group "actor" or another kind of learner.
   """
-  actor = task.env.observations.get("actor")
-  if actor is None or not isinstance(task.agent, RslRlOnPolicyRunnerCfg):
-    raise ConfigError("a blind task needs an observation group 'actor' and an RslRlOnPolicyRunnerCfg")
+  needs = "a blind task needs an observation group 'actor' and an RslRlOnPolicyRunnerCfg"
+  actor = require(task.env.observations.get("actor"), ObservationGroupCfg, needs)
+  require(task.agent, RslRlOnPolicyRunnerCfg, needs)
   actor.terms = {name: term for name, term in actor.terms.items() if name not in UNMEASURED}
   actor.history_length = HISTORY
   return _named(task, "_blind")

@@ -53,7 +53,6 @@ from mjlab_envs.mdp.randomize import (
   randomize,
   randomize_at_startup,
   randomized_values,
-  randomizer_of,
   widen_randomization,
 )
 from mjlab_envs.mdp.randomize_actuators import randomize_actuator, randomize_actuator_delay
@@ -143,7 +142,6 @@ __all__ = [
   "randomize_actuator_delay",
   "randomize_at_startup",
   "randomized_values",
-  "randomizer_of",
   "reset_joints_by_offset",
   "reset_root_state_from_flat_patches",
   "reset_root_state_uniform",

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
 from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Transmission
-from mjlab_core import Ascending, Limits, MjlabError
+from mjlab_core import Ascending, Limits, MjlabError, require
 from mjlab_dr import (
   FIELDS,
   Distribution,
@@ -135,20 +135,9 @@ def randomize_at_startup(randomizer: FieldRandomizer) -> EventTermCfg:
   return EventTermCfg(randomize, mode="startup", params={"randomizer": randomizer})
 
 
-def randomizer_of(env: "ManagerBasedRlEnv", event: str) -> RandomizeField:
-  """Return the randomiser of a `randomize` event, for your own curricula and observations.
-
-  Raises:
-    ValueError: there is no such event, or it is of another kind.
-  """
-  return _randomize_event(env, event).field
-
-
 def _randomize_event(env: "ManagerBasedRlEnv", event: str) -> randomize:
   term = env.event_manager.get_term_cfg(event).func
-  if not isinstance(term, randomize):
-    raise MjlabError(f"event '{event}' is neither randomize nor randomize_actuator")
-  return term
+  return require(term, randomize, f"event '{event}' is neither randomize nor randomize_actuator")
 
 
 def _actuator_quantity(

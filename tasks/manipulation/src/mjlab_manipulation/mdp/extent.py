@@ -32,16 +32,13 @@ class Extent:
   """Extent of an object of one body in each world, for its present geoms and sizes.
 
   Raises:
-    MjlabError: There are several bodies, a geom without extent, or a world without a geom.
+    MjlabError: There are several bodies, or a world without a geom.
   """
 
   def __init__(self, env: "ManagerBasedRlEnv", entity: Entity) -> None:
     self._sim, model, ids = env.sim, env.sim.mj_model, entity.indexing.ids["geom"]
     if len(set(model.geom_bodyid[ids].tolist())) != 1:
       raise MjlabError(f"entity '{entity.name}' must have its geoms on one body")
-    for geom in ids:
-      if int(model.geom_type[geom]) not in _SHAPES:
-        raise MjlabError(f"geom '{model.geom(int(geom)).name}' has no extent")
     like: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
     self._geoms = entity.indexing.index["geom"]
     edges, axes = zip(*(_SHAPES[int(model.geom_type[geom])] for geom in ids), strict=True)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import MjlabError, check_name
+from mjlab_core import check_name, require
 from mjlab_envs.mdp.readings import image_of
 from mjlab_managers import ManagerTermBase, Reading, TermSource
 from mjlab_sim import DataType
@@ -51,15 +51,10 @@ class camera_image(ManagerTermBase):
     super().__init__(env)
     for channel in channels:
       check_name("channel", channel, get_args(Channel))
-      if DATA_OF_CHANNEL[channel] not in env.scene[sensor].cfg.data_types:
-        raise MjlabError(
-          f"channel '{channel}' needs '{DATA_OF_CHANNEL[channel]}' among the data_types of sensor '{sensor}'"
-        )
+      check_name("image", DATA_OF_CHANNEL[channel], env.scene[sensor].cfg.data_types, f"sensor '{sensor}'")
     self._sensor, self._channels, self._depth_range = env.scene[sensor], channels, depth_range
     if "object" in channels:
-      if command is None:
-        raise MjlabError("channel 'object' requires `command`, the name of the lift command")
-      self._lift = lift_command(env, command)
+      self._lift = lift_command(env, require(command, str, "channel 'object' requires `command`, the lift command"))
       objects = self._lift.cfg.objects
       self._is_geom_of = torch.zeros(1, len(objects), env.sim.mj_model.ngeom, dtype=torch.bool, device=env.device)
       for i, name in enumerate(objects):

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import MjlabError, matrix_from_quat, subtract_frames
+from mjlab_core import matrix_from_quat, require, subtract_frames
 from mjlab_envs.mdp.readings import pose_of
 from mjlab_managers import Reading, TermSource, sourced
 
@@ -70,10 +70,7 @@ def motion(env: "ManagerBasedRlEnv", command: str) -> MotionCommand:
   Raises:
     MjlabError: The command is not a `MotionCommand`.
   """
-  term = env.command_manager.get_term(command)
-  if not isinstance(term, MotionCommand):
-    raise MjlabError(f"command '{command}' is a {type(term).__name__}, not a MotionCommand")
-  return term
+  return require(env.command_manager.get_term(command), MotionCommand, f"command '{command}' is not a MotionCommand")
 
 
 def _anchor_b(env: "ManagerBasedRlEnv", command: str) -> tuple[torch.Tensor, torch.Tensor]:

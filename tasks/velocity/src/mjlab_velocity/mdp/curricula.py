@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import MjlabError, check_fields
+from mjlab_core import MjlabError, check_fields, require
 from mjlab_managers import ManagerTermBase
 
 from mjlab_velocity.mdp.command import Range, UniformVelocityCommand
@@ -36,10 +36,8 @@ class commands_vel(ManagerTermBase):
     if not stages or stages[0].step != 0 or any(b.step <= a.step for a, b in pairwise(stages)):
       raise MjlabError(f"steps of stages must begin at 0 and rise, got {[s.step for s in stages]}")
     term = env.command_manager.get_term(command)
-    if not isinstance(term, UniformVelocityCommand):
-      raise MjlabError(f"command '{command}' is a {type(term).__name__}, not a UniformVelocityCommand")
-    self._term = term
-    rows = [[getattr(term.cfg.ranges, name) for name in _ROWS]]
+    self._term = require(term, UniformVelocityCommand, f"command '{command}' is not a UniformVelocityCommand")
+    rows = [[getattr(self._term.cfg.ranges, name) for name in _ROWS]]
     for stage in stages:
       check_fields(stage, f"stage at step {stage.step}")
       rows.append([getattr(stage, name) or before for name, before in zip(_ROWS, rows[-1], strict=True)])

@@ -128,8 +128,6 @@ class feet_swing_height(ManagerTermBase):
     self._sensor, self._heights, self._command = sensor, env.scene[heights], command
     self._threshold, self._target = threshold, target
     feet = env.scene[sensor].num_primaries
-    if self._heights.num_frames != feet:
-      raise MjlabError(f"sensors '{sensor}' and '{heights}' must have the same number of feet")
     self._peak = self.state((feet,), dtype=env.sim.dtype)
 
   def __call__(self) -> torch.Tensor:

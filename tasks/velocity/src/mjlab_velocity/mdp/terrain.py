@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import MjlabError
+from mjlab_core import require
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
 from mjlab_scene import TerrainLevels
 
@@ -107,7 +107,4 @@ def plane_normal(points: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
 
 
 def _levels(env: "ManagerBasedRlEnv") -> TerrainLevels:
-  levels = env.scene.terrain_levels
-  if levels is None:
-    raise MjlabError("the terrain has no tiles; give the scene a TerrainGridCfg")
-  return levels
+  return require(env.scene.terrain_levels, TerrainLevels, "the terrain has no tiles; give the scene a TerrainGridCfg")
