@@ -219,7 +219,7 @@ THING = '<mujoco><worldbody><body name="thing"><freejoint/><geom name="hull" {}/
   ("params", "message"),
   [
     ({"event": "frction", "steps": (0, 10)}, "Nearest: friction"),
-    ({"event": "push", "steps": (0, 10)}, "event 'push' is neither randomize nor"),
+    ({"event": "push", "steps": (0, 10)}, "event 'push' is not randomize"),
     ({"event": "friction", "steps": (10, 10)}, r"must rise, got \(10, 10\)"),
     ({"event": "light", "steps": (0, 10)}, "a choice, which cannot be widened"),
     ({"event": "once", "steps": (0, 10)}, "event 'once' fires once, at startup, before its strength grows"),

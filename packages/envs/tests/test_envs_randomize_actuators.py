@@ -19,7 +19,7 @@ from mjlab_actuators import (
   TorqueSpeedEnvelope,
   XmlActuatorCfg,
 )
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_dr import Categorical, LogUniform, randomize_field
 from mjlab_envs import mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg
@@ -84,8 +84,15 @@ def arm_cfg(*laws: ActuatorCfg, engine: str = "native", **events: Any) -> Any:
   return cfg
 
 
-def drawn(parameter: str, values: Any, mode: Any = "startup", **params: Any) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize_actuator, mode=mode, params={"parameter": parameter, "values": values, **params})
+def drawn(
+  parameter: str, values: Any, mode: Any = "startup", *, targets: Any = ".*", operation: Any = None, **params: Any
+) -> EventTermCfg:
+  randomizer = randomize_field(parameter, targets, values, operation=operation)
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, **params})
+
+
+def delays(lags: tuple[int, int], mode: Any = "startup", targets: Any = ".*") -> EventTermCfg:
+  return drawn("delay", Categorical(tuple(range(lags[0], lags[1] + 1))), mode, targets=targets)
 
 
 def forces(env: Any, *, target: float) -> torch.Tensor:
@@ -267,9 +274,7 @@ def lags_seen(env: Any, joint: str, substeps: int = 12) -> torch.Tensor:
 
 @pytest.mark.parametrize("options", [{}, {"delay_hold_prob": 0.5}, {"delay_update_period": 3}])
 def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, options: dict[str, Any]) -> None:
-  event = EventTermCfg(
-    mdp.randomize_actuator_delay, mode="startup", params={"lag_range": (2, 4), "targets": ("motor", "dc", "pd")}
-  )
+  event = delays((2, 4), targets=("motor", "dc", "pd"))
   env = make(arm_cfg(late("motor", (1, 5), **options), late("pd", (0, 6), **options), delay=event))
   seen = {}
   for joint in ("motor", "dc", "pd"):
@@ -284,7 +289,7 @@ def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, optio
 
 
 def test_lags_are_drawn_anew_in_masked_worlds_only(make: Make) -> None:
-  event = EventTermCfg(mdp.randomize_actuator_delay, mode="reset", params={"lag_range": (0, 9), "targets": ("pd",)})
+  event = delays((0, 9), "reset", targets=("pd",))
   env = make(arm_cfg(late("pd", (0, 9)), delay=event))
   (law,) = env.scene["robot"].actuators.groups
   everyone, one = torch.ones(WORLDS, dtype=torch.bool), torch.tensor([False, True, False, False])
@@ -297,39 +302,46 @@ def test_lags_are_drawn_anew_in_masked_worlds_only(make: Make) -> None:
   assert mine == set(range(10))
 
 
-def delays(**params: Any) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize_actuator_delay, mode="startup", params=params)
-
-
 @pytest.mark.parametrize(
   ("events", "message"),
   [
-    ({"a": drawn("stifness", (0.8, 1.2))}, "parameter 'parameter' 'stifness' does not exist. Nearest: stiffness"),
-    ({"a": drawn("stiffness", (1.2, 0.8))}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
-    ({"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
-    ({"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
-    ({"a": drawn("stiffness", (0.8, 1.2), operation="multiply")}, "operation' 'multiply' does not exist. .*scale"),
-    ({"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
-    ({"a": drawn("stiffness", (0.8, 1.2), targets="motor")}, "stiffness of joint 'motor': its actuator has none"),
-    ({"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),
-    ({"a": drawn("effort_limit", (0.8, 1.2), targets="pd")}, "effort_limit of joint 'pd': it was not given"),
-    ({"a": drawn("effort_limit", (0.8, 1.2), targets="motor")}, "effort_limit of joint 'motor': its actuator has none"),
+    (lambda: {"a": drawn("stifness", (0.8, 1.2))}, "field 'stifness' does not exist. Nearest: stiffness"),
+    (lambda: {"a": drawn("stiffness", (1.2, 0.8))}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
+    (lambda: {"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
+    (lambda: {"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
     (
-      {"a": drawn("effort_limit", (0.8, 1.2), targets="pd"), "b": drawn("effort_limit", (0.8, 1.2), targets="pd")},
+      lambda: {"a": drawn("stiffness", (0.8, 1.2), operation="multiply")},
+      "operation 'multiply' does not exist. .*scale",
+    ),
+    (lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
+    (
+      lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="motor")},
+      "stiffness of joint 'motor': its actuator has none",
+    ),
+    (lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),
+    (lambda: {"a": drawn("effort_limit", (0.8, 1.2), targets="pd")}, "effort_limit of joint 'pd': it was not given"),
+    (
+      lambda: {"a": drawn("effort_limit", (0.8, 1.2), targets="motor")},
+      "effort_limit of joint 'motor': its actuator has none",
+    ),
+    (
+      lambda: {
+        "a": drawn("effort_limit", (0.8, 1.2), targets="pd"),
+        "b": drawn("effort_limit", (0.8, 1.2), targets="pd"),
+      },
       "effort_limit of joint 'pd'",
     ),
-    ({"a": delays(lag_range=(3, 1))}, "lag_range.*3.*1"),
-    ({"a": delays(lag_range=(0.5, 1))}, "must be a whole number"),
-    ({"a": delays(lag_range=(0, 4), targets="motor")}, "'motor' shares its delay with dc; name all of them"),
-    ({"a": delays(lag_range=(0, 4), targets=("motor", "dc"))}, "lags in .0, 4. for 'motor', whose config has"),
-    ({"a": delays(lag_range=(2, 2), targets=("pd",))}, "delay_min_lag 2 and delay_max_lag 2; widen those"),
+    (lambda: {"a": drawn("delay", Categorical((1.5, 2)), targets=("motor", "dc"))}, "must be whole numbers"),
+    (lambda: {"a": delays((0, 4), targets="motor")}, "'motor' shares its delay with dc; name all of them"),
+    (lambda: {"a": delays((0, 4), targets=("motor", "dc"))}, "lags in .0, 4. for 'motor', whose config has"),
+    (lambda: {"a": delays((2, 2), targets=("pd",))}, "delay_min_lag 2 and delay_max_lag 2; widen those"),
   ],
 )
 def test_what_would_have_no_effect_is_refused_by_name_at_build(
-  make: Make, events: dict[str, Any], message: str
+  make: Make, events: Callable[[], dict[str, Any]], message: str
 ) -> None:
-  with pytest.raises(ConfigError, match=message):
-    make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), **events))
+  with pytest.raises(MjlabError, match=message):
+    make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), **events()))
 
 
 def test_two_events_for_one_number_are_refused(make: Make) -> None:
@@ -364,9 +376,9 @@ def test_claims_follow_the_parameters_of_an_event(make: Make) -> None:
   a, b = (drawn("stiffness", (2.0, 2.0), "reset", targets=target) for target in ("pd", "dc"))
   env = make(arm_cfg(LAWS["pd"], LAWS["dc"], LAWS["envelope"], a=a, b=b))
   with pytest.raises(ConfigError, match="term 'b': stiffness of joint 'pd' is written by event 'a' too"):
-    env.event_manager.set_params("b", targets="pd")
-  env.event_manager.set_params("a", targets="envelope")
-  env.event_manager.set_params("b", targets="pd", values=(4.0, 4.0))
+    env.event_manager.set_params("b", randomizer=randomize_field("stiffness", "pd", (2.0, 2.0)))
+  env.event_manager.set_params("a", randomizer=randomize_field("stiffness", "envelope", (2.0, 2.0)))
+  env.event_manager.set_params("b", randomizer=randomize_field("stiffness", "pd", (4.0, 4.0)))
   env.event_manager.apply("reset", torch.ones(WORLDS, dtype=torch.bool))
   pd, _, envelope = env.scene["robot"].actuators.groups
   assert (pd.stiffness == 80.0).all()

@@ -10,7 +10,7 @@ import mjlab_pendulum
 import pytest
 import torch
 from mjlab import cli
-from mjlab_dr import Custom, FieldRandomizer, body_mass, pseudo_inertia, randomize_field
+from mjlab_dr import Categorical, Custom, FieldRandomizer, body_mass, pseudo_inertia, randomize_field
 from mjlab_envs import mdp
 from mjlab_managers import EventTermCfg
 
@@ -28,13 +28,14 @@ def offer(monkeypatch: pytest.MonkeyPatch, **randomizers: FieldRandomizer) -> No
       name: EventTermCfg(mdp.randomize, mode="reset", params={"randomizer": randomizer})
       for name, randomizer in randomizers.items()
     }
-    limit = {"parameter": "effort_limit", "values": (0.8, 1.2)}
-    cfg.env.events["effort"] = EventTermCfg(mdp.randomize_actuator, mode="reset", params=limit)
+    limit = {"randomizer": randomize_field("effort_limit", ".*", (0.8, 1.2))}
+    cfg.env.events["effort"] = EventTermCfg(mdp.randomize, mode="reset", params=limit)
     (robot,) = cfg.env.scene.entities.values()
     articulation: Any = robot.articulation
     (motor,) = articulation.actuators
     articulation.actuators = (replace(motor, delay_min_lag=0, delay_max_lag=3),)
-    cfg.env.events["late"] = EventTermCfg(mdp.randomize_actuator_delay, mode="reset", params={"lag_range": (1, 3)})
+    lag = {"randomizer": randomize_field("delay", ".*", Categorical((1, 2, 3)))}
+    cfg.env.events["late"] = EventTermCfg(mdp.randomize, mode="reset", params=lag)
     cfg.env.events["raise"] = EventTermCfg(raise_ctrl, mode="reset", params={"height": (2.0, 3.0)})
     cfg.env.events["nothing"] = EventTermCfg(lambda env, mask: None, mode="step")
     return cfg

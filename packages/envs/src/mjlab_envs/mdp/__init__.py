@@ -55,7 +55,6 @@ from mjlab_envs.mdp.randomize import (
   randomized_values,
   widen_randomization,
 )
-from mjlab_envs.mdp.randomize_actuators import randomize_actuator, randomize_actuator_delay
 from mjlab_envs.mdp.rewards import (
   action_acc_l2,
   action_rate_l2,
@@ -138,8 +137,6 @@ __all__ = [
   "projected_gravity_from_sensor",
   "push_by_setting_velocity",
   "randomize",
-  "randomize_actuator",
-  "randomize_actuator_delay",
   "randomize_at_startup",
   "randomized_values",
   "reset_joints_by_offset",

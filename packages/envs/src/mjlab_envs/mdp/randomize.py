@@ -1,6 +1,6 @@
 """Domain randomisation: one event for model fields, parameters of actuator models, and tensors of an entity."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
@@ -8,7 +8,6 @@ from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Tra
 from mjlab_core import Ascending, Limits, MjlabError, require
 from mjlab_dr import (
   FIELDS,
-  Distribution,
   Field,
   FieldRandomizer,
   Quantity,
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 _ROBOT = SceneEntityCfg("robot")
-
-Patterns = str | Sequence[str]
-Values = tuple[float, float] | Distribution
 
 
 class randomize(ManagerTermBase):
@@ -83,7 +79,7 @@ class randomize(ManagerTermBase):
 
 
 class widen_randomization(ManagerTermBase):
-  """Widen the ranges of an event, `randomize` or `randomize_actuator`, from the default to their full size.
+  """Widen the ranges of a `randomize` event from the default to their full size.
 
   The strength grows from 0 to 1 between two numbers of environment steps, `steps`. It is logged, ().
   """
@@ -137,7 +133,7 @@ def randomize_at_startup(randomizer: FieldRandomizer) -> EventTermCfg:
 
 def _randomize_event(env: "ManagerBasedRlEnv", event: str) -> randomize:
   term = env.event_manager.get_term_cfg(event).func
-  return require(term, randomize, f"event '{event}' is neither randomize nor randomize_actuator")
+  return require(term, randomize, f"event '{event}' is not randomize")
 
 
 def _actuator_quantity(

@@ -76,12 +76,8 @@ class camera_image(ManagerTermBase):
       seen = dict(zip(needed, images, strict=True))
       parts: list[torch.Tensor] = []
       for channel in channels:
-        if channel == "depth":
-          parts.append(torch.where(seen["depth"] < 0.0, far, seen["depth"]).clamp(near, far) / far)
-        elif channel == "valid":
-          parts.append(((seen["depth"] >= near) & (seen["depth"] <= far)).float())
-        else:
-          parts.append(seen[channel])
+        is_depth = channel in ("depth", "valid")
+        parts.append(_of_depth(channel, seen["depth"], near, far) if is_depth else seen[channel])
       return torch.cat(parts, dim=1)
 
     return TermSource(readings=tuple(needed.values()), compute=compute)
@@ -92,13 +88,18 @@ class camera_image(ManagerTermBase):
     for channel in self._channels:
       if channel == "rgb":
         images.append(data.rgb_float)
-      elif channel == "depth":
-        images.append(torch.where(data.depth < 0.0, far, data.depth).clamp(near, far) / far)
-      elif channel == "valid":
-        images.append(((data.depth >= near) & (data.depth <= far)).float())
+      elif channel in ("depth", "valid"):
+        images.append(_of_depth(channel, data.depth, near, far))
       else:
         target = self._lift.of_target(self._is_geom_of.expand(self.num_envs, -1, -1))
         number, kind = data.segmentation.unbind(1)
         is_of_target = target.gather(1, number.flatten(1).clamp(0, target.shape[1] - 1).long()).view_as(number)
         images.append((is_of_target & (kind == int(mujoco.mjtObj.mjOBJ_GEOM))).float()[:, None])
     return images[0] if len(images) == 1 else torch.cat(images, dim=1)
+
+
+def _of_depth(channel: Channel, depth: torch.Tensor, near: float, far: float) -> torch.Tensor:
+  """Return depth between `near` and `far` as a share of `far`, or for "valid" 1 where it is between them."""
+  if channel == "valid":
+    return ((depth >= near) & (depth <= far)).float()
+  return torch.where(depth < 0.0, far, depth).clamp(near, far) / far
