@@ -46,7 +46,7 @@ class GroupedBroadphase:
     members: Geoms of a group at most: few are a tight box and short work, many are fewer groups.
   """
 
-  def __init__(self, model: mujoco.MjModel, m: mjw.Model, d: mjw.Data, *, members: int = 8) -> None:
+  def __init__(self, model: mujoco.MjModel, m: mjw.Model, d: mjw.Data, *, members: int = 16) -> None:
     self._device: Any = d.qpos.device
     geoms, pairid = m.nxn_geom_pair_filtered.numpy(), m.nxn_pairid_filtered.numpy()
     stays = model.body_dofnum[model.body_weldid[model.geom_bodyid]] == 0
