@@ -1,6 +1,7 @@
 """Settings that must hold before any package is imported by a test."""
 
 import faulthandler
+import functools
 import importlib.util
 import os
 import re
@@ -32,6 +33,13 @@ if importlib.util.find_spec("warp"):
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
   """Run slow tests first: one that begins last is what all workers but one wait for."""
   items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+def pytest_runtest_setup() -> None:
+  """Let torch's exporter keep its table of ONNX operators, which it only reads but builds again for each export."""
+  registry = getattr(sys.modules.get("torch.onnx._internal.exporter._registration"), "ONNXRegistry", None)
+  if registry is not None and not hasattr(registry.from_torchlib, "cache_info"):
+    registry.from_torchlib = staticmethod(functools.cache(registry.from_torchlib))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
