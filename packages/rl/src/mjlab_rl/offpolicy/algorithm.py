@@ -186,7 +186,7 @@ class OffPolicyAlgorithm(ABC):
   def _make_optimizer(self) -> torch.optim.AdamW:
     is_cuda = self.device.type == "cuda"
     options: dict[str, Any] = {"lr": self._lr, "betas": self.cfg.betas, "weight_decay": self.cfg.weight_decay}
-    return torch.optim.AdamW(self.parameter_groups(), fused=is_cuda, capturable=is_cuda, **options)
+    return torch.optim.AdamW(self.parameter_groups(), fused=True, capturable=is_cuda, **options)
 
   def set_learning_rate(self) -> None:
     """Set the step size for the steps done so far."""
