@@ -17,8 +17,14 @@ torch.set_num_threads(1)
 def path(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
   """By operations of torch, and by the kernel that a GPU would run."""
   if request.param == "warp":
-    pytest.importorskip("warp", reason="Warp is not installed")
+    wp = pytest.importorskip("warp", reason="Warp is not installed")
+    from mjlab_dr.inertia_kernels import kernel
+
     monkeypatch.setattr("mjlab_dr.inertia._has_kernel", lambda device: True)
+    for real in (wp.float32, wp.float64):
+      # Kernels of tests are compiled without optimisation, which a million bodies would pay for.
+      options: dict[str, Any] = kernel(real).module.options
+      options["cpu_compiler_flags"] = "-march=native"
 
 
 each_path = pytest.mark.usefixtures("path")

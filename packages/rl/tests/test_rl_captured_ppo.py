@@ -46,7 +46,7 @@ def roll_out(learner: PPO, seed: int, device: str) -> None:
     learner.compute_returns(seen(1000 * seed + STEPS, device))
 
 
-def compare(device: str, tolerance: float, updates: int = 50, **settings: Any) -> None:
+def compare(device: str, tolerance: float, updates: int = 25, **settings: Any) -> None:
   """Run updates with both, and hold weights, losses and learning rates of one against those of the other."""
   torch.manual_seed(1)
   own, reference = construct(CapturedPPO, device, **settings), construct(PPO, device, **settings)

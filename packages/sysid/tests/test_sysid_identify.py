@@ -46,7 +46,7 @@ def agree(found: Identified, wanted: Mapping[str, float], share: float) -> None:
 
 def test_parameters_are_found_again_without_noise() -> None:
   robot = arm()
-  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 3.0))]
+  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 1.5))]
   agree(fit(robot, records, *TERMS), FACTORS, 0.005)
 
 
@@ -57,7 +57,7 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
   true = changed(robot, FACTORS)
   true.opt.timestep = 0.001
   more: dict[str, Any] = {"delay": 7, "noise": 5e-4, "quantum": 4e-4}
-  made = [record(robot, true, sines(robot, seed, 4.0), source=str(seed), **more) for seed in (0, 1)]
+  made = [record(robot, true, sines(robot, seed, 2.0), source=str(seed), **more) for seed in (0, 1)]
   found = fit(robot, made[:1], *TERMS, "delay:.*,shared", held_out=made[1:])
   agree(found, FACTORS | {"delay:.*": 0.007}, 0.05)
   assert found.told.all()
@@ -73,7 +73,7 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
 
 def test_what_records_cannot_tell_is_named_and_stays() -> None:
   robot = arm()
-  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 3.0), noise=1e-4)]
+  records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 1.5), noise=1e-4)]
   # Both dampers of a servo's joint act as one, and nothing reaches its limit of effort.
   found = fit(robot, records, *TERMS, "damping:hip", "effort_limit:knee=20..60")
   told = dict(zip(numbers(found), zip(found.told, found.reasons, strict=True), strict=True))
@@ -94,7 +94,7 @@ def test_what_records_cannot_tell_is_named_and_stays() -> None:
 def test_contact_friction_is_found_where_a_foot_slides() -> None:
   robot = arm(pose={"hip": 0.3, "knee": -0.6}, floor=0.56)
   true = changed(robot, {"geom_friction:foot": 0.5})
-  made = record(robot, true, sines(robot, 2, 2.0, size=0.05), noise=1e-5)
+  made = record(robot, true, sines(robot, 2, 1.0, size=0.05), noise=1e-5)
   found = fit(robot, [made], "geom_friction:foot", cfg=IdentifyCfg(window=0.1))
   assert found.told.all()
   assert found.value("geom_friction.sliding:foot") == pytest.approx(0.5, rel=0.05)
@@ -102,7 +102,7 @@ def test_contact_friction_is_found_where_a_foot_slides() -> None:
 
 def test_encoder_offsets_and_masses_are_found_through_gravity() -> None:
   robot = arm(pose={"hip": 0.5, "knee": 0.5})
-  made = record(robot, changed(robot, {"body_mass:shank": 1.5}), sines(robot, 3, 2.0), bias=0.03)
+  made = record(robot, changed(robot, {"body_mass:shank": 1.5}), sines(robot, 3, 1.0), bias=0.03)
   found = fit(robot, [made], "encoder_bias:.*,shared", "body_mass:shank")
   assert numbers(found)["encoder_bias:.*"] == pytest.approx(0.03, rel=0.03)
   assert numbers(found)["body_mass:shank"] == pytest.approx(1.5, rel=0.01)
@@ -121,7 +121,7 @@ def test_laws_that_torch_computes_are_fitted_too(kind: str) -> None:
   made = record(
     robot,
     changed(robot, {"dof_armature:knee": 1.5}),
-    sines(robot, 0, 3.0),
+    sines(robot, 0, 1.5),
     law=lambda target, position, velocity: gains * (target - position) - 0.5 * velocity,
   )
   found = fit(robot, [made], "stiffness:hip", "armature:knee")
@@ -130,7 +130,7 @@ def test_laws_that_torch_computes_are_fitted_too(kind: str) -> None:
 
 def test_inertia_moves_as_one_and_stays_physical() -> None:
   robot = arm(pose={"hip": 0.4, "knee": 0.4})
-  made = record(robot, changed(robot, {"body_mass:shank": 1.4, "body_inertia:shank": 1.4}), sines(robot, 0, 3.0))
+  made = record(robot, changed(robot, {"body_mass:shank": 1.4, "body_inertia:shank": 1.4}), sines(robot, 0, 1.5))
   found = fit(robot, [made], "pseudo_inertia.alpha:shank")
   assert numbers(found)["pseudo_inertia.alpha:shank"] == pytest.approx(0.5 * np.log(1.4), rel=0.01)
 
@@ -172,7 +172,7 @@ def test_bounds_and_priors_are_those_of_the_task_s_randomisation() -> None:
 def test_efforts_tell_what_motion_does_not() -> None:
   robot = arm(pose={"hip": 0.4, "knee": 0.4})
   factors = {"stiffness:hip": 1.3}
-  made = record(robot, changed(robot, factors), sines(robot, 0, 3.0), signals=("position", "effort"))
+  made = record(robot, changed(robot, factors), sines(robot, 0, 1.5), signals=("position", "effort"))
   agree(fit(robot, [made], "stiffness:hip"), factors, 0.005)
 
 
@@ -180,13 +180,13 @@ def test_cma_needs_no_gradient() -> None:
   robot = arm()
   factors = {"dof_armature:hip": 1.6, "dof_frictionloss:hip": 3.0}
   made = record(robot, changed(robot, factors), sines(robot, 0, 1.0))
-  found = fit(robot, [made], "armature:hip", "frictionloss:hip", cfg=IdentifyCfg(solver="cma", iterations=25))
+  found = fit(robot, [made], "armature:hip", "frictionloss:hip", cfg=IdentifyCfg(solver="cma", iterations=18))
   agree(found, factors, 0.02)
 
 
 def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
   robot = arm()
-  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 2.0))
+  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 1.0))
   found = fit(robot, [made], *TERMS, on_iteration=lambda progress: progress.iteration == 2)
   assert found.stopped
   assert all(score.after < score.before for score in found.scores)
@@ -241,7 +241,7 @@ def test_the_base_of_a_robot_on_its_stand_does_not_touch_its_limbs() -> None:
 
 def test_a_fit_that_was_killed_is_resumed(tmp_path: Path) -> None:
   robot, file = arm(), tmp_path / "fit.json"
-  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 2.0))
+  made = record(robot, changed(robot, FACTORS), sines(robot, 0, 1.0))
   more: dict[str, Any] = {"progress": file}
 
   def kill(progress: Progress) -> None:
@@ -292,7 +292,7 @@ def test_an_imu_on_a_limb_tells_its_damping_without_encoders_of_velocity() -> No
 def test_a_base_that_moves_begins_each_window_where_it_was_measured() -> None:
   robot = arm(is_free=True, floor=None)
   factors = {"body_mass:shank": 1.5, "dof_armature:knee": 1.6}
-  made = record(robot, changed(robot, factors), sines(robot, 0, 2.0), noise=1e-4)
+  made = record(robot, changed(robot, factors), sines(robot, 0, 1.0), noise=1e-4)
   found = fit(robot, [made], "body_mass:shank", "armature:knee")
   agree(found, factors, 0.03)
   shown = {score.joint: score for score in found.scores}

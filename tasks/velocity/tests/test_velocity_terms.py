@@ -19,8 +19,8 @@ AMPLITUDE = {
 }
 PUSH = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])
 LENGTH = {
-  "Mjlab-Velocity-Flat-Unitree-Go1": 240,
-  "Mjlab-Velocity-Flat-Unitree-G1": 200,
+  "Mjlab-Velocity-Flat-Unitree-Go1": 170,
+  "Mjlab-Velocity-Flat-Unitree-G1": 100,
   "Mjlab-Velocity-Rough-Unitree-Go1": 60,
   "Mjlab-Velocity-Rough-Unitree-G1": 60,
 }
