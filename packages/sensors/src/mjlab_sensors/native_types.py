@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
-
-_Type = mujoco.mjtSensor
 
 ReadingFrame = Literal["scalar", "own", "reference", "world", "image"]
 """Frame of the components of a reading.
@@ -49,29 +47,33 @@ class NativeType:
 _FRAMES = ("body", "xbody", "geom", "site", "camera")
 
 
-def _site(enum: _Type, unit: str, stage: Stage, frame: ReadingFrame = "own", dim: int = 3) -> NativeType:
-  return NativeType(enum=enum, objects=("site",), dim=dim, frame=frame, unit=unit, stage=stage)
+def _row(**fields: Any) -> dict[str, Any]:
+  """Return fields of a `NativeType`, all but its number."""
+  return fields
 
 
-def _part(enum: _Type, part: str, unit: str, stage: Stage = "position") -> NativeType:
-  return NativeType(enum=enum, objects=(part,), unit=unit, stage=stage)
+def _site(unit: str, stage: Stage, frame: ReadingFrame = "own", dim: int = 3) -> dict[str, Any]:
+  return _row(objects=("site",), dim=dim, frame=frame, unit=unit, stage=stage)
 
 
-def _frame(enum: _Type, unit: str = "", stage: Stage = "position", dim: int = 3) -> NativeType:
-  return NativeType(enum=enum, objects=_FRAMES, references=_FRAMES, dim=dim, frame="reference", unit=unit, stage=stage)
+def _part(part: str, unit: str, stage: Stage = "position") -> dict[str, Any]:
+  return _row(objects=(part,), unit=unit, stage=stage)
 
 
-def _acceleration(enum: _Type, unit: str) -> NativeType:
-  return NativeType(enum=enum, objects=_FRAMES, dim=3, frame="world", unit=unit, stage="acceleration")
+def _frame(unit: str = "", stage: Stage = "position", dim: int = 3) -> dict[str, Any]:
+  return _row(objects=_FRAMES, references=_FRAMES, dim=dim, frame="reference", unit=unit, stage=stage)
 
 
-def _subtree(enum: _Type, unit: str, stage: Stage) -> NativeType:
-  return NativeType(enum=enum, objects=("body",), dim=3, frame="world", unit=unit, stage=stage)
+def _acceleration(unit: str) -> dict[str, Any]:
+  return _row(objects=_FRAMES, dim=3, frame="world", unit=unit, stage="acceleration")
 
 
-def _nearest(enum: _Type, dim: int, frame: ReadingFrame, unit: str) -> NativeType:
-  return NativeType(
-    enum=enum,
+def _subtree(unit: str, stage: Stage) -> dict[str, Any]:
+  return _row(objects=("body",), dim=3, frame="world", unit=unit, stage=stage)
+
+
+def _nearest(dim: int, frame: ReadingFrame, unit: str) -> dict[str, Any]:
+  return _row(
     objects=("geom", "body"),
     references=("geom", "body"),
     needs_reference=True,
@@ -83,19 +85,16 @@ def _nearest(enum: _Type, dim: int, frame: ReadingFrame, unit: str) -> NativeTyp
 
 _ANGLE, _RATE, _EFFORT = "rad or m", "rad/s or m/s", "N m or N"
 
-NATIVE_TYPES: dict[str, NativeType] = {
-  "touch": _site(_Type.mjSENS_TOUCH, "N", "acceleration", "scalar", dim=1),
-  "accelerometer": _site(_Type.mjSENS_ACCELEROMETER, "m/s^2", "acceleration"),
-  "velocimeter": _site(_Type.mjSENS_VELOCIMETER, "m/s", "velocity"),
-  "gyro": _site(_Type.mjSENS_GYRO, "rad/s", "velocity"),
-  "force": _site(_Type.mjSENS_FORCE, "N", "acceleration"),
-  "torque": _site(_Type.mjSENS_TORQUE, "N m", "acceleration"),
-  "magnetometer": _site(_Type.mjSENS_MAGNETOMETER, "T", "position"),
-  "rangefinder": NativeType(
-    enum=_Type.mjSENS_RANGEFINDER, objects=("site", "camera"), dim=None, frame="world", unit="m"
-  ),
-  "camprojection": NativeType(
-    enum=_Type.mjSENS_CAMPROJECTION,
+_ROWS: dict[str, dict[str, Any]] = {
+  "touch": _site("N", "acceleration", "scalar", dim=1),
+  "accelerometer": _site("m/s^2", "acceleration"),
+  "velocimeter": _site("m/s", "velocity"),
+  "gyro": _site("rad/s", "velocity"),
+  "force": _site("N", "acceleration"),
+  "torque": _site("N m", "acceleration"),
+  "magnetometer": _site("T", "position"),
+  "rangefinder": _row(objects=("site", "camera"), dim=None, frame="world", unit="m"),
+  "camprojection": _row(
     objects=("site",),
     references=("camera",),
     needs_reference=True,
@@ -103,49 +102,45 @@ NATIVE_TYPES: dict[str, NativeType] = {
     frame="image",
     unit="pixel",
   ),
-  "jointpos": _part(_Type.mjSENS_JOINTPOS, "joint", _ANGLE),
-  "jointvel": _part(_Type.mjSENS_JOINTVEL, "joint", _RATE, "velocity"),
-  "tendonpos": _part(_Type.mjSENS_TENDONPOS, "tendon", _ANGLE),
-  "tendonvel": _part(_Type.mjSENS_TENDONVEL, "tendon", _RATE, "velocity"),
-  "actuatorpos": _part(_Type.mjSENS_ACTUATORPOS, "actuator", _ANGLE),
-  "actuatorvel": _part(_Type.mjSENS_ACTUATORVEL, "actuator", _RATE, "velocity"),
-  "actuatorfrc": _part(_Type.mjSENS_ACTUATORFRC, "actuator", _EFFORT, "acceleration"),
-  "jointactuatorfrc": _part(_Type.mjSENS_JOINTACTFRC, "joint", _EFFORT, "acceleration"),
-  "tendonactuatorfrc": _part(_Type.mjSENS_TENDONACTFRC, "tendon", _EFFORT, "acceleration"),
-  "ballquat": NativeType(enum=_Type.mjSENS_BALLQUAT, objects=("joint",), dim=4, frame="own"),
-  "ballangvel": NativeType(
-    enum=_Type.mjSENS_BALLANGVEL, objects=("joint",), dim=3, frame="own", unit="rad/s", stage="velocity"
-  ),
-  "jointlimitpos": _part(_Type.mjSENS_JOINTLIMITPOS, "joint", _ANGLE),
-  "jointlimitvel": _part(_Type.mjSENS_JOINTLIMITVEL, "joint", _RATE, "velocity"),
-  "jointlimitfrc": _part(_Type.mjSENS_JOINTLIMITFRC, "joint", _EFFORT, "acceleration"),
-  "tendonlimitpos": _part(_Type.mjSENS_TENDONLIMITPOS, "tendon", _ANGLE),
-  "tendonlimitvel": _part(_Type.mjSENS_TENDONLIMITVEL, "tendon", _RATE, "velocity"),
-  "tendonlimitfrc": _part(_Type.mjSENS_TENDONLIMITFRC, "tendon", _EFFORT, "acceleration"),
-  "framepos": _frame(_Type.mjSENS_FRAMEPOS, "m"),
-  "framequat": _frame(_Type.mjSENS_FRAMEQUAT, dim=4),
-  "framexaxis": _frame(_Type.mjSENS_FRAMEXAXIS),
-  "frameyaxis": _frame(_Type.mjSENS_FRAMEYAXIS),
-  "framezaxis": _frame(_Type.mjSENS_FRAMEZAXIS),
-  "framelinvel": _frame(_Type.mjSENS_FRAMELINVEL, "m/s", "velocity"),
-  "frameangvel": _frame(_Type.mjSENS_FRAMEANGVEL, "rad/s", "velocity"),
-  "framelinacc": _acceleration(_Type.mjSENS_FRAMELINACC, "m/s^2"),
-  "frameangacc": _acceleration(_Type.mjSENS_FRAMEANGACC, "rad/s^2"),
-  "subtreecom": _subtree(_Type.mjSENS_SUBTREECOM, "m", "position"),
-  "subtreelinvel": _subtree(_Type.mjSENS_SUBTREELINVEL, "m/s", "velocity"),
-  "subtreeangmom": _subtree(_Type.mjSENS_SUBTREEANGMOM, "kg m^2/s", "velocity"),
-  "insidesite": NativeType(
-    enum=_Type.mjSENS_INSIDESITE,
+  "jointpos": _part("joint", _ANGLE),
+  "jointvel": _part("joint", _RATE, "velocity"),
+  "tendonpos": _part("tendon", _ANGLE),
+  "tendonvel": _part("tendon", _RATE, "velocity"),
+  "actuatorpos": _part("actuator", _ANGLE),
+  "actuatorvel": _part("actuator", _RATE, "velocity"),
+  "actuatorfrc": _part("actuator", _EFFORT, "acceleration"),
+  "jointactuatorfrc": _part("joint", _EFFORT, "acceleration"),
+  "tendonactuatorfrc": _part("tendon", _EFFORT, "acceleration"),
+  "ballquat": _row(objects=("joint",), dim=4, frame="own"),
+  "ballangvel": _row(objects=("joint",), dim=3, frame="own", unit="rad/s", stage="velocity"),
+  "jointlimitpos": _part("joint", _ANGLE),
+  "jointlimitvel": _part("joint", _RATE, "velocity"),
+  "jointlimitfrc": _part("joint", _EFFORT, "acceleration"),
+  "tendonlimitpos": _part("tendon", _ANGLE),
+  "tendonlimitvel": _part("tendon", _RATE, "velocity"),
+  "tendonlimitfrc": _part("tendon", _EFFORT, "acceleration"),
+  "framepos": _frame("m"),
+  "framequat": _frame(dim=4),
+  "framexaxis": _frame(),
+  "frameyaxis": _frame(),
+  "framezaxis": _frame(),
+  "framelinvel": _frame("m/s", "velocity"),
+  "frameangvel": _frame("rad/s", "velocity"),
+  "framelinacc": _acceleration("m/s^2"),
+  "frameangacc": _acceleration("rad/s^2"),
+  "subtreecom": _subtree("m", "position"),
+  "subtreelinvel": _subtree("m/s", "velocity"),
+  "subtreeangmom": _subtree("kg m^2/s", "velocity"),
+  "insidesite": _row(
     objects=_FRAMES,
     references=("site",),
     needs_reference=True,
     unit="1, or m if enclosed",
   ),
-  "distance": _nearest(_Type.mjSENS_GEOMDIST, 1, "scalar", "m"),
-  "normal": _nearest(_Type.mjSENS_GEOMNORMAL, 3, "world", ""),
-  "fromto": _nearest(_Type.mjSENS_GEOMFROMTO, 6, "world", "m"),
-  "contact": NativeType(
-    enum=_Type.mjSENS_CONTACT,
+  "distance": _nearest(1, "scalar", "m"),
+  "normal": _nearest(3, "world", ""),
+  "fromto": _nearest(6, "world", "m"),
+  "contact": _row(
     objects=("geom", "body", "xbody", "site"),
     references=("geom", "body", "xbody"),
     dim=None,
@@ -154,11 +149,10 @@ NATIVE_TYPES: dict[str, NativeType] = {
     stage="acceleration",
     declared_by="ContactSensorCfg",
   ),
-  "e_potential": NativeType(enum=_Type.mjSENS_E_POTENTIAL, unit="J"),
-  "e_kinetic": NativeType(enum=_Type.mjSENS_E_KINETIC, unit="J"),
-  "clock": NativeType(enum=_Type.mjSENS_CLOCK, unit="s"),
-  "tactile": NativeType(
-    enum=_Type.mjSENS_TACTILE,
+  "e_potential": _row(unit="J"),
+  "e_kinetic": _row(unit="J"),
+  "clock": _row(unit="s"),
+  "tactile": _row(
     objects=("mesh",),
     references=("geom",),
     needs_reference=True,
@@ -167,11 +161,20 @@ NATIVE_TYPES: dict[str, NativeType] = {
     unit="m and m/s",
     stage="velocity",
   ),
-  "plugin": NativeType(
-    enum=_Type.mjSENS_PLUGIN, dim=None, frame="own", unit="the plugin's own", stage="acceleration", declared_by=None
-  ),
-  "user": NativeType(
-    enum=_Type.mjSENS_USER, dim=None, frame="own", unit="the callback's own", stage="acceleration", declared_by=None
-  ),
+  "plugin": _row(dim=None, frame="own", unit="the plugin's own", stage="acceleration", declared_by=None),
+  "user": _row(dim=None, frame="own", unit="the callback's own", stage="acceleration", declared_by=None),
+}
+# Names of MuJoCo's types that are not those of their MJCF elements.
+_OTHER_NAMES = {
+  "jointactuatorfrc": "jointactfrc",
+  "tendonactuatorfrc": "tendonactfrc",
+  "distance": "geomdist",
+  "normal": "geomnormal",
+  "fromto": "geomfromto",
+}
+
+NATIVE_TYPES: dict[str, NativeType] = {
+  name: NativeType(enum=getattr(mujoco.mjtSensor, f"mjSENS_{_OTHER_NAMES.get(name, name).upper()}"), **row)
+  for name, row in _ROWS.items()
 }
 """Every type of `mujoco.mjtSensor`, by the name of its MJCF element."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import torch
 from mjlab_core import Finite, Limits, MjlabError, where_
@@ -14,124 +14,10 @@ if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 
-@dataclass(kw_only=True)
-class AffineActionCfg(DrivenTargetsCfg):
-  """Base of actions with one column for each target: target = clip(scale * action + offset)."""
-
-  scale: Annotated[float | dict[str, float], Limits()] = 1.0
-  """One factor, or one per target by pattern."""
-  offset: Annotated[float | dict[str, float] | None, Limits()] = None
-  """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
-
-
-@dataclass(kw_only=True)
-class JointPositionActionCfg(AffineActionCfg):
-  """Joint position targets [rad, m]; the encoders' bias is subtracted, as on a robot whose encoders have it."""
-
-  use_default_offset: bool = True
-  """Offset by the default pose; must be False if `offset` is given."""
-
-  def build(self, env: Any) -> "JointPositionAction":
-    return JointPositionAction(self, env)
-
-
-@dataclass(kw_only=True)
-class JointVelocityActionCfg(AffineActionCfg):
-  """Joint velocity targets [rad/s, m/s]."""
-
-  use_default_offset: bool = True
-  """Offset by the default velocities; must be False if `offset` is given."""
-
-  def build(self, env: Any) -> "JointVelocityAction":
-    return JointVelocityAction(self, env)
-
-
-@dataclass(kw_only=True)
-class JointEffortActionCfg(AffineActionCfg):
-  """Joint effort targets [N m, N]."""
-
-  def build(self, env: Any) -> "JointEffortAction":
-    return JointEffortAction(self, env)
-
-
-@dataclass(kw_only=True)
-class SmoothedJointPositionActionCfg(JointPositionActionCfg):
-  """Joint position targets that follow the policy's through an exponential moving average.
-
-  target_t = smoothing * target_{t-1} + (1 - smoothing) * clip(scale * action + offset), from the joint positions at
-  the beginning of an episode.
-  """
-
-  smoothing: Annotated[float, Limits(ge=0, lt=1)] = 0.5
-  """Share of the previous target in the new one, in [0, 1)."""
-
-  def build(self, env: Any) -> "SmoothedJointPositionAction":
-    return SmoothedJointPositionAction(self, env)
-
-
-@dataclass(kw_only=True)
-class RelativeJointPositionActionCfg(AffineActionCfg):
-  """Joint position targets [rad, m] as differences: target = clip(base + scale * action + offset).
-
-  The target is fixed once for each environment step.
-  """
-
-  relative_to: Literal["position", "target"] = "position"
-  """Base: the joint positions at the start of the step, or the targets of the previous step."""
-
-  def build(self, env: Any) -> "RelativeJointPositionAction":
-    return RelativeJointPositionAction(self, env)
-
-
-@dataclass(kw_only=True)
-class BinaryJointPositionActionCfg(DrivenTargetsCfg):
-  """Gripper with one column: it opens for an action of 0 or more, and closes for a negative one."""
-
-  open: dict[str, Finite]
-  """Targets of the open gripper by joint pattern [rad, m]; each driven joint must have one."""
-  close: dict[str, Finite]
-  """Targets of the closed gripper, likewise."""
-
-  def build(self, env: Any) -> "BinaryJointPositionAction":
-    return BinaryJointPositionAction(self, env)
-
-
-@dataclass(kw_only=True)
-class TendonLengthActionCfg(AffineActionCfg):
-  """Tendon length targets [m, rad]."""
-
-  def build(self, env: Any) -> "TendonLengthAction":
-    return TendonLengthAction(self, env)
-
-
-@dataclass(kw_only=True)
-class TendonVelocityActionCfg(AffineActionCfg):
-  """Targets of the rate of change of tendon lengths [m/s, rad/s]."""
-
-  def build(self, env: Any) -> "TendonVelocityAction":
-    return TendonVelocityAction(self, env)
-
-
-@dataclass(kw_only=True)
-class TendonEffortActionCfg(AffineActionCfg):
-  """Effort targets along tendons [N, N m]; positive ones push."""
-
-  def build(self, env: Any) -> "TendonEffortAction":
-    return TendonEffortAction(self, env)
-
-
-@dataclass(kw_only=True)
-class SiteEffortActionCfg(AffineActionCfg):
-  """Effort targets at sites [N, N m]; the wrench is the effort times the gear of the actuator."""
-
-  def build(self, env: Any) -> "SiteEffortAction":
-    return SiteEffortAction(self, env)
-
-
 class AffineAction(DrivenTargets):
   """Base of actions with one column for each target: target = clip(scale * action + offset)."""
 
-  def __init__(self, cfg: AffineActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "AffineActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._scale = self._per_target(cfg.scale, "scale")
     default = self._default_offset()
@@ -203,7 +89,7 @@ class JointPositionAction(AffineAction, DrivenJoints):
 class SmoothedJointPositionAction(JointPositionAction):
   """See `SmoothedJointPositionActionCfg`."""
 
-  def __init__(self, cfg: SmoothedJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "SmoothedJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._weight = 1.0 - cfg.smoothing
     self._smoothed = self.state_of(self.measured_positions().clone())
@@ -230,7 +116,7 @@ class SmoothedJointPositionAction(JointPositionAction):
 class RelativeJointPositionAction(AffineAction, DrivenJoints):
   """See `RelativeJointPositionActionCfg`."""
 
-  def __init__(self, cfg: RelativeJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "RelativeJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._from_target = cfg.relative_to == "target"
     self._previous = self.state_of(self.measured_positions().clone())
@@ -260,7 +146,7 @@ class RelativeJointPositionAction(AffineAction, DrivenJoints):
 class BinaryJointPositionAction(DrivenJoints):
   """See `BinaryJointPositionActionCfg`."""
 
-  def __init__(self, cfg: BinaryJointPositionActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "BinaryJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._open = self.clipped(self._per_target(cfg.open, "open"))
     self._close = self.clipped(self._per_target(cfg.close, "close"))
@@ -321,3 +207,107 @@ class SiteEffortAction(AffineAction):
 
   transmission = "site"
   quantity = "effort"
+
+
+@dataclass(kw_only=True)
+class AffineActionCfg(DrivenTargetsCfg):
+  """Base of actions with one column for each target: target = clip(scale * action + offset)."""
+
+  scale: Annotated[float | dict[str, float], Limits()] = 1.0
+  """One factor, or one per target by pattern."""
+  offset: Annotated[float | dict[str, float] | None, Limits()] = None
+  """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
+
+
+@dataclass(kw_only=True)
+class JointPositionActionCfg(AffineActionCfg):
+  """Joint position targets [rad, m]; the encoders' bias is subtracted, as on a robot whose encoders have it."""
+
+  use_default_offset: bool = True
+  """Offset by the default pose; must be False if `offset` is given."""
+
+  action = JointPositionAction
+
+
+@dataclass(kw_only=True)
+class JointVelocityActionCfg(AffineActionCfg):
+  """Joint velocity targets [rad/s, m/s]."""
+
+  use_default_offset: bool = True
+  """Offset by the default velocities; must be False if `offset` is given."""
+
+  action = JointVelocityAction
+
+
+@dataclass(kw_only=True)
+class JointEffortActionCfg(AffineActionCfg):
+  """Joint effort targets [N m, N]."""
+
+  action = JointEffortAction
+
+
+@dataclass(kw_only=True)
+class SmoothedJointPositionActionCfg(JointPositionActionCfg):
+  """Joint position targets that follow the policy's through an exponential moving average.
+
+  target_t = smoothing * target_{t-1} + (1 - smoothing) * clip(scale * action + offset), from the joint positions at
+  the beginning of an episode.
+  """
+
+  smoothing: Annotated[float, Limits(ge=0, lt=1)] = 0.5
+  """Share of the previous target in the new one, in [0, 1)."""
+
+  action = SmoothedJointPositionAction
+
+
+@dataclass(kw_only=True)
+class RelativeJointPositionActionCfg(AffineActionCfg):
+  """Joint position targets [rad, m] as differences: target = clip(base + scale * action + offset).
+
+  The target is fixed once for each environment step.
+  """
+
+  relative_to: Literal["position", "target"] = "position"
+  """Base: the joint positions at the start of the step, or the targets of the previous step."""
+
+  action = RelativeJointPositionAction
+
+
+@dataclass(kw_only=True)
+class BinaryJointPositionActionCfg(DrivenTargetsCfg):
+  """Gripper with one column: it opens for an action of 0 or more, and closes for a negative one."""
+
+  open: dict[str, Finite]
+  """Targets of the open gripper by joint pattern [rad, m]; each driven joint must have one."""
+  close: dict[str, Finite]
+  """Targets of the closed gripper, likewise."""
+
+  action = BinaryJointPositionAction
+
+
+@dataclass(kw_only=True)
+class TendonLengthActionCfg(AffineActionCfg):
+  """Tendon length targets [m, rad]."""
+
+  action = TendonLengthAction
+
+
+@dataclass(kw_only=True)
+class TendonVelocityActionCfg(AffineActionCfg):
+  """Targets of the rate of change of tendon lengths [m/s, rad/s]."""
+
+  action = TendonVelocityAction
+
+
+@dataclass(kw_only=True)
+class TendonEffortActionCfg(AffineActionCfg):
+  """Effort targets along tendons [N, N m]; positive ones push."""
+
+  action = TendonEffortAction
+
+
+@dataclass(kw_only=True)
+class SiteEffortActionCfg(AffineActionCfg):
+  """Effort targets at sites [N, N m]; the wrench is the effort times the gear of the actuator."""
+
+  action = SiteEffortAction

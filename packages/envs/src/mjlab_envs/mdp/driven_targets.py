@@ -28,6 +28,12 @@ class DrivenTargetsCfg(ActionTermCfg):
   preserve_order: bool = False
   """True: columns in the order of the patterns; False: in the order of the model."""
 
+  action: ClassVar[type["DrivenTargets"]]
+  """Class of the term."""
+
+  def build(self, env: Any) -> "DrivenTargets":
+    return self.action(self, env)
+
 
 class DrivenTargets(ActionTerm):
   """Base of actions that set targets of joints, tendons or sites, with the selection and bounds of the targets."""
