@@ -11,7 +11,7 @@ import sys
 import tokenize
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -78,6 +78,7 @@ class Member:
     return found
 
 
+@cache
 def members() -> list[Member]:
   """Return all members, in the order of their names."""
   folders = [path.parent for path in [*ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("tasks/*/pyproject.toml")]]
