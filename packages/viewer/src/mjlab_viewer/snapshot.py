@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -42,18 +42,6 @@ class Snapshot:
     return all(bool(np.isfinite(self.data[name][row]).all()) for name in ("xpos", "xquat"))
 
 
-@dataclass
-class _Layout:
-  """Names and rows of one kind in the packed transfer."""
-
-  names: list[str] = field(default_factory=list)
-  rows: list[torch.Tensor] = field(default_factory=list)
-
-  def add(self, name: str, values: torch.Tensor) -> None:
-    self.names.append(name)
-    self.rows.append(values)
-
-
 class SnapshotTaker:
   """Takes snapshots of an environment. The cost grows with the worlds in a snapshot, not with all worlds.
 
@@ -87,42 +75,35 @@ class SnapshotTaker:
       self._indices = {worlds: torch.tensor(worlds, device=env.sim.device)}
       chosen = self._indices[worlds]
     selected = chosen[:1]
-    data, model, signals = _Layout(), _Layout(), _Layout()
-    # Derived fields are brought up to date when they are read by name.
-    for name in self._fields:
-      data.add(name, getattr(env.sim.data, name).index_select(0, chosen))
-    for name in env.sim.expanded_fields:
-      model.add(name, env.sim.model[name].index_select(0, chosen))
-    for name, (_, values) in env.signals().items():
-      signals.add(name, values.index_select(0, selected)[0])
+    parts = (
+      # Derived fields are brought up to date when they are read by name.
+      {name: getattr(env.sim.data, name).index_select(0, chosen) for name in self._fields},
+      {name: env.sim.model[name].index_select(0, chosen) for name in env.sim.expanded_fields},
+      {name: values.index_select(0, selected)[0] for name, (_, values) in env.signals().items()},
+    )
     drawings = [DrawList((world,)) for world in worlds] if apart else [DrawList(worlds)]
     if drawers:
       known = env.drawers()
       for drawing, name in itertools.product(drawings, drawers):
         if name in known:
           known[name](drawing)
-    layouts = (data, model, signals)
-    rows = [row for layout in layouts for row in layout.rows]
+    rows = [values for part in parts for values in part.values()]
     touching = [env.sim.contacts(world) for world in (worlds if apart else worlds[:1])] if self._has_contacts else []
     kept = [(c.found, c.geom, c.dist, c.pos, c.normal, c.force) for c in touching if c is not None]
-    arrays = to_host(
-      rows + [tensor for drawing in drawings for tensor in drawing.pending] + [tensor for c in kept for tensor in c]
+    arrived = iter(
+      to_host(
+        rows + [tensor for drawing in drawings for tensor in drawing.pending] + [tensor for c in kept for tensor in c]
+      )
     )
-    arrived = iter(arrays[len(rows) :])
+    data, model, signals = ({name: next(arrived) for name in part} for part in parts)
     for drawing in drawings:
       drawing.finish(arrived)
     contacts = [_contacts(*itertools.islice(arrived, 6)) for _ in kept]
-    named: list[dict[str, np.ndarray]] = []
-    start = 0
-    for layout in layouts:
-      stop = start + len(layout.names)
-      named.append(dict(zip(layout.names, arrays[start:stop], strict=True)))
-      start = stop
     return Snapshot(
       worlds=worlds,
-      data=named[0],
-      model=named[1],
-      signals=named[2],
+      data=data,
+      model=model,
+      signals=signals,
       drawings=drawings,
       contacts=contacts,
       step=step,
