@@ -24,7 +24,7 @@ from mjlab_deploy.description import (
   Target,
   Timing,
 )
-from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.errors import DeployError, read_limited, reading
 from mjlab_deploy.model_readings import actuators_of
 from mjlab_deploy.network_graph import GROUP, NetworkGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
@@ -65,9 +65,7 @@ def adopted(policy: Path, model: Path, rate: float | None = None) -> Generator[B
 
 
 def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundle:
-  if policy.stat().st_size > MAX_BYTES["policy.onnx"]:
-    raise DeployError("larger than a policy may be")
-  data = policy.read_bytes()
+  data = read_limited(policy, MAX_BYTES["policy.onnx"])
   session = open_graph(data)
   if "joint_names" not in session.get_modelmeta().custom_metadata_map and (beside := find_deploy_yaml(policy)):
     metadata = read_deploy_yaml(beside)

@@ -13,7 +13,7 @@ from typing import Any
 
 from mjlab_deploy.arrays import Arrays, read_arrays
 from mjlab_deploy.description import FORMAT, Description
-from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.errors import DeployError, read_limited, reading
 from mjlab_deploy.schema import decode, schema
 
 MAX_BYTES = {
@@ -61,11 +61,8 @@ class Bundle:
     Raises:
       DeployError: It is missing or too large.
     """
-    path = self.folder / name
     with reading(name):
-      if path.stat().st_size > MAX_BYTES[name]:
-        raise DeployError(f"larger than the {MAX_BYTES[name] >> 20} MiB that it may have")
-      return path.read_bytes()
+      return read_limited(self.folder / name, MAX_BYTES[name])
 
   def arrays(self, name: str) -> Arrays:
     """Return the arrays of `golden.npz`, `motion.npz` or `scene.npz`."""

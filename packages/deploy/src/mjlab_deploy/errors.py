@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 
@@ -29,6 +30,19 @@ def reading(what: object, *errors: type[Exception]) -> Generator[None]:
     raise DeployError(f"{what}: {error.strerror or error}") from error
   except errors as error:
     raise DeployError(f"{what}: {' '.join(str(error).split())[:200]}") from error
+
+
+def read_limited(path: Path, max_bytes: int) -> bytes:
+  """Return the contents of a file.
+
+  Raises:
+    DeployError: It is larger than it may be.
+  """
+  with path.open("rb") as file:
+    data = file.read(max_bytes + 1)
+  if len(data) > max_bytes:
+    raise DeployError(f"larger than the {max_bytes >> 20} MiB that it may have")
+  return data
 
 
 def library(name: str, hint: str) -> Any:

@@ -104,10 +104,8 @@ def unitree_deploy_yaml(description: Description) -> str:
   for term in description.observations:
     name = _TERMS.get(term.sources[0]) if len(term.sources) == 1 else None
     if name is None:
-      sources = ", ".join(term.sources)
-      raise DeployError(
-        f"Unitree's deploy.yaml: its runner has no term for '{term.name}' ({sources}); train without it"
-      )
+      what = f"no term for '{term.name}' ({', '.join(term.sources)})"
+      raise DeployError(f"Unitree's deploy.yaml: its runner has {what}; train without it")
     lines += [
       f"  {name}:",
       "    params: {command_name: base_velocity}" if name == "velocity_commands" else "    params: {}",

@@ -54,10 +54,9 @@ class Policy:
     if self._has_start:
       wanted[EPISODE_START] = (1, 1)
     if given != wanted:
-      name = next(name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
-      raise DeployError(
-        f"policy.onnx: input {name[:60]!r} is {given.get(name, 'missing')}, bundle.json says {wanted.get(name)}"
-      )
+      name, *_ = (name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
+      found = f"input {name[:60]!r} is {given.get(name, 'missing')}"
+      raise DeployError(f"policy.onnx: {found}, bundle.json says {wanted.get(name)}")
     promised = [ACTION, *(item.output for item in self.description.memories)]
     promised += [item.name for item in self.description.targets]
     if missing := [name for name in promised if name not in self._outputs]:

@@ -106,8 +106,10 @@ class Runner:
     if state is None:
       raise DeployError("the robot sends no state")
     self.safety.reset()
-    self._sequence, self._state = state.sequence, state
-    self._from, self.targets = state.position.copy(), state.position.copy()
+    self._state = state
+    self._sequence = state.sequence
+    self._from = state.position.copy()
+    self.targets = state.position.copy()
     self._enter("stand", state.time)
 
   def stop(self, reason: str = "stopped by the operator") -> None:

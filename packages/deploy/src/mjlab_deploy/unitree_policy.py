@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjlab_deploy.errors import DeployError, library, reading
+from mjlab_deploy.errors import DeployError, library, read_limited, reading
 from mjlab_deploy.other_formats import MOTORS
 
 _MAX_BYTES = 2**20
@@ -27,9 +27,7 @@ def read_deploy_yaml(path: Path) -> dict[str, str]:
   """
   yaml = library("yaml", "the extra 'yaml' of mjlab-deploy")
   with reading(path, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError, IndexError):
-    if path.stat().st_size > _MAX_BYTES:
-      raise DeployError("larger than such a file may be")
-    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    data = yaml.safe_load(read_limited(path, _MAX_BYTES))
     if missing := [key for key in _KEYS if not isinstance(data, dict) or key not in data]:
       raise DeployError(f"it has no '{missing[0]}'")
     return _metadata(data)
