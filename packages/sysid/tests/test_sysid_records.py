@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from mjlab_core import FileError, MjlabError
+from mjlab_core import FileError, MjlabError, UnknownNameError
 from mjlab_sysid import Record, check_joints, read_records, uniform, write_record
 
 ROWS = 40
@@ -221,7 +221,7 @@ def test_names_and_units_are_checked_against_a_robot() -> None:
   degrees = dict(record().signals) | {"position": 57.3 * np.ones((ROWS, 2))}
   with pytest.raises(FileError, match=r"positions of 'hip' reach 57\.3, its range is \[-1, 1\]; name the unit"):
     check_joints(record(signals=degrees), ranges)
-  with pytest.raises(FileError, match=r"joint 'hip' does not exist\. Nearest: hips"):
+  with pytest.raises(UnknownNameError, match=r"joint 'hip' does not exist\. Nearest: hips"):
     check_joints(record(), {"hips": (-1.0, 1.0)})
   check_joints(record(signals={"position": np.zeros((ROWS, 2))}), ranges)
 

@@ -139,8 +139,6 @@ def _body_poses(archive: Npz, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def _check_body_names(names: Sequence[str], bodies: int, robot: Kinematics) -> None:
-  if len(names) != bodies:
-    raise FileError(f"{len(names)} names for {bodies} bodies")
-  if len(set(names)) < bodies:
-    raise FileError("a body is named twice")
+  if not len(names) == len(set(names)) == bodies:
+    raise FileError(f"{len(names)} names, {len(set(names))} different ones, for {bodies} bodies")
   check_name("body", robot.root_body, names, "the names of its bodies")

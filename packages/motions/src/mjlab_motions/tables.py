@@ -102,10 +102,8 @@ def _quaternion_order(quaternions: np.ndarray, said: Statement, is_mujoco: bool)
     return "wxyz", "those of MuJoCo"
   if not is_proven:
     readings = ", ".join(f"{order} {height:+.2f}" for order, height in heights.items())
-    raise FileError(
-      f"the order of its quaternions cannot be proven (mean height of the root's z axis: {readings}); state it "
-      "with --quaternion wxyz or xyzw"
-    )
+    why = f"cannot be proven (mean height of the root's z axis: {readings})"
+    raise FileError(f"the order of its quaternions {why}; state it with --quaternion wxyz or xyzw")
   return right, "proven: only so it is upright"
 
 

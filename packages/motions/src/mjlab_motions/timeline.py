@@ -45,9 +45,7 @@ def resample(motion: Motion, rate: float) -> Motion:
   # The last moment counts also where rounding puts it just behind the last frame.
   count = math.floor(motion.duration * rate + 1e-6) + 1
   if count > MAX_FRAMES:
-    raise MjlabError(
-      f"resample: motion '{motion.name}' has {count:,} frames at {rate:g} Hz; the limit is {MAX_FRAMES:,}"
-    )
+    raise MjlabError(f"motion '{motion.name}' has {count:,} frames at {rate:g} Hz; the limit is {MAX_FRAMES:,}")
   at = (torch.arange(count, dtype=torch.float64) * (motion.rate / rate)).clamp(max=motion.num_frames - 1)
   before = at.floor().long().clamp(max=motion.num_frames - 2)
   share = at - before

@@ -12,7 +12,7 @@ from mjlab_core.files import printable, reading
 from mjlab_core.lazy import from_extra
 from mjlab_core.names import check_name
 
-from mjlab_sysid.records import JOINT_SIGNALS, Record, check_unit, elements, interpolated
+from mjlab_sysid.records import JOINT_SIGNALS, Record, elements, interpolated
 
 STATES, COMMANDS, IMU, BASE = "/joint_states", "/joint_commands", "/imu", "/base_pose"
 """Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), one of `sensor_msgs/Imu`, and one of
@@ -50,9 +50,7 @@ def read_mcap(path: Path) -> list[Record]:
       else:
         decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
         if decode is None:
-          raise FileError(
-            f"topic {channel.topic}: encoding {printable(channel.message_encoding, 40)!r} is not cdr or json"
-          )
+          raise FileError(f"topic {channel.topic}: {printable(channel.message_encoding, 40)!r} is neither cdr nor json")
         content = decode(message.data)
       series[channel.topic].append((message.log_time * 1e-9, content))
     for topic in (STATES, COMMANDS):
@@ -75,9 +73,8 @@ def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
     for name, path in paths.items() if len(at) else ():
       found = [functools.reduce(_get, path, message) for _, message in series[topic]]
       values = np.array([[_get(part, axis) for axis in elements(name, ())] for part in found], np.float64)
-      if name == "base_orientation":
-        check_unit(source, values)
-      signals[name] = interpolated(name, time, at, values)
+      body = Record(source=source, joints=(), time=at, signals={name: values})
+      signals[name] = interpolated(name, time, body.time, values)
   return Record(source=source, joints=names, time=time - time[0] if len(time) else time, signals=signals)
 
 

@@ -40,16 +40,6 @@ QUANTITIES = {"time": "time", **JOINT_SIGNALS, **BODY_SIGNALS}
 """Quantity of time and of each signal."""
 
 
-def check_unit(source: str, orientations: np.ndarray) -> None:
-  """Check that orientations, (rows, 4), are unit quaternions.
-
-  Raises:
-    FileError: One is not.
-  """
-  if not np.allclose(np.linalg.norm(orientations, axis=1), 1.0, atol=0.01):
-    raise FileError(f"{source}: base_orientation is not a unit quaternion (w, x, y, z)")
-
-
 def elements(signal: str, joints: Sequence[str]) -> tuple[str, ...]:
   """Return the names of the columns of a signal."""
   if signal in JOINT_SIGNALS:
@@ -92,8 +82,6 @@ class Record:
   def __post_init__(self) -> None:
     if problem := next(self._problems(), ""):
       raise FileError(f"{self.source}{problem}")
-    if "base_orientation" in self.signals:
-      check_unit(self.source, self.signals["base_orientation"])
 
   def _problems(self) -> Iterator[str]:
     """Yield what is wrong, to follow the source."""
@@ -112,6 +100,8 @@ class Record:
     for name, values in self.signals.items():
       if name in BODY_SIGNALS and np.isnan(values).any():
         yield f": {name} is not finite, or lacks one of {', '.join(elements(name, ()))}"
+      if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
+        yield ": base_orientation is not a unit quaternion (w, x, y, z)"
       # A joint may lack a signal altogether, but not now and then.
       for row, column in np.argwhere(~np.isfinite(values) & ~np.isnan(values).all(0)):
         yield f", row {row + 1}: {name} of '{elements(name, self.joints)[column]}' is not a finite number"

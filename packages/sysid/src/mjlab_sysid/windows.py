@@ -104,7 +104,8 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     window: Length of a window [s].
 
   Raises:
-    FileError: A joint does not exist, lacks a signal, or its unit must be wrong.
+    FileError: A joint lacks a signal, or its unit must be wrong.
+    UnknownNameError: A joint does not exist.
     MjlabError: Records are shorter than a window.
   """
   timestep = float(robot.model.opt.timestep)
