@@ -259,7 +259,7 @@ def test_a_film_where_opengl_is_missing_is_one_line(
   [
     ([], 2, "no run of Test-Pendulum with a checkpoint in"),
     (["--checkpoint", "missing.pt"], 2, "'missing.pt' is neither a checkpoint nor a run"),
-    (["--checkpoint", "missing.onnx"], 2, "missing.onnx: no such file"),
+    (["--checkpoint", "missing.onnx"], 2, "'missing.onnx' is neither a checkpoint nor a run"),
     (["--agent", "chance"], 2, "--agent: expected"),
     (["--viewer", "none"], 2, "--viewer none shows nothing; add --video FILE.mp4"),
     (["--video", "film.gif"], 2, "--video: film.gif does not end in .mp4"),

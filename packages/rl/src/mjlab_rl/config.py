@@ -289,11 +289,8 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
     is_recurrent = self.actor.rnn_type or self.critic.rnn_type
     most = num_envs if is_recurrent else num_envs * steps
     if not 1 <= count <= most:
-      why = " for a recurrent network" if is_recurrent else ""
-      raise ConfigError(
-        f"agent.algorithm.num_mini_batches is {count}; an iteration of {num_envs} worlds and {steps} steps has 1 to "
-        f"{most}{why}"
-      )
+      given = f"agent.algorithm.num_mini_batches is {count}; an iteration of {num_envs} worlds and {steps} steps"
+      raise ConfigError(f"{given} has 1 to {most}{' for a recurrent network' if is_recurrent else ''}")
 
   def for_inference(self) -> Self:
     agent = super().for_inference()

@@ -2,7 +2,6 @@
 
 from typing import Any, cast
 
-from mjlab_core.errors import ConfigError
 from rsl_rl.algorithms import Distillation
 from tensordict import TensorDict
 
@@ -40,11 +39,6 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
     for teacher, network in zip(teachers, networks, strict=True):
       network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True
-
-  def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-    if not self._distillation.teacher_loaded:
-      raise ConfigError("the teacher is missing: call load_teacher before learn")
-    super().learn(num_learning_iterations, init_at_random_ep_len)
 
   @property
   def _distillation(self) -> Distillation:

@@ -107,10 +107,8 @@ def _encode_foreign(value: object, where: str) -> Json:
     return {"$enum": f"{kind.__module__}:{kind.__qualname__}", "name": getattr(value, "name", "")}
   if callable(value):
     return {"$ref": reference(value, where)}
-  raise ConfigError(
-    f"{where}: a {kind.__module__}.{kind.__qualname__} cannot be written to the run manifest. "
-    "Use plain values, dataclasses, or a function of a module that builds it."
-  )
+  remedy = "use plain values, dataclasses, or a function of a module that builds it"
+  raise ConfigError(f"{where}: a {kind.__module__}.{kind.__qualname__} cannot be written to the run manifest; {remedy}")
 
 
 _Dtype = Literal[

@@ -322,10 +322,8 @@ def _check_observations(
     ours = observations[term.group][0].cpu().float()[columns]
     difference = (ours - outputs[f"observation/{term.group}"][0][columns]).abs()
     if bool((difference > 1e-4 * (1.0 + ours.abs())).any()):
-      raise MjlabError(
-        f"observation '{term.group}/{term.layout.name}' differs from its declared source by "
-        f"{float(difference.max()):.3g}; the `compute` of its TermSource must return the value of the term"
-      )
+      what = f"observation '{term.group}/{term.layout.name}' differs from its declared source"
+      raise MjlabError(f"{what} by {float(difference.max()):.3g}: `compute` of its TermSource must return its value")
 
 
 def without_noise(env: Any) -> Any:

@@ -59,14 +59,12 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
   folder = log_root / safe_name(experiment)
   runs = sorted((path for path in folder.iterdir() if path.is_dir()), key=_age, reverse=True) if folder.is_dir() else []
   if run == "latest":
-    others: list[str] = []
-    for directory in runs:
-      if found := checkpoints(directory):
-        if task is None or task_of(directory) in (task, None):
-          return found[-1]
-        others.append(directory.name)
+    trained = [directory for directory in runs if checkpoints(directory)]
+    for directory in trained:
+      if task is None or task_of(directory) in (task, None):
+        return checkpoints(directory)[-1]
     of_task = "" if task is None else f" of {task}"
-    instead = f"; {others[0]} is of another task, and must be given by name" if others else ""
+    instead = f"; {trained[0].name} is of another task, and must be given by name" if trained else ""
     raise UnknownNameError(f"no run{of_task} with a checkpoint in {folder}{instead}")
   for candidate in (Path(run), folder / run):
     if candidate.is_file():
