@@ -4,7 +4,6 @@ import json
 import math
 import re
 import shutil
-import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -64,15 +63,6 @@ def test_the_newest_run_is_evaluated_as_it_was_trained_into_its_folder(
   assert f"wrote {folder}" in shown
 
 
-def test_without_matplotlib_an_evaluation_has_no_plots(
-  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  monkeypatch.setitem(sys.modules, "matplotlib", None)
-  assert evaluate("--agent", "zero", "--output", "zero") == 0
-  assert sorted(path.name for path in Path("zero").iterdir()) == ["evaluation.json", "evaluation.txt"]
-  assert "no plots: they need matplotlib, the extra 'plot' of mjlab" in capsys.readouterr().out
-
-
 def test_an_evaluation_that_is_there_is_not_overwritten_unasked(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert evaluate("--output", "mine") == 0
   before = Path("mine/evaluation.json").read_bytes()
@@ -99,7 +89,7 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
     (["--agent", "zero", "--quiet", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
     (["--agent", "zero", "--require", ""], "expected [GROUP:]METRIC>=NUMBER"),
     (["--agent", "zero", "--env.scene.num-envs", "3"], "--env.scene.num-envs: an evaluation plays one episode in each"),
-    (["--checkpoint", "gone.onnx"], "gone.onnx: no such file"),
+    (["--checkpoint", "gone.onnx"], "'gone.onnx' is neither a checkpoint nor a run"),
     (["--checkpoint", "gone"], "'gone' is neither a checkpoint nor a run"),
     ([], "no run of Test-Pendulum with a checkpoint"),
     (["--eval.episode", "3"], "--eval.episodes"),

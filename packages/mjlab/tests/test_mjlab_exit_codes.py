@@ -38,7 +38,7 @@ WRONG = [
   (f"train {TASK} --device cpu --agent.max-iterations 0", "agent.max_iterations must be at least 1, got 0"),
   (f"train {TASK} --device cpu --env.decimation 0", "env.decimation: must be at least 1, got 0"),
   (f"train {TASK} --device cpu --video --video-length 0", "--video-length must be at least 1, got 0"),
-  (f"play {TASK} --device cpu --checkpoint gone.onnx", "gone.onnx: no such file"),
+  (f"play {TASK} --device cpu --checkpoint gone.onnx", "'gone.onnx' is neither a checkpoint nor a run"),
   (f"evaluate {TASK} --device cpu --checkpoint gone", "'gone' is neither a checkpoint nor a run"),
   (f"evaluate {TASK} --agent zero --require x", "--require: threshold 'x'"),
   ("convert-motion gone.csv", "gone.csv: no such file"),

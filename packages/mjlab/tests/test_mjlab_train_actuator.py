@@ -34,7 +34,6 @@ def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.Capt
   shown = capsys.readouterr().out
   assert "400 rows every 0.005 s, joints joint" in shown
   assert "not read: temperature" in shown
-  assert "epoch 3/3  error: train " in shown
   assert "best PD   held out" in shown
   assert "(stiffness 2, damping 0.1)" in shown
   assert re.search(r"motor     held out \S+ \(stiffness 2, damping \S+, delay \S+ s, friction \S+\)", shown)

@@ -34,12 +34,7 @@ class MovedModules(MetaPathFinder):
   """Finder that is asked last, for modules that no other finder has found."""
 
   def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> None:
-    """Return nothing.
-
-    Raises:
-      ModuleNotFoundError: the module has another name here. Python imports a package before its modules, so the message
-        names the new places of all modules in it.
-    """
+    """Name the new places of all modules in a package that moved; Python imports it before them."""
     del path, target
     within = {old: new for old, new in MOVED.items() if old == fullname or old.startswith(f"{fullname}.")}
     if within and fullname.startswith("mjlab."):

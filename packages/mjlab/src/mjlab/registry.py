@@ -76,10 +76,8 @@ def load_task(name: str) -> "TaskCfg[Any]":
   task = build() if callable(build) else build
   if not isinstance(task, TaskCfg):
     kind = "a module" if isinstance(task, ModuleType) else type(task).__name__
-    raise ConfigError(
-      f"task '{name}' of {package}: its entry point must name a function that returns a mjlab_rl.TaskCfg, such as "
-      f"'my_tasks.walking:flat'; got {kind}"
-    )
+    wanted = "its entry point must name a function that returns a mjlab_rl.TaskCfg"
+    raise ConfigError(f"task '{name}' of {package}: {wanted}; got {kind}")
   return task
 
 

@@ -72,11 +72,13 @@ def _overview() -> str:
   )
 
 
-def _command(name: str) -> Callable[..., int]:
+def __getattr__(name: str) -> Callable[..., int]:
   """Return the entry point of a command, which reads the arguments of the process unless it is given some."""
+  if (command := name.replace("_", "-")) not in _COMMANDS:
+    raise AttributeError(name)
 
   def run(argv: Sequence[str] | None = None) -> int:
-    return _run(name, list(sys.argv[1:] if argv is None else argv))
+    return _run(command, list(sys.argv[1:] if argv is None else argv))
 
   return run
 
@@ -85,25 +87,6 @@ def _run(name: str, words: list[str]) -> int:
   # Most of what a start makes stays, and Python would search it for garbage 700 times.
   gc.set_threshold(50_000)
   return _guarded(importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}").run, words)
-
-
-train = _command("train")
-play = _command("play")
-demo = _command("demo")
-evaluate = _command("evaluate")
-convert_motion = _command("convert-motion")
-record_motion = _command("record-motion")
-list_envs = _command("list-envs")
-inspect_dr = _command("inspect-dr")
-visualize_terrain = _command("visualize-terrain")
-export = _command("export")
-export_scene = _command("export-scene")
-viz_nan = _command("viz-nan")
-sysid = _command("sysid")
-design_excitation = _command("design-excitation")
-train_actuator = _command("train-actuator")
-sweep = _command("sweep")
-new = _command("new")
 
 
 def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:

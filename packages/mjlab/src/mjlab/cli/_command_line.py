@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import itertools
 from collections.abc import Callable, Generator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -222,18 +221,3 @@ def building(*, from_file: bool = False) -> Generator[None]:
       raise
     kind = "" if isinstance(error, (ValueError, OSError)) else f"the configuration fails with {type(error).__name__}: "
     raise MjlabError(f"{kind}{error}") from error
-
-
-def check_plots(flag: str) -> None:
-  """Check that plots can be drawn.
-
-  Raises:
-    UsageError: They cannot; the message begins with the flag that asks for them.
-  """
-  if problem := plot_problem():
-    raise UsageError(f"{flag}: no plots: {problem}")
-
-
-def plot_problem() -> str:
-  """Return the reason why no plot can be drawn; empty if one can."""
-  return "" if find_spec("matplotlib") else "they need matplotlib, the extra 'plot' of mjlab"

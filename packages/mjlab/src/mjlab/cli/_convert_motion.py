@@ -11,7 +11,7 @@ from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, check_plots, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, run_with_words
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -96,8 +96,6 @@ def _convert(clips: list[str], wanted: Arguments) -> int:
 
   from mjlab.cli._clip_preview import Preview
 
-  if wanted.report is not None:
-    check_plots("--report")
   spec = robot_spec(wanted.robot)
   robot = Kinematics(spec.compile())
   motions = _read(clips, robot, wanted)

@@ -15,7 +15,7 @@ from mjlab.cli._command_line import (
   beside,
   build_env,
   building,
-  plot_problem,
+  output_file,
   run_with_task,
 )
 from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
@@ -118,9 +118,7 @@ def _configured(wanted: Arguments, name: str, default: int) -> Any:
   with building():
     cfg = evaluator.configure(wanted.env)
   if num_envs not in (default, cfg.scene.num_envs):
-    raise UsageError(
-      "--env.scene.num-envs: an evaluation plays one episode in each environment; --help eval shows how to set them"
-    )
+    raise UsageError("--env.scene.num-envs: an evaluation plays one episode in each environment; see --help eval")
   return cfg
 
 
@@ -162,8 +160,7 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
     folder = beside(source, "evaluation") / source.stem
   else:
     return None
-  if (folder / "evaluation.json").exists() and not wanted.force:
-    raise UsageError(f"{folder} has an evaluation already; --force replaces it, --output selects another folder")
+  output_file("--output", folder / "evaluation.json", force=wanted.force)
   # Fails before the work if the folder cannot be made.
   folder.mkdir(parents=True, exist_ok=True)
   return folder
@@ -172,15 +169,12 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
 def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:
   from mjlab_rl.manifest import package_versions
 
-  (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")
-  if problem := plot_problem():
-    print(f"no plots: {problem}")
-  else:
-    from mjlab.cli._plots import plot_curves, plot_groups
+  from mjlab.cli._plots import plot_curves, plot_groups
 
-    plot_groups(evaluation, folder / "groups.png")
-    if evaluation.curves:
-      plot_curves(evaluation, folder / "curves.png")
+  (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")
+  plot_groups(evaluation, folder / "groups.png")
+  if evaluation.curves:
+    plot_curves(evaluation, folder / "curves.png")
   data = {**about, "versions": package_versions(), **evaluation.to_json()}
   # Last: if this file exists, the others do.
   with AtomicWrite(folder / "evaluation.json") as path:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mjlab_core.constraints import Limits
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, check_plots, output_file, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, output_file, run_with_task
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -51,8 +51,6 @@ def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
 
   wanted = parse(Arguments(env=task.env), given)
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
-  if picture is not None:
-    check_plots("--png")
   from mjlab.inspection import inspect_events, inspect_inertia, report_text
 
   device = environments.resolve_device(wanted.device)

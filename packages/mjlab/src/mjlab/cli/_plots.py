@@ -1,4 +1,4 @@
-"""Plots of evaluations, of inspected events and of sweeps. Needs matplotlib, the extra `plot`."""
+"""Plots of evaluations, of inspected events and of sweeps."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

@@ -61,7 +61,7 @@ def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path
   from mjlab_rl import find_checkpoint
   from mjlab_rl.bundle_policy import is_bundle
 
-  if is_bundle(Path(checkpoint)) or checkpoint.endswith(".onnx"):
+  if is_bundle(Path(checkpoint)):
     return Path(checkpoint)
   try:
     return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)

@@ -69,17 +69,11 @@ class ProgressBar:
 
 
 class ProgressLine:
-  """Line on standard output that is rewritten in place on a terminal; elsewhere a line for every call.
+  """Line on standard output that is rewritten in place on a terminal; elsewhere a line for every call."""
 
-  Args:
-    live: Least time between two texts on a terminal [s].
-    plain: The same elsewhere [s].
-  """
-
-  def __init__(self, live: float = 0.0, plain: float = 0.0) -> None:
+  def __init__(self) -> None:
     self._is_live = sys.stdout.isatty()
-    self._interval = live if self._is_live else plain
-    self._shown: float | None = None
+    self._is_begun = False
 
   def __enter__(self) -> Self:
     return self
@@ -87,15 +81,13 @@ class ProgressLine:
   def __exit__(
     self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
   ) -> None:
-    if self._is_live and self._shown is not None:
+    if self._is_live and self._is_begun:
       print()
 
-  def show(self, text: str, *, is_last: bool = False) -> None:
-    """Show a text, unless the one before is too recent and this is not the last."""
-    now = time.monotonic()
-    if self._shown is None or is_last or now - self._shown >= self._interval:
-      self._shown = now
-      print(f"\r\033[K{text}" if self._is_live else text, end="" if self._is_live else "\n", flush=True)
+  def show(self, text: str) -> None:
+    """Show a text in place of the one before."""
+    self._is_begun = True
+    print(f"\r\033[K{text}" if self._is_live else text, end="" if self._is_live else "\n", flush=True)
 
 
 @contextmanager

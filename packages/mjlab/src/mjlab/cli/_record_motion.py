@@ -78,10 +78,8 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
         observations, _, terminated, truncated, _ = env.step(policy(observations))
         # A clip must not contain the jump into the next episode.
         if bool((terminated | truncated).any()):
-          raise MjlabError(
-            f"the episode ended after {(step + 1) * env.step_dt:.2f} s, before the clip did; nothing was written. Try "
-            "--seed, a shorter --seconds, or a better policy."
-          )
+          remedy = "try --seed, a shorter --seconds, or a better policy"
+          raise MjlabError(f"the episode ended after {(step + 1) * env.step_dt:.2f} s, before the clip did; {remedy}")
     about = f"mjlab, {name}, {what}, seed {wanted.seed}"
     motion = recorder.motion(output.stem, source=about, license=wanted.license)
     print(check_quality(motion, recorder.kinematics).table())

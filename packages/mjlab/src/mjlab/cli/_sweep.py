@@ -14,7 +14,7 @@ from mjlab_core.constraints import NonNegative, PositiveCount
 from mjlab_core.files import reading
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, plot_problem, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, run_with_task
 from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, check, read_space
 
 if TYPE_CHECKING:
@@ -142,18 +142,14 @@ def report(trials: list[Trial], space: Space, folder: Path) -> str:
     for t in best
   ]
   lines = [table(["trial", "reward", "iterations", "state", *short], rows), f"wrote {folder / 'trials.csv'}"]
-  if problem := plot_problem():
-    lines.append(f"no picture: {problem}")
-  else:
-    from mjlab.cli._plots import plot_trials
+  from mjlab.cli._plots import plot_trials
 
-    logarithmic = {name for name, domain in space.values.items() if isinstance(domain, Range) and domain.log}
-    columns = {key: [t.values.get(name, "") for t in best] for key, name in zip(short, names, strict=True)}
-    scales = {key for key, name in zip(short, names, strict=True) if name in logarithmic}
-    with AtomicWrite(folder / "trials.png") as temporary:
-      plot_trials(columns, [t.reward for t in best], scales, temporary)
-    lines.append(f"wrote {folder / 'trials.png'}")
-  return "\n".join(lines)
+  logarithmic = {name for name, domain in space.values.items() if isinstance(domain, Range) and domain.log}
+  columns = {key: [t.values.get(name, "") for t in best] for key, name in zip(short, names, strict=True)}
+  scales = {key for key, name in zip(short, names, strict=True) if name in logarithmic}
+  with AtomicWrite(folder / "trials.png") as temporary:
+    plot_trials(columns, [t.reward for t in best], scales, temporary)
+  return "\n".join((*lines, f"wrote {folder / 'trials.png'}"))
 
 
 def _is_unique(name: str, names: list[str]) -> bool:

@@ -197,6 +197,8 @@ def _check_combinations(wanted: Arguments) -> None:
   for flag, kept in (("teacher", "its teacher"), ("init_from", "its policy"), ("seed", "its random numbers")):
     if wanted.resume is not None and getattr(wanted, flag) not in (None, ()):
       raise UsageError(f"--{flag.replace('_', '-')} and --resume exclude each other: a resumed run keeps {kept}")
+  if wanted.video and wanted.video_length > wanted.video_interval:
+    raise UsageError(f"--video-length must be at most --video-interval, {wanted.video_interval}")
 
 
 def _run(

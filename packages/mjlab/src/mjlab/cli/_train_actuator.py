@@ -2,12 +2,11 @@
 
 import dataclasses
 import math
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, plot_problem, run_with_words
-from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
+from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, run_with_words
+from mjlab.cli._progress import ProgressBar, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
 
 if TYPE_CHECKING:
@@ -77,29 +76,18 @@ def _fit(records: list[str], wanted: Arguments) -> int:
   found = read_records(records)
   describe_records(found)
   cfg = MotorFitCfg(**{field.name: getattr(wanted, field.name) for field in dataclasses.fields(MotorFitCfg)})
-  begin = 0.0
-  with ProgressLine(0.1, 5.0) as line, stop_on_ctrl_c() as stopped:
+  with ProgressBar("training", cfg.epochs) as bar, stop_on_ctrl_c() as stopped:
 
     def show(seen: "FitProgress") -> bool:
-      nonlocal begin
-      text = f"epoch {seen.epoch}/{cfg.epochs}  error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}"
-      if seen.epoch == 1:
-        # The first pays for what torch loads late.
-        begin = time.monotonic()
-      elif seen.epoch < cfg.epochs:
-        text += f"  {(time.monotonic() - begin) / (seen.epoch - 1) * (cfg.epochs - seen.epoch):.0f} s left"
-      line.show(text, is_last=seen.epoch == cfg.epochs)
+      bar.show(seen.epoch, f"error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}")
       return bool(stopped)
 
     fit = fit_motor(found, cfg, show)
   _report(fit, cfg.epochs)
   fit.save(output)
   print(f"network: {output}")
-  if problem := plot_problem():
-    print(f"no plots: {problem}")
-  else:
-    fit.save_plot(plot)
-    print(f"plot: {plot}")
+  fit.save_plot(plot)
+  print(f"plot: {plot}")
   print(f"use it as: {fit.config(output)}")
   return 0
 

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import UsageError
-
 if TYPE_CHECKING:
   from mjlab_rl import Console, IterationReport
   from mjlab_viewer import Playback
@@ -44,8 +42,6 @@ class Watchers:
       from mjlab_viewer import check_address
 
       check_address(wanted.viewer_host, wanted.viewer_port)
-    if wanted.video and wanted.video_length > wanted.video_interval:
-      raise UsageError(f"--video-length must be at most --video-interval, {wanted.video_interval}")
     self._wanted, self._name, self._console = wanted, name, console
     self._open: list[Any] = []
 

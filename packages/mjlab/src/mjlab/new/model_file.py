@@ -59,8 +59,6 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
     model.compiled()
   except ValueError as error:
     raise MjlabError(f"{path}: {_one_line(error).removeprefix('entity ')}") from error
-  if not model.joints:
-    raise MjlabError(f"{path}: the robot has no hinge and no slide joint")
   return model
 
 

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from mjlab_viewer.pictures.opengl import make_context
-from mjlab_viewer.pictures.page_look import look_like_the_page
+from mjlab_viewer import CameraCfg, OffscreenRenderer, PictureCfg, Replay, SnapshotTaker
 from PIL import Image, ImageDraw, ImageFont
 
 from mjlab.new.limbs import Foot, colliding
@@ -24,12 +23,7 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
     RenderingError: OpenGL does not work.
   """
   model = home.model
-  data = mujoco.MjData(model)
-  data.qpos[:] = home.qpos
-  mujoco.mj_forward(model, data)
-  look_like_the_page(model)
-  model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
-  left = _render(model, data)
+  left = _render(home)
   soles = {name for foot in feet for name in foot.geoms}
   solid = set(colliding(model))
   for i in range(model.ngeom):
@@ -40,7 +34,7 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
     model.geom_group[i] = 0 if i in solid else _HIDDEN_GROUP
     model.geom_matid[i] = -1
     model.geom_rgba[i] = _FOOT if is_sole else _TORSO if body == f"robot/{torso}" else _SOLID
-  right = _render(model, data)
+  right = _render(home)
   image = Image.fromarray(np.hstack((left, right)))
   draw, font = ImageDraw.Draw(image), ImageFont.load_default(18)
   draw.text((12, 10), "home pose", fill="black", font=font, stroke_width=2, stroke_fill="white")
@@ -55,27 +49,19 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
   return file.getvalue()
 
 
-def _render(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+def _render(home: Home) -> np.ndarray:
+  model, data = home.model, mujoco.MjData(home.model)
+  data.qpos[:] = home.qpos
+  mujoco.mj_forward(model, data)
   points = [data.geom_xpos[i] for i in range(model.ngeom) if model.geom(i).name.startswith("robot/")]
   low, high = np.min(points, axis=0), np.max(points, axis=0)
-  camera = mujoco.MjvCamera()
-  camera.lookat[:] = 0.5 * (low + high)
-  camera.distance = max(0.3, 1.9 * float(np.linalg.norm(high - low)))
-  camera.azimuth, camera.elevation = 130.0, -18.0
-  options = mujoco.MjvOption()
-  options.geomgroup[:] = (1, 1, 1, int(not (model.geom_group == 2).any()), 0, 0)
-  scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
-  scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-  mujoco.mjv_updateScene(model, data, options, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
-  gl = make_context(WIDTH, HEIGHT)
-  try:
-    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-    rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-    mujoco.mjr_render(rectangle, scene, context)
-    pixels = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
-    mujoco.mjr_readPixels(pixels, None, rectangle, context)
-    context.free()
-  finally:
-    gl.free()
-  return np.flipud(pixels)
+  x, y, z = 0.5 * (low + high)
+  distance = max(0.3, 1.9 * float(np.linalg.norm(high - low)))
+  cfg = PictureCfg(
+    width=WIDTH,
+    height=HEIGHT,
+    camera=CameraCfg(lookat=(x, y, z), distance=distance, azimuth=130.0, elevation=-18.0),
+    geom_groups=(True, True, True, not (model.geom_group == 2).any(), False, False),
+  )
+  with OffscreenRenderer(model, cfg) as renderer:
+    return renderer.render(SnapshotTaker(Replay(model, {"qpos": home.qpos[None, None]}, 1.0)).take([0]))

@@ -140,10 +140,8 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
       joint: _motor(model, joint, effort, None, None, joint in wheels) for joint, effort in limits.items() if effort
     }
   if not servos and not kept:
-    raise MjlabError(
-      f"{robot.source}: no joint has an actuator or an effort limit; give motor data: --motors '.*=EFFORT'. "
-      f"Joints: {', '.join(map(printable, order[:12]))}"
-    )
+    joints = ", ".join(map(printable, order[:12]))
+    raise MjlabError(f"{robot.source}: no joint has an actuator or an effort limit; give --motors. Joints: {joints}")
   if passive := [name for name in order if name not in servos and ("joint", name) not in kept]:
     robot.notes.append(f"passive joints: {', '.join(map(printable, passive[:12]))}")
   if kept:
