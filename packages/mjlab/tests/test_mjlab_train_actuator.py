@@ -91,7 +91,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(
 def test_ctrl_c_writes_what_was_learned(records: Path) -> None:
   code = "import sys; from mjlab.cli import train_actuator; sys.exit(train_actuator())"
   with running(code, str(records), "--epochs", "1000000", "--hidden", "8", OMP_NUM_THREADS="1") as learning:
-    learning.wait_for("(?m)^epoch")
+    learning.wait_for("(?m)^training: ")
     said = learning.interrupt()
   assert "stopped (Ctrl-C) after" in said
   assert torch.load(records.with_suffix(".pt"), weights_only=True)
