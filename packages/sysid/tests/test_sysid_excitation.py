@@ -11,7 +11,7 @@ from mjlab_sysid import Excitation, ExcitationCfg, Robot, design_excitation, ide
 from sysid_robots import SERVOS, arm, changed, record
 
 TERMS = [parse_term(text) for text in ("armature:.*", "viscous_damping:knee", "frictionloss:.*", "delay:.*,shared")]
-CFG = ExcitationCfg(seconds=2.5, rounds=2, candidates=3, velocity=8.0, noise=3e-4)
+CFG = ExcitationCfg(seconds=1.8, rounds=2, candidates=3, velocity=8.0, noise=3e-4)
 
 
 def strict_arm(**stand: Any) -> Robot:
