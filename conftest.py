@@ -28,6 +28,8 @@ if importlib.util.find_spec("warp"):
   import warp
 
   warp.config.cpu_compiler_flags = "-march=native -O0"
+  # Textures have a million pixels, for which optimised code pays.
+  warp.get_module("mujoco_warp._src.render_util").options["cpu_compiler_flags"] = "-march=native"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
