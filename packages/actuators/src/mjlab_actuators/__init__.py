@@ -9,11 +9,13 @@ from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPd
 from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
 from mjlab_actuators.learned_mlp import LearnedMlp, LearnedMlpActuatorCfg
 from mjlab_actuators.motor_design import (
+  LinearMotor,
   PdGains,
   gains_from_frequency,
   radians_per_second,
   reflected_inertia,
   reflected_inertia_of_stages,
+  rotary_to_linear,
 )
 from mjlab_actuators.native import (
   NativeMotorActuatorCfg,
@@ -48,6 +50,7 @@ __all__ = [
   "IdealPdActuatorCfg",
   "LearnedMlp",
   "LearnedMlpActuatorCfg",
+  "LinearMotor",
   "NativeDcMotorActuatorCfg",
   "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
@@ -72,6 +75,7 @@ __all__ = [
   "radians_per_second",
   "reflected_inertia",
   "reflected_inertia_of_stages",
+  "rotary_to_linear",
   "targets_of",
   "targets_with_actuator",
 ]

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     unknown,
   )
   from mjlab_core.rotations import (
+    combine_frames,
     cross,
     euler_xyz_from_quat,
     heading,
@@ -69,6 +70,8 @@ if TYPE_CHECKING:
     quat_from_euler_xyz,
     quat_from_matrix,
     quat_from_rotvec,
+    quat_integrate,
+    quat_inverse,
     quat_mul,
     quat_slerp,
     quat_unique,
@@ -76,6 +79,8 @@ if TYPE_CHECKING:
     random_quat,
     rotvec_from_quat,
     subtract_frames,
+    transform_points,
+    velocity_at,
     wrap_to_pi,
   )
   from mjlab_core.sampling import (
@@ -127,6 +132,7 @@ __all__ = [
   "check_fields",
   "check_name",
   "check_value",
+  "combine_frames",
   "cross",
   "draw_seed",
   "euler_xyz_from_quat",
@@ -154,6 +160,8 @@ __all__ = [
   "quat_from_euler_xyz",
   "quat_from_matrix",
   "quat_from_rotvec",
+  "quat_integrate",
+  "quat_inverse",
   "quat_mul",
   "quat_slerp",
   "quat_unique",
@@ -168,9 +176,11 @@ __all__ = [
   "seed_everything",
   "select",
   "subtract_frames",
+  "transform_points",
   "truncated_normal",
   "uniform",
   "unknown",
+  "velocity_at",
   "where_",
   "wrap_to_pi",
 ]
@@ -192,9 +202,9 @@ __getattr__, __dir__ = lazy_exports(
     ".model_fields": "ModelFields",
     ".names": "check_name match_names match_values match_values_full nearest unknown",
     ".rotations": (
-      "heading subtract_frames cross euler_xyz_from_quat "
+      "combine_frames heading subtract_frames transform_points velocity_at cross euler_xyz_from_quat "
       "matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus quat_conjugate "
-      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec "
+      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
       "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
     ".sampling": ("call_where draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),
