@@ -118,6 +118,7 @@ def _opengl(width: int, height: int) -> Any:
   if chosen in ("disable", "disabled", "off", "false", "0"):
     raise DeployError(f"no camera images: MUJOCO_GL={chosen} switches OpenGL off")
   known = {"linux": ("egl", "osmesa", "glfw"), "darwin": ("cgl",)}.get(sys.platform, ("glfw",))
+  _load_triton()
   failures = []
   for name in (chosen,) if chosen in known else known:
     if name == "glfw" and sys.platform == "linux" and not os.environ.get("DISPLAY"):
@@ -131,3 +132,9 @@ def _opengl(width: int, height: int) -> Any:
     else:
       return context
   raise DeployError(f"no camera images, OpenGL does not work here ({'; '.join(failures)})")
+
+
+def _load_triton() -> None:
+  # Software OpenGL and torch's compiler both bring an LLVM, and a Triton that is loaded after OpenGL's crashes.
+  with contextlib.suppress(ImportError):
+    importlib.import_module("triton._C.libtriton")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import math
 
 import mujoco
@@ -52,6 +54,7 @@ def render(
   camera.lookat[:] = (0.0, 0.0, -0.035 * camera.distance)
   width, height = (_OVERSAMPLING * s for s in size)
   font = mujoco.mjtFontScale.mjFONTSCALE_200
+  _load_triton()
   with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 1000, font_scale=font) as renderer:
     renderer.update_scene(data, camera)
     if names:
@@ -59,6 +62,12 @@ def render(
     pixels = np.asarray(renderer.render(), dtype=np.float64)
   blocks = pixels.reshape(size[1], _OVERSAMPLING, size[0], _OVERSAMPLING, 3)
   return np.round(blocks.mean((1, 3))).astype(np.uint8)
+
+
+def _load_triton() -> None:
+  # Software OpenGL and torch's compiler both bring an LLVM, and a Triton that is loaded after OpenGL's crashes.
+  with contextlib.suppress(ImportError):
+    importlib.import_module("triton._C.libtriton")
 
 
 def _add_names(scene: mujoco.MjvScene, cfg: TerrainGridCfg) -> None:
