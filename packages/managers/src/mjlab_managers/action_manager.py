@@ -149,8 +149,10 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
     for name, term in self._terms.items():
-      with self._naming(name):
+      try:  # without the calls of a context manager, in every step
         term.process_actions(term._raw_action)
+      except Exception as error:
+        raise self._named(name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""

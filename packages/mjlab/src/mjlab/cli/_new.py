@@ -10,6 +10,7 @@ from mjlab_core import UsageError, printable, unknown
 
 from mjlab.cli._command_line import CommandLine, CommonArguments, building, run_with_words
 from mjlab.cli._help import command_help
+from mjlab.registry import list_tasks
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -112,6 +113,8 @@ def _new_task(names: list[str], wanted: TaskArguments) -> int:
 
   folder = Path(wanted.output or name)
   check_new_package(name, folder)
+  if task_id(name) in list_tasks():
+    raise UsageError(f"a task '{task_id(name)}' exists already; choose another name")
   if wanted.robot and wanted.like != "velocity":
     raise UsageError("--robot: only tasks like velocity take a robot")
   if wanted.robot and (not wanted.robot.isidentifier() or find_spec(wanted.robot) is None):
