@@ -54,9 +54,10 @@ class Policy:
     if self._has_start:
       wanted[EPISODE_START] = (1, 1)
     if given != wanted:
-      name, *_ = (name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
-      found = f"input {name[:60]!r} is {given.get(name, 'missing')}"
-      raise DeployError(f"policy.onnx: {found}, bundle.json says {wanted.get(name)}")
+      name = next(name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
+      raise DeployError(
+        f"policy.onnx: input {name[:60]!r} is {given.get(name, 'missing')}, bundle.json says {wanted.get(name)}"
+      )
     promised = [ACTION, *(item.output for item in self.description.memories)]
     promised += [item.name for item in self.description.targets]
     if missing := [name for name in promised if name not in self._outputs]:
@@ -99,11 +100,8 @@ class Policy:
     )
 
 
-def open_graph(graph: bytes | str) -> onnxruntime.InferenceSession:
-  """Return a session of a graph, on one thread of the CPU.
-
-  Args:
-    graph: Contents of a file that needs no other, or the path of one, whose weights may be in files beside it.
+def open_graph(data: bytes) -> onnxruntime.InferenceSession:
+  """Return a session of a graph that needs no other file, on one thread of the CPU.
 
   Raises:
     DeployError: The graph is damaged.
@@ -112,7 +110,7 @@ def open_graph(graph: bytes | str) -> onnxruntime.InferenceSession:
   options.intra_op_num_threads = options.inter_op_num_threads = 1
   options.log_severity_level = 4
   with reading("policy.onnx: not a graph that ONNX Runtime takes", Exception):
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
 def is_network(session: onnxruntime.InferenceSession) -> bool:
