@@ -72,6 +72,32 @@ def test_losses_are_those_of_a_slow_reference(combine: str) -> None:
   assert float(algorithm.figures()["policy_loss"]) == pytest.approx(expected, rel=1e-4)
 
 
+def test_critics_with_batch_normalisation_see_present_and_next_steps_as_one_batch() -> None:
+  """As CrossQ does (arXiv:1902.05605): apart, the two halves would be normalised by different moments."""
+  algorithm = filled(preset="flashsac", n_step=2, num_atoms=11, value_limit=3.0, temperature=0.3, batch_size=32)
+  batch = algorithm.sample()
+  support = np.linspace(-3.0, 3.0, 11)
+  with torch.no_grad():
+    algorithm.actor.eval()
+    torch.manual_seed(7)
+    output = algorithm.actor.output(algorithm.of_actor(batch.next_obs))
+    action, log_prob = algorithm.actor.squash.sample_with_log_prob(output)
+    obs = torch.cat((algorithm.of_critic(batch.obs), algorithm.of_critic(batch.next_obs)))
+    actions = torch.cat((batch.action, action))
+    later = algorithm.target.train().logits(obs, actions).double().softmax(-1).numpy()[:, 32:]
+    logs = algorithm.critic.train().logits(obs, actions).double().log_softmax(-1).numpy()[:, :32]
+    apart = algorithm.critic.logits(obs[:32], actions[:32]).double().log_softmax(-1).numpy()
+  assert np.abs(apart - logs).max() > 1e-3
+  expected = 0.0
+  for i, (reward, discount) in enumerate(zip(batch.reward.tolist(), batch.discount.tolist(), strict=True)):
+    values = reward + discount * (support - 0.3 * float(log_prob[i]))
+    goal = slow_projection(later[int((later[:, i] @ support).argmin()), i], values, support)
+    expected -= float((logs[:, i] @ goal).sum()) / 32
+  torch.manual_seed(7)
+  algorithm._update_critic(batch)
+  assert float(algorithm.figures()["critic_loss"]) == pytest.approx(expected, rel=1e-4)
+
+
 def test_the_temperature_follows_the_entropy() -> None:
   algorithm = filled(steps=1, temperature=0.1, target_entropy=0.5)
 
