@@ -157,9 +157,11 @@ def output_file(flag: str, path: str | Path, ending: str = "", *, force: bool) -
   """Return the file that a flag names for writing, with this ending if one is given; its folder need not exist.
 
   Raises:
-    UsageError: It has another ending, or exists and may not be overwritten.
+    UsageError: It has another ending, is a folder, or exists and may not be overwritten.
   """
   path = Path(path)
+  if path.is_dir():
+    raise UsageError(f"{flag}: {path} is a folder; name a file in it")
   if ending and path.suffix.lower() != ending:
     raise UsageError(f"{flag}: {path} does not end in {ending}")
   if path.exists() and not force:

@@ -5,6 +5,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from mjlab_core import UsageError
+
 from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, run_with_words
 from mjlab.cli._progress import ProgressBar, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
@@ -70,6 +72,8 @@ def _fit(records: list[str], wanted: Arguments) -> int:
   output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
   plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
   for flag, path in (("--output", output), ("--plot", plot)):
+    if path in map(Path, records):
+      raise UsageError(f"{flag}: {path} is one of the records")
     output_file(flag, path, force=wanted.force)
   from mjlab_sysid import MotorFitCfg, fit_motor, read_records
 
