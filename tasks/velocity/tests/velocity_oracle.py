@@ -15,6 +15,7 @@ RANDOMIZED = ("geom_friction", "body_ipos")
 """Fields of MjModel that the tasks' events write."""
 GROUND = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 """Geom groups that rays see."""
+DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def world_model(env: ManagerBasedRlEnv, world: int) -> mujoco.MjModel:
@@ -46,6 +47,7 @@ class World:
     self.robot = robot
     self.model = world_model(env, world)
     self.data = mujoco.MjData(self.model)
+    self._hit = np.zeros(1, dtype=np.int32)
     self.bias = env.scene["robot"].data.encoder_bias[world].double().numpy()
     model = self.model
     self._feet = [[model.geom(f"robot/{name}").id for name in names] for names in robot.foot_geoms]
@@ -83,10 +85,10 @@ class World:
     seen = Contacts(np.zeros(feet, dtype=bool), np.zeros((feet, 3)), {"self_collision": np.zeros(1)})
     seen.strongest |= {name: np.zeros(len(geoms)) for name, geoms in self._touch.items()}
     local = np.zeros(6)
-    frames = self.data.contact.frame
+    frames = self.data.contact.frame.reshape(-1, 3, 3)
     for index, pair in enumerate(self.data.contact.geom.tolist()):
       mujoco.mj_contactForce(self.model, self.data, index, local)
-      strength = np.linalg.norm(local[:3])
+      strength = math.hypot(*local[:3])
       if self._robot.issuperset(pair):
         seen.strongest["self_collision"] = np.maximum(seen.strongest["self_collision"], strength)
       if self._ground.isdisjoint(pair):
@@ -99,7 +101,7 @@ class World:
         if not set(geoms).isdisjoint(pair):
           seen.found[foot] = True
           # MuJoCo's contact force acts from the first geom on the second.
-          push = frames[index].reshape(3, 3).T @ local[:3]
+          push = frames[index].T @ local[:3]
           seen.force[foot] += push if pair[0] in geoms else -push
     return seen
 
@@ -141,11 +143,10 @@ class World:
     """Its direction in the root frame."""
     return self.rotation.T @ np.array([0.0, 0.0, -1.0])
 
-  def ray_down(self, point: np.ndarray, reach: float, lift: float) -> float:
+  def ray_down(self, point: Any, reach: float, lift: float) -> float:
     """Height of the ground [m] that a ray downwards sees from `lift` above a point to `reach` below it; or NaN."""
-    start, geom = point + np.array([0.0, 0.0, lift]), np.zeros(1, dtype=np.int32)
-    down = np.array([0.0, 0.0, -1.0])
-    distance = mujoco.mj_ray(self.model, self.data, start, down, GROUND, 1, self._root, geom)
+    start = np.array([point[0], point[1], point[2] + lift])
+    distance = mujoco.mj_ray(self.model, self.data, start, DOWN, GROUND, 1, self._root, self._hit)
     return start[2] - distance if 0.0 <= distance <= lift + reach else math.nan
 
   @property
@@ -171,8 +172,8 @@ class World:
     points = []
     for ray in rays:
       x, y = 0.1 * (ray % 17) - 0.8, 0.1 * (ray // 17) - 0.5
-      point = origin + np.array([c * x - s * y, s * x + c * y, 0.0])
-      points.append([point[0], point[1], self.ray_down(point, 5.0, 1.0)])
+      point = origin[0] + c * x - s * y, origin[1] + s * x + c * y, origin[2]
+      points.append([*point[:2], self.ray_down(point, 5.0, 1.0)])
     return np.array(points)
 
   @property
@@ -262,6 +263,11 @@ class World:
       if sensor in now.strongest:
         rewards[name] = float(sum((contacts.strongest[sensor] > 10.0).any() for contacts in step))
     return rewards
+
+
+def matrix(quat: np.ndarray) -> np.ndarray:
+  mujoco.mju_quat2Mat(out := np.empty(9), quat)
+  return out.reshape(3, 3)
 
 
 def facing(axes: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from velocity_oracle import SUBSTEPS, Contacts, Feet, World
 
 FLAT_GO1 = "Mjlab-Velocity-Flat-Unitree-Go1"
 _SUBSTEPS: list[tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
-_STATE: dict[str, np.ndarray] = {}
+STATE: dict[str, np.ndarray] = {}
 
 
 def note_contacts(env: ManagerBasedRlEnv) -> torch.Tensor:
@@ -29,7 +29,7 @@ def note_contacts(env: ManagerBasedRlEnv) -> torch.Tensor:
 
 def note_state(env: ManagerBasedRlEnv) -> torch.Tensor:
   """Keep the state that rewards are given for, before anybody is reset or pushed."""
-  _STATE.update(qpos=env.sim.data.qpos.double().numpy().copy(), qvel=env.sim.data.qvel.double().numpy().copy())
+  STATE.update(qpos=env.sim.data.qpos.double().numpy().copy(), qvel=env.sim.data.qvel.double().numpy().copy())
   return torch.zeros(env.num_envs)
 
 
@@ -137,7 +137,7 @@ class Rollout:
       self.actions[i].append(raw)
       contacts = world.simulate(qpos[i], qvel[i], warmstart[i], raw)
       shadow = world.data.qpos.copy(), world.data.qvel.copy()
-      before = _STATE["qpos"][i], _STATE["qvel"][i]
+      before = STATE["qpos"][i], STATE["qvel"][i]
       world.look(*before)
       seen = [
         Contacts(found[i], force[i], {name: values[i] for name, values in strongest.items()})
