@@ -1,18 +1,15 @@
 """The numbers of the four tasks: of the model, the terms, the learner, and what watching changes."""
 
 from importlib.metadata import entry_points
-from itertools import pairwise
 from typing import Any
 
 import mujoco
-import numpy as np
 import pytest
 import torch
-from mjlab_envs import ManagerBasedRlEnv, mdp
+from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import RslRlOnPolicyRunnerCfg
 from mjlab_sensors import ContactSensor, ContactSensorCfg, RayCastSensorCfg, RingPatternCfg, TerrainHeightSensorCfg
 from mjlab_terrain import TerrainGridCfg
-from mjlab_velocity.mdp import variable_posture
 from velocity_facts import TASKS
 from velocity_rollout import make_env
 
@@ -24,47 +21,11 @@ def built(request: pytest.FixtureRequest) -> tuple[str, ManagerBasedRlEnv]:
   return request.param, make_env(2, task=request.param)
 
 
-def sizes(name: str) -> tuple[dict[str, int], dict[str, int]]:
-  """Size of each observation of actor and critic, in the order of the table."""
-  robot = TASKS[name].robot
-  joints, feet = len(robot.joints), len(robot.feet)
-  actor = {"base_lin_vel": 3, "base_ang_vel": 3, "projected_gravity": 3}
-  actor |= {"joint_pos": joints, "joint_vel": joints, "actions": joints, "command": 3}
-  if TASKS[name].rough:
-    actor["height_scan"] = 187
-  critic = actor | {"foot_height": feet, "foot_air_time": feet, "foot_contact": feet, "foot_contact_forces": 3 * feet}
-  return actor, critic
-
-
 @every_task
 def test_the_task_is_found_under_its_name(name: str) -> None:
   (entry,) = entry_points(group="mjlab.tasks", name=name)
   task = entry.load()()
   assert task.env == TASKS[name].make().env
-
-
-def test_observations_are_those_of_the_table_in_its_order(built: tuple[str, ManagerBasedRlEnv]) -> None:
-  name, env = built
-  observations, _ = env.reset()
-  for group, terms, size in zip(("actor", "critic"), sizes(name), (TASKS[name].actor, TASKS[name].critic), strict=True):
-    layout = env.observation_manager.layout(group)
-    assert [(term.name, term.shape[0]) for term in layout] == list(terms.items())
-    observation = observations[group]
-    assert isinstance(observation, torch.Tensor)
-    assert (observation.shape, observation.dtype) == ((2, size), torch.float32)
-
-
-def test_rewards_have_the_weights_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
-  name, env = built
-  terms = env.reward_manager.active_terms
-  assert {term: env.reward_manager.get_term_cfg(term).weight for term in terms} == TASKS[name].weights
-
-
-def test_episodes_end_for_the_reasons_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
-  name, env = built
-  manager = env.termination_manager
-  kinds = {term: manager.get_term_cfg(term).time_out for term in manager.active_terms}
-  assert kinds == TASKS[name].terminations
 
 
 def test_time_and_solver_are_those_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
@@ -84,25 +45,6 @@ def test_time_and_solver_are_those_of_the_table(built: tuple[str, ManagerBasedRl
   assert env.cfg.sim.contact_sensor_maxmatch == (128 if TASKS[name].rough else 64)
 
 
-def test_actions_are_joint_set_points_in_the_order_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
-  name, env = built
-  term = env.action_manager.get_term("joint_pos")
-  assert isinstance(term, mdp.JointPositionAction)
-  assert tuple(term.joint_names) == TASKS[name].robot.joints
-  np.testing.assert_allclose(term.scale[0].numpy(), TASKS[name].robot.action_scale, rtol=1e-9)
-  np.testing.assert_allclose(term.offset[0].numpy(), TASKS[name].robot.default, atol=1e-12)
-
-
-def test_posture_is_judged_by_the_deviations_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
-  name, env = built
-  robot = TASKS[name].robot
-  term = env.reward_manager.get_term_cfg("pose").func
-  assert isinstance(term, variable_posture)
-  table = term._table
-  expected = np.stack([robot.standing, robot.walking, robot.running])
-  np.testing.assert_allclose(table.numpy() ** -0.5, expected, rtol=1e-9)
-
-
 @every_task
 def test_sensors_are_those_of_the_table(name: str) -> None:
   facts = TASKS[name]
@@ -110,7 +52,7 @@ def test_sensors_are_those_of_the_table(name: str) -> None:
   configured = {sensor: env.scene.sensors[sensor] for sensor in env.cfg.scene.sensors}
   expected = {"feet_ground_contact", "foot_height_scan"}
   expected |= {"terrain_scan", *facts.robot.touch} if facts.rough else set()
-  expected |= {"self_collision"} if "self_collisions" in facts.weights else set()
+  expected |= {"self_collision"} if "self_collisions" in env.cfg.rewards else set()
   assert set(configured) == expected
   feet, heights = configured["feet_ground_contact"].cfg, configured["foot_height_scan"].cfg
   assert isinstance(feet, ContactSensorCfg)
@@ -196,7 +138,7 @@ def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out(name: 
     assert isinstance(critic, torch.Tensor)
     torch.testing.assert_close(actor[:, 9 : 9 + joints], critic[:, 9 : 9 + joints] + bias)
     assert torch.equal(actor[:, :9], critic[:, :9])
-    assert torch.equal(actor[:, 9 + joints :], critic[:, 9 + joints : facts.actor])
+    assert torch.equal(actor[:, 9 + joints :], critic[:, 9 + joints : actor.shape[1]])
     assert not truncated.any()
     # A stair may trip who does not look.
     assert facts.rough or not terminated.any()
@@ -239,18 +181,3 @@ def test_the_learner_is_that_of_the_table(name: str) -> None:
   assert {key: getattr(agent.algorithm, key) for key in expected} == expected
   assert (agent.num_steps_per_env, agent.max_iterations, agent.save_interval) == (24, TASKS[name].iterations, 50)
   assert (agent.experiment_name, agent.seed, agent.clip_actions) == (TASKS[name].experiment, 42, None)
-
-
-@every_task
-def test_networks_have_as_many_parameters_as_the_published_ones(name: str) -> None:
-  facts = TASKS[name]
-  agent = facts.make().agent
-  assert isinstance(agent, RslRlOnPolicyRunnerCfg)
-  hidden = agent.actor.hidden_dims
-  for size, outputs, parameters in (
-    # The deviations of the actions are parameters of the actor's.
-    (facts.actor, len(facts.robot.joints), facts.parameters[0]),
-    (facts.critic, 1, facts.parameters[1]),
-  ):
-    widths = [size, *hidden, outputs]
-    assert sum((a + 1) * b for a, b in pairwise(widths)) == parameters

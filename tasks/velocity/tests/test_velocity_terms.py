@@ -233,4 +233,3 @@ def _feet(steps: list[Step]) -> list[tuple[np.ndarray, np.ndarray]]:
     seen: list[list[Contacts]] = [[pair[side] for pair in step.contacts] for step in steps]
     sides.append([np.array([[getattr(c, name) for c in substeps] for substeps in seen]) for name in ("found", "force")])
   return list(zip(*sides, strict=True))
-

@@ -46,13 +46,6 @@ class Task:
   make: Callable[[], TaskCfg[ManagerBasedRlEnvCfg]]
   robot: Robot
   rough: bool
-  actor: int
-  critic: int
-  weights: dict[str, float]
-  terminations: dict[str, bool]
-  """Whether each counts as a truncation."""
-  parameters: tuple[int, int]
-  """Of the networks of actor and critic."""
   iterations: int
   experiment: str
   solver: dict[str, Any]
@@ -186,24 +179,6 @@ G1 = Robot(
   friction=(0.3, 1.2),
 )
 
-_WEIGHTS = {
-  "track_linear_velocity": 2.0,
-  "track_angular_velocity": 2.0,
-  "upright": 1.0,
-  "pose": 1.0,
-  "body_ang_vel": 0.0,
-  "angular_momentum": 0.0,
-  "dof_pos_limits": -1.0,
-  "action_rate_l2": -0.1,
-  "air_time": 0.0,
-  "foot_clearance": -2.0,
-  "foot_swing_height": -0.25,
-  "foot_slip": -0.1,
-  "soft_landing": -1e-5,
-}
-_G1_WEIGHTS = _WEIGHTS | {"body_ang_vel": -0.05, "angular_momentum": -0.02, "self_collisions": -1.0}
-_TRIPPED = {"self_collisions": -0.1, "shank_collision": -0.1, "trunk_head_collision": -0.1}
-_FLAT_ENDS = {"time_out": True, "fell_over": False, "nan_detection": False}
 _GO1_SOLVER = {"cone": "elliptic", "impratio": 10.0, "ccd": 50}
 _G1_SOLVER = {"cone": "pyramidal", "impratio": 1.0, "ccd": 50}
 
@@ -212,11 +187,6 @@ TASKS = {
     make=go1_flat,
     robot=GO1,
     rough=False,
-    actor=48,
-    critic=72,
-    weights=_WEIGHTS,
-    terminations=_FLAT_ENDS,
-    parameters=(190_860, 201_729),
     iterations=10_000,
     experiment="go1_velocity",
     solver=_GO1_SOLVER,
@@ -225,11 +195,6 @@ TASKS = {
     make=g1_flat,
     robot=G1,
     rough=False,
-    actor=99,
-    critic=111,
-    weights=_G1_WEIGHTS,
-    terminations=_FLAT_ENDS,
-    parameters=(219_165, 221_697),
     iterations=30_000,
     experiment="g1_velocity",
     solver=_G1_SOLVER,
@@ -238,16 +203,6 @@ TASKS = {
     make=go1_rough,
     robot=GO1,
     rough=True,
-    actor=235,
-    critic=259,
-    weights=_WEIGHTS | _TRIPPED,
-    terminations={
-      "time_out": True,
-      "out_of_terrain_bounds": True,
-      "illegal_contact": False,
-      "nan_detection": False,
-    },
-    parameters=(286_604, 297_473),
     iterations=10_000,
     experiment="go1_velocity",
     solver=_GO1_SOLVER,
@@ -256,11 +211,6 @@ TASKS = {
     make=g1_rough,
     robot=G1,
     rough=True,
-    actor=286,
-    critic=298,
-    weights=_G1_WEIGHTS,
-    terminations=_FLAT_ENDS | {"out_of_terrain_bounds": True},
-    parameters=(314_909, 317_441),
     iterations=30_000,
     experiment="g1_velocity",
     solver=_G1_SOLVER,

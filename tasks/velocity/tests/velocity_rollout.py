@@ -176,7 +176,7 @@ class Rollout:
   def _ends(self, world: World, step: list[Contacts]) -> tuple[bool, bool]:
     """Whether the episode fails, and whether it is cut short."""
     assert len(step) == SUBSTEPS
-    if "illegal_contact" in self.task.terminations:
+    if self.task.rough and self.robot.touch:
       failed = any((substep.strongest["thigh_ground_touch"] > 10.0).any() for substep in step)
     else:
       failed = world.tilt > np.deg2rad(70.0)
