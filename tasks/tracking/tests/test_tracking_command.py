@@ -20,11 +20,6 @@ from mjlab_tracking.mdp import MotionCommand, bad_anchor_height
 from tracking_env import clips, command, make, still, without_failures, zeros
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
-
-
 def frames(term: MotionCommand, clip: torch.Tensor, frame: torch.Tensor, column: str) -> torch.Tensor:
   library = term.library
   return library.table[library.offsets[clip] + frame][:, library.columns[column]]
@@ -57,44 +52,21 @@ def test_of_a_folder_only_the_split_that_is_asked_for_is_followed_and_judged(tmp
   assert judge.configure(cfg).scene.num_envs == 3
 
 
-def test_a_start_is_off_by_no_more_than_it_may_and_within_soft_limits(folder: Path) -> None:
-  cfg = still(folder, num_envs=64)
-  command(cfg).pose_range = {"x": (-0.05, 0.05), "yaw": (-0.2, 0.2)}
-  command(cfg).velocity_range = {"z": (-0.2, 0.2)}
-  command(cfg).joint_position_range = (-0.1, 0.1)
-  env, term = make(cfg)
-  start = term.frame - 1
-  data = env.scene["robot"].data
-  root = frames(term, term.clip, start, "body_pos")[:, :3] + env.scene.env_origins
-  off = data.root_link_pos_w - root
-  assert 0.03 < off[:, 0].abs().max() <= 0.05
-  assert off[:, 1:].abs().max() < 1e-9
-  turned = quat_mul(
-    data.root_link_quat_w, frames(term, term.clip, start, "body_quat")[:, :4] * torch.tensor([1, -1, -1, -1.0])
-  )
-  assert 0.1 < 2.0 * torch.asin(turned[:, 3].abs()).max() <= 0.2
-  assert turned[:, 1:3].abs().max() < 1e-9
-  faster = data.root_link_lin_vel_w - frames(term, term.clip, start, "lin_vel")[:, :3]
-  assert 0.1 < faster[:, 2].abs().max() <= 0.2
-  moved = data.joint_pos - frames(term, term.clip, start, "joint_pos")
-  assert 0.08 < moved.abs().max() <= 0.1 + 1e-9
-  limits = data.soft_joint_pos_limits
-  assert ((data.joint_pos >= limits[..., 0] - 1e-9) & (data.joint_pos <= limits[..., 1] + 1e-9)).all()
-
-
-def test_a_clip_beyond_soft_limits_is_started_where_it_is(tmp_path: Path) -> None:
+def test_a_start_is_within_soft_limits_or_no_further_beyond_than_its_clip(tmp_path: Path) -> None:
   motion = load_motion(shipped_clips()["squat_and_wave"])
   joints = motion.joint_pos.clone()
-  elbow = motion.joint_names.index("left_elbow_joint")
-  joints[:, elbow] = 2.0  # of 2.0944, softly 1.937
+  beyond, near = (motion.joint_names.index(f"{side}_elbow_joint") for side in ("left", "right"))
+  joints[:, beyond], joints[:, near] = 2.0, 1.9  # of 2.0944, softly 1.937
   save_motion(motion.changed("", joint_pos=joints), tmp_path / "bent.npz")
-  cfg = still(tmp_path / "bent.npz")
+  cfg = still(tmp_path / "bent.npz", num_envs=16)
   command(cfg).joint_position_range = (-0.1, 0.1)
   env, _ = make(cfg)
-  bent = env.scene["robot"].data.joint_pos[:, elbow]
-  assert (bent <= 2.0 + 1e-6).all()
-  assert (bent > 1.9).all()
-  assert bent.max() == pytest.approx(2.0, abs=1e-6)
+  data = env.scene["robot"].data
+  for joint, limit in ((beyond, 2.0), (near, float(data.soft_joint_pos_limits[0, near, 1]))):
+    bent = data.joint_pos[:, joint]
+    assert (bent > 1.8 - 1e-6).all()
+    assert bent.max() == pytest.approx(limit, abs=1e-6)
+    assert bent.min() < limit - 0.01
 
 
 def test_the_target_advances_by_one_frame_in_every_step_and_by_none_in_a_reset_by_hand(folder: Path) -> None:
@@ -171,8 +143,7 @@ def test_the_reference_is_laid_over_the_robot_as_it_is_now(folder: Path) -> None
 def test_the_root_is_where_it_starts_whatever_bodies_are_followed(folder: Path, bodies: tuple[str, ...]) -> None:
   cfg = still(folder)
   command(cfg).bodies = bodies
-  for name in ("ee_body_pos",):
-    cfg.terminations[name] = None
+  cfg.terminations["ee_body_pos"] = None
   env, term = make(cfg)
   expected, reference = make(still(folder))
   torch.testing.assert_close(env.sim.data.qpos, expected.sim.data.qpos)
@@ -200,11 +171,9 @@ def test_failures_are_counted_where_they_happen_and_ends_of_clips_are_not(folder
   env, term = make(still(folder))
   seen = torch.zeros(2)
   for _ in range(80):
-    clip = term.clip.clone()
     _, _, terminated, truncated, _ = env.step(5.0 * torch.randn(4, 29, generator=torch.Generator().manual_seed(1)))
     seen += torch.tensor([terminated.sum(), (terminated | truncated).sum()])
     assert (term.sampler.failures >= 0).all()
-    del clip
   books = term.sampler
   # Undo the running means: with so small a memory they are sums, nearly.
   total = (
@@ -254,12 +223,9 @@ def names(state: dict, prefix: str = "") -> set[str]:
   return found
 
 
-@pytest.mark.parametrize("num_envs", [1, 2, 14])
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds(folder: Path, num_envs: int) -> None:
-  def saved(count: int) -> set[str]:
-    return names(make(still(folder, num_envs=count))[0].state_dict()["commands"])
-
-  assert saved(num_envs) == saved(9)
+def test_what_is_saved_does_not_depend_on_the_number_of_worlds(folder: Path) -> None:
+  saved = [make(still(folder, num_envs=count))[0].state_dict()["commands"] for count in (1, 2, 9, 14)]
+  assert len({frozenset(names(state)) for state in saved}) == 1
 
 
 def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uniform(folder: Path) -> None:

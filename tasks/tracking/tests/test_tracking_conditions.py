@@ -15,14 +15,9 @@ from mjlab_tracking.mdp import (
   mpkpe,
 )
 from mjlab_tracking.mdp.errors import body_angle, body_distance
-from tracking_env import clips, make, still, without_failures
+from tracking_env import make, still, without_failures
 
 HANDS = ("left_wrist_yaw_link", "right_wrist_yaw_link")
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
 
 
 def test_distances_in_space_end_episodes_and_are_measured_over_named_bodies(folder: Path) -> None:

@@ -1,5 +1,7 @@
 """The evaluation of tracking against the same episodes played by hand, terminal states included."""
 
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +16,10 @@ from mjlab_tracking import TrackingEvaluation
 from mjlab_tracking.evaluation import UNITS
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS, g1_flat_env
 from mjlab_tracking.mdp import motion
-from tracking_env import clips, command, still
+from tracking_env import command, still
 
 REPEATS = 3
 NAMES = [name for name in UNITS if name != "survived"]
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
 
 
 def evaluator() -> TrackingEvaluation:
@@ -39,19 +36,16 @@ def act(step: int) -> torch.Tensor:
   return wild * torch.tensor([1.0, 1.0, 0.0, 0.0, 0.3, 0.0])[:, None]
 
 
-class Policy:
-  """The same actions in the same steps."""
-
-  def __init__(self) -> None:
-    self.step = 0
-
-  def __call__(self, observations: Any) -> torch.Tensor:
-    self.step += 1
-    return act(self.step)
+def policy() -> Callable[[object], torch.Tensor]:
+  """Return the same actions in the same steps."""
+  steps = itertools.count(1)
+  return lambda _: act(next(steps))
 
 
-def by_hand(cfg: ManagerBasedRlEnvCfg) -> tuple[list[dict[str, list[float]]], list[bool]]:
+@pytest.fixture(scope="module")
+def by_hand(folder: Path) -> tuple[list[dict[str, list[float]]], list[bool]]:
   """Errors of each world's first episode, step by step, from body poses as they are at the end of each step."""
+  cfg = configured(folder)
   cfg.auto_reset = False
   found: list[dict[str, list[float]]] = [{name: [] for name in NAMES} for _ in range(6)]
   failed, playing = [False] * 6, [True] * 6
@@ -90,15 +84,15 @@ def by_hand(cfg: ManagerBasedRlEnvCfg) -> tuple[list[dict[str, list[float]]], li
   return found, failed
 
 
-def test_every_error_of_every_step_is_that_of_the_state_it_ended_in(folder: Path) -> None:
-  expected, failed = by_hand(configured(folder))
+def test_every_error_of_every_step_is_that_of_the_state_it_ended_in(folder: Path, by_hand: Any) -> None:
+  expected, failed = by_hand
   lengths = [len(errors["mpkpe"]) for errors in expected]
   # Both kinds of ends, and different lengths.
   assert set(failed) == {True, False}
   assert len(set(lengths)) >= 3
   with ManagerBasedRlEnv(configured(folder), device="cpu") as env:
     played = play_first_episodes(
-      env, Policy(), lambda: {name: env.metrics_manager.get_value(name) for name in NAMES}, max_steps=60, seed=0
+      env, policy(), lambda: {name: env.metrics_manager.get_value(name) for name in NAMES}, max_steps=60, seed=0
     )
   assert played.length.tolist() == lengths
   assert played.has_failed.tolist() == failed
@@ -108,10 +102,10 @@ def test_every_error_of_every_step_is_that_of_the_state_it_ended_in(folder: Path
       np.testing.assert_allclose(found, values, rtol=1e-4, err_msg=f"world {world}, {name}")
 
 
-def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: Path) -> None:
-  expected, failed = by_hand(configured(folder))
+def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: Path, by_hand: Any) -> None:
+  expected, failed = by_hand
   with ManagerBasedRlEnv(configured(folder), device="cpu") as env:
-    result = evaluator().run(env, Policy())
+    result = evaluator().run(env, policy())
   assert list(result.groups) == ["all", "a_squat", "b_march"]
   for group, worlds in (("all", range(6)), ("a_squat", (0, 2, 4)), ("b_march", (1, 3, 5))):
     metrics = result.groups[group]
@@ -141,11 +135,11 @@ def test_a_world_that_fails_on_its_first_step_counts_with_that_step(folder: Path
 
 def test_two_evaluations_with_one_seed_are_the_same(folder: Path) -> None:
   def judge(seed: int) -> dict[str, Any]:
-    judged = TrackingEvaluation(end_effectors=END_EFFECTORS, repeats=REPEATS, seed=seed)
+    judged = TrackingEvaluation(end_effectors=END_EFFECTORS, repeats=1, seed=seed)
     cfg = g1_flat_env()
     command(cfg).motion = str(folder)
     with ManagerBasedRlEnv(judged.configure(cfg), device="cpu") as env:
-      return judged.run(env, lambda _: torch.zeros(6, 29)).to_json()
+      return judged.run(env, lambda _: torch.zeros(2, 29)).to_json()
 
   assert judge(1) == judge(1)
   assert judge(1) != judge(2)

@@ -7,12 +7,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab_motions import Ghost
-from tracking_env import clips, command, make, still, without_failures, zeros
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
+from tracking_env import command, make, still, without_failures, zeros
 
 
 def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

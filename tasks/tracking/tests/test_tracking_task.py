@@ -17,7 +17,7 @@ from mjlab_tracking import g1_flat, g1_flat_no_state_estimation
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS, g1_flat_env
 from mjlab_tracking.mdp import QUANTITIES, MotionCommand, bad_anchor_drift, motion_contact, motion_error
 from torch.utils._python_dispatch import TorchDispatchMode
-from tracking_env import clips, command, make, still, without_failures, zeros
+from tracking_env import command, make, still, without_failures, zeros
 
 ACTOR = {
   "command": 58,
@@ -40,11 +40,6 @@ WEIGHTS = {
   "joint_limit": (-10.0, None),
   "self_collisions": (-10.0, None),
 }
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from mjlab_managers import MetricsTermCfg
 from mjlab_robots import G1_ACTION_SCALE
 from mjlab_tracking.g1 import g1_flat_env
 from mjlab_tracking.mdp import MotionCommand
-from tracking_env import clips, command, make, still
+from tracking_env import command, make, still
 from tracking_oracle import STEP, Reference, World, matrix
 
 NOISE = {
@@ -155,13 +155,8 @@ def _start(
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  return clips(tmp_path_factory.mktemp("clips"))
-
-
-@pytest.fixture(scope="module")
 def steps(folder: Path) -> list[Step]:
-  return roll(folder, 160)
+  return roll(folder, 110)
 
 
 def test_the_reference_is_the_clip_by_mujoco_c_from_its_first_frame_to_its_last(folder: Path) -> None:
@@ -185,9 +180,15 @@ def test_the_reference_is_the_clip_by_mujoco_c_from_its_first_frame_to_its_last(
     np.testing.assert_allclose(turned, [body.rotation for body in bodies], atol=1e-6)
 
 
+def sides(steps: list[Step], kind: str, name: str) -> tuple[np.ndarray, np.ndarray]:
+  """What the environment and the oracle say."""
+  ours, oracle = (np.array([getattr(step, kind)[name][side] for step in steps]) for side in range(2))
+  return ours, oracle
+
+
 def check(steps: list[Step], kind: str, tol: float) -> None:
   for name in getattr(steps[0], kind):
-    ours, oracle = (np.array([getattr(step, kind)[name][side] for step in steps]) for side in range(2))
+    ours, oracle = sides(steps, kind, name)
     np.testing.assert_allclose(ours, oracle, rtol=tol, atol=tol, err_msg=name)
 
 
@@ -210,7 +211,7 @@ def test_the_critic_sees_every_quantity_without_noise(steps: list[Step]) -> None
 
 def test_the_actor_sees_uniform_noise_of_the_right_size(steps: list[Step]) -> None:
   for name in steps[0].actor:
-    ours, oracle = (np.array([step.actor[name][side] for step in steps]) for side in range(2))
+    ours, oracle = sides(steps, "actor", name)
     if name not in NOISE:
       np.testing.assert_allclose(ours, oracle, rtol=1e-5, atol=1e-5, err_msg=name)
       continue
@@ -247,17 +248,17 @@ def test_a_start_is_off_its_frame_by_no_more_than_the_table_says(steps: list[Ste
 
 def test_nothing_but_a_push_moves_a_robot_whose_episode_goes_on(steps: list[Step]) -> None:
   pushes = np.array([step.pushed for step in steps if step.pushed is not None and step.pushed.any()])
-  assert 50 < len(pushes) < 0.3 * len(steps)
+  assert 30 < len(pushes) < 0.3 * len(steps)
   assert (np.abs(pushes) <= TWIST + 1e-9).all()
   assert (np.abs(pushes).max(0) > 0.8 * TWIST).all()
 
 
 @pytest.mark.warp
 def test_every_term_is_its_formula_on_mujoco_warp(folder: Path) -> None:
-  steps = roll(folder, 30, num_envs=4, engine="warp")
+  steps = roll(folder, 20, num_envs=4, engine="warp")
   check(steps, "critic", 2e-4)
   for name in steps[0].rewards:
-    ours, oracle = (np.array([step.rewards[name][side] for step in steps]) for side in range(2))
+    ours, oracle = sides(steps, "rewards", name)
     # In single precision a contact may begin or end a substep apart, now and then.
     close = np.isclose(ours, oracle, rtol=2e-3, atol=2e-3)
     assert close.mean() > (0.95 if name == "self_collisions" else 0.999), name
