@@ -12,16 +12,16 @@ from mjlab_rl import Console, OffPolicyRunnerCfg, train, with_agent
 @pytest.mark.slow
 def test_cartpole_is_balanced_by_fastsac(tmp_path: Path) -> None:
   task = with_agent(balance(), "fastsac")
-  task.env.scene.num_envs, task.env.episode_length_s = 32, 10.0
-  task.agent.max_iterations, task.agent.logger, task.agent.seed = 16, "none", 42
+  task.env.scene.num_envs, task.env.episode_length_s = 32, 5.0
+  task.agent.max_iterations, task.agent.logger, task.agent.seed = 10, "none", 42
   assert isinstance(task.agent, OffPolicyRunnerCfg)
-  task.agent.algorithm.learning_rate = 2.5e-3
+  task.agent.algorithm.learning_rate = 3e-3
   run = train(
     task, name="Mjlab-Cartpole-Balance", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=Console("quiet")
   )
   assert run.directory is not None
   with (run.directory / "progress.csv").open(newline="") as file:
     returns = [float(row["Train/mean_reward"] or "nan") for row in csv.DictReader(file)]
-  # 200 steps of at most 0.05 each; without control about 2.3.
-  assert max(returns[:5]) < 3.5
-  assert returns[-1] > 5.0
+  # 100 steps of at most 0.05 each, over the last 100 episodes; without control about 1.7.
+  assert max(returns[:5]) < 2.0
+  assert returns[-1] > 3.0

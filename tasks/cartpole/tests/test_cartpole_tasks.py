@@ -166,17 +166,6 @@ def test_the_learner_is_that_of_the_table(make: Make) -> None:
   assert agent.experiment_name == "cartpole"
 
 
-@both
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds(make: Make) -> None:
-  def names(state: dict[str, Any], prefix: str = "") -> set[str]:
-    found: set[str] = set()
-    for name, value in state.items():
-      found |= names(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
-    return found
-
-  assert names(make_env(make, 1).state_dict()) == names(make_env(make, 7).state_dict())
-
-
 @pytest.mark.warp
 def test_both_engines_swing_up_alike() -> None:
   native, warp = make_env(swingup, 3, "native"), make_env(swingup, 3, "warp")
