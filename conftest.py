@@ -1,5 +1,6 @@
 """Settings that must hold before any package is imported by a test."""
 
+import dataclasses
 import faulthandler
 import functools
 import importlib.util
@@ -38,10 +39,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup() -> None:
-  """Let torch's exporter keep its table of ONNX operators, which it only reads but builds again for each export."""
+  """Keep what libraries build again for each use: torch's table of ONNX operators, and kernels that draw images."""
   registry = getattr(sys.modules.get("torch.onnx._internal.exporter._registration"), "ONNXRegistry", None)
   if registry is not None and not hasattr(registry.from_torchlib, "cache_info"):
     registry.from_torchlib = staticmethod(functools.cache(registry.from_torchlib))
+  render = sys.modules.get("mujoco_warp._src.render")
+  if render is not None and not hasattr(render._build_megakernel, "kept"):
+    keep_render_kernels(render)
+
+
+def keep_render_kernels(render: Any) -> None:
+  """Build one kernel for all render contexts with the same numbers, which are all that a kernel is built from."""
+  build, kept = render._build_megakernel, {}
+
+  def build_once(m: Any, rc: Any) -> Any:
+    kinds = (int, bool, float, render.wp.uint32, render.wp.vec3)
+    numbers = [str(getattr(rc, field.name)) for field in dataclasses.fields(rc) if field.type in kinds]
+    key = (m.nlight, str(rc.geom_ray_types), *numbers)
+    if key not in kept:
+      kept[key] = build(m, rc)
+    return kept[key]
+
+  build_once.kept = kept  # type: ignore[attr-defined]
+  render._build_megakernel = build_once
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

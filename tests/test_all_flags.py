@@ -5,7 +5,6 @@ import enum
 from typing import Any
 
 import mjlab
-import pytest
 from mjlab.cli._flags import flags, parse
 
 Path = tuple[Any, ...]
@@ -51,22 +50,27 @@ class Configs:
   agent: Any
 
 
-@pytest.mark.parametrize("name", mjlab.list_tasks())
-def test_every_number_switch_word_and_tuple_of_a_task_is_a_flag_that_sets_it(name: str) -> None:
-  task = mjlab.load_task(name)
-  config = Configs(task.env, task.agent)
-  wanted = {path: another(leaf) for path, leaf in leaves(config).items()}
-  known = {flag.path: flag.name for flag in flags(config)}
-  assert wanted.keys() <= known.keys()
-  given: list[str] = []
-  for path, value in wanted.items():
-    before, _, last = known[path].rpartition(".")
-    if isinstance(value, bool):
-      given.append(f"--{known[path]}" if value else f"--{before}.no-{last}")
-    elif isinstance(value, tuple | list):
-      given += [f"--{known[path]}", *words(value)]
-    else:
-      given.append(f"--{known[path]}={words(value)[0]}")
-  changed = leaves(parse(config, given))
-  # One name may come back as itself or as a row of one.
-  assert {path: words(value) for path, value in changed.items()} == {path: words(v) for path, v in wanted.items()}
+def test_every_number_switch_word_and_tuple_of_a_task_is_a_flag_that_sets_it() -> None:
+  # A flag that two tasks have with the same type is given to one of them: reading takes long.
+  given_before: set[tuple[Path, str]] = set()
+  for name in mjlab.list_tasks():
+    task = mjlab.load_task(name)
+    config = Configs(task.env, task.agent)
+    before = leaves(config)
+    known = {flag.path: flag for flag in flags(config)}
+    assert before.keys() <= known.keys(), name
+    wanted = {path: another(leaf) for path, leaf in before.items() if (path, str(known[path].kind)) not in given_before}
+    given_before |= {(path, str(known[path].kind)) for path in wanted}
+    given: list[str] = []
+    for path, value in wanted.items():
+      flag = known[path]
+      if isinstance(value, bool):
+        given.append(f"--{flag.name if value else flag.negative}")
+      elif isinstance(value, tuple | list):
+        given += [f"--{flag.name}", *words(value)]
+      else:
+        given.append(f"--{flag.name}={words(value)[0]}")
+    changed = leaves(parse(config, given))
+    # One name may come back as itself or as a row of one.
+    expected = {path: words(value) for path, value in (before | wanted).items()}
+    assert {path: words(value) for path, value in changed.items()} == expected, name

@@ -1,8 +1,9 @@
-"""Every registered task, for training and for watching: built, stepped, reset, saved and written down."""
+"""Every registered task, for training and for watching: built, stepped, reset, saved, drawn and written down."""
 
 import copy
 import dataclasses
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,14 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab.environments import make
+from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import ReturnEvaluation
 from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_manifest
+from mjlab_sensors import RayCastSensor
+from mjlab_viewer import SnapshotTaker
 
-WORLDS = 4
+WORLDS = 5
 STEPS = 10
 VARIANTS = ("-Blind", "-Distill", "-IK", "-No-State-Estimation")
 SCENES = [name for name in mjlab.list_tasks() if not name.endswith(VARIANTS)]
@@ -63,6 +67,25 @@ def act(env: ManagerBasedRlEnv, generator: torch.Generator) -> list[torch.Tensor
   return [*seen(observations), reward, terminated, truncated]
 
 
+def can_be_drawn(env: ManagerBasedRlEnv) -> None:
+  """Draw the rays of all sensors and, where there is OpenGL, a picture with something in each of its four tiles."""
+  for name, sensor in env.scene.sensors.items():
+    if isinstance(sensor, RayCastSensor):
+      snapshot = SnapshotTaker(env).take((1,), drawers=(f"sensor {name}",))
+      assert snapshot.drawings[0].shapes, f"nothing is drawn of the rays of {name}"
+  assert env.render() is None
+  env.render_mode = "rgb_array"
+  try:
+    picture = env.render()
+  except RenderingError as error:
+    pytest.skip(str(error))
+  assert picture is not None
+  assert picture.shape == (480, 640, 3)
+  for rows in (slice(0, 240), slice(240, 480)):
+    for columns in (slice(0, 320), slice(320, 640)):
+      assert picture[rows, columns].std() > 5
+
+
 @pytest.mark.parametrize(
   ("name", "play"), [*((name, False) for name in mjlab.list_tasks()), *((name, True) for name in SCENES)]
 )
@@ -77,18 +100,22 @@ def test_every_task_steps_resets_some_worlds_and_goes_on_from_a_saved_state(name
     before = seen(env.get_observations())
     observations, _ = env.reset(env_ids=[1, 3])
     for old, new in zip(before, seen(observations), strict=True):
-      assert torch.equal(old[[0, 2]], new[[0, 2]])
+      assert torch.equal(old[[0, 2, 4]], new[[0, 2, 4]])
     assert env.episode_length_buf[[1, 3]].eq(0).all()
 
     assert all(isinstance(value, float) for value in env.drain_log().values())
     assert env.describe()
     if play:
+      can_be_drawn(env)
       return
     saved = copy.deepcopy(env.state_dict())
     moved = generator.get_state()
     expected = [act(env, generator) for _ in range(3)]
-    with make(name, num_envs=WORLDS, device="cpu", play=play) as other:
+    # Variants go on in the same environment, after everything in it was drawn again.
+    with make(name, num_envs=WORLDS, device="cpu") if name in SCENES else nullcontext(env) as other:
       other.reset(seed=1)
+      other.event_manager.apply("startup")
+      act(other, generator)
       other.load_state_dict(saved)
       restored = leaves(other.state_dict())
       for key, value in leaves(saved).items():

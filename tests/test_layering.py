@@ -1,6 +1,5 @@
 """Layers of the workspace: floors, declared requirements, no circles, and private names in one module per library."""
 
-import ast
 import re
 import subprocess
 import sys
@@ -51,18 +50,12 @@ def installed_with(member: str) -> set[str]:
 
 def imports(folder: Path) -> Iterator[tuple[str, str]]:
   """(where, top-level module) of every import statement below a folder."""
+  of_source = {module.path: module for member in measure_source.members() for module in member.modules}
   for path in sorted(folder.rglob("*.py")):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-      if isinstance(node, ast.Import):
-        modules = [alias.name for alias in node.names]
-      elif isinstance(node, ast.ImportFrom):
-        modules = [node.module or ""]
-      else:
-        continue
-      for module in modules:
-        top = module.partition(".")[0]
-        if top not in sys.stdlib_module_names:
-          yield f"{path.relative_to(ROOT)}:{node.lineno}", top
+    for line, name, _ in measure_source.imported(of_source.get(path, measure_source.Module("", path))):
+      top = name.partition(".")[0]
+      if top not in sys.stdlib_module_names:
+        yield f"{path.relative_to(ROOT)}:{line}", top
 
 
 def undeclared(folder: Path, declared: set[str], own: set[str]) -> list[str]:

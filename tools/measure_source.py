@@ -50,8 +50,8 @@ class Module:
     return self.path.read_text(encoding="utf-8")
 
   @cached_property
-  def tree(self) -> ast.Module:
-    return ast.parse(self.text)
+  def nodes(self) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(self.text)))
 
   @property
   def where(self) -> str:
@@ -102,7 +102,7 @@ def tokens(module: Module) -> int:
 def validating_lines(module: Module) -> list[int]:
   """Return the lines that raise errors, the conditions that lead only to them, and functions that do nothing else."""
   lines: set[int] = set()
-  for node in ast.walk(module.tree):
+  for node in module.nodes:
     if (isinstance(node, Function) and _only_validates(node)) or (
       isinstance(node, ast.stmt) and _leads_to_errors(node)
     ):
@@ -141,7 +141,7 @@ def _only_validates(statement: ast.stmt) -> bool:
 
 def classes(module: Module) -> Iterator[tuple[ast.ClassDef, list[str]]]:
   """Yield every class with the names of its bases."""
-  for node in ast.walk(module.tree):
+  for node in module.nodes:
     if isinstance(node, ast.ClassDef):
       bases = [base.value if isinstance(base, ast.Subscript) else base for base in node.bases]
       yield node, [ast.unparse(base).rpartition(".")[2] for base in bases]
@@ -160,7 +160,7 @@ def protocols(module: Module) -> list[str]:
 def questions(module: Module) -> list[str]:
   """Return the docstrings, also those of fields, that begin with a question word."""
   found = []
-  for node in ast.walk(module.tree):
+  for node in module.nodes:
     body = getattr(node, "body", None)
     for statement in body if isinstance(body, list) else []:
       value = statement.value if isinstance(statement, ast.Expr) else None
@@ -171,7 +171,7 @@ def questions(module: Module) -> list[str]:
 
 def imported(module: Module) -> Iterator[tuple[int, str, str | None]]:
   """Yield (line, module, name or None) of every import, those for type hints included."""
-  for node in ast.walk(module.tree):
+  for node in module.nodes:
     if isinstance(node, ast.Import):
       yield from ((node.lineno, alias.name, None) for alias in node.names)
     elif isinstance(node, ast.ImportFrom):
@@ -223,7 +223,7 @@ def private_names(member: Member) -> list[tuple[Module, int, str, str]]:
       if is_foreign or is_object or parts[:2] == ["unittest", "mock"]:
         found.append((module, line, top, ".".join(parts)))
       packages[(name or source).partition(".")[0]] = top
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
       if isinstance(node, ast.Attribute) and _is_private(node.attr) and node.attr not in defined:
         chain = ast.unparse(node)
         found.append((module, node.lineno, packages.get(chain.partition(".")[0], ""), chain))
@@ -231,7 +231,7 @@ def private_names(member: Member) -> list[tuple[Module, int, str, str]]:
 
 
 def _defined(module: Module) -> Iterator[str]:
-  for node in ast.walk(module.tree):
+  for node in module.nodes:
     if isinstance(node, ast.ClassDef | Function):
       yield node.name
     elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):

@@ -167,6 +167,29 @@ def owner_of(model: mujoco.MjModel, name: str) -> Any:
   return model.opt if name.startswith("opt.") else model
 
 
+def written_by(name: str) -> tuple[str, ...]:
+  """Return the fields of a model that one row of the catalogue writes."""
+  field = FIELDS[name]
+  return field.fields or ((name, field.moves_with) if field.moves_with else (name,))
+
+
+def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+  """Return every array of numbers of a compiled model, and its options."""
+  out = {name: getattr(model, name, None) for name in dir(model) if not name.startswith("_")}
+  options = ("timestep", "gravity", "wind", "density", "viscosity", "magnetic")
+  out |= {f"opt.{name}": np.asarray(getattr(model.opt, name)) for name in options}
+  return {name: value for name, value in out.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fib"}
+
+
+def check_numbers(actual: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+  """Compare all expected numbers of a model; MjModel has some in single precision, cam_fovy follows from those."""
+  for name, value in expected.items():
+    # What is equal, nearly everything, need not be compared slowly.
+    if not np.array_equal(actual[name], value):
+      is_single = value.dtype == np.float32 or name == "cam_fovy"
+      np.testing.assert_allclose(actual[name], value, rtol=1e-6 if is_single else 1e-9, atol=1e-12, err_msg=name)
+
+
 def put(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
   """Writes a field of a compiled model."""
   owner, attribute = owner_of(model, name), name.removeprefix("opt.")

@@ -206,17 +206,18 @@ class _Probe:
   def _differs(self) -> bool:
     try:
       self._derive()
-      pairs = zip(map(self._outputs, self._states), self._before, strict=True)
-      return any(not np.array_equal(a, b) for now, before in pairs for a, b in zip(now, before, strict=True))
+      outputs = map(self._outputs, self._states)
+      return not all(np.array_equal(now, before) for now, before in zip(outputs, self._before, strict=True))
     except mujoco.FatalError:
       # MuJoCo objects to a number that it reads.
       return True
 
   def _derive(self) -> None:
     if needs_constants(self._name):
-      mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+      mujoco.mj_resetData(self._model, self._data)
+      mujoco.mj_setConst(self._model, self._data)
 
-  def _outputs(self, state: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+  def _outputs(self, state: tuple[np.ndarray, ...]) -> np.ndarray:
     model, data = self._model, self._data
     mujoco.mj_resetData(model, data)
     data.qpos, data.qvel, data.ctrl = state
@@ -227,5 +228,5 @@ class _Probe:
     mujoco.mj_fwdAcceleration(model, data)
     data.qacc[:] = 0.0
     mujoco.mj_Euler(model, data)
-    found = [getattr(data, name).copy() for name in self._OUTPUTS]
-    return [*found, model.geom_rbound.copy(), model.geom_aabb.copy()]
+    found = [getattr(data, name) for name in self._OUTPUTS]
+    return np.concatenate([values.ravel() for values in (*found, model.geom_rbound, model.geom_aabb)])
