@@ -81,6 +81,7 @@ def pendulum() -> TaskCfg[ManagerBasedRlEnvCfg]:
     experiment_name="pendulum", max_iterations=3, num_steps_per_env=8, save_interval=100, logger="none"
   )
   agent.actor.hidden_dims = (8,)
+  agent.algorithm.num_learning_epochs = agent.algorithm.num_mini_batches = 1
   agent.critic = RslRlModelCfg(hidden_dims=(8,))
   return TaskCfg(env=env, play=for_watching, agent=agent)
 

@@ -1,13 +1,14 @@
 import importlib
 import io
-import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import av
 import mjlab
@@ -19,6 +20,7 @@ from mjlab import cli
 from mjlab.cli._train import _environment_line
 from mjlab.nan_replay import NanReplay
 from mjlab_command import running
+from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import checkpoints, load_run
 from mjlab_sim import NanDump
 from mjlab_viewer import SnapshotTaker
@@ -165,105 +167,6 @@ def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch
     assert load_run(runs(tmp_path)[-1]).env.scene.num_envs == worlds
 
 
-@pytest.mark.parametrize(
-  ("flags", "code", "message"),
-  [
-    (
-      ["--env.rewards.alife.weight", "1"],
-      2,
-      "--env.rewards.alife.weight: no such option. Did you mean --env.rewards.alive",
-    ),
-    (["--num-envs", "3"], 2, "--num-envs: no such option. Did you mean --env.scene.num-envs?"),
-    (["--devise", "cpu"], 2, "--devise: no such option. Did you mean --device?"),
-    (["--verbose", "yes"], 2, "--verbose: expected no value (--no-verbose switches it off), got yes"),
-    (["--seed", "x"], 2, "--seed: expected {None}|INT, got x"),
-    (["--resume", "nothing"], 2, "'nothing' is neither a checkpoint nor a run"),
-    (["--init-from", "nothing"], 2, "'nothing' is neither a checkpoint nor a run"),
-    (["--init-from", "x", "--resume", "y"], 2, "exclude each other: a resumed run keeps its policy"),
-    (["--init-from", "Test-Pendulun"], 2, "Nearest task: Test-Pendulum"),
-    (["--seed", "1", "--resume"], 2, "exclude each other: a resumed run keeps its random numbers"),
-    (["--seed", str(2**64)], 1, "env.seed: must be in"),
-    # More than any machine has addresses for: it must not be tried.
-    (["--env.scene.num-envs", str(10**15)], 1, "not enough memory"),
-    (["--agent.num-steps-per-env", str(10**15)], 1, "not enough memory"),
-    (["--agent.torch-compile-mode", "maximal"], 2, "--agent.torch-compile-mode: expected {None,default,"),
-    (["--viewer", "--viewer-port", "99999"], 2, "port 99999 does not exist; use 1 to 65535"),
-    (["--viewer", "--viewer-host", "192.0.2.1"], 1, "cannot listen on 192.0.2.1"),
-    (["--video", "--video-interval", "5"], 2, "--video-length must be at most --video-interval, 5"),
-    (["--device", "cuda:77"], 2, "device 'cuda:77' does not exist"),
-    (["--env.actions.torque.actuators", "hings"], 2, "Nearest: hinge"),
-    (["--env.decimation", "0"], 2, "env.decimation: must be at least 1"),
-    (["--agent.obs-groups.actor", "acto"], 2, "acto"),
-  ],
-)
-def test_a_mistake_is_one_line_and_an_exit_code(
-  tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str], code: int, message: str
-) -> None:
-  assert train(tmp_path, *flags) == code
-  captured = capsys.readouterr().err
-  assert captured.startswith("error: ")
-  assert captured.count("\n") == 1
-  assert message in captured
-  assert not (tmp_path / "pendulum").exists()
-
-
-def test_an_unknown_task_and_command_name_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-  assert cli.train(["Test-Pendulun"]) == 2
-  assert "task 'Test-Pendulun' does not exist. Nearest: Test-Pendulum" in capsys.readouterr().err
-  assert cli.main(["trian"]) == 2
-  assert "Nearest: train" in capsys.readouterr().err
-  assert cli.train([]) == 2
-  assert cli.train(["--device", "cpu", TASK]) == 2
-
-
-def test_the_umbrella_holds_every_command_that_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
-  scripts = {point.name for point in metadata.entry_points(group="console_scripts") if point.value.startswith("mjlab.")}
-  assert cli.main(["--help"]) == 0
-  listed = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")}
-  assert listed == scripts - {"mjlab"}
-  for command in sorted(listed):
-    assert cli.main([command, "--help"]) == 0
-    assert f"usage: {command} " in capsys.readouterr().out
-
-
-def test_what_follows_help_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
-  assert cli.main(["help", "list-envs"]) == 0
-  assert capsys.readouterr().out.startswith("usage: list-envs [KEYWORD]")
-  assert cli.main(["help", "trian"]) == 2
-  assert "Nearest: train" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-  "words",
-  [
-    ["export-scene", TASK, "--output", "file/folder"],
-    ["evaluate", TASK, "--agent", "zero", "--output", "file/folder"],
-    ["evaluate", TASK, "--agent", "zero", "--output", "file"],
-    ["train", TASK, "--log-root", "file"],
-    ["play", TASK, "--agent", "zero", "--video", "file/film.mp4"],
-  ],
-)
-def test_what_cannot_be_written_is_one_line(
-  words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  monkeypatch.chdir(tmp_path)
-  Path("file").write_text("precious")
-  assert cli.main(words) == 1
-  captured = capsys.readouterr()
-  assert captured.err.count("\n") == 1
-  assert "file" in captured.err
-  assert "episodes" not in captured.out
-  assert Path("file").read_text() == "precious"
-
-
-def test_a_folder_with_a_space_is_quoted_where_a_command_is_offered(
-  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  monkeypatch.chdir(tmp_path)
-  assert cli.main(["export-scene", TASK, "--output", "my scene"]) == 0
-  assert "python -m mujoco.viewer --mjcf 'my scene/scene.xml'" in capsys.readouterr().out
-
-
 def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -274,56 +177,54 @@ def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(
   assert b"L\\xe4ufe" in terminal.buffer.getvalue()
 
 
-def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  assert train(tmp_path, "--env.decimation", "0", "--traceback") == 2
-  assert "Traceback" in capsys.readouterr().err
-
-
-def test_help_of_a_task_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
-  assert cli.train([TASK, "--help", "joint_speed"]) == 0
-  shown = capsys.readouterr().out
-  assert "--env.rewards.joint-speed.weight FLOAT" in shown
-  assert "--agent" not in shown
-  assert cli.train([TASK, "--help", "joint", "speed"]) == 0
-  assert capsys.readouterr().out == shown
-  assert cli.train([TASK, "-h"]) == 0
-  shown = capsys.readouterr().out
-  assert "--agent.algorithm.learning-rate FLOAT" in shown
-  assert "--resume" in shown
-  assert cli.train([TASK, "--help", "no_such_flag"]) == 2
+def test_help_can_be_searched_and_is_that_of_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+  shown = []
+  for words in (["help", "list-envs"], *(["train", TASK, *more] for more in (["-h"], ["-h", "joint_speed"]))):
+    assert cli.main(words) == 0
+    shown.append(capsys.readouterr().out)
+  assert shown[0].startswith("usage: list-envs [KEYWORD]")
+  assert "--agent.algorithm.learning-rate FLOAT" in shown[1]
+  assert "--resume" in shown[1]
+  assert "--env.rewards.joint-speed.weight FLOAT" in shown[2]
+  assert "--agent" not in shown[2]
+  assert cli.main(["train", TASK, "--help", "joint", "speed"]) == 0
+  assert capsys.readouterr().out == shown[2]
 
 
 def test_list_envs_filters_and_succeeds(capsys: pytest.CaptureFixture[str]) -> None:
   assert cli.list_envs(["pendul"]) == 0
   assert capsys.readouterr().out.splitlines()[1:] == ["Test-Pendulum  (registered)"]
   assert cli.list_envs(["no-such-task"]) == 0
-  assert cli.list_envs(["--all"]) == 2
 
 
-def imported_after(*commands: str) -> dict[str, list[str]]:
-  """Modules in a new process after each of these commands in turn."""
-  code = (
-    "import json, shlex, sys; from mjlab.cli import main\nfound = {}\n"
-    "for command in sys.argv[1:]:\n  main(shlex.split(command)); found[command] = list(sys.modules)\n"
-    "print(json.dumps(found))"
-  )
-  done = subprocess.run([sys.executable, "-c", code, *commands], capture_output=True, text=True, check=False)
-  assert done.returncode == 0, done.stderr
-  assert "Traceback" not in done.stderr
-  return json.loads(done.stdout.splitlines()[-1])
+def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  assert train(tmp_path, "--env.decimation", "0", "--traceback") == 2
+  assert "Traceback" in capsys.readouterr().err
 
 
-def test_a_mistake_is_found_before_what_learns_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.chdir(tmp_path)
-  flags = {
-    "train": ("--no-such-flag 1", "--resume nothing"),
-    "evaluate": ("--require nothing",),
-    "record-motion": ("",),
-    "inspect-dr": ("--num-envs 1",),
+def test_what_learns_is_imported_neither_for_a_mistake_nor_where_nothing_learned_is_watched(tmp_path: Path) -> None:
+  code = """
+import shlex, sys, mjlab.cli._play as play
+from mjlab.cli import main
+play._browser = lambda *_: 0
+for line in sys.argv[1:]:
+  print(line, main(shlex.split(line)))
+  assert not {"rsl_rl", "tensordict", "torch._dynamo"} & set(sys.modules), line
+"""
+  task = "Mjlab-Cartpole-Balance"
+  watching = f"play {task} --agent zero --viewer browser --device cpu --num-envs 1"
+  codes = {
+    f"train {task} --no-such-flag 1": 2,
+    f"train {task} --resume nothing": 2,
+    f"evaluate {task} --require nothing": 2,
+    f"record-motion {task}": 2,
+    f"inspect-dr {task} --num-envs 1": 2,
+    watching: 0,
   }
-  commands = [f"{name} Mjlab-Cartpole-Balance {words}" for name, given in flags.items() for words in given]
-  for command, modules in imported_after(*commands).items():
-    assert not {"rsl_rl", "tensordict", "torch._dynamo"} & set(modules), command
+  done = subprocess.run([sys.executable, "-c", code, *codes], cwd=tmp_path, capture_output=True, text=True, check=False)
+  assert done.returncode == 0, done.stderr
+  for line, expected in codes.items():
+    assert f"{line} {expected}\n" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -338,26 +239,33 @@ def test_import_tells_torch_to_share_the_cores(given: dict[str, str], set_by_imp
   assert done.stdout.strip() == str(set_by_import)
 
 
-OWN = (
-  "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
-  "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
-)
+def test_ctrl_c_saves_and_exits_cleanly(
+  tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+  step, calls = ManagerBasedRlEnv.step, []
 
+  def interrupted(env: ManagerBasedRlEnv, action: torch.Tensor) -> Any:
+    calls.append(1)
+    if len(calls) == 12:
+      os.kill(os.getpid(), signal.SIGINT)
+    return step(env, action)
 
-def test_ctrl_c_saves_and_exits_cleanly(tmp_path: Path) -> None:
-  flags = ["--log-root", str(tmp_path), "--device", "cpu", "--agent.max-iterations", "100_000", "--verbose"]
-  with running(OWN, "train", TASK, *flags, PYTHONPATH=str(Path(__file__).parent)) as training:
-    training.wait_for("steps/s")
-    rest = training.interrupt()
+  monkeypatch.setattr(ManagerBasedRlEnv, "step", interrupted)
+  assert train(tmp_path, "--agent.max-iterations", "100_000", "--verbose") == 0
+  rest = capsys.readouterr().out
   assert "stopped (SIGINT) after" in rest
   (directory,) = runs(tmp_path)
   assert f"continue with: train {TASK} --resume {directory}" in rest
-  assert len(checkpoints(directory)) == 1
+  assert [path.name for path in checkpoints(directory)] == ["model_2.pt"]
 
 
 def test_ctrl_c_ends_a_viewer_that_a_script_started_in_the_background() -> None:
+  code = (
+    "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
+    "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
+  )
   flags = ["--viewer", "browser", "--port", "8640", "--agent", "zero", "--device", "cpu"]
-  with running(OWN, "play", TASK, *flags, is_background=True, PYTHONPATH=str(Path(__file__).parent)) as viewer:
+  with running(code, "play", TASK, *flags, is_background=True, PYTHONPATH=str(Path(__file__).parent)) as viewer:
     viewer.wait_for(r"open http://\S+ \(Ctrl-C ends\)")
     assert viewer.interrupt().strip() == ""
 
@@ -394,12 +302,3 @@ def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
       assert sum(1 for _ in container.decode(video=0)) == replay.num_steps
   else:
     assert "no pictures" in capsys.readouterr().err
-
-
-def test_viz_nan_refuses_what_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  path = tmp_path / "model_3.pt"
-  path.write_text("not a dump")
-  assert cli.viz_nan([str(path)]) == 1
-  assert capsys.readouterr().err == f"error: NaN dump {path}: not an .npz file\n"
-  assert cli.viz_nan([]) == 2
-  assert cli.viz_nan(["--fast", "x"]) == 2

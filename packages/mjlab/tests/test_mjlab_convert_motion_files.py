@@ -136,48 +136,6 @@ def test_a_joint_map_places_a_clip_of_another_robot() -> None:
   assert load_motion("mapped.npz").joint_names == robot().joint_names
 
 
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    (["gone.csv"], "gone.csv: no such file"),
-    (["march.csv"], "state it with --rate"),
-    (["march.csv", "--rate", "50", "--output", "there.npz"], "there.npz exists; --force"),
-    (["march.csv", "--rate", "50", "--video", "there.mp4"], "there.mp4 exists; --force"),
-    (["march.csv", "--rate", "50", "--output", "march.csv"], "march.csv does not end in .npz"),
-    (["march.csv", "--rate", "50", "--report", "report.txt"], "report.txt does not end in .png"),
-    (["march.csv", "--rate", "50", "--video", "film.gif"], "film.gif does not end in .mp4"),
-    (["march.csv", "march.csv", "--rate", "50", "--preview"], "--preview shows one clip, not 2"),
-    (["march.csv", "march.csv", "--rate", "50", "--output", "one.npz"], "2 clips need a folder"),
-    (["march.csv", "march.csv", "--rate", "50", "--output", "two"], "two clips would have the same file name in two"),
-    (["march.csv", "--rate", "50", "--crop", "0.5", "9"], "lasts 1.180 s"),
-    (["march.csv", "--rate", "50", "--crop", "nan", "1"], "lasts 1.180 s"),
-    (["march.csv", "--rate", "1e-320"], "rate must be in [1, 10000]"),
-    (["march.csv", "--rate", "50", "--output-rate", "0"], "resample: rate must be"),
-    (["march.csv", "--rate", "50", "--output-rate", "nan"], "resample: rate must be"),
-    (["march.csv", "--rate", "50", "--smooth", "inf"], "smooth: width must be"),
-    (["march.csv", "--rate", "50", "--smooth", "nan"], "smooth: width must be"),
-    (["march.csv", "--rate", "50", "--concatenate", "nan"], "concatenate: blend must be a number"),
-    (["march.csv", "--rate", "50", "--joint-map", "names.txt"], "JSON is malformed"),
-    (["march.csv", "--rate", "50", "--joint-map", "list.json"], "Expected `object`, got `array`; expected {"),
-    (["march_in_plaze"], "clip 'march_in_plaze' does not exist. Nearest: march_in_place"),
-    (["march.csv", "--robot", "g2"], "robot 'g2' does not exist. Nearest: g1"),
-    (["."], "clip '.' does not exist"),
-    (["march.pkl"], "march.pkl: expected .csv or .npz"),
-  ],
-)
-def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-  csv(march(), "march.csv")
-  Path("list.json").write_text("[1]")
-  Path("names.txt").write_text("a b")
-  for name in ("march.pkl", "there.npz", "there.mp4"):
-    Path(name).write_bytes(b"")
-  assert convert(*words) in (1, 2)
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-
-
 def files(folder: Path) -> set[Path]:
   return {path for path in folder.rglob("*") if path.is_file()}
 

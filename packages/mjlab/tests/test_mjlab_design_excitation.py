@@ -34,27 +34,3 @@ def test_commands_begin_and_end_in_the_pose_of_the_task(tmp_path: Path, capsys: 
   assert np.ptp(targets, axis=0).min() > 0.1
   assert cli.design_excitation([TASK, *WORDS, "--output", str(output)]) == 2
   assert "exists; --force overwrites it" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    ([TASK], "--fit must have at least 1 element"),
-    ([TASK, "--fit", "armour:.*"], "field 'armour' does not exist"),
-    ([TASK, "--fit", "armature:.*", "--joints", "FR_knee"], "pattern 'FR_knee' matches no driven joint"),
-    ([TASK, "--fit", "armature:.*", "--output", "a.txt"], "a.txt does not end in .csv"),
-  ],
-)
-def test_a_mistake_is_one_line(
-  tmp_path: Path,
-  monkeypatch: pytest.MonkeyPatch,
-  capsys: pytest.CaptureFixture[str],
-  words: list[str],
-  message: str,
-) -> None:
-  monkeypatch.chdir(tmp_path)
-  assert cli.design_excitation(words) == 2
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-  assert not list(tmp_path.iterdir())

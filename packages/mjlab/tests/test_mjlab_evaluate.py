@@ -82,30 +82,6 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
   assert not Path("logs").exists()
 
 
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    (["--agent", "zero", "--require", "length>25"], "expected [GROUP:]METRIC>=NUMBER"),
-    (["--agent", "zero", "--quiet", "--require", "lenght>=25"], "metric 'lenght' does not exist. Nearest: length"),
-    (["--agent", "zero", "--require", ""], "expected [GROUP:]METRIC>=NUMBER"),
-    (["--agent", "zero", "--env.scene.num-envs", "3"], "--env.scene.num-envs: an evaluation plays one episode in each"),
-    (["--checkpoint", "gone.onnx"], "'gone.onnx' is neither a checkpoint nor a run"),
-    (["--checkpoint", "gone"], "'gone' is neither a checkpoint nor a run"),
-    ([], "no run of Test-Pendulum with a checkpoint"),
-    (["--eval.episode", "3"], "--eval.episodes"),
-  ],
-)
-def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-  assert evaluate(*words) in (1, 2)
-  captured = capsys.readouterr()
-  error = captured.err
-  # A flag that cannot be is found before anything is done.
-  assert captured.out == "" or "lenght" in error
-  assert message in error
-  assert error.startswith("error: ")
-  assert error.count("\n") == 1
-
-
 def test_progress_is_said_now_and_then_where_there_is_no_terminal(
   capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -241,18 +217,3 @@ def test_a_grid_gives_worlds_values_in_turn(capsys: pytest.CaptureFixture[str]) 
   table = capsys.readouterr().out
   assert "payload 2.5" in table
   assert "push 1 m/s, payload 2.5" in table
-
-
-@pytest.mark.parametrize(
-  ("task", "grid", "message"),
-  [
-    (TASK, "payload=1", "ReturnEvaluation, the evaluation of Test-Pendulum, has no levels"),
-    ("Mjlab-Velocity-Flat-Unitree-Go1", "payload", "'payload' is not of the form EVENT=NUMBER,NUMBER,..."),
-    ("Mjlab-Velocity-Flat-Unitree-Go1", "mass=1,2", "event 'mass' does not exist"),
-  ],
-)
-def test_a_grid_that_cannot_be_played_is_a_usage_error(
-  task: str, grid: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-  assert cli.main(["evaluate", task, "--agent", "zero", "--device", "cpu", "--quiet", "--grid", grid]) in (1, 2)
-  assert message in capsys.readouterr().err

@@ -23,15 +23,45 @@ TASK = mjlab_pendulum.TASK
 pytestmark = pytest.mark.usefixtures("pendulum_here")
 
 
-def trained(*words: str) -> Path:
-  assert cli.main(["train", TASK, "--device", "cpu", "--quiet", *words]) == 0
-  (run,) = Path("logs/pendulum").iterdir()
-  return run
+def unsourced(env: Any) -> torch.Tensor:
+  return torch.zeros(env.num_envs, 2)
+
+
+def registered(**terms: ObservationTermCfg) -> str:
+  """Return the name of the pendulum's task with more observations, without noise."""
+
+  def task() -> Any:
+    made = mjlab_pendulum.pendulum()
+    group = made.env.observations["actor"]
+    assert group is not None
+    group.corrupt = False
+    group.terms |= terms
+    return made
+
+  mjlab.register_task("Test-More", task)
+  return "Test-More"
+
+
+def trained(task: str, *words: str) -> Path:
+  before = set(Path("logs").glob("pendulum/*"))
+  assert cli.main(["train", task, "--device", "cpu", "--quiet", *words]) == 0
+  (run,) = set(Path("logs").glob("pendulum/*")) - before
+  return run.absolute()
 
 
 def test_a_run_becomes_a_bundle_that_repeats_its_record(capsys: pytest.CaptureFixture[str]) -> None:
-  run = trained("--env.observations.actor.terms.velocity.history-length", "3", "--agent.clip-actions", "0.5")
-  assert cli.main(["export", str(run), "--output", "out", "--steps", "30"]) == 0
+  strain = ObservationTermCfg(unsourced, source="pole/strain")
+  task = registered(strain=strain, last=ObservationTermCfg(mdp.last_action))
+  history = "--env.observations.actor.terms.velocity.history-length"
+  run = trained(task, history, "3", "--agent.clip-actions", "0.5")
+  Path("mine").mkdir()
+  export = ["export", str(run), "--steps", "30", "--output"]
+  assert cli.main([*export, "mine"]) == 2
+  assert "mine exists; --force" in capsys.readouterr().err
+  assert cli.main([*export, "mine", "--force"]) == 2
+  assert "mine has no bundle.json, so it is not replaced" in capsys.readouterr().err
+  assert not list(Path("mine").iterdir())
+  assert cli.main([*export, "out"]) == 0
   assert "mjlab-deploy verify out" in capsys.readouterr().out
   for path in ("out", "out.zip"):
     with open_bundle(path) as bundle:
@@ -47,29 +77,13 @@ def test_a_run_becomes_a_bundle_that_repeats_its_record(capsys: pytest.CaptureFi
   assert [(term.name, term.sources) for term in description.observations] == [
     ("position", ("joint/position",)),
     ("velocity", ("joint/velocity",)),
+    ("strain", ("pole/strain",)),
+    ("last", ("last_action",)),
   ]
+  assert description.inputs[2].name == "pole/strain"
+  assert description.memories[-1].input == "memory/last_action"
   assert description.training["iterations"] == 3
   assert description.timing.decimation == 2
-
-
-def test_the_action_that_acts_is_the_one_that_the_graph_remembers(
-  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  """Rounding that a policy amplifies through its last action is no wrong source of an observation."""
-
-  def task() -> Any:
-    made = mjlab_pendulum.pendulum()
-    group = made.env.observations["actor"]
-    assert group is not None
-    group.terms["last"] = ObservationTermCfg(mdp.last_action)
-    return made
-
-  mjlab.register_task("Test-Last", task)
-  assert cli.main(["train", "Test-Last", "--device", "cpu", "--quiet"]) == 0
-  (run,) = Path("logs/pendulum").iterdir()
-  call = CheckpointPolicy.__call__
-  monkeypatch.setattr(CheckpointPolicy, "__call__", lambda self, obs: call(self, obs) + 1e-3)
-  assert cli.main(["export", str(run), "--output", "out", "--steps", "5"]) == 0, capsys.readouterr().err
 
 
 def test_a_picture_is_a_png() -> None:
@@ -77,62 +91,6 @@ def test_a_picture_is_a_png() -> None:
   data = _export._picture(SimpleNamespace(render_mode=None, render=lambda: pixels))
   assert data is not None
   np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)
-
-
-def test_an_existing_folder_is_not_replaced_unasked(capsys: pytest.CaptureFixture[str]) -> None:
-  run = trained()
-  Path("mine").mkdir()
-  assert cli.main(["export", str(run), "--output", "mine", "--steps", "0"]) == 2
-  assert "mine exists; --force" in capsys.readouterr().err
-  assert cli.main(["export", str(run), "--output", "mine", "--steps", "0", "--force"]) == 2
-  assert "mine has no bundle.json, so it is not replaced" in capsys.readouterr().err
-  assert not list(Path("mine").iterdir())
-
-
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    ([], "no RUN|CHECKPOINT given"),
-    (["gone"], "'gone' is neither a checkpoint nor a run"),
-    (["gone", "--steps", "-1"], "--steps must not be negative"),
-  ],
-)
-def test_a_mistake_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-  assert cli.main(["export", *words]) in (1, 2)
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-
-
-def unsourced(env: Any) -> torch.Tensor:
-  return torch.zeros(env.num_envs, 2)
-
-
-@pytest.mark.parametrize("source", [None, "pole/strain"])
-def test_a_term_without_a_source_is_refused_by_name(
-  source: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  def task() -> Any:
-    made = mjlab_pendulum.pendulum()
-    group = made.env.observations["actor"]
-    assert group is not None
-    group.terms["strain"] = ObservationTermCfg(unsourced, source=source)
-    group.terms["last"] = ObservationTermCfg(mdp.last_action)
-    return made
-
-  mjlab.register_task("Test-Strain", task)
-  assert cli.main(["train", "Test-Strain", "--device", "cpu", "--quiet"]) == 0
-  (run,) = Path("logs/pendulum").iterdir()
-  code = cli.main(["export", str(run), "--output", "out", "--steps", "5"])
-  if source is None:
-    assert code == 1
-    assert "term 'actor/strain' declares no source" in capsys.readouterr().err
-    assert not Path("out").exists()
-  else:
-    assert code == 0
-    data = json.loads(Path("out/bundle.json").read_text())
-    assert data["inputs"][2]["name"] == "pole/strain"
-    assert data["memories"][0]["input"] == "memory/last_action"
 
 
 def test_a_training_keeps_its_newest_policy_as_a_bundle(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +101,7 @@ def test_a_training_keeps_its_newest_policy_as_a_bundle(monkeypatch: pytest.Monk
     return policy_graph.export_onnx(graph, *parts)
 
   monkeypatch.setattr(policy_bundle, "export_onnx", counted)
-  run = trained("--agent.save-interval", "2", "--agent.actor.obs-normalization")
+  run = trained(TASK, "--agent.save-interval", "2", "--agent.actor.obs-normalization")
   # Traced once at iteration 2; iteration 3 brought only new weights.
   assert len(exported) == 1
   with open_bundle(run / "bundle") as bundle:
@@ -157,41 +115,33 @@ def test_a_training_keeps_its_newest_policy_as_a_bundle(monkeypatch: pytest.Monk
   assert len(exported) == 2
 
 
-def test_a_training_whose_policy_cannot_be_exported_says_so_and_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
-  def task() -> Any:
-    made = mjlab_pendulum.pendulum()
-    group = made.env.observations["actor"]
-    assert group is not None
-    group.terms["strain"] = ObservationTermCfg(unsourced)
-    return made
-
-  mjlab.register_task("Test-Strain", task)
-  assert cli.main(["train", "Test-Strain", "--device", "cpu", "--agent.save-interval", "1"]) == 0
-  shown = capsys.readouterr().out
-  assert shown.count("no policy bundle is written: ObservationManager: term 'actor/strain' declares no source") == 1
-
-
-def with_memory() -> Any:
-  """The pendulum with a history and its last action, which a policy remembers for each world."""
-  made = mjlab_pendulum.pendulum()
-  group = made.env.observations["actor"]
-  assert group is not None
-  group.corrupt = False
-  group.terms["last"] = ObservationTermCfg(mdp.last_action, history_length=3)
-  return made
+def test_a_policy_with_a_term_without_a_source_is_trained_but_not_exported(capsys: pytest.CaptureFixture[str]) -> None:
+  task = registered(strain=ObservationTermCfg(unsourced))
+  assert cli.main(["train", task, "--device", "cpu", "--agent.save-interval", "1"]) == 0
+  reason = "ObservationManager: term 'actor/strain' declares no source"
+  assert capsys.readouterr().out.count(f"no policy bundle is written: {reason}") == 1
+  (run,) = Path("logs/pendulum").iterdir()
+  assert cli.main(["export", str(run), "--output", "out", "--steps", "5"]) == 1
+  assert reason in capsys.readouterr().err
+  assert not Path("out").exists()
 
 
 def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-  mjlab.register_task("Test-Memory", with_memory)
-  assert cli.main(["train", "Test-Memory", "--device", "cpu", "--quiet"]) == 0
-  (run,) = Path("logs/pendulum").iterdir()
+  # A history and the last action, which a policy remembers for each world.
+  task = registered(last=ObservationTermCfg(mdp.last_action, history_length=3))
+  run = trained(task)
   bundle = Path("package/demo_policies/track")
-  assert cli.main(["export", str(run), "--output", str(bundle), "--steps", "0"]) == 0
+  with monkeypatch.context() as patched:
+    # Rounding that a policy amplifies through its last action is no wrong source of an observation.
+    call = CheckpointPolicy.__call__
+    patched.setattr(CheckpointPolicy, "__call__", lambda self, obs: call(self, obs) + 1e-3)
+    code = cli.main(["export", str(run), "--output", str(bundle), "--steps", "5"])
+    assert code == 0, capsys.readouterr().err
   compared: list[str] = []
 
   def look(wanted: object, name: str, playback: Any, checkpoints: object) -> int:
     env, policy = playback.env, playback.policy
-    trained = CheckpointPolicy(env, with_memory().agent)
+    trained = CheckpointPolicy(env, mjlab.load_task(task).agent)
     trained.load(run / "model_3.pt")
     playback.pause()
     policy.reset(None)
@@ -212,11 +162,11 @@ def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys:
   monkeypatch.setattr(_play, "_browser", look)
   flags = ["--viewer", "browser", "--num-envs", "3", "--device", "cpu"]
   for path in (str(bundle), f"{bundle}.zip"):
-    assert cli.main(["play", "Test-Memory", "--checkpoint", path, *flags]) == 0, capsys.readouterr().err
+    assert cli.main(["play", task, "--checkpoint", path, *flags]) == 0, capsys.readouterr().err
   # A policy that ships is a folder.
   monkeypatch.setattr(demos, "files", lambda name: Path("package"))
   assert cli.main(["demo", "--task", "track", *flags]) == 0
-  assert compared == ["Test-Memory"] * 3
+  assert compared == [task] * 3
   assert cli.main(["demo", "--help"]) == 0
   assert "policies that ship: track\n" in capsys.readouterr().out
   data = json.loads((bundle / "bundle.json").read_text())
@@ -226,7 +176,7 @@ def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys:
   ):
     part.update(change)
     (bundle / "bundle.json").write_text(json.dumps(data))
-    assert cli.main(["play", "Test-Memory", "--checkpoint", str(bundle), *flags]) == 1
+    assert cli.main(["play", task, "--checkpoint", str(bundle), *flags]) == 1
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

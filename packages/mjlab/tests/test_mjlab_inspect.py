@@ -111,38 +111,6 @@ def damping_of(value: float) -> FieldRandomizer:
   return randomize_field("dof_damping", "hinge", (value, value))
 
 
-@pytest.mark.parametrize(
-  ("flags", "message"),
-  [
-    (["--num-env", "4"], "--num-envs"),
-    (["--num-envs", "many"], "many"),
-    (["--num-envs", "1"], "--num-envs must be at least 2, got 1"),
-    (["--seed"], "--seed"),
-    (["--device", "tpu"], "device 'tpu' does not exist"),
-    (["--png", "picture.jpg"], "does not end in .png"),
-  ],
-)
-def test_a_mistake_is_one_line(
-  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: list[str], message: str
-) -> None:
-  offer(monkeypatch)
-  assert inspect(*flags) in (1, 2)
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-
-
-def test_a_picture_overwrites_nothing(
-  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-  offer(monkeypatch)
-  mine = tmp_path / "mine.png"
-  mine.write_text("precious")
-  assert inspect("--png", str(mine)) == 2
-  assert "exists; --force overwrites it" in capsys.readouterr().err
-  assert mine.read_text() == "precious"
-
-
 def test_a_task_that_cannot_be_built_says_why_in_a_line(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

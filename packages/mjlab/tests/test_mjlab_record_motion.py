@@ -46,31 +46,3 @@ def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest
   assert record("--output", str(path), "--seconds", "8") == 1
   assert "the episode ended after" in capsys.readouterr().err
   assert not path.exists()
-
-
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    ([], "--output is missing: name the clip's file"),
-    (["--output", "clip.csv"], "--output: clip.csv does not end in .npz"),
-    (["--output", "clip.npz", "--seconds", "nan"], "--seconds must be a number, got nan"),
-    (["--output", "clip.npz", "--skip", "-1"], "--skip must not be negative, got -1"),
-    (["--output", "clip.npz", "--entity", "robbot"], "entity 'robbot' does not exist. Nearest: robot"),
-  ],
-)
-def test_a_mistake_is_one_line(
-  words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-  monkeypatch.chdir(tmp_path)
-  assert record(*words) in (1, 2)
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-
-
-def test_a_file_that_is_there_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  path = tmp_path / "mine.npz"
-  path.write_bytes(b"mine")
-  assert record("--output", str(path)) == 2
-  assert "--force" in capsys.readouterr().err
-  assert path.read_bytes() == b"mine"

@@ -63,13 +63,6 @@ def test_pbt_changes_only_named_values_that_can_change(
   assert PBT_MISTAKES[more] in refused(tmp_path, capsys, VALUES + more, "--scheduler", "pbt")
 
 
-def test_a_sweep_without_a_file_or_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  assert sweep([TASK]) == 2
-  assert "--space FILE is missing" in capsys.readouterr().err
-  assert sweep([TASK, "--resume", "absent", "--log-root", str(tmp_path)]) == 2
-  assert "no such file" in capsys.readouterr().err
-
-
 def test_values_of_a_trial_are_flags() -> None:
   values = {"agent.algorithm.gamma": 0.9, "agent.actor.obs-normalization": False, "env.sim.capture": True}
   assert trial_flags(values) == [

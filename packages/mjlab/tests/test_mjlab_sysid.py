@@ -184,32 +184,6 @@ def test_a_gap_is_one_line_and_columns_come_in_any_order(tmp_path: Path, capsys:
   assert "1 gaps, the longest of 0.11 s, while rows are 0.01 s apart; each begins a new stretch" in shown[0]
 
 
-@pytest.mark.parametrize(
-  ("words", "code", "message"),
-  [
-    ([], 2, "no RECORD given"),
-    (["a.csv", "--fit", "armature:.*"], 2, "task '' does not exist"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1"], 2, "--fit must have at least 1 element"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go", "--fit", "armature:.*"], 2, "task 'Mjlab-Velocity-Flat"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armour:.*"], 2, "field 'armour' does not exist"),
-    (["a.csv", "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", "armature:.*"], 2, "record a.csv: no such file"),
-  ],
-)
-def test_a_mistake_on_the_command_line_is_one_line(
-  tmp_path: Path,
-  monkeypatch: pytest.MonkeyPatch,
-  capsys: pytest.CaptureFixture[str],
-  words: list[str],
-  code: int,
-  message: str,
-) -> None:
-  monkeypatch.chdir(tmp_path)
-  assert cli.sysid(words) == code
-  error = capsys.readouterr().err
-  assert message in error
-  assert error.count("\n") == 1
-
-
 def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg, Record, Identified]) -> None:
   found = leg[2]
   randomizers = {randomizer.field: randomizer for randomizer in found.randomizers(width=2.0)}

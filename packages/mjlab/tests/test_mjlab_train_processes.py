@@ -57,12 +57,6 @@ def test_a_dry_run_shows_processes_and_the_command_of_torchrun(capsys: pytest.Ca
     assert line.endswith(f"--nproc-per-node 2 --max-restarts 3 --node-rank {number} {same}")
 
 
-@pytest.mark.parametrize("gpus", ["0", "two", "0,0"])
-def test_gpus_that_do_not_exist_are_refused(gpus: str, capsys: pytest.CaptureFixture[str]) -> None:
-  assert train([TASK, "--device", "cpu", "--gpus", gpus]) == 2
-  assert f"error: --gpus {gpus}: " in capsys.readouterr().err
-
-
 def test_each_host_runs_torchrun_by_ssh_and_one_that_fails_ends_all(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,39 +29,6 @@ def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None
   assert path.stat().st_size > 500
 
 
-@pytest.mark.parametrize(
-  ("words", "message"),
-  [
-    (["stair"], "type 'stair' does not exist. Nearest: stairs_up"),
-    (["stairs_up", "--difficulty", "0", "0.5", "1"], "--difficulty must have at most 2 elements, got (0.0, 0.5, 1.0)"),
-    (["stairs_up", "--set", "platform=9"], "make the platform at most 5.9 m"),
-    (["stairs_up", "--set", "waves.amplitude=0,1"], "there is no type 'waves' here. There are stairs_up"),
-    (["stairs_up", "--set", "hight=3"], "there is no setting 'hight'. There are border"),
-    (["stairs_up", "--set", "step_height=3"], "must be like (0.0, 0.2), without brackets"),
-    (["stairs_up", "--set", "holes"], "must be like False"),
-    (["waves", "--seed", "-1"], "seed -1 must be at least 0"),
-    (["waves", "--plot", "--image-size", "0", "9"], "--image-size must be at least 1, got (0, 9"),
-  ],
-)
-def test_a_mistake_on_the_command_line_says_what_there_is(
-  words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-  assert main([*words, "--image", "never.png"]) == 2
-  assert message in capsys.readouterr().err
-  assert not Path("never.png").exists()
-
-
-def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  (tmp_path / "file").touch()
-  for image, code in ((tmp_path / "file" / "x.png", 1), (tmp_path / "x.jpg", 2)):
-    assert main(["flat", "--plot", "--image", str(image), "--image-size", "80", "60"]) == code
-    captured = capsys.readouterr()
-    assert not captured.out
-    assert captured.err.startswith("error: ")
-    assert captured.err.count("\n") == 1
-    assert not image.exists()
-
-
 def test_settings_are_read_from_one_flag_and_from_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   words = ["stairs_up", "--plot", "--image-size", "80", "60", "--difficulty", "1", "--image"]
   for name, flags in {

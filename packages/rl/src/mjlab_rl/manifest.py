@@ -5,6 +5,7 @@ resolves names and calls none of them. The README lists which files of a strange
 """
 
 import dataclasses
+import functools
 import inspect
 import json
 import os
@@ -204,6 +205,7 @@ def _entry(directory: Path, name: str) -> str | None:
   return value if isinstance(value, str) else None
 
 
+@functools.cache
 def package_versions() -> dict[str, str]:
   """Return the versions of Python, the operating system, mjlab's members, other tasks and robots, and libraries."""
   versions = {"python": platform.python_version(), "platform": platform.platform()}

@@ -166,7 +166,7 @@ def describe_policy(env: Any, graph: PolicyGraph, task: str) -> Description:
     else None,
     commands=tuple(_commands(env, graph)),
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
-    versions=package_versions(),
+    versions=dict(package_versions()),
   )
 
 

@@ -192,7 +192,7 @@ def _manifest(
     teacher=teachers[0] if teachers else None,
     more_teachers=teachers[1:],
     init_from=None if beginning is None else beginning.record,
-    versions=package_versions(),
+    versions=dict(package_versions()),
   )
 
 

@@ -325,7 +325,7 @@ def _versions_line() -> str:
   import torch
   from mjlab_rl.manifest import package_versions
 
-  versions = package_versions()
+  versions = dict(package_versions())
   backend = (
     f"CUDA {torch.version.cuda}" if torch.version.cuda else f"ROCm {hip}" if (hip := torch.version.hip) else "CPUs"
   )
