@@ -123,10 +123,13 @@ def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsy
 @pytest.mark.parametrize(
   ("metadata", "message"),
   [
-    ({"joint_names": None}, "the network has no metadata 'joint_names'"),
-    ({"joint_names": "elbow"}, "has no joint 'elbow', which the policy drives"),
+    ({"joint_names": None}, "metadata of the network 'joint_names' does not exist; there are joint_stiffness, "),
+    ({"joint_names": "elbow"}, "joint 'elbow' does not exist; there are hinge"),
     ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: stiff"),
-    ({"observation_names": "joint_pos,joint_vel,actions,phase"}, "observation 'phase' of the network is not known"),
+    (
+      {"observation_names": "joint_pos,joint_vel,actions,phase"},
+      "observation of the network 'phase' does not exist; there are base_lin_vel, ",
+    ),
     ({"observation_names": "joint_pos,actions"}, "its observation_names give 2 numbers, the network takes 7"),
   ],
 )
@@ -159,7 +162,7 @@ DEPLOY = {
     ({"stiffness": [20.0]}, "list index out of range"),
     ({"actions": {"JointVelocityAction": {}}}, "action JointVelocityAction is not one of all joints without a clip"),
     ({"default_joint_pos": [0.1] * 12}, "the offset of its action is not the default pose"),
-    ({"observations": {"gait_phase": {}}}, "observation 'gait_phase' of the network is not known"),
+    ({"observations": {"gait_phase": {}}}, "observation of the network 'gait_phase' does not exist"),
     (None, "it has no 'joint_ids_map'"),
     ("]", "expected the node content, but found ']'"),
   ],

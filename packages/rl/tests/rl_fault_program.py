@@ -27,5 +27,6 @@ if __name__ == "__main__":
   for module in ("rl_point_env", "rl_fault_program"):
     mjlab_rl.trust_package(module)
   agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name="point", save_interval=1)
+  agent.actor.hidden_dims = agent.critic.hidden_dims = (8,)
   task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent)
   mjlab_rl.train(task, name="Point", make_env=FailingEnv, log_root=Path(sys.argv[1]), rank_timeout=16.0)

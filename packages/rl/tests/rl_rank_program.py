@@ -57,8 +57,8 @@ def train_off_policy(folder: Path, name: str, iterations: int, resume: Path | No
 def train(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
   """Train; return the last checkpoint."""
   agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name=name, run_name=name)
-  agent.max_iterations = iterations
-  agent.save_interval = 100
+  agent.max_iterations, agent.save_interval = iterations, 100
+  agent.actor.hidden_dims = agent.critic.hidden_dims = (8,)
   agent.actor.obs_normalization = agent.critic.obs_normalization = True
   task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingRunner)
   mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)

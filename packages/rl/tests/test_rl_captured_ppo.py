@@ -65,7 +65,7 @@ def compare(device: str, tolerance: float, updates: int = 25, **settings: Any) -
       torch.testing.assert_close(
         value, theirs.state_dict()[name], rtol=1e-3, atol=1e-4, msg=lambda m, n=name: f"{n}: {m}"
       )
-  assert (len(rates) > max(1, updates // 10)) == (settings.get("schedule", "adaptive") == "adaptive")
+  assert (len(rates) > min(2, updates // 6)) == (settings.get("schedule", "adaptive") == "adaptive")
 
 
 SETTINGS = [
@@ -78,7 +78,7 @@ SETTINGS = [
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=["adaptive", "fixed", "adamw", "sgd"])
 def test_updates_are_those_of_rsl_rl(settings: dict[str, Any]) -> None:
-  compare("cpu", 1e-7, updates=8 if settings else 25, **settings)
+  compare("cpu", 1e-7, updates=8 if settings else 12, **settings)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -5,24 +5,15 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
-from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper
-from rl_point_env import PointEnv, PointEnvCfg
+from mjlab_rl import MjlabOnPolicyRunner, RslRlOnPolicyRunnerCfg
+from rl_learners import agent, assert_resumes_exactly, runner
 
 
-def agent(warmup: int, class_name: str) -> RslRlOnPolicyRunnerCfg:
-  cfg = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, save_interval=100, logger="none", critic_warmup=warmup)
-  cfg.actor.hidden_dims, cfg.actor.obs_normalization = (8,), True
-  cfg.critic = RslRlModelCfg(hidden_dims=(8,), obs_normalization=True)
+def warming(warmup: int, class_name: str) -> RslRlOnPolicyRunnerCfg:
+  cfg = agent(critic_warmup=warmup)
   cfg.algorithm.class_name = class_name
   return cfg
-
-
-def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None) -> MjlabOnPolicyRunner:
-  seed_everything(cfg.seed)
-  env = RslRlVecEnvWrapper(PointEnv(PointEnvCfg(seed=3)))
-  return MjlabOnPolicyRunner(env, cfg, directory, "cpu", console=Console("quiet"))
 
 
 def weights(run: MjlabOnPolicyRunner, name: str) -> dict[str, torch.Tensor]:
@@ -35,9 +26,9 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("class_name", ["PPO", "rsl_rl.algorithms:PPO"])
 def test_the_actor_is_held_while_the_critic_learns_as_ever(class_name: str) -> None:
-  usual = runner(agent(0, class_name))
+  usual = runner(None, warming(0, class_name))
   usual.learn(1)
-  run = runner(agent(2, class_name))
+  run = runner(None, warming(2, class_name))
   before = {name: weights(run, name) for name in ("actor", "critic")}
   rate = run.alg.learning_rate
   run.learn(1)
@@ -54,19 +45,11 @@ def test_the_actor_is_held_while_the_critic_learns_as_ever(class_name: str) -> N
 
 
 def test_a_run_that_is_resumed_during_the_warmup_equals_an_uninterrupted_one(tmp_path: Path) -> None:
-  whole = runner(agent(3, "PPO"))
-  whole.learn(5)
-  first = runner(agent(3, "PPO"), tmp_path)
-  first.learn(2)
-  second = runner(agent(3, "PPO"))
-  second.load(str(tmp_path / "model_2.pt"))
-  second.learn(3)
-  for name in ("actor", "critic"):
-    assert same(weights(whole, name), weights(second, name))
+  assert_resumes_exactly(lambda folder: runner(folder, agent(critic_warmup=3)), tmp_path)
 
 
 def test_encoders_that_the_critic_shares_cannot_be_held() -> None:
-  cfg = agent(1, "PPO")
+  cfg = agent(critic_warmup=1)
   cfg.algorithm.share_cnn_encoders = True
   with pytest.raises(ConfigError, match="critic_warmup holds the actor, whose encoders the critic shares"):
-    runner(cfg)
+    runner(None, cfg)

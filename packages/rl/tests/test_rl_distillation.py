@@ -4,7 +4,6 @@ import copy
 import hashlib
 import os
 import shutil
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,10 +15,8 @@ from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError, FileError, MjlabError
 from mjlab_rl import (
   CheckpointPolicy,
-  Console,
   MjlabDistillationRunner,
   MjlabOnPolicyRunner,
-  OnnxPolicy,
   RslRlDistillationRunnerCfg,
   RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
@@ -30,10 +27,8 @@ from mjlab_rl import (
   read_trained_policy,
   train,
 )
+from rl_learners import QUIET, Waits, assert_same, assert_same_checkpoints, exported, learner
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
-from test_rl_runner import assert_same, learner
-
-QUIET = Console("quiet")
 
 
 @dataclass(kw_only=True)
@@ -192,10 +187,7 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: 
   agent = replace(load_run(half).agent, max_iterations=4)
   resumed = run(agent, tmp_path / "resumed", resume=half).checkpoint
   assert resumed is not None
-  states = [learner(path) for path in (whole, resumed)]
-  for state in states:
-    del state["mjlab"]["elapsed"]
-  assert_same(*states)
+  assert_same_checkpoints(whole, resumed)
 
 
 def runner(agent: RslRlDistillationRunnerCfg, *teachers: Path, **env_options: Any) -> MjlabDistillationRunner:
@@ -286,32 +278,14 @@ def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "groups"), [(None, None), ("gru", None), ("lstm", SIDES)])
 def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any, groups: Any) -> None:
-  from torch.utils._python_dispatch import TorchDispatchMode
-
-  class Counter(TorchDispatchMode):
-    reads = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-      # The last one looks whether a deviation is negative, on a GPU by waiting for it.
-      words = (
-        "_local_scalar_dense",
-        "nonzero",
-        "is_nonzero",
-        "masked_select",
-        "aten.index.Tensor",
-        "aten.normal.Tensor",
-      )
-      self.reads += any(word in str(func) for word in words)
-      return func(*args, **(kwargs or {}))
-
   agent = student_agent(sees="position")
   if kind is not None:
     agent.student = recurrent(agent.student, kind)
   agent.obs_groups = groups or agent.obs_groups
   made = runner(agent, *([teacher] if groups is None else [teacher, teacher]))
-  with Counter() as counter:
+  with Waits() as waits:
     made._collect(made.env.get_observations())
-  assert counter.reads == 0
+  assert waits.found == []
 
 
 def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Path, teacher: Path) -> None:
@@ -323,18 +297,14 @@ def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Pa
   env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=8))
   policy = CheckpointPolicy(env, agent)
   policy.load(result.checkpoint)
-  with warnings.catch_warnings():
-    # The exporter's own are not ours.
-    warnings.simplefilter("ignore")
-    policy._runner.export_policy_to_onnx(str(tmp_path))
-  exported = OnnxPolicy(tmp_path / "policy.onnx", agent, env)
+  read = exported(policy, agent, env, tmp_path)
   with torch.no_grad():
     for step in range(4):
       seen = env.get_observations()
       actions = policy(seen)
-      torch.testing.assert_close(exported(seen), actions)
+      torch.testing.assert_close(read(seen), actions)
       _, _, terminated, truncated, _ = env.step(actions)
-      for acting in (policy, exported):
+      for acting in (policy, read):
         acting.reset(terminated | truncated | torch.tensor([step == 1]))
 
 

@@ -1,21 +1,19 @@
 """Networks that see, alone and in training: what they remember, whose encoders they share, what is exported of them."""
 
 import copy
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rl_learners
 import torch
 from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import (
   CheckpointPolicy,
-  Console,
   MjlabDistillationRunner,
   MjlabOnPolicyRunner,
-  OnnxPolicy,
   RslRlDistillationRunnerCfg,
   RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
@@ -25,12 +23,11 @@ from mjlab_rl import (
 )
 from mjlab_rl.networks import Gaussian, ImageModel
 from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
+from rl_learners import QUIET, Waits, agent, assert_resumes_exactly, exported
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 from rsl_rl.modules import GaussianDistribution
 from rsl_rl.utils import split_and_pad_trajectories
 from tensordict import TensorDict
-from test_rl_runner import assert_same, learner
-from torch.utils._python_dispatch import TorchDispatchMode
 
 CNN = {"output_channels": (4, 4), "kernel_size": (3, 3), "stride": (2, 2), "padding": "zeros"}
 SOFTMAX = "mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"
@@ -70,13 +67,12 @@ def model(kind: type[ImageModel], rnn_type: Any, **options: Any) -> ImageModel:
   return kind(observations((3,)), GROUPS, "net", 2, hidden_dims=(8,), rnn_type=rnn_type, **options)
 
 
-def agent(rnn_type: Any = None, class_name: str = SOFTMAX, **changes: Any) -> RslRlOnPolicyRunnerCfg:
-  cfg = RslRlOnPolicyRunnerCfg(max_iterations=4, num_steps_per_env=6, logger="none")
+def seeing(rnn_type: Any = None, class_name: str = SOFTMAX, **changes: Any) -> RslRlOnPolicyRunnerCfg:
+  cfg = agent()
   sees = {"class_name": class_name, "cnn_cfg": copy.deepcopy(CNN), "rnn_type": rnn_type, "rnn_hidden_dim": 6}
-  cfg.actor = replace(cfg.actor, hidden_dims=(8,), obs_normalization=True, **sees)
-  cfg.critic = RslRlModelCfg(hidden_dims=(8,))
+  cfg.actor = replace(cfg.actor, **sees)
   cfg.obs_groups = {"actor": ("speed", "camera"), "critic": ("critic",)}
-  cfg.algorithm.num_mini_batches = 2
+  cfg.algorithm.num_learning_epochs, cfg.algorithm.num_mini_batches = 1, 2
   for name, value in changes.items():
     setattr(cfg, name, value)
   return cfg
@@ -89,10 +85,8 @@ def critic_that_sees(cfg: RslRlOnPolicyRunnerCfg, rnn_type: Any, *, shared: bool
   return cfg
 
 
-def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None, worlds: int = 4) -> MjlabOnPolicyRunner:
-  seed_everything(cfg.seed)
-  env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=worlds), seed=3))
-  return MjlabOnPolicyRunner(RslRlVecEnvWrapper(env), cfg, directory, "cpu", console=Console("quiet"))
+def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None) -> MjlabOnPolicyRunner:
+  return rl_learners.runner(directory, cfg, env=SeenPoint)
 
 
 @each_kind
@@ -151,7 +145,7 @@ def test_whole_trajectories_give_what_their_steps_gave(kind: type[ImageModel], r
 @pytest.mark.parametrize("critic", ["told", "own encoders", "shared encoders", "shared encoders, no memory"])
 @pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
 def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, rnn_type: Any) -> None:
-  cfg = agent(rnn_type, class_name)
+  cfg = seeing(rnn_type, class_name)
   if critic != "told":
     memory = None if "no memory" in critic else rnn_type
     critic_that_sees(cfg, memory, shared="shared" in critic)
@@ -172,7 +166,7 @@ def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, 
 
 def test_shared_encoders_are_learned_once_and_saved_with_the_actor() -> None:
   """rsl-rl hands its optimiser every weight of shared encoders twice, which torch warns of."""
-  shared, own = (runner(critic_that_sees(agent(), None, shared=shared)) for shared in (True, False))
+  shared, own = (runner(critic_that_sees(seeing(), None, shared=shared)) for shared in (True, False))
   numbers = [[id(p) for p in made.alg.optimizer.param_groups[0]["params"]] for made in (shared, own)]
   assert len(numbers[0]) == len(set(numbers[0])) == len(numbers[1]) - 4
   assert not any(name.startswith("cnns") for name in shared.networks["critic"].state_dict())
@@ -186,45 +180,19 @@ def test_shared_encoders_are_learned_once_and_saved_with_the_actor() -> None:
 
 @pytest.mark.parametrize("shared", [False, True])
 def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, shared: bool) -> None:
-  def configured() -> RslRlOnPolicyRunnerCfg:
-    return critic_that_sees(agent("gru"), "gru", shared=shared)
-
-  for name in ("whole", "half"):
-    (tmp_path / name).mkdir()
-  runner(configured(), tmp_path / "whole").learn(4, init_at_random_ep_len=True)
-  runner(configured(), tmp_path / "half").learn(2, init_at_random_ep_len=True)
-  resumed = runner(configured(), tmp_path / "half")
-  resumed.load(str(tmp_path / "half" / "model_2.pt"))
-  resumed.learn(2)
-  states = [learner(tmp_path / name / "model_4.pt") for name in ("whole", "half")]
-  for state in states:
-    del state["mjlab"]["elapsed"]
-  assert_same(*states)
-
-
-class Reads(TorchDispatchMode):
-  """Counts what a GPU would be waited for."""
-
-  def __init__(self) -> None:
-    super().__init__()
-    self.count = 0
-
-  def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-    words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.index.Tensor")
-    self.count += any(word in str(func) for word in words)
-    return func(*args, **(kwargs or {}))
+  assert_resumes_exactly(lambda folder: runner(critic_that_sees(seeing("gru"), "gru", shared=shared), folder), tmp_path)
 
 
 @pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
 def test_steps_that_see_ask_the_device_nothing(rnn_type: Any) -> None:
-  trained = runner(agent(rnn_type))
-  with Reads() as reads:
+  trained = runner(seeing(rnn_type))
+  with Waits() as waits:
     trained._collect(trained.env.get_observations())
-  assert reads.count == 0
+  assert waits.found == []
 
 
 def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> None:
-  trained = runner(critic_that_sees(agent(), None, shared=False))
+  trained = runner(critic_that_sees(seeing(), None, shared=False))
   stored: Any = trained.alg.storage.observations
   assert (stored["camera"].shape, stored["camera"].dtype) == ((6, 4, 1, 8, 8), torch.float32)
   sizes = {key: value.untyped_storage().nbytes() for key, value in stored.items()}
@@ -232,14 +200,14 @@ def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> 
 
 
 def test_a_group_that_is_not_there_is_named_with_the_nearest() -> None:
-  cfg = agent(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
+  cfg = seeing(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
   message = r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"
   with pytest.raises(UnknownNameError, match=message):
     runner(cfg)
 
 
 def test_images_cost_what_the_readme_says() -> None:
-  cfg = agent(num_steps_per_env=2)
+  cfg = seeing(num_steps_per_env=2)
   stored: Any = runner(cfg).alg.storage.observations["camera"]
   per_value = stored.untyped_storage().nbytes() / stored.numel()
   text = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
@@ -250,27 +218,23 @@ def test_images_cost_what_the_readme_says() -> None:
 def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
   tmp_path: Path, class_name: str, rnn_type: Any
 ) -> None:
-  cfg = agent(rnn_type, class_name)
+  cfg = seeing(rnn_type, class_name)
   trained = runner(cfg, tmp_path)
   trained.learn(1)
   env = SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=3), seed=4))
   policy = CheckpointPolicy(env, cfg)
   policy.load(tmp_path / "model_1.pt")
-  with warnings.catch_warnings():
-    # The exporter's own are not ours.
-    warnings.simplefilter("ignore")
-    policy._runner.export_policy_to_onnx(str(tmp_path))
-  exported = OnnxPolicy(tmp_path / "policy.onnx", cfg, env)
+  read = exported(policy, cfg, env, tmp_path)
   with torch.no_grad():
     for step in range(4):
       seen = env.get_observations()
       actions = policy(seen)
-      torch.testing.assert_close(exported(seen), actions, atol=1e-5, rtol=1e-4)
+      torch.testing.assert_close(read(seen), actions, atol=1e-5, rtol=1e-4)
       env.step(actions)
-      for acting in (policy, exported):
+      for acting in (policy, read):
         acting.reset(torch.tensor([False, step == 1, False]))
   with pytest.raises(FileError, match="'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"):
-    exported(SharplySeenPoint(env.cfg).get_observations())
+    read(SharplySeenPoint(env.cfg).get_observations())
 
 
 class RenamedPoint(PointEnv):
@@ -285,29 +249,26 @@ def test_a_group_of_vectors_may_be_called_as_an_exported_network_calls_its_input
   cfg = RslRlOnPolicyRunnerCfg(logger="none", obs_groups={"actor": ("obs",), "critic": ("critic",)})
   env = RenamedPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=4))
   policy = CheckpointPolicy(env, cfg)
-  with warnings.catch_warnings():
-    # The exporter's own are not ours.
-    warnings.simplefilter("ignore")
-    policy._runner.export_policy_to_onnx(str(tmp_path))
+  read = exported(policy, cfg, env, tmp_path)
   seen = env.get_observations()
   with torch.no_grad():
-    torch.testing.assert_close(OnnxPolicy(tmp_path / "policy.onnx", cfg, env)(seen), policy(seen))
+    torch.testing.assert_close(read(seen), policy(seen))
 
 
 def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> None:
   cfg = RslRlDistillationRunnerCfg(
     num_steps_per_env=6, logger="none", obs_groups={"student": ("actor", "camera"), "teacher": ("actor",)}
   )
-  cfg.student = replace(agent("gru").actor, distribution_cfg=cfg.student.distribution_cfg)
+  cfg.student = replace(seeing("gru").actor, distribution_cfg=cfg.student.distribution_cfg)
   cfg.teacher, cfg.algorithm.gradient_length = RslRlModelCfg(hidden_dims=(8,)), 3
   seed_everything(0)
   wrapped = RslRlVecEnvWrapper(SeenPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)))
-  made = MjlabDistillationRunner(wrapped, cfg, None, "cpu", console=Console("quiet"))
+  made = MjlabDistillationRunner(wrapped, cfg, None, "cpu", console=QUIET)
   made._distillation.teacher_loaded = True
   made.learn(3)
-  with Reads() as reads:
+  with Waits() as waits:
     made._collect(made.env.get_observations())
-  assert reads.count == 0
+  assert waits.found == []
   assert all(value.isfinite().all() for value in made.networks["student"].state_dict().values())
 
 
@@ -320,7 +281,7 @@ def test_memory_is_switched_on_by_its_type_alone() -> None:
 
 def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered() -> None:
   """rsl-rl divides trajectories by worlds: some batches would be empty."""
-  cfg = agent("gru")
+  cfg = seeing("gru")
   cfg.algorithm.num_mini_batches = 5
   with pytest.raises(ConfigError, match=r"num_mini_batches is 5; .* has 1 to 4 for a recurrent network"):
     runner(cfg)
@@ -343,7 +304,7 @@ def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered
   ],
 )
 def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, Any], message: str) -> None:
-  cfg = agent()
+  cfg = seeing()
   assert cfg.actor.cnn_cfg is not None
   cfg.actor.cnn_cfg |= change
   with pytest.raises(ConfigError, match=message):
@@ -356,8 +317,8 @@ def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, A
 
 def test_who_sees_nothing_needs_no_encoder() -> None:
   with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg is given, but agent\.actor\.class_name 'MLPModel'"):
-    runner(agent(class_name="MLPModel"))
-  cfg = agent()
+    runner(seeing(class_name="MLPModel"))
+  cfg = seeing()
   cfg.algorithm.share_cnn_encoders = True
   with pytest.raises(ConfigError, match=r"share_cnn_encoders is on, but agent\.critic\.class_name 'MLPModel'"):
     runner(cfg)
@@ -365,11 +326,11 @@ def test_who_sees_nothing_needs_no_encoder() -> None:
 
 @each_kind
 def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[ImageModel], tmp_path: Path) -> None:
-  cfg = agent(class_name=f"{kind.__module__}:{kind.__name__}", max_iterations=1)
+  cfg = seeing(class_name=f"{kind.__module__}:{kind.__name__}", max_iterations=1)
   # Then the weights fit images of any size.
   cfg.actor.cnn_cfg = CNN | ({"global_pool": "max"} if kind is ImageModel else {})
   task = TaskCfg(env=PointEnvCfg(), agent=cfg)
-  options: Any = {"name": "Point", "console": Console("quiet")}
+  options: Any = {"name": "Point", "console": QUIET}
   trained = train(task, make_env=SeenPoint, log_root=tmp_path / "logs", **options).checkpoint
   assert trained is not None
   other = tmp_path / "other"

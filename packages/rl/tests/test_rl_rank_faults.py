@@ -12,10 +12,10 @@ from typing import Any
 
 import mjlab_rl
 import pytest
+import rl_learners
 import torch
-from mjlab_rl import MjlabOnPolicyRunner, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper, checkpoint, checkpoints
+from mjlab_rl import checkpoint, checkpoints
 from mjlab_rl.ranks import Patience, Ranks
-from rl_point_env import PointEnv, PointEnvCfg
 from torch import distributed
 
 HERE = Path(__file__).parent
@@ -81,8 +81,7 @@ def test_a_process_without_progress_ends_within_thirty_seconds_and_after_the_mes
 
 
 def test_a_checkpoint_may_take_longer_than_processes_wait_for_each_other(events: list[Any], tmp_path: Path) -> None:
-  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", save_interval=1)
-  runner = MjlabOnPolicyRunner(RslRlVecEnvWrapper(PointEnv(PointEnvCfg())), agent, tmp_path)
+  runner = rl_learners.runner(tmp_path, rl_learners.agent(save_interval=1))
   runner.patience.seconds = 20.0
   runner.learn(2)
   limit, none = ("messages", timedelta(seconds=20)), ("messages", distributed.default_pg_timeout)

@@ -14,7 +14,6 @@ from mjlab_core.errors import ConfigError
 from mjlab_rl import (
   Console,
   MjlabOnPolicyRunner,
-  RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
   TaskCfg,
   checkpoints,
@@ -22,8 +21,8 @@ from mjlab_rl import (
 )
 from mjlab_rl.captured_ppo import CapturedPPO
 from mjlab_rl.ranks import Ranks
+from rl_learners import agent, assert_same
 from rl_point_env import PointEnv, PointEnvCfg
-from test_rl_runner import assert_same
 from torch import distributed
 
 HERE = Path(__file__).parent
@@ -33,9 +32,7 @@ HERE = Path(__file__).parent
 def launched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
   """Trainings of two processes: their folder, and what they printed."""
   folder = tmp_path_factory.mktemp("ranks")
-  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=2)
-  agent.actor.obs_normalization = agent.critic.obs_normalization = True
-  alone = train(TaskCfg(env=PointEnvCfg(), agent=agent), name="Point", make_env=PointEnv, log_root=folder / "one")
+  alone = train(TaskCfg(env=PointEnvCfg(), agent=agent(2)), name="Point", make_env=PointEnv, log_root=folder / "one")
   assert alone.checkpoint is not None
   alone.checkpoint.rename(folder / "alone.pt")
   command = [sys.executable, HERE / "rl_two_processes.py", HERE / "rl_rank_program.py", folder]
@@ -105,10 +102,8 @@ def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launch
   assert first["steps"] == 4 * 6 * 2 + 2 * 4 * 6 * 3
   assert not torch.isclose(first["starts"], second["starts"]).any()
 
-  agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=4)
-  agent.actor.obs_normalization = agent.critic.obs_normalization = True
   text = io.StringIO()
-  task = TaskCfg(env=PointEnvCfg(), agent=agent)
+  task = TaskCfg(env=PointEnvCfg(), agent=agent(4))
   (run,) = (folder / "logs" / "half").iterdir()
   train(
     task, name="Point", make_env=PointEnv, log_root=None, resume=run / "model_3.pt", console=Console("normal", text)
@@ -119,8 +114,8 @@ def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launch
 @pytest.mark.slow
 def test_an_iteration_sends_one_message_per_update_and_one_of_figures(launched: tuple[Path, str]) -> None:
   folder, _ = launched
-  agent = RslRlOnPolicyRunnerCfg()
-  updates = agent.algorithm.num_learning_epochs * agent.algorithm.num_mini_batches
+  algorithm = agent().algorithm
+  updates = algorithm.num_learning_epochs * algorithm.num_mini_batches
   for rank in range(2):
     short, long = torch.load(folder / f"counts_{rank}.pt")
     assert long["all_reduce"] - short["all_reduce"] == 3 * (updates + 1)
@@ -138,12 +133,10 @@ def test_two_processes_with_the_same_worlds_learn_what_one_learns(
     monkeypatch.setattr(CapturedPPO, "is_covered", False)
 
   def trained() -> tuple[dict[str, Any], list[str]]:
-    agent = RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", max_iterations=3)
-    agent.actor.obs_normalization = agent.critic.obs_normalization = True
     seed_everything(1)
     console = Console("verbose", text := io.StringIO())
     env = RslRlVecEnvWrapper(PointEnv(PointEnvCfg(episode_steps=3)))
-    runner = MjlabOnPolicyRunner(env, agent, console=console)
+    runner = MjlabOnPolicyRunner(env, agent(), console=console)
     runner.learn(3)
     names = [line.split()[0] for line in text.getvalue().splitlines()]
     return runner.alg.save() | {"rate": torch.tensor(runner.alg.learning_rate)}, names

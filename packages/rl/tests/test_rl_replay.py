@@ -72,17 +72,15 @@ def test_transitions_are_those_of_a_slow_reference(added: int, rows: int, num_st
     episodes.advance(replay)
   starts = {tuple(step.obs): (world, t) for world, steps in enumerate(episodes.steps) for t, step in enumerate(steps)}
   batch = replay.sample(4000, num_steps, 0.9)
-  drawn = set()
-  for i in range(4000):
-    world, t = starts[tuple(batch.obs[i].numpy())]
-    steps = episodes.steps[world]
-    total, discount, after = expected(steps, t, num_steps, 0.9)
-    np.testing.assert_array_equal(batch.action[i].numpy(), steps[t].action)
-    assert batch.reward[i].item() == pytest.approx(total, abs=1e-5)
-    assert batch.discount[i].item() == pytest.approx(discount, abs=1e-6)
-    if discount:
-      np.testing.assert_array_equal(batch.next_obs[i].numpy(), after)
-    drawn.add((world, t))
+  places = [starts[tuple(obs)] for obs in batch.obs.tolist()]
+  drawn = set(places)
+  known = {(world, t): expected(episodes.steps[world], t, num_steps, 0.9) for world, t in drawn}
+  total, discount, after = (np.array(values) for values in zip(*(known[place] for place in places), strict=True))
+  np.testing.assert_array_equal(batch.action, [episodes.steps[world][t].action for world, t in places])
+  np.testing.assert_allclose(batch.reward, total, rtol=0, atol=1e-5)
+  np.testing.assert_allclose(batch.discount, discount, rtol=0, atol=1e-6)
+  goes_on = discount > 0
+  np.testing.assert_array_equal(batch.next_obs[goes_on], after[goes_on])
   # Every step that is kept and has all its following steps, but for the oldest, is drawn; none of the newest.
   for world, steps in enumerate(episodes.steps):
     mine = {t for w, t in drawn if w == world}

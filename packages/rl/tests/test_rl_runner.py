@@ -12,13 +12,10 @@ from unittest.mock import MagicMock
 
 import pytest
 import torch
-from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError, DivergedError, FileError
 from mjlab_rl import (
   Console,
   MjlabOnPolicyRunner,
-  RslRlModelCfg,
-  RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
   TaskCfg,
   checkpoints,
@@ -27,73 +24,31 @@ from mjlab_rl import (
 )
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.scalar_log import IterationReport
-from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from rl_learners import QUIET, Waits, agent, assert_resumes_exactly, assert_same, learner, runner
+from rl_point_env import PointEnv, PointEnvCfg
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 NAMES = ("experiment_name", "run_name")
 
 
-def agent(iterations: int = 4, hidden: tuple[int, ...] = (8,), **changes: Any) -> RslRlOnPolicyRunnerCfg:
-  cfg = RslRlOnPolicyRunnerCfg(max_iterations=iterations, num_steps_per_env=6, save_interval=100, logger="none")
-  cfg.actor.hidden_dims = hidden
-  cfg.actor.obs_normalization = True
-  cfg.critic = RslRlModelCfg(hidden_dims=(8,), obs_normalization=True)
-  for name, value in changes.items():
-    setattr(cfg, name, value)
-  return cfg
-
-
-def runner(
-  directory: Path | None, cfg: RslRlOnPolicyRunnerCfg, worlds: int = 4, console: Console | None = None
-) -> MjlabOnPolicyRunner:
-  seed_everything(cfg.seed)
-  env = PointEnv(PointEnvCfg(scene=PointSceneCfg(num_envs=worlds), seed=3))
-  return MjlabOnPolicyRunner(RslRlVecEnvWrapper(env), cfg, directory, "cpu", console=console or Console("quiet"))
-
-
-def learner(path: Path) -> dict[str, Any]:
-  return torch.load(path, weights_only=True)
-
-
-def assert_same(a: Any, b: Any) -> None:
-  if isinstance(a, torch.Tensor):
-    assert torch.equal(a, b)
-  elif isinstance(a, dict):
-    assert a.keys() == b.keys()
-    for key in a:
-      assert_same(a[key], b[key])
-  elif isinstance(a, (list, tuple)):
-    assert len(a) == len(b)
-    for left, right in zip(a, b, strict=True):
-      assert_same(left, right)
-  else:
-    assert a == b
-
-
 @pytest.mark.parametrize("class_name", ["MLPModel", "RNNModel"])
-def test_five_iterations_and_five_more_equal_ten_bit_for_bit(tmp_path: Path, class_name: str) -> None:
-  def configured() -> RslRlOnPolicyRunnerCfg:
+def test_three_iterations_and_three_more_equal_six_bit_for_bit(tmp_path: Path, class_name: str) -> None:
+  def make(folder: Path) -> MjlabOnPolicyRunner:
     cfg = agent()
     if class_name == "RNNModel":
       for model in (cfg.actor, cfg.critic):
         model.class_name, model.rnn_type, model.rnn_hidden_dim = class_name, "lstm", 4
-    return cfg
+    return runner(folder, cfg)
 
-  folders = [tmp_path / name for name in ("whole", "first", "second")]
-  for folder in folders:
-    folder.mkdir()
-  whole = runner(folders[0], configured())
-  whole.learn(10, init_at_random_ep_len=True)
-  first = runner(folders[1], configured())
-  first.learn(5, init_at_random_ep_len=True)
-  second = runner(folders[2], configured())
-  torch.rand(17)
-  second.load(str(folders[1] / "model_5.pt"))
-  second.learn(5)
-  ours, theirs = (learner(folder / "model_10.pt") for folder in (folders[0], folders[2]))
-  for state in (ours, theirs):
-    del state["mjlab"]["elapsed"]
-  assert_same(ours, theirs)
+  assert_resumes_exactly(make, tmp_path, half=3)
+
+
+def test_steps_ask_the_device_nothing() -> None:
+  """Reading a value back stops a GPU; a rollout does it not once."""
+  trained = runner(None, agent())
+  with Waits() as waits:
+    trained._collect(trained.env.get_observations())
+  assert waits.found == []
 
 
 def test_statistics_are_those_of_rsl_rl(tmp_path: Path) -> None:
@@ -308,7 +263,7 @@ def test_who_can_do_nothing_learns_nothing() -> None:
       self.action_manager.total_action_dim = 0
 
   with pytest.raises(ConfigError, match="the environment has no actions"):
-    MjlabOnPolicyRunner(RslRlVecEnvWrapper(StillPoint()), agent(), console=Console("quiet"))
+    MjlabOnPolicyRunner(RslRlVecEnvWrapper(StillPoint()), agent(), console=QUIET)
 
 
 def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
@@ -560,7 +515,7 @@ def test_more_mini_batches_than_samples_are_a_clear_error(count: int) -> None:
 
 def test_a_run_directory_rebuilds_and_continues_its_run(tmp_path: Path) -> None:
   task = TaskCfg(env=PointEnvCfg(noise=0.1), agent=agent(3, experiment_name="point", seed=5))
-  first = train(task, name="Point", make_env=PointEnv, log_root=tmp_path, console=Console("quiet"))
+  first = train(task, name="Point", make_env=PointEnv, log_root=tmp_path, console=QUIET)
   assert task.env.seed is None
   assert first.iterations == 3
   assert first.directory is not None
@@ -569,13 +524,11 @@ def test_a_run_directory_rebuilds_and_continues_its_run(tmp_path: Path) -> None:
   assert run.agent == task.agent
   assert (run.task, run.seed) == ("Point", 5)
   longer = TaskCfg(env=run.env, agent=agent(5, experiment_name="point", seed=5))
-  second = train(
-    longer, name="Point", make_env=PointEnv, log_root=tmp_path, resume=first.checkpoint, console=Console("quiet")
-  )
+  second = train(longer, name="Point", make_env=PointEnv, log_root=tmp_path, resume=first.checkpoint, console=QUIET)
   assert second.iterations == 5
   assert second.directory != first.directory
   with pytest.raises(ConfigError, match=r"raise --agent\.max-iterations, which is"):
-    train(longer, name="Point", make_env=PointEnv, resume=second.checkpoint, console=Console("quiet"))
+    train(longer, name="Point", make_env=PointEnv, resume=second.checkpoint, console=QUIET)
 
 
 def test_a_run_that_cannot_be_built_leaves_no_directory(tmp_path: Path) -> None:
@@ -584,7 +537,7 @@ def test_a_run_that_cannot_be_built_leaves_no_directory(tmp_path: Path) -> None:
 
   task = TaskCfg(env=PointEnvCfg(), agent=agent())
   with pytest.raises(ValueError, match="no such joint"):
-    train(task, name="Point", make_env=broken, log_root=tmp_path, console=Console("quiet"))
+    train(task, name="Point", make_env=broken, log_root=tmp_path, console=QUIET)
   assert list(tmp_path.iterdir()) == []
 
 
@@ -600,29 +553,8 @@ def test_the_environment_is_closed_when_training_fails(tmp_path: Path) -> None:
     return made[0]
 
   with pytest.raises(ArithmeticError):
-    train(
-      TaskCfg(env=PointEnvCfg(), agent=agent()), name="P", make_env=failing, log_root=None, console=Console("quiet")
-    )
+    train(TaskCfg(env=PointEnvCfg(), agent=agent()), name="P", make_env=failing, log_root=None, console=QUIET)
   assert made[0].is_closed
-
-
-def test_steps_ask_the_device_nothing(tmp_path: Path) -> None:
-  """Reading a value back stops a GPU; a rollout does it not once."""
-  from torch.utils._python_dispatch import TorchDispatchMode
-
-  class Counter(TorchDispatchMode):
-    reads = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-      name = str(func)
-      if any(word in name for word in ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select")):
-        self.reads += 1
-      return func(*args, **(kwargs or {}))
-
-  trained = runner(None, agent())
-  with Counter() as counter:
-    trained._collect(trained.env.get_observations())
-  assert counter.reads == 0
 
 
 def test_weights_that_are_not_finite_are_blamed_on_the_file(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from mjlab_deploy.description import (
   Target,
   Timing,
 )
-from mjlab_deploy.errors import DeployError, read_limited, reading
+from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
 from mjlab_deploy.model_readings import actuators_of
 from mjlab_deploy.network_graph import GROUP, NetworkGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
@@ -100,10 +100,9 @@ def _scene(path: Path, graph: NetworkGraph) -> mujoco.MjSpec:
     spec = whole
   if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0))
-  there = {joint.name for joint in spec.joints}
+  there = [joint.name.removeprefix(prefix) for joint in spec.joints if joint.name.startswith(prefix)]
   for name, kp, kd in zip(graph.joints, graph.stiffness, graph.damping, strict=True):
-    if prefix + name not in there:
-      raise DeployError(f"{path} has no joint '{name[:60]}', which the policy drives")
+    check_known(f"{path}: joint", name, there)
     servo = spec.add_actuator(name=prefix + name, target=prefix + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
     servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = kp, -kp, -kd

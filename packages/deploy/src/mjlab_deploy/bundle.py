@@ -13,7 +13,7 @@ from typing import Any
 
 from mjlab_deploy.arrays import Arrays, read_arrays
 from mjlab_deploy.description import FORMAT, Description
-from mjlab_deploy.errors import DeployError, read_limited, reading
+from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
 from mjlab_deploy.schema import decode, schema
 
 MAX_BYTES = {
@@ -44,8 +44,7 @@ class Bundle:
     with reading("bundle.json", ValueError, RecursionError):
       self.description = describe(json.loads(text))
     for name, digest in self.description.files.items():
-      if name not in MAX_BYTES:
-        raise DeployError(f"bundle.json: files: {name[:60]!r} is not a file of a bundle")
+      check_known("bundle.json: files: file of a bundle", name, MAX_BYTES)
       if hashlib.sha256(self.read_bytes(name)).hexdigest() != digest:
         raise DeployError(f"{name}: changed since the bundle was made (its SHA-256 differs)")
     if "policy.onnx" not in self.description.files:

@@ -2,7 +2,7 @@
 
 import contextlib
 import importlib
-from collections.abc import Generator
+from collections.abc import Collection, Generator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,16 @@ def reading(what: object, *errors: type[Exception]) -> Generator[None]:
     raise DeployError(f"{what}: {error.strerror or error}") from error
   except errors as error:
     raise DeployError(f"{what}: {' '.join(str(error).split())[:200]}") from error
+
+
+def check_known(kind: str, name: str, known: Collection[str]) -> None:
+  """Refuse a name that does not exist.
+
+  Raises:
+    DeployError: It is not among those that exist; the message lists them.
+  """
+  if name not in known:
+    raise DeployError(f"{kind} {name[:60]!r} does not exist; there are {', '.join(known)[:400] or 'none'}")
 
 
 def read_limited(path: Path, max_bytes: int) -> bytes:

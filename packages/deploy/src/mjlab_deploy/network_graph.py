@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, check_known
 
 GROUP = "actor"
 """Name of the only observation group."""
@@ -69,8 +69,8 @@ class NetworkGraph:
     self.states = {
       name: f"{name[:-3]}_out" for name in self._inputs if name.endswith("_in") and f"{name[:-3]}_out" in self._outputs
     }
-    if unknown := [name for name in self._inputs if name not in ("obs", "time_step", *self.states)]:
-      raise DeployError(f"the network takes '{unknown[0][:60]}', whose meaning is not known")
+    for name in self._inputs:
+      check_known("meaning of the network's input", name, ("obs", "time_step", *self.states))
     self.terms = self._terms()
     if (width := sum(term.width * term.history for term in self.terms)) != self._inputs["obs"][-1]:
       raise DeployError(f"its observation_names give {width} numbers, the network takes {self._inputs['obs'][-1]}")
@@ -81,8 +81,7 @@ class NetworkGraph:
     Raises:
       DeployError: It is missing.
     """
-    if key not in self._metadata:
-      raise DeployError(f"the network has no metadata '{key}'")
+    check_known("metadata of the network", key, self._metadata)
     return [word.strip() for word in self._metadata[key].split(",")]
 
   def _row(self, key: str, count: int) -> np.ndarray:
@@ -133,8 +132,7 @@ class NetworkGraph:
       known |= {"motion_anchor_pos_b": (place, 3), "motion_anchor_ori_b": (("motion/anchor_orientation", anchor), 6)}
     known |= {f"{name}_rel": known[name] for name in ("joint_pos", "joint_vel")}
     known |= {"last_action": known["actions"], "velocity_commands": known["command"]}
-    if name not in known:
-      raise DeployError(f"observation '{name[:60]}' of the network is not known; known are {', '.join(known)}")
+    check_known("observation of the network", name, known)
     return known[name]
 
   @property
@@ -226,10 +224,10 @@ class _Value:
 def _numbers(key: str, words: Sequence[str]) -> np.ndarray:
   try:
     values = np.array([float(word) for word in words])
+    if np.isnan(values).any():
+      raise ValueError
   except ValueError as error:
     raise DeployError(f"metadata '{key}' has a value that is not a number: {', '.join(words)[:80]}") from error
-  if np.isnan(values).any():
-    raise DeployError(f"metadata '{key}' has a value that is not a number")
   return values
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime
 
 from mjlab_deploy.bundle import Bundle
-from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.errors import DeployError, check_known, reading
 from mjlab_deploy.network_graph import NetworkGraph
 
 EPISODE_START = "episode_start"
@@ -60,8 +60,8 @@ class Policy:
       )
     promised = [ACTION, *(item.output for item in self.description.memories)]
     promised += [item.name for item in self.description.targets]
-    if missing := [name for name in promised if name not in self._outputs]:
-      raise DeployError(f"policy.onnx: output {missing[0][:60]!r} is missing")
+    for name in promised:
+      check_known("policy.onnx: output", name, self._outputs)
     self.reset()
 
   def reset(self) -> None:

@@ -6,7 +6,7 @@ import types
 import typing
 from typing import Any, Literal
 
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, check_known
 
 _MAX_ITEMS = 100_000
 _MAX_DEPTH = 12
@@ -73,8 +73,8 @@ def _decode_object(kind: Any, data: Any, where: str, depth: int) -> Any:
   if not isinstance(data, dict):
     raise DeployError(f"{where or 'it'} must be an object, got {str(data)[:60]!r}")
   hints, fields = typing.get_type_hints(kind), {field.name: field for field in dataclasses.fields(kind)}
-  if unknown := sorted(set(data) - set(fields)):
-    raise DeployError(f"{where or 'it'} has an unknown field {unknown[0][:60]!r}")
+  for name in data:
+    check_known(f"{where}: field" if where else "field", name, fields)
   if missing := [name for name, field in fields.items() if _is_required(field) and name not in data]:
     raise DeployError(f"{where or 'it'} lacks {missing[0]!r}")
   prefix = f"{where}." if where else ""

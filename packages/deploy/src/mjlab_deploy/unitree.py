@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mjlab_deploy.errors import DeployError
+from mjlab_deploy.errors import DeployError, check_known
 from mjlab_deploy.other_formats import G1_MOTORS, QUADRUPED_MOTORS
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotIO, RobotState
 
@@ -71,8 +71,8 @@ class UnitreeRobot(RobotIO):
   ) -> None:
     self.model = _known(model)
     self._joints = self.model.motors if joints is None else joints
-    if unknown := [name for name in self._joints if name not in self.model.motors]:
-      raise DeployError(f"the {model} has no motor '{unknown[0]}'")
+    for name in self._joints:
+      check_known(f"motor of the {model}", name, self.model.motors)
     self._motor = [self.model.motors.index(name) for name in self._joints]
     self._make_command, self._checksum, self._send, self._clock = make_command, checksum, send, clock
     self._lock = threading.Lock()
@@ -136,8 +136,7 @@ class UnitreeRobot(RobotIO):
 
 
 def _known(model: str) -> UnitreeModel:
-  if model not in MODELS:
-    raise DeployError(f"robot '{model}' is not known; there are {', '.join(MODELS)}")
+  check_known("robot", model, MODELS)
   return MODELS[model]
 
 

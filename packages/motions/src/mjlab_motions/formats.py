@@ -48,7 +48,7 @@ def _from_npz(archive: Npz, robot: Kinematics, said: Statement) -> Motion:
   path = archive.path
   if (metadata := metadata_of(archive)) is not None:
     motion = motion_in(archive, metadata)
-    _agreed_rate(motion.rate, said)
+    said.rate_of(motion.rate)
     if said.quaternion == "xyzw":
       raise FileError("the file has w first, --quaternion says xyzw")
     motion = mapped(motion, robot, said)
@@ -78,19 +78,11 @@ def _from_npz(archive: Npz, robot: Kinematics, said: Statement) -> Motion:
 def _rate(archive: Npz, said: Statement, frames: int) -> float:
   """Return the frames per second that an archive contains or the user states [Hz]."""
   if "fps" in archive:
-    return _agreed_rate(archive.number("fps"), said)
+    return said.rate_of(archive.number("fps"))
   if "times" in archive and len(times := archive.column("times")) == frames > 1:
     with np.errstate(all="ignore"):
       steps = np.diff(times)
     if not (steps.min() > 0.0 and np.ptp(steps) <= 1e-3 * steps.mean()):
       raise FileError(f"its times are not evenly spaced: steps of {steps.min():.4g} to {steps.max():.4g} s")
-    return _agreed_rate(float(1.0 / steps.mean()), said)
-  if said.rate is None:
-    raise FileError("it does not contain its rate; state it with --rate")
-  return said.rate
-
-
-def _agreed_rate(found: float, said: Statement) -> float:
-  if said.rate is not None and not abs(found - said.rate) <= 1e-3 * found:
-    raise FileError(f"the file says {found:g} Hz, --rate says {said.rate:g}")
-  return found
+    return said.rate_of(float(1.0 / steps.mean()))
+  return said.rate_of(None)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import torch
+from mjlab_core.errors import FileError
 from mjlab_core.names import check_name
 
 from mjlab_motions.kinematics import Kinematics
@@ -29,6 +30,20 @@ class Statement:
   """Names of the bodies of a seven-key `.npz`, in order."""
   joint_map: JointMap | None = None
   """Source of each robot joint. None: the file uses the robot's names."""
+
+  def rate_of(self, found: float | None) -> float:
+    """Return the rate that a file contains (None: it contains none) or the user states [Hz].
+
+    Raises:
+      FileError: Neither does, or they differ.
+    """
+    if found is None:
+      if self.rate is None:
+        raise FileError("it does not contain its rate; state it with --rate")
+      return self.rate
+    if self.rate is not None and not abs(found - self.rate) <= 1e-3 * found:
+      raise FileError(f"the file says {found:g} Hz, --rate says {self.rate:g}")
+    return found
 
 
 def mapped(motion: Motion, robot: Kinematics, said: Statement) -> Motion:

@@ -37,9 +37,7 @@ def from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
   table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
   if has_header and said.joint_names is None:
     said = dataclasses.replace(said, joint_names=header[7:])
-  if said.rate is None:
-    raise FileError("a CSV does not contain its rate; state it with --rate")
-  return from_table(path, table, robot, said, said.rate)
+  return from_table(path, table, robot, said, said.rate_of(None))
 
 
 def _is_number(cell: str) -> bool:

@@ -96,11 +96,7 @@ class RankAverages:
     return means, next((name for name, count in zip(SIGNALS, received, strict=True) if count), None)
 
   def _sum(self, numbers: torch.Tensor) -> None:
-    """Sum numbers over the ranks in place.
-
-    Raises:
-      MjlabError: A process has ended or hangs.
-    """
+    """Sum numbers over the ranks in place."""
     try:
       distributed.all_reduce(numbers)
     except RuntimeError as error:
