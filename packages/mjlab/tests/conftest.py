@@ -25,3 +25,15 @@ def pendulum() -> Generator[None]:
 def pendulum_here(pendulum: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   """The task of the pendulum, and an empty folder as the present one."""
   monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def opengl() -> None:
+  """Skip the test where there are no pictures."""
+  from mjlab_core import RenderingError
+  from mjlab_viewer.pictures.opengl import make_context
+
+  try:
+    make_context(8, 8).free()
+  except RenderingError as error:
+    pytest.skip(str(error))

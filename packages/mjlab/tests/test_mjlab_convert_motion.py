@@ -9,10 +9,8 @@ import pytest
 from mjlab.cli import convert_motion as main
 from mjlab.cli._clip_preview import Preview
 from mjlab.cli._convert_motion import robot_spec
-from mjlab_core import RenderingError
 from mjlab_motions import Kinematics, derived_arrays, load_motion, shipped_clips
 from mjlab_viewer import BrowserViewer, SnapshotTaker
-from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.replay import Replay
 
 CLIP = "squat_and_wave"
@@ -52,11 +50,8 @@ def test_a_robot_of_ones_own_stands_on_one_ground_and_wears_its_meshes(folder: P
   assert sorted(kind.name for kind in kinds) == ["mjGEOM_MESH", "mjGEOM_PLANE"]
 
 
+@pytest.mark.usefixtures("opengl")
 def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  try:
-    make_context(8, 8).free()
-  except RenderingError as error:
-    pytest.skip(str(error))
   words = [CLIP, "--crop", "1", "1.1", "--video", "squat.mp4"]
   assert main(words) == 0
   assert "filmed squat.mp4" in capsys.readouterr().out

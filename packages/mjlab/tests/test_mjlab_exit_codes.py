@@ -191,7 +191,8 @@ FAILED = [
   ("visualize-terrain flat --plot --image damaged.csv/x.png --image-size 80 60", "damaged.csv"),
 ]
 
-FILES = dict.fromkeys(("damaged.csv", "damaged.npz", "there.npz", "there.mp4", "there.png", "there.pkl"), "nothing\n")
+THERE = ("damaged.csv", "damaged.npz", "there.npz", "there.mp4", "there.png", "there.pkl")
+FILES: dict[str, str] = dict.fromkeys(THERE, "nothing\n")
 FILES["list.json"] = "[1]"
 FILES["motor.csv"] = "time,position_target,position,velocity,effort\n0,0,0,0,0\n1,0,0,0,1\n2,0,0,0,1\n"
 FILES["broken.csv"] = FILES["motor.csv"].replace("0,1\n", "0,much\n", 1)

@@ -17,7 +17,6 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab.environments import standard_env
-from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Kinematics, load_motion, shipped_clips
 from mjlab_rl import CheckpointPolicy, load_run
@@ -25,7 +24,6 @@ from mjlab_robots import g1_spec
 from mjlab_scene.export import write_spec
 from mjlab_viewer import BackgroundVideo, Playback
 from mjlab_viewer.native.viewer import KEYS
-from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.snapshot import Snapshot
 
 TASK = mjlab_pendulum.TASK
@@ -167,11 +165,8 @@ def test_without_terminations_only_time_ends_an_episode(tmp_path: Path, watched:
   assert [cfg.time_out for cfg in cfgs if cfg.func.__name__ != "nan_detection"] == [True]
 
 
+@pytest.mark.usefixtures("opengl")
 def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  try:
-    make_context(8, 8).free()
-  except RenderingError as error:
-    pytest.skip(str(error))
   film = tmp_path / "film.mp4"
   flags = ["--agent", "random", "--video", str(film), "--video-length", "0.4", "--video-width", "64"]
   arguments = ["play", TASK, "--device", "cpu", "--log-root", str(tmp_path), *flags, "--video-height", "48"]
@@ -186,13 +181,10 @@ def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys:
   assert cli.main([*arguments, "--force"]) == 0
 
 
+@pytest.mark.usefixtures("opengl")
 def test_a_film_that_is_interrupted_is_there_until_then_and_said(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-  try:
-    make_context(8, 8).free()
-  except RenderingError as error:
-    pytest.skip(str(error))
   step = Playback.step_once
 
   def interrupted(self: Playback) -> None:
@@ -209,13 +201,10 @@ def test_a_film_that_is_interrupted_is_there_until_then_and_said(
     assert sum(1 for _ in container.decode(video=0)) == 2
 
 
+@pytest.mark.usefixtures("opengl")
 def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  try:
-    make_context(8, 8).free()
-  except RenderingError as error:
-    pytest.skip(str(error))
   # Of primitives, whose places are told, also where there are meshes.
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   drawn: list[list[np.ndarray]] = []
@@ -374,11 +363,8 @@ def train(root: Path, *flags: str) -> int:
   return cli.main(["train", TASK, "--log-root", str(root), "--device", "cpu", *quick, *flags])
 
 
+@pytest.mark.usefixtures("opengl")
 def test_training_films_itself_and_learns_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  try:
-    make_context(8, 8).free()
-  except RenderingError as error:
-    pytest.skip(str(error))
   flags = ["--video", "--video-interval", "10", "--video-length", "4", "--viewer", "--viewer-port", "8310"]
   assert train(tmp_path / "watched", *flags) == 0
   assert "watch at http://localhost:83" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 import contextlib
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,14 +24,18 @@ TERMS = (
 )
 
 
-def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Record]:
-  """The Go1 on a stand at 5 ms a step; its right front leg moves, with a delay of two steps."""
+def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Any, Record]:
+  """The Go1 on a stand at 5 ms a step, twice; the right front leg of one moved, with a delay of two steps."""
   cfg = go1(meshes="never")
-  entity = cfg.build("robot")
-  assert cfg.articulation is not None
-  entity.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-  pose = {name: values[0] for name, values in entity.initial_state.joint_pos.items()}
-  robot = robot_on_stand(entity.spec, cfg.articulation.actuators, pose=pose, timestep=0.005, height=1.0)
+
+  def on_stand() -> Any:
+    entity = cfg.build("robot")
+    assert cfg.articulation is not None
+    entity.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    pose = {name: values[0] for name, values in entity.initial_state.joint_pos.items()}
+    return robot_on_stand(entity.spec, cfg.articulation.actuators, pose=pose, timestep=0.005, height=1.0)
+
+  robot = on_stand()
   model = robot.model
   model.dof_armature[model.joint(CALF).dofadr[0]] *= 1.5
   data = mujoco.MjData(model)
@@ -48,17 +53,12 @@ def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Record]:
     data.ctrl[places] = commands[max(0, step - 2) // 2]
     mujoco.mj_step(model, data)
   signals = {"position": np.array(rows), "position_target": commands}
-  return cfg, Record(source="leg", joints=(THIGH, CALF), time=time, signals=signals)
+  return cfg, on_stand(), Record(source="leg", joints=(THIGH, CALF), time=time, signals=signals)
 
 
 @pytest.fixture(scope="module")
 def leg() -> tuple[EntityCfg, Record, Identified]:
-  cfg, record = leg_record()
-  entity = cfg.build("robot")
-  assert cfg.articulation is not None
-  entity.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-  pose = {name: values[0] for name, values in entity.initial_state.joint_pos.items()}
-  robot = robot_on_stand(entity.spec, cfg.articulation.actuators, pose=pose, timestep=0.005, height=1.0)
+  cfg, robot, record = leg_record()
   return cfg, record, identify(robot, [record], [parse_term(text) for text in TERMS], IdentifyCfg(iterations=10))
 
 

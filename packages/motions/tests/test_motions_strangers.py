@@ -179,6 +179,7 @@ def test_resampling_refuses_more_frames_than_a_motion_may_have() -> None:
     ("7", ""),
     ('{"format": 3}', ""),
     ('{"format": "mjlab-motion"}', "written in version None of the format, this reads version 1"),
+    ('{"format": "mjlab-motion", "version": 2}', "written in version 2 of the format"),
     ('{"format": "mjlab-motion", "version": "1"}', r"Expected `int \| null`, got `str` - at `\$.version`"),
     ('{"format": "mjlab-motion", "version": 1, "name": 5}', r"Expected `str`, got `int` - at `\$.name`"),
     ('{"format": "mjlab-motion", "version": 1, "history": {}}', "Expected `array`, got `object`"),

@@ -22,7 +22,6 @@ from mjlab_rl import (
   RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
   TaskCfg,
-  TrainingResult,
   load_run,
   read_trained_policy,
   train,
@@ -89,7 +88,8 @@ def recurrent(cfg: RslRlModelCfg, kind: Any) -> RslRlModelCfg:
   return replace(cfg, class_name="RNNModel", rnn_type=kind, rnn_hidden_dim=8)
 
 
-def run(agent: Any, log_root: Path | None, env: Any = None, **options: Any) -> TrainingResult:
+def run(agent: Any, log_root: Path | None, env: Any = None, **options: Any) -> Any:
+  """Return the result of a training."""
   task = TaskCfg(env=env or ToldPointEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3), agent=agent)
   return train(task, name="Point", make_env=ToldPointEnv, log_root=log_root, console=QUIET, **options)
 
@@ -108,7 +108,6 @@ def contrary(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def taught(logs: Path, gain: float) -> Path:
   checkpoint = run(teacher_agent(), logs).checkpoint
-  assert checkpoint is not None
   state = learner(checkpoint)
   weights = state["actor_state_dict"]
   for name, value in weights.items():
@@ -120,8 +119,7 @@ def taught(logs: Path, gain: float) -> Path:
   return checkpoint
 
 
-def losses(result: TrainingResult) -> list[float]:
-  assert result.directory is not None
+def losses(result: Any) -> list[float]:
   head, *rows = (result.directory / "progress.csv").read_text().splitlines()
   return [float(row.split(",")[head.split(",").index("Loss/behavior")]) for row in rows]
 
@@ -131,7 +129,6 @@ def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path, teacher: Pa
   fallen = losses(result)
   assert sum(fallen[-10:]) / 10 < 0.01 * fallen[0]
   env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
-  assert result.checkpoint is not None
   ours, theirs = (CheckpointPolicy(env, load_run(path).agent) for path in (result.checkpoint, teacher))
   ours.load(result.checkpoint)
   theirs.load(teacher)
@@ -152,7 +149,6 @@ def test_a_student_that_remembers_learns_what_one_that_does_not_cannot(tmp_path:
 
 def test_a_run_says_whom_the_student_learned_from(tmp_path: Path, teacher: Path) -> None:
   result = run(student_agent(), tmp_path, teacher=teacher)
-  assert result.directory is not None
   manifest = load_run(result.directory)
   assert manifest.teacher is not None
   assert manifest.teacher.checkpoint == str(teacher)
@@ -162,10 +158,8 @@ def test_a_run_says_whom_the_student_learned_from(tmp_path: Path, teacher: Path)
   assert isinstance(manifest.agent, RslRlDistillationRunnerCfg)
   assert manifest.agent.teacher == teacher_agent().actor
   # It acts by the weights of the checkpoint, and is not trained further.
-  assert result.checkpoint is not None
   assert_same(learner(result.checkpoint)["teacher_state_dict"], learner(teacher)["actor_state_dict"])
   resumed = run(replace(manifest.agent, max_iterations=5), tmp_path, resume=result.checkpoint)
-  assert resumed.directory is not None
   assert load_run(resumed.directory).teacher == manifest.teacher
 
 
@@ -178,15 +172,11 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, kind: 
     return agent
 
   own = teacher_agent() if kind is None else replace(teacher_agent(), actor=recurrent(teacher_agent().actor, kind))
-  teacher = [path for _ in range(count) if (path := run(own, tmp_path / "teacher").checkpoint) is not None]
-  assert len(teacher) == count
+  teacher = [run(own, tmp_path / "teacher").checkpoint for _ in range(count)]
   whole = run(configured(4), tmp_path / "whole", teacher=teacher).checkpoint
   half = run(configured(2), tmp_path / "half", teacher=teacher).checkpoint
-  assert whole is not None
-  assert half is not None
   agent = replace(load_run(half).agent, max_iterations=4)
   resumed = run(agent, tmp_path / "resumed", resume=half).checkpoint
-  assert resumed is not None
   assert_same_checkpoints(whole, resumed)
 
 
@@ -232,7 +222,6 @@ def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
   result = run(agent, tmp_path, teacher=teachers)
   fallen = losses(result)
   assert sum(fallen[-10:]) / 10 < 0.05 * fallen[0]
-  assert result.checkpoint is not None
   env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
   env.state.uniform_(-0.5, 0.5, generator=env.rng)
   seen = env.get_observations()
@@ -251,7 +240,6 @@ def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
   for path in teachers:
     shutil.rmtree(path.parent)
   resumed = run(replace(agent, max_iterations=82), tmp_path, resume=result.checkpoint)
-  assert resumed.checkpoint is not None
   again = load_run(resumed.checkpoint)
   assert isinstance(again.agent, RslRlDistillationRunnerCfg)
   assert (again.more_teachers, again.agent.num_teachers) == (manifest.more_teachers, 2)
@@ -262,7 +250,6 @@ def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
   """In rsl-rl every update takes it back to before its first step."""
   own = replace(teacher_agent(), actor=recurrent(teacher_agent().actor, "gru"))
   checkpoint = run(own, tmp_path).checkpoint
-  assert checkpoint is not None
   made = runner(student_agent(), checkpoint, episode_steps=10**6, noise=0.0)
   network: Any = made.networks["teacher"]
   before: list[Any] = []
@@ -292,7 +279,6 @@ def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Pa
   agent = student_agent()
   agent.student = recurrent(agent.student, "lstm")
   result = run(agent, tmp_path, teacher=teacher)
-  assert result.checkpoint is not None
   agent = load_run(result.checkpoint).agent
   env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=8))
   policy = CheckpointPolicy(env, agent)
@@ -318,7 +304,6 @@ class StudentsPointEnv(PointEnv):
 def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, teacher: Path) -> None:
   agent = student_agent(sees="actor")
   checkpoint = run(agent, tmp_path, teacher=teacher).checkpoint
-  assert checkpoint is not None
   alone, together = (
     kind(PointEnvCfg(scene=PointSceneCfg(num_envs=5), seed=8)) for kind in (StudentsPointEnv, ToldPointEnv)
   )
@@ -352,7 +337,6 @@ def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
 ) -> None:
   agent = student_agent()
   student = run(agent, tmp_path, teacher=teacher).checkpoint
-  assert student is not None
   begun: list[Any] = []
   learn = MjlabOnPolicyRunner.learn
 
@@ -365,7 +349,6 @@ def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
   ((weights, iteration),) = begun
   assert_same(dict(weights), learner(student)["student_state_dict"])
   assert (iteration, result.iterations) == (0, 3)
-  assert result.checkpoint is not None
   learned = learner(result.checkpoint)["actor_state_dict"]
   assert not torch.equal(learned["mlp.0.weight"], weights["mlp.0.weight"])
   told = load_run(result.checkpoint).init_from
@@ -380,7 +363,6 @@ def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
 def test_what_cannot_begin_as_a_policy_is_refused_by_name(tmp_path: Path, teacher: Path) -> None:
   agent = student_agent()
   student = run(agent, tmp_path / "logs", teacher=teacher).checkpoint
-  assert student is not None
   for changes, message in (
     (
       {"actor": replace(agent.student, activation="relu")},
@@ -404,9 +386,7 @@ def test_what_cannot_begin_as_a_policy_is_refused_by_name(tmp_path: Path, teache
 
 def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:
   first = run(student_agent(), tmp_path, teacher=teacher).checkpoint
-  assert first is not None
   second = run(student_agent(), tmp_path, teacher=first)
-  assert second.checkpoint is not None
   taught, own = learner(second.checkpoint)["teacher_state_dict"], learner(first)["student_state_dict"]
   assert_same(taught, own)
 
@@ -465,7 +445,6 @@ def test_a_teacher_that_learned_something_else_is_refused_by_name(
 
 def test_a_distillation_that_is_resumed_holds_on_to_what_its_teacher_does(tmp_path: Path, teacher: Path) -> None:
   half = run(student_agent(), tmp_path, teacher=teacher).checkpoint
-  assert half is not None
   other = env_with(lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)))
   with pytest.raises(FileError, match=r"actions\.push\.scale was 0\.1 in its training and is 0\.2 here"):
     run(student_agent(max_iterations=9), tmp_path, other, resume=half)
@@ -502,7 +481,6 @@ def test_several_teachers_that_do_not_fit_are_refused_by_name(tmp_path: Path, te
   wider = teacher_agent()
   wider.actor.hidden_dims = (9,)
   other = run(wider, tmp_path).checkpoint
-  assert other is not None
   with pytest.raises(ConfigError, match=r"hidden_dims was 9 in its training and is 8 here\. Several teachers must"):
     run(student_agent(), None, teacher=[teacher, other])
   for group, message in (
@@ -554,7 +532,6 @@ def test_a_runner_of_another_learner_is_refused_by_name(teacher: Path) -> None:
 
 def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher: Path) -> None:
   checkpoint = run(student_agent(), tmp_path, teacher=teacher).checkpoint
-  assert checkpoint is not None
   agent = student_agent()
   agent.algorithm.learning_rate = 0.5
   made = runner(agent, teacher)

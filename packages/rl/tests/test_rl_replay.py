@@ -80,7 +80,7 @@ def test_transitions_are_those_of_a_slow_reference(added: int, rows: int, num_st
   np.testing.assert_allclose(batch.reward, total, rtol=0, atol=1e-5)
   np.testing.assert_allclose(batch.discount, discount, rtol=0, atol=1e-6)
   goes_on = discount > 0
-  np.testing.assert_array_equal(batch.next_obs[goes_on], after[goes_on])
+  np.testing.assert_array_equal(batch.next_obs.numpy()[goes_on], after[goes_on])
   # Every step that is kept and has all its following steps, but for the oldest, is drawn; none of the newest.
   for world, steps in enumerate(episodes.steps):
     mine = {t for w, t in drawn if w == world}

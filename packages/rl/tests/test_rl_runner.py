@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -203,12 +204,40 @@ def test_a_step_size_that_is_changed_on_resuming_counts_where_nothing_else_chang
   assert (fresh.alg.learning_rate, fresh.alg.optimizer.param_groups[0]["lr"]) == (rate, rate)
 
 
-def test_from_a_policy_alone_no_training_goes_on(tmp_path: Path) -> None:
+def only_policy(state: dict[str, Any]) -> dict[str, Any]:
+  return {key: value for key, value in state.items() if key in ("actor_state_dict", "iter", "mjlab")}
+
+
+def of_another_version(state: dict[str, Any]) -> dict[str, Any]:
+  return state | {"mjlab": state["mjlab"] | {"format": state["mjlab"]["format"] + 1}}
+
+
+def with_nan(state: dict[str, Any]) -> dict[str, Any]:
+  next(iter(state["critic_state_dict"].values())).fill_(float("nan"))
+  return state
+
+
+def with_code(state: dict[str, Any]) -> dict[str, Any]:
+  return state | {"actor_state_dict": os.system}
+
+
+@pytest.mark.parametrize(
+  ("change", "message"),
+  [
+    (only_policy, r"no critic and no optimizer in it; .* \(--init-from\)"),
+    (of_another_version, "written by another version"),
+    (with_nan, r"model_0\.pt: the file has NaN or infinite weights in critic: "),
+    (with_code, "not loaded"),
+  ],
+)
+def test_from_a_checkpoint_that_lacks_something_or_holds_too_much_no_training_goes_on(
+  tmp_path: Path, change: Callable[[dict[str, Any]], dict[str, Any]], message: str
+) -> None:
   trained = runner(tmp_path, agent())
-  path = tmp_path / "model_1.pt"
+  path = trained.checkpoint_path()
   trained.save(str(path))
-  torch.save({key: value for key, value in learner(path).items() if key in ("actor_state_dict", "iter", "mjlab")}, path)
-  with pytest.raises(FileError, match=r"no critic and no optimizer in it; .* \(--init-from\)"):
+  torch.save(change(learner(path)), path)
+  with pytest.raises(FileError, match=message):
     trained.load(str(path))
 
 
@@ -264,24 +293,6 @@ def test_who_can_do_nothing_learns_nothing() -> None:
 
   with pytest.raises(ConfigError, match="the environment has no actions"):
     MjlabOnPolicyRunner(RslRlVecEnvWrapper(StillPoint()), agent(), console=QUIET)
-
-
-def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
-  trained = runner(tmp_path, agent())
-  path = trained.checkpoint_path()
-  trained.save(str(path))
-  state = learner(path)
-  state["mjlab"]["format"] += 1
-  torch.save(state, path)
-  with pytest.raises(FileError, match="written by another version"):
-    trained.load(str(path))
-
-
-def test_a_checkpoint_with_code_in_it_is_not_run(tmp_path: Path) -> None:
-  path = tmp_path / "model_1.pt"
-  torch.save({"actor_state_dict": os.system}, path)
-  with pytest.raises(FileError, match="not loaded"):
-    runner(None, agent()).load(str(path))
 
 
 @pytest.mark.parametrize("error", [OSError("disk full"), RuntimeError("unexpected pos 64 vs 0")])
@@ -555,17 +566,6 @@ def test_the_environment_is_closed_when_training_fails(tmp_path: Path) -> None:
   with pytest.raises(ArithmeticError):
     train(TaskCfg(env=PointEnvCfg(), agent=agent()), name="P", make_env=failing, log_root=None, console=QUIET)
   assert made[0].is_closed
-
-
-def test_weights_that_are_not_finite_are_blamed_on_the_file(tmp_path: Path) -> None:
-  trained = runner(tmp_path, agent())
-  path = trained.checkpoint_path()
-  trained.save(str(path))
-  state = learner(path)
-  next(iter(state["critic_state_dict"].values())).fill_(float("nan"))
-  torch.save(state, path)
-  with pytest.raises(FileError, match=r"model_0\.pt: the file has NaN or infinite weights in critic: "):
-    trained.load(str(path))
 
 
 @pytest.mark.parametrize("part", ["step", "update", "drain_log"])
