@@ -123,7 +123,7 @@ def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsy
 @pytest.mark.parametrize(
   ("metadata", "message"),
   [
-    ({"joint_names": None}, "metadata of the network 'joint_names' does not exist; there are joint_stiffness, "),
+    ({"joint_names": None}, "metadata of the network 'joint_names' does not exist; there are "),
     ({"joint_names": "elbow"}, "joint 'elbow' does not exist; there are hinge"),
     ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: stiff"),
     (
