@@ -1,7 +1,9 @@
 """The smallest task that trains: a torque keeps a pole on a hinge upright."""
 
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
+from pathlib import Path
 
 import mjlab
 import mujoco
@@ -18,7 +20,12 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-from mjlab_rl import RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
+from mjlab_rl import (
+  RslRlDistillationRunnerCfg,
+  RslRlModelCfg,
+  RslRlOnPolicyRunnerCfg,
+  TaskCfg,
+)
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
@@ -95,6 +102,20 @@ def taught() -> TaskCfg[ManagerBasedRlEnvCfg]:
   )
   agent.student.hidden_dims = (8,)
   return TaskCfg(env=task.env, play=for_watching, agent=agent)
+
+
+def write_onnx(checkpoint: Path, path: Path) -> None:
+  """Export a policy by the runner, whose own warnings are not ours."""
+  # Programs that only watch import nothing that learns.
+  from mjlab.environments import standard_env
+  from mjlab_rl import CheckpointPolicy, load_run
+
+  run = load_run(checkpoint)
+  with standard_env(run.env, device="cpu") as env, warnings.catch_warnings():
+    policy = CheckpointPolicy(env, run.agent, run.runner)
+    policy.load(checkpoint)
+    warnings.simplefilter("ignore")
+    policy._runner.export_policy_to_onnx(str(path.parent), path.name)
 
 
 @contextmanager

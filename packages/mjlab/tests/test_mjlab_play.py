@@ -2,7 +2,6 @@
 
 import contextlib
 import shutil
-import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,10 +15,8 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
-from mjlab.environments import standard_env
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Kinematics, load_motion, shipped_clips
-from mjlab_rl import CheckpointPolicy, load_run
 from mjlab_robots import g1_spec
 from mjlab_scene.export import write_spec
 from mjlab_viewer import BackgroundVideo, Playback
@@ -130,10 +127,8 @@ def test_checkpoints_of_the_run_can_be_swapped_while_it_runs(logs: Path, watched
   assert not torch.equal(first, second)
 
 
-@pytest.mark.parametrize("command", ["play", "evaluate"])
-def test_a_student_acts_without_what_only_its_teacher_saw(
-  command: str, logs: Path, watched: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("watched")
+def test_a_student_acts_without_what_only_its_teacher_saw(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
   (teacher,) = logs.rglob("model_2.pt")
   flags = ["--log-root", str(logs), "--device", "cpu"]
@@ -145,9 +140,9 @@ def test_a_student_acts_without_what_only_its_teacher_saw(
     return built[-1]
 
   monkeypatch.setattr("mjlab.environments.standard_env", build)
-  more = ["--viewer", "browser"] if command == "play" else ["--eval.episodes", "4", "--quiet"]
-  assert cli.main([command, "Test-Taught", *flags, *more]) == 0
-  assert [list(env.get_observations()) for env in built] == [["actor"]]
+  assert cli.main(["play", "Test-Taught", *flags, "--viewer", "browser"]) == 0
+  assert cli.main(["evaluate", "Test-Taught", *flags, "--eval.episodes", "4", "--quiet"]) == 0
+  assert [list(env.get_observations()) for env in built] == [["actor"], ["actor"]]
 
 
 def test_zero_and_random_actions_need_no_run(tmp_path: Path, watched: list[Any]) -> None:
@@ -247,21 +242,11 @@ def test_an_exported_policy_plays_as_its_checkpoint_does(
   trained = watched[0].policy
   (checkpoint,) = logs.rglob("model_2.pt")
   exported = checkpoint.parent / "policy.onnx"
-  write_onnx(checkpoint, exported)
+  mjlab_pendulum.write_onnx(checkpoint, exported)
   assert play(logs, "--num-envs", "3", "--checkpoint", str(exported)) == 0
   observations = {"actor": torch.randn(3, 2, generator=torch.Generator().manual_seed(0))}
   with torch.no_grad():
     torch.testing.assert_close(watched[1].policy(observations), trained(observations | {"critic": torch.zeros(3, 2)}))
-
-
-def write_onnx(checkpoint: Path, path: Path) -> None:
-  """The exporter of the runner, whose own warnings are not ours."""
-  run = load_run(checkpoint)
-  with standard_env(run.env, device="cpu") as env, warnings.catch_warnings():
-    policy = CheckpointPolicy(env, run.agent, run.runner)
-    policy.load(checkpoint)
-    warnings.simplefilter("ignore")
-    policy._runner.export_policy_to_onnx(str(path.parent), path.name)
 
 
 def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPatch) -> None:
