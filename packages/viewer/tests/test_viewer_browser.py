@@ -278,77 +278,57 @@ def test_a_film_has_the_ground_sky_and_colours_of_the_page(chromium: Browser, op
     page.close()
 
 
-def test_a_recording_is_saved_and_offered(chromium: Browser, opengl: None, tmp_path: Path) -> None:
-  with running(BoxEnv(1), tmp_path) as run:
-    page = opened(chromium, run.viewer.url)
-    page.get_by_role("button", name="Record").click()
-    page.get_by_role("button", name="Stop recording").wait_for()
-    first = run.playback.step_count
-    eventually(lambda: run.playback.step_count > first + 10)
-    page.get_by_role("button", name="Stop recording").click()
-    eventually(lambda: list(tmp_path.glob("*.mp4")))
-    page.get_by_text("saved as").wait_for()
-    page.close()
-
-
-def test_an_error_in_the_thread_that_films_pauses_and_is_shown(
-  chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_film_is_offered_and_errors_are_shown_until_the_viewer_goes_on(
+  chromium: Browser, opengl: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  monkeypatch.setenv("MUJOCO_GL", "disabled")
-  with running(BoxEnv(1), tmp_path) as run:
-    page = opened(chromium, run.viewer.url)
-    page.get_by_role("button", name="Record").click()
-    page.get_by_text("film: RenderingError: no pictures: ").first.wait_for()
-    assert run.playback.paused
-    page.get_by_role("button", name="Record").wait_for()
-    page.get_by_role("button", name="Play", exact=True).click()
-    eventually(lambda: not run.playback.paused and run.playback.error is None)
-    page.close()
-  assert not list(tmp_path.iterdir())
-
-
-def test_an_error_while_showing_pauses_and_is_shown(chromium: Browser, tmp_path: Path) -> None:
   env = BoxEnv(1)
-  is_broken = threading.Event()
+  zeros = ZeroPolicy(1, 1, env.sim.device)
+  broken = ""
+
+  def policy(observations: object) -> torch.Tensor:
+    if broken == "policy":
+      raise RuntimeError("the policy <broke>")
+    return zeros(observations)
 
   def draw(draw: object) -> None:
-    if is_broken.is_set():
+    if broken == "drawing":
       raise ZeroDivisionError("a drawing")
 
   env.command.debug_draw = draw
   env.draws_at_first = True
-  with running(env, tmp_path) as run:
-    page = opened(chromium, run.viewer.url)
-    eventually(lambda: run.playback.step_count > 5)
-    is_broken.set()
-    eventually(lambda: run.playback.error == "viewer: ZeroDivisionError: a drawing")
-    assert run.playback.paused
-    page.get_by_text("viewer: ZeroDivisionError: a drawing").first.wait_for()
-    is_broken.clear()
-    page.get_by_role("button", name="Reset").click()
-    eventually(lambda: run.playback.error is None and run.playback.step_count > 5)
-    page.close()
-
-
-def test_an_error_of_the_policy_is_shown_and_reset_goes_on(chromium: Browser, tmp_path: Path) -> None:
-  env = BoxEnv(1)
-  is_broken = threading.Event()
-  zeros = ZeroPolicy(1, 1, env.sim.device)
-
-  def policy(observations: object) -> torch.Tensor:
-    if is_broken.is_set():
-      raise RuntimeError("the policy <broke>")
-    return zeros(observations)
-
   with running(env, tmp_path, policy=policy) as run:
-    page = opened(chromium, run.viewer.url)
-    is_broken.set()
-    page.get_by_text("RuntimeError: the policy <broke>").first.wait_for()
-    assert run.playback.paused
-    is_broken.clear()
-    page.get_by_role("button", name="Reset").click()
-    eventually(lambda: run.playback.error is None and run.playback.step_count > 5)
+    playback, page = run.playback, opened(chromium, run.viewer.url)
+
+    page.get_by_role("button", name="Record").click()
+    page.get_by_role("button", name="Stop recording").wait_for()
+    first = playback.step_count
+    eventually(lambda: playback.step_count > first + 10)
+    page.get_by_role("button", name="Stop recording").click()
+    eventually(lambda: list(tmp_path.glob("*.mp4")))
+    page.get_by_text("saved as").wait_for()
+
+    for broken, message in (
+      ("drawing", "viewer: ZeroDivisionError: a drawing"),
+      ("policy", "RuntimeError: the policy <broke>"),
+    ):
+      page.get_by_text(message).first.wait_for()
+      assert playback.paused
+      assert playback.error is not None
+      assert playback.error.endswith(message)
+      broken = ""
+      page.get_by_role("button", name="Reset").click()
+      eventually(lambda: playback.error is None and not playback.paused and playback.step_count > 5)
+
+    # The thread that films meets its error when it makes its first context.
+    monkeypatch.setenv("MUJOCO_GL", "disabled")
+    page.get_by_role("button", name="Record").click()
+    page.get_by_text("film: RenderingError: no pictures: ").first.wait_for()
+    assert playback.paused
+    page.get_by_role("button", name="Record").wait_for()
+    page.get_by_role("button", name="Play", exact=True).click()
+    eventually(lambda: not playback.paused and playback.error is None)
     page.close()
+  assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_world_that_diverged_stays_where_it_was_and_hides_no_other() -> None:
