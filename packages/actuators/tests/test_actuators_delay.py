@@ -3,9 +3,9 @@
 from dataclasses import replace
 from typing import Any
 
-import mujoco
 import pytest
 import torch
+from actuator_models import build, chain
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
@@ -22,25 +22,14 @@ from mjlab_actuators import (
   XmlActuatorCfg,
 )
 
-PAIR = """
-<mujoco>
-  <worldbody>
-    <body><geom size="0.1"/><joint name="a"/><body><geom size="0.1"/><joint name="b"/></body></body>
-  </worldbody>
-  %s
-</mujoco>
-"""
-MOTORS = '<actuator><motor name="m" joint="a"/><motor name="n" joint="b"/></actuator>'
+MOTORS = '<motor name="m" joint="a"/><motor name="n" joint="b"/>'
 WORLDS = 5
 EVERY = torch.ones(WORLDS, dtype=torch.bool)
 
 
-def build(cfg: ActuatorCfg, seed: int = 0) -> ActuatorSet:
-  spec = mujoco.MjSpec.from_string(PAIR % (MOTORS if isinstance(cfg, XmlActuatorCfg) else ""))
-  actuators = ActuatorSet([cfg])
-  actuators.edit_spec(spec)
-  generator = torch.Generator().manual_seed(seed)
-  return actuators.build(spec.compile(), num_envs=WORLDS, device="cpu", dtype=torch.float64, generator=generator)
+def make(cfg: ActuatorCfg) -> ActuatorSet:
+  xml = chain("a", "b", actuators=MOTORS if isinstance(cfg, XmlActuatorCfg) else "")
+  return build(xml, cfg, num_envs=WORLDS, generator=torch.Generator().manual_seed(0))[1]
 
 
 def step(actuators: ActuatorSet, value: float) -> torch.Tensor:
@@ -81,7 +70,7 @@ SUMMING = (IdealPdActuatorCfg, DcMotorActuatorCfg, EnvelopedPdActuatorCfg)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("lag", [1, 3])
 def test_a_constant_lag_shifts_the_set_points_by_exactly_that_many_substeps(kind: type[ActuatorCfg], lag: int) -> None:
-  actuators = build(delayed(kind, delay_min_lag=lag, delay_max_lag=lag))
+  actuators = make(delayed(kind, delay_min_lag=lag, delay_max_lag=lag))
   reset(actuators, -1.0)
   unit = 3.0 if kind in SUMMING else 1.0
   got = [step(actuators, float(k))[0, 0].item() for k in range(8)]
@@ -105,7 +94,7 @@ EVERY_INPUT = ("position_target", "velocity_target", "effort_target")
   ],
 )
 def test_every_native_actuator_may_be_late_whatever_drives_it(cfg: ActuatorCfg, fields: tuple[str, ...]) -> None:
-  actuators = build(replace(cfg, delay_min_lag=2, delay_max_lag=2))
+  actuators = make(replace(cfg, delay_min_lag=2, delay_max_lag=2))
   # Which set-point is whose can be told by its hundreds.
   base = {field: 100.0 * (k + 1) for k, field in enumerate(EVERY_INPUT)}
 
@@ -126,7 +115,7 @@ def test_reset_starts_from_the_given_pose_and_leaves_other_worlds_bit_identical(
   cfg = delayed(kind, delay_min_lag=1, delay_max_lag=3)
   runs = []
   for resets in (False, True):
-    actuators = build(cfg)
+    actuators = make(cfg)
     reset(actuators, 0.0)
     for k in range(5):
       step(actuators, float(k))
@@ -146,7 +135,7 @@ def test_the_lag_stays_within_bounds_in_every_substep_of_every_episode() -> None
   cfg = NativeMotorActuatorCfg(
     target_names_expr=(".*",), delay_min_lag=2, delay_max_lag=4, delay_hold_prob=0.5, delay_update_period=3
   )
-  actuators = build(cfg)
+  actuators = make(cfg)
   reset(actuators, 0.0)
   seen = set()
   for episode in range(6):
@@ -164,7 +153,7 @@ def test_the_lag_stays_within_bounds_in_every_substep_of_every_episode() -> None
 
 
 def test_measurements_are_never_delayed() -> None:
-  actuators = build(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
+  actuators = make(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
   reset(actuators, 0.0)
   zero = torch.zeros(WORLDS, 2, dtype=torch.float64)
   position = torch.full((WORLDS, 2), 0.5, dtype=torch.float64)
@@ -173,7 +162,7 @@ def test_measurements_are_never_delayed() -> None:
 
 
 def test_gains_changed_at_reset_act_on_set_points_that_are_still_under_way() -> None:
-  actuators = build(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
+  actuators = make(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
   reset(actuators, 1.0)
   actuators.groups[0].expand("stiffness").fill_(10.0)
   assert torch.all(step(actuators, 0.0) == 12.0)
@@ -181,7 +170,7 @@ def test_gains_changed_at_reset_act_on_set_points_that_are_still_under_way() -> 
 
 def test_saved_and_loaded_delays_continue_alike() -> None:
   cfg = delayed(IdealPdActuatorCfg, delay_min_lag=1, delay_max_lag=1)
-  first, second = build(cfg), build(cfg)
+  first, second = make(cfg), make(cfg)
   reset(first, 3.0)
   reset(second, 0.0)
   for k in range(3):

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build, chain
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
@@ -50,10 +51,6 @@ def general(gear: float, field: Any, bias: tuple[float, ...]) -> ActuatorCfg:
   )
 
 
-def written(xml: str) -> str:
-  return f"<actuator>{xml}</actuator>"
-
-
 XML = XmlActuatorCfg(target_names_expr=("j",))
 CASES: dict[str, Any] = {
   "motor": lambda g: (NativeMotorActuatorCfg(target_names_expr=("j",), gear=g), "", TARGETS["effort_target"]),
@@ -66,35 +63,23 @@ CASES: dict[str, Any] = {
   },
   "MJCF position": lambda g: (
     XML,
-    written(f'<position joint="j" kp="{KP / g**2}" kv="{KD / g**2}" gear="{g}"/>'),
+    f'<position joint="j" kp="{KP / g**2}" kv="{KD / g**2}" gear="{g}"/>',
     pd("position_target"),
   ),
-  "MJCF velocity": lambda g: (XML, written(f'<velocity joint="j" kv="{KD / g**2}" gear="{g}"/>'), pd(ALL[1])),
-  "MJCF motor": lambda g: (XML, written(f'<motor joint="j" gear="{g}"/>'), TARGETS["effort_target"]),
+  "MJCF velocity": lambda g: (XML, f'<velocity joint="j" kv="{KD / g**2}" gear="{g}"/>', pd(ALL[1])),
+  "MJCF motor": lambda g: (XML, f'<motor joint="j" gear="{g}"/>', TARGETS["effort_target"]),
   "MJCF pid": lambda g: (
     XML,
-    written(f'<pid joint="j" kp="{KP / g**2}" kv="{KD / g**2}" input="pos vel ff" gear="{g}"/>'),
+    f'<pid joint="j" kp="{KP / g**2}" kv="{KD / g**2}" input="pos vel ff" gear="{g}"/>',
     pd(*ALL),
   ),
   "MJCF dc motor": lambda g: (
     XML,
-    written(
-      f'<dcmotor joint="j" motorconst=".5" resistance=".1" input="pos vel" gear="{g}"'
-      f' controller="{KP / g**2} 0 {KD / g**2}"/>'
-    ),
+    f'<dcmotor joint="j" motorconst=".5" resistance=".1" input="pos vel" gear="{g}"'
+    f' controller="{KP / g**2} 0 {KD / g**2}"/>',
     pd(*ALL[:2]),
   ),
 }
-
-
-def build(cfg: ActuatorCfg, own: str) -> tuple[mujoco.MjModel, ActuatorSet]:
-  spec = mujoco.MjSpec.from_string(
-    f'<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size=".1"/></body></worldbody>{own}</mujoco>'
-  )
-  actuators = ActuatorSet([cfg], "entity 'arm'")
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  return model, actuators.build(model, num_envs=1, device="cpu", dtype=torch.float64)
 
 
 def ctrl_of(actuators: ActuatorSet, targets: dict[str, float]) -> np.ndarray:
@@ -106,7 +91,7 @@ def ctrl_of(actuators: ActuatorSet, targets: dict[str, float]) -> np.ndarray:
 @pytest.mark.parametrize("case", CASES)
 def test_the_effort_at_the_joint_is_the_closed_form_whatever_the_gear(case: str, gear: float) -> None:
   cfg, own, expected = CASES[case](gear)
-  model, actuators = build(cfg, own)
+  model, actuators = build(chain("j", actuators=own), cfg)
   data = mujoco.MjData(model)
   data.qpos[:], data.qvel[:] = Q, V
   data.ctrl[:] = ctrl_of(actuators, TARGETS)
@@ -119,7 +104,7 @@ def test_the_effort_at_the_joint_is_the_closed_form_whatever_the_gear(case: str,
 )
 def test_a_geared_servo_rests_where_its_target_is(case: str) -> None:
   cfg, own, _ = CASES[case](2.0)
-  model, actuators = build(cfg, own)
+  model, actuators = build(chain("j", actuators=own), cfg)
   data = mujoco.MjData(model)
   data.ctrl[:] = ctrl_of(actuators, {"position_target": 0.5, "velocity_target": 0.0, "effort_target": 0.0})
   for _ in range(1500):
@@ -147,7 +132,7 @@ def test_the_constants_of_a_geared_dc_motor_with_a_controller_are_those_of_the_m
       ]
       forces = []
       for cfg, command in zip(motors, ({"effort_target": sign * 1.5}, {"position_target": 9.0}), strict=True):
-        model, actuators = build(cfg, "")
+        model, actuators = build(chain("j"), cfg)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = Q, V
         # At the joint, the bristles of the friction bend by what they do at the motor, over the gear.
@@ -163,5 +148,5 @@ def test_volts_and_the_activation_of_a_muscle_pass_a_gear_unchanged() -> None:
     '<dcmotor joint="j" motorconst=".5" resistance=".1" gear="2"/>',
     '<muscle joint="j" lengthrange="0 1" force="10" gear="2"/>',
   ):
-    _, actuators = build(XML, written(own))
+    _, actuators = build(chain("j", actuators=own), XML)
     assert ctrl_of(actuators, TARGETS).tolist() == [TARGETS["effort_target"]]

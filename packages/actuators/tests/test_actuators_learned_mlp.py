@@ -4,21 +4,13 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build, chain
 from mjlab_actuators import ActuatorSet, LearnedMlp, LearnedMlpActuatorCfg
 from torch import nn
 
-PAIR = """
-<mujoco>
-  <worldbody>
-    <body><geom size="0.1"/><joint name="a"/>
-      <body><geom size="0.1"/><joint name="b"/><body><geom size="0.1"/><joint name="c"/></body></body></body>
-  </worldbody>
-</mujoco>
-"""
 WORLDS, HISTORY = 3, 3
 
 
@@ -46,11 +38,8 @@ def stored(net: nn.Module, path: Path) -> Path:
   return path
 
 
-def build(*cfgs: LearnedMlpActuatorCfg, num_envs: int = WORLDS) -> ActuatorSet:
-  spec = mujoco.MjSpec.from_string(PAIR)
-  actuators = ActuatorSet(cfgs)
-  actuators.edit_spec(spec)
-  return actuators.build(spec.compile(), num_envs=num_envs, device="cpu", dtype=torch.float64)
+def make(*cfgs: LearnedMlpActuatorCfg) -> ActuatorSet:
+  return build(chain("a", "b", "c"), *cfgs, num_envs=WORLDS)[1]
 
 
 def cfg(path: Path, *joints: str, **changes: Any) -> LearnedMlpActuatorCfg:
@@ -75,7 +64,7 @@ def step(actuators: ActuatorSet, sample: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("column", range(2 * HISTORY))
 def test_columns_are_errors_and_velocities_newest_first(tmp_path: Path, order: Any, column: int) -> None:
   scales = {"position_scale": 2.0, "velocity_scale": 3.0, "effort_scale": 5.0}
-  actuators = build(cfg(stored(picker(column), tmp_path / "n.pt"), input_order=order, **scales))
+  actuators = make(cfg(stored(picker(column), tmp_path / "n.pt"), input_order=order, **scales))
   given = samples(5)
   got = torch.stack([step(actuators, sample) for sample in given])
   is_error = (column < HISTORY) == (order == "pos_vel")
@@ -88,7 +77,7 @@ def test_columns_are_errors_and_velocities_newest_first(tmp_path: Path, order: A
 @pytest.mark.parametrize("save", [scripted, stored])
 def test_every_joint_of_every_world_is_one_row_of_the_network(tmp_path: Path, save: Any) -> None:
   net = network()
-  actuators = build(cfg(save(net, tmp_path / "n.pt"), effort_limit={"[ab]": 0.15, "c": 0.05}))
+  actuators = make(cfg(save(net, tmp_path / "n.pt"), effort_limit={"[ab]": 0.15, "c": 0.05}))
   given = samples(4)
   effort = [step(actuators, sample) for sample in given][-1]
   errors, velocities = given[:, 0] - given[:, 1], given[:, 2]
@@ -102,7 +91,7 @@ def test_every_joint_of_every_world_is_one_row_of_the_network(tmp_path: Path, sa
 @pytest.mark.parametrize(("name", "kind"), [("elu", nn.ELU), ("relu", nn.ReLU), ("tanh", nn.Tanh)])
 def test_a_state_dict_wears_the_activation_that_is_said(tmp_path: Path, name: Any, kind: type[nn.Module]) -> None:
   net = nn.Sequential(nn.Linear(2 * HISTORY, 4), kind(), nn.Linear(4, 1))
-  actuators = build(cfg(stored(net, tmp_path / "n.pt"), activation=name))
+  actuators = make(cfg(stored(net, tmp_path / "n.pt"), activation=name))
   sample = samples(1)[0]
   row = [sample[0, 0, 0] - sample[1, 0, 0]] * 3 + [sample[2, 0, 0]] * 3
   expected = net(torch.tensor([row], dtype=torch.float32)).item()
@@ -113,18 +102,18 @@ def test_the_output_is_clipped_to_the_torque_speed_line_without_forced_braking(t
   path = stored(picker(0), tmp_path / "n.pt")
   motor = cfg(path, saturation_effort=10.0, velocity_limit=20.0, effort_limit=8.0, position_scale=1e3)
   one, zero = torch.ones(WORLDS, 3, dtype=torch.float64), torch.zeros(WORLDS, 3, dtype=torch.float64)
-  actuators = build(motor)
+  actuators = make(motor)
   speeds = torch.tensor([2.0, 15.0, 30.0], dtype=torch.float64)
   assert actuators.compute(one, zero, zero, zero, one * speeds)[0].tolist() == pytest.approx([8.0, 2.5, 0.0])
   assert actuators.compute(-one, zero, zero, zero, one * speeds)[0].tolist() == pytest.approx([-8.0, -8.0, -8.0])
   motor.braking = True
-  assert build(motor).compute(one, zero, zero, zero, one * speeds)[0].tolist() == pytest.approx([8.0, 2.5, -5.0])
+  assert make(motor).compute(one, zero, zero, zero, one * speeds)[0].tolist() == pytest.approx([8.0, 2.5, -5.0])
 
 
 def test_a_reset_starts_the_history_anew_and_leaves_other_worlds_bit_identical(tmp_path: Path) -> None:
   path, mask = stored(network(), tmp_path / "n.pt"), torch.tensor([False, True, False])
   given, after = samples(4), samples(3, seed=1)
-  twin, actuators, fresh = (build(cfg(path)) for _ in range(3))
+  twin, actuators, fresh = (make(cfg(path)) for _ in range(3))
   for sample in given:
     step(twin, sample)
     step(actuators, sample)
@@ -139,7 +128,7 @@ def test_a_reset_starts_the_history_anew_and_leaves_other_worlds_bit_identical(t
 
 def test_the_delay_is_before_the_network_and_never_on_measurements(tmp_path: Path) -> None:
   path = stored(picker(0), tmp_path / "n.pt")
-  actuators = build(cfg(path, delay_min_lag=2, delay_max_lag=2))
+  actuators = make(cfg(path, delay_min_lag=2, delay_max_lag=2))
   given = samples(5)
   zero = torch.zeros(WORLDS, 3, dtype=torch.float64)
   actuators.reset(torch.ones(WORLDS, dtype=torch.bool), zero + 7.0, zero, zero)
@@ -150,9 +139,9 @@ def test_the_delay_is_before_the_network_and_never_on_measurements(tmp_path: Pat
 
 def test_configs_of_one_network_are_one_batch_and_other_networks_another(tmp_path: Path) -> None:
   path, other = stored(network(), tmp_path / "n.pt"), stored(network(seed=1), tmp_path / "m.pt")
-  whole, parts = build(cfg(path)), build(cfg(path, "c"), cfg(path, "a", "b"))
+  whole, parts = make(cfg(path)), make(cfg(path, "c"), cfg(path, "a", "b"))
   assert [law.target_names for law in parts.groups] == [("a", "b", "c")]
-  mixed = build(cfg(path, "a"), cfg(other, "b"), cfg(path, "c"))
+  mixed = make(cfg(path, "a"), cfg(other, "b"), cfg(path, "c"))
   assert [law.target_names for law in mixed.groups] == [("a", "c"), ("b",)]
   for sample in samples(3):
     expected = step(whole, sample)
@@ -162,7 +151,7 @@ def test_configs_of_one_network_are_one_batch_and_other_networks_another(tmp_pat
 
 def test_saved_and_loaded_histories_continue_alike(tmp_path: Path) -> None:
   path = stored(network(), tmp_path / "n.pt")
-  first, second = build(cfg(path)), build(cfg(path))
+  first, second = make(cfg(path)), make(cfg(path))
   given = samples(4)
   for sample in given[:3]:
     step(first, sample)
@@ -171,7 +160,7 @@ def test_saved_and_loaded_histories_continue_alike(tmp_path: Path) -> None:
 
 
 def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
-  (law,) = build(cfg(stored(network(), tmp_path / "n.pt"))).groups
+  (law,) = make(cfg(stored(network(), tmp_path / "n.pt"))).groups
   assert isinstance(law, LearnedMlp)
   with pytest.raises(ValueError, match=r"parameter 'stiffness' does not exist.*effort_limit"):
     law.expand("stiffness")
@@ -180,9 +169,9 @@ def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
 
 def test_a_network_of_another_period_than_the_timestep_is_refused(tmp_path: Path) -> None:
   path = stored(network(), tmp_path / "n.pt")
-  assert build(cfg(path, sample_period=0.002)).groups
+  assert make(cfg(path, sample_period=0.002)).groups
   with pytest.raises(ValueError, match=r"trained on samples every 0.005 s, the model has a timestep of 0.002 s"):
-    build(cfg(path, sample_period=0.005))
+    make(cfg(path, sample_period=0.005))
 
 
 class Trap:
@@ -197,21 +186,21 @@ def test_a_file_that_would_run_code_is_refused_and_runs_none(
 ) -> None:
   torch.save({"0.weight": Trap()}, tmp_path / "trap.pt")
   with pytest.raises(ValueError, match=r"network file .*trap.pt: .*Weights only load failed"):
-    build(cfg(tmp_path / "trap.pt"))
+    make(cfg(tmp_path / "trap.pt"))
   torch.save(network(), tmp_path / "whole.pt")
   with pytest.raises(ValueError, match=r"network file .*whole.pt: .*Weights only load failed"):
-    build(cfg(tmp_path / "whole.pt"))
+    make(cfg(tmp_path / "whole.pt"))
   assert "sprung" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("save", [scripted, stored])
 def test_a_network_of_the_wrong_width_is_refused_by_name(tmp_path: Path, save: Any) -> None:
   with pytest.raises(ValueError, match=r"LearnedMlpActuatorCfg: network file .*wide.pt: does not take 6 inputs"):
-    build(cfg(save(network(width=8), tmp_path / "wide.pt")))
+    make(cfg(save(network(width=8), tmp_path / "wide.pt")))
   with pytest.raises(ValueError, match=r"pair.pt: makes \(2, 2\) of two rows; it must make one number of each"):
-    build(cfg(save(network(outputs=2), tmp_path / "pair.pt")))
+    make(cfg(save(network(outputs=2), tmp_path / "pair.pt")))
   path = save(network(width=8), tmp_path / "four.pt")
-  assert build(cfg(path, history_length=4)).groups
+  assert make(cfg(path, history_length=4)).groups
 
 
 @pytest.mark.parametrize(
@@ -234,16 +223,16 @@ def test_impossible_settings_are_refused_by_name_at_build(
 ) -> None:
   path = stored(network(), tmp_path / "n.pt")
   with pytest.raises(ValueError, match=message):
-    build(cfg(**({"path": path} | changes)))
+    make(cfg(**({"path": path} | changes)))
 
 
 def test_state_dicts_that_are_no_chain_of_linear_layers_are_refused(tmp_path: Path) -> None:
   torch.save({"0.weight": torch.zeros(1, 6), "1.running_mean": torch.zeros(1)}, tmp_path / "n.pt")
   with pytest.raises(ValueError, match=r"not a chain of linear layers; it also has: 1\.running_mean"):
-    build(cfg(tmp_path / "n.pt"))
+    make(cfg(tmp_path / "n.pt"))
   torch.save({"conv.weight": torch.zeros(1, 6, 3)}, tmp_path / "n.pt")
   with pytest.raises(ValueError, match=r"'conv.weight' of shape \(1, 6, 3\) is not a linear layer"):
-    build(cfg(tmp_path / "n.pt"))
+    make(cfg(tmp_path / "n.pt"))
   torch.save({"epoch": 3}, tmp_path / "n.pt")
   with pytest.raises(ValueError, match="not a chain of linear layers; it also has: epoch"):
-    build(cfg(tmp_path / "n.pt"))
+    make(cfg(tmp_path / "n.pt"))

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorCmd,
@@ -42,12 +43,8 @@ def columns(cmd: ActuatorCmd) -> tuple[torch.Tensor, ...]:
   return cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity
 
 
-def build(*cfgs: ActuatorCfg, num_envs: int = 4, xml: str = ARM) -> tuple[mujoco.MjModel, ActuatorSet]:
-  spec = mujoco.MjSpec.from_string(xml)
-  actuators = ActuatorSet(cfgs, "entity 'arm'")
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  return model, actuators.build(model, num_envs=num_envs, device="cpu", dtype=torch.float64)
+def make(*cfgs: ActuatorCfg) -> tuple[mujoco.MjModel, ActuatorSet]:
+  return build(ARM, *cfgs, owner="entity 'arm'", num_envs=4)
 
 
 def joint_forces(model: mujoco.MjModel, ctrl: torch.Tensor, cmd: ActuatorCmd) -> np.ndarray:
@@ -94,14 +91,14 @@ LAWS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
 
 @pytest.mark.parametrize(("cfg", "law"), LAWS, ids=lambda x: type(x).__name__ if isinstance(x, ActuatorCfg) else "")
 def test_mujoco_applies_the_closed_form(cfg: ActuatorCfg, law: Callable[[ActuatorCmd], np.ndarray]) -> None:
-  model, actuators = build(cfg)
+  model, actuators = make(cfg)
   cmd = random_command()
   ctrl = actuators.compute(*columns(cmd))
   np.testing.assert_allclose(joint_forces(model, ctrl, cmd), law(cmd), rtol=1e-12, atol=1e-12)
 
 
 def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
-  model, actuators = build(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=0.0))
+  model, actuators = make(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=0.0))
   cmd = random_command()
   cmd.position_target.fill_(50.0)
   ctrl = actuators.compute(*columns(cmd))
@@ -109,7 +106,7 @@ def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
 
 
 def test_the_informational_ctrl_range_is_the_joint_range_widened_to_saturation_in_radians() -> None:
-  model, _ = build(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=2.0, damping=0.0, effort_limit=3.0))
+  model, _ = make(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=2.0, damping=0.0, effort_limit=3.0))
   assert not model.actuator_ctrllimited.any()
   np.testing.assert_allclose(model.actuator("a").ctrlrange, [-np.pi / 3 - 1.5, np.pi / 2 + 1.5])
   np.testing.assert_allclose(model.actuator("b").ctrlrange, [0.0, 0.0])
@@ -126,7 +123,7 @@ def test_one_config_gives_each_joint_its_own_numbers() -> None:
     frictionloss=0.3,
     viscous_damping={"b|c": 0.7},
   )
-  model, _ = build(cfg)
+  model, _ = make(cfg)
   np.testing.assert_array_equal(model.actuator_gainprm[:, 0], [1.0, 2.0, 2.0])
   np.testing.assert_array_equal(-model.actuator_biasprm[:, 2], [0.1, 0.1, 0.2])
   np.testing.assert_array_equal(model.actuator_forcerange[:2], [[-5.0, 5.0], [-6.0, 6.0]])
@@ -141,7 +138,7 @@ def test_zero_stiffness_with_an_effort_limit_builds() -> None:
     NativePositionActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
     IdealPdActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
   ):
-    model, actuators = build(cfg)
+    model, actuators = make(cfg)
     cmd = random_command()
     cmd.velocity_target.zero_()
     cmd.effort_target.zero_()
@@ -198,7 +195,7 @@ def test_zero_stiffness_with_an_effort_limit_builds() -> None:
 )
 def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    build(cfg)
+    make(cfg)
 
 
 class StifferServoCfg(NativePositionActuatorCfg):
@@ -211,7 +208,7 @@ class StifferServoCfg(NativePositionActuatorCfg):
 
 def test_a_subclass_of_a_native_config_is_one_too() -> None:
   own = StifferServoCfg(target_names_expr=("a",), stiffness=KP, damping=KD)
-  model, actuators = build(own, NativePositionActuatorCfg(target_names_expr=("[bc]",), stiffness=KP, damping=KD))
+  model, actuators = make(own, NativePositionActuatorCfg(target_names_expr=("[bc]",), stiffness=KP, damping=KD))
   assert len(actuators.groups) == 1
   cmd = random_command()
   got = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
@@ -222,7 +219,7 @@ def test_a_subclass_of_a_native_config_is_one_too() -> None:
 
 def test_a_joint_driven_twice_is_refused() -> None:
   with pytest.raises(ValueError, match="joint 'b' already has an actuator"):
-    build(NativeMotorActuatorCfg(target_names_expr=ALL), NativeMotorActuatorCfg(target_names_expr=("b",)))
+    make(NativeMotorActuatorCfg(target_names_expr=ALL), NativeMotorActuatorCfg(target_names_expr=("b",)))
 
 
 def test_a_model_compiled_without_the_actuators_is_refused() -> None:
@@ -232,7 +229,7 @@ def test_a_model_compiled_without_the_actuators_is_refused() -> None:
 
 
 def test_a_raised_effort_limit_reaches_the_joint() -> None:
-  model, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=100.0, damping=0.0, effort_limit=LIMIT))
+  model, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=100.0, damping=0.0, effort_limit=LIMIT))
   cmd = random_command()
   (law,) = actuators.groups
   law.expand("effort_limit")[1] = 1000.0
@@ -253,7 +250,7 @@ def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -
 
 
 def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> None:
-  _, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  _, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
   cmd = random_command()
   before = actuators.compute(*columns(cmd)).clone()
   (law,) = actuators.groups
@@ -273,7 +270,7 @@ def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> N
 
 
 def test_expanded_limits_clamp_where_there_was_no_limit() -> None:
-  _, actuators = build(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  _, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
   cmd = random_command()
   actuators.groups[0].expand("effort_limit").fill_(0.01)
   assert actuators.compute(*columns(cmd)).abs().max() <= 0.01

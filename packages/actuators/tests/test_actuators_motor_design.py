@@ -5,9 +5,8 @@ import math
 import mujoco
 import numpy as np
 import pytest
-import torch
+from actuator_models import build
 from mjlab_actuators import (
-  ActuatorSet,
   NativePositionActuatorCfg,
   gains_from_frequency,
   radians_per_second,
@@ -52,17 +51,11 @@ def test_sixty_revolutions_a_minute_are_one_turn_a_second() -> None:
 def test_a_servo_with_these_gains_swings_as_the_second_order_response_says(damping_ratio: float) -> None:
   inertia, frequency = 0.02, 2.0
   kp, kd = gains_from_frequency(inertia, frequency, damping_ratio)
-  spec = mujoco.MjSpec.from_string(
-    """
-  <mujoco><option timestep="1e-4" gravity="0 0 0" integrator="RK4"/>
-    <worldbody><body><joint name="j"/><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody>
-  </mujoco>""".replace('name="j"', f'name="j" armature="{inertia}"')
-  )
-  servo = NativePositionActuatorCfg(target_names_expr=("j",), stiffness=kp, damping=kd)
-  actuators = ActuatorSet([servo])
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  actuators.build(model, num_envs=1, device="cpu", dtype=torch.float64)
+  xml = f"""
+  <mujoco><option timestep="1e-4" gravity="0 0 0" integrator="RK4"/><worldbody><body>
+    <joint name="j" armature="{inertia}"/><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/>
+  </body></worldbody></mujoco>"""
+  model, _ = build(xml, NativePositionActuatorCfg(target_names_expr=("j",), stiffness=kp, damping=kd))
   data = mujoco.MjData(model)
   data.qpos[0], data.ctrl[0] = 1.0, 0.0
   omega, zeta = 2 * math.pi * frequency, damping_ratio

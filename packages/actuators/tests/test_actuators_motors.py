@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build, chain
 from mjlab_actuators import (
   UNITREE_ENVELOPES,
   ActuatorCfg,
@@ -17,13 +18,7 @@ from mjlab_actuators import (
   TorqueSpeedEnvelope,
 )
 
-ARM = """
-<mujoco>
-  <worldbody>
-    <body><geom size="0.1"/><joint name="a"/><body pos="0 0 1"><geom size="0.1"/><joint name="b"/></body></body>
-  </worldbody>
-</mujoco>
-"""
+ARM = chain("a", "b")
 STALL, NO_LOAD, LIMIT = 10.0, 20.0, 6.0
 
 
@@ -43,14 +38,6 @@ def dc(**changes: Any) -> DcMotorActuatorCfg:
 
 def enveloped(envelope: Any = ENVELOPE) -> EnvelopedPdActuatorCfg:
   return EnvelopedPdActuatorCfg(target_names_expr=(".*",), stiffness=0.0, damping=0.0, envelope=envelope)
-
-
-def build(*cfgs: ActuatorCfg, num_envs: int = 2) -> tuple[mujoco.MjModel, ActuatorSet]:
-  spec = mujoco.MjSpec.from_string(ARM)
-  actuators = ActuatorSet(cfgs)
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  return model, actuators.build(model, num_envs=num_envs, device="cpu", dtype=torch.float64)
 
 
 def given(cfg: ActuatorCfg, wanted: float, velocity: float) -> float:
@@ -100,7 +87,7 @@ def test_without_a_current_limit_the_line_goes_on_against_the_motion() -> None:
 
 
 def test_mujoco_applies_the_pd_law_within_the_line() -> None:
-  model, actuators = build(dc(stiffness={"a": 3.0, "b": 30.0}, damping=0.4), num_envs=64)
+  model, actuators = build(ARM, dc(stiffness={"a": 3.0, "b": 30.0}, damping=0.4), num_envs=64)
   generator = torch.Generator().manual_seed(0)
   target, rate, effort, position, velocity = (
     torch.randn(64, 2, generator=generator, dtype=torch.float64) * scale for scale in (2.0, 3.0, 2.0, 1.0, 12.0)
@@ -158,7 +145,7 @@ def test_an_envelope_holds_with_its_braking_effort_at_rest() -> None:
 
 def test_each_joint_has_its_own_motor() -> None:
   _, actuators = build(
-    enveloped({"a": UNITREE_ENVELOPES["N7520-14.3"], "b": UNITREE_ENVELOPES["W4010-25"]}), num_envs=1
+    ARM, enveloped({"a": UNITREE_ENVELOPES["N7520-14.3"], "b": UNITREE_ENVELOPES["W4010-25"]}), num_envs=1
   )
   zero = torch.zeros(1, 2, dtype=torch.float64)
   assert actuators.compute(zero, zero, zero + 1e3, zero, zero + 1.0)[0].tolist() == [71.0, 4.8]
@@ -167,7 +154,7 @@ def test_each_joint_has_its_own_motor() -> None:
 
 @pytest.mark.parametrize("name", UNITREE_ENVELOPES)
 def test_published_envelopes_build(name: str) -> None:
-  build(enveloped(UNITREE_ENVELOPES[name]))
+  build(ARM, enveloped(UNITREE_ENVELOPES[name]))
 
 
 def test_motors_of_one_law_are_one_computation_and_braking_ones_another() -> None:
@@ -176,16 +163,16 @@ def test_motors_of_one_law_are_one_computation_and_braking_ones_another() -> Non
     cfg.target_names_expr = (joint,)
     return cfg
 
-  _, actuators = build(one("b", saturation_effort=3.0), one("a"))
+  _, actuators = build(ARM, one("b", saturation_effort=3.0), one("a"))
   (law,) = actuators.groups
   assert law.target_names == ("a", "b")
   assert law._parameter("saturation_effort").tolist() == [[STALL, 3.0]]
-  _, actuators = build(one("b", braking=True), one("a"))
+  _, actuators = build(ARM, one("b", braking=True), one("a"))
   assert [law.target_names for law in actuators.groups] == [("b",), ("a",)]
 
 
 def test_limits_raised_per_world_act_in_that_world_only() -> None:
-  model, actuators = build(dc())
+  model, actuators = build(ARM, dc(), num_envs=2)
   (law,) = actuators.groups
   zero = torch.zeros(2, 2, dtype=torch.float64)
   for name in ("effort_limit", "saturation_effort"):
@@ -224,4 +211,4 @@ def test_limits_raised_per_world_act_in_that_world_only() -> None:
 )
 def test_impossible_motors_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    build(cfg)
+    build(ARM, cfg)

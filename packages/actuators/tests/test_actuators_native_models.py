@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
@@ -30,18 +31,14 @@ ARM = """
 TARGET, RATE, EFFORT, POSITION, VELOCITY = 0.9, -0.4, 1.3, 0.3, 0.7
 
 
-def build(*cfgs: ActuatorCfg) -> tuple[mujoco.MjModel, ActuatorSet]:
-  spec = mujoco.MjSpec.from_string(ARM)
-  actuators = ActuatorSet(cfgs, "entity 'arm'")
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  return model, actuators.build(model, num_envs=1, device="cpu", dtype=torch.float64)
+def make(*cfgs: ActuatorCfg) -> tuple[mujoco.MjModel, ActuatorSet]:
+  return build(ARM, *cfgs, owner="entity 'arm'")
 
 
 def applied(cfg: ActuatorCfg, **changes: float) -> float:
   """The effort that MuJoCo applies at joint a, with these set-points and measurements at all joints."""
   values = {"target": TARGET, "rate": RATE, "effort": EFFORT, "position": POSITION, "velocity": VELOCITY} | changes
-  model, actuators = build(cfg)
+  model, actuators = make(cfg)
   ctrl = actuators.compute(*(torch.full((1, 2), value, dtype=torch.float64) for value in values.values()))
   data = mujoco.MjData(model)
   data.qpos[:], data.qvel[:] = values["position"], values["velocity"]
@@ -100,7 +97,7 @@ def test_the_controller_of_the_motor_follows_the_set_points_that_it_has(inputs: 
 
 
 def test_a_dc_motor_from_a_config_is_the_dc_motor_of_the_mjcf() -> None:
-  model, _ = build(
+  model, _ = make(
     dc(
       inputs=("position_target", "velocity_target"),
       stiffness=3.0,
@@ -134,7 +131,7 @@ def test_the_inputs_of_many_motors_each_get_their_own_set_point() -> None:
   fields = ("position_target", "velocity_target", "effort_target")
   cfgs = [dc(inputs=fields, stiffness=1.0, damping=1.0), dc(inputs=("velocity_target",), damping=1.0)]
   cfgs[0].target_names_expr, cfgs[1].target_names_expr = ("b",), ("a",)
-  _, actuators = build(*cfgs)
+  _, actuators = make(*cfgs)
   rows = [torch.tensor([[10.0 * k, 10.0 * k + 1]], dtype=torch.float64) for k in (1, 2, 3)]
   assert actuators.compute(*rows, *rows[:2])[0].tolist() == [11.0, 21.0, 31.0, 20.0]
 
@@ -159,7 +156,7 @@ def test_pd_in_mujoco_is_the_pd_of_torch_at_a_small_timestep_and_is_stable_at_a_
   gains: dict[str, Any] = {"target_names_expr": (".*",), "stiffness": 40.0, "damping": 30.0, "effort_limit": 50.0}
   for kind, cfg in (("native", NativePdActuatorCfg(**gains)), ("torch", IdealPdActuatorCfg(**gains))):
     for timestep in (1e-4, 1e-2):
-      model, actuators = build(cfg)
+      model, actuators = make(cfg)
       model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
       model.opt.timestep = timestep
       data = mujoco.MjData(model)
@@ -187,7 +184,7 @@ def test_a_general_actuator_is_what_its_numbers_say() -> None:
 
 
 def test_a_general_actuator_filters_its_input() -> None:
-  model, _ = build(general(dyn_type="filterexact", dyn_prm=(0.1,), act_range=(-1.0, 0.5)))
+  model, _ = make(general(dyn_type="filterexact", dyn_prm=(0.1,), act_range=(-1.0, 0.5)))
   data = mujoco.MjData(model)
   data.ctrl[:] = 1.0
   seen = []
@@ -201,7 +198,7 @@ def test_a_general_actuator_filters_its_input() -> None:
 def test_a_muscle_pulls_with_its_peak_force_at_its_optimal_length() -> None:
   low, high = -np.pi / 3, np.pi / 2
   optimal = (high - low) / (1.05 - 0.75)
-  model, actuators = build(muscle(), muscle(target_names_expr=("b",), length_range=(-1.0, 2.0), gear=-1.0))
+  model, actuators = make(muscle(), muscle(target_names_expr=("b",), length_range=(-1.0, 2.0), gear=-1.0))
   np.testing.assert_allclose(model.actuator_lengthrange, [[low, high], [-1.0, 2.0]])
   command = torch.tensor([[0.3, 1.7]], dtype=torch.float64)
   other = torch.full_like(command, float("nan"))
@@ -218,7 +215,7 @@ def test_a_muscle_pulls_with_its_peak_force_at_its_optimal_length() -> None:
 
 
 def test_a_muscle_from_a_config_is_the_muscle_of_the_mjcf() -> None:
-  model, _ = build(muscle(lmin=0.4, lmax=1.7, vmax=2.0, fpmax=1.1, fvmax=1.4, range=(0.8, 1.1), smoothing=0.02))
+  model, _ = make(muscle(lmin=0.4, lmax=1.7, vmax=2.0, fpmax=1.1, fvmax=1.4, range=(0.8, 1.1), smoothing=0.02))
   written = mujoco.MjModel.from_xml_string("""
   <mujoco><compiler><lengthrange uselimit="true"/></compiler>
     <worldbody><body><geom size="0.1"/><joint name="a" axis="0 1 0" range="-60 90"/></body></worldbody>
@@ -273,4 +270,4 @@ def test_a_muscle_from_a_config_is_the_muscle_of_the_mjcf() -> None:
 )
 def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    build(cfg)
+    make(cfg)

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import pytest
 import torch
+from actuator_models import build, chain
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorCmd,
@@ -23,14 +24,7 @@ from mjlab_actuators import (
 )
 from torch.utils._python_dispatch import TorchDispatchMode
 
-CHAIN = """
-<mujoco>
-  <worldbody>
-    <body><geom size="0.1"/><joint name="a"/>
-      <body><geom size="0.1"/><joint name="b"/><body><geom size="0.1"/><joint name="c"/></body></body></body>
-  </worldbody>
-</mujoco>
-"""
+CHAIN = chain("a", "b", "c")
 # What stops the host until the device is done, or has a size that only the device knows.
 SYNCS = ("_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique", "equal.default")
 
@@ -45,15 +39,8 @@ class Operations(TorchDispatchMode):
     return func(*args, **(kwargs or {}))
 
 
-def build(*cfgs: ActuatorCfg) -> tuple[ActuatorSet, torch.Tensor]:
-  spec = mujoco.MjSpec.from_string(CHAIN)
-  actuators = ActuatorSet(cfgs)
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  ctrl = torch.zeros(4, model.nu, dtype=torch.float64)
-  generator = torch.Generator().manual_seed(0)
-  actuators.build(model, num_envs=4, device="cpu", dtype=torch.float64, generator=generator, ctrl=ctrl)
-  return actuators, ctrl
+def make(*cfgs: ActuatorCfg) -> ActuatorSet:
+  return build(CHAIN, *cfgs, num_envs=4, generator=torch.Generator().manual_seed(0))[1]
 
 
 def pd(*joints: str, **delay: Any) -> ActuatorCfg:
@@ -110,7 +97,7 @@ CASES: dict[str, tuple[tuple[ActuatorCfg, ...], int]] = {
 
 @pytest.mark.parametrize(("cfgs", "budget"), CASES.values(), ids=CASES.keys())
 def test_a_substep_costs_few_operations_and_none_that_syncs(cfgs: tuple[ActuatorCfg, ...], budget: int) -> None:
-  actuators, _ = build(*cfgs)
+  actuators = make(*cfgs)
   args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
   mask = torch.tensor([True, False, True, False])
   with Operations() as resetting:
@@ -135,7 +122,7 @@ def test_a_substep_costs_the_same_however_many_groups_a_law_has(law: Any, delay:
     if law is not learned:
       for k, cfg in enumerate(cfgs):
         cfg.stiffness = 1.0 + k
-    actuators, _ = build(*cfgs)
+    actuators = make(*cfgs)
     args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
     with Operations() as stepping:
       actuators.compute(*args)
@@ -150,7 +137,8 @@ def test_a_substep_costs_the_same_however_many_groups_a_law_has(law: Any, delay:
 
 @pytest.mark.parametrize("cfgs", [cfgs for cfgs, _ in CASES.values()], ids=CASES.keys())
 def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[ActuatorCfg, ...]) -> None:
-  actuators, ctrl = build(*cfgs)
+  ctrl = torch.zeros(4, 3, dtype=torch.float64)
+  _, actuators = build(CHAIN, *cfgs, num_envs=4, generator=torch.Generator().manual_seed(0), ctrl=ctrl)
   args = [torch.randn(4, 3, dtype=torch.float64) for _ in range(5)]
 
   def addresses() -> dict[str, int]:
@@ -174,16 +162,13 @@ def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[Actua
 
 
 def test_only_laws_in_torch_need_measurements() -> None:
-  assert not build(servo(".*"))[0].needs_feedback
-  assert build(servo("a"), pd("b", "c"))[0].needs_feedback
+  assert not make(servo(".*")).needs_feedback
+  assert make(servo("a"), pd("b", "c")).needs_feedback
 
 
 def test_single_precision_follows_the_engine() -> None:
   for cfgs in ([pd("a", delay_max_lag=2), servo("b", "c")], [dc_motor("a"), enveloped("b"), learned("c")]):
-    spec = mujoco.MjSpec.from_string(CHAIN)
-    actuators = ActuatorSet(cfgs)
-    actuators.edit_spec(spec)
-    actuators.build(spec.compile(), num_envs=2, device="cpu", dtype=torch.float32)
+    _, actuators = build(CHAIN, *cfgs, num_envs=2, dtype=torch.float32)
     assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
     for law in actuators.groups:
       columns = len(law.target_names)

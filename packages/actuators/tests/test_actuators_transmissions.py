@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from actuator_models import build
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorSet,
@@ -56,12 +57,8 @@ THRUST = (0.2, -0.3, 1.0, 0.01, 0.02, -0.05)
 WORLDS = 3
 
 
-def build(*cfgs: ActuatorCfg, own: str = "") -> tuple[mujoco.MjModel, ActuatorSet]:
-  spec = mujoco.MjSpec.from_string(CRANE % own)
-  actuators = ActuatorSet(cfgs, "entity 'crane'")
-  actuators.edit_spec(spec)
-  model = spec.compile()
-  return model, actuators.build(model, num_envs=WORLDS, device="cpu", dtype=torch.float64)
+def make(*cfgs: ActuatorCfg, own: str = "") -> tuple[mujoco.MjModel, ActuatorSet]:
+  return build(CRANE % own, *cfgs, num_envs=WORLDS)
 
 
 def moving(model: mujoco.MjModel) -> list[mujoco.MjData]:
@@ -197,7 +194,7 @@ WHERE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("law", LAWS)
 def test_mujoco_applies_the_closed_form_along_the_transmission(law: str, where: str) -> None:
   cfg = dataclasses.replace(LAWS[law], **WHERE[where])
-  model, actuators = build(cfg)
+  model, actuators = make(cfg)
   worlds = moving(model)
   position, velocity = measured(actuators, worlds)
   targets = set_points(actuators)
@@ -218,7 +215,7 @@ def test_mujoco_applies_the_closed_form_along_the_transmission(law: str, where: 
 def test_a_site_without_a_reference_is_pushed_by_its_wrench_in_its_own_frame() -> None:
   site: dict[str, Any] = {"transmission_type": "site", "site_gear": {"keel": THRUST, "h.*": (1, 0, 0, 0, 0, 0)}}
   thrusters = NativeMotorActuatorCfg(target_names_expr=("keel", "hook"), effort_limit=0.8, gear=3.0, **site)
-  model, actuators = build(thrusters)
+  model, actuators = make(thrusters)
   _, _, effort = targets = set_points(actuators)
   got = applied(model, actuators, actuators.compute(*targets, effort, effort))
   assert actuators.driven("site") == ("keel", "hook")
@@ -236,7 +233,7 @@ def test_a_damper_works_on_a_site_without_a_reference() -> None:
   cfg = IdealPdActuatorCfg(
     target_names_expr=("keel",), transmission_type="site", site_gear=THRUST, stiffness=0.0, damping=KD
   )
-  model, actuators = build(cfg)
+  model, actuators = make(cfg)
   worlds = moving(model)
   zero = torch.zeros(WORLDS, len(actuators.targets), dtype=torch.float64)
   got = applied(model, actuators, actuators.compute(zero, zero, zero, *measured(actuators, worlds)))
@@ -247,7 +244,7 @@ def test_a_damper_works_on_a_site_without_a_reference() -> None:
 
 def test_a_muscle_pulls_along_a_tendon_whose_range_is_its_own() -> None:
   cfg = NativeMuscleActuatorCfg(target_names_expr=("lift",), transmission_type="tendon", force=20.0)
-  model, actuators = build(cfg)
+  model, actuators = make(cfg)
   np.testing.assert_allclose(model.actuator_lengthrange, [[-2.0, 3.0]])
   data = mujoco.MjData(model)
   # A quarter of the way from 0.75 to 1.05 of the optimal length, per 5 m of tendon, is one.
@@ -272,7 +269,7 @@ OWN = """<actuator>
 def test_the_mjcf_s_own_actuators_are_wrapped_as_they_are_on_every_transmission() -> None:
   plain = mujoco.MjModel.from_xml_string(CRANE % OWN)
   wrapped = [XmlActuatorCfg(target_names_expr=(".*",), transmission_type=kind) for kind in ("joint", "tendon", "site")]
-  model, actuators = build(*wrapped, own=OWN)
+  model, actuators = make(*wrapped, own=OWN)
   for field in ("gainprm", "biasprm", "gear", "trntype", "trnid", "ctrlrange", "forcerange"):
     np.testing.assert_array_equal(getattr(model, f"actuator_{field}"), getattr(plain, f"actuator_{field}"))
   targets = set_points(actuators)
@@ -293,7 +290,7 @@ def test_a_configured_site_is_measured_by_its_own_actuator_beside_one_of_the_mjc
   cfg = IdealPdActuatorCfg(
     target_names_expr=("keel",), transmission_type="site", site_gear=THRUST, stiffness=0.0, damping=1.0
   )
-  model, actuators = build(XmlActuatorCfg(target_names_expr=("lift",)), cfg, own=OWN)
+  model, actuators = make(XmlActuatorCfg(target_names_expr=("lift",)), cfg, own=OWN)
   assert [model.actuator(output).name for output in actuators.site_outputs] == ["keel"]
 
 
@@ -302,7 +299,7 @@ def test_a_tendon_and_a_joint_of_one_name_are_two_targets() -> None:
     dataclasses.replace(LAWS["pd"], target_names_expr=("lift",), transmission_type=kind) for kind in ("joint", "tendon")
   ]
   for order in (cfgs, cfgs[::-1]):
-    model, actuators = build(*order)
+    model, actuators = make(*order)
     assert {model.actuator(i).name for i in range(2)} == {
       "lift",
       "lift_joint" if order is not cfgs else "lift_tendon",
@@ -325,7 +322,7 @@ def test_a_tendon_and_a_joint_of_one_name_are_two_targets() -> None:
 
 def test_passive_properties_are_written_on_the_tendon() -> None:
   passive: dict[str, Any] = {"armature": 0.1, "frictionloss": {"li.*": 0.2}, "viscous_damping": 0.3}
-  model, _ = build(NativeMotorActuatorCfg(target_names_expr=(".*",), transmission_type="tendon", **passive))
+  model, _ = make(NativeMotorActuatorCfg(target_names_expr=(".*",), transmission_type="tendon", **passive))
   np.testing.assert_array_equal(model.tendon_armature, [0.1, 0.1])
   np.testing.assert_array_equal(model.tendon_frictionloss, [0.2, 0.0])
   np.testing.assert_array_equal(model.tendon_damping, [0.3, 0.3])
@@ -358,7 +355,7 @@ SITE: dict[str, Any] = {"target_names_expr": ("keel",), "transmission_type": "si
 )
 def test_impossible_transmissions_are_refused_by_name_at_build(law: str, where: dict[str, Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    build(dataclasses.replace(LAWS[law], **where))
+    make(dataclasses.replace(LAWS[law], **where))
 
 
 def test_laws_that_live_on_a_position_need_a_reference_on_a_site() -> None:
@@ -370,25 +367,25 @@ def test_laws_that_live_on_a_position_need_a_reference_on_a_site() -> None:
     ),
   ):
     with pytest.raises(ValueError, match="site 'keel' has a position only relative to a refsite"):
-      build(cfg)
+      make(cfg)
 
 
 def test_a_muscle_on_an_unlimited_tendon_needs_its_range() -> None:
   with pytest.raises(ValueError, match="tendon 'rope' is not limited, so length_range must be given"):
-    build(NativeMuscleActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", force=1.0))
+    make(NativeMuscleActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", force=1.0))
 
 
 def test_several_wrapped_wrenches_on_one_site_are_refused_by_name() -> None:
   own = '<actuator><motor site="hook" gear="1 0 0 0 0 0"/><motor site="hook" gear="0 1 0 0 0 0"/></actuator>'
   with pytest.raises(ValueError, match="site 'hook' has one effort_target, but several actuators that take one"):
-    build(XmlActuatorCfg(target_names_expr=("hook",), transmission_type="site"), own=own)
+    make(XmlActuatorCfg(target_names_expr=("hook",), transmission_type="site"), own=own)
 
 
 def test_the_direction_of_a_wrapped_site_is_the_mjcf_s() -> None:
   with pytest.raises(ValueError, match="XmlActuatorCfg: site_gear is given, but the MJCF has it already"):
-    build(XmlActuatorCfg(target_names_expr=("hook",), transmission_type="site", site_gear=THRUST), own=OWN)
+    make(XmlActuatorCfg(target_names_expr=("hook",), transmission_type="site", site_gear=THRUST), own=OWN)
 
 
 def test_an_invalid_pattern_is_refused_on_every_transmission() -> None:
   with pytest.raises(ValueError, match="is not a regular expression"):
-    build(NativeMotorActuatorCfg(target_names_expr=("(",), transmission_type="tendon"))
+    make(NativeMotorActuatorCfg(target_names_expr=("(",), transmission_type="tendon"))

@@ -13,24 +13,27 @@ from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_terrain import PlaneCfg
 
+# Boxes and meshes collide with the ground only: between them, collisions take long to compile.
+ROUND, FLAT = '<default><geom contype="3" conaffinity="2"/></default>', 'contype="1" conaffinity="0"'
 WEDGE = '<asset><mesh name="m" vertex="0 0 0 .2 0 0 0 .15 0 .2 .15 0 0 0 .1 0 .15 .1"/></asset>'
 ROBOTS = {
-  "short": f"""<mujoco>{WEDGE}<worldbody><body name="base"><freejoint/>
-    <geom name="trunk" type="mesh" mesh="m" mass="2"/>
+  "short": f"""<mujoco>{ROUND}{WEDGE}<worldbody><body name="base"><freejoint/>
+    <geom name="trunk" type="mesh" mesh="m" mass="2" {FLAT}/>
     <frame pos="0 0.02 0" euler="10 0 20"><body name="upper" pos=".1 0 -.05">
       <joint name="shoulder" axis="0 1 0" range="-40 40" damping=".2" armature=".01"/>
       <geom name="bone" type="capsule" size=".03" fromto="0 0 0 .2 0 0" mass=".4"/>
       <body name="hand" pos=".2 0 0"><geom name="ball" size=".05" friction=".5" mass=".2"/>
         <site name="tip" pos=".1 0 0"/>
       </body></body></frame></body></worldbody></mujoco>""",
-  "long": """<mujoco><compiler angle="radian"/><worldbody><body name="base"><freejoint/>
-    <geom name="trunk" type="box" size=".1 .1 .05" mass="3"/>
+  "long": f"""<mujoco>{ROUND}<compiler angle="radian"/><worldbody><body name="base"><freejoint/>
+    <geom name="trunk" type="box" size=".1 .1 .05" mass="3" {FLAT}/>
     <body name="upper" pos=".1 0 0">
       <joint name="shoulder" axis="0 .8 .6" pos="0 0 .01" damping=".1" frictionloss=".05"/>
       <geom name="bone" type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass=".6"/>
       <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="-.5 1" stiffness="2" armature=".02"/>
         <geom name="rod" type="capsule" size=".02" fromto="0 0 0 .2 0 0" mass=".3"/>
-        <body name="hand" pos=".2 0 0"><site name="tip" pos="0 0 .05"/><geom name="pad" type="box" size=".03 .03 .03"/>
+        <body name="hand" pos=".2 0 0"><site name="tip" pos="0 0 .05"/>
+          <geom name="pad" type="box" size=".03 .03 .03" {FLAT}/>
       </body></body></body></body></worldbody></mujoco>""",
 }
 # The hand of the one is on the upper arm, that of the other on the forearm: give each a name of its own.

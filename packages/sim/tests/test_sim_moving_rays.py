@@ -10,11 +10,12 @@ from mjlab_sim import RayHits, Simulation, SimulationCfg
 
 NUM_ENVS, NUM_RAYS = 3, 150
 Geom = mujoco.mjtGeom
-MOVING = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+FREE, CARRIED = ("box", "mesh"), ("sphere", "capsule", "ellipsoid", "cylinder")
+MOVING = FREE + CARRIED
 
 
 def tumbling() -> mujoco.MjSpec:
-  """One free body for each type of geom, a robot of three bodies around which rays start, and a field on a lift."""
+  """A body that floats or is carried for each type of geom, a robot around which rays start, and a field on a lift."""
   spec = mujoco.MjSpec()
   spec.worldbody.add_geom(name="plane", type=Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -1])
   rng = np.random.default_rng(0)
@@ -23,8 +24,9 @@ def tumbling() -> mujoco.MjSpec:
   for name, scale in (("star", 0.5), ("big star", 0.9)):
     spec.add_mesh(name=name, uservert=scale * np.ravel(star), userface=np.ravel(faces))
   for name in MOVING:
-    body = spec.worldbody.add_body(name=name)
-    body.add_freejoint()
+    body = spec.worldbody.add_body(name=name, mocap=name in CARRIED)
+    if name in FREE:
+      body.add_freejoint()
     geom = body.add_geom(name=name, type=getattr(Geom, f"mjGEOM_{name.upper()}"))
     if name == "mesh":
       geom.meshname = "star"
@@ -49,13 +51,14 @@ def tumbling() -> mujoco.MjSpec:
 def sim(request: pytest.FixtureRequest) -> Simulation:
   sim = Simulation(NUM_ENVS, tumbling(), SimulationCfg(engine=request.param, num_threads=1))
   rng = np.random.default_rng(1)
-  for number in range(len(MOVING) + 1):
-    place = 7 * number
-    around = [[0.0, 0.0, 0.0]] if number == len(MOVING) else rng.uniform(-1.5, 1.5, (NUM_ENVS, 3))
-    pose = np.concatenate((np.broadcast_to(around, (NUM_ENVS, 3)), rng.normal(size=(NUM_ENVS, 4))), axis=1)
-    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-    sim.data.qpos[:, place : place + 7] = torch.tensor(pose, dtype=sim.dtype)
-  sim.data.mocap_pos[:, 0, 2] += torch.tensor([0.0, 0.1, 0.2], dtype=sim.dtype)
+  places = torch.tensor(rng.uniform(-1.5, 1.5, (NUM_ENVS, len(MOVING) + 1, 3)), dtype=sim.dtype)
+  turns = torch.tensor(rng.normal(size=(NUM_ENVS, len(MOVING) + 1, 4)), dtype=sim.dtype)
+  turns /= turns.norm(dim=-1, keepdim=True)
+  places[:, len(FREE)] = 0.0  # The robot.
+  free = len(FREE) + 1
+  sim.data.qpos[:, : 7 * free] = torch.cat((places, turns), dim=-1)[:, :free].flatten(1)
+  sim.data.mocap_pos[:, :-1], sim.data.mocap_quat[:, :-1] = places[:, free:], turns[:, free:]
+  sim.data.mocap_pos[:, -1, 2] += torch.tensor([0.0, 0.1, 0.2], dtype=sim.dtype)
   return sim
 
 
@@ -76,8 +79,8 @@ def mujoco_rays(
   normal = np.zeros((NUM_ENVS, NUM_RAYS, 3))
   for world, model in enumerate(models):
     data = mujoco.MjData(model)
-    data.qpos[:] = sim.data.qpos[world].double().numpy()
-    data.mocap_pos[:] = sim.data.mocap_pos[world].double().numpy()
+    for name in ("qpos", "mocap_pos", "mocap_quat"):
+      getattr(data, name)[:] = getattr(sim.data, name)[world].double().numpy()
     mujoco.mj_kinematics(model, data)
     for ray in range(NUM_RAYS):
       origin, direction = (part[world, ray].double().numpy() for part in rays)

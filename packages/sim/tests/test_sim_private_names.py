@@ -46,6 +46,7 @@ def test_no_other_module_takes_private_names_or_mocks() -> None:
 
 GROUND = """
 <mujoco>
+  <default><geom contype="0" conaffinity="0"/></default>
   <worldbody>
     <geom type="plane" size="3 3 .1"/><geom type="box" size=".3 .3 .2" pos=".5 0 .2"/>
     <body name="robot" pos="0 0 1"><freejoint/><geom type="sphere" size=".1" mass="1"/>

@@ -47,6 +47,9 @@ def rough_ground(seed: int = 0) -> mujoco.MjSpec:
   ball = spec.worldbody.add_body(name="ball", pos=[0, 0, 2])
   ball.add_freejoint()
   ball.add_geom(name="ball", size=[0.4, 0, 0], mass=1)
+  # Collisions with meshes and fields would take long to compile.
+  for geom in spec.geoms:
+    geom.contype = geom.conaffinity = 0
   return spec
 
 
