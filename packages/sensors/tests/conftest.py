@@ -1,9 +1,14 @@
 """What the tests of this package share."""
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from torch.utils._python_dispatch import TorchDispatchMode
+
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 class _Counter(TorchDispatchMode):

@@ -8,11 +8,13 @@ import pytest
 import torch
 from mjlab_sensors import NATIVE_TYPES, BuiltinSensor, BuiltinSensorCfg, ObjRef
 from mjlab_sensors.builtin import SensorType
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
+from sensor_scenes import simulate, with_robot
 
 ROBOT = """
 <mujoco>
+  <default><geom contype="0" conaffinity="0"/></default>
   <asset><mesh name="plate" builtin="plate" params="3 3" scale="0.1 0.1 0.005"/></asset>
   <worldbody>
     <camera name="watch" pos="0 -3 1" xyaxes="1 0 0 0 0 1" resolution="4 3"/>
@@ -31,10 +33,10 @@ ROBOT = """
     </body>
     <body name="wrist" pos="2 0 1"><joint name="ball" type="ball"/><geom name="hand" size="0.1" pos="0.1 0 0"/></body>
     <body name="pad" pos="3 0 1">
-      <geom name="pad" type="box" size="0.1 0.1 0.005"/>
-      <geom name="skin" type="mesh" mesh="plate" pos="0 0 0.011" contype="0" conaffinity="0" mass="0"/>
+      <geom name="pad" type="box" size="0.1 0.1 0.005" contype="1"/>
+      <geom name="skin" type="mesh" mesh="plate" pos="0 0 0.011" mass="0"/>
     </body>
-    <body name="finger" pos="3 0 1.053"><freejoint/><geom name="finger" size="0.05" mass="1"/>
+    <body name="finger" pos="3 0 1.053"><freejoint/><geom name="finger" size="0.05" mass="1" conaffinity="1"/>
       <site name="pulp" size="0.06"/></body>
   </worldbody>
   <tendon><fixed name="cable" limited="true" range="-1 1"><joint joint="knuckle" coef="2"/></fixed></tendon>
@@ -42,7 +44,6 @@ ROBOT = """
   <sensor><gyro name="imu_gyro" site="imu"/><framequat name="tilt" objtype="site" objname="imu"/></sensor>
 </mujoco>
 """
-ENTITIES = {"robot": None}
 
 
 def ref(type_: Any, name: str) -> ObjRef:
@@ -100,29 +101,13 @@ CUTOFF = dict.fromkeys(("distance", "normal", "fromto"), 5.0)
 
 
 def scene(elements: str = "") -> mujoco.MjSpec:
-  spec = mujoco.MjSpec()
-  spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-  spec.attach(
-    mujoco.MjSpec.from_string(ROBOT.replace("</sensor>", f"{elements}</sensor>")),
-    prefix="robot/",
-    frame=spec.worldbody.add_frame(),
+  return with_robot(
+    ROBOT.replace("</sensor>", f"{elements}</sensor>"), '<geom name="floor" type="plane" size="0 0 1"/>'
   )
-  return spec
 
 
-def build(
-  *cfgs: BuiltinSensorCfg, num_envs: int = 2, engine: Any = "native", elements: str = ""
-) -> tuple[Simulation, list[BuiltinSensor]]:
-  spec, sensors = scene(elements), []
-  for number, cfg in enumerate(cfgs):
-    sensor = cfg.build("" if cfg.name else f"sensor{number}")
-    assert isinstance(sensor, BuiltinSensor)
-    sensor.edit_spec(spec, ENTITIES)
-    sensors.append(sensor)
-  sim = Simulation(num_envs, spec, SimulationCfg(engine=engine, num_threads=1))
-  for sensor in sensors:
-    sensor.initialize(sim, ENTITIES)
-  return sim, sensors
+def build(*cfgs: BuiltinSensorCfg, elements: str = "", **options: Any) -> tuple[Simulation, list[BuiltinSensor]]:
+  return simulate(scene(elements), *cfgs, **options)
 
 
 @pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
@@ -191,19 +176,17 @@ def test_readings_turn_with_the_world_as_their_frame_says() -> None:
     turned = mujoco.MjSpec()
     turned.option.magnetic = Rotation.from_euler("z", angle).apply(turned.option.magnetic)
     turned.attach(spec, prefix="", frame=turned.worldbody.add_frame(quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]))
-    sensors = []
-    for number, (kind, obj, relative, _) in enumerate(OBJECTS):
+    cfgs = [
       # Without a reference, where that can be: then its frame is the world's.
-      keeps = NATIVE_TYPES[kind].needs_reference
-      sensors.append(
-        BuiltinSensorCfg(
-          sensor_type=kind, obj=obj, ref=relative if keeps else None, cutoff=CUTOFF.get(kind, 0.0)
-        ).build(f"s{number}")
+      BuiltinSensorCfg(
+        sensor_type=kind,
+        obj=obj,
+        ref=relative if NATIVE_TYPES[kind].needs_reference else None,
+        cutoff=CUTOFF.get(kind, 0.0),
       )
-      sensors[-1].edit_spec(turned, ENTITIES)
-    sim = Simulation(1, turned, SimulationCfg(num_threads=1))
-    for sensor in sensors:
-      sensor.initialize(sim, ENTITIES)
+      for kind, obj, relative, _ in OBJECTS
+    ]
+    sim, sensors = simulate(turned, *cfgs, num_envs=1)
     velocity = torch.linspace(-1.0, 1.0, sim.mj_model.nv, dtype=sim.dtype)
     for joint in range(sim.mj_model.njnt):
       if sim.mj_model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
@@ -283,69 +266,3 @@ def test_cutoff_clamps_the_reading() -> None:
   sim, (sensor,) = build(BuiltinSensorCfg(sensor_type="jointvel", obj=ELBOW, cutoff=0.5))
   sim.data.qvel[:, 6] = torch.tensor((-3.0, 0.25), dtype=sim.dtype)
   assert sensor.data[:, 0].tolist() == [-0.5, 0.25]
-
-
-@pytest.mark.parametrize(
-  ("fields", "message"),
-  [
-    ({}, r"give `element`.* or `sensor_type`"),
-    ({"sensor_type": "gyroo", "obj": IMU}, r"sensor_type 'gyroo' does not exist. Nearest: gyro"),
-    ({"sensor_type": "gyro"}, r"needs a site as `obj`"),
-    ({"sensor_type": "gyro", "obj": BASE}, r"takes a site as `obj`, not body 'base'"),
-    ({"sensor_type": "gyro", "obj": IMU, "ref": IMU}, r"takes none as `ref`, not site 'imu'"),
-    ({"sensor_type": "clock", "obj": IMU}, r"takes none as `obj`"),
-    ({"sensor_type": "framepos", "obj": ELBOW}, r"takes a body or xbody or geom or site or camera as `obj`"),
-    ({"sensor_type": "gyro", "obj": IMU, "cutoff": -1.0}, r"cutoff must not be negative"),
-    ({"element": "robot/imu_gyro", "sensor_type": "gyro", "enclosed": True}, r"leave sensor_type, enclosed out"),
-    ({"sensor_type": "distance", "obj": ref("geom", "rod")}, r"a distance sensor needs a geom or body as `ref`"),
-    ({"sensor_type": "contact", "obj": BASE}, "sensor_type 'contact' does not exist"),
-    ({"sensor_type": "user"}, "sensor_type 'user' does not exist"),
-    ({"sensor_type": "rangefinder", "obj": IMU, "ray_data": ("dist", "pnt")}, r"ray_data 'pnt' does not exist. Nea"),
-    ({"sensor_type": "rangefinder", "obj": IMU, "ray_data": ("point", "dist")}, r"must keep the order"),
-    (
-      {"sensor_type": "gyro", "obj": IMU, "ray_data": ("point",)},
-      r"ray_data requires sensor_type='rangefinder', got 'gyro'",
-    ),
-    ({"sensor_type": "gyro", "obj": IMU, "enclosed": True}, r"enclosed requires sensor_type='insidesite', got 'gyro'"),
-  ],
-)
-def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
-  fields = {"name": "probe", **fields}
-  with pytest.raises(ValueError, match=rf"BuiltinSensorCfg 'probe': .*{message}"):
-    BuiltinSensorCfg(**fields)
-
-
-@pytest.mark.parametrize(
-  ("cfg", "message"),
-  [
-    (
-      BuiltinSensorCfg(element="robot/imu_gyr"),
-      r"sensor element 'robot/imu_gyr' does not exist. Nearest: robot/imu_gyro",
-    ),
-    (BuiltinSensorCfg(sensor_type="gyro", obj=ref("site", "imo")), r"site 'imo' does not exist. Nearest: imu"),
-    (
-      BuiltinSensorCfg(sensor_type="framepos", obj=IMU, ref=ref("geom", "rad")),
-      r"geom 'rad' does not exist. Nearest: rod",
-    ),
-    (
-      BuiltinSensorCfg(sensor_type="gyro", obj=ObjRef(type="site", name="imu", entity="robo")),
-      r"entity 'robo' does not exist. Nearest: robot",
-    ),
-  ],
-)
-def test_a_name_that_does_not_exist_is_refused_with_the_nearest(cfg: BuiltinSensorCfg, message: str) -> None:
-  with pytest.raises(ValueError, match=rf"BuiltinSensorCfg 'probe': {message}"):
-    cfg.build("probe").edit_spec(scene(), ENTITIES)
-
-
-def test_a_new_sensor_does_not_take_the_name_of_an_existing_one() -> None:
-  cfg = BuiltinSensorCfg(name="robot/imu_gyro", sensor_type="gyro", obj=IMU)
-  with pytest.raises(
-    ValueError, match=r"already has a sensor element 'robot/imu_gyro'; choose another name, or read that one"
-  ):
-    cfg.build().edit_spec(scene(), ENTITIES)
-
-
-def test_an_unknown_type_of_object_is_refused_by_name() -> None:
-  with pytest.raises(ValueError, match=r"type 'sites' does not exist. Nearest: site"):
-    ref("sites", "imu")

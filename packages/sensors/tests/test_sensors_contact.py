@@ -1,6 +1,5 @@
 """Contact sensors: what they report, how long, and that nothing leaks."""
 
-from collections.abc import Callable
 from typing import Any, get_args
 
 import mujoco
@@ -9,7 +8,8 @@ import pytest
 import torch
 from mjlab_sensors import ContactMatch, ContactSensor, ContactSensorCfg
 from mjlab_sensors.contact import ContactField
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
+from sensor_scenes import ENTITIES, Count, advance, get, simulate, with_robot
 
 TERRAIN = ContactMatch(mode="body", pattern="terrain")
 BOX = ContactMatch(mode="body", pattern="box", entity="robot")
@@ -36,8 +36,6 @@ ROBOT = """
 </mujoco>
 """
 
-Count = Callable[[Callable[[], object]], int]
-
 # A ball on a slide: its height is state that a test may write, so it can make and break contact at will.
 HOPPER = """
 <mujoco>
@@ -55,36 +53,12 @@ HOPPER = """
 """
 
 
-def scene(robot: str) -> mujoco.MjSpec:
-  spec = mujoco.MjSpec()
-  spec.worldbody.add_body(name="terrain").add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-  spec.attach(mujoco.MjSpec.from_string(robot), prefix="robot/", frame=spec.worldbody.add_frame())
-  return spec
+def scene(robot: str = ROBOT) -> mujoco.MjSpec:
+  return with_robot(robot, '<geom name="ground" type="plane" size="0 0 1"/>')
 
 
 def build(*cfgs: ContactSensorCfg, robot: str = ROBOT, num_envs: int = 2) -> tuple[Simulation, list[ContactSensor]]:
-  spec, sensors = scene(robot), []
-  for cfg in cfgs:
-    sensor = cfg.build()
-    assert isinstance(sensor, ContactSensor)
-    sensor.edit_spec(spec, {"robot": None})
-    sensors.append(sensor)
-  sim = Simulation(num_envs, spec, SimulationCfg())
-  for sensor in sensors:
-    sensor.initialize(sim, {"robot": None})
-  return sim, sensors
-
-
-def advance(sim: Simulation, sensors: list[ContactSensor], substeps: int = 1) -> None:
-  for _ in range(substeps):
-    sim.step()
-    for sensor in sensors:
-      sensor.update(sim.timestep)
-
-
-def get(value: torch.Tensor | None) -> torch.Tensor:
-  assert value is not None
-  return value
+  return simulate(scene(robot), *cfgs, num_envs=num_envs)
 
 
 @pytest.mark.parametrize("reduce", ["none", "mindist", "maxforce", "netforce"])
@@ -99,7 +73,7 @@ def test_all_fields_equal_those_of_mujoco(reduce: Any) -> None:
     num_slots=slots,
   )
   sim, (sensor,) = build(cfg)
-  spec = scene(ROBOT)
+  spec = scene()
   for geom in ("robot/box_geom", "robot/ball_geom"):
     oracle = spec.add_sensor(name=geom, type=mujoco.mjtSensor.mjSENS_CONTACT, objname=geom)
     oracle.objtype = mujoco.mjtObj.mjOBJ_GEOM
@@ -178,12 +152,12 @@ def test_a_subtree_sees_the_contacts_within_itself_and_a_body_only_its_own() -> 
 
 
 def test_primaries_come_in_model_order_or_in_that_of_the_patterns() -> None:
-  spec = scene(ROBOT)
+  spec = scene()
   pattern = ("ball_geom", "box_geom", "tail_.*")
 
   def names(**kwargs: Any) -> tuple[str, ...]:
     match = ContactMatch(mode="geom", pattern=pattern, entity="robot", **kwargs)
-    return tuple(name.removeprefix("robot/") for name in match.resolve(spec, {"robot": None}, ""))
+    return tuple(name.removeprefix("robot/") for name in match.resolve(spec, ENTITIES, ""))
 
   assert names() == ("box_geom", "ball_geom", "tail_geom", "tail_tip")
   assert names(preserve_order=True) == ("ball_geom", "box_geom", "tail_geom", "tail_tip")
@@ -333,23 +307,23 @@ def test_contacts_with_anything_but_oneself() -> None:
   # The tail leans on the ball that carries it, and the box on the ground.
   others = ContactMatch(mode="body", pattern=".*", exclude="robot/(ball|tail)")
   ball = ContactMatch(mode="subtree", pattern="ball", entity="robot")
-  spec = scene(ROBOT)
+  spec = scene()
   sensor = ContactSensorCfg(name="ball", primary=ball, secondary=others).build()
   assert isinstance(sensor, ContactSensor)
-  sensor.edit_spec(spec, {"robot": None})
+  sensor.edit_spec(spec, ENTITIES)
   assert sensor.secondary_names == ("world", "terrain", "robot/box")
 
 
 def test_the_force_history_follows_the_decimation() -> None:
   cfg = ContactSensorCfg(name="feet", primary=BOX, history_length="decimation")
   for decimation in (2, 5):
-    spec, sensor = scene(ROBOT), cfg.build()
+    spec, sensor = scene(), cfg.build()
     sensor.decimation = decimation
-    sensor.edit_spec(spec, {"robot": None})
-    sensor.initialize(Simulation(2, spec, SimulationCfg()), {"robot": None})
+    sensor.edit_spec(spec, ENTITIES)
+    sensor.initialize(Simulation(2, spec), ENTITIES)
     assert get(sensor.data.force_history).shape == (2, 1, decimation, 3)
   with pytest.raises(ValueError, match=r"'feet': history_length='decimation' needs an environment"):
-    cfg.build().edit_spec(scene(ROBOT), {"robot": None})
+    cfg.build().edit_spec(scene(), ENTITIES)
 
 
 def test_force_history_is_the_newest_first_and_empties_at_a_reset() -> None:
@@ -408,85 +382,7 @@ def test_update_and_reset_work_in_memory_that_stays() -> None:
   assert [value.data_ptr() for value in vars(sensor.data).values() if value is not None] == addresses
 
 
-@pytest.mark.parametrize(
-  ("change", "message"),
-  [
-    ({"fields": ("found", "forse")}, r"fields 'forse' does not exist. Nearest: force"),
-    ({"fields": ()}, r"fields is empty; choose from found"),
-    ({"fields": ("found", "found")}, r"fields must name each element once"),
-    ({"reduce": "maxforces"}, r"reduce 'maxforces' does not exist. Nearest: maxforce"),
-    ({"num_slots": 0}, r"num_slots must be at least 1"),
-    ({"num_slots": 1.5}, r"num_slots must be a whole number, got 1.5"),
-    ({"reduce": "netforce", "num_slots": 2}, r"num_slots must be 1, got 2"),
-    ({"history_length": -1}, r"history_length must not be negative, got -1"),
-    ({"history_length": True}, r"history_length must be a whole number or be 'decimation', got True"),
-    ({"history_length": "decimate"}, r"history_length 'decimate' does not exist. Nearest: decimation"),
-    ({"fields": ("found",), "history_length": 4}, r"add 'force' to fields"),
-  ],
-)
-def test_a_wrong_configuration_is_refused_by_name(change: dict[str, Any], message: str) -> None:
-  arguments: dict[str, Any] = {"name": "feet", "primary": BOX, **change}
-  with pytest.raises(ValueError, match=rf"ContactSensorCfg 'feet': .*{message}"):
-    ContactSensorCfg(**arguments)
-  edited = ContactSensorCfg(name="feet", primary=BOX)
-  for field, value in change.items():
-    setattr(edited, field, value)
-  with pytest.raises(ValueError, match=message):
-    edited.build()
-
-
-def test_an_unknown_mode_is_refused_by_name() -> None:
-  typo: Any = "geoms"
-  with pytest.raises(ValueError, match=r"mode 'geoms' does not exist. Nearest: geom"):
-    ContactMatch(mode=typo, pattern=".*")
-
-
-def geoms(pattern: str | tuple[str, ...], **kwargs: Any) -> ContactMatch:
-  return ContactMatch(mode="geom", pattern=pattern, entity="robot", **kwargs)
-
-
-@pytest.mark.parametrize(
-  ("primary", "secondary", "message"),
-  [
-    (geoms("bal_geom"), None, r"primary: pattern 'bal_geom' matches no geom. Nearest: ball_geom"),
-    (
-      geoms("ball_geom", exclude="tial_.*"),
-      None,
-      r"primary: pattern 'tial_.*' matches no excluded geom. Nearest: tail_",
-    ),
-    (geoms(".*", exclude=".*"), None, r"no geom is left of pattern .*, exclude"),
-    (geoms(()), None, r"no geom is left of pattern"),
-    (ContactMatch(mode="geom", pattern=".*", entity="robots"), None, r"entity 'robots' does not exist. Nearest: robot"),
-    (
-      geoms("ball_geom"),
-      ContactMatch(mode="body", pattern="terain"),
-      r"secondary: pattern 'terain' .* Nearest: terrain",
-    ),
-  ],
-)
-def test_a_pattern_that_does_not_fit_is_refused_by_name(
-  primary: ContactMatch, secondary: ContactMatch | None, message: str
-) -> None:
-  sensor = ContactSensorCfg(name="feet", primary=primary, secondary=secondary).build()
-  with pytest.raises(ValueError, match=rf"ContactSensorCfg 'feet': .*{message}"):
-    sensor.edit_spec(scene(ROBOT), {"robot": None})
-
-
-def test_names_are_given_once() -> None:
-  cfg = ContactSensorCfg(primary=BOX)
-  with pytest.raises(ValueError, match="needs one name"):
-    cfg.build()
-  assert cfg.build("feet").name == "feet"
-  with pytest.raises(ValueError, match="needs one name"):
-    ContactSensorCfg(name="feet", primary=BOX).build("hands")
-
-
 def test_first_contact_needs_air_time() -> None:
   _, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX))
   with pytest.raises(ValueError, match="track_air_time=True"):
     sensor.compute_first_contact(0.02)
-
-
-def test_reading_before_there_is_a_simulation_says_so() -> None:
-  with pytest.raises(RuntimeError, match="'feet': not initialized"):
-    _ = ContactSensorCfg(name="feet", primary=BOX).build().data

@@ -8,7 +8,7 @@ import pytest
 import torch
 from mjlab_sensors import ContactMatch, ContactSensor, ContactSensorCfg
 from mjlab_sensors.contact import ContactReduce
-from mjlab_sim import Simulation, SimulationCfg
+from sensor_scenes import World
 
 GRAVITY, FRICTION, SETTLE, SLIDE = 9.81, 0.1, 200, 200
 MASS = {"lower": 2.0, "middle": 1.0, "upper": 0.5, "slider": 1.5}
@@ -34,7 +34,7 @@ BOXES = ContactMatch(mode="body", pattern=".*e.*r|middle")
 ANYTHING = ContactMatch(mode="body", pattern=("world", "lower", "middle", "upper"), preserve_order=True)
 
 
-class Boxes:
+class Boxes(World):
   """The boxes at rest, but for the slider, which was pushed `SLIDE` substeps ago and still slides."""
 
   def __init__(self, engine: Any) -> None:
@@ -51,39 +51,24 @@ class Boxes:
       )
       for reduce in get_args(ContactReduce)
     ]
-    spec = mujoco.MjSpec.from_string(WORLD)
-    self.sensors: dict[str, Any] = {cfg.name: cfg.build() for cfg in cfgs}
-    for sensor in self.sensors.values():
-      sensor.edit_spec(spec, {})
-    self.sim = Simulation(2, spec, SimulationCfg(engine=engine, num_threads=1))
-    for sensor in self.sensors.values():
-      sensor.initialize(self.sim, {})
+    super().__init__(mujoco.MjSpec.from_string(WORLD), *cfgs, engine=engine)
     for _ in range(SETTLE):
       self.sim.step()
     self.sim.data.qvel[:, 3] = 0.6
     self.start = self.sim.data.qvel.clone()
-    self.advance(SLIDE)
+    self.step(SLIDE)
     assert (self.sim.data.qvel[:, 3] > 0.1).all()
-
-  def advance(self, substeps: int) -> None:
-    for _ in range(substeps):
-      self.sim.step()
-      for sensor in self.sensors.values():
-        sensor.update(self.sim.timestep)
 
   def forces(self, reduce: str) -> tuple[ContactSensor, torch.Tensor]:
     """World-frame force of each pair, (primaries, secondaries, 3) [N], that the primary exerts."""
     sensor: ContactSensor = self.sensors[reduce]
-    data = sensor.data
-    force, normal, tangent = (value[0].unflatten(0, sensor.contact_shape).double() for value in get(data))
+    data: Any = sensor.data
+    parts = (data.force, data.normal, data.tangent)
+    force, normal, tangent = (value[0].unflatten(0, sensor.contact_shape).double() for value in parts)
     if reduce != "netforce":
       axes = torch.stack((normal, tangent, torch.linalg.cross(normal, tangent)), dim=-1)
       force = (axes * force[..., None, :]).sum(-1)
     return sensor, force.sum(2)
-
-
-def get(data: Any) -> tuple[torch.Tensor, ...]:
-  return data.force, data.normal, data.tangent
 
 
 @pytest.fixture(scope="module", params=["native", pytest.param("warp", marks=pytest.mark.warp)])

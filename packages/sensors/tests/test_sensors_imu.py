@@ -7,7 +7,8 @@ import pytest
 import torch
 from mjlab_core import quat_error_magnitude, quat_from_rotvec, quat_mul
 from mjlab_sensors import ImuSensor, ImuSensorCfg, ObjRef
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
+from sensor_scenes import simulate
 
 ROBOT = """
 <mujoco>
@@ -30,13 +31,8 @@ ALL = torch.ones(64, dtype=torch.bool)
 
 
 def build(num_envs: int = 64, **biases: Any) -> tuple[Simulation, ImuSensor]:
-  spec = mujoco.MjSpec.from_string(ROBOT)
-  sensor = ImuSensorCfg(name="imu", site=SITE, **biases).build()
-  assert isinstance(sensor, ImuSensor)
-  sensor.edit_spec(spec, {})
-  sim = Simulation(num_envs, spec, SimulationCfg(num_threads=1))
-  sensor.rng = torch.Generator().manual_seed(0)
-  sensor.initialize(sim, {})
+  cfg = ImuSensorCfg(name="imu", site=SITE, **biases)
+  sim, (sensor,) = simulate(mujoco.MjSpec.from_string(ROBOT), cfg, num_envs=num_envs)
   return sim, sensor
 
 
@@ -111,29 +107,3 @@ def test_a_bias_wanders_with_the_root_of_time_and_starts_anew() -> None:
   sensor.reset(torch.arange(512) < 100)
   assert not sensor.gyro_bias[:100].any()
   assert sensor.gyro_bias[100:].all()
-
-
-def test_a_unit_of_a_model_that_has_its_elements_already_is_refused() -> None:
-  spec = mujoco.MjSpec.from_string(ROBOT.replace('name="gyro"', 'name="imu:gyro"'))
-  with pytest.raises(ValueError, match="ImuSensorCfg 'imu': the scene already has a sensor element 'imu:gyro'"):
-    ImuSensorCfg(name="imu", site=SITE).build().edit_spec(spec, {})
-
-
-@pytest.mark.parametrize(
-  ("fields", "message"),
-  [
-    ({"site": ObjRef(type="body", name="box")}, "site must be a site, got body 'box'"),
-    ({"gyro_bias": -0.1}, "gyro_bias must not be negative, got -0.1"),
-    ({"accelerometer_walk": float("nan")}, "accelerometer_walk must be a number, got nan"),
-  ],
-)
-def test_a_wrong_unit_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
-  arguments: dict[str, Any] = {"name": "imu", "site": SITE, **fields}
-  with pytest.raises(ValueError, match=f"ImuSensorCfg 'imu': .*{message}"):
-    ImuSensorCfg(**arguments)
-
-
-def test_a_site_that_does_not_exist_is_refused_with_the_nearest() -> None:
-  cfg = ImuSensorCfg(name="imu", site=ObjRef(type="site", name="imo"))
-  with pytest.raises(ValueError, match=r"ImuSensorCfg 'imu': site 'imo' does not exist. Nearest: imu"):
-    cfg.build().edit_spec(mujoco.MjSpec.from_string(ROBOT), {})

@@ -20,14 +20,12 @@ from mjlab_sensors import (
   LidarPatternCfg,
   ObjRef,
   RayCastSensorCfg,
-  Sensor,
   SensorCfg,
   TerrainHeightSensorCfg,
 )
 from mjlab_sensors.contact import ContactField
-from mjlab_sim import Simulation, SimulationCfg
+from sensor_scenes import Count, Sketch, World, documentation
 
-Count = Callable[[Callable[[], object]], int]
 NUM_ENVS = 3
 ROBOT = """
 <mujoco>
@@ -65,36 +63,16 @@ CFGS: tuple[SensorCfg, ...] = (
 NAMES = [cfg.name for cfg in CFGS]
 
 
-class World:
+def build(seed: int = 0) -> World:
   """A simulation with every kind of sensor."""
-
-  def __init__(self, seed: int = 0) -> None:
-    spec = mujoco.MjSpec.from_string(ROBOT)
-    self.sensors: dict[str, Sensor[Any]] = {cfg.name: cfg.build() for cfg in CFGS}
-    for sensor in self.sensors.values():
-      sensor.edit_spec(spec, {})
-    self.sim = Simulation(NUM_ENVS, spec, SimulationCfg(num_threads=1))
-    rng = torch.Generator().manual_seed(seed)
-    for sensor in self.sensors.values():
-      sensor.rng = rng
-      sensor.initialize(self.sim, {})
-    self.sim.data.qvel[:] = 0.1
-
-  def step(self, substeps: int = 1) -> None:
-    for _ in range(substeps):
-      self.sim.step()
-      for sensor in self.sensors.values():
-        sensor.update(self.sim.timestep)
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self.sim.reset(mask)
-    for sensor in self.sensors.values():
-      sensor.reset(mask)
+  world = World(mujoco.MjSpec.from_string(ROBOT), *CFGS, num_envs=NUM_ENVS, seed=seed)
+  world.sim.data.qvel[:] = 0.1
+  return world
 
 
 @pytest.fixture
 def world() -> World:
-  return World()
+  return build()
 
 
 def values(reading: Any) -> dict[str, torch.Tensor]:
@@ -145,11 +123,7 @@ def test_documented_shapes_are_the_real_ones(world: World, name: str) -> None:
   if hasattr(sensor, "contact_shape"):
     sizes |= {"num_contacts": int(np.prod(sensor.contact_shape)), "history_length": sensor.history_length}
   for field, value in values(sensor.data).items():
-    if not field:
-      doc = inspect.getdoc(type(sensor))
-    else:
-      found = re.search(rf'  (?:def )?{field}\b[^\n]*\n +"""(.*?)"""', inspect.getsource(type(sensor.data)), re.DOTALL)
-      doc = found[1] if found else None
+    doc = documentation(type(sensor.data), field) if field else inspect.getdoc(type(sensor))
     assert doc is not None
     shapes = re.findall(r"\((num_envs[^()]*)\)", doc)
     if doc.endswith("`heights`."):  # Of the shape of another field.
@@ -170,7 +144,7 @@ def test_a_reset_touches_masked_worlds_only(name: str) -> None:
   mask = torch.tensor([False, True, False])
   readings, states = [], []
   for resets in (False, True):
-    world = World()
+    world = build()
     for substep in range(12):
       if resets and substep in (4, 9):
         world.reset(mask)
@@ -187,7 +161,7 @@ def test_a_reset_touches_masked_worlds_only(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_saved_state_goes_on_as_it_would_have(name: str) -> None:
-  world, other = World(seed=0), World(seed=1)
+  world, other = build(seed=0), build(seed=1)
   world.step(5)
   other.step(2)
   _ = other.sensors[name].data
@@ -197,18 +171,6 @@ def test_a_saved_state_goes_on_as_it_would_have(name: str) -> None:
   for key, value in values(world.sensors[name].data).items():
     if key != "linear_acceleration" and key not in get_args(ContactField):  # Of the substep done here.
       torch.testing.assert_close(twin[key], value, msg=key)
-
-
-class Sketch:
-  """A viewer that keeps what is drawn."""
-
-  worlds = (2, 0)
-
-  def __init__(self) -> None:
-    self.shapes: dict[str, list[tuple[Any, ...]]] = {}
-
-  def __getattr__(self, shape: str) -> Any:
-    return lambda *arguments: self.shapes.setdefault(shape, []).append(arguments)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -250,12 +212,3 @@ def test_a_unit_points_where_its_orientation_says(world: World) -> None:
   data = world.sensors["imu"].data
   down = torch.tensor((0.0, 0.0, -1.0), dtype=world.sim.dtype).expand(NUM_ENVS, 3)
   torch.testing.assert_close(quat_apply(data.orientation, data.projected_gravity), down)
-
-
-def test_what_is_changed_to_something_wrong_is_refused_under_the_name_the_scene_gives() -> None:
-  cfg = RayCastSensorCfg(frames=SITES, pattern=LidarPatternCfg(rows=4, columns=6))
-  cfg.max_distance = -1.0
-  with pytest.raises(ValueError, match="RayCastSensorCfg 'lidar': max_distance"):
-    cfg.build("lidar")
-  with pytest.raises(ValueError, match=r"^RayCastSensorCfg: max_distance"):
-    cfg.validate()

@@ -1,5 +1,6 @@
 """World-frame contact forces, forward grids, and other fields of view of existing cameras."""
 
+import dataclasses
 from typing import Any
 
 import mujoco
@@ -14,7 +15,8 @@ from mjlab_sensors import (
   GridPatternCfg,
   RayCastSensorCfg,
 )
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
+from sensor_scenes import World, advance
 
 WORLD = """
 <mujoco>
@@ -36,14 +38,9 @@ WORLD = """
 
 
 def built(engine: Any, **cfgs: Any) -> tuple[Simulation, dict[str, Any]]:
-  spec = mujoco.MjSpec.from_string(WORLD)
-  sensors = {name: cfg.build(name) for name, cfg in cfgs.items()}
-  for sensor in sensors.values():
-    sensor.edit_spec(spec, {})
-  sim = Simulation(2, spec, SimulationCfg(engine=engine, num_threads=1))
-  for sensor in sensors.values():
-    sensor.initialize(sim, {})
-  return sim, sensors
+  named = [dataclasses.replace(cfg, name=name) for name, cfg in cfgs.items()]
+  world = World(mujoco.MjSpec.from_string(WORLD), *named, engine=engine)
+  return world.sim, world.sensors
 
 
 @pytest.fixture(params=["native", pytest.param("warp", marks=pytest.mark.warp)])
@@ -60,10 +57,7 @@ def test_contact_forces_in_the_world_frame_carry_the_weight(engine: str) -> None
   cfg = ContactSensorCfg(**on, global_frame=True, history_length=2)
   whole = ContactSensorCfg(**on | {"num_slots": 1}, reduce="netforce")
   sim, sensors = built(engine, local=ContactSensorCfg(**on), world=cfg, whole=whole)
-  for _ in range(300):
-    sim.step()
-    for sensor in sensors.values():
-      sensor.update(0.002)
+  advance(sim, sensors.values(), 300)
   data = sensors["world"].data
   assert data.normal is None
   total = data.force.sum(1).double().cpu().numpy()

@@ -1,6 +1,5 @@
 """Rays from frames: against mj_ray ray by ray, fresh, and never stale; height scans see terrain above the frame."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -17,11 +16,10 @@ from mjlab_sensors import (
   RayCastSensorCfg,
   RingPatternCfg,
 )
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
+from sensor_scenes import Count, get, pixel_rays, place, simulate, with_robot
 
-Count = Callable[[Callable[[], object]], int]
-ENTITIES = {"robot": None}
 HEADS = FrameMatch(type="site", pattern=("head", "hand"), entity="robot", preserve_order=True)
 EYE = FrameMatch(type="camera", pattern="eye", entity="robot")
 PLANE = '<geom type="plane" size="0 0 1"/>'
@@ -41,8 +39,6 @@ ROBOT = """
       <site name="head" pos="0 0 0.02" euler="0 0 20"/>
       <camera name="eye" resolution="8 6" fovy="60" pos="0.01 0 0" euler="20 10 0"/>
       <camera name="lens" resolution="64 48" sensorsize="0.004 0.003" focal="0.003 0.0035" principal="0.0003 -0.0002"/>
-      <camera name="blind"/>
-      <camera name="flat" projection="orthographic" resolution="8 6"/>
       <body name="arm" pos="0.2 0 0">
         <joint axis="0 1 0"/>
         <geom name="hand" type="box" size="0.05 0.05 0.05" pos="0.1 0 0"/>
@@ -54,35 +50,8 @@ ROBOT = """
 """
 
 
-def build(
-  *cfgs: RayCastSensorCfg, terrain: str = PLANE, num_envs: int = 3, sim_cfg: SimulationCfg | None = None
-) -> tuple[Simulation, list[RayCastSensor]]:
-  spec = mujoco.MjSpec.from_string(
-    f'<mujoco>{ASSETS}<worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>'
-  )
-  spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
-  sensors = []
-  for number, cfg in enumerate(cfgs):
-    sensor = cfg.build("" if cfg.name else f"rays{number}")
-    assert isinstance(sensor, RayCastSensor)
-    sensor.edit_spec(spec, ENTITIES)
-    sensors.append(sensor)
-  sim = Simulation(num_envs, spec, sim_cfg or SimulationCfg(num_threads=1))
-  for sensor in sensors:
-    sensor.initialize(sim, ENTITIES)
-  return sim, sensors
-
-
-def get(value: torch.Tensor | None) -> torch.Tensor:
-  assert value is not None
-  return value
-
-
-def place(sim: Simulation, *poses: tuple[Any, ...]) -> None:
-  """Put the base of each world at x, y, z with a `Rotation`, or upright for None."""
-  for world, (x, y, z, rotation) in enumerate(poses):
-    quat = (rotation or Rotation.identity()).as_quat(scalar_first=True)
-    sim.data.qpos[world, :7] = torch.tensor((x, y, z, *quat), dtype=sim.dtype)
+def build(*cfgs: RayCastSensorCfg, terrain: str = PLANE, num_envs: int = 3) -> tuple[Simulation, list[RayCastSensor]]:
+  return simulate(with_robot(ROBOT, terrain, ASSETS), *cfgs, num_envs=num_envs)
 
 
 def random_geoms(rng: np.random.Generator, count: int) -> str:
@@ -264,20 +233,6 @@ def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_o
     assert count_operations(sensor._read) <= most
 
 
-def camera_rays(model: mujoco.MjModel, data: mujoco.MjData, camera: int, width: int, height: int) -> np.ndarray:
-  """Directions of the pixels of MuJoCo's own image of a camera, from the frustum that it is drawn with, (h, w, 3)."""
-  scene, view = mujoco.MjvScene(model, 100), mujoco.MjvCamera()
-  view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
-  mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, 1, scene)
-  eye = scene.camera[0]
-  half = eye.frustum_width or 0.5 * (eye.frustum_top - eye.frustum_bottom) * width / height
-  x = eye.frustum_center + half * (2.0 * (np.arange(width) + 0.5) / width - 1.0)
-  y = eye.frustum_top + (np.arange(height) + 0.5) / height * (eye.frustum_bottom - eye.frustum_top)
-  forward, up = np.array(eye.forward, dtype=np.float64), np.array(eye.up, dtype=np.float64)
-  rays = eye.frustum_near * forward + x[None, :, None] * np.cross(forward, up) + y[:, None, None] * up
-  return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-
-
 @pytest.mark.parametrize(("camera", "size"), [("eye", (0, 0)), ("eye", (10, 4)), ("lens", (0, 0)), ("lens", (32, 24))])
 def test_pixels_of_a_camera_are_those_of_its_image(camera: str, size: tuple[int, int]) -> None:
   room = '<geom type="box" size="30 20 10"/>'
@@ -291,11 +246,11 @@ def test_pixels_of_a_camera_are_those_of_its_image(camera: str, size: tuple[int,
   mujoco.mj_forward(model, data)
   number = model.camera(f"robot/{camera}").id
   width, height = (size[0] or model.cam_resolution[number, 0]), (size[1] or model.cam_resolution[number, 1])
-  expected = camera_rays(model, data, number, int(width), int(height)).reshape(-1, 3)
+  _, expected, _ = pixel_rays(model, data, number, int(width), int(height))
   read = sensor.data
   assert read.valid.all()
   seen = ((read.hit_pos_w - read.pos_w[:, None]) / read.distances[..., None])[0]
-  np.testing.assert_allclose(seen, expected, atol=1e-6)
+  np.testing.assert_allclose(seen, expected.reshape(-1, 3), atol=1e-6)
   np.testing.assert_allclose(read.pos_w[0], data.cam_xpos[number], atol=1e-9)
 
 
@@ -321,26 +276,6 @@ def test_an_intrinsic_matrix_is_used_whole() -> None:
   np.testing.assert_allclose(pixels[:, :2], np.stack((column.ravel(), row.ravel()), axis=1), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-  ("make", "message"),
-  [
-    (lambda: PinholeCameraPatternCfg(width=0), "width and height must be at least 1, got 0 and 12"),
-    (lambda: PinholeCameraPatternCfg(fovy=180.0), r"fovy must be in \(0, 180\), got 180.0"),
-    (lambda: PinholeCameraPatternCfg(focal=(0.0, 1.0)), "focal must be positive"),
-    (lambda: PinholeCameraPatternCfg.from_mujoco_camera("eye", width=3), "at least 1, got 3 and 0"),
-    (lambda: PinholeCameraPatternCfg(camera="eye", focal=(1.0, 1.0)), "has its own focal and center"),
-    (
-      lambda: PinholeCameraPatternCfg.from_intrinsic_matrix([1.0], width=2, height=2),
-      r"matrix must be \[\[fx, 0, cx\].*, got \[1.0\]",
-    ),
-    (lambda: PinholeCameraPatternCfg.from_intrinsic_matrix(np.ones(9), width=2, height=2), "without skew"),
-  ],
-)
-def test_a_wrong_pinhole_is_refused(make: Callable[[], object], message: str) -> None:
-  with pytest.raises(ValueError, match=message):
-    make()
-
-
 def angles(pattern: LidarPatternCfg) -> tuple[np.ndarray, np.ndarray]:
   """Elevation of each row and azimuth of each column [deg]."""
   starts, rays = pattern.rays()
@@ -364,21 +299,6 @@ def test_a_lidar_scans_its_field_from_the_top_left_and_no_direction_twice() -> N
   np.testing.assert_allclose((elevation[0], azimuth[0]), (10.0, -10.0), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-  ("fields", "message"),
-  [
-    ({"rows": 0}, "rows must be at least 1, got 0"),
-    ({"vertical_fov": (10, -10)}, r"vertical_fov must not fall, got \(10, -10\)"),
-    ({"vertical_fov": (-100, 0)}, r"vertical_fov must be in \[-90, 90\]"),
-    ({"horizontal_fov": (-200, 200)}, "horizontal_fov must span at most 360 degrees"),
-    ({"horizontal_fov": (20, -20)}, "horizontal_fov must not fall"),
-  ],
-)
-def test_a_wrong_lidar_is_refused(fields: dict[str, Any], message: str) -> None:
-  with pytest.raises(ValueError, match=f"LidarPatternCfg: .*{message}"):
-    LidarPatternCfg(**fields)
-
-
 def test_the_depth_of_a_pixel_is_its_distance_along_the_optical_axis() -> None:
   # A wall at 2 m in front of a camera that looks along x: what a rendered image has in every pixel.
   wall = '<geom type="box" size="0.1 5 5" pos="3.1 0 1" group="0"/>'
@@ -393,32 +313,3 @@ def test_the_depth_of_a_pixel_is_its_distance_along_the_optical_axis() -> None:
   depth = sensor.data.distances[0] * torch.from_numpy(-pattern.rays()[1][:, 2])
   torch.testing.assert_close(depth, torch.full((24,), 2.0, dtype=torch.double))
   assert sensor.data.distances.max() > 2.1
-
-
-@pytest.mark.parametrize(
-  ("camera", "message"),
-  [
-    ("robot/eya", "camera 'robot/eya' does not exist. Nearest: robot/eye"),
-    ("robot/blind", "camera 'robot/blind' has no resolution; give width and height"),
-    ("robot/flat", "camera 'robot/flat' is orthographic"),
-  ],
-)
-def test_a_camera_that_gives_no_pixels_is_refused(camera: str, message: str) -> None:
-  pattern = PinholeCameraPatternCfg.from_mujoco_camera(camera)
-  with pytest.raises(ValueError, match=message):
-    build(RayCastSensorCfg(frames=EYE, pattern=pattern))
-
-
-@pytest.mark.parametrize(
-  ("fields", "message"),
-  [
-    ({"alignment": "yaws"}, "alignment 'yaws' does not exist. Nearest: yaw"),
-    ({"max_distance": 0.0}, "max_distance must be positive"),
-    ({"start_height": -0.1}, "start_height must not be negative"),
-    ({"geom_groups": (0, 6)}, r"geom_groups must be in \[0, 5\], got \(0, 6\)"),
-  ],
-)
-def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
-  fields = {"name": "scan", "frames": HEADS, **fields}
-  with pytest.raises(ValueError, match=rf"RayCastSensorCfg 'scan': .*{message}"):
-    RayCastSensorCfg(**fields)

@@ -1,30 +1,26 @@
 """Heights above the ground: against closed forms and mj_ray, fresh, and never polluted by rays that see nothing."""
 
-import math
-from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab_sensors import (
   FrameMatch,
   GridPatternCfg,
-  RayPatternCfg,
+  RayCastSensorCfg,
   RingPatternCfg,
+  SensorCfg,
   TerrainHeightSensor,
   TerrainHeightSensorCfg,
 )
 from mjlab_sensors.frames import FrameType
 from mjlab_sensors.terrain_height import HeightReduction
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
+from sensor_scenes import Count, place, simulate, with_robot
 
 FEET = FrameMatch(type="site", pattern="foot_.*", entity="robot")
-ENTITIES = {"robot": None}
-TYPO: Any = "sit"
-Count = Callable[[Callable[[], object]], int]
 REDUCTIONS: tuple[HeightReduction, ...] = ("min", "max", "mean", "none")
 GROUND_Z = 0.3
 PLANE = f'<geom type="plane" size="0 0 1" pos="0 0 {GROUND_Z}"/>'
@@ -45,32 +41,8 @@ ROBOT = """
 """
 
 
-def scene(terrain: str) -> mujoco.MjSpec:
-  spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody><body name="terrain">{terrain}</body></worldbody></mujoco>')
-  spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
-  return spec
-
-
-def build(
-  *cfgs: TerrainHeightSensorCfg, terrain: str = PLANE, num_envs: int = 3
-) -> tuple[Simulation, list[TerrainHeightSensor]]:
-  spec, sensors = scene(terrain), []
-  for number, cfg in enumerate(cfgs):
-    sensor = cfg.build("" if cfg.name else f"height{number}")
-    assert isinstance(sensor, TerrainHeightSensor)
-    sensor.edit_spec(spec, ENTITIES)
-    sensors.append(sensor)
-  sim = Simulation(num_envs, spec, SimulationCfg())
-  for sensor in sensors:
-    sensor.initialize(sim, ENTITIES)
-  return sim, sensors
-
-
-def place(sim: Simulation, *poses: tuple[Any, ...]) -> None:
-  """Put the base of each world at x, y, z with a `Rotation`, or upright for None."""
-  for world, (x, y, z, rotation) in enumerate(poses):
-    quat = (rotation or Rotation.identity()).as_quat(scalar_first=True)
-    sim.data.qpos[world] = torch.tensor((x, y, z, *quat), dtype=sim.dtype)
+def build(*cfgs: SensorCfg, terrain: str = PLANE, num_envs: int = 3) -> tuple[Simulation, list[TerrainHeightSensor]]:
+  return simulate(with_robot(ROBOT, terrain), *cfgs, num_envs=num_envs)
 
 
 def test_height_over_a_plane_is_the_height_of_the_frame_wherever_the_plane_is() -> None:
@@ -139,38 +111,8 @@ def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_o
   assert count_operations(sensor._read) <= 20
 
 
-def oracle(
-  sim: Simulation, world: int, sites: list[int], pattern: RayPatternCfg, alignment: str, start: float, reach: float
-) -> np.ndarray:
-  """Height of each ray of each frame by mj_ray, NaN where it sees nothing."""
-  model = sim.mj_model
-  data = mujoco.MjData(model)
-  data.qpos[:] = sim.data.qpos[world].numpy()
-  mujoco.mj_kinematics(model, data)
-  groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-  points, directions = pattern.rays()
-  heights = np.full((len(sites), len(points)), np.nan)
-  for i, site in enumerate(sites):
-    frame = data.site_xmat[site].reshape(3, 3)
-    if alignment == "world":
-      frame = np.eye(3)
-    elif alignment == "yaw":
-      x, y = frame[:2, 0], frame[:2, 1]
-      yaw = np.arctan2(x[1], x[0]) if np.hypot(*x) > 0.1 else np.arctan2(y[1], y[0]) - np.pi / 2
-      frame = Rotation.from_euler("z", yaw).as_matrix()
-    for j, (point, direction) in enumerate(zip(points, directions, strict=True)):
-      ray = frame @ direction
-      origin = data.site_xpos[site] + frame @ point - start * ray
-      normal = np.zeros(3)
-      distance = mujoco.mj_ray(model, data, origin, ray, groups, 1, -1, np.zeros(1, np.int32), normal)
-      if 0 <= distance <= reach + start:
-        below = data.site_xpos[site][2] - (origin + distance * ray)[2]
-        heights[i, j] = max(0.0, below) if ray @ normal < 0 else 0.0
-  return heights
-
-
 @pytest.mark.parametrize("alignment", ["yaw", "world", "base"])
-def test_rays_equal_mj_ray_in_random_scenes(alignment: Any) -> None:
+def test_heights_are_those_of_what_rays_hit_in_random_scenes(alignment: Any) -> None:
   rng = np.random.default_rng(3)
   geoms = [
     f'<geom type="{kind}" size="{" ".join(f"{v:.3f}" for v in rng.uniform(0.05, 0.3, 3))}" '
@@ -178,48 +120,43 @@ def test_rays_equal_mj_ray_in_random_scenes(alignment: Any) -> None:
     f'euler="{" ".join(f"{v:.1f}" for v in rng.uniform(-90, 90, 3))}"/>'
     for kind in ("box", "sphere", "capsule", "cylinder", "ellipsoid", "box") * 4
   ]
-  pattern = GridPatternCfg(size=(0.8, 0.4), resolution=0.2)
-  cfgs = [
-    TerrainHeightSensorCfg(
-      frames=FrameMatch(type="site", pattern=("head", "foot_.*"), entity="robot", preserve_order=True),
-      pattern=pattern,
-      alignment=alignment,
-      reduction=reduction,
-      max_distance=0.9,
-      start_height=0.05,
-    )
-    for reduction in REDUCTIONS
-  ]
-  num_envs = 4
-  sim, sensors = build(*cfgs, terrain="".join(geoms), num_envs=num_envs)
-  seen = 0
+  fields: dict[str, Any] = {
+    "frames": FrameMatch(type="site", pattern=("head", "foot_.*"), entity="robot", preserve_order=True),
+    "pattern": GridPatternCfg(size=(0.8, 0.4), resolution=0.2),
+    "alignment": alignment,
+    "max_distance": 0.9,
+    "start_height": 0.05,
+  }
+  cfgs = [TerrainHeightSensorCfg(reduction=reduction, **fields) for reduction in REDUCTIONS]
+  # Another test compares its rays with MuJoCo's.
+  scan = RayCastSensorCfg(geom_groups=(0,), **fields)
+  num_envs, seen = 4, 0
+  sim, (*sensors, rays) = build(*cfgs, scan, terrain="".join(geoms), num_envs=num_envs)
   for _ in range(5):
-    poses: list[Any] = [
-      (*rng.uniform(-1, 1, 2), rng.uniform(0.6, 1.3), Rotation.random(rng=rng)) for _ in range(num_envs)
-    ]
-    # One world looks all but straight up: its heading is that of the y axis, 25 degrees from that of the x axis.
-    poses[0] = (*poses[0][:3], Rotation.from_euler("ZYX", (40, -88, 25), degrees=True))
-    place(sim, *poses)
-    rays = np.stack([oracle(sim, world, [1, 0, 2], pattern, alignment, 0.05, 0.9) for world in range(num_envs)])
-    valid = ~np.isnan(rays)
-    filled = torch.from_numpy(np.where(valid, rays, 0.9))
-    assert sensors[3].data.valid.tolist() == valid.tolist()
-    torch.testing.assert_close(sensors[3].data.heights, filled, rtol=0.0, atol=1e-9)
-    any_seen = valid.any(-1)
-    count = np.maximum(valid.sum(-1), 1)
+    place(sim, *[(*rng.uniform(-1, 1, 2), rng.uniform(0.6, 1.3), Rotation.random(rng=rng)) for _ in range(num_envs)])
+    hits: Any = rays.data
+    points, normals, valid = (value.unflatten(1, (3, -1)) for value in (hits.hit_pos_w, hits.normals_w, hits.valid))
+    down = torch.tensor((0.0, 0.0, -1.0), dtype=sim.dtype)
+    directions = hits.frame_mat_w @ down if alignment == "base" else down.expand(num_envs, 3, 3)
+    heights = (hits.frame_pos_w[..., None, 2] - points[..., 2]).clamp(min=0.0)
+    # A ray that leaves something began in it.
+    heights *= (normals * directions[:, :, None]).sum(-1) < 0.0
+    any_seen, count = valid.any(-1), valid.sum(-1).clamp(min=1)
     for sensor, reduced in zip(
-      sensors[:3],
+      sensors,
       (
-        np.where(valid, rays, np.inf).min(-1),
-        np.where(valid, rays, -np.inf).max(-1),
-        np.where(valid, rays, 0.0).sum(-1) / count,
+        heights.where(valid, torch.inf).amin(-1),
+        heights.where(valid, -torch.inf).amax(-1),
+        heights.where(valid, 0.0).sum(-1) / count,
+        heights,
       ),
       strict=True,
     ):
-      expected = torch.from_numpy(np.where(any_seen, reduced, 0.9))
+      expected_valid = valid if reduced.ndim == 3 else any_seen
+      expected = reduced.where(expected_valid, 0.9)
       torch.testing.assert_close(sensor.data.heights, expected, rtol=0.0, atol=1e-9)
-      assert sensor.data.valid.tolist() == any_seen.tolist()
-    seen += valid.sum()
+      assert torch.equal(sensor.data.valid, expected_valid)
+    seen += int(valid.sum())
   assert 100 < seen < 5 * num_envs * 3 * 15 - 100
 
 
@@ -300,50 +237,6 @@ def test_a_ring_is_round_and_may_have_a_centre() -> None:
     with_centre, 0.04 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)]), atol=1e-12
   )
   assert len(RingPatternCfg(radius=0.04, num_samples=4, include_center=False).rays()[0]) == 4
-
-
-@pytest.mark.parametrize(
-  ("make", "message"),
-  [
-    (lambda: RingPatternCfg(radius=0.0), "radius must be positive, got 0.0"),
-    (lambda: RingPatternCfg(radius=math.nan), "radius must be a number"),
-    (
-      lambda: RingPatternCfg(num_samples=0, include_center=False),
-      "num_samples must be at least 1 without include_center",
-    ),
-    (lambda: GridPatternCfg(resolution=0.0), "resolution must be positive"),
-    (lambda: GridPatternCfg(resolution=math.nan), "resolution must be a number"),
-    (lambda: GridPatternCfg(size=(-1.0, 1.0)), "size must not be negative"),
-    (lambda: GridPatternCfg(size=(math.inf, 1.0)), "size must be finite"),
-    (lambda: FrameMatch(type=TYPO, pattern=".*"), "type 'sit' does not exist. Nearest: site"),
-  ],
-)
-def test_a_wrong_pattern_is_refused(make, message: str) -> None:
-  with pytest.raises(ValueError, match=message):
-    make()
-
-
-@pytest.mark.parametrize(
-  ("fields", "message"),
-  [
-    ({"alignment": "yaws"}, "alignment 'yaws' does not exist. Nearest: yaw"),
-    ({"reduction": "median"}, "reduction 'median' does not exist"),
-    ({"max_distance": 0.0}, "max_distance must be positive"),
-    ({"start_height": -0.1}, "start_height must not be negative"),
-    ({"geom_groups": (0, 6)}, r"geom_groups must be in \[0, 5\], got \(0, 6\)"),
-    ({"geom_groups": ()}, "geom_groups must have at least 1 element"),
-  ],
-)
-def test_a_wrong_configuration_is_refused_by_name(fields: dict[str, Any], message: str) -> None:
-  fields = {"name": "feet", "frames": FEET, **fields}
-  with pytest.raises(ValueError, match=rf"TerrainHeightSensorCfg 'feet': .*{message}"):
-    TerrainHeightSensorCfg(**fields)
-
-
-def test_frames_that_do_not_exist_are_refused_by_name() -> None:
-  cfg = TerrainHeightSensorCfg(name="feet", frames=FrameMatch(type="site", pattern="fot_left", entity="robot"))
-  with pytest.raises(ValueError, match=r"'feet': frames: pattern 'fot_left' matches no site. Nearest: foot_left"):
-    cfg.build().edit_spec(scene(PLANE), ENTITIES)
 
 
 def test_each_frame_looks_through_its_own_body_only() -> None:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 import torch
@@ -20,7 +19,8 @@ from mjlab_sensors import (
   Sensor,
   TerrainHeightSensorCfg,
 )
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
+from sensor_scenes import World, simulate, with_robot
 
 pytestmark = pytest.mark.warp
 
@@ -40,10 +40,8 @@ ROBOT = """
 """
 # Spheres on a plane touch the same way in both engines; the box is seen by rays alone.
 TERRAIN = """
-<body name="terrain">
-  <geom type="plane" size="0 0 1"/>
-  <geom type="box" size="0.1 1 0.02" pos="-0.15 0 0" contype="0" conaffinity="0"/>
-</body>
+<geom type="plane" size="0 0 1"/>
+<geom type="box" size="0.1 1 0.02" pos="-0.15 0 0" contype="0" conaffinity="0"/>
 """
 CFGS = (
   ContactSensorCfg(
@@ -105,29 +103,11 @@ CFGS = (
 )
 
 
-class World:
+class Readings(World):
   """One simulation with all sensors."""
 
   def __init__(self, engine: str, device: str = "cpu", capture: bool = True) -> None:
-    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{TERRAIN}</worldbody></mujoco>")
-    spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
-    self.sensors: dict[str, Sensor] = {cfg.name: cfg.build() for cfg in CFGS}
-    for sensor in self.sensors.values():
-      sensor.edit_spec(spec, {"robot": None})
-    cfg = SimulationCfg(engine="warp" if engine == "warp" else "native", capture=capture)
-    self.sim = Simulation(2, spec, cfg, device)
-    for sensor in self.sensors.values():
-      sensor.initialize(self.sim, {"robot": None})
-
-  def step(self) -> None:
-    self.sim.step()
-    for sensor in self.sensors.values():
-      sensor.update(self.sim.timestep)
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self.sim.reset(mask)
-    for sensor in self.sensors.values():
-      sensor.reset(mask)
+    super().__init__(with_robot(ROBOT, TERRAIN), *CFGS, engine=engine, device=device, capture=capture)
 
   def readings(self) -> dict[str, np.ndarray]:
     readings = {}
@@ -140,11 +120,11 @@ class World:
 
 
 @pytest.fixture(scope="module")
-def worlds() -> tuple[World, World]:
-  return World("native"), World("warp")
+def worlds() -> tuple[Readings, Readings]:
+  return Readings("native"), Readings("warp")
 
 
-def test_both_engines_read_the_same_through_steps_resets_and_writes(worlds: tuple[World, World]) -> None:
+def test_both_engines_read_the_same_through_steps_resets_and_writes(worlds: tuple[Readings, Readings]) -> None:
   mask = torch.tensor([True, False])
   landed = False
   for substep in range(40):
@@ -166,10 +146,10 @@ def test_both_engines_read_the_same_through_steps_resets_and_writes(worlds: tupl
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_a_recorded_step_with_all_sensors_reads_as_an_eager_one_and_never_waits_on_a_gpu() -> None:
-  worlds = [World("warp", "cuda", capture) for capture in (True, False)]
+  worlds = [Readings("warp", "cuda", capture) for capture in (True, False)]
   mask = torch.tensor([True, False], device="cuda")
 
-  def step(world: World, resets: bool) -> None:
+  def step(world: Readings, resets: bool) -> None:
     world.step()
     if resets:
       world.reset(mask)
@@ -198,12 +178,7 @@ def test_a_recorded_step_with_all_sensors_reads_as_an_eager_one_and_never_waits_
 
 def feel(cfg: ContactSensorCfg, **options: Any) -> tuple[Simulation, Sensor]:
   """The robot with one sensor on MuJoCo Warp."""
-  spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{TERRAIN}</worldbody></mujoco>")
-  spec.attach(mujoco.MjSpec.from_string(ROBOT), prefix="robot/", frame=spec.worldbody.add_frame())
-  sensor = cfg.build()
-  sensor.edit_spec(spec, {"robot": None})
-  sim = Simulation(2, spec, SimulationCfg(engine="warp", **options))
-  sensor.initialize(sim, {"robot": None})
+  sim, (sensor,) = simulate(with_robot(ROBOT, TERRAIN), cfg, engine="warp", **options)
   return sim, sensor
 
 
