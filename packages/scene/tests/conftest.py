@@ -1,7 +1,7 @@
 """A scene in a simulation, in one call."""
 
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import pytest
@@ -23,6 +23,7 @@ def make_worlds() -> Iterator[MakeWorlds]:
     engine: Literal["native", "warp"] = "native",
     *,
     cfg: SceneCfg | None = None,
+    sizes: dict[str, Any] | None = None,
     **entities: EntityCfg | str,
   ):
     if cfg is None:
@@ -36,7 +37,8 @@ def make_worlds() -> Iterator[MakeWorlds]:
         },
       )
     scene = Scene(cfg)
-    sim = Simulation(cfg.num_envs, scene.spec, SimulationCfg(engine=engine, timestep=0.002), device="cpu")
+    sim_cfg = SimulationCfg(engine=engine, timestep=0.002, num_threads=1, **(sizes or {}))
+    sim = Simulation(cfg.num_envs, scene.spec, sim_cfg, device="cpu")
     opened.append(sim)
     scene.initialize(sim, torch.Generator().manual_seed(0))
     return scene, sim

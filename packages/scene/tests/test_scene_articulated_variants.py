@@ -1,7 +1,7 @@
 """Robots and drawers that differ between worlds, against models of each that are compiled alone."""
 
-from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 from mjlab_actuators import IdealPdActuatorCfg, NativePositionActuatorCfg
 from mjlab_core.errors import MjlabError
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntityCfg
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
 
 # Boxes and meshes collide with the ground only: between them, collisions take long to compile.
@@ -54,19 +54,12 @@ def motors(joints: tuple[str, ...]) -> EntityArticulationCfg:
 
 
 @pytest.fixture
-def make() -> Iterator[Make]:
-  opened: list[Simulation] = []
+def make(make_worlds: Make) -> Make:
+  def build(entity: EntityCfg, num_envs: int = 1, engine: str = "native") -> tuple[Scene, Simulation]:
+    cfg = SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"robot": entity}, env_spacing=0.0)
+    return make_worlds(engine=engine, cfg=cfg, sizes={"nconmax": 32, "njmax": 160})
 
-  def build(entity: EntityCfg, num_envs: int = 1, engine: Literal["native", "warp"] = "native") -> Any:
-    scene = Scene(SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"robot": entity}, env_spacing=0.0))
-    sim = Simulation(num_envs, scene.spec, SimulationCfg(engine=engine, num_threads=1, nconmax=32, njmax=160), "cpu")
-    opened.append(sim)
-    scene.initialize(sim)
-    return scene, sim
-
-  yield build
-  for sim in opened:
-    sim.close()
+  return build
 
 
 def robots(**changes: Any) -> VariantEntityCfg:

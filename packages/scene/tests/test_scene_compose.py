@@ -38,11 +38,10 @@ ARM = """
     <frame euler="0 0 30"><body name="post"><joint name="yaw"/><geom size=".1"/>
       <frame pos="0 0 .2"><body name="link"><joint name="ball" type="ball"/><geom size=".1"/></body></frame>
       <joint name="lift" type="slide"/></body></frame>
-    <body name="goal" mocap="true" pos="0 0 2"><site name="goal"/></body>
   </worldbody>
   <keyframe><key qpos=".1 .2 0 1 0 0"/></keyframe>
 </mujoco>
-""".replace('<body name="goal" mocap="true" pos="0 0 2"><site name="goal"/></body>', "")
+"""
 GOAL = '<mujoco><worldbody><body name="goal" mocap="true" pos="0 0 2"><site name="g"/></body></worldbody></mujoco>'
 
 

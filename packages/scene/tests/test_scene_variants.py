@@ -1,7 +1,7 @@
 """One entity that is another object in another world."""
 
-from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 from mjlab_core.errors import MjlabError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntity, VariantEntityCfg
 from mjlab_scene.variants import assign
-from mjlab_sim import Simulation, SimulationCfg
+from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
 
 BALL = '<geom name="shell" size=".06" mass=".4" friction=".9 .02 .001" condim="6"/>'
@@ -32,24 +32,17 @@ SOLID: dict[str, Callable[[], mujoco.MjSpec]] = {
   "wedge": spec_of(WEDGE),
 }
 OBJECTS: dict[str, Callable[[], mujoco.MjSpec] | None] = {**SOLID, "nothing": None}
+Make = Callable[..., tuple[Scene, Simulation]]
 START = InitialStateCfg(pos=(0.0, 0.0, 0.3), rot=(0.96, 0.2, 0.1, 0.14), lin_vel=(0.2, 0.0, 0.0))
 
 
 @pytest.fixture
-def make() -> Iterator[Callable[..., tuple[Scene, Simulation]]]:
-  opened: list[Simulation] = []
+def make(make_worlds: Make) -> Make:
+  def build(entity: EntityCfg, engine: str = "native", num_envs: int = 4) -> tuple[Scene, Simulation]:
+    cfg = SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"thing": entity}, env_spacing=0.0)
+    return make_worlds(engine=engine, cfg=cfg, sizes={"nconmax": 16, "njmax": 64})
 
-  def build(entity: EntityCfg, engine: Literal["native", "warp"] = "native", num_envs: int = 4) -> Any:
-    scene = Scene(SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"thing": entity}, env_spacing=0.0))
-    cfg = SimulationCfg(engine=engine, num_threads=1, nconmax=16, njmax=64)
-    sim = Simulation(num_envs, scene.spec, cfg, "cpu")
-    opened.append(sim)
-    scene.initialize(sim)
-    return scene, sim
-
-  yield build
-  for sim in opened:
-    sim.close()
+  return build
 
 
 def all_of_them(assignment: Any = NAMES) -> VariantEntityCfg:
