@@ -93,7 +93,8 @@ def eye(name: str = "eye", **fields: Any) -> CameraSensorCfg:
 
 
 def build(*cfgs: Any, xml: str = SCENE, num_envs: int = NUM_ENVS, **options: Any) -> tuple[Simulation, list[Any]]:
-  return simulate(mujoco.MjSpec.from_string(xml), *cfgs, num_envs=num_envs, **{"engine": "native", **options})
+  settings: dict[str, Any] = {"engine": "native", **options}
+  return simulate(mujoco.MjSpec.from_string(xml), *cfgs, num_envs=num_envs, **settings)
 
 
 def scatter(sim: Simulation) -> None:

@@ -50,7 +50,8 @@ def ref(type_: Any, name: str, entity: str = "robot") -> ObjRef:
 
 
 def geoms(pattern: str | tuple[str, ...], **kwargs: Any) -> ContactMatch:
-  return ContactMatch(**{"mode": "geom", "pattern": pattern, "entity": "robot", **kwargs})
+  fields: dict[str, Any] = {"mode": "geom", "entity": "robot", **kwargs}
+  return ContactMatch(pattern=pattern, **fields)
 
 
 IMU, BASE, ELBOW = ref("site", "imu"), ref("body", "base"), ref("joint", "elbow")
