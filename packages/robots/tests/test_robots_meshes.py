@@ -140,8 +140,8 @@ def test_a_half_written_cache_is_not_used() -> None:
 
 
 def test_a_misspelt_mode_is_refused() -> None:
-  with pytest.raises(ValueError, match="'auto', 'never', 'require' or 'download'"):
-    go1_spec(meshes="always")  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
+  with pytest.raises(ValueError, match="mode of meshes 'download me' does not exist"):
+    go1_spec(meshes="download me")  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
 
 
 @needs_meshes

@@ -31,6 +31,14 @@ def randomised(make: Env) -> ManagerBasedRlEnvCfg:
   return randomize_images(make())
 
 
+def small(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
+  """A config with images of 8 by 8 pixels, which are drawn in no time."""
+  camera = cfg.scene.sensors["wrist_camera"]
+  assert isinstance(camera, CameraSensorCfg)
+  camera.width = camera.height = 8
+  return cfg
+
+
 def steps(env: ManagerBasedRlEnv, number: int) -> np.ndarray:
   """What is seen in each of some steps in which the arm moves, (number, num_envs, channels, height, width)."""
   seen = []
@@ -42,7 +50,7 @@ def steps(env: ManagerBasedRlEnv, number: int) -> np.ndarray:
 
 
 def test_all_that_differs_is_drawn_as_asked_and_for_each_world_alone() -> None:
-  env, _ = lift(192, lambda: randomised(lift_cube_rgb_env))
+  env, _ = lift(192, lambda: small(randomised(lift_cube_rgb_env)))
   drawn: dict[str, np.ndarray] = {}
   for name in env.event_manager.active_terms:
     term = env.event_manager.get_term_cfg(name).func
@@ -153,9 +161,9 @@ def test_images_come_as_late_as_their_world_drew_and_stay_so() -> None:
     whole = randomised(lift_cube_depth_env)
     mine, theirs = image_cfg(cfg), image_cfg(whole)
     mine.delay_max_lag, mine.delay_hold_prob = theirs.delay_max_lag, theirs.delay_hold_prob
-    return cfg
+    return small(cfg)
 
-  (prompt, _), (delayed, _) = lift(16, lift_cube_depth_env), lift(16, late)
+  (prompt, _), (delayed, _) = lift(16, lambda: small(lift_cube_depth_env())), lift(16, late)
   for env in (prompt, delayed):
     place(env, np.tile([0.3, 0.0, 0.02], (16, 1)))
   at_once, later = steps(prompt, 8), steps(delayed, 8)
@@ -174,7 +182,7 @@ def test_a_slower_camera_may_be_late_by_whole_periods_of_its_own() -> None:
     assert isinstance(camera, CameraSensorCfg)
     camera.update_period = 3 * DECIMATION
     image.delay_min_lag = image.delay_max_lag = lag
-    return cfg
+    return small(cfg)
 
   (prompt, _), (delayed, _) = lift(2, lambda: slow(0)), lift(2, lambda: slow(3))
   at_once, later = steps(prompt, 12), steps(delayed, 12)

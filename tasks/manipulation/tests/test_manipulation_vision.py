@@ -148,7 +148,7 @@ def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
     assert (task.agent.actor.hidden_dims, task.agent.max_iterations) == ((256, 256, 128), 3000)
     assert task.agent.obs_groups == {"actor": ("actor", "camera"), "critic": ("critic",)}
     task.env.scene.num_envs, task.env.seed = 4, 0
-    task.agent.num_steps_per_env, task.agent.max_iterations = 4, 1
+    task.agent.num_steps_per_env, task.agent.max_iterations, task.agent.algorithm.num_learning_epochs = 4, 1, 1
     console = Console("quiet")
     result = train(task, name="Seeing", make_env=ManagerBasedRlEnv, log_root=tmp_path, console=console)
     assert result.iterations == 1
@@ -164,7 +164,7 @@ def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) 
     task.agent.obs_groups["critic"] = ("critic", "camera")
     task.agent.algorithm.share_cnn_encoders = True
   task.env.scene.num_envs, task.env.seed = 4, 0
-  task.agent.num_steps_per_env, task.agent.max_iterations = 4, 2
+  task.agent.num_steps_per_env, task.agent.max_iterations, task.agent.algorithm.num_learning_epochs = 4, 2, 1
   result = train(task, name="Seeing", make_env=ManagerBasedRlEnv, log_root=None, console=Console("quiet"))
   assert result.iterations == 2
 

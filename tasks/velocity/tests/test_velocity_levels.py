@@ -49,7 +49,7 @@ def test_results_are_grouped_by_level_and_by_pair() -> None:
 @pytest.mark.parametrize(
   ("levels", "message"),
   [
-    ({"gravity": (1.0,)}, "event 'gravity' does not exist; drawn are .*foot_friction_slide.*payload"),
+    ({"gravity": (1.0,)}, "event 'gravity' does not exist.*foot_friction_slide.*payload"),
     ({"reset_base": (1.0,)}, "event 'reset_base' draws nothing by a randomizer"),
     ({"payload": ()}, "eval: levels.*must have at least 1 element"),
   ],

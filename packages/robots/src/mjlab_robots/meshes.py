@@ -6,7 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal, get_args
 
-from mjlab_core.errors import FileError, MjlabError
+from mjlab_core.errors import FileError
+from mjlab_core.names import check_name
 
 MeshMode = Literal["auto", "never", "require", "download"]
 """Source of what is drawn: meshes if they are on this machine, primitives, meshes or an error, downloaded meshes."""
@@ -25,10 +26,9 @@ def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> 
   Raises:
     FileError: A file is missing and `mode` is "require", or is "download" and that fails; the message says
       how to get them.
-    MjlabError: `mode` is unknown.
+    UnknownNameError: `mode` does not exist.
   """
-  if mode not in get_args(MeshMode):
-    raise MjlabError(f"meshes is {mode!r}; it must be 'auto', 'never', 'require' or 'download'")
+  check_name("mode of meshes", mode, get_args(MeshMode))
   if mode == "never":
     return None
   folder = _folder(robot)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import mujoco
 from mjlab_actuators import ActuatorCfg
-from mjlab_core.errors import UnknownNameError
-from mjlab_core.names import unknown
+from mjlab_core.names import check_name
 from mjlab_scene import CollisionCfg, EntityArticulationCfg, EntityCfg, InitialStateCfg
 
 from mjlab_robots.meshes import MeshMode, find_meshes
@@ -77,8 +76,7 @@ class Robot:
     Raises:
       UnknownNameError: The preset does not exist.
     """
-    if collision not in self.presets:
-      raise UnknownNameError(unknown("collision preset", collision, list(self.presets)))
+    check_name("collision preset", collision, self.presets)
     return EntityCfg(
       spec_fn=spec_fn if meshes == "auto" else partial(spec_fn, meshes=meshes),
       init_state=InitialStateCfg(pos=(0.0, 0.0, self.height), joint_pos=dict(self.joint_pos)),

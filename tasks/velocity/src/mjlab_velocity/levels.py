@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 from mjlab_core import ConfigError, require
+from mjlab_core.names import check_name
 from mjlab_dr import Categorical, FieldRandomizer, body_mass
 from mjlab_dr.distributions import SampleFunction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -53,19 +54,18 @@ def add_axis(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...]) ->
   Raises:
     ConfigError: There is no such axis, or the task lacks what it changes.
   """
+  check_name("event", name, [*_drawn(cfg), "actuator_delay", "payload"])
   if name == "actuator_delay":
     for actuator in actuators_of(cfg):
       actuator.delay_min_lag, actuator.delay_max_lag = 0, max(1, round(max(values)))
     cfg.events[name] = mdp.randomize_at_startup(
       FieldRandomizer(field="delay", pattern=".*", values={0: Categorical(values)})
     )
-  elif name == "payload":
+  else:
     randomizer = body_mass(torso_pattern(cfg), Categorical(values), operation="add")
     # It moves the same number.
     cfg.events["torso_inertia"] = None
     cfg.events[name] = mdp.randomize_at_startup(randomizer)
-  else:
-    raise ConfigError(f"event '{name}' does not exist; drawn are {', '.join(_drawn(cfg))}, actuator_delay, payload")
 
 
 def torso_pattern(cfg: ManagerBasedRlEnvCfg) -> str:
@@ -85,12 +85,6 @@ def _drawn(cfg: ManagerBasedRlEnvCfg) -> list[str]:
 
 
 def actuators_of(cfg: ManagerBasedRlEnvCfg) -> list[Any]:
-  """Return the actuator configs of the robot.
-
-  Raises:
-    ConfigError: There are none.
-  """
+  """Return the actuator configs of the robot."""
   articulation = cfg.scene.entities["robot"].articulation
-  if articulation is None or not articulation.actuators:
-    raise ConfigError("entity 'robot' has no actuators")
-  return list(articulation.actuators)
+  return [] if articulation is None else list(articulation.actuators)
