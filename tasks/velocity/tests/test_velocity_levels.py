@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from mjlab_core.errors import ConfigError, UnknownNameError
+from mjlab_core.errors import ConfigError, MjlabError, UnknownNameError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_velocity import VelocityEvaluation, g1_rough_blind, go1_flat, go1_flat_env, sim_to_real
 
@@ -55,7 +55,7 @@ def test_results_are_grouped_by_level_and_by_pair() -> None:
   ],
 )
 def test_impossible_levels_are_refused(levels: dict[str, tuple[float, ...]], message: str) -> None:
-  with pytest.raises(ConfigError, match=message):
+  with pytest.raises(MjlabError, match=message):
     VelocityEvaluation(levels=levels).configure(go1_flat_env())
 
 

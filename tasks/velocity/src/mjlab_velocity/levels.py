@@ -52,7 +52,8 @@ def add_axis(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...]) ->
   """Draw "actuator_delay" [physics steps] or "payload" [kg on the torso] from `values`, in place.
 
   Raises:
-    ConfigError: There is no such axis, or the task lacks what it changes.
+    UnknownNameError: There is no such axis.
+    ConfigError: The task lacks what it changes.
   """
   check_name("event", name, [*_drawn(cfg), "actuator_delay", "payload"])
   if name == "actuator_delay":
