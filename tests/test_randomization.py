@@ -241,12 +241,15 @@ def test_both_engines_move_as_what_is_randomised_says() -> None:
   terms = [[bound(name, sim, seed) for seed, name in enumerate(TOGETHER)] for sim in sims]
   parts = {part for name in TOGETHER for part in written_by(name)}
 
+  def put_fields(sim: Simulation, values: dict[str, torch.Tensor]) -> None:
+    for part in parts:
+      sim.model[part][:] = values.get(part, sim.default_field(part)).to(sim.model[part].dtype)
+    sim.recompute_constants()
+
   def speeds(pose: Callable[[Simulation], None], values: dict[str, torch.Tensor]) -> list[torch.Tensor]:
     found = []
     for sim in sims:
-      for part in parts:
-        sim.model[part][:] = values.get(part, sim.default_field(part)).to(sim.model[part].dtype)
-      sim.recompute_constants()
+      put_fields(sim, values)
       pose(sim)
       # Controls that arrive late count from the third step on.
       for _ in range(4 if pose is hover else 1):
@@ -262,7 +265,7 @@ def test_both_engines_move_as_what_is_randomised_says() -> None:
     still[pose] = native
   idle = set()
   for name, term in zip(TOGETHER, terms[0], strict=True):
-    speeds(hover, {})
+    put_fields(sims[0], {})
     term.apply(MASK)
     values = {part: sims[0].model[part].clone() for part in written_by(name)}
     effect = 0.0

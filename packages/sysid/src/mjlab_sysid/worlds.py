@@ -311,11 +311,12 @@ class Commands:
   ) -> None:
     self.source = source
     """Object that the commands belong to."""
+    stacked = np.stack([values[name] for name in TARGETS], -1)
     # Times need more digits than a GPU's physics.
-    self._values = {name: torch.from_numpy(rows).to(device, torch.float64) for name, rows in values.items()}
-    self._sums = {name: torch.nn.functional.pad(rows.cumsum(0), (0, 0, 1, 0)) for name, rows in self._values.items()}
+    self._values = torch.from_numpy(stacked).to(device, torch.float64)
+    self._sums = torch.nn.functional.pad(self._values.cumsum(0), (0, 0, 0, 0, 1, 0))
     self._first = torch.from_numpy(first).to(device, torch.float64)[:, None]
-    self._columns = torch.arange(next(iter(values.values())).shape[1], device=device)
+    self._columns = torch.arange(stacked.shape[1], device=device)
     self._timestep, self._substeps = timestep, substeps
     self.clock = torch.zeros((), device=device, dtype=torch.float64)
     """Timesteps since the beginning."""
@@ -324,14 +325,13 @@ class Commands:
     """Return the mean set-points over this timestep, (num_worlds, targets), and move on to the next."""
     begin = self._first + (self.clock * self._timestep - delay) / (self._substeps * self._timestep)
     end = begin + 1.0 / self._substeps
-    out = {name: (self._until(name, end) - self._until(name, begin)) * self._substeps for name in self._values}
+    mean = (self._until(end) - self._until(begin)) * self._substeps
     self.clock += 1.0
-    return out
+    return dict(zip(TARGETS, mean.unbind(-1), strict=True))
 
-  def _until(self, name: str, at: torch.Tensor) -> torch.Tensor:
-    values = self._values[name]
-    whole = (at + 1e-9).floor().long().clamp(0, len(values) - 1)
-    return self._sums[name][whole, self._columns] + (at - whole) * values[whole, self._columns]
+  def _until(self, at: torch.Tensor) -> torch.Tensor:
+    whole = (at + 1e-9).floor().long().clamp(0, len(self._values) - 1)
+    return self._sums[whole, self._columns] + (at - whole).unsqueeze(-1) * self._values[whole, self._columns]
 
 
 def _parameters(
