@@ -13,7 +13,15 @@ from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, TerminationTermCfg
 from mjlab_velocity import VelocityEvaluation, go1_flat_env
 from mjlab_velocity.evaluation import push_by_level
-from mjlab_velocity.measures import landing_force, landings
+from mjlab_velocity.measures import (
+  action_change_squared,
+  landing_force,
+  landings,
+  linear_error_squared,
+  mechanical_power,
+  torque_squared,
+  turning_error_squared,
+)
 
 GRID = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5))
 PUSHES = (0.0, 0.75, 1.5)
@@ -51,6 +59,25 @@ def test_pushes_are_as_large_as_they_are_said_to_be_and_go_anywhere(env: Manager
   assert change[:, 2].abs().max() < 1e-9
   directions = torch.atan2(change[:, 1], change[:, 0])[expected > 0]
   assert directions.unique().numel() == 8
+
+
+def test_errors_and_power_are_their_closed_forms(env: ManagerBasedRlEnv) -> None:
+  env.step(torch.ones(12, 12))
+  data = env.scene["robot"].data
+  for world in range(12):
+    velocity, turn = data.root_link_lin_vel_b[world], data.root_link_ang_vel_b[world, 2]
+    vx, vy, wz = GRID[world % 2]
+    linear = (velocity[0] - vx) ** 2 + (velocity[1] - vy) ** 2
+    assert linear_error_squared(env, command="twist", entity="robot")[world] == pytest.approx(linear.item(), rel=1e-5)
+    found = turning_error_squared(env, command="twist", entity="robot")[world]
+    assert found == pytest.approx((turn - wz).item() ** 2, rel=1e-5)
+    # What the actuators did, by MuJoCo's own account.
+    force = env.sim.data.qfrc_actuator[world, 6:]
+    power = (force * env.sim.data.qvel[world, 6:]).abs().sum()
+    assert mechanical_power(env, entity="robot")[world] == pytest.approx(power.item(), rel=1e-6)
+    torque = force.square().mean().item()
+    assert torque_squared(env, entity="robot")[world] == pytest.approx(torque, rel=1e-6)
+    assert action_change_squared(env)[world] == pytest.approx(1.0)
 
 
 def test_impacts_are_the_forces_of_feet_that_land_again() -> None:
