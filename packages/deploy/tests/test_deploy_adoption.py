@@ -124,11 +124,11 @@ def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsy
   ("metadata", "message"),
   [
     ({"joint_names": None}, "metadata of the network 'joint_names' does not exist; there are "),
-    ({"joint_names": "elbow"}, "joint 'elbow' does not exist; there are hinge"),
+    ({"joint_names": "elbow"}, "joint 'elbow' does not exist; there are 'hinge'"),
     ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: stiff"),
     (
       {"observation_names": "joint_pos,joint_vel,actions,phase"},
-      "observation of the network 'phase' does not exist; there are base_lin_vel, ",
+      "observation of the network 'phase' does not exist; there are 'base_lin_vel', ",
     ),
     ({"observation_names": "joint_pos,actions"}, "its observation_names give 2 numbers, the network takes 7"),
   ],

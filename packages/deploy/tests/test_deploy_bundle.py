@@ -55,7 +55,7 @@ def test_the_published_schema_is_that_of_the_code() -> None:
   [
     (lambda d: d.update(format=99), "format 99 is not 1, which this mjlab-deploy reads; update it"),
     (lambda d: d.pop("format"), "format None is not 1"),
-    (lambda d: d.pop("robot"), "lacks 'robot'"),
+    (lambda d: d.pop("robot"), "required field 'robot' does not exist"),
     (lambda d: d.update(surprise=1), "field 'surprise' does not exist; there are "),
     (
       lambda d: d["robot"]["joints"][0].update(stiffness="high"),

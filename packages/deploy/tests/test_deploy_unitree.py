@@ -172,7 +172,7 @@ def test_a_missing_sdk_is_said_with_a_remedy(monkeypatch: pytest.MonkeyPatch, re
 
 
 def test_unknown_robots_and_motors_are_said() -> None:
-  with pytest.raises(DeployError, match="robot 'go1' does not exist; there are g1, go2"):
+  with pytest.raises(DeployError, match="robot 'go1' does not exist; there are 'g1', 'go2'"):
     connect("go1", "eth0")
   with pytest.raises(DeployError, match="motor of the go2 'tail' does not exist"):
     robot("go2", [], joints=("tail",))

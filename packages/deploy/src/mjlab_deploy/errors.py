@@ -39,7 +39,7 @@ def check_known(kind: str, name: str, known: Collection[str]) -> None:
     DeployError: It is not among those that exist; the message lists them.
   """
   if name not in known:
-    raise DeployError(f"{kind} {name[:60]!r} does not exist; there are {', '.join(known)[:400] or 'none'}")
+    raise DeployError(f"{kind} {name[:60]!r} does not exist; there are {', '.join(map(repr, known))[:400] or 'none'}")
 
 
 def read_limited(path: Path, max_bytes: int) -> bytes:

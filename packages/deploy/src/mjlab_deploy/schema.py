@@ -73,10 +73,12 @@ def _decode_object(kind: Any, data: Any, where: str, depth: int) -> Any:
   if not isinstance(data, dict):
     raise DeployError(f"{where or 'it'} must be an object, got {str(data)[:60]!r}")
   hints, fields = typing.get_type_hints(kind), {field.name: field for field in dataclasses.fields(kind)}
+  here = f"{where}: " if where else ""
   for name in data:
-    check_known(f"{where}: field" if where else "field", name, fields)
-  if missing := [name for name, field in fields.items() if _is_required(field) and name not in data]:
-    raise DeployError(f"{where or 'it'} lacks {missing[0]!r}")
+    check_known(f"{here}field", name, fields)
+  for name, field in fields.items():
+    if _is_required(field):
+      check_known(f"{here}required field", name, data)
   prefix = f"{where}." if where else ""
   return kind(**{name: decode(hints[name], value, prefix + name, depth + 1) for name, value in data.items()})
 
