@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from deploy_bundles import write_bundle
 from matplotlib.image import imread
-from mjlab_deploy import open_bundle
+from mjlab_deploy import Bundle
 from mjlab_deploy.command import main
 from mjlab_deploy.gamepad import Gamepad, connected_gamepad
 from mjlab_deploy.simulated_run import SimulatedRun
@@ -16,25 +16,24 @@ from mjlab_deploy.simulated_run import SimulatedRun
 BUTTONS = [0] * 15
 
 
-def test_sticks_set_shares_of_the_range_and_a_button_lets_go(tmp_path: Path) -> None:
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as bundle:
-    run = SimulatedRun(bundle, command=[0.3])
-    value = run.runner.command["command/angle"]
-    reading: Any = None
-    gamepad = Gamepad(lambda: reading)
+def test_sticks_set_shares_of_the_range_and_a_button_lets_go(bundle: Bundle) -> None:
+  run = SimulatedRun(bundle, command=[0.3])
+  value = run.runner.command["command/angle"]
+  reading: Any = None
+  gamepad = Gamepad(lambda: reading)
+  gamepad.apply(run.runner)
+  # A stick at rest is not exactly at zero, and does not replace the command of the keyboard.
+  reading = ([0.02, -0.05, 0.0, 0.0, -1.0, -1.0], BUTTONS)
+  gamepad.apply(run.runner)
+  np.testing.assert_allclose(value, 0.3)
+  # Up is negative.
+  for axis, wanted in ((-1.0, 0.5), (0.5, -0.25), (0.0, 0.0)):
+    reading = ([0.0, axis, 0.0, 0.0, -1.0, -1.0], BUTTONS)
     gamepad.apply(run.runner)
-    # A stick at rest is not exactly at zero, and does not replace the command of the keyboard.
-    reading = ([0.02, -0.05, 0.0, 0.0, -1.0, -1.0], BUTTONS)
-    gamepad.apply(run.runner)
-    np.testing.assert_allclose(value, 0.3)
-    # Up is negative.
-    for axis, wanted in ((-1.0, 0.5), (0.5, -0.25), (0.0, 0.0)):
-      reading = ([0.0, axis, 0.0, 0.0, -1.0, -1.0], BUTTONS)
-      gamepad.apply(run.runner)
-      np.testing.assert_allclose(value, wanted)
-    reading = ([0.0] * 6, [0, 1, *BUTTONS[2:]])
-    gamepad.apply(run.runner)
-    assert run.runner.reason == "stopped by the operator"
+    np.testing.assert_allclose(value, wanted)
+  reading = ([0.0] * 6, [0, 1, *BUTTONS[2:]])
+  gamepad.apply(run.runner)
+  assert run.runner.reason == "stopped by the operator"
 
 
 class _Glfw:
@@ -56,16 +55,15 @@ class _Glfw:
     return type("State", (), {"axes": (0.0, -1.0, 0.0, 0.0, -1.0, -1.0), "buttons": bytes(15)})
 
 
-def test_the_first_gamepad_of_glfw_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_gamepad_of_glfw_is_read(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setitem(sys.modules, "glfw", _Glfw(starts=False))
   assert connected_gamepad() is None
   monkeypatch.setitem(sys.modules, "glfw", _Glfw(starts=True))
   gamepad = connected_gamepad()
   assert gamepad is not None
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as bundle:
-    run = SimulatedRun(bundle)
-    gamepad.apply(run.runner)
-    np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
+  run = SimulatedRun(bundle)
+  gamepad.apply(run.runner)
+  np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
 
 
 def test_a_plot_shows_targets_and_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

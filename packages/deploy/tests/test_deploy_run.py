@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, SCENE, write_bundle
 from mcap.reader import make_reader
-from mjlab_deploy import open_bundle, write_description
+from mjlab_deploy import Bundle, open_bundle, write_description
 from mjlab_deploy.arrays import read_arrays
 from mjlab_deploy.command import main
 from mjlab_deploy.simulated_run import SimulatedRun
@@ -88,13 +88,12 @@ def test_motors_without_a_servo_are_driven_alike(tmp_path: Path) -> None:
   assert reached[0] > 0.2
 
 
-def test_keys_change_the_command_within_its_range(tmp_path: Path) -> None:
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as bundle:
-    run = SimulatedRun(bundle)
-    for _ in range(20):
-      run.press(265)
-    np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
-    run.press(264)
-    np.testing.assert_allclose(run.runner.command["command/angle"], 0.4)
-    run.press(32)
-    assert run.runner.reason == "stopped by the operator"
+def test_keys_change_the_command_within_its_range(bundle: Bundle) -> None:
+  run = SimulatedRun(bundle)
+  for _ in range(20):
+    run.press(265)
+  np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
+  run.press(264)
+  np.testing.assert_allclose(run.runner.command["command/angle"], 0.4)
+  run.press(32)
+  assert run.runner.reason == "stopped by the operator"

@@ -20,12 +20,6 @@ IN_TIME = 0.020  # s
 SLOW = replace(DESCRIPTION.robot.joints[0], velocity_limit=1.0, effort_limit=0.05)
 
 
-@pytest.fixture
-def bundle(tmp_path: Path) -> Any:
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as opened:
-    yield opened
-
-
 def advance(robot: LoopbackRobot, runner: Runner | None, seconds: float) -> None:
   for _ in range(round(seconds / MESSAGE)):
     robot.advance()

@@ -14,6 +14,8 @@ from mjlab_rl.captured_ppo import CapturedPPO
 from rsl_rl.algorithms import PPO
 from tensordict import TensorDict
 
+NEEDS_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+DEVICES = pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=NEEDS_GPU)])
 WORLDS, STEPS, OBSERVATIONS, ACTIONS = 16, 8, 5, 3
 
 
@@ -81,16 +83,14 @@ def test_updates_are_those_of_rsl_rl(settings: dict[str, Any]) -> None:
   compare("cpu", 1e-7, updates=8 if settings else 12, **settings)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@NEEDS_GPU
 @pytest.mark.parametrize("settings", SETTINGS[:3], ids=["adaptive", "fixed", "adamw"])
 def test_fifty_updates_in_a_graph_on_a_gpu_are_those_of_rsl_rl(settings: dict[str, Any]) -> None:
   compare("cuda:0", 1e-3, **settings)
 
 
-@pytest.mark.parametrize("device", ["cpu", "cuda:0"])
+@DEVICES
 def test_memory_stays_so_that_a_step_is_recorded_once(device: str) -> None:
-  if device != "cpu" and not torch.cuda.is_available():
-    pytest.skip("needs a GPU")
   learner = construct(CapturedPPO, device)
   assert isinstance(learner, CapturedPPO)
   found = []
@@ -104,10 +104,8 @@ def test_memory_stays_so_that_a_step_is_recorded_once(device: str) -> None:
   assert (() in graphs) == (device == "cpu")
 
 
-@pytest.mark.parametrize("device", ["cpu", "cuda:0"])
+@DEVICES
 def test_a_restored_learner_goes_on_as_the_saved_one_with_and_without_a_gpu(device: str) -> None:
-  if device != "cpu" and not torch.cuda.is_available():
-    pytest.skip("needs a GPU")
   first = construct(CapturedPPO, device)
   for update in range(4):
     roll_out(first, update, device)

@@ -119,21 +119,21 @@ def test_a_name_that_is_gone_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-  "text",
+  ("text", "message"),
   [
-    "",
-    "[]",
-    "\udcff",
-    "[" * 100_000,
-    '{"format": 1}',
-    '{"format": 1, "colour": 2}',
-    '{"format": 1, "task": 3, "env": null, "agent": null}',
+    ("", ""),
+    ("[]", ""),
+    ("\udcff", ""),
+    ("[" * 100_000, ""),
+    ('{"format": 1}', ""),
+    ('{"format": 1, "colour": 2}', "RunManifest: field 'colour' does not exist"),
+    ('{"format": 1, "task": 3, "env": null, "agent": null}', ""),
   ],
   ids=lambda text: text[:60],
 )
-def test_a_file_that_is_no_manifest_is_a_clear_error(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_no_manifest_is_a_clear_error(tmp_path: Path, text: str, message: str) -> None:
   (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
-  with pytest.raises(FileError, match="manifest"):
+  with pytest.raises(FileError, match=rf"manifest .*manifest\.json: {message}"):
     load_run(tmp_path)
 
 
@@ -201,12 +201,6 @@ def test_the_later_of_two_runs_of_one_second_is_the_latest(tmp_path: Path) -> No
     (tmp_path / "exp" / run).mkdir(parents=True)
     (tmp_path / "exp" / run / "model_1.pt").touch()
   assert find_checkpoint("latest", log_root=tmp_path, experiment="exp").parent.name == "2026-01-01_00-00-00.2_name"
-
-
-def test_which_manifest_cannot_be_rebuilt_is_said(tmp_path: Path) -> None:
-  (tmp_path / "manifest.json").write_text('{"format": 1, "colour": 1}')
-  with pytest.raises(FileError, match=r"manifest\.json: RunManifest: field 'colour' does not exist"):
-    load_run(tmp_path)
 
 
 # Class: a name that is read from a file (here a run's configuration) becomes part of a path.

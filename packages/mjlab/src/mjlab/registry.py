@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import ConfigError, UnknownNameError, unknown
@@ -75,9 +74,8 @@ def load_task(name: str) -> "TaskCfg[Any]":
 
   task = build() if callable(build) else build
   if not isinstance(task, TaskCfg):
-    kind = "a module" if isinstance(task, ModuleType) else type(task).__name__
     wanted = "its entry point must name a function that returns a mjlab_rl.TaskCfg"
-    raise ConfigError(f"task '{name}' of {package}: {wanted}; got {kind}")
+    raise ConfigError(f"task '{name}' of {package}: {wanted}; got {type(task).__name__}")
   return task
 
 

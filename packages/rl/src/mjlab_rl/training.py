@@ -87,8 +87,11 @@ def train(
   console = (console if console is not None else Console()) if ranks.is_first else Console("quiet")
   task = dataclasses.replace(task, env=copy.deepcopy(task.env), agent=copy.deepcopy(task.agent))
   agent, env_cfg = task.agent, task.env
-  teaching = _teachers(task, [teacher] if isinstance(teacher, Path) else list(teacher or ()), resume)
-  beginning = _beginning(task, init_from, resume)
+  teachers = [teacher] if isinstance(teacher, Path) else list(teacher or ())
+  if resume is not None and (teachers or init_from is not None):
+    raise ConfigError(f"a resumed run keeps its {'teacher' if teachers else 'policy'}: {resume}")
+  teaching = _teachers(task, teachers, resume)
+  beginning = _beginning(task, init_from)
   agent.to_rsl_rl()
   kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
   if teaching and not issubclass(kind, MjlabDistillationRunner):
@@ -139,8 +142,6 @@ def _teachers(task: TaskCfg[Any], given: Sequence[Path], resume: Path | None) ->
     if given:
       raise ConfigError(f"teacher {given[0]}: only a RslRlDistillationRunnerCfg has a teacher")
     return []
-  if given and resume is not None:
-    raise ConfigError(f"teacher {given[0]}: a resumed run keeps its teacher ({resume})")
   if not given and resume is None:
     raise ConfigError("a distillation needs a teacher, the checkpoint of a trained policy")
   if resume is None:
@@ -156,12 +157,10 @@ def _teachers(task: TaskCfg[Any], given: Sequence[Path], resume: Path | None) ->
   return teaching
 
 
-def _beginning(task: TaskCfg[Any], init_from: Path | None, resume: Path | None) -> TrainedPolicy | None:
+def _beginning(task: TaskCfg[Any], init_from: Path | None) -> TrainedPolicy | None:
   """Return the trained policy to start from."""
   if init_from is None:
     return None
-  if resume is not None:
-    raise ConfigError(f"init_from {init_from}: a resumed run keeps its policy ({resume})")
   found = read_trained_policy(init_from)
   found.check_beginning(task.env, task.agent)
   return found
