@@ -38,44 +38,51 @@ BORDER = 12.0
 
 
 class Ground:
-  """A tile at difficulty 1, a level one beside it and a border, with spheres that do not touch each other."""
+  """A tile at difficulty 1, a level one beside it and a border."""
 
-  def __init__(self, cfg: TileCfg, radius: float, count: int) -> None:
-    grid = TerrainGridCfg(types={"it": cfg, "flat": FlatCfg()}, rows=1, difficulty=(1.0, 1.0), border_width=BORDER)
-    spec = mujoco.MjSpec()
-    self.terrain = grid.add_to(spec)
-    spec.option.timestep = 0.004
-    for _ in range(count):
-      body = spec.worldbody.add_body()
-      body.add_freejoint()
-      body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(radius, 0.0, 0.0), mass=1.0, group=3,
-        contype=0, conaffinity=1, condim=6, friction=(0.6, 0.002, 0.002),
-      )  # fmt: skip
-    self.model = spec.compile()
+  def __init__(self, name: str) -> None:
+    self.name = name
+    grid = TerrainGridCfg(
+      types={"it": CASES[name], "flat": FlatCfg()}, rows=1, difficulty=(1.0, 1.0), border_width=BORDER
+    )
+    self.spec = mujoco.MjSpec()
+    self.terrain = grid.add_to(self.spec)
+    self.model = self.spec.compile()
     self.data = mujoco.MjData(self.model)
     mujoco.mj_forward(self.model, self.data)
-
-  @property
-  def spheres(self) -> np.ndarray:
-    """Centres of the spheres, (count, 3) [m]."""
-    return self.data.qpos.reshape(-1, 7)[:, :3]
 
   def surface(self, points: np.ndarray) -> np.ndarray:
     """Height at which rays from above meet the ground, (n,) [m]; nan off the terrain."""
     down, geom = np.array((0.0, 0.0, -1.0)), np.zeros(1, dtype=np.int32)
-    only_ground = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
     out = []
     for x, y in points[:, :2]:
-      distance = mujoco.mj_ray(self.model, self.data, np.array((x, y, 20.0)), down, only_ground, 1, -1, geom)
+      distance = mujoco.mj_ray(self.model, self.data, np.array((x, y, 20.0)), down, None, 1, -1, geom)
       out.append(20.0 - distance if distance >= 0.0 else np.nan)
     return np.array(out)
 
+  def with_spheres(self, bodies: list[np.ndarray], radii: list[float]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The model with spheres that do not touch each other: for each body its centres, (n, 3) [m], and its radius."""
+    spec = self.spec.copy()
+    spec.option.timestep = 0.006
+    for centres, radius in zip(bodies, radii, strict=True):
+      body = spec.worldbody.add_body(pos=centres[0])
+      body.add_freejoint()
+      for centre in centres - centres[0]:
+        body.add_geom(
+          type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(radius, 0.0, 0.0), pos=centre, mass=1.0,
+          contype=0, conaffinity=1, condim=6, friction=(0.6, 0.002, 0.002),
+        )  # fmt: skip
+    model = spec.compile()
+    return model, mujoco.MjData(model)
 
-@pytest.mark.parametrize("name", CASES)
-def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(name: str) -> None:
+
+@pytest.fixture(scope="module", params=CASES)
+def ground(request: pytest.FixtureRequest) -> Ground:
+  return Ground(request.param)
+
+
+def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(ground: Ground) -> None:
   radius, count = 0.005, 600
-  ground = Ground(CASES[name], radius, count)
   rng = np.random.default_rng(0)
   lowest = ground.terrain.height_range[0]
   # The tile of the type is at negative y; a part of the points is on its neighbour and on the border.
@@ -83,48 +90,45 @@ def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(name: str)
   top = ground.surface(xy)
   # Half of the grains lie close below the surface, where a thin roof would show, the others anywhere down to the pit.
   # A pit that does not reach the rim has a wall around it, and so the ground elsewhere need not be as deep.
-  deepest = top - lowest + 0.9 if name in OPEN_PITS else 0.9
+  deepest = top - lowest + 0.9 if ground.name in OPEN_PITS else 0.9
   depth = np.where(rng.random(count) < 0.5, rng.uniform(0.02, 0.3, count), rng.uniform(0.02, deepest, count))
-  ground.spheres[:] = np.column_stack((xy, top - depth))
-  mujoco.mj_forward(ground.model, ground.data)
-  touching = np.zeros(count, dtype=bool)
-  bodies = ground.model.geom_bodyid[ground.data.contact.geom].max(axis=1)
-  touching[bodies[bodies > ground.model.body("terrain").id] - ground.model.body("terrain").id - 1] = True
-  hollow = ~touching
-  if name in OPEN:
+  grains = np.column_stack((xy, top - depth))
+  model, data = ground.with_spheres([grains], [radius])
+  for part in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_collision):
+    part(model, data)
+  hollow = np.ones(count, dtype=bool)
+  hollow[data.contact.geom.max(axis=1) - ground.model.ngeom] = False
+  if ground.name in OPEN:
     # A slot is one tread deep and as high as the rise leaves it.
     assert hollow.any()
     hollow &= depth > OpenStairsCfg().step_thickness + SLOT + radius
-  assert not hollow.any(), f"{hollow.sum()} of {count} grains are in a hollow, the first at {ground.spheres[hollow][0]}"
+  assert not hollow.any(), f"{hollow.sum()} of {count} grains are in a hollow, the first at {grains[hollow][0]}"
 
 
-@pytest.mark.parametrize("radius", [0.04, 0.12])
-@pytest.mark.parametrize("name", CASES)
-def test_spheres_that_roll_over_it_stay_above_the_surface(name: str, radius: float) -> None:
-  count = 50
-  ground = Ground(CASES[name], radius, count)
+def test_spheres_that_roll_over_it_stay_above_the_surface(ground: Ground) -> None:
+  radius = np.repeat((0.04, 0.12), 50)
   rng = np.random.default_rng(1)
-  ground.spheres[:, :2] = rng.uniform((-3.9, -7.9), (3.9, 0.5), (count, 2))
-  ground.spheres[:, 2] = ground.surface(ground.spheres) + radius + 0.2
-  ground.data.qvel.reshape(-1, 6)[:, :2] = rng.uniform(-1.5, 1.5, (count, 2))
-  mujoco.mj_step(ground.model, ground.data, nstep=400)
+  start = np.column_stack((rng.uniform((-3.9, -7.9), (3.9, 0.5), (100, 2)), np.zeros(100)))
+  start[:, 2] = ground.surface(start) + radius + 0.2
+  model, data = ground.with_spheres(list(start[:, None]), radius.tolist())
+  data.qvel.reshape(-1, 6)[:, :2] = rng.uniform(-1.5, 1.5, (100, 2))
+  mujoco.mj_step(model, data, nstep=270)
   # Those that fall from an edge at this moment slow down, for a fast impact is deeper than the tolerance.
-  ground.data.qvel[:] = 0.0
-  mujoco.mj_step(ground.model, ground.data, nstep=40)
-  clearance = ground.spheres[:, 2] - radius - ground.surface(ground.spheres)
-  under_a_tread = SLOT + OpenStairsCfg().step_thickness if name in OPEN and 2.0 * radius < SLOT else 0.0
-  assert np.isfinite(clearance).mean() > 0.7
-  assert np.nanmin(clearance) > -0.02 - under_a_tread
+  data.qvel[:] = 0.0
+  mujoco.mj_step(model, data, nstep=28)
+  rest = data.qpos.reshape(-1, 7)[:, :3]
+  clearance = rest[:, 2] - radius - ground.surface(rest)
+  under_a_tread = np.where(2.0 * radius < SLOT, SLOT + OpenStairsCfg().step_thickness, 0.0) * (ground.name in OPEN)
+  assert (np.isfinite(clearance).reshape(2, 50).mean(1) > 0.7).all()
+  assert np.nanmin(clearance + under_a_tread) > -0.02
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_height_range_is_that_of_the_surface(name: str) -> None:
-  ground = Ground(CASES[name], 0.01, 1)
+def test_height_range_is_that_of_the_surface(ground: Ground) -> None:
   x, y = np.meshgrid(np.linspace(-3.99, 3.99, 90), np.linspace(-7.99, 7.99, 150), indexing="ij")
   seen = ground.surface(np.column_stack((x.ravel(), y.ravel())))
   lowest, highest = ground.terrain.height_range
   # Rays 10 cm apart miss the very corner of a slope.
-  reach = 0.1 if name.startswith("tilted_grid") else 0.02
+  reach = 0.1 if ground.name.startswith("tilted_grid") else 0.02
   assert lowest <= seen.min() + 1e-5 < lowest + reach
   assert highest - reach < seen.max() - 1e-5 <= highest
 

@@ -94,16 +94,16 @@ def test_what_is_seen_from_above_is_the_highest_triangle() -> None:
   vertices, faces = rng.uniform(-1.0, 1.0, (30, 3)), rng.integers(30, size=(20, 3))
   x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.0, 1.0, 31)
   seen = seen_from_above(vertices, faces, x, y)
-  # The same by solving for barycentric coordinates, point by point.
-  for i, j in np.ndindex(len(x), len(y)):
-    best = -np.inf
-    for face in faces:
-      matrix = np.vstack((vertices[face, :2].T, np.ones(3)))
-      if abs(np.linalg.det(matrix)) > 1e-9:
-        weights = np.linalg.solve(matrix, np.array((x[i], y[j], 1.0)))
-        if weights.min() >= -1e-9:
-          best = max(best, float(weights @ vertices[face, 2]))
-    assert seen[i, j] == pytest.approx(best, abs=1e-9)
+  # The same by solving for barycentric coordinates of all points.
+  points = np.stack((*np.meshgrid(x, y, indexing="ij"), np.ones(seen.shape)))
+  best = np.full(seen.shape, -np.inf)
+  for face in faces:
+    matrix = np.vstack((vertices[face, :2].T, np.ones(3)))
+    if abs(np.linalg.det(matrix)) > 1e-9:
+      weights = np.tensordot(np.linalg.inv(matrix), points, 1)
+      height = np.tensordot(vertices[face, 2], weights, 1)
+      best = np.where(weights.min(0) >= -1e-9, np.maximum(best, height), best)
+  np.testing.assert_allclose(seen, best, atol=1e-9)
 
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb"])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,7 +13,6 @@ from mjlab_terrain import PerlinNoiseCfg, RandomGridCfg, TerrainGridCfg, TileCfg
 from mjlab_terrain.assembly import PlacedTile
 from mjlab_terrain.solids import MIN_THICKNESS, HeightField
 from mjlab_terrain.surface import surface
-from mjlab_terrain.terrain import Terrain
 from mjlab_terrain.tile import Tile
 
 DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -60,15 +60,30 @@ def heights_of(tile: Tile, num: int = 120) -> np.ndarray:
   return surface(tile.solids, x, y)
 
 
-@dataclass
+@dataclass(kw_only=True)
+class Kept(TerrainGridCfg):
+  """Grid that keeps its tiles."""
+
+  placed: list[PlacedTile] = field(default_factory=list)
+
+  def tiles(self) -> list[PlacedTile]:
+    self.placed = super().tiles()
+    return self.placed
+
+
 class Built:
   """All types (columns) at all difficulties (rows) in one model."""
 
-  cfg: TerrainGridCfg
-  placed: list[PlacedTile]
-  terrain: Terrain
-  model: mujoco.MjModel
-  data: mujoco.MjData
+  def __init__(self, size: tuple[float, float], types: dict[str, TileCfg], *, feet: bool = False, **grid: Any) -> None:
+    self.cfg = Kept(types=types, tile_size=size, **grid)
+    spec = mujoco.MjSpec()
+    self.terrain = self.cfg.add_to(spec)
+    self.placed = self.cfg.placed
+    if feet:
+      add_feet(spec, self)
+    self.model = spec.compile()
+    self.data = mujoco.MjData(self.model)
+    mujoco.mj_forward(self.model, self.data)
 
   def drop(self, points: np.ndarray) -> np.ndarray:
     """Heights at which rays from above meet the ground at (n, 2) points, nan where they do not, (n,) [m]."""
@@ -84,34 +99,22 @@ class Built:
 FOOT = np.array([0.1, 0.05, 0.02])
 
 
-def add_feet(spec: mujoco.MjSpec, where: np.ndarray) -> None:
-  """Boxes the size of a foot that fall onto the ground and do not see each other."""
-  for position in where:
-    body = spec.worldbody.add_body(pos=position)
-    body.add_freejoint()
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=FOOT, mass=1.0, contype=0, conaffinity=1, group=3)
+def add_feet(spec: mujoco.MjSpec, built: Built) -> None:
+  """Boxes the size of a foot that fall onto the origin of each tile and somewhere else, and do not see each other."""
+  offsets = np.random.default_rng(built.cfg.seed).uniform(-0.4, 0.4, (len(built.placed), 2)) * built.cfg.tile_size
+  for xy in (built.terrain.origins.reshape(-1, 3)[:, :2], np.array([p.center[:2] for p in built.placed]) + offsets):
+    for place, p in zip(xy, built.placed, strict=True):
+      height = surface(p.tile.solids, *(np.array([c]) for c in place - p.center[:2]))[0, 0]
+      body = spec.worldbody.add_body(pos=(*place, height + 0.15))
+      body.add_freejoint()
+      body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=FOOT, mass=1.0, contype=0, conaffinity=1, group=3)
+  spec.option.timestep = 0.005
 
 
 @pytest.fixture(scope="module", params=[(SHAPES[0], 0), (SHAPES[1], 1), (SHAPES[0], 2)], ids=str)
 def built(request: pytest.FixtureRequest) -> Built:
   size, seed = request.param
-  cfg = TerrainGridCfg(types=all_types(), tile_size=size, rows=len(DIFFICULTIES), seed=seed, border_width=1.0)
-  spec = mujoco.MjSpec()
-  placed, terrain = cfg.tiles(), cfg.add_to(spec)
-  rng = np.random.default_rng(seed)
-  offsets = rng.uniform(-0.4, 0.4, (len(placed), 2)) * size
-  centers = np.array([p.center[:2] for p in placed])
-  above = np.concatenate((terrain.origins.reshape(-1, 3)[:, :2], centers + offsets))
-  heights = np.concatenate(
-    [surface(p.tile.solids, *(np.array([c]) for c in xy - p.center[:2])).ravel()
-     for p, xy in zip([*placed, *placed], above, strict=True)]
-  )  # fmt: skip
-  add_feet(spec, np.column_stack((above, heights + 0.15)))
-  spec.option.timestep = 0.005
-  model = spec.compile()
-  data = mujoco.MjData(model)
-  mujoco.mj_forward(model, data)
-  return Built(cfg, placed, terrain, model, data)
+  return Built(size, all_types(), feet=True, rows=len(DIFFICULTIES), seed=seed, border_width=1.0)
 
 
 def test_rows_have_the_difficulties_and_columns_the_types(built: Built) -> None:
@@ -273,13 +276,7 @@ def test_noise_finer_than_a_cell_is_left_out_and_costs_nothing() -> None:
 @pytest.mark.parametrize("name", list(VARIANTS))
 def test_variants_build_and_agree_with_rays(name: str) -> None:
   for size in SHAPES:
-    cfg = TerrainGridCfg(types={"it": VARIANTS[name]}, tile_size=size, rows=3, border_width=0.0)
-    spec = mujoco.MjSpec()
-    placed, terrain = cfg.tiles(), cfg.add_to(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    it = Built(cfg, placed, terrain, model, data)
+    it = Built(size, {"it": VARIANTS[name]}, rows=3, border_width=0.0)
     test_origins_lie_on_the_surface_that_a_ray_hits(it)
     test_every_ray_from_above_meets_ground_where_the_tile_says(it)
     test_geometry_stays_on_its_tile(it)

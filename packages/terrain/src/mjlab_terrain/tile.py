@@ -42,7 +42,7 @@ class Tile:
       ValueError: a part of it is thinner than 5 cm, or not finite.
     """
     # Comparisons with NaN are false.
-    if not MIN_THICKNESS - 1e-9 <= solid.thickness < np.inf or not np.isfinite([solid.low, solid.high]).all():
+    if not MIN_THICKNESS - 1e-9 <= solid.thickness < np.inf or not np.isfinite(solid.low + solid.high).all():
       size = " x ".join(f"{extent:.3g}" for extent in solid.high - solid.low)
       raise ValueError(
         f"a {type(solid).__name__} of {size} m, {solid.thickness:.3g} m thick, is not finite "
@@ -53,7 +53,7 @@ class Tile:
   def box(self, x: Interval, y: Interval, z: Interval) -> None:
     """Add a box between these bounds [m]."""
     low, high = np.array([x, y, z], dtype=np.float64).T
-    self.turned_box(0.5 * (low + high), 0.5 * (high - low), None)
+    self.add(Box(center=0.5 * (low + high), half=0.5 * (high - low)))
 
   def turned_box(self, center: ArrayLike, half: ArrayLike, rotation: NDArray[np.float64] | None) -> None:
     """Add a box by its centre, half extents [m] and axes, the columns of `rotation`."""
