@@ -20,12 +20,16 @@ torch.set_num_threads(1)
 
 @pytest.fixture
 def make() -> Iterator[Callable[..., ManagerBasedRlEnv]]:
-  """An environment of the hopper, or of a config."""
+  """An environment of the hopper, or of a config, after its first reset unless `begun` is False."""
   opened: list[ManagerBasedRlEnv] = []
 
-  def build(cfg: ManagerBasedRlEnvCfg | None = None, device: str = "cpu", **options: Any) -> ManagerBasedRlEnv:
+  def build(
+    cfg: ManagerBasedRlEnvCfg | None = None, device: str = "cpu", begun: bool = True, **options: Any
+  ) -> ManagerBasedRlEnv:
     env = ManagerBasedRlEnv(hopper_cfg(**options) if cfg is None else cfg, device)
     opened.append(env)
+    if begun:
+      env.reset()
     return env
 
   yield build

@@ -1,5 +1,6 @@
 """A robot of three bodies and the smallest task that uses every part of an environment."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,9 @@ from mjlab_managers import (
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
+
+# Makes an environment, of which tests also touch what is not public.
+Make = Callable[..., Any]
 
 HOPPER = """
 <mujoco>

@@ -1,25 +1,19 @@
 """From the policy's output to set-points of joints."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from envs_hopper import actions, hopper_cfg
+from envs_hopper import Make, actions, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 DEFAULT = np.array([0.2, -0.4])
 
 
 def acting(make: Make, **terms: Any) -> Any:
-  env = make(actions=terms, events={}, commands={}, observations={}, rewards={})
-  env.reset()
-  return env
+  return make(actions=terms, events={}, commands={}, observations={}, rewards={})
 
 
 def targets(env: Any, action: torch.Tensor, kind: str = "pos") -> np.ndarray:

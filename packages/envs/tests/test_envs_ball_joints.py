@@ -77,7 +77,6 @@ def test_some_joints_of_a_robot_with_a_ball_joint_are_selected(make: Callable[..
       draw = {"position_range": (0.3, 0.3), "velocity_range": (0.7, 0.7)} | asset
       cfg.events["offset"] = EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=draw)
     env = make(cfg)
-    env.reset()
     data = env.scene["robot"].data
     expected = data.joint_pos[:, [4]] - 0.4 if joints == "elbow" else torch.zeros(2, 3)
     if joints == "elbow":
@@ -104,7 +103,6 @@ def test_a_ball_joint_is_observed_as_the_rotation_from_its_default(make: Callabl
   default = np.array([np.cos(0.2), 0.0, np.sin(0.2), 0.0])
   cfg.scene.entities["robot"].init_state.joint_pos = {"neck": tuple(default), "elbow": 0.4}
   env = make(cfg)
-  env.reset()
   rng = np.random.default_rng(2)
   quats = rng.normal(size=(2, 4))
   quats /= np.linalg.norm(quats, axis=1, keepdims=True)

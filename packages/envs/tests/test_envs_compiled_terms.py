@@ -1,16 +1,12 @@
 """Terms that torch.compile compiles give the numbers of terms that it does not."""
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
-from envs_hopper import actions, hopper_cfg
-from mjlab_envs import ManagerBasedRlEnv
+from envs_hopper import Make, actions, hopper_cfg
 from mjlab_managers import ManagerTermBase, MetricsTermCfg, ObservationTermCfg, RewardTermCfg
-
-Make = Callable[..., ManagerBasedRlEnv]
 
 
 class travelled(ManagerTermBase):

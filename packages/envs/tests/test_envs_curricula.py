@@ -1,16 +1,13 @@
 """Weights and parameters in stages, and what a saved environment knows of them."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
-from envs_hopper import actions, hopper_cfg
+from envs_hopper import Make, actions, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
 from mjlab_managers import CurriculumTermCfg, RewardTermCfg, TerminationTermCfg
-
-Make = Callable[..., Any]
 
 
 def lean(env: Any, *, scale: float, power: float = 1.0) -> torch.Tensor:
@@ -44,7 +41,6 @@ REWARD = CurriculumTermCfg(
 
 def test_a_reward_follows_its_stages_and_values_that_a_stage_leaves_out_stay(make: Make) -> None:
   env = make(staged_cfg(lean=REWARD))
-  env.reset()
   seen = [env.step(actions(env, step))[1][0].item() for step in range(7)]
   # Curricula follow rewards in a step: what begins at step n first counts in step n + 1.
   assert seen == pytest.approx([3.0, 3.0, 6.0, 6.0, 10.0, -20.0, -20.0])
@@ -72,7 +68,6 @@ def test_stages_may_count_iterations_and_change_terminations(make: Make) -> None
     params={"termination": "low", "stages": [mdp.Stage(step=1, params={"minimum": 2.0})], "steps_per_iteration": 3},
   )
   env = make(staged_cfg(low=low))
-  env.reset()
   seen = [bool(env.step(actions(env, step))[2].all()) for step in range(5)]
   assert seen == [False, False, False, True, True]
 

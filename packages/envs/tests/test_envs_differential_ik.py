@@ -1,12 +1,12 @@
 """Differential inverse kinematics against MuJoCo's Jacobians and NumPy's solver."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
+from envs_hopper import Make
 from envs_watch import Watch
 from mjlab_actuators import NativePositionActuatorCfg
 from mjlab_core.errors import ConfigError
@@ -14,8 +14,6 @@ from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_envs.mdp.differential_ik import solve_definite
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
-
-Make = Callable[..., Any]
 
 ARM = """
 <mujoco>
@@ -88,7 +86,6 @@ def arm_cfg(engine: Any = "native", num_envs: int = 4, **options: Any) -> Manage
 def reaching(make: Make, **options: Any) -> tuple[Any, mdp.DifferentialIKAction]:
   """An environment at random joint positions, some outside their soft limits, and its action."""
   env = make(arm_cfg(**options))
-  env.reset()
   scramble(env, 0.95)
   return env, env.action_manager.get_term("hand")
 
@@ -270,7 +267,6 @@ def test_an_arm_that_is_told_nothing_holds_its_goal_and_sinks_from_its_pose(make
   cfg = arm_cfg(relative_to=relative_to)
   cfg.sim.gravity = (0.0, 0.0, -3.0)
   env = make(cfg)
-  env.reset()
   term = env.action_manager.get_term("hand")
   heights = []
   for _ in range(3):

@@ -1,12 +1,11 @@
 """Last observations of episodes, in a step that resets them, against an environment that does not."""
 
 import logging
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
-from envs_hopper import Ended, SpeedCommandCfg, actions, end, hopper_cfg
+from envs_hopper import Ended, Make, SpeedCommandCfg, actions, end, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
 from mjlab_managers import (
@@ -17,8 +16,6 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-
-Make = Callable[..., Any]
 
 
 def quiet_cfg(**options: Any) -> Any:
@@ -50,8 +47,6 @@ def test_final_observations_are_those_of_an_environment_that_does_not_reset(make
   kept = make(quiet_cfg(engine=engine, capture_terminal_observations=True))
   manual = make(quiet_cfg(engine=engine, auto_reset=False))
   plain = make(quiet_cfg(engine=engine))
-  for env in (kept, manual, plain):
-    env.reset()
   for number in range(5):
     observed, reward, *_, extras = kept.step(actions(kept, number))
     expected = manual.step(actions(manual, number))[0]
@@ -81,7 +76,6 @@ def test_final_observations_are_those_of_an_environment_that_does_not_reset(make
 
 def test_noise_of_a_final_observation_is_as_large_as_any(make: Make) -> None:
   env = make(hopper_cfg(num_envs=64, capture_terminal_observations=True))
-  env.reset()
   end(env, *range(64))
   *_, extras = env.step(actions(env, 0))
   columns = next(part.columns for part in env.observation_manager.layout("actor") if part.name == "gravity")
@@ -95,7 +89,6 @@ def test_without_auto_reset_it_is_refused_and_without_the_option_extras_are_empt
   with pytest.raises(ConfigError, match="capture_terminal_observations is for auto_reset"):
     make(hopper_cfg(auto_reset=False, capture_terminal_observations=True))
   env = make()
-  env.reset()
   assert env.step(actions(env, 0))[-1] == {}
 
 
@@ -108,7 +101,6 @@ def test_a_group_may_warn_of_nan(make: Make, caplog: pytest.LogCaptureFixture) -
   cfg.observations["critic"].terms["broken"] = ObservationTermCfg(broken)
   cfg.observations["critic"].nan_policy = "warn"
   env = make(cfg)
-  env.reset()
   observed = env.step(actions(env, 0))[0]["critic"]
   assert torch.isfinite(observed).all()
   with caplog.at_level(logging.WARNING, logger="mjlab"):

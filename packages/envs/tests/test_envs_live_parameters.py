@@ -1,18 +1,15 @@
 """The class of changes that cost a recording: a number changed by `set_params` is a write that the next step reads."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
-from envs_hopper import actions, hopper_cfg
+from envs_hopper import Make, actions, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, ManagerTermBase, RewardTermCfg
-
-Make = Callable[..., Any]
 
 
 def lean(env: Any, *, std: float) -> torch.Tensor:
@@ -58,7 +55,6 @@ def test_a_number_acts_in_the_next_step_without_a_new_recording(
   make: Make, engine_: str, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   env = make(live_cfg(engine_), device)
-  env.reset()
   for step in range(8):
     env.step(actions(env, step))
   assert env.is_captured == (device == "cuda")

@@ -1,13 +1,12 @@
 """Terms about power, mounted sensors, touch, and tiles of a terrain, against NumPy."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import actions, hopper_cfg
+from envs_hopper import Make, actions, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
 from mjlab_managers import (
@@ -23,15 +22,12 @@ from mjlab_terrain import FlatPatchCfg, TerrainGridCfg
 from mjlab_terrain.types.heights import RandomRoughCfg
 from scipy.spatial.transform import Rotation
 
-Make = Callable[..., Any]
-
 
 def test_only_power_that_actuators_put_in_counts(make: Make) -> None:
   cfg = hopper_cfg()
   both = {"asset": SceneEntityCfg("robot", joint_names=(".*",))}
   cfg.rewards["power"] = RewardTermCfg(mdp.electrical_power_cost, weight=-1.0, params=both)
   env = make(cfg)
-  env.reset()
   signs = set()
   for number in range(20):
     env.step(3.0 * actions(env, number))
@@ -86,7 +82,6 @@ def test_any_contact_counts_without_a_threshold_and_without_a_history(make: Make
   cfg.terminations = {"touch": TerminationTermCfg(mdp.illegal_contact, params=params)}
   cfg.metrics = {"touch": MetricsTermCfg(mdp.contact_count, params=params)}
   env = make(cfg)
-  env.reset()
   env.sim.data.qpos[:2, 2] += 1.0
   ended = env.step(torch.zeros(4, 2))[2]
   for _ in range(3):
@@ -123,7 +118,6 @@ def rough_cfg(patches: str = "feet") -> Any:
 
 def test_roots_begin_on_flat_patches_of_their_own_tile(make: Make) -> None:
   env = make(rough_cfg())
-  env.reset()
   levels, terrain = env.scene.terrain_levels, env.scene.terrain
   seen = set()
   for _ in range(5):
@@ -145,7 +139,6 @@ def test_a_plane_has_no_patches_and_a_wrong_name_is_named(make: Make) -> None:
   cfg = rough_cfg()
   cfg.scene.terrain = hopper_cfg().scene.terrain
   env = make(cfg)
-  env.reset()
   root = env.scene["robot"].data.root_link_pos_w
   torch.testing.assert_close(root[:, :2], env.scene.env_origins[:, :2])
 
@@ -157,7 +150,6 @@ def test_an_edge_is_that_of_the_worlds_own_tile(make: Make) -> None:
   )
   cfg.episode_length_s = 10.0
   env = make(cfg)
-  env.reset()
   levels = env.scene.terrain_levels
   centre = np.stack((levels.levels.numpy() - 0.5, levels.columns.numpy() - 1.0), -1) * [4.0, 3.0]
   offset = np.random.default_rng(0).uniform(-1.0, 1.0, (32, 2)) * [2.0, 1.5]

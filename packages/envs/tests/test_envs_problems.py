@@ -1,13 +1,12 @@
 """The class of mistakes that came one at a time: a config with mistakes in several rooms needed one build for each."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import mujoco
 import pytest
 import torch
-from envs_hopper import SpeedCommandCfg, hopper, hopper_cfg
+from envs_hopper import Make, SpeedCommandCfg, hopper, hopper_cfg
 from mjlab_core import MjlabError, rows_of_worlds
 from mjlab_core.errors import ConfigError
 from mjlab_dr import body_mass
@@ -25,8 +24,6 @@ from mjlab_managers import (
 )
 from mjlab_scene import EntityCfg
 from mjlab_sensors import BuiltinSensorCfg, ContactMatch, ContactSensorCfg
-
-Make = Callable[..., Any]
 
 
 def unreadable() -> mujoco.MjSpec:

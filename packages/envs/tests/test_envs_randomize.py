@@ -6,14 +6,12 @@ from typing import Any
 import mujoco
 import pytest
 import torch
-from envs_hopper import actions, end, hopper_cfg
+from envs_hopper import Make, actions, end, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_dr import Categorical, body_mass, encoder_bias, geom_friction, pseudo_inertia, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
 from mjlab_scene import EntityCfg, InitialStateCfg, VariantEntityCfg
-
-Make = Callable[..., ManagerBasedRlEnv]
 
 
 def event(mode: Any, **options: Any) -> EventTermCfg:
@@ -55,7 +53,6 @@ def test_startup_happens_once_and_resets_leave_it_alone(make: Make) -> None:
 
 def test_a_reset_draws_in_the_worlds_that_begin_anew_and_no_sooner_than_the_gap(make: Make) -> None:
   env = make(quiet(events={"friction": event("reset", min_step_count_between_reset=4)}))
-  env.reset()
   first = friction(env)
   rows = torch.cat([first[None], history(env, 9, {1: (0,), 4: (0, 2), 8: (0,)})])
   changed = changes(rows)
@@ -86,7 +83,6 @@ def test_inertia_drawn_at_resets_leaves_the_worlds_that_go_on_bit_identical(make
   states = []
   for ended in ({}, {3: (1,), 5: (1, 3)}):
     env = make(quiet(engine=engine, events={"inertia": inertia}))
-    env.reset()
     history(env, 8, ended)
     states.append((env.sim.data.qpos.clone(), env.sim.model.body_inertia.clone(), env.sim.model.dof_invweight0.clone()))
   for calm, busy in zip(*states, strict=True):
@@ -111,7 +107,6 @@ def test_the_ground_and_its_looks_can_be_randomised_though_they_are_no_entity(ma
   params = {name: {"randomizer": value, "asset": None} for name, value in randomizers.items()}
   cfg.events = {name: EventTermCfg(mdp.randomize, mode="reset", params=params[name]) for name in randomizers}
   env = make(cfg)
-  env.reset()
   model, compiled = env.sim.model, env.sim.mj_model
   ground = compiled.geom("terrain").id
   before = model.geom_friction[:, ground, 0].clone()
@@ -199,7 +194,6 @@ def test_a_free_object_can_be_given_another_centre_of_mass(make: Make) -> None:
     mdp.randomize, mode="reset", params={"randomizer": randomizer, "asset": SceneEntityCfg("thing")}
   )
   env = make(cfg)
-  env.reset()
   body = env.sim.mj_model.body("thing/thing")
   com, joint = env.sim.model.body_ipos[:, body.id], int(body.dofadr[0])
   assert ((com >= 0.01) & (com <= 0.02)).all()

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import pytest
 import torch
-from envs_hopper import hopper_cfg
+from envs_hopper import Make, hopper_cfg
 from mjlab_actuators import (
   ActuatorCfg,
   DcMotorActuatorCfg,
@@ -24,9 +24,6 @@ from mjlab_dr import Categorical, LogUniform, randomize_field
 from mjlab_envs import mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 WORLDS = 4
 LIMIT = 5.0
@@ -206,7 +203,7 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
 
 def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
   names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
-  env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)))
+  env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)), begun=False)
   parameter = env.event_manager.get_term_cfg("kp").func.field._quantity
   assert torch.equal(parameter.factors(), torch.ones(WORLDS, len(names)))
   factor = torch.linspace(0.5, 2.0, WORLDS * len(names)).view(WORLDS, -1)

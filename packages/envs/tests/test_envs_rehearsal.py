@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from envs_hopper import SpeedCommand, SpeedCommandCfg, actions, hopper_cfg
+from envs_hopper import Make, SpeedCommand, SpeedCommandCfg, actions, hopper_cfg
 from mjlab_core import DebugDraw
 from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_dr import body_mass
@@ -23,8 +23,6 @@ from mjlab_managers import (
 )
 from mjlab_sensors import BuiltinSensorCfg
 from mjlab_sensors.builtin import BuiltinSensor
-
-Make = Callable[..., Any]
 
 FAILS_FROM = {"step": 0}
 """Steps after which the terms below fail; a test that wants them to fail later sets it."""
@@ -211,7 +209,6 @@ def test_a_term_that_fails_later_is_named_with_its_manager(make: Make, kind: str
   FAILS_FROM["step"] = 2
   build, args, name = BROKEN[kind]
   env = make(build(*args))
-  env.reset()
   env.step(torch.zeros(4, env.action_manager.total_action_dim))
   if kind == "startup":
     return
@@ -296,7 +293,7 @@ def test_a_build_leaves_what_it_tried_as_it_was(
     )
     cfg.curriculum["ratchet"] = CurriculumTermCfg(Ratchet)
     cfg.recorders["writer"] = RecorderTermCfg(Writer, params={"path": str(tmp_path / name)})
-    return make(cfg)
+    return make(cfg, begun=False)
 
   tried = build("tried")
   assert not (tmp_path / "tried").exists()

@@ -6,13 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from envs_hopper import actions, end, hopper_cfg
+from envs_hopper import Make, actions, end, hopper_cfg
 from mjlab_core import call_where
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, RecorderTerm, RecorderTermCfg
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 
 def leaves(state: Mapping[str, Any], path: str = "") -> dict[str, torch.Tensor]:
@@ -47,8 +44,6 @@ def test_an_ended_world_sees_what_an_explicit_reset_would_show_it(make: Make, en
   cfg.events["push"] = None
   cfg.observations["actor"].corrupt = False
   a, b = make(cfg), make(cfg)
-  for env in (a, b):
-    env.reset()
   for step in range(8):
     for env in (a, b):
       env.step(actions(env, step))
@@ -82,7 +77,6 @@ def test_parts_of_a_step_that_act_on_no_world_change_nothing(make: Make, engine:
       for module in ("mjlab_envs.env", "mjlab_managers.command_manager", "mjlab_managers.event_manager"):
         monkeypatch.setattr(f"{module}.call_where", always)
     env = make(cfg)
-    env.reset()
     pushed.clear()
     steps = []
     for step in range(300 if engine == "native" else 60):
@@ -99,7 +93,6 @@ def test_parts_of_a_step_that_act_on_no_world_change_nothing(make: Make, engine:
 
 def test_without_auto_reset_an_ended_world_must_be_reset_before_the_next_step(make: Make) -> None:
   env = make(auto_reset=False)
-  env.reset()
   env.step(actions(env, 0))
   end(env, 1, 3)
   _, _, terminated, _, _ = env.step(actions(env, 1))
@@ -136,7 +129,6 @@ def test_without_auto_reset_the_terminal_observation_is_returned(make: Make) -> 
 
 def test_a_partial_reset_leaves_all_that_other_worlds_remember_bit_identical(make: Make, engine: str) -> None:
   env = make(engine=engine)
-  env.reset()
   for step in range(7):
     env.step(actions(env, step))
   before, obs = env.state_dict(), env.get_observations()
@@ -171,7 +163,6 @@ def test_a_partial_reset_leaves_all_that_other_worlds_remember_bit_identical(mak
 )
 def test_worlds_are_named_by_numbers_or_by_a_mask(make: Make, selection: Any, worlds: list[int]) -> None:
   env = make()
-  env.reset()
   env.step(actions(env, 0))
   before = env.state_dict()
   obs, info = env.reset(env_ids=selection)
@@ -194,7 +185,6 @@ def test_worlds_are_named_by_numbers_or_by_a_mask(make: Make, selection: Any, wo
 )
 def test_worlds_that_do_not_exist_are_refused_before_anything_changes(make: Make, selection: Any, message: str) -> None:
   env = make()
-  env.reset()
   env.step(actions(env, 0))
   before = env.state_dict()
   with pytest.raises(ValueError, match=message):
@@ -209,7 +199,6 @@ def test_the_default_event_puts_worlds_into_their_default_state(make: Make) -> N
   cfg = hopper_cfg()
   cfg.events = type(cfg)(decimation=1, scene=cfg.scene).events
   env = make(cfg)
-  env.reset()
   for step in range(3):
     env.step(actions(env, step))
   env.reset(env_ids=[0, 2])
@@ -248,7 +237,6 @@ class Book(RecorderTerm):
 @pytest.mark.parametrize("auto_reset", [True, False])
 def test_recorders_see_last_action_reward_and_reason_of_terminal_steps(make: Make, auto_reset: bool) -> None:
   env = make(auto_reset=auto_reset, recorders={"book": RecorderTermCfg(Book)})
-  env.reset()
   book = env.recorder_manager.get_term("book")
   assert isinstance(book, Book)
   book.pages.clear()

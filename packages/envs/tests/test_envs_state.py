@@ -3,14 +3,13 @@
 import copy
 import gc
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from envs_hopper import actions, end, hopper_cfg
+from envs_hopper import Make, actions, end, hopper_cfg
 from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
@@ -22,9 +21,6 @@ from mjlab_managers import (
   RewardTermCfg,
   TerminationTermCfg,
 )
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 
 def run(env: Any, steps: range) -> list[torch.Tensor]:
@@ -68,8 +64,6 @@ def test_recorded_physics_makes_no_difference_on_a_cpu(make: Make) -> None:
   recorded, cfg = make(randomised_cfg("warp")), randomised_cfg("warp")
   cfg.sim.capture = False
   eager = make(cfg)
-  for env in (recorded, eager):
-    env.reset()
   for x, y in zip(run(recorded, range(50)), run(eager, range(50)), strict=True):
     assert torch.equal(x, y)
 
@@ -79,8 +73,6 @@ def test_both_engines_run_the_same_environment(make: Make) -> None:
   # Draws in the engine's own precision differ, so that nothing is drawn for the state.
   events = {"default": EventTermCfg(mdp.reset_scene_to_default, mode="reset")}
   native, warp = make(events=events), make(engine="warp", events=events)
-  for env in (native, warp):
-    env.reset()
   for step in range(8):
     (a, reward_a, *done_a, _), (b, reward_b, *done_b, _) = (env.step(actions(env, step)) for env in (native, warp))
     for group in a:
@@ -91,8 +83,6 @@ def test_both_engines_run_the_same_environment(make: Make) -> None:
 
 def test_without_auto_reset_pending_worlds_are_saved_too(make: Make) -> None:
   a, b = make(auto_reset=False), make(auto_reset=False)
-  for env in (a, b):
-    env.reset()
   end(a, 2)
   a.step(actions(a, 0))
   b.load_state_dict(a.state_dict())
@@ -177,8 +167,6 @@ def test_progress_alone_fits_any_number_of_worlds(make: Make) -> None:
 
 def test_one_seed_gives_one_run(make: Make) -> None:
   a, b, c = make(), make(), make(hopper_cfg(seed=8))
-  for env in (a, b, c):
-    env.reset()
   runs = [run(env, range(25)) for env in (a, b, c)]
   assert all(torch.equal(x, y) for x, y in zip(runs[0], runs[1], strict=True))
   assert not torch.equal(runs[0][0], runs[2][0])
@@ -208,7 +196,6 @@ def test_global_generators_are_left_alone(make: Make) -> None:
   expected = torch.rand(3)
   torch.manual_seed(0)
   env = make()
-  env.reset()
   state = torch.get_rng_state()
   run(env, range(0))
   env.step(torch.zeros(4, 2))
@@ -381,7 +368,6 @@ def test_rewards_of_endless_episodes_are_logged_as_sums(make: Make) -> None:
   cfg = hopper_cfg(episode_length_s=0.0)
   cfg.terminations["time_out"] = None
   env = make(cfg)
-  env.reset()
   for step in range(3):
     env.step(actions(env, step))
   env.reset()

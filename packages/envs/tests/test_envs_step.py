@@ -2,17 +2,13 @@
 
 import logging
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 import torch
-from envs_hopper import Ended, actions, end, hopper_cfg
+from envs_hopper import Ended, Make, actions, end, hopper_cfg
 from envs_watch import Watch
 from mjlab_envs import ManagerBasedRlEnv, mdp
 from mjlab_managers import CurriculumTermCfg, EventTermCfg, RewardTermCfg, TerminationTermCfg
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 TIME_OUT = {"time_out": TerminationTermCfg(mdp.time_out, time_out=True)}
 
@@ -28,7 +24,6 @@ def quiet(engine: str = "native", **options):
 
 def test_an_episode_ends_on_exactly_its_last_step(make: Make) -> None:
   env = make(terminations=TIME_OUT)
-  env.reset()
   assert env.max_episode_length == 20
   for step in range(1, 46):
     if step == 6:
@@ -77,8 +72,6 @@ def test_a_push_is_in_the_same_steps_observation_and_not_in_its_reward(make: Mak
   pushed = make(cfg)
   cfg.events["push"] = None
   calm = make(cfg)
-  for env in (calm, pushed):
-    env.reset()
   for step in range(1, 7):
     (a, reward_a, *_), (b, reward_b, *_) = calm.step(actions(calm, step)), pushed.step(actions(calm, step))
     assert torch.equal(reward_a, reward_b) == (step <= 5)
@@ -111,8 +104,6 @@ def test_no_time_passes_for_timers_in_the_step_that_resets_a_world(make: Make) -
 @pytest.mark.parametrize("engine_", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 def test_what_a_world_sees_does_not_depend_on_who_is_reset(make: Make, engine_: str) -> None:
   a, b = make(engine=engine_), make(engine=engine_)
-  for env in (a, b):
-    env.reset()
   others = [0, 1, 3]
   for step in range(12):
     end(b, *([2] if step in (3, 7, 8) else []))
@@ -127,7 +118,6 @@ def test_what_a_world_sees_does_not_depend_on_who_is_reset(make: Make, engine_: 
 
 def test_what_a_step_returns_is_never_written_to_again(make: Make) -> None:
   env = make()
-  env.reset()
   kept, copies = [], []
   for step in range(25):
     end(env, step % 4)
@@ -156,8 +146,6 @@ def test_writing_into_what_was_returned_changes_nothing(make: Make) -> None:
 
 def test_asking_for_observations_again_changes_nothing(make: Make) -> None:
   a, b = make(), make()
-  for env in (a, b):
-    env.reset()
   for step in range(5):
     obs, *_ = a.step(actions(a, step))
     for _ in range(3):
@@ -199,8 +187,6 @@ def test_a_task_can_bring_its_own_watch_over_diverged_worlds(make: Make) -> None
 
 def test_actions_that_are_not_numbers_count_as_zero(make: Make) -> None:
   a, b = make(), make()
-  for env in (a, b):
-    env.reset()
   action = actions(a, 0)
   action[0, 0], action[2, 1] = torch.nan, torch.inf
   obs, *_ = a.step(action)
@@ -211,8 +197,6 @@ def test_actions_that_are_not_numbers_count_as_zero(make: Make) -> None:
 
 def test_actions_of_a_policy_that_tracks_gradients_are_taken(make: Make) -> None:
   a, b = make(), make()
-  for env in (a, b):
-    env.reset()
   for index in range(2):
     action = actions(a, index)
     obs, *_ = a.step(action.clone().requires_grad_())
@@ -223,7 +207,6 @@ def test_actions_of_a_policy_that_tracks_gradients_are_taken(make: Make) -> None
 
 def test_an_action_of_the_wrong_shape_is_refused_before_anything_moves(make: Make) -> None:
   env = make()
-  env.reset()
   before = env.sim.data.qpos.clone()
   with pytest.raises(ValueError, match=r"action must have shape \(4, 2\), got \(4, 3\)"):
     env.step(torch.zeros(4, 3))
@@ -243,7 +226,9 @@ def test_startup_events_run_once_with_all_managers_before_the_first_reset(make: 
   def at_reset(env: ManagerBasedRlEnv, mask: torch.Tensor) -> None:
     seen.append("reset")
 
-  env = make(events={"a": EventTermCfg(at_reset, mode="reset"), "b": EventTermCfg(at_startup, mode="startup")})
+  env = make(
+    events={"a": EventTermCfg(at_reset, mode="reset"), "b": EventTermCfg(at_startup, mode="startup")}, begun=False
+  )
   # Both were tried, and what they did was undone.
   assert seen == ["startup", "reset", "startup"]
   env.reset()
@@ -298,7 +283,6 @@ def test_curricula_see_the_terminal_state_events_default_targets_and_commands_co
 @pytest.mark.parametrize("weight", [0.7, -2.0])
 def test_a_constant_reward_of_one_is_logged_as_its_weight(make: Make, weight: float) -> None:
   env = make(terminations=TIME_OUT, rewards={"one": RewardTermCfg(lambda env: torch.ones(env.num_envs), weight=weight)})
-  env.reset()
   env.drain_log()
   total = torch.zeros(4)
   for step in range(20):
@@ -312,7 +296,6 @@ def test_rewards_are_rates_unless_told_otherwise(make: Make) -> None:
   one = {"one": RewardTermCfg(lambda env: torch.ones(env.num_envs), weight=3.0)}
   for scale, expected in ((True, 0.03), (False, 3.0)):
     env = make(rewards=dict(one), scale_rewards_by_dt=scale)
-    env.reset()
     assert env.step(actions(env, 0))[1].tolist() == pytest.approx([expected] * 4)
 
 
@@ -325,7 +308,6 @@ def test_a_step_never_waits_for_the_device_and_costs_few_operations(
   make: Make, capsys: pytest.CaptureFixture[str], is_kept: bool, most: int
 ) -> None:
   env = make(capture_terminal_observations=is_kept)
-  env.reset()
   for step in range(3):
     env.step(actions(env, step))
   counts = []
@@ -367,7 +349,6 @@ def test_a_step_with_resets_and_pushes_computes_kinematics_once(make: Make, engi
   cfg = hopper_cfg(engine=engine)
   cfg.events["push"].interval_range_s = (0.01, 0.01)
   env = make(cfg)
-  env.reset()
   forwards: list[bool] = []
   forward = env.sim._engine.forward
 
@@ -385,7 +366,6 @@ def test_a_step_with_resets_and_pushes_computes_kinematics_once(make: Make, engi
 def test_a_step_that_nothing_happens_in_computes_kinematics_never(make: Make, monkeypatch) -> None:
   cfg = hopper_cfg(events={})
   env = make(cfg)
-  env.reset()
   forwards: list[bool] = []
   monkeypatch.setattr(env.sim._engine, "forward", lambda changed: forwards.append(changed))
   env._simulate()
@@ -442,7 +422,6 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GP
 @pytest.mark.parametrize("is_kept", [False, True], ids=["plain", "final_obs"])
 def test_a_recorded_step_is_one_graph_that_never_waits_on_a_gpu(make: Make, is_kept: bool) -> None:
   env = make(num_envs=64, device="cuda", engine="auto", capture_terminal_observations=is_kept)
-  env.reset()
   for step in range(6):
     env.step(actions(env, step))
   assert env.is_captured
@@ -465,8 +444,6 @@ def test_recorded_steps_follow_eager_ones_on_a_gpu(make: Make) -> None:
   recorded, cfg = make(num_envs=16, device="cuda", engine="auto"), hopper_cfg(num_envs=16, engine="auto")
   cfg.sim.capture = False
   eager = make(cfg, "cuda")
-  for env in (recorded, eager):
-    env.reset()
   for step in range(12):
     end(recorded, step)
     end(eager, step)
@@ -492,7 +469,6 @@ def test_an_event_that_takes_world_numbers_splits_the_recording_on_a_gpu(
   cfg = hopper_cfg(engine="auto")
   cfg.events["note"] = EventTermCfg(note, mode="reset")
   env = make(cfg, "cuda")
-  env.reset()
   seen.clear()
   for step in range(8):
     end(env, step % 4)

@@ -1,22 +1,18 @@
 """Actions of tendons and sites, with MuJoCo C as what should come of them."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import actions
+from envs_hopper import Make, actions
 from mjlab_actuators import NativeMotorActuatorCfg, NativePositionActuatorCfg, NativeVelocityActuatorCfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import ActionTermCfg
 from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
-
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
 
 # Three tendons across two hinges and a slide; one is called like a joint, and the model has them in another order.
 CRANE = """
@@ -82,7 +78,6 @@ def test_each_set_point_moves_the_crane_as_in_mujoco(make: Make, engine: str) ->
     jet=mdp.SiteEffortActionCfg(scale=4.0, clip={"jet": (0.0, 5.0)}),
   )
   env = make(cfg)
-  env.reset()
   model: mujoco.MjModel = env.sim.mj_model
   worlds = [mujoco.MjData(model) for _ in range(4)]
   for world, data in enumerate(worlds):
@@ -109,7 +104,6 @@ def test_columns_come_in_the_order_of_the_model_or_of_the_patterns(make: Make) -
       actuators=("chain", "rope"), preserve_order=preserve, scale={"chain": 2, "rope": 1}
     )
     env = make(crane(ropes=term))
-    env.reset()
     action = actions(env, 1)
     env.step(action)
     assert env.action_manager.get_term("ropes").target_names == names

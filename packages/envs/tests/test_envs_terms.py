@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import HOPPER, Ended, actions, end, hopper_cfg
+from envs_hopper import HOPPER, Ended, Make, actions, end, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_dr import body_com_offset, geom_friction, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
@@ -35,9 +35,6 @@ from mjlab_sensors import (
 )
 from scipy.spatial.transform import Rotation
 
-# An environment, of which tests also touch what is not public.
-Make = Callable[..., Any]
-
 KNEE = SceneEntityCfg("robot", joint_names=("knee",))
 HIP = SceneEntityCfg("robot", joint_names=("hip",), actuator_names=("hip",))
 
@@ -46,7 +43,6 @@ HIP = SceneEntityCfg("robot", joint_names=("hip",), actuator_names=("hip",))
 def env(make: Make) -> Any:
   """Worlds that have tumbled for a while."""
   env = make(terminations={"ended": TerminationTermCfg(Ended)})
-  env.reset()
   rng = np.random.default_rng(3)
   turned = Rotation.from_rotvec(rng.normal(0.0, 1.0, (4, 3))).as_quat()[:, [3, 0, 1, 2]]
   env.sim.data.qpos[:, 2] += 1.0
@@ -205,7 +201,6 @@ def test_a_camera_of_its_own_rate_starts_anew_with_the_episode(make: Make) -> No
   cfg = camera_cfg(update_period=12, depth=(mdp.camera_depth, {"max_depth": 4.0}))
   cfg.terminations = {"ended": TerminationTermCfg(Ended)}
   env = make(cfg)
-  env.reset()
   period = 12 // env.cfg.decimation
   held, new = env.get_observations()["camera"]["depth"], []
   for step in range(2 * period + 1):
@@ -327,7 +322,6 @@ def test_action_penalties_are_differences_in_time(env: Any) -> None:
 def test_posture_is_a_bell_around_the_default_pose(make: Make, std: Any) -> None:
   params = {"std": std, "asset": SceneEntityCfg("robot", joint_names=(".*",))}
   env = make(rewards={"posture": RewardTermCfg(mdp.posture, weight=1.0, params=params)}, scale_rewards_by_dt=False)
-  env.reset()
   _, reward, *_ = env.step(actions(env, 0))
   widths = np.array([std, std] if isinstance(std, float) else list(std.values()))
   expected = np.exp(-(((numbers(env, "qpos")[:, 7:] - [0.2, -0.4]) / widths) ** 2).mean(1))
@@ -344,7 +338,6 @@ def test_alive_and_terminated_know_failure_from_time(make: Make) -> None:
   rewards = {"alive": RewardTermCfg(mdp.is_alive, weight=1.0), "dead": RewardTermCfg(mdp.is_terminated, weight=-5.0)}
   terminations = {"time_out": TerminationTermCfg(mdp.time_out, time_out=True), "ended": TerminationTermCfg(Ended)}
   env = make(rewards=rewards, terminations=terminations, scale_rewards_by_dt=False)
-  env.reset()
   for step in range(19):
     env.step(actions(env, step))
   end(env, 1)
@@ -376,9 +369,7 @@ def test_worlds_that_are_not_finite_are_detected(env: ManagerBasedRlEnv, field: 
 
 
 def reset_by(make: Make, num_envs: int, func: Any, **params: Any) -> Any:
-  env = make(hopper_cfg(num_envs=num_envs, events={"event": EventTermCfg(func, mode="reset", params=params)}))
-  env.reset()
-  return env
+  return make(hopper_cfg(num_envs=num_envs, events={"event": EventTermCfg(func, mode="reset", params=params)}))
 
 
 def test_roots_are_spread_uniformly_about_the_default_state(make: Make) -> None:

@@ -1,13 +1,12 @@
 """Forces and torques on bodies, against Newton's laws on a free box."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import Ended, end
+from envs_hopper import Ended, Make, end
 from envs_watch import Watch
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -15,8 +14,6 @@ from mjlab_managers import EventTermCfg, SceneEntityCfg, TerminationTermCfg
 from mjlab_scene import EntityCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 from scipy.spatial.transform import Rotation
-
-Make = Callable[..., Any]
 
 BOX_BODY = SceneEntityCfg("box", body_names=("box",))
 MASS = 2.0
@@ -61,7 +58,6 @@ def test_a_force_acts_for_the_whole_episode(make: Make, engine: str) -> None:
     },
   )
   env = make(box_cfg(engine, push=push))
-  env.reset()
   force, torque = env.sim.data.xfrc_applied[:, 1].clone().split(3, -1)
   assert ((force[:, 0] >= 2.0) & (force[:, 0] <= 6.0)).all()
   assert not force[:, 1:].any()
@@ -91,7 +87,6 @@ def test_impulses_come_and_go_by_their_times(make: Make, engine: str) -> None:
     },
   )
   env = make(box_cfg(engine, push=push))
-  env.reset()
   moves = []
   speed = torch.zeros(3, dtype=env.sim.dtype, device=env.device)
   for number in range(14):
@@ -124,7 +119,6 @@ def test_times_differ_between_worlds_and_a_step_waits_for_nothing(make: Make) ->
     },
   )
   env = make(box_cfg("native", num_envs=32, push=push))
-  env.reset()
   env.step(torch.zeros(32, 0))
   with Watch() as watch:
     env._step_stages()
