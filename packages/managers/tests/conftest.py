@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
+
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
 
 JOINTS = ("FL_hip", "FL_knee", "FR_hip", "FR_knee", "RL_hip")
 

@@ -1,53 +1,39 @@
 """Actions: splitting, history, and what is refused."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 import torch
+from managers_terms import ActCfg
 from mjlab_core.errors import ConfigError
-from mjlab_managers import ActionManager, ActionTerm, ActionTermCfg
-
-
-@dataclass(kw_only=True)
-class ScaledCfg(ActionTermCfg):
-  width: int
-  scale: float = 1.0
-  drives: tuple[str, ...] = ()
-
-  def build(self, env: Any) -> "Scaled":
-    return Scaled(self, env)
+from mjlab_managers import ActionManager, ActionTerm
 
 
 class Scaled(ActionTerm):
-  cfg: ScaledCfg
+  """Scales as many columns as its option says: width, scale and names of what it drives."""
 
-  def __init__(self, cfg: ScaledCfg, env: Any) -> None:
+  cfg: ActCfg
+
+  def __init__(self, cfg: ActCfg, env: Any) -> None:
     super().__init__(cfg, env)
-    self.target = self.state((cfg.width,))
-    self.applied = 0
+    self.width, self.scale, *self.drives = cfg.option
+    self.target = self.state((self.width,))
 
   @property
   def action_dim(self) -> int:
-    return self.cfg.width
+    return self.width
 
   @property
   def driven(self) -> set[str]:
-    return set(self.cfg.drives)
+    return set(self.drives)
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    torch.mul(actions, self.cfg.scale, out=self.target)
-
-  def apply_actions(self) -> None:
-    self.applied += 1
+    torch.mul(actions, self.scale, out=self.target)
 
 
-def build(env: Any) -> ActionManager:
-  terms: dict[str, ActionTermCfg | None] = {
-    "legs": ScaledCfg(entity="robot", width=2, scale=10.0),
-    "arm": ScaledCfg(entity="robot", width=1),
-  }
-  return ActionManager(terms, env)
+def build(env: Any, **options: Any) -> ActionManager:
+  options = options or {"legs": (2, 10.0), "arm": (1, 1.0)}
+  return ActionManager({name: ActCfg(term=Scaled, option=option) for name, option in options.items()}, env)
 
 
 def target(manager: ActionManager, name: str) -> torch.Tensor:
@@ -94,22 +80,13 @@ def test_entries_that_are_no_numbers_become_zero_and_are_counted(env, logged):
 
 
 def test_two_terms_that_drive_the_same_thing_are_an_error(env):
-  terms: dict[str, ActionTermCfg | None] = {
-    "position": ScaledCfg(entity="robot", width=1, drives=("robot/hip", "robot/knee")),
-    "effort": ScaledCfg(entity="robot", width=1, drives=("robot/knee",)),
-  }
   with pytest.raises(ConfigError, match="terms 'position' and 'effort' both drive robot/knee"):
-    ActionManager(terms, env)
+    build(env, position=(1, 1.0, "robot/hip", "robot/knee"), effort=(1, 1.0, "robot/knee"))
 
 
 def test_a_term_that_cannot_be_built_is_named(env):
-  @dataclass(kw_only=True)
-  class Broken(ScaledCfg):
-    def build(self, env: Any) -> Scaled:
-      raise ValueError("no such actuator")
-
-  with pytest.raises(ConfigError, match=r"ActionManager: term 'legs': ValueError while making it .*: no such actuator"):
-    ActionManager({"legs": Broken(entity="robot", width=1)}, env)
+  with pytest.raises(ConfigError, match=r"ActionManager: term 'legs': ValueError while making it .*: not enough"):
+    build(env, legs=())
 
 
 def test_a_step_asks_the_device_nothing(env, dispatched):

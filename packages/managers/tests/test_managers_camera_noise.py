@@ -177,32 +177,6 @@ def test_a_reset_changes_the_cameras_of_its_worlds_and_no_other(env) -> None:
   assert torch.equal(shown[[0, 2, 3]], after[[0, 2, 3]])
 
 
-def test_what_a_world_sees_does_not_depend_on_which_others_reset(make_env) -> None:
-  def rollout(*others: int) -> list[torch.Tensor]:
-    env = make_env(4, seed=5)
-    manager = manager_of(env, everything())
-    rows = []
-    for step in range(6):
-      fresh = env.mask(*(others if step in (2, 4) else ()), *((0,) if step == 3 else ()))
-      manager.reset(fresh)
-      rows.append(seen(manager, fresh)[0])
-    return rows
-
-  for alone, accompanied in zip(rollout(), rollout(1, 3), strict=True):
-    assert torch.equal(alone, accompanied)
-
-
-def test_a_restored_manager_goes_on_with_the_same_cameras(make_env) -> None:
-  env, other_env = make_env(4), make_env(4, seed=9)
-  manager, other = manager_of(env, everything()), manager_of(other_env, everything())
-  seen(manager)
-  state, rng = manager.state_dict(), env.rng.get_state()
-  expected = seen(manager)
-  other.load_state_dict(state)
-  other_env.rng.set_state(rng)
-  assert torch.equal(seen(other), expected)
-
-
 def test_a_change_of_something_else_keeps_the_cameras_and_another_config_makes_new_ones(env) -> None:
   manager = manager_of(env, CameraNoiseCfg(**RGBD, gain=(0.5, 0.9)))
   before, live = seen(manager), manager.get_term_cfg("camera", "image")

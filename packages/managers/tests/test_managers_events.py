@@ -196,20 +196,6 @@ def test_options_that_mean_nothing_are_errors_at_build(env, options, said):
 
 
 @pytest.mark.usefixtures("nothing_skipped")
-def test_when_an_event_fires_in_a_world_does_not_depend_on_which_others_reset(make_env):
-  def rollout(others: list[int]) -> list[bool]:
-    env, fired = make_env(seed=3), Fired()
-    manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.02, 0.2))}, env)
-    for step in range(60):
-      fresh = env.mask(*(others if step % 7 == 3 else []))
-      manager.reset(fresh)
-      manager.apply("interval", ~fresh)
-    return [mask[0] for mask in fired.masks]
-
-  assert rollout([]) == rollout([1, 3])
-
-
-@pytest.mark.usefixtures("nothing_skipped")
 def test_a_step_asks_the_device_nothing_and_absent_modes_do_nothing(env, dispatched):
   def nothing(env: Any, mask: torch.Tensor) -> None: ...
 

@@ -262,17 +262,6 @@ def tensor_address(manager: ObservationManager) -> int:
   return observation.data_ptr()
 
 
-class Steps(ManagerTermBase):
-  """Calls since the reset, (N, 1)."""
-
-  def __init__(self, env: Any) -> None:
-    super().__init__(env)
-    self.calls = self.state((1,))
-
-  def __call__(self) -> torch.Tensor:
-    return self.calls.add_(1.0).clone()
-
-
 class Window(ManagerTermBase):
   """The last two values, (N, 2), which the term itself keeps."""
 
@@ -285,58 +274,7 @@ class Window(ManagerTermBase):
     return self.window.read().flatten(1)
 
 
-def everything(env: Any) -> ObservationManager:
-  """A manager that uses all there is."""
-  bias = NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=GaussianNoiseCfg(), noise_cfg=UniformNoiseCfg())
-  terms: dict[str, ObservationTermCfg | None] = {
-    "a": ObservationTermCfg(values, noise=bias, history_length=3),
-    "b": ObservationTermCfg(values, noise=GaussianNoiseCfg(), delay_max_lag=3, delay_hold_prob=0.3),
-    "steps": ObservationTermCfg(Steps, delay_min_lag=1, delay_max_lag=4, delay_update_period=3, history_length=2),
-  }
-  return ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms=terms)}, env)
-
-
 class TestIndependence:
-  def test_what_a_world_sees_does_not_depend_on_which_others_reset(self, make_env):
-    def rollout(resets_of_others: list[int]) -> list[torch.Tensor]:
-      env = make_env(seed=5)
-      manager = everything(env)
-      rows = []
-      for step in range(12):
-        env.values.add_(1.0)
-        fresh = env.mask(*(resets_of_others if step in (4, 7) else []), *([0] if step == 5 else []))
-        manager.reset(fresh)
-        rows.append(seen(manager, fresh)[0])
-      return rows
-
-    for alone, accompanied in zip(rollout([]), rollout([1, 3]), strict=True):
-      assert torch.equal(alone, accompanied)
-
-  def test_observing_some_worlds_leaves_all_the_rest_bit_identical(self, make_env):
-    env = make_env()
-    manager = everything(env)
-    for _ in range(5):
-      env.values.add_(1.0)
-      manager.compute()
-    before, shown = manager.state_dict(), tensor(manager.get()["g"])
-    env.values.add_(1.0)
-    manager.reset(env.mask(2))
-    got = seen(manager, env.mask(2), env.mask(2))
-    others = ~env.mask(2)
-    assert torch.equal(got[others], shown[others])
-    assert not torch.equal(got[2], shown[2])
-    after = manager.state_dict()
-    compared = 0
-    assert torch.equal(after["_out"][others], before["_out"][others])
-    assert torch.equal(after["_processing"]["_bias"][others], before["_processing"]["_bias"][others])
-    for child in ("_delays", "_histories"):
-      for key, state in after["_memory"][child].items():
-        for name, value in state.items():
-          assert torch.equal(value[others], before["_memory"][child][key][name][others])
-          compared += 1
-    assert compared >= 8
-    assert after["_stateful_terms"]["g/steps"]["calls"].flatten().tolist() == [5, 5, 1, 5]
-
   # As many worlds as the window is long, as it has ticks, and neither.
   @pytest.mark.parametrize("num_envs", [1, 2, 4])
   def test_a_window_of_a_terms_own_begins_with_the_frame_that_a_reset_shows(self, make_env, num_envs):
@@ -354,19 +292,6 @@ class TestIndependence:
     assert observe(10.0, env.mask(last), env.mask(last)) == [[2.0, 3.0]] * last + [[10.0, 10.0]]
     assert observe(11.0) == [[3.0, 11.0]] * last + [[10.0, 11.0]]
     assert observe(12.0) == [[11.0, 12.0]] * num_envs
-
-  def test_a_restored_manager_goes_on_as_the_first_one_would_have(self, make_env):
-    env = make_env()
-    manager = everything(env)
-    for _ in range(4):
-      manager.compute()
-    state, rng = manager.state_dict(), env.rng.get_state()
-    expected = seen(manager)
-    other_env = make_env(seed=9)
-    other = everything(other_env)
-    other.load_state_dict(state)
-    other_env.rng.set_state(rng)
-    assert torch.equal(seen(other), expected)
 
 
 class TestEvaluation:
@@ -514,10 +439,6 @@ class TestEvaluation:
     }
     flat = ObservationManager(groups, env)
     assert len(dispatched(lambda: flat.compute(env_mask))) <= 12
-    full = everything(env)
-    dispatched(lambda: full.compute(env_mask))
-    dispatched(lambda: full.compute(env_mask, env_mask))
-    dispatched(lambda: full.reset(env_mask))
 
 
 env_mask = torch.tensor([False, True, False, True])

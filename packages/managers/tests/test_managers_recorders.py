@@ -33,13 +33,6 @@ def test_hooks_run_outside_the_recording_and_only_those_that_exist(env):
   assert env.eager == ["recorders rec (pre_reset)"]
 
 
-def test_no_recorders_do_nothing(env, dispatched):
-  manager = RecorderManager({}, env)
-  mask = env.mask(1)
-  assert dispatched(lambda: (manager.pre_reset(mask), manager.post_reset(mask), manager.post_step())) == []
-  assert env.eager == []
-
-
 def test_a_function_is_no_recorder(env):
   with pytest.raises(ConfigError, match="must be a subclass of RecorderTerm"):
     RecorderManager({"rec": RecorderTermCfg(print)}, env)

@@ -134,16 +134,6 @@ def test_a_saved_weight_yields_to_the_config_unless_a_curriculum_has_it(env):
   assert resumed.get_term_cfg("plain").weight == -0.25
 
 
-def test_resetting_a_world_leaves_the_sums_of_the_others_bit_identical(env):
-  manager = RewardManager({"c": RewardTermCfg(column, weight=0.3)}, env)
-  for _ in range(3):
-    manager.compute()
-  before = manager.episode_sums.clone()
-  manager.reset(env.mask(1))
-  assert torch.equal(manager.episode_sums[[0, 2, 3]], before[[0, 2, 3]])
-  assert manager.episode_sums[1, 0] == 0.0
-
-
 def test_terms_of_a_double_precision_engine_give_float32_rewards(make_env):
   env = make_env(dtype=torch.float64)
   reward = RewardManager({"c": RewardTermCfg(column, weight=1.0)}, env).compute()
@@ -155,12 +145,6 @@ def test_viewers_get_every_term_of_one_world(env):
   manager.compute()
   assert manager.terms(1) == [("c", [10.0])]
   assert "weight" in manager.describe()
-
-
-def test_no_terms_mean_no_reward_and_no_work(env, dispatched):
-  manager = RewardManager({}, env)
-  assert dispatched(lambda: (manager.compute(), manager.reset(env_mask))) == []
-  assert manager.log_tensors()[0] == []
 
 
 def test_a_step_asks_the_device_nothing_and_needs_few_operations(env, dispatched):

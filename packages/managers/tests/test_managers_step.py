@@ -1,15 +1,15 @@
 """All managers in one environment step: it waits for nothing, can be recorded, and no world sees another."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 import torch
+from managers_terms import ActCfg, GoalCfg
 from mjlab_core.indexing import where_
 from mjlab_managers import (
   ActionManager,
   ActionTerm,
-  ActionTermCfg,
+  CameraNoiseCfg,
   CommandManager,
   CommandTerm,
   CommandTermCfg,
@@ -35,12 +35,6 @@ from mjlab_managers import (
 )
 
 
-@dataclass(kw_only=True)
-class VelocityCfg(ActionTermCfg):
-  def build(self, env: Any) -> ActionTerm:
-    return Velocity(self, env)
-
-
 class Velocity(ActionTerm):
   @property
   def action_dim(self) -> int:
@@ -52,14 +46,8 @@ class Velocity(ActionTerm):
     self.env.values.add_(self.raw_action, alpha=self.env.physics_dt)
 
 
-@dataclass(kw_only=True)
-class GoalCfg(CommandTermCfg):
-  def build(self, env: Any) -> CommandTerm:
-    return Goal(self, env)
-
-
 class Goal(CommandTerm):
-  def __init__(self, cfg: GoalCfg, env: Any) -> None:
+  def __init__(self, cfg: CommandTermCfg, env: Any) -> None:
     super().__init__(cfg, env)
     self.goal = self.state((5,))
     self.metrics["distance"] = torch.zeros(self.num_envs, device=self.device)
@@ -86,6 +74,17 @@ class Longest(ManagerTermBase):
     return torch.maximum(self.longest, distance(self.env), out=self.longest)
 
 
+class Steps(ManagerTermBase):
+  """Calls since the reset, (N, 1)."""
+
+  def __init__(self, env: Any) -> None:
+    super().__init__(env)
+    self.calls = self.state((1,))
+
+  def __call__(self) -> torch.Tensor:
+    return self.calls.add_(1.0).clone()
+
+
 HIPS = SceneEntityCfg("robot", joint_names=".*_hip")
 
 
@@ -99,6 +98,11 @@ def hip_distance(env: Any, *, asset: SceneEntityCfg = HIPS) -> torch.Tensor:
 
 def values(env: Any) -> torch.Tensor:
   return env.values
+
+
+def image(env: Any) -> torch.Tensor:
+  """Three colours, depth and validity, (N, 5, 6, 4)."""
+  return torch.sigmoid(env.values[:, :, None, None]).expand(-1, -1, 6, 4)
 
 
 def goal(env: Any, *, command: str) -> torch.Tensor:
@@ -132,18 +136,29 @@ class Step:
       },
       env,
     )
-    self.commands = env.command_manager = CommandManager({"goal": GoalCfg(resampling_time_range=(0.1, 0.3))}, env)
-    self.actions = ActionManager({"velocity": VelocityCfg(entity="robot")}, env)
+    self.commands = env.command_manager = CommandManager(
+      {"goal": GoalCfg(term=Goal, resampling_time_range=(0.1, 0.3))}, env
+    )
+    self.actions = ActionManager({"velocity": ActCfg(term=Velocity)}, env)
     bias = NoiseModelWithAdditiveBiasCfg(bias_noise_cfg=GaussianNoiseCfg(std=0.1), noise_cfg=UniformNoiseCfg())
-    delay: dict[str, Any] = {"delay_min_lag": 1, "delay_max_lag": 3, "delay_hold_prob": 0.5}
+    camera: dict[str, Any] = {"color": (0, 1, 2), "depth": 3, "lost": (4,), "hole_share": (0.0, 0.1)}
+    camera |= {"gain": (0.7, 1.3), "gamma": (0.8, 1.2), "bias": (-0.1, 0.1)}
+    camera |= dict.fromkeys(("color_std", "depth_std", "disparity_step"), (0.0, 0.02))
+    delay: dict[str, Any] = {"delay_min_lag": 1, "delay_max_lag": 3}
     self.observations = ObservationManager(
       {
         "actor": ObservationGroupCfg(
           corrupt=True,
           terms={
-            "values": ObservationTermCfg(values, noise=bias, clip=(-5.0, 5.0), scale=0.5, history_length=3, **delay),
+            "values": ObservationTermCfg(
+              values, noise=bias, clip=(-5.0, 5.0), scale=0.5, history_length=3, delay_hold_prob=0.5, **delay
+            ),
             "goal": ObservationTermCfg(goal, params={"command": "goal"}),
+            "steps": ObservationTermCfg(Steps, delay_update_period=3, history_length=2, **delay),
           },
+        ),
+        "camera": ObservationGroupCfg(
+          corrupt=True, terms={"image": ObservationTermCfg(image, noise=CameraNoiseCfg(**camera))}
         ),
         "critic": ObservationGroupCfg(terms={"values": ObservationTermCfg(values, scale=0.5)}),
       },
@@ -220,7 +235,7 @@ class Step:
 def test_a_whole_step_asks_the_device_nothing(env, dispatched):
   step = Step(env)
   # Managers, terms (a quarter of it) and the bookkeeping of the step itself.
-  assert len(dispatched(step)) <= 210
+  assert len(dispatched(step)) <= 300
 
 
 def test_nothing_a_world_is_given_depends_on_the_others(make_env):
@@ -239,6 +254,63 @@ def test_nothing_a_world_is_given_depends_on_the_others(make_env):
   for alone, accompanied in zip(rollout([]), rollout([1, 2]), strict=True):
     for name, value in alone.items():
       assert torch.equal(value, accompanied[name]), name
+
+
+def test_a_reset_leaves_what_is_remembered_and_shown_of_other_worlds_bit_identical(env):
+  def leaves(state: Any, path: str = "") -> dict[str, torch.Tensor]:
+    if isinstance(state, dict):
+      return {name: leaf for key, part in state.items() for name, leaf in leaves(part, f"{path}.{key}").items()}
+    return {path: state}
+
+  step = Step(env)
+  for _ in range(5):
+    step()
+  # The first half of one more step, which resets nothing.
+  step.actions.process_action(torch.ones(4, 5))
+  step.metrics.compute_substep()
+  step.rewards.compute()
+  step.metrics.compute()
+  before, shown = leaves(step.snapshot()["managers"]), step.outcome()
+  mask = env.mask(2)
+  env.values.add_(1.0)
+  for manager in step.managers.values():
+    manager.reset(mask)
+  step.observations.compute(mask, mask)
+  after = leaves(step.snapshot()["managers"])
+  rows = [name for name, value in before.items() if value.shape[:1] == (4,)]
+  assert {name.split(".")[1] for name in rows} == set(step.managers) - {"curricula", "recorders"}
+  assert len(rows) >= 20
+  assert [name for name in rows if not torch.equal(after[name][~mask], before[name][~mask])] == []
+  # It acts in its own world.
+  assert sum(not torch.equal(after[name][mask], before[name][mask]) for name in rows) >= 10
+  for name, value in step.observations.get().items():
+    assert torch.equal(value[~mask], shown[name][~mask])  # type: ignore
+    assert not torch.equal(value[mask], shown[name][mask])  # type: ignore
+
+
+@pytest.mark.usefixtures("nothing_skipped")
+def test_managers_without_terms_do_nothing(env, dispatched, logged):
+  mask = env.mask(1)
+  rewards, commands, events = RewardManager({}, env), CommandManager({}, env), EventManager({}, env)
+  metrics, recorders = MetricsManager({}, env), RecorderManager({}, env)
+
+  def step() -> None:
+    rewards.compute()
+    metrics.compute_substep()
+    metrics.compute()
+    recorders.pre_reset(mask)
+    for mode in ("reset", "interval", "step"):
+      events.apply(mode, mask)
+    for manager in (rewards, commands, events, metrics, recorders):
+      manager.reset(mask)
+    commands.compute(0.02, mask)
+    recorders.post_reset(mask)
+    recorders.post_step()
+
+  assert dispatched(step) == []
+  assert env.eager == []
+  assert logged(rewards) == {}
+  assert not TerminationManager({}, env).compute().any()
 
 
 def test_a_restored_run_goes_on_as_the_first_would_have(make_env):

@@ -4,20 +4,18 @@ A recorded step goes on reading a tensor that was replaced, and a run that is re
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 import torch
+from managers_terms import ActCfg, GoalCfg
 from mjlab_core.errors import ConfigError
 from mjlab_core.state import Stateful
 from mjlab_managers import (
   ActionManager,
   ActionTerm,
-  ActionTermCfg,
   CommandManager,
   CommandTerm,
-  CommandTermCfg,
   CurriculumManager,
   CurriculumTermCfg,
   EventManager,
@@ -37,8 +35,6 @@ from mjlab_managers import (
   TerminationTermCfg,
 )
 
-Change = Callable[[Any], None]
-
 
 class Peak(Stateful):
   """Part of a term."""
@@ -57,69 +53,36 @@ def prepare(term: Any) -> None:
   term.declared = term.state()
 
 
-def rebind(term: Any) -> None:
-  term.peak = torch.maximum(term.peak, term.env.values[:, 0])
-
-
-def rebind_in_dict(term: Any) -> None:
-  term.by_name["peak"] = term.by_name["peak"] + 1.0
-
-
-def rebind_in_list(term: Any) -> None:
-  term.frames = [term.env.values[:, 0].clone(), term.frames[0]]
-
-
-def rebind_in_part(term: Any) -> None:
-  term.part.value = term.part.value + 1.0
-
-
-def add_attribute(term: Any) -> None:
-  term.last = term.env.values[:, 0].clone()
-
-
-def write(term: Any) -> None:
-  term.peak.add_(1.0)
-
-
-def write_in_dict(term: Any) -> None:
-  term.by_name["peak"].add_(1.0)
-
-
-def write_in_list(term: Any) -> None:
-  term.frames[1].copy_(term.frames[0])
-
-
-def write_in_part(term: Any) -> None:
-  term.part.value.mul_(0.5)
-
-
-def write_declared(term: Any) -> None:
-  term.declared.add_(1.0)
-
-
-CHANGES: dict[Change, str] = {
-  rebind: r"put another tensor into self\.peak,",
-  rebind_in_dict: r"put another tensor into self\.by_name\['peak'\],",
-  rebind_in_list: r"put another tensor into self\.frames\[0\], self\.frames\[1\],",
-  rebind_in_part: r"put another tensor into self\.part\.value,",
-  add_attribute: r"put another tensor into self\.last,",
-  write: r"wrote into self\.peak,",
-  write_in_dict: r"wrote into self\.by_name\['peak'\],",
-  write_in_list: r"wrote into self\.frames\[1\],",
-  write_in_part: r"wrote into self\.part\.value,",
+CHANGES = {
+  "term.peak = torch.maximum(term.peak, term.env.values[:, 0])": r"put another tensor into self\.peak,",
+  "term.by_name['peak'] = term.by_name['peak'] + 1.0": r"put another tensor into self\.by_name\['peak'\],",
+  "term.frames = [term.env.values[:, 0].clone(), term.frames[0]]": (
+    r"put another tensor into self\.frames\[0\], self\.frames\[1\],"
+  ),
+  "term.part.value = term.part.value + 1.0": r"put another tensor into self\.part\.value,",
+  "term.last = term.env.values[:, 0].clone()": r"put another tensor into self\.last,",
+  "term.peak.add_(1.0)": r"wrote into self\.peak,",
+  "term.by_name['peak'].add_(1.0)": r"wrote into self\.by_name\['peak'\],",
+  "term.frames[1].copy_(term.frames[0])": r"wrote into self\.frames\[1\],",
+  "term.part.value.mul_(0.5)": r"wrote into self\.part\.value,",
 }
+WRITE_DECLARED = "term.declared.add_(1.0)"
+
+
+def do(change: str, term: Any) -> None:
+  exec(change, {"term": term, "torch": torch})
 
 
 class Called(ManagerTermBase):
   """Term of every manager that calls terms; `shape` is what it returns for one world."""
 
-  def __init__(self, env: Any, *, change: Change, kind: str) -> None:
+  def __init__(self, env: Any, *, change: str, kind: str) -> None:
     super().__init__(env)
     prepare(self)
     self._change, self._kind = change, kind
 
   def __call__(self) -> Any:
-    self._change(self)
+    do(self._change, self)
     shape = (self.num_envs, 1) if self._kind == "observation" else (self.num_envs,)
     return torch.zeros(shape, dtype=torch.bool if self._kind == "termination" else torch.float32)
 
@@ -127,45 +90,27 @@ class Called(ManagerTermBase):
 class Masked(ManagerTermBase):
   """Event or curriculum."""
 
-  def __init__(self, env: Any, *, change: Change) -> None:
+  def __init__(self, env: Any, *, change: str) -> None:
     super().__init__(env)
     prepare(self)
     self._change = change
 
   def __call__(self, mask: torch.Tensor) -> None:
-    self._change(self)
-
-
-@dataclass(kw_only=True)
-class ActCfg(ActionTermCfg):
-  entity: str = "robot"
-  change: Change = field(default=write)
-
-  def build(self, env: Any) -> ActionTerm:
-    return Act(self, env)
+    do(self._change, self)
 
 
 class Act(ActionTerm):
   def __init__(self, cfg: ActCfg, env: Any) -> None:
     super().__init__(cfg, env)
     prepare(self)
-    self._change = cfg.change
+    self._change = cfg.option
 
   @property
   def action_dim(self) -> int:
     return 2
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    self._change(self)
-
-
-@dataclass(kw_only=True)
-class GoalCfg(CommandTermCfg):
-  resampling_time_range: tuple[float, float] | None = None
-  change: Change = field(default=write)
-
-  def build(self, env: Any) -> CommandTerm:
-    return Goal(self, env)
+    do(self._change, self)
 
 
 class Goal(CommandTerm):
@@ -173,7 +118,7 @@ class Goal(CommandTerm):
     super().__init__(cfg, env)
     prepare(self)
     self.goal = self.state((2,))
-    self._change = cfg.change
+    self._change = cfg.option
 
   @property
   def command(self) -> torch.Tensor:
@@ -183,20 +128,20 @@ class Goal(CommandTerm):
     pass
 
   def update(self) -> None:
-    self._change(self)
+    do(self._change, self)
 
 
-def event(mode: Any, **options: Any) -> Callable[[Any, Change], Any]:
+def event(mode: Any, **options: Any) -> Callable[[Any, str], Any]:
   return lambda env, change: EventManager(
     {"t": EventTermCfg(Masked, mode=mode, params={"change": change}, **options)}, env
   )
 
 
-def called(change: Change, kind: str) -> dict[str, Any]:
+def called(change: str, kind: str) -> dict[str, Any]:
   return {"func": Called, "params": {"change": change, "kind": kind}}
 
 
-MANAGERS: dict[str, Callable[[Any, Change], Any]] = {
+MANAGERS: dict[str, Callable[[Any, str], Any]] = {
   "reward": lambda env, change: RewardManager({"t": RewardTermCfg(**called(change, "reward"), weight=1.0)}, env),
   "termination": lambda env, change: TerminationManager(
     {"t": TerminationTermCfg(**called(change, "termination"))}, env
@@ -210,14 +155,16 @@ MANAGERS: dict[str, Callable[[Any, Change], Any]] = {
   "reset event": event("reset"),
   "interval event": event("interval", interval_range_s=(3600.0, 3600.0)),
   "step event": event("step"),
-  "command": lambda env, change: CommandManager({"t": GoalCfg(change=change)}, env),
-  "action": lambda env, change: ActionManager({"t": ActCfg(change=change)}, env),
+  "command": lambda env, change: CommandManager(
+    {"t": GoalCfg(term=Goal, option=change, resampling_time_range=None)}, env
+  ),
+  "action": lambda env, change: ActionManager({"t": ActCfg(term=Act, option=change)}, env),
 }
 
 
 @pytest.mark.parametrize("kind", MANAGERS)
-@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_state_that_is_not_declared_is_refused_by_name(env, kind: str, change: Change):
+@pytest.mark.parametrize("change", CHANGES)
+def test_state_that_is_not_declared_is_refused_by_name(env, kind: str, change: str):
   with pytest.raises(
     ConfigError, match=rf"term '(g/)?t': a trial \w+ {CHANGES[change]}.*self\.x = self\.state\(\.\.\.\)"
   ):
@@ -226,7 +173,7 @@ def test_state_that_is_not_declared_is_refused_by_name(env, kind: str, change: C
 
 @pytest.mark.parametrize("kind", MANAGERS)
 def test_declared_state_is_written_and_put_back(env, kind: str):
-  manager = MANAGERS[kind](env, write_declared)
+  manager = MANAGERS[kind](env, WRITE_DECLARED)
   before = manager.state_dict()
   manager.rehearse()
   after = manager.state_dict()
@@ -240,16 +187,16 @@ def test_a_reset_that_replaces_a_tensor_is_refused(env):
     def reset(self, mask: torch.Tensor) -> None:
       self.peak = torch.zeros(self.num_envs)
 
-  params = {"change": write_declared, "kind": "reward"}
+  params = {"change": WRITE_DECLARED, "kind": "reward"}
   with pytest.raises(ConfigError, match=r"term 't': a trial call put another tensor into self\.peak,"):
     RewardManager({"t": RewardTermCfg(Forgetful, weight=1.0, params=params)}, env)
 
 
 def test_a_change_of_parameters_is_tried_in_the_same_way(env):
-  manager = MANAGERS["reward"](env, write_declared)
+  manager = MANAGERS["reward"](env, WRITE_DECLARED)
   with pytest.raises(ConfigError, match=r"term 't': a trial call wrote into self\.peak,"):
-    manager.set_params("t", change=write)
-  assert manager.term("t").given["change"] is write_declared
+    manager.set_params("t", change="term.peak.add_(1.0)")
+  assert manager.term("t").given["change"] == WRITE_DECLARED
 
 
 def test_recorders_run_on_the_host_and_may_keep_what_they_like(env):
