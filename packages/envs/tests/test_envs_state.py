@@ -64,7 +64,7 @@ def test_recorded_physics_makes_no_difference_on_a_cpu(make: Make) -> None:
   recorded, cfg = make(randomised_cfg("warp")), randomised_cfg("warp")
   cfg.sim.capture = False
   eager = make(cfg)
-  for x, y in zip(run(recorded, range(50)), run(eager, range(50)), strict=True):
+  for x, y in zip(run(recorded, range(12)), run(eager, range(12)), strict=True):
     assert torch.equal(x, y)
 
 
@@ -105,53 +105,34 @@ def leaves(state: Any) -> list[torch.Tensor]:
   return [state] if isinstance(state, torch.Tensor) else [leaf for part in state.values() for leaf in leaves(part)]
 
 
-def spoil_term(state: dict[str, Any]) -> None:
-  del state["metrics"]["_steps"]
+def put(state: dict[str, Any], path: str, value: Any) -> None:
+  """Put another value into a saved state; None removes it."""
+  *parts, last = path.split(".")
+  for part in parts:
+    state = state[part]
+  state[last] = value
+  if value is None:
+    del state[last]
 
 
-def spoil_entity(state: dict[str, Any]) -> None:
-  state["scene"]["entities"].clear()
-
-
-def lose_a_part(state: dict[str, Any]) -> None:
-  del state["recorders"]
-
-
-def lose_the_state(state: dict[str, Any]) -> None:
-  del state["sim"]["data"]
-
-
-def come_from_a_gpu(state: dict[str, Any]) -> None:
-  state["rng"] = torch.zeros(16, dtype=torch.uint8)
-
-
-def shorten(state: dict[str, Any]) -> None:
-  state["episode_length"] = state["episode_length"][:1]
-
-
-@pytest.mark.parametrize(
-  ("spoil", "message"),
-  [
-    (spoil_term, r"MetricsManager\._steps: missing from the saved state"),
-    (spoil_entity, r"Scene\.entities\.robot: missing from the saved state"),
-    (lose_a_part, "recorders: missing from the saved state"),
-    (lose_the_state, "saved state lacks 'data'"),
-    (come_from_a_gpu, "rng: saved on another kind of device"),
-    (shorten, r"episode_length: saved shape \(1,\), here \(4,\)"),
-  ],
-)
-def test_a_state_that_does_not_fit_in_one_place_changes_nothing(make: Make, spoil: Any, message: str) -> None:
-  env, other = make(), make(hopper_cfg(seed=8))
-  for each, steps in ((env, 3), (other, 5)):
-    each.reset()
-    run(each, range(steps))
-  state = other.state_dict()
-  spoil(state)
-  before = env.state_dict()
-  with pytest.raises(ValueError, match=message):
-    env.load_state_dict(state)
-  for x, y in zip(leaves(before), leaves(env.state_dict()), strict=True):
-    assert torch.equal(x, y)
+def test_a_state_that_does_not_fit_in_one_place_changes_nothing(make: Make) -> None:
+  env, other = make(), make(seed=8)
+  run(env, range(3))
+  run(other, range(5))
+  before = leaves(env.state_dict())
+  for path, value, message in (
+    ("metrics._steps", None, r"MetricsManager\._steps: missing from the saved state"),
+    ("scene.entities", {}, r"Scene\.entities\.robot: missing from the saved state"),
+    ("recorders", None, "recorders: missing from the saved state"),
+    ("sim.data", None, "saved state lacks 'data'"),
+    ("rng", torch.zeros(16, dtype=torch.uint8), "rng: saved on another kind of device"),
+    ("episode_length", torch.ones(1, dtype=torch.int64), r"episode_length: saved shape \(1,\), here \(4,\)"),
+  ):
+    state = other.state_dict()
+    put(state, path, value)
+    with pytest.raises(ValueError, match=message):
+      env.load_state_dict(state)
+    assert all(torch.equal(x, y) for x, y in zip(before, leaves(env.state_dict()), strict=True))
 
 
 def test_progress_alone_fits_any_number_of_worlds(make: Make) -> None:
@@ -197,7 +178,6 @@ def test_global_generators_are_left_alone(make: Make) -> None:
   torch.manual_seed(0)
   env = make()
   state = torch.get_rng_state()
-  run(env, range(0))
   env.step(torch.zeros(4, 2))
   assert torch.equal(torch.get_rng_state(), state)
   assert torch.equal(torch.rand(3), expected)
@@ -258,6 +238,8 @@ def test_a_closed_environment_says_so_and_closes_again(make: Make) -> None:
 
 
 def test_a_closed_environment_that_nobody_holds_is_gone(engine: str) -> None:
+  # Only what is made from here on is looked at: the rest of the process is large.
+  gc.freeze()
   env = ManagerBasedRlEnv(randomised_cfg(engine), "cpu")
   env.reset()
   obs, *_ = env.step(actions(env, 0))
@@ -265,6 +247,7 @@ def test_a_closed_environment_that_nobody_holds_is_gone(engine: str) -> None:
   env.close()
   del env
   gc.collect()
+  gc.unfreeze()
   assert [ref() for ref in held] == [None] * 5
   seen = obs["actor"]
   assert isinstance(seen, torch.Tensor)
@@ -301,6 +284,13 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
   assert torch.equal(a.reset()[0]["actor"], b.reset()[0]["actor"])
 
 
+def wrong_shape(env: ManagerBasedRlEnv) -> torch.Tensor:
+  return torch.zeros(env.num_envs, 1)
+
+
+MISSPELT: Any = "restet"
+
+
 @pytest.mark.parametrize(
   ("options", "message"),
   [
@@ -313,43 +303,22 @@ def test_a_config_is_not_touched_and_can_serve_again(make: Make) -> None:
     ({"episode_length_s": float("inf")}, "episode_length_s must be finite, got inf"),
     ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
     ({"seed": 2**64}, "seed must be in .* got 18446744073709551616"),
-  ],
-)
-def test_numbers_out_of_range_are_refused_at_build(make: Make, options: dict, message: str) -> None:
-  with pytest.raises(ConfigError, match=message):
-    make(**options)
-
-
-def test_all_mistakes_of_a_config_come_at_once() -> None:
-  cfg = hopper_cfg(decimation=0, episode_length_s=-1.0)
-  assert len(cfg.problems()) == 3
-
-
-MISSPELT: Any = "restet"
-
-
-def wrong_shape(env: ManagerBasedRlEnv) -> torch.Tensor:
-  return torch.zeros(env.num_envs, 1)
-
-
-@pytest.mark.parametrize(
-  ("part", "term", "message"),
-  [
-    ("rewards", RewardTermCfg(wrong_shape, weight=1.0), r"RewardManager.*term 'wrong'.*\(4,\)"),
-    ("terminations", TerminationTermCfg(wrong_shape), r"TerminationManager.*term 'wrong'.*bool"),
-    ("rewards", RewardTermCfg(mdp.posture, weight=1.0), r"missing parameter std"),
+    ({"rewards": RewardTermCfg(wrong_shape, weight=1.0)}, r"RewardManager.*term 'wrong'.*\(4,\)"),
+    ({"terminations": TerminationTermCfg(wrong_shape)}, r"TerminationManager.*term 'wrong'.*bool"),
+    ({"rewards": RewardTermCfg(mdp.posture, weight=1.0)}, r"missing parameter std"),
     (
-      "events",
-      EventTermCfg(mdp.reset_scene_to_default, mode=MISSPELT),
+      {"events": EventTermCfg(mdp.reset_scene_to_default, mode=MISSPELT)},
       r"mode 'restet' does not exist. Nearest: reset",
     ),
-    ("rewards", ObservationTermCfg(wrong_shape), "expected a RewardTermCfg"),
-    ("actions", mdp.JointPositionActionCfg(entity="dog"), "dog"),
+    ({"rewards": ObservationTermCfg(wrong_shape)}, "expected a RewardTermCfg"),
+    ({"actions": mdp.JointPositionActionCfg(entity="dog")}, "dog"),
   ],
 )
-def test_terms_with_mistakes_are_named_with_their_manager(make: Make, part: str, term: object, message: str) -> None:
-  cfg = hopper_cfg()
-  getattr(cfg, part)["wrong"] = term
+def test_a_mistake_is_named_at_build(make: Make, options: dict[str, Any], message: str) -> None:
+  cfg = hopper_cfg(**{name: value for name, value in options.items() if isinstance(value, int | float)})
+  for name, value in options.items():
+    if not isinstance(value, int | float):
+      getattr(cfg, name)["wrong"] = value
   with pytest.raises(ConfigError, match=message):
     make(cfg)
 
