@@ -14,8 +14,9 @@ from mjlab_managers import CurriculumTermCfg, EventTermCfg, ObservationGroupCfg,
 from mjlab_scene import EntityCfg, InitialStateCfg, VariantEntityCfg
 
 
-def event(mode: Any, **options: Any) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": geom_friction("foot", (0.3, 1.2))}, **options)
+def event(mode: Any, randomizer: Any = None, **options: Any) -> EventTermCfg:
+  params = {"randomizer": randomizer or geom_friction("foot", (0.3, 1.2))}
+  return EventTermCfg(mdp.randomize, mode=mode, params=params, **options)
 
 
 def quiet(**options: Any) -> Any:
@@ -25,59 +26,56 @@ def quiet(**options: Any) -> Any:
   return cfg
 
 
-def friction(env: ManagerBasedRlEnv) -> torch.Tensor:
-  return env.sim.model.geom_friction[:, env.sim.mj_model.geom("robot/foot").id, 0].clone()
+def friction(env: ManagerBasedRlEnv, geom: str = "foot") -> torch.Tensor:
+  return env.sim.model.geom_friction[:, env.sim.mj_model.geom(f"robot/{geom}").id, 0].clone()
 
 
-def history(env: ManagerBasedRlEnv, steps: int, ended: dict[int, tuple[int, ...]] | None = None) -> torch.Tensor:
-  """Friction of every world after each step, (steps, num_envs); `ended` says whose episodes end in which step."""
-  rows = []
+def history(
+  env: ManagerBasedRlEnv,
+  steps: int,
+  ended: dict[int, tuple[int, ...]],
+  look: Callable[[ManagerBasedRlEnv], torch.Tensor] = friction,
+) -> torch.Tensor:
+  """Return what `look` sees before the first and after each step; `ended` says whose episodes end in which step."""
+  rows = [look(env)]
   for step in range(steps):
-    end(env, *(ended or {}).get(step, ()))
+    end(env, *ended.get(step, ()))
     env.step(actions(env, step))
-    rows.append(friction(env))
+    rows.append(look(env))
   return torch.stack(rows)
 
 
-def changes(rows: torch.Tensor) -> torch.Tensor:
-  """Whether each world's value differs from the step before, (steps - 1, num_envs)."""
-  return rows[1:] != rows[:-1]
+def test_each_mode_draws_in_its_worlds_at_its_times(make: Make) -> None:
+  every: dict[str, Any] = {"mode": "interval", "interval_range_s": (0.02, 0.05)}
+  events = {
+    "startup": event("startup", geom_friction("trunk", (0.3, 1.2))),
+    "reset": event("reset", body_mass("thigh", (0.3, 1.2)), min_step_count_between_reset=4),
+    "own": event(randomizer=body_mass("shank", (0.3, 1.2)), **every),
+    "shared": event(**every, is_global_time=True),
+    "step": event("step", body_mass("trunk", (0.3, 1.2))),
+  }
 
+  def look(env: ManagerBasedRlEnv) -> torch.Tensor:
+    masses = [
+      env.sim.model.body_mass[:, env.sim.mj_model.body(f"robot/{name}").id] for name in ("thigh", "shank", "trunk")
+    ]
+    return torch.stack([friction(env, "trunk"), friction(env), *masses])
 
-def test_startup_happens_once_and_resets_leave_it_alone(make: Make) -> None:
-  env = make(quiet(events={"friction": event("startup")}))
-  rows = history(env, 6, {2: (0, 1), 4: (3,)})
-  assert rows[0].unique().numel() == 4
-  assert not changes(rows).any()
-
-
-def test_a_reset_draws_in_the_worlds_that_begin_anew_and_no_sooner_than_the_gap(make: Make) -> None:
-  env = make(quiet(events={"friction": event("reset", min_step_count_between_reset=4)}))
-  first = friction(env)
-  rows = torch.cat([first[None], history(env, 9, {1: (0,), 4: (0, 2), 8: (0,)})])
-  changed = changes(rows)
+  rows = history(make(quiet(events=events)), 30, {1: (0,), 4: (0, 2), 8: (0,)}, look)
+  startup, shared, reset, own, step = (rows[1:] != rows[:-1]).unbind(1)
+  assert rows[0, 0].unique().numel() == 4
+  assert not startup.any()
   # World 0 ends in steps 1, 4 and 8: too early, allowed, allowed again.
-  assert changed[:, 0].nonzero().flatten().tolist() == [4, 8]
-  assert changed[:, 2].nonzero().flatten().tolist() == [4]
-  assert not changed[:, [1, 3]].any()
+  assert reset[:, 0].nonzero().flatten().tolist() == [4, 8]
+  assert reset[:, 2].nonzero().flatten().tolist() == [4]
+  assert not reset[:, [1, 3]].any()
+  assert (own.any(1) & ~own.all(1)).any()
+  assert own.sum(0).min() >= 3
+  assert (shared.any(1) == shared.all(1)).all()
+  assert shared.any(1).sum() >= 3
+  assert step.all()
 
 
-def test_intervals_run_for_each_world_or_for_all_at_once(make: Make) -> None:
-  every = (0.02, 0.05)
-  own = history(make(quiet(events={"friction": event("interval", interval_range_s=every)})), 30)
-  assert (changes(own).any(1) & ~changes(own).all(1)).any()
-  assert changes(own).sum(0).min() >= 3
-  shared = history(make(quiet(events={"friction": event("interval", interval_range_s=every, is_global_time=True)})), 30)
-  fired = changes(shared)
-  assert (fired.any(1) == fired.all(1)).all()
-  assert fired.any(1).sum() >= 3
-
-
-def test_a_step_event_draws_every_step(make: Make) -> None:
-  assert changes(history(make(quiet(events={"friction": event("step")})), 5)).all()
-
-
-@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 def test_inertia_drawn_at_resets_leaves_the_worlds_that_go_on_bit_identical(make: Make, engine: str) -> None:
   inertia = EventTermCfg(mdp.randomize, mode="reset", params={"randomizer": pseudo_inertia("thigh", scale=0.3)})
   states = []
@@ -130,7 +128,7 @@ def test_a_curriculum_widens_a_range_while_training_runs(make: Make) -> None:
   env = make(quiet(events=events, curriculum={"friction": widen}))
   default = env.sim.default_field("geom_friction")[0, env.sim.mj_model.geom("robot/foot").id, 0]
   assert torch.equal(friction(env), default.expand(4))
-  spread = (history(env, 40) / default - 1.0).abs().max(1).values
+  spread = (history(env, 40, {})[1:] / default - 1.0).abs().max(1).values
   assert not spread[:4].any()
   for step in range(4, 40):
     assert spread[step] <= 0.5 * min(1.0, (step + 1 - 4) / 20) + 1e-9

@@ -1,6 +1,5 @@
 """Gains, effort limits and delays drawn per world: they act in the simulation, and repeating them never drifts."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -299,46 +298,33 @@ def test_lags_are_drawn_anew_in_masked_worlds_only(make: Make) -> None:
   assert mine == set(range(10))
 
 
+SOME = (0.8, 1.2)
+
+
 @pytest.mark.parametrize(
-  ("events", "message"),
+  ("parameter", "values", "options", "message"),
   [
-    (lambda: {"a": drawn("stifness", (0.8, 1.2))}, "field 'stifness' does not exist. Nearest: stiffness"),
-    (lambda: {"a": drawn("stiffness", (1.2, 0.8))}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
-    (lambda: {"a": drawn("stiffness", 0.8)}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
-    (lambda: {"a": drawn("stiffness", (-0.1, 0.8))}, "may fall below the physical minimum 0"),
-    (
-      lambda: {"a": drawn("stiffness", (0.8, 1.2), operation="multiply")},
-      "operation 'multiply' does not exist. .*scale",
-    ),
-    (lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="elbow")}, "pattern 'elbow' matches no driven joint"),
-    (
-      lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="motor")},
-      "stiffness of joint 'motor': its actuator has none",
-    ),
-    (lambda: {"a": drawn("stiffness", (0.8, 1.2), targets="pd")}, "stiffness of joint 'pd': it is zero"),
-    (lambda: {"a": drawn("effort_limit", (0.8, 1.2), targets="pd")}, "effort_limit of joint 'pd': it was not given"),
-    (
-      lambda: {"a": drawn("effort_limit", (0.8, 1.2), targets="motor")},
-      "effort_limit of joint 'motor': its actuator has none",
-    ),
-    (
-      lambda: {
-        "a": drawn("effort_limit", (0.8, 1.2), targets="pd"),
-        "b": drawn("effort_limit", (0.8, 1.2), targets="pd"),
-      },
-      "effort_limit of joint 'pd'",
-    ),
-    (lambda: {"a": drawn("delay", Categorical((1.5, 2)), targets=("motor", "dc"))}, "must be whole numbers"),
-    (lambda: {"a": delays((0, 4), targets="motor")}, "'motor' shares its delay with dc; name all of them"),
-    (lambda: {"a": delays((0, 4), targets=("motor", "dc"))}, "lags in .0, 4. for 'motor', whose config has"),
-    (lambda: {"a": delays((2, 2), targets=("pd",))}, "delay_min_lag 2 and delay_max_lag 2; widen those"),
+    ("stifness", SOME, {}, "field 'stifness' does not exist. Nearest: stiffness"),
+    ("stiffness", (1.2, 0.8), {}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
+    ("stiffness", 0.8, {}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
+    ("stiffness", (-0.1, 0.8), {}, "may fall below the physical minimum 0"),
+    ("stiffness", SOME, {"operation": "multiply"}, "operation 'multiply' does not exist. .*scale"),
+    ("stiffness", SOME, {"targets": "elbow"}, "pattern 'elbow' matches no driven joint"),
+    ("stiffness", SOME, {"targets": "motor"}, "stiffness of joint 'motor': its actuator has none"),
+    ("stiffness", SOME, {"targets": "pd"}, "stiffness of joint 'pd': it is zero"),
+    ("effort_limit", SOME, {"targets": "pd"}, "effort_limit of joint 'pd': it was not given"),
+    ("effort_limit", SOME, {"targets": "motor"}, "effort_limit of joint 'motor': its actuator has none"),
+    ("delay", Categorical((1.5, 2)), {"targets": ("motor", "dc")}, "must be whole numbers"),
+    ("delay", Categorical((0, 4)), {"targets": "motor"}, "'motor' shares its delay with dc; name all of them"),
+    ("delay", Categorical((0, 4)), {"targets": ("motor", "dc")}, "lags in .0, 4. for 'motor', whose config has"),
+    ("delay", Categorical((2,)), {"targets": ("pd",)}, "delay_min_lag 2 and delay_max_lag 2; widen those"),
   ],
 )
 def test_what_would_have_no_effect_is_refused_by_name_at_build(
-  make: Make, events: Callable[[], dict[str, Any]], message: str
+  make: Make, parameter: str, values: Any, options: dict[str, Any], message: str
 ) -> None:
   with pytest.raises(MjlabError, match=message):
-    make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), **events()))
+    make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), event=drawn(parameter, values, **options)))
 
 
 def test_two_events_for_one_number_are_refused(make: Make) -> None:

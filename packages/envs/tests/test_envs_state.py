@@ -288,7 +288,12 @@ def wrong_shape(env: ManagerBasedRlEnv) -> torch.Tensor:
   return torch.zeros(env.num_envs, 1)
 
 
+def on_reset(func: Any, **params: Any) -> dict[str, Any]:
+  return {"events": EventTermCfg(func, mode="reset", params=params)}
+
+
 MISSPELT: Any = "restet"
+ALWAYS = {"cooldown_s": (0.0, 1.0), "duration_s": (0.0, 1.0)}
 
 
 @pytest.mark.parametrize(
@@ -311,14 +316,32 @@ MISSPELT: Any = "restet"
       r"mode 'restet' does not exist. Nearest: reset",
     ),
     ({"rewards": ObservationTermCfg(wrong_shape)}, "expected a RewardTermCfg"),
+    ({"rewards": RewardTermCfg(mdp.posture, weight=1.0, params={"std": {"hip": 0.3}})}, "for joint knee"),
+    (
+      on_reset(mdp.reset_root_state_uniform, pose_range={"rol": (0.0, 1.0)}),
+      "'rol' does not exist.*Nearest: roll",
+    ),
+    (on_reset(mdp.reset_root_state_uniform, pose_range={"x": (1.0, -1.0)}), "parameter 'pose_range' must not fall"),
+    (on_reset(mdp.reset_joints_by_offset, position_range=(1.0, 0.0), velocity_range=(0.0, 0.0)), "position_range"),
+    (on_reset(mdp.push_by_setting_velocity, velocity_range={"yawn": (0.0, 1.0)}), "Nearest: yaw"),
+    (on_reset(mdp.reset_root_state_uniform), "missing parameter pose_range"),
+    (on_reset(mdp.apply_external_force_torque, force_range={"w": (0.0, 1.0)}), "component 'w' does not exist"),
+    (on_reset(mdp.apply_external_force_torque, force_range=(1.0, 0.0)), "must not fall"),
+    ({"events": EventTermCfg(mdp.apply_body_impulse, mode="step", params=ALWAYS)}, "duration_s"),
+    (
+      {"observations": ObservationTermCfg(mdp.projected_gravity_from_sensor, params={"sensor": "robot/gyro"})},
+      r"'robot/gyro' does not tell the vertical; give an ImuSensorCfg",
+    ),
     ({"actions": mdp.JointPositionActionCfg(entity="dog")}, "dog"),
   ],
 )
 def test_a_mistake_is_named_at_build(make: Make, options: dict[str, Any], message: str) -> None:
-  cfg = hopper_cfg(**{name: value for name, value in options.items() if isinstance(value, int | float)})
+  numbers: dict[str, Any] = {name: value for name, value in options.items() if isinstance(value, int | float)}
+  cfg = hopper_cfg(**numbers)
   for name, value in options.items():
     if not isinstance(value, int | float):
-      getattr(cfg, name)["wrong"] = value
+      part = cfg.observations["critic"].terms if name == "observations" else getattr(cfg, name)
+      part["wrong"] = value
   with pytest.raises(ConfigError, match=message):
     make(cfg)
 

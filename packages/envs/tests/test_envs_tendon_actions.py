@@ -45,9 +45,7 @@ ACTUATORS = (
   NativeMotorActuatorCfg(target_names_expr=("chain",), transmission_type="tendon"),
   NativePositionActuatorCfg(target_names_expr=("rope",), transmission_type="tendon", stiffness=40.0, damping=2.0),
   NativeVelocityActuatorCfg(target_names_expr=("swing",), transmission_type="tendon", damping=3.0),
-  NativeMotorActuatorCfg(
-    target_names_expr=("jet",), transmission_type="site", site_gear=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-  ),
+  NativeMotorActuatorCfg(target_names_expr=("jet",), transmission_type="site", site_gear=UPWARDS),
 )
 
 

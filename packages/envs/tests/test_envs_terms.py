@@ -328,12 +328,6 @@ def test_posture_is_a_bell_around_the_default_pose(make: Make, std: Any) -> None
   np.testing.assert_allclose(reward.numpy(), expected, rtol=1e-5)
 
 
-def test_posture_needs_a_width_for_every_joint(make: Make) -> None:
-  params = {"std": {"hip": 0.3}, "asset": SceneEntityCfg("robot", joint_names=(".*",))}
-  with pytest.raises(ConfigError, match=r"posture.*knee"):
-    make(rewards={"posture": RewardTermCfg(mdp.posture, weight=1.0, params=params)})
-
-
 def test_alive_and_terminated_know_failure_from_time(make: Make) -> None:
   rewards = {"alive": RewardTermCfg(mdp.is_alive, weight=1.0), "dead": RewardTermCfg(mdp.is_terminated, weight=-5.0)}
   terminations = {"time_out": TerminationTermCfg(mdp.time_out, time_out=True), "ended": TerminationTermCfg(Ended)}
@@ -415,21 +409,6 @@ def test_a_push_adds_a_twist_in_the_world_frame_where_the_mask_is(env: Any) -> N
   assert np.array_equal(after[:, 6:], before[:, 6:])
 
 
-@pytest.mark.parametrize(
-  ("func", "params", "message"),
-  [
-    (mdp.reset_root_state_uniform, {"pose_range": {"rol": (0.0, 1.0)}}, "axis 'rol' does not exist.*Nearest: roll"),
-    (mdp.reset_root_state_uniform, {"pose_range": {"x": (1.0, -1.0)}}, "parameter 'pose_range' must not fall"),
-    (mdp.reset_joints_by_offset, {"position_range": (1.0, 0.0), "velocity_range": (0.0, 0.0)}, "position_range"),
-    (mdp.push_by_setting_velocity, {"velocity_range": {"yawn": (0.0, 1.0)}}, "Nearest: yaw"),
-    (mdp.reset_root_state_uniform, {}, "missing parameter pose_range"),
-  ],
-)
-def test_events_with_mistakes_are_refused_at_build(make: Make, func: Any, params: dict, message: str) -> None:
-  with pytest.raises(ConfigError, match=message):
-    make(events={"event": EventTermCfg(func, mode="reset", params=params)})
-
-
 def test_a_push_of_what_does_not_float_is_refused_at_build(make: Make) -> None:
   cfg = hopper_cfg()
   fixed = HOPPER.replace("<freejoint/>", "")
@@ -470,13 +449,6 @@ def test_randomised_fields_differ_per_world_and_constants_follow_once(make: Make
     env.reset()
   default = env.sim.default_field("body_ipos")[0, trunk, 0]
   assert (env.sim.model.body_ipos[:, trunk, 0] - default).abs().max() <= 0.05 + 1e-6
-
-
-def test_two_events_that_write_the_same_number_are_refused_by_name(make: Make) -> None:
-  once = randomiser(geom_friction("foot", (0.3, 1.2)), "startup")
-  again = randomiser(geom_friction("foot", (0.3, 1.2)), "reset")
-  with pytest.raises(ConfigError, match=r"geom_friction of geom 'foot' is written by event 'once' too"):
-    make(events={"once": once, "again": again})
 
 
 def test_options_and_elements_of_every_kind_are_found_by_their_local_names(make: Make) -> None:

@@ -4,11 +4,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import pytest
 import torch
 from envs_hopper import Ended, Make, end
 from envs_watch import Watch
-from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, SceneEntityCfg, TerminationTermCfg
 from mjlab_scene import EntityCfg, SceneCfg
@@ -138,22 +136,3 @@ def test_times_differ_between_worlds_and_a_step_waits_for_nothing(make: Make) ->
   assert 0.35 < share < 0.7
   assert len({tuple(column) for column in np.array(seen).T}) == 32
   assert set(env.drawers()) >= {"event push"}
-
-
-@pytest.mark.parametrize(
-  ("params", "message"),
-  [
-    ({"force_range": {"w": (0.0, 1.0)}}, "component 'w' does not exist"),
-    ({"force_range": (1.0, 0.0)}, "must not fall"),
-  ],
-)
-def test_ranges_are_checked(make: Make, params: dict[str, Any], message: str) -> None:
-  push = EventTermCfg(mdp.apply_external_force_torque, mode="reset", params={**params, "asset": BOX_BODY})
-  with pytest.raises(ConfigError, match=message):
-    make(box_cfg("native", push=push))
-
-
-def test_a_push_without_length_is_refused(make: Make) -> None:
-  params = {"cooldown_s": (0.0, 1.0), "duration_s": (0.0, 1.0), "asset": BOX_BODY}
-  with pytest.raises(ConfigError, match="duration_s"):
-    make(box_cfg("native", push=EventTermCfg(mdp.apply_body_impulse, mode="step", params=params)))

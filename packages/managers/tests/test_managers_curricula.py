@@ -70,17 +70,3 @@ def test_a_term_that_asks_for_indices_runs_eagerly_and_may_return_a_number(env, 
 def test_a_number_returned_inside_the_step_is_an_error(env):
   with pytest.raises(ConfigError, match=r"must return None, a 0-d tensor or a dict of them, returned float 1.0"):
     CurriculumManager({"c": CurriculumTermCfg(lambda env, mask: 1.0)}, env)
-
-
-def test_class_terms_are_saved(env):
-  class Level(ManagerTermBase):
-    def __init__(self, env: Any) -> None:
-      super().__init__(env)
-      self.level = self.state()
-
-    def __call__(self, mask: torch.Tensor) -> torch.Tensor:
-      return self.level.add_(mask).mean()
-
-  manager = CurriculumManager({"l": CurriculumTermCfg(Level)}, env)
-  manager.compute(env.mask(1))
-  assert manager.state_dict()["_stateful_terms"]["l"]["level"].tolist() == [0, 1, 0, 0]

@@ -23,19 +23,15 @@ class Fired:
 
 
 def test_each_mode_fires_its_own_terms_where_it_is_told(env):
-  startup, reset, step = Fired(), Fired(), Fired()
-  terms: dict[str, EventTermCfg | None] = {
-    "startup": EventTermCfg(startup, mode="startup"),
-    "reset": EventTermCfg(reset, mode="reset"),
-    "step": EventTermCfg(step, mode="step"),
-    "none": None,
-  }
-  manager = EventManager(terms, env)
+  modes: tuple[Any, ...] = ("startup", "reset", "step")
+  terms = {mode: Fired() for mode in modes}
+  cfgs = {mode: EventTermCfg(terms[mode], mode=mode) for mode in modes}
+  manager = EventManager({**cfgs, "none": None}, env)
   assert manager.available_modes == ["startup", "reset", "step"]
   manager.apply("startup")
   manager.apply("reset", env.mask(1))
   manager.apply("interval")
-  assert (startup.masks, reset.masks, step.masks) == ([[True] * 4], [[False, True, False, False]], [])
+  assert [term.masks for term in terms.values()] == [[[True] * 4], [[False, True, False, False]], []]
 
 
 def test_one_term_can_be_fired_whatever_its_mode_says(env):
