@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import torch
-from mjlab_core import ConfigError, MjlabError, field_problems, unknown
+from mjlab_core import ConfigError, MjlabError, check_name, field_problems, require
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.locked import LockedDict
@@ -137,14 +137,9 @@ class Term:
     Raises:
       MjlabError: no such parameter, or the term reads it only in `__init__`.
     """
-    if name not in self.given:
-      raise MjlabError(unknown("parameter", name, list(self.given)))
-    scalar = self._scalars.get(name)
-    if not isinstance(scalar, torch.Tensor) or name in self._used:
-      raise MjlabError(
-        f"parameter '{name}' is not read again in every step, or is no number; set_params changes it between steps."
-      )
-    return scalar
+    scalar = self._scalars.get(check_name("parameter", name, self.given))
+    fixed = f"parameter '{name}' is not read again in every step, or is no number; set_params changes it between steps."
+    return require(None if name in self._used else scalar, torch.Tensor, fixed)
 
   def _remembered(self) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     if self._instance is None:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import MjlabError
+from mjlab_core import require
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -31,22 +31,16 @@ def illegal_contact(env: "ManagerBasedRlEnv", *, sensor: str, threshold: float |
 
 def _touches(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
   """Return True where there is any contact, (num_envs,)."""
-  found = env.scene[sensor].data.found
-  if found is None:
-    raise MjlabError(f"contact sensor '{sensor}' does not count contacts; add 'found' to its fields")
-  return (found > 0).any(-1)
+  uncounted = f"contact sensor '{sensor}' does not count contacts; add 'found' to its fields"
+  return (require(env.scene[sensor].data.found, torch.Tensor, uncounted) > 0).any(-1)
 
 
 def _strong(env: "ManagerBasedRlEnv", sensor: str, threshold: float) -> torch.Tensor:
   """Return True for contacts stronger than `threshold` [N], by substep, (num_envs, contacts, substeps).
 
   Raises:
-    MjlabError: the sensor keeps no history of forces.
+    ConfigError: the sensor keeps no history of forces.
   """
-  history = env.scene[sensor].data.force_history
-  if history is None:
-    raise MjlabError(
-      f"contact sensor '{sensor}' has no history; set history_length=1 or more in its config, or threshold=None "
-      "for any contact"
-    )
+  without = "has no history; set history_length=1 or more in its config, or threshold=None for any contact"
+  history = require(env.scene[sensor].data.force_history, torch.Tensor, f"contact sensor '{sensor}' {without}")
   return history.square().sum(-1) > threshold**2

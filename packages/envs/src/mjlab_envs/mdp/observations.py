@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, cast
 
 import mujoco
 import torch
-from mjlab_core import MjlabError, quat_conjugate, quat_mul, rotvec_from_quat
+from mjlab_core import MjlabError, quat_conjugate, quat_mul, require, rotvec_from_quat
 from mjlab_managers import ManagerTermBase, Reading, SceneEntityCfg, TermSource, sourced
 from mjlab_sensors import BuiltinSensor, ImuSensor
 
@@ -241,7 +241,5 @@ class camera_mask(ManagerTermBase):
 
 def _drawn(env: "ManagerBasedRlEnv", sensor: str, kind: str) -> torch.Tensor:
   camera: CameraSensor = env.scene[sensor]
-  image = getattr(camera.data, kind)
-  if image is None:
-    raise ValueError(f"camera '{sensor}' draws {', '.join(camera.cfg.data_types)} only; add {kind!r} to its data_types")
-  return image
+  others = f"camera '{sensor}' draws {', '.join(camera.cfg.data_types)} only; add {kind!r} to its data_types"
+  return require(getattr(camera.data, kind), torch.Tensor, others)

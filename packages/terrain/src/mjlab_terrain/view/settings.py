@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
@@ -52,15 +52,17 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
   for assignment in assignments:
     target, _, text = assignment.partition("=")
     type_name, _, setting = target.rpartition(".")
-    if type_name and type_name not in types:
-      raise ValueError(f"'{assignment}': there is no type '{type_name}' here. There are {', '.join(types)}.")
-    meant = [types[type_name]] if type_name else list(types.values())
-    having = [cfg for cfg in meant if setting in [f.name for f in fields(cfg)]]
-    if not having:
-      names = sorted({f.name for cfg in meant for f in fields(cfg)})
-      raise ValueError(f"'{assignment}': there is no setting '{setting}'. There are {', '.join(names)}.")
-    for cfg in having:
-      setattr(cfg, setting, _read(text, getattr(cfg, setting), assignment))
+    meant = [types[_known("type", type_name, types, assignment)]] if type_name else list(types.values())
+    _known("setting", setting, sorted({f.name for cfg in meant for f in fields(cfg)}), assignment)
+    for cfg in meant:
+      if setting in [f.name for f in fields(cfg)]:
+        setattr(cfg, setting, _read(text, getattr(cfg, setting), assignment))
+
+
+def _known(what: str, name: str, names: Iterable[str], assignment: str) -> str:
+  if name not in names:
+    raise ValueError(f"'{assignment}': there is no {what} '{name}'. There are {', '.join(names)}.")
+  return name
 
 
 def _read(text: str, present: Any, assignment: str) -> Any:
