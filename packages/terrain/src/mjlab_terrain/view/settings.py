@@ -52,8 +52,8 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
   for assignment in assignments:
     target, _, text = assignment.partition("=")
     type_name, _, setting = target.rpartition(".")
-    meant = [types[_known("type", type_name, types, assignment)]] if type_name else list(types.values())
-    _known("setting", setting, sorted({f.name for cfg in meant for f in fields(cfg)}), assignment)
+    meant = [types[_known(f"type '{type_name}' here", type_name, types, assignment)]] if type_name else list(types.values())
+    _known(f"setting '{setting}'", setting, sorted({f.name for cfg in meant for f in fields(cfg)}), assignment)
     for cfg in meant:
       if setting in [f.name for f in fields(cfg)]:
         setattr(cfg, setting, _read(text, getattr(cfg, setting), assignment))
@@ -61,7 +61,7 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
 
 def _known(what: str, name: str, names: Iterable[str], assignment: str) -> str:
   if name not in names:
-    raise ValueError(f"'{assignment}': there is no {what} '{name}'. There are {', '.join(names)}.")
+    raise ValueError(f"'{assignment}': there is no {what}. There are {', '.join(names)}.")
   return name
 
 
