@@ -100,31 +100,25 @@ def test_a_mistake_in_an_entity_is_said_without_what_follows_from_it(make: Make)
   assert caught.value.problems == ("entity 'robot': its model cannot be made: no such file",)
 
 
-@pytest.mark.parametrize("part", ["sensors", "entities"])
-def test_parts_of_a_scene_without_names_are_refused(make: Make, part: str) -> None:
+@pytest.mark.parametrize("part", ["sensors", "entities", "rewards", "observations", "events"])
+def test_parts_of_a_scene_and_terms_without_names_are_refused(make: Make, part: str) -> None:
   cfg = hopper_cfg()
-  setattr(cfg.scene, part, tuple(getattr(cfg.scene, part).values()))
-  with pytest.raises(MjlabError, match=rf"scene: {part} must be a mapping"):
+  owner, name = (cfg.scene, "scene") if hasattr(cfg.scene, part) else (cfg, "env")
+  setattr(owner, part, tuple(getattr(owner, part).values()))
+  with pytest.raises(ConfigError, match=f"{name}: {part} must be a mapping"):
     make(cfg)
 
 
-@pytest.mark.parametrize("part", ["rewards", "observations", "events"])
-def test_terms_without_names_are_refused(make: Make, part: str) -> None:
-  cfg = hopper_cfg()
-  setattr(cfg, part, list(getattr(cfg, part).values()))
-  with pytest.raises(ConfigError, match=f"env: {part} must be a mapping"):
-    make(cfg)
-
-
-@pytest.mark.parametrize("term", [mdp.illegal_contact, mdp.contact_count])
-def test_contacts_without_a_history_are_named_at_build(make: Make, term: Any) -> None:
+def test_contacts_without_a_history_are_named_at_build(make: Make) -> None:
   cfg = hopper_cfg()
   cfg.scene.sensors["feet"] = ContactSensorCfg(primary=ContactMatch(mode="geom", pattern="foot", entity="robot"))
-  kind = TerminationTermCfg if term is mdp.illegal_contact else MetricsTermCfg
-  part = cfg.terminations if term is mdp.illegal_contact else cfg.metrics
-  part["touch"] = kind(term, params={"sensor": "feet"})
-  with pytest.raises(ConfigError, match=r"term 'touch'.*contact sensor 'feet' has no history; set history_length=1"):
+  cfg.terminations["ended"] = TerminationTermCfg(mdp.illegal_contact, params={"sensor": "feet"})
+  cfg.metrics["count"] = MetricsTermCfg(mdp.contact_count, params={"sensor": "feet"})
+  with pytest.raises(ConfigError) as caught:
     make(cfg)
+  without = "contact sensor 'feet' has no history; set history_length=1"
+  assert [problem.count(without) for problem in caught.value.problems] == [1, 1]
+  assert all(f"term '{name}'" in str(caught.value) for name in ("ended", "count"))
 
 
 def place(env: Any, env_ids: torch.Tensor) -> None:

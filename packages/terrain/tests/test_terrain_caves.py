@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab_terrain import FlatCfg, OpenStairsCfg, TerrainGridCfg, Tile, TileCfg, TiltedGridCfg, all_types
+from terrain_ground import Ground
 
 TYPES = all_types()
 STEEP = TiltedGridCfg(tilt=(0.0, 40.0), height=(0.0, 0.3))
@@ -37,28 +38,14 @@ SLOT = 0.15
 BORDER = 12.0
 
 
-class Ground:
+class Case(Ground):
   """A tile at difficulty 1, a level one beside it and a border."""
 
   def __init__(self, name: str) -> None:
-    self.name = name
-    grid = TerrainGridCfg(
-      types={"it": CASES[name], "flat": FlatCfg()}, rows=1, difficulty=(1.0, 1.0), border_width=BORDER
-    )
-    self.spec = mujoco.MjSpec()
-    self.terrain = grid.add_to(self.spec)
-    self.model = self.spec.compile()
-    self.data = mujoco.MjData(self.model)
-    mujoco.mj_forward(self.model, self.data)
-
-  def surface(self, points: np.ndarray) -> np.ndarray:
-    """Height at which rays from above meet the ground, (n,) [m]; nan off the terrain."""
-    down, geom = np.array((0.0, 0.0, -1.0)), np.zeros(1, dtype=np.int32)
-    out = []
-    for x, y in points[:, :2]:
-      distance = mujoco.mj_ray(self.model, self.data, np.array((x, y, 20.0)), down, None, 1, -1, geom)
-      out.append(20.0 - distance if distance >= 0.0 else np.nan)
-    return np.array(out)
+    self.name, self.spec = name, mujoco.MjSpec()
+    types = {"it": CASES[name], "flat": FlatCfg()}
+    self.terrain = TerrainGridCfg(types=types, rows=1, difficulty=(1.0, 1.0), border_width=BORDER).add_to(self.spec)
+    super().__init__(self.spec)
 
   def with_spheres(self, bodies: list[np.ndarray], radii: list[float]) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The model with spheres that do not touch each other: for each body its centres, (n, 3) [m], and its radius."""
@@ -77,11 +64,11 @@ class Ground:
 
 
 @pytest.fixture(scope="module", params=CASES)
-def ground(request: pytest.FixtureRequest) -> Ground:
-  return Ground(request.param)
+def ground(request: pytest.FixtureRequest) -> Case:
+  return Case(request.param)
 
 
-def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(ground: Ground) -> None:
+def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(ground: Case) -> None:
   radius, count = 0.005, 600
   rng = np.random.default_rng(0)
   lowest = ground.terrain.height_range[0]
@@ -105,7 +92,7 @@ def test_a_grain_anywhere_below_the_surface_is_inside_something_solid(ground: Gr
   assert not hollow.any(), f"{hollow.sum()} of {count} grains are in a hollow, the first at {grains[hollow][0]}"
 
 
-def test_spheres_that_roll_over_it_stay_above_the_surface(ground: Ground) -> None:
+def test_spheres_that_roll_over_it_stay_above_the_surface(ground: Case) -> None:
   radius = np.repeat((0.04, 0.12), 50)
   rng = np.random.default_rng(1)
   start = np.column_stack((rng.uniform((-3.9, -7.9), (3.9, 0.5), (100, 2)), np.zeros(100)))
@@ -123,7 +110,7 @@ def test_spheres_that_roll_over_it_stay_above_the_surface(ground: Ground) -> Non
   assert np.nanmin(clearance + under_a_tread) > -0.02
 
 
-def test_height_range_is_that_of_the_surface(ground: Ground) -> None:
+def test_height_range_is_that_of_the_surface(ground: Case) -> None:
   x, y = np.meshgrid(np.linspace(-3.99, 3.99, 90), np.linspace(-7.99, 7.99, 150), indexing="ij")
   seen = ground.surface(np.column_stack((x.ravel(), y.ravel())))
   lowest, highest = ground.terrain.height_range

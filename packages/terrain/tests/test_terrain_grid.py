@@ -23,7 +23,6 @@ from mjlab_terrain import (
   RandomGridCfg,
   RandomRoughCfg,
   SteppingStonesCfg,
-  Terrain,
   TerrainGridCfg,
   Tile,
   TileCfg,
@@ -31,32 +30,29 @@ from mjlab_terrain import (
   all_types,
 )
 from mjlab_terrain.assembly import merge_boxes
+from terrain_ground import Ground
 
 
-def added(cfg: TerrainGridCfg) -> tuple[mujoco.MjModel, mujoco.MjData, Terrain]:
-  spec = mujoco.MjSpec()
-  terrain = cfg.add_to(spec)
-  model = spec.compile()
-  data = mujoco.MjData(model)
-  mujoco.mj_forward(model, data)
-  return model, data, terrain
+class Added(Ground):
+  """A grid in a model of its own."""
 
-
-def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> float:
-  """Height at which a ray from above meets the ground [m]."""
-  geom = np.zeros(1, dtype=np.int32)
-  return 9.0 - mujoco.mj_ray(model, data, np.array([x, y, 9.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
+  def __init__(self, cfg: TerrainGridCfg) -> None:
+    spec = mujoco.MjSpec()
+    self.terrain = cfg.add_to(spec)
+    super().__init__(spec)
 
 
 def test_a_grid_of_ten_by_twenty_has_few_geoms() -> None:
-  model, _, terrain = added(TerrainGridCfg(types=all_types(), rows=10, columns=20))
+  grid = Added(TerrainGridCfg(types=all_types(), rows=10, columns=20))
+  model, terrain = grid.model, grid.terrain
   assert terrain.origins.shape == (10, 20, 3)
   assert model.ngeom < 6500
   assert model.ngeom == len(terrain.geom_names) == len(set(terrain.geom_names))
 
 
 def test_all_geoms_are_static_in_group_zero_and_weigh_nothing() -> None:
-  model, _, terrain = added(TerrainGridCfg(rows=2))
+  grid = Added(TerrainGridCfg(rows=2))
+  model, terrain = grid.model, grid.terrain
   body = model.body(terrain.name)
   assert (model.geom_bodyid == body.id).all()
   assert model.body_weldid[body.id] == 0
@@ -119,7 +115,7 @@ def test_a_curriculum_has_columns_by_share_and_rows_by_difficulty() -> None:
     columns=10,
     difficulty=(0.2, 0.6),
   )
-  _, _, terrain = added(cfg)
+  terrain = Added(cfg).terrain
   assert terrain.type_names == ("a", "b", "c")
   counts = np.bincount(terrain.tile_types[0])
   assert counts.min() == 1
@@ -131,7 +127,7 @@ def test_a_curriculum_has_columns_by_share_and_rows_by_difficulty() -> None:
 
 
 def test_one_column_a_type_is_the_default_of_a_curriculum() -> None:
-  _, _, terrain = added(TerrainGridCfg(rows=2))
+  terrain = Added(TerrainGridCfg(rows=2)).terrain
   assert terrain.origins.shape == (2, 7, 3)
   np.testing.assert_allclose(terrain.column_shares, [0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1])
   assert terrain.columns_of(1000).tolist().count(1) == 200
@@ -145,7 +141,7 @@ def test_a_random_layout_draws_types_by_share_and_difficulty_from_its_range() ->
     layout="random",
     difficulty=(0.4, 0.5),
   )
-  _, _, terrain = added(cfg)
+  terrain = Added(cfg).terrain
   assert terrain.difficulty.min() >= 0.4
   assert terrain.difficulty.max() <= 0.5
   assert abs((terrain.tile_types == 0).mean() - 0.75) < 0.05
@@ -153,7 +149,7 @@ def test_a_random_layout_draws_types_by_share_and_difficulty_from_its_range() ->
 
 
 def test_worlds_are_spread_by_share_and_evenly() -> None:
-  _, _, terrain = added(TerrainGridCfg(types={"a": FlatCfg(share=0.75), "b": FlatCfg(share=0.25)}, rows=3))
+  terrain = Added(TerrainGridCfg(types={"a": FlatCfg(share=0.75), "b": FlatCfg(share=0.25)}, rows=3)).terrain
   columns = terrain.columns_of(64)
   assert np.bincount(columns).tolist() == [48, 16]
   assert np.bincount(columns[:32]).tolist() == [24, 8]
@@ -166,18 +162,16 @@ def test_worlds_are_spread_by_share_and_evenly() -> None:
 
 
 def test_tiles_lie_side_by_side_around_the_origin() -> None:
-  _, _, terrain = added(TerrainGridCfg(types={"a": FlatCfg(), "b": FlatCfg()}, rows=3, tile_size=(4.0, 6.0)))
+  terrain = Added(TerrainGridCfg(types={"a": FlatCfg(), "b": FlatCfg()}, rows=3, tile_size=(4.0, 6.0))).terrain
   np.testing.assert_allclose(terrain.origins[:, 0, 0], [-4.0, 0.0, 4.0])
   np.testing.assert_allclose(terrain.origins[0, :, 1], [-3.0, 3.0])
 
 
 def test_a_border_surrounds_the_grid_at_the_height_of_the_rims() -> None:
-  model, data, _ = added(
-    TerrainGridCfg(types={"slope": PyramidSlopeCfg()}, rows=2, tile_size=(4.0, 6.0), border_width=3.0)
-  )
+  ground = Added(TerrainGridCfg(types={"slope": PyramidSlopeCfg()}, rows=2, tile_size=(4.0, 6.0), border_width=3.0))
   for x, y in ((6.9, 0.0), (-6.9, 0.0), (0.0, 5.9), (0.0, -5.9), (6.9, 5.9), (4.01, 3.01)):
-    assert ground(model, data, x, y) == pytest.approx(0.0, abs=1e-9)
-  assert ground(model, data, 7.1, 0.0) > 9.0
+    assert ground.at(x, y) == pytest.approx(0.0, abs=1e-9)
+  assert np.isnan(ground.at(7.1, 0.0))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -186,12 +180,11 @@ def test_a_ramp_along_an_axis_is_a_ramp_along_it(axis: int) -> None:
   heights = heights if axis == 0 else heights.T
   spec = mujoco.MjSpec()
   HeightMapCfg(source=heights).add_to(spec, tile_size=(6.0, 3.0))
-  model = spec.compile()
-  data = mujoco.MjData(model)
-  mujoco.mj_forward(model, data)
+  ground = Ground(spec)
+  model = ground.model
   for x, y in ((-2.0, 1.0), (1.3, 0.2), (2.9, -1.4)):
     expected = (x + 3.0) / 6.0 if axis == 0 else (y + 1.5) / 3.0
-    assert ground(model, data, x, y) == pytest.approx(expected, abs=1e-6)
+    assert ground.at(x, y) == pytest.approx(expected, abs=1e-6)
   # The picture that colors it has its first line at the far end of y, and x from left to right.
   picture = model.tex_data.reshape(model.tex_height[0], model.tex_width[0], 3)
   top = np.array([0.85, 0.50, 0.32]) * 255
@@ -202,27 +195,21 @@ def test_a_ramp_along_an_axis_is_a_ramp_along_it(axis: int) -> None:
 
 
 def test_heights_below_the_rim_stay_below_it() -> None:
-  model, data, terrain = added(
-    TerrainGridCfg(types={"rough": RandomRoughCfg(amplitude=(0.05, 0.05))}, rows=1, border_width=0.0)
-  )
-  heights = [ground(model, data, x, y) for x in np.linspace(-3, 3, 15) for y in np.linspace(-3, 3, 15)]
+  ground = Added(TerrainGridCfg(types={"rough": RandomRoughCfg(amplitude=(0.05, 0.05))}, rows=1, border_width=0.0))
+  heights = [ground.at(x, y) for x in np.linspace(-3, 3, 15) for y in np.linspace(-3, 3, 15)]
   assert min(heights) < -0.03
   assert max(heights) > 0.03
-  assert terrain.height_range[0] < -0.03
+  assert ground.terrain.height_range[0] < -0.03
 
 
-def test_level_neighbours_become_one_geom() -> None:
-  model, _, _ = added(TerrainGridCfg(types={"flat": FlatCfg()}, rows=10, columns=10, border_width=0.0))
-  assert model.ngeom == 1
-  model, _, _ = added(TerrainGridCfg(types={"grid": RandomGridCfg(levels=3)}, rows=1, difficulty=(1.0, 1.0)))
-  free, _, _ = added(TerrainGridCfg(types={"grid": RandomGridCfg()}, rows=1, difficulty=(1.0, 1.0)))
-  assert model.ngeom < 0.75 * free.ngeom
+def test_level_neighbours_become_one_geom_and_a_stair_needs_one_a_step() -> None:
+  def geoms(cfg: TileCfg, **grid: Any) -> int:
+    return Added(TerrainGridCfg(types={"it": cfg}, difficulty=(1.0, 1.0), **grid)).model.ngeom
 
-
-def test_going_up_stairs_need_one_geom_a_step() -> None:
-  model, _, _ = added(TerrainGridCfg(types={"up": PyramidStairsCfg()}, rows=1, difficulty=(1.0, 1.0), border_width=0.0))
+  assert geoms(FlatCfg(), rows=10, columns=10, border_width=0.0) == 1
+  assert geoms(RandomGridCfg(levels=3), rows=1) < 0.75 * geoms(RandomGridCfg(), rows=1)
   # Five steps and the platform, and a rim of four.
-  assert model.ngeom == 10
+  assert geoms(PyramidStairsCfg(), rows=1, border_width=0.0) == 10
 
 
 def test_merging_keeps_the_volume_and_kinds_apart() -> None:
@@ -251,9 +238,8 @@ def test_merging_keeps_the_volume_and_kinds_apart() -> None:
 
 def test_colors_show_height_type_or_neither() -> None:
   types: dict[str, TileCfg] = {"up": PyramidStairsCfg(), "flat": FlatCfg()}
-  by_height, _, _ = added(TerrainGridCfg(types=types, rows=2))
-  by_type, _, _ = added(TerrainGridCfg(types=types, rows=2, color="type"))
-  plain, _, _ = added(TerrainGridCfg(types=types, rows=2, color=(0.1, 0.2, 0.3)))
+  colors: tuple[Any, ...] = ("height", "type", (0.1, 0.2, 0.3))
+  by_height, by_type, plain = (Added(TerrainGridCfg(types=types, rows=2, color=color)).model for color in colors)
   assert len(np.unique(by_height.geom_rgba, axis=0)) == 7
   # The border is of the first type.
   assert len(np.unique(by_type.geom_rgba, axis=0)) == 8
@@ -266,17 +252,18 @@ def test_flat_patches_are_level_on_the_surface_and_on_their_tile(size: tuple[flo
   types: dict[str, TileCfg] = {
     "stairs": PyramidStairsCfg(), "stones": SteppingStonesCfg(), "waves": WavesCfg(), "slope": PyramidSlopeCfg()
   }  # fmt: skip
-  model, data, terrain = added(TerrainGridCfg(types=types, rows=2, tile_size=size, flat_patches=patches))
+  ground = Added(TerrainGridCfg(types=types, rows=2, tile_size=size, flat_patches=patches))
+  terrain = ground.terrain
   places = terrain.flat_patches["feet"]
   assert places.shape == (2, 4, 5, 3)
   for row, column in np.ndindex(2, 4):
     center = (np.array((row, column)) - (0.5, 1.5)) * size
     for place in places[row, column]:
-      assert ground(model, data, place[0], place[1]) == pytest.approx(place[2], abs=1e-6)
+      assert ground.at(place[0], place[1]) == pytest.approx(place[2], abs=1e-6)
       assert (np.abs(place[:2] - center) <= 0.5 * np.array(size) - 0.25 + 1e-9).all()
       # Turned a little, so that no ray follows the edge between two boxes.
       for angle in 0.1 + np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
-        there = ground(model, data, place[0] + 0.24 * np.cos(angle), place[1] + 0.24 * np.sin(angle))
+        there = ground.at(place[0] + 0.24 * np.cos(angle), place[1] + 0.24 * np.sin(angle))
         assert there == pytest.approx(place[2], abs=0.055)
   assert (terrain.flat_patches["low"][..., 2] <= 1e-9).all()
   assert len(np.unique(places[0, 0], axis=0)) == 5
@@ -308,7 +295,7 @@ def test_without_level_places_patches_are_the_most_level_one() -> None:
     rows=1,
     flat_patches={"none": FlatPatchCfg(count=3, radius=1.0, max_height_difference=0.0)},
   )
-  _, _, terrain = added(cfg)
+  terrain = Added(cfg).terrain
   assert len(np.unique(terrain.flat_patches["none"][0, 0], axis=0)) == 1
 
 
@@ -402,43 +389,30 @@ def test_names_that_are_taken_are_refused_before_anything_is_added() -> None:
 
 @dataclasses.dataclass(kw_only=True)
 class Broken(TileCfg):
-  thickness: float = 0.01
-
-  def build(self, tile: Tile) -> None:
-    if self.thickness:
-      tile.box((-1.0, 1.0), (-1.0, 1.0), (0.0, self.thickness))
-
-
-def test_a_type_that_builds_nonsense_is_named() -> None:
-  with pytest.raises(
-    ValueError, match=r"Broken 'it': at difficulty 0, tile \(0, 0\): a Box of 2 x 2 x 0.01 m, 0.01 m thick, is"
-  ):
-    dataclasses.replace(GOOD, types={"it": Broken()}).add_to(mujoco.MjSpec())
-  with pytest.raises(ValueError, match="Broken 'it': build added no geometry"):
-    dataclasses.replace(GOOD, types={"it": Broken(thickness=0.0)}).add_to(mujoco.MjSpec())
-
-
-@dataclasses.dataclass(kw_only=True)
-class Holey(TileCfg):
   build_it: Callable[[Tile], None]
 
   def build(self, tile: Tile) -> None:
     self.build_it(tile)
 
 
+AT = r"at difficulty 0, tile \(0, 0\): .*"
+
+
 @pytest.mark.parametrize(
   ("build", "message"),
   [
-    (lambda tile: tile.heights(np.full((5, 5), np.nan)), "a HeightField .* is not finite"),
-    (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), "is not finite"),
-    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, np.nan, (0.0, 0.0)), "is not finite"),
-    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), "a Prism of .* m, 0.02 m thick"),
+    (lambda tile: tile.box((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.01)), AT + "a Box of 2 x 2 x 0.01 m, 0.01 m thick, is"),
+    (lambda tile: None, "build added no geometry"),
+    (lambda tile: tile.heights(np.full((5, 5), np.nan)), AT + "a HeightField .* is not finite"),
+    (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), AT + "is not finite"),
+    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, np.nan, (0.0, 0.0)), AT + "is not finite"),
+    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), AT + "a Prism of .* m, 0.02 m thick"),
   ],
 )
-def test_geometry_that_is_none_is_refused_where_it_is_made(build: Callable[[Tile], None], message: str) -> None:
+def test_a_type_that_builds_nonsense_is_named_and_nothing_is_added(build: Callable[[Tile], None], message: str) -> None:
   spec = mujoco.MjSpec()
-  with pytest.raises(ValueError, match=rf"Holey 'it': at difficulty 0, tile \(0, 0\): .*{message}"):
-    dataclasses.replace(GOOD, types={"it": Holey(build_it=build)}).add_to(spec)
+  with pytest.raises(ValueError, match=f"Broken 'it': {message}"):
+    dataclasses.replace(GOOD, types={"it": Broken(build_it=build)}).add_to(spec)
   assert len(spec.bodies) == 1
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mjlab_terrain import FlatCfg, HeightMapCfg, MeshCfg, TerrainGridCfg, TileCfg
 from mjlab_terrain.types.mesh import seen_from_above
+from terrain_ground import Ground
 
 # A wedge of 2 x 1 m that rises along x from 0 to 1 m, closed below.
 WEDGE_VERTICES = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [2, 0, 1], [2, 1, 1]], dtype=float)
@@ -16,25 +17,13 @@ WEDGE_FACES = np.array([[0, 4, 5], [0, 5, 3], [0, 2, 1], [0, 3, 2], [0, 1, 4], [
 WEDGE = (WEDGE_VERTICES, WEDGE_FACES)
 
 
-def model_of(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-  model = spec.compile()
-  data = mujoco.MjData(model)
-  mujoco.mj_forward(model, data)
-  return model, data
-
-
-def ground(model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> float:
-  geom = np.zeros(1, dtype=np.int32)
-  return 9.0 - mujoco.mj_ray(model, data, np.array([x, y, 9.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
-
-
 def test_a_mesh_is_a_terrain_of_its_own_size() -> None:
   spec = mujoco.MjSpec()
   terrain = MeshCfg(source=WEDGE).add_to(spec)
   assert terrain.tile_size == pytest.approx((2.0, 1.0))
-  model, data = model_of(spec)
+  ground = Ground(spec)
   for x, y in ((-0.9, 0.1), (0.0, -0.3), (0.77, 0.4)):
-    assert ground(model, data, x, y) == pytest.approx(0.5 * (x + 1.0), abs=1e-6)
+    assert ground.at(x, y) == pytest.approx(0.5 * (x + 1.0), abs=1e-6)
 
 
 def test_a_mesh_is_a_tile_with_a_floor_around_it() -> None:
@@ -43,11 +32,11 @@ def test_a_mesh_is_a_tile_with_a_floor_around_it() -> None:
     types={"mesh": MeshCfg(source=WEDGE, scale=2.0, floor=-0.1), "flat": FlatCfg()}, rows=1, tile_size=(8.0, 6.0)
   )
   terrain = cfg.add_to(spec)
-  model, data = model_of(spec)
-  assert ground(model, data, 1.0, -3.0) == pytest.approx(1.5, abs=1e-6)
-  assert ground(model, data, -2.5, -3.0) == pytest.approx(-0.1, abs=1e-6)
+  ground = Ground(spec)
+  assert ground.at(1.0, -3.0) == pytest.approx(1.5, abs=1e-6)
+  assert ground.at(-2.5, -3.0) == pytest.approx(-0.1, abs=1e-6)
   origin = terrain.origins[0, 0]
-  assert ground(model, data, origin[0], origin[1]) == pytest.approx(origin[2], abs=1e-6)
+  assert ground.at(origin[0], origin[1]) == pytest.approx(origin[2], abs=1e-6)
 
 
 def test_spheres_rest_on_meshes_and_height_maps_where_geometry_says() -> None:
@@ -85,8 +74,8 @@ def test_difficulty_scales_a_mesh_only_if_told_to() -> None:
   for height, expected in (((1.0, 1.0), 0.5), ((0.0, 1.0), 0.125)):
     spec = mujoco.MjSpec()
     MeshCfg(source=WEDGE, height=height).add_to(spec, difficulty=0.25)
-    model, data = model_of(spec)
-    assert ground(model, data, 0.0, 0.1) == pytest.approx(expected, abs=1e-6)
+    ground = Ground(spec)
+    assert ground.at(0.0, 0.1) == pytest.approx(expected, abs=1e-6)
 
 
 def test_what_is_seen_from_above_is_the_highest_triangle() -> None:
@@ -113,8 +102,8 @@ def test_files_of_many_formats_are_read(tmp_path: Path, suffix: str) -> None:
   trimesh.Trimesh(*WEDGE).export(path)
   spec = mujoco.MjSpec()
   MeshCfg(source=path).add_to(spec)
-  model, data = model_of(spec)
-  assert ground(model, data, 0.5, 0.1) == pytest.approx(0.75, abs=1e-5)
+  ground = Ground(spec)
+  assert ground.at(0.5, 0.1) == pytest.approx(0.75, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -153,10 +142,10 @@ def test_a_picture_is_seen_with_x_to_the_right_and_y_up(tmp_path: Path) -> None:
   image.fromarray(pixels).save(path)
   spec = mujoco.MjSpec()
   HeightMapCfg(source=path, height=(0.5, 0.5)).add_to(spec, tile_size=(4.0, 2.0))
-  model, data = model_of(spec)
-  assert ground(model, data, 1.7, 0.7) == pytest.approx(0.5, abs=1e-6)
+  ground = Ground(spec)
+  assert ground.at(1.7, 0.7) == pytest.approx(0.5, abs=1e-6)
   for x, y in ((-1.7, 0.7), (1.7, -0.7), (-1.7, -0.7)):
-    assert ground(model, data, x, y) == pytest.approx(0.0, abs=1e-6)
+    assert ground.at(x, y) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_pictures_with_sixteen_bits_keep_them(tmp_path: Path) -> None:
@@ -170,6 +159,6 @@ def test_pictures_with_sixteen_bits_keep_them(tmp_path: Path) -> None:
 def test_a_border_brings_a_height_map_to_the_rim() -> None:
   spec = mujoco.MjSpec()
   HeightMapCfg(source=np.ones((81, 81)), border=0.5, blend=0.5).add_to(spec, tile_size=(8.0, 8.0))
-  model, data = model_of(spec)
-  assert ground(model, data, 3.7, 0.3) == pytest.approx(0.0, abs=1e-6)
-  assert ground(model, data, 2.0, 0.3) == pytest.approx(1.0, abs=1e-6)
+  ground = Ground(spec)
+  assert ground.at(3.7, 0.3) == pytest.approx(0.0, abs=1e-6)
+  assert ground.at(2.0, 0.3) == pytest.approx(1.0, abs=1e-6)

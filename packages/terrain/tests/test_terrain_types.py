@@ -14,6 +14,7 @@ from mjlab_terrain.assembly import PlacedTile
 from mjlab_terrain.solids import MIN_THICKNESS, HeightField
 from mjlab_terrain.surface import surface
 from mjlab_terrain.tile import Tile
+from terrain_ground import Ground
 
 DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
 SHAPES = ((8.0, 8.0), (7.0, 9.5))
@@ -71,7 +72,7 @@ class Kept(TerrainGridCfg):
     return self.placed
 
 
-class Built:
+class Built(Ground):
   """All types (columns) at all difficulties (rows) in one model."""
 
   def __init__(self, size: tuple[float, float], types: dict[str, TileCfg], *, feet: bool = False, **grid: Any) -> None:
@@ -81,19 +82,7 @@ class Built:
     self.placed = self.cfg.placed
     if feet:
       add_feet(spec, self)
-    self.model = spec.compile()
-    self.data = mujoco.MjData(self.model)
-    mujoco.mj_forward(self.model, self.data)
-
-  def drop(self, points: np.ndarray) -> np.ndarray:
-    """Heights at which rays from above meet the ground at (n, 2) points, nan where they do not, (n,) [m]."""
-    down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, dtype=np.int32)
-    only_ground = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-    out = []
-    for x, y in points:
-      distance = mujoco.mj_ray(self.model, self.data, np.array([x, y, 9.0]), down, only_ground, 1, -1, geom)
-      out.append(9.0 - distance if distance >= 0.0 else np.nan)
-    return np.array(out)
+    super().__init__(spec)
 
 
 FOOT = np.array([0.1, 0.05, 0.02])
@@ -131,7 +120,7 @@ def test_no_geom_is_thin(built: Built) -> None:
 
 def test_origins_lie_on_the_surface_that_a_ray_hits(built: Built) -> None:
   origins = built.terrain.origins.reshape(-1, 3)
-  np.testing.assert_allclose(built.drop(origins[:, :2]), origins[:, 2], atol=1e-6)
+  np.testing.assert_allclose(built.surface(origins[:, :2]), origins[:, 2], atol=1e-6)
 
 
 def test_every_ray_from_above_meets_ground_where_the_tile_says(built: Built) -> None:
@@ -140,7 +129,7 @@ def test_every_ray_from_above_meets_ground_where_the_tile_says(built: Built) -> 
     # Uneven steps, so that rays do not follow edges.
     x, y = (np.sort(rng.uniform(-0.5, 0.5, 7)) * s for s in built.cfg.tile_size)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    hit = built.drop(points + p.center[:2])
+    hit = built.surface(points + p.center[:2])
     expected = surface(p.tile.solids, x, y).ravel()
     np.testing.assert_allclose(hit, expected, atol=1e-5, err_msg=NAMES[p.kind])
 
@@ -150,7 +139,7 @@ def test_seams_between_tiles_hold(built: Built) -> None:
   points = np.array(
     [p.center[:2] + s * across * m for p in built.placed for s in (-1, 1) for m in ((1, 0.3), (0.3, 1))]
   )
-  assert np.isfinite(built.drop(points)).all()
+  assert np.isfinite(built.surface(points)).all()
 
 
 def test_geometry_stays_on_its_tile(built: Built) -> None:

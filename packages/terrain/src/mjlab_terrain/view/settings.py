@@ -52,7 +52,9 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
   for assignment in assignments:
     target, _, text = assignment.partition("=")
     type_name, _, setting = target.rpartition(".")
-    meant = [types[_known(f"type '{type_name}' here", type_name, types, assignment)]] if type_name else list(types.values())
+    meant = list(types.values())
+    if type_name:
+      meant = [types[_known(f"type '{type_name}' here", type_name, types, assignment)]]
     _known(f"setting '{setting}'", setting, sorted({f.name for cfg in meant for f in fields(cfg)}), assignment)
     for cfg in meant:
       if setting in [f.name for f in fields(cfg)]:
