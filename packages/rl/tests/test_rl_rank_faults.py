@@ -21,33 +21,34 @@ from torch import distributed
 HERE = Path(__file__).parent
 
 
-def ended(folder: Path, fault: str) -> subprocess.CompletedProcess[str]:
-  """Return a run of two processes of which the second one has a fault."""
-  command = [sys.executable, HERE / "rl_two_processes.py", HERE / "rl_fault_program.py", folder, fault]
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+  """Runs of two processes of which the second one has a fault: their folder, and what they said of it."""
+  folder = tmp_path_factory.mktemp("faults")
+  runs = [folder / "diverges", "diverges", "--", folder / "hangs", "hangs"]
+  command = [sys.executable, HERE / "rl_two_processes.py", HERE / "rl_fault_program.py", *runs]
   done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
-  assert done.returncode != 0
-  return done
+  assert "failed runs: 0 1\n" in done.stdout
+  return folder, done.stderr
 
 
 @pytest.mark.slow
-def test_a_process_that_diverges_ends_all_with_the_last_good_checkpoint(tmp_path: Path) -> None:
-  done = ended(tmp_path, "diverges")
+def test_a_process_that_diverges_ends_all_with_the_last_good_checkpoint(ended: tuple[Path, str]) -> None:
+  folder, said = ended
   for rank in range(2):
-    assert re.search(
-      rf"rank{rank}\]:.*DivergedError: iteration 3: .* not finite, so the state is not saved", done.stderr
-    )
-  (run,) = tmp_path.glob("point/*")
+    assert re.search(rf"rank{rank}\]:.*DivergedError: iteration 3: .* not finite, so the state is not saved", said)
+  (run,) = folder.glob("diverges/point/*")
   assert [path.name for path in checkpoints(run)] == ["model_1.pt", "model_2.pt"]
   assert not list(run.glob("emergency_*"))
 
 
 @pytest.mark.slow
-def test_a_process_that_hangs_ends_the_run_and_the_others_save_the_learner(tmp_path: Path) -> None:
-  done = ended(tmp_path, "hangs")
-  assert "Timeout (" in done.stderr  # of faulthandler
-  assert re.search(r'rl_fault_program.py", line \d+ in step', done.stderr)
-  assert "rank 0: another process of the run has ended or hangs" in done.stderr
-  (saved,) = tmp_path.glob("point/*/emergency_2.pt")
+def test_a_process_that_hangs_ends_the_run_and_the_others_save_the_learner(ended: tuple[Path, str]) -> None:
+  folder, said = ended
+  assert "Timeout (" in said  # of faulthandler
+  assert re.search(r'rl_fault_program.py", line \d+ in step', said)
+  assert "rank 0: another process of the run has ended or hangs" in said
+  (saved,) = folder.glob("hangs/point/*/emergency_2.pt")
   assert "actor_state_dict" in torch.load(saved)
 
 
