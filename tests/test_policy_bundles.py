@@ -1,5 +1,6 @@
 """Untrained policies of every task family are exported, verified and, where a robot could run them, run."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -37,10 +38,16 @@ MEASURED = {
 }
 """Sources that every legged robot has."""
 NO_OPENGL = "no camera images"
+FOR_OTHERS = {
+  "Mjlab-Velocity-Flat-Unitree-G1-Blind",
+  "Mjlab-Velocity-Flat-Unitree-Go1",
+  "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
+}
+"""Tasks whose files for other runners are looked at."""
 
 
 def exported(task: str, folder: Path, preset: Callable[[Any], Any] = lambda parts: parts) -> Path:
-  """Export the policy of a task that was not trained, with a record."""
+  """Export the policy of a task that was not trained, with a record, and the files for other runners."""
   torch.manual_seed(0)
   parts = preset(load_task(task))
   cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
@@ -48,8 +55,21 @@ def exported(task: str, folder: Path, preset: Callable[[Any], Any] = lambda part
     policy = CheckpointPolicy(env, parts.agent, parts.runner)
     env.reset(seed=0)
     golden = record(env, parts.agent, policy.network, policy, STEPS)
-    BundleWriter(env, parts.agent, task).write(folder, policy.network, golden=golden)
+    description = BundleWriter(env, parts.agent, task).write(folder / "bundle", policy.network, golden=golden)
+    if task in FOR_OTHERS:
+      others = write_for_others(folder / "others", env, policy.network, description)
+      # The reader of files of mjlab 1.x compares every key of the metadata with the environment.
+      reader = OnnxPolicy(others / "policy.onnx", parts.agent, env)
+      seen: Any = env.get_observations()
+      policy.reset(None)
+      torch.testing.assert_close(reader(seen), policy(seen), atol=1e-5, rtol=0)
   return folder
+
+
+@pytest.fixture(scope="module")
+def folder_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+  """Return the folder with what is exported of a task, once for all tests."""
+  return functools.cache(lambda task: exported(task, tmp_path_factory.mktemp("exported")))
 
 
 def images_are_those_of_the_record(bundle: Bundle) -> None:
@@ -102,9 +122,9 @@ def sources(bundle: Bundle) -> set[str]:
   ],
 )
 def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory_and_runs(
-  task: str, expected: set[str], refusal: str | None, tmp_path: Path
+  task: str, expected: set[str], refusal: str | None, folder_of: Callable[[str], Path]
 ) -> None:
-  with open_bundle(exported(task, tmp_path / "bundle")) as bundle:
+  with open_bundle(folder_of(task) / "bundle") as bundle:
     assert expected == sources(bundle) if task.endswith("-Blind") else expected <= sources(bundle)
     report = verify(bundle)
     if refusal is None:
@@ -126,8 +146,8 @@ def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory_and_runs(
 
 
 def test_a_policy_of_the_sim_to_real_preset_is_verified_and_runs(tmp_path: Path) -> None:
-  folder = exported("Mjlab-Velocity-Flat-Unitree-Go2-Blind", tmp_path / "bundle", sim_to_real)
-  with open_bundle(folder) as bundle:
+  folder = exported("Mjlab-Velocity-Flat-Unitree-Go2-Blind", tmp_path, sim_to_real)
+  with open_bundle(folder / "bundle") as bundle:
     assert sources(bundle) == MEASURED
     report = verify(bundle)
     assert report.passed, report.failures
@@ -138,34 +158,20 @@ def test_a_policy_of_the_sim_to_real_preset_is_verified_and_runs(tmp_path: Path)
 
 def test_an_action_that_needs_the_robots_model_is_refused_by_name(tmp_path: Path) -> None:
   with pytest.raises(MjlabError, match=r"action 'hand' \(DifferentialIKAction\) has no computation outside"):
-    exported("Mjlab-Lift-Cube-Yam-IK", tmp_path / "bundle")
+    exported("Mjlab-Lift-Cube-Yam-IK", tmp_path)
 
 
-def written_for_others(task: str, folder: Path, change: Callable[[Any], object] = lambda env: None) -> Path:
-  """Write the files for other runners, and compare the network in them with the policy by mjlab's own reader."""
-  torch.manual_seed(0)
-  parts = load_task(task)
-  cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
-  change(cfg)
-  with standard_env(cfg, device="cpu") as env:
-    trained = CheckpointPolicy(env, parts.agent, parts.runner)
-    description = BundleWriter(env, parts.agent, task).write(folder / "bundle", trained.network)
-    others = write_for_others(folder / "others", env, trained.network, description)
-    # The reader of files of mjlab 1.x compares every key of the metadata with the environment.
-    policy = OnnxPolicy(others / "policy.onnx", parts.agent, env)
-    seen: Any = env.get_observations()
-    torch.testing.assert_close(policy(seen), trained(seen), atol=1e-5, rtol=0)
-  return others
-
-
-def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(tmp_path: Path) -> None:
+def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(
+  folder_of: Callable[[str], Path], tmp_path: Path
+) -> None:
   """The schema is that of Unitree's `export_deploy_cfg`; its runner gives `stiffness[i]` to motor i."""
-  folder = written_for_others("Mjlab-Velocity-Flat-Unitree-G1-Blind", tmp_path)
+  made = folder_of("Mjlab-Velocity-Flat-Unitree-G1-Blind")
+  folder, ours = made / "others", made / "bundle"
   data = yaml.safe_load((folder / "deploy.yaml").read_text())
   assert sorted(data) == sorted(
     "joint_ids_map step_dt stiffness damping default_joint_pos commands actions observations".split()
   )
-  with open_bundle(tmp_path / "bundle") as bundle:
+  with open_bundle(ours) as bundle:
     joints, description = bundle.description.robot.joints, bundle.description
   assert data["step_dt"] == description.timing.control_dt
   assert sorted(data["joint_ids_map"]) == list(range(29))
@@ -193,13 +199,13 @@ def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(tmp_path: Pat
   onnx.save(model, tmp_path / "published" / "exported" / "policy.onnx")
   (tmp_path / "published" / "params" / "deploy.yaml").write_text((folder / "deploy.yaml").read_text())
   with (
-    adopted(tmp_path / "published" / "exported" / "policy.onnx", tmp_path / "bundle" / "scene.xml") as bundle,
-    open_bundle(tmp_path / "bundle") as ours,
+    adopted(tmp_path / "published" / "exported" / "policy.onnx", ours / "scene.xml") as bundle,
+    open_bundle(ours) as own_bundle,
   ):
     assert bundle.description.timing.control_dt == description.timing.control_dt
-    theirs, own, rng = Policy(bundle), Policy(ours), np.random.default_rng(0)
+    theirs, own, rng = Policy(bundle), Policy(own_bundle), np.random.default_rng(0)
     for _ in range(7):
-      readings = {item.name: rng.normal(0.0, 0.3, item.shape) for item in ours.description.inputs}
+      readings = {item.name: rng.normal(0.0, 0.3, item.shape) for item in own_bundle.description.inputs}
       step, wanted = theirs.step(readings), own.step(readings)
       np.testing.assert_allclose(step.targets["target/position"], wanted.targets["target/position"], atol=1e-5)
     run = SimulatedRun(bundle)
@@ -207,14 +213,15 @@ def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(tmp_path: Pat
     assert run.runner.phase == "policy", run.runner.reason
 
 
-def test_a_term_that_unitrees_runner_lacks_is_named(tmp_path: Path) -> None:
-  folder = written_for_others("Mjlab-Velocity-Flat-Unitree-Go1", tmp_path)
+def test_a_term_that_unitrees_runner_lacks_is_named(folder_of: Callable[[str], Path]) -> None:
+  folder = folder_of("Mjlab-Velocity-Flat-Unitree-Go1") / "others"
   assert "no term for 'base_lin_vel'" in (folder / "NO_DEPLOY_YAML.txt").read_text()
 
 
-def test_a_tracking_policy_is_the_pair_that_lerobot_reads(tmp_path: Path) -> None:
+def test_a_tracking_policy_is_the_pair_that_lerobot_reads(folder_of: Callable[[str], Path]) -> None:
   """LeRobot's controller of mjlab policies builds 154 numbers, and takes the torso as body 15 of all."""
-  folder = written_for_others("Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation", tmp_path)
+  made = folder_of("Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation")
+  folder, ours = made / "others", made / "bundle"
   session = onnxruntime.InferenceSession(folder / "policy.onnx", providers=["CPUExecutionProvider"])
   metadata = session.get_modelmeta().custom_metadata_map
   gains = {
@@ -239,7 +246,7 @@ def test_a_tracking_policy_is_the_pair_that_lerobot_reads(tmp_path: Path) -> Non
     for name in REFERENCE_OUTPUTS:
       wanted = motion[name][frame][followed] if name.startswith("body") else motion[name][frame]
       np.testing.assert_allclose(shown[name][0], wanted, atol=1e-6)
-  with open_bundle(tmp_path / "bundle") as bundle:
+  with open_bundle(ours) as bundle:
     clip, description = bundle.arrays("motion.npz"), bundle.description
     policy = Policy(bundle)
   np.testing.assert_allclose(bodies[:, 15], clip["anchor_orientation"], atol=1e-5)
@@ -264,7 +271,7 @@ def test_a_tracking_policy_is_the_pair_that_lerobot_reads(tmp_path: Path) -> Non
     gains["default_joint_pos"] + action[0] * gains["action_scale"], step.targets["target/position"], atol=1e-5
   )
   # The network itself, read by its metadata, drives the robot alike. Its clip begins a frame earlier.
-  with adopted(folder / "policy.onnx", tmp_path / "bundle" / "scene.xml") as bundle:
+  with adopted(folder / "policy.onnx", ours / "scene.xml") as bundle:
     assert bundle.description.robot.joints[3].stiffness == description.robot.joints[3].stiffness
     assert bundle.description.timing.control_dt == description.timing.control_dt
     again, shown = Policy(bundle), bundle.arrays("motion.npz")
