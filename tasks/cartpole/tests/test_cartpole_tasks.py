@@ -83,8 +83,7 @@ def test_both_networks_see_position_angle_and_velocities_without_noise(make: Mak
     x, angle, v, spin = state(env)
     expected = np.stack([x, np.cos(angle), np.sin(angle), v, spin], 1)
     for group in ("actor", "critic"):
-      seen = observations[group]
-      assert isinstance(seen, torch.Tensor)
+      seen: Any = observations[group]
       assert seen.dtype == torch.float32
       np.testing.assert_allclose(seen.numpy(), expected, rtol=1e-6, atol=1e-6)
     observations = env.step(torch.randn(8, 1))[0]

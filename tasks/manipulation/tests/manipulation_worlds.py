@@ -11,7 +11,7 @@ from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab_managers import ObservationTermCfg
 from mjlab_manipulation import lift_cube_env
 from mjlab_manipulation.lift import COMMAND, lift_env
-from mjlab_manipulation.mdp import LiftCommand, LiftCommandCfg, Region
+from mjlab_manipulation.mdp import LiftCommand, Region
 from mjlab_manipulation.objects import cube_spec
 from mjlab_scene import EntityCfg
 
@@ -21,8 +21,7 @@ COLOURS = ("red", "green", "blue")
 def three_cubes() -> ManagerBasedRlEnvCfg:
   """An environment with three cubes, without a camera."""
   cfg = lift_env({name: EntityCfg(spec_fn=cube_spec) for name in COLOURS})
-  command = cfg.commands[COMMAND]
-  assert isinstance(command, LiftCommandCfg)
+  command: Any = cfg.commands[COMMAND]
   command.start = Region(x=(0.25, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03))
   return cfg
 
@@ -37,8 +36,7 @@ def lift(
     setattr(cfg.commands[COMMAND], name, value)
   env = ManagerBasedRlEnv(cfg, device="cpu")
   env.reset()
-  term = env.command_manager.get_term(COMMAND)
-  assert isinstance(term, LiftCommand)
+  term: Any = env.command_manager.get_term(COMMAND)
   return env, term
 
 
@@ -54,18 +52,15 @@ def place(env: ManagerBasedRlEnv, position: np.ndarray, entity: str = "cube", wo
 
 def image_cfg(cfg: ManagerBasedRlEnvCfg) -> ObservationTermCfg:
   """The observation of a task that is images."""
-  group = cfg.observations["camera"]
-  assert group is not None
-  term = group.terms["image"]
-  assert term is not None
+  group: Any = cfg.observations["camera"]
+  term: Any = group.terms["image"]
   return term
 
 
 def images(env: ManagerBasedRlEnv) -> np.ndarray:
   """What the policies see now, (num_envs, channels, height, width)."""
   env.observation_manager.compute()
-  seen = env.get_observations()["camera"]
-  assert isinstance(seen, torch.Tensor)
+  seen: Any = env.get_observations()["camera"]
   assert seen.dtype == torch.float32
   return seen.numpy().copy()
 

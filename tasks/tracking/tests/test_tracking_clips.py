@@ -130,22 +130,3 @@ def test_the_g1_is_symmetric_to_a_tenth_of_a_millimetre(robot: Kinematics) -> No
   twins = [robot.body_names.index(twin_name(name)) for name in robot.body_names]
   flip = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
   assert (pos_m - pos[:, twins] * flip).abs().max() < 1e-4
-
-
-def test_bodies_of_the_g1_are_and_move_as_mujoco_has_them(robot: Kinematics) -> None:
-  model, rng = robot.model, np.random.default_rng(3)
-  data = mujoco.MjData(model)
-  data.qpos[:] = rng.normal(size=model.nq) * 0.4
-  data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-  data.qvel[:] = rng.normal(size=model.nv)
-  mujoco.mj_forward(model, data)
-  mujoco.mju_rotVecQuat(spin := np.empty(3), data.qvel[3:6], data.qpos[3:7])
-  root_pos, root_quat, joints = (torch.from_numpy(part.copy())[None] for part in np.split(data.qpos, (3, 7)))
-  pos, quat = robot.poses(root_pos, root_quat, joints)
-  rates = (torch.from_numpy(np.array(part))[None] for part in (data.qvel[:3], spin, data.qvel[6:]))
-  linear, angular = robot.velocities(pos, quat, *rates)
-  expected = np.empty((model.nbody - 1, 6))
-  for body, row in enumerate(expected, start=1):
-    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, row, 0)
-  np.testing.assert_allclose(pos[0], data.xpos[1:], atol=1e-12)
-  np.testing.assert_allclose(np.hstack((angular[0], linear[0])), expected, atol=1e-12)

@@ -121,8 +121,7 @@ def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: 
 def test_a_world_that_fails_on_its_first_step_counts_with_that_step(folder: Path) -> None:
   cfg = evaluator().configure(still(folder))
   # So low a threshold that every first step is a failure.
-  term = cfg.terminations["anchor_pos"]
-  assert term is not None
+  term: Any = cfg.terminations["anchor_pos"]
   term.params["threshold"] = -1.0
   with ManagerBasedRlEnv(cfg, device="cpu") as env:
     result = evaluator().run(env, lambda _: torch.zeros(6, 29))

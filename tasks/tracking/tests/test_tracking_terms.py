@@ -13,7 +13,6 @@ from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import MetricsTermCfg
 from mjlab_robots import G1_ACTION_SCALE
 from mjlab_tracking.g1 import g1_flat_env
-from mjlab_tracking.mdp import MotionCommand
 from tracking_env import command, make, still
 from tracking_oracle import STEP, Reference, World, matrix
 
@@ -34,8 +33,7 @@ _STATE: dict[str, np.ndarray] = {}
 
 def note_state(env: ManagerBasedRlEnv) -> torch.Tensor:
   """Keep what rewards are given for, before anybody is reset or pushed."""
-  term = env.command_manager.get_term("motion")
-  assert isinstance(term, MotionCommand)
+  term: Any = env.command_manager.get_term("motion")
   data = env.sim.data
   for name, value in {"qpos": data.qpos, "qvel": data.qvel, "clip": term.clip, "frame": term.frame}.items():
     _STATE[name] = value.double().numpy().copy()
@@ -70,8 +68,7 @@ def roll(folder: Path, steps: int, num_envs: int = 8, engine: Literal["native", 
   cfg.episode_length_s = 0.5
   command(cfg).motion = str(folder)
   # And pushes before that.
-  push = cfg.events["push_robot"]
-  assert push is not None
+  push: Any = cfg.events["push_robot"]
   push.interval_range_s = (0.1, 0.3)
   with ManagerBasedRlEnv(cfg, device="cpu") as env:
     observations, _ = env.reset()
@@ -84,8 +81,7 @@ def roll(folder: Path, steps: int, num_envs: int = 8, engine: Literal["native", 
     loudness = torch.tensor([0.1, 0.5, 1.0, 2.5]).repeat(num_envs // 4)[:, None]
     action = torch.zeros(num_envs, 29)
     seen: list[Step] = []
-    term = env.command_manager.get_term("motion")
-    assert isinstance(term, MotionCommand)
+    term: Any = env.command_manager.get_term("motion")
     names = list(env.reward_manager.active_terms)
     weights = np.array([env.reward_manager.get_term_cfg(name).weight for name in names])
     for k in range(steps):

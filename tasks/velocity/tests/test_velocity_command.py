@@ -24,8 +24,7 @@ def env() -> ManagerBasedRlEnv:
 
 
 def twist(env: ManagerBasedRlEnv) -> UniformVelocityCommand:
-  term = env.command_manager.get_term("twist")
-  assert isinstance(term, UniformVelocityCommand)
+  term: Any = env.command_manager.get_term("twist")
   return term
 
 

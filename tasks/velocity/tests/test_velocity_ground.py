@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from itertools import product
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,6 +63,8 @@ def test_there_are_ten_levels_of_seven_kinds_each_with_its_share(built: tuple[Te
   assert (terrain.tile_types == terrain.tile_types[0]).all()
   np.testing.assert_allclose(terrain.column_shares, [0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1])
   np.testing.assert_allclose(terrain.difficulty, np.tile(np.arange(ROWS)[:, None] / 9.0, (1, 7)))
+  # Of these, worlds begin on the easier six.
+  assert [task.make().env.scene.max_init_terrain_level for task in TASKS.values() if task.rough] == [5, 5]
 
 
 def test_a_level_border_of_twenty_metres_surrounds_the_grid(ground: Height) -> None:
@@ -140,8 +143,7 @@ def test_robots_begin_on_the_surface_of_the_middle_of_their_tiles(
 @pytest.mark.parametrize("task", [name for name in TASKS if "Rough" in name])
 def test_nobody_begins_inside_the_ground_of_any_tile(task: str) -> None:
   env = make_env(70, task=task)
-  levels = env.scene.terrain_levels
-  assert levels is not None
+  levels: Any = env.scene.terrain_levels
   levels.levels.copy_(torch.arange(70) // 7)
   levels.columns.copy_(torch.arange(70) % 7)
   levels.move(torch.ones(70, dtype=torch.bool), torch.zeros(70, dtype=torch.bool), torch.zeros(70, dtype=torch.bool))

@@ -1,6 +1,7 @@
 """Levels of randomised quantities in evaluations, and the sim-to-real preset."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -26,8 +27,7 @@ def test_every_world_has_its_own_combination_of_levels() -> None:
     foot, trunk = model.geom("robot/FR_foot_collision").id, model.body("robot/trunk").id
     friction = env.sim.model.geom_friction[:, foot, 0]
     mass = env.sim.model.body_mass[:, trunk] - 5.204
-    delays = env.scene["robot"].actuators.groups[0].delay
-    assert delays is not None
+    delays: Any = env.scene["robot"].actuators.groups[0].delay
     env.step(torch.zeros(env.num_envs, 12))
     lag = delays.lag
     found = torch.stack((lag.float(), friction.float(), mass.float()), 1)
@@ -81,8 +81,7 @@ def test_the_preset_draws_all_that_a_robot_differs_in() -> None:
       assert group.delay is not None
       assert group.delay.lag.unique().tolist() == [0, 1, 2, 3, 4]
     assert env.observation_manager.describe().count("0 to 1") == 4
-  push = task.env.events["push_robot"]
-  assert push is not None
+  push: Any = task.env.events["push_robot"]
   assert push.params["velocity_range"]["x"] == (-1.0, 1.0)
 
 

@@ -1,5 +1,7 @@
 """What differs between worlds: friction, encoders, centre of mass."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -80,8 +82,7 @@ def test_every_joint_of_every_world_has_its_own_encoder_bias(env: ManagerBasedRl
 
 def test_the_encoder_bias_is_seen_by_the_actor_alone_and_taken_off_its_set_points(task: str, robot: Robot) -> None:
   observed = TASKS[task].make().env.observations
-  actor = observed["actor"]
-  assert actor is not None
+  actor: Any = observed["actor"]
   actor.corrupt = False
   quiet = make_env(8, task=task, observations=observed)
   quiet.reset()
@@ -91,8 +92,7 @@ def test_the_encoder_bias_is_seen_by_the_actor_alone_and_taken_off_its_set_point
   seen: dict[str, np.ndarray] = {}
   for group in ("actor", "critic"):
     columns = {term.name: term.columns for term in quiet.observation_manager.layout(group)}
-    observation = observations[group]
-    assert isinstance(observation, torch.Tensor)
+    observation: Any = observations[group]
     seen[group] = observation.double().numpy()[:, columns["joint_pos"]]
   np.testing.assert_allclose(seen["actor"] - seen["critic"], bias, atol=1e-6)
   model = quiet.sim.mj_model

@@ -2,12 +2,12 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_envs.mdp import JointPositionAction
-from mjlab_managers import ObservationGroupCfg, UniformNoiseCfg
+from mjlab_managers import UniformNoiseCfg
 from mjlab_velocity.rough import rough_terrain
 from velocity_facts import TASKS
 from velocity_rollout import make_env
@@ -102,8 +102,7 @@ def test_the_table_of_observations_is_that_of_the_tasks(envs: dict[str, ManagerB
     for group, said in (("actor", "actor, uniform noise ±"), ("critic", "critic, no noise")):
       written = [(name(row["term"]), int(row[robot])) for row in mine if row[said] != "-"]
       assert written == [(term.name, term.shape[0]) for term in env.observation_manager.layout(group)]
-    actor = env.cfg.observations["actor"]
-    assert isinstance(actor, ObservationGroupCfg)
+    actor: Any = env.cfg.observations["actor"]
     for row in (row for row in mine if row["actor, uniform noise ±"] != "-"):
       term, said = actor.terms[name(row["term"])], row["actor, uniform noise ±"]
       assert term is not None
@@ -118,8 +117,7 @@ def test_the_table_of_observations_is_that_of_the_tasks(envs: dict[str, ManagerB
 @pytest.mark.parametrize("robot", ["Go1", "G1"])
 def test_scales_and_postures_are_those_of_the_tasks(robot: str, envs: dict[str, ManagerBasedRlEnv]) -> None:
   env = envs[COLUMNS[f"{robot} flat"]]
-  term = env.action_manager.get_term("joint_pos")
-  assert isinstance(term, JointPositionAction)
+  term: Any = env.action_manager.get_term("joint_pos")
   joints = term.joint_names
 
   def by_joint(rows: list[dict[str, str]], column: str) -> list[float]:

@@ -83,8 +83,7 @@ def test_groups_of_geoms_find_the_pairs_of_a_test_of_every_pair(name: str) -> No
     positions[world], rotations[world] = data.geom_xpos, data.geom_xmat
   d.geom_xpos = wp.array(positions, dtype=wp.vec3)
   d.geom_xmat = wp.array(rotations.reshape(worlds, -1, 3, 3), dtype=wp.mat33)
-  ours = grouped_broadphase(model, m, d)
-  assert ours is not None
+  ours: Any = grouped_broadphase(model, m, d)
   assert ours.saved > 0.8 * m.nxn_geom_pair_filtered.shape[0]
   expected = pairs(m, d, nxn_broadphase)
   assert len(expected) > 20 * worlds

@@ -111,8 +111,7 @@ class Rollout:
 
   def terms(self, group: str) -> list[dict[str, np.ndarray]]:
     """Observations of each world by term."""
-    observation = self.observations[group]
-    assert isinstance(observation, torch.Tensor)
+    observation: Any = self.observations[group]
     layout = self.env.observation_manager.layout(group)
     return [{term.name: row[term.columns] for term in layout} for row in observation.double().numpy()]
 
