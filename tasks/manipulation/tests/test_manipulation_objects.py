@@ -140,7 +140,7 @@ def test_each_begins_above_the_ground_by_as_much_whatever_its_size() -> None:
 
 def test_a_run_goes_on_with_the_objects_it_had_however_they_would_be_dealt_now(tmp_path: Path) -> None:
   def run(shuffle: int, iterations: int, resume: Path | None = None) -> Path:
-    task = lift_objects()
+    task: Any = lift_objects()
     entity: Any = task.env.scene.entities["object"]
     task.env.scene.num_envs, task.env.seed, entity.seed = 8, 0, shuffle
     # Of reach in few steps.
@@ -149,6 +149,7 @@ def test_a_run_goes_on_with_the_objects_it_had_however_they_would_be_dealt_now(t
     mass: Any = task.env.events["object_mass"]
     mass.mode = "reset"
     task.agent.num_steps_per_env, task.agent.max_iterations, task.agent.seed = 8, iterations, 0
+    task.agent.algorithm.num_learning_epochs = 1
     options: dict[str, Any] = {"log_root": tmp_path / str(shuffle), "console": Console("quiet"), "resume": resume}
     checkpoint: Any = train(task, name="Lift", make_env=ManagerBasedRlEnv, **options).checkpoint
     return checkpoint

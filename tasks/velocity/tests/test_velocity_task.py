@@ -112,33 +112,23 @@ def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> Non
   assert cfg == trained
 
 
-@every_task
-def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out(name: str) -> None:
-  facts, task = TASKS[name], TASKS[name].make()
-  assert task.play is not None
+def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out() -> None:
+  task: Any = TASKS["Mjlab-Velocity-Flat-Unitree-Go1"].make()
   task.env.scene.num_envs, task.env.seed = 4, 7
   env = ManagerBasedRlEnv(task.play(task.env), device="cpu")
   env.reset()
   env.episode_length_buf.fill_(10**9)
-  joints = len(facts.robot.joints)
   bias = env.scene["robot"].data.encoder_bias.float()
-  pushed = 0
-  for _ in range(160 if facts.robot.root == "trunk" and not facts.rough else 40):
-    observations, _, terminated, truncated, _ = env.step(torch.zeros(4, joints))
-    actor, critic = observations["actor"], observations["critic"]
-    assert isinstance(actor, torch.Tensor)
-    assert isinstance(critic, torch.Tensor)
-    torch.testing.assert_close(actor[:, 9 : 9 + joints], critic[:, 9 : 9 + joints] + bias)
-    assert torch.equal(actor[:, :9], critic[:, :9])
-    assert torch.equal(actor[:, 9 + joints :], critic[:, 9 + joints : actor.shape[1]])
-    assert not truncated.any()
-    # A stair may trip who does not look.
-    assert facts.rough or not terminated.any()
-    pushed += int(env.sim.data.qvel[:, :2].abs().max() > 1.0)
-  # Who falls down a stair is faster, too.
-  assert facts.rough or not pushed
-  assert "push_robot" in task.env.events
-  assert "push_robot" not in env.event_manager.active_terms
+  # Pushes would come after 3 s at the latest.
+  for _ in range(160):
+    observations, _, terminated, truncated, _ = env.step(torch.zeros(4, 12))
+    actor, critic = (torch.as_tensor(observations[group]) for group in ("actor", "critic"))
+    seen = critic[:, : actor.shape[1]]
+    torch.testing.assert_close(actor[:, 9:21], seen[:, 9:21] + bias)
+    assert torch.equal(actor[:, :9], seen[:, :9])
+    assert torch.equal(actor[:, 21:], seen[:, 21:])
+    assert not (terminated | truncated).any()
+    assert env.sim.data.qvel[:, :2].abs().max() < 1.0
 
 
 @every_task
