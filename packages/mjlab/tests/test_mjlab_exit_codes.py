@@ -97,6 +97,7 @@ WRONG = [
   (f"{ZERO} --env.scene.num-envs 3", "--env.scene.num-envs: an evaluation plays one episode in each"),
   (f"{ZERO} --require 'lenght>=25' --quiet", "metric 'lenght' does not exist. Nearest: length"),
   (f"{GRID.format(TASK)} payload=1", "ReturnEvaluation, the evaluation of Test-Pendulum, has no levels"),
+  (f"{GRID.format(GO1)} mass=1,2", "event 'mass' does not exist"),
   (f"{GRID.format(GO1)} payload", "'payload' is not of the form EVENT=NUMBER,NUMBER,..."),
   (RECORD, "--output is missing: name the clip's file"),
   (f"{RECORD} --output clip.csv", "--output: clip.csv does not end in .npz"),
@@ -171,7 +172,6 @@ FAILED = [
   ("convert-motion there.pkl", "there.pkl: expected .csv or .npz"),
   ("convert-motion march.csv --rate 1e-320", "rate must be in [1, 10000]"),
   ("convert-motion march.csv", "state it with --rate"),
-  (f"{GRID.format(GO1)} mass=1,2", "event 'mass' does not exist"),
   (f"{TRAIN} --seed {2**64}", "env.seed: must be in"),
   # More than any machine has addresses for: it must not be tried.
   (f"{TRAIN} --env.scene.num-envs {10**15}", "not enough memory"),
