@@ -581,6 +581,22 @@ def test_a_new_camera_is_added_where_it_is_wanted() -> None:
     _ = flat.intrinsic_matrix
 
 
+def test_an_existing_camera_is_seen_with_another_field_of_view() -> None:
+  shown: Any = ("depth", "segmentation")
+  sim, (narrow, wide, _) = build(eye(data_types=shown), eye("wide", fovy=90.0, data_types=shown), cfg("third"))
+  place(sim, *[(0.6, 0.0, 1.5, None)] * NUM_ENVS)
+  model = sim.mj_model
+  assert (model.cam("wide").fovy, model.cam("robot/eye").fovy) == (90.0, 60.0)
+  for field in ("pos", "quat", "mode", "bodyid"):
+    np.testing.assert_array_equal(getattr(model.cam("wide"), field), getattr(model.cam("robot/eye"), field))
+  for field in ("pos_w", "mat_w"):
+    torch.testing.assert_close(getattr(narrow.data, field), getattr(wide.data, field))
+  # The box fills less of the wide view, and the middle of both is one point of it.
+  shares = [(sensor.data.segmentation[:, 0] == model.geom("box").id).float().mean() for sensor in (narrow, wide)]
+  assert shares[0] > 1.3 * shares[1] > 0.0
+  torch.testing.assert_close(narrow.data.depth[:, 0, 4, 6], wide.data.depth[:, 0, 4, 6], rtol=0.0, atol=1e-6)
+
+
 def test_options_that_only_physics_needs_do_not_keep_a_model_from_being_drawn() -> None:
   xml = SCENE.replace("<option ", '<option solver="PGS" integrator="RK4" ')
   sim, (sensor,) = build(eye(data_types=("depth",)), xml=xml)

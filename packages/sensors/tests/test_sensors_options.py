@@ -1,4 +1,4 @@
-"""World-frame contact forces, forward grids, and other fields of view of existing cameras."""
+"""World-frame contact forces and forward grids."""
 
 import dataclasses
 from typing import Any
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from mjlab_sensors import (
-  CameraSensorCfg,
   ContactMatch,
   ContactSensorCfg,
   FrameMatch,
@@ -30,7 +29,6 @@ WORLD = """
     </body>
     <body name="head" pos="0 1 1" euler="0 0 10">
       <site name="eye"/>
-      <camera name="narrow" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="30" resolution="16 12"/>
     </body>
   </worldbody>
 </mujoco>
@@ -89,25 +87,3 @@ def test_a_forward_grid_is_parallel_to_the_x_axis_of_its_frame(engine: str) -> N
   ]
   np.testing.assert_allclose(sensors["scan"].data.distances[1].double().cpu().numpy(), expected, atol=1e-5)
   assert sensors["scan"].data.valid.all()
-
-
-def test_an_existing_camera_is_seen_with_another_field_of_view() -> None:
-  sim, sensors = built(
-    "native",
-    narrow=CameraSensorCfg(camera="narrow", data_types=("depth",)),
-    wide=CameraSensorCfg(camera="narrow", fovy=90.0, data_types=("depth",)),
-  )
-  model = sim.mj_model
-  assert model.ncam == 2
-  assert model.cam("wide").fovy == 90.0
-  assert model.cam("narrow").fovy == 30.0
-  for field in ("pos", "quat", "mode", "bodyid"):
-    np.testing.assert_array_equal(getattr(model.cam("wide"), field), getattr(model.cam("narrow"), field))
-  narrow, wide = (sensors[name].data for name in ("narrow", "wide"))
-  torch.testing.assert_close(narrow.pos_w, wide.pos_w)
-  torch.testing.assert_close(narrow.mat_w, wide.mat_w)
-  assert wide.depth.shape == (2, 1, 12, 16)
-  # The wall fills less of the wide view, and the middle of both is one point of it.
-  shares = [((data.depth > 2.0) & (data.depth < 4.0)).float().mean() for data in (narrow, wide)]
-  assert shares[0] > 1.3 * shares[1] > 0.0
-  torch.testing.assert_close(*(data.depth[0, 0, 5:7, 7:9].mean() for data in (narrow, wide)), rtol=0.01, atol=0.0)

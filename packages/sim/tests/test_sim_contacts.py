@@ -48,6 +48,16 @@ def test_what_rests_is_carried_by_its_contacts(make_sim: MakeSim, engine: str) -
       np.testing.assert_allclose(contacts["force"][rows].sum(axis=0), [0, 0, 9.81 * mass], rtol=2e-3, atol=2e-2)
       np.testing.assert_allclose(contacts["normal"][rows], np.tile([0.0, 0.0, 1.0], (rows.sum(), 1)), atol=1e-6)
     assert (np.abs(contacts["dist"]) < 2e-3).all()
+  weight = torch.tensor(model.body_mass[1:4] * 9.81)
+  vertical = sim.data.qfrc_constraint[:, [2, 8, 14]].double()
+  torch.testing.assert_close(vertical, weight.expand(NUM_WORLDS, 3), rtol=1e-3, atol=0.0)
+  assert sim.data.qvel[:, :18].abs().max() < 1e-3
+  # The sensor reports, for each of the block's four corners: found, force along the normal first, position, normal.
+  first = int(model.sensor("contact").adr[0])
+  slots = sim.data.sensordata[:, first : first + 40].reshape(NUM_WORLDS, 4, 10).double()
+  assert (slots[:, :, 0] == 4).all()
+  torch.testing.assert_close(slots[:, :, 1].sum(1), weight[2].expand(NUM_WORLDS), rtol=1e-3, atol=0.0)
+  torch.testing.assert_close(slots[:, :, 9].abs(), torch.ones(NUM_WORLDS, 4).double())
 
 
 def test_contacts_are_what_the_engines_own_contact_sensor_says(make_sim: MakeSim, engine: str) -> None:

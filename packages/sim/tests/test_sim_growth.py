@@ -43,7 +43,7 @@ def test_growth_in_an_episode_loses_nothing(make_sim: MakeSim) -> None:
   views = {name: getattr(growing.data, name) for name in ("qpos", "sensordata", "ctrl")}
   for sim in (growing, roomy):
     scatter(sim)
-  for step, (one, other) in enumerate(zip(fall(growing, 150), fall(roomy, 150), strict=True)):
+  for step, (one, other) in enumerate(zip(fall(growing, 90), fall(roomy, 90), strict=True)):
     for name in STATE:
       assert torch.equal(one[name], other[name]), (step, name)
   assert int(roomy.data.nefc.max()) > 8

@@ -120,13 +120,6 @@ def test_memory_that_ran_out_is_reported_once_whatever_was_reset_since() -> None
   roomy.close()
 
 
-def test_nothing_is_reported_where_all_fits(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine, spec=AIRBORNE)
-  place(sim, *HEIGHTS)
-  place(sim, *HEIGHTS)
-  assert sim.overflow_report() == []
-
-
 @pytest.mark.warp
 def test_too_little_for_the_initial_state_is_refused_with_the_setting(make_sim: MakeSim) -> None:
   with pytest.raises(MjlabError, match="nconmax must be >= 7"):

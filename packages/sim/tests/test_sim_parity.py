@@ -284,18 +284,18 @@ def test_geoms_that_never_move_are_where_each_world_puts_them(make_sim: MakeSim,
   floor, crate = sim.mj_model.geom("floor").id, sim.mj_model.geom("crate").id
   fence = sim.mj_model.body("fence").id
   sim.expand_model_fields(["geom_pos", "body_pos"])
-  depth = 0.2 * torch.arange(NUM_WORLDS, dtype=sim.dtype)
+  depth = 0.05 * torch.arange(NUM_WORLDS, dtype=sim.dtype)
   sim.model.geom_pos[:, floor, 2] -= depth
   sim.model.body_pos[:, fence, 0] += depth
   sim.recompute_constants()
   torch.testing.assert_close(sim.data.geom_xpos[:, floor, 2], -depth)
   torch.testing.assert_close(sim.data.geom_xpos[:, crate, 0], depth - 2.0)
   sim.reset()
-  for _ in range(200):
+  for _ in range(120):
     sim.step()
   # The ball fell onto the floor of its own world.
   torch.testing.assert_close(sim.data.geom_xpos[:, floor, 2], -depth)
-  torch.testing.assert_close(sim.data.qpos[:, 2], 0.1 - depth, rtol=0.0, atol=0.02)
+  torch.testing.assert_close(sim.data.qpos[:, 2], 0.1 - depth, rtol=0.0, atol=0.005)
 
 
 def test_recomputing_constants_leaves_state_and_forces_alone(make_sim: MakeSim, engine: str) -> None:
@@ -352,22 +352,6 @@ def test_expanding_keeps_values(make_sim: MakeSim, engine: str) -> None:
   assert (sim.mj_model.body_mass == np.float64(default.numpy())).all() or engine == "warp"
 
 
-def test_what_rests_is_carried_by_contacts(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
-  for _ in range(300):
-    sim.step()
-  weight = torch.tensor(sim.mj_model.body_mass[1:4] * 9.81)
-  vertical = sim.data.qfrc_constraint[:, [2, 8, 14]].double()
-  torch.testing.assert_close(vertical, weight.expand(NUM_WORLDS, 3), rtol=1e-3, atol=0.0)
-  assert sim.data.qvel[:, :18].abs().max() < 1e-3
-  # The sensor reports, for each of the block's four corners: found, force along the normal first, position, normal.
-  slots = sim.data.sensordata[:, sensor_columns(sim.mj_model, "contact")].reshape(NUM_WORLDS, 4, 10).double()
-  assert (slots[:, :, 0] == 4).all()
-  torch.testing.assert_close(slots[:, :, 1].sum(1), weight[2].expand(NUM_WORLDS), rtol=1e-3, atol=0.0)
-  torch.testing.assert_close(slots[:, :, 9].abs(), torch.ones(NUM_WORLDS, 4).double())
-
-
-@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 def test_sensors_of_forces_do_not_remember_the_substep_before(make_sim: MakeSim, engine: str) -> None:
   # MuJoCo Warp adds touch up, and writes the force of a limit only where there is one.
   spec = """
@@ -399,8 +383,3 @@ def test_sensors_of_forces_do_not_remember_the_substep_before(make_sim: MakeSim,
     if substep < 5:
       assert (expected > 0).all()
   assert not expected.any()
-
-
-def sensor_columns(model: mujoco.MjModel, name: str) -> slice:
-  sensor = model.sensor(name)
-  return slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
