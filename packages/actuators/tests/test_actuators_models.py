@@ -1,6 +1,7 @@
 """Each law against its closed form, and the native ones against MuJoCo C."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,26 +63,35 @@ def clamped(value: torch.Tensor, limit: float) -> np.ndarray:
 
 
 KP, KD, LIMIT = 3.0, 0.4, 2.0
+EVERY_JOINT: dict[str, Any] = {"target_names_expr": ALL}
+GAINS: dict[str, Any] = EVERY_JOINT | {"stiffness": KP, "damping": KD}
+
+
+def servo(**fields: Any) -> ActuatorCfg:
+  return NativePositionActuatorCfg(**(GAINS | fields))
+
+
+def pd(**fields: Any) -> ActuatorCfg:
+  return IdealPdActuatorCfg(**(GAINS | fields))
+
+
+def motor(**fields: Any) -> ActuatorCfg:
+  return NativeMotorActuatorCfg(**(EVERY_JOINT | fields))
+
+
+def speed(**fields: Any) -> ActuatorCfg:
+  numbers: dict[str, Any] = EVERY_JOINT | {"damping": KD} | fields
+  return NativeVelocityActuatorCfg(**numbers)
+
+
 LAWS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
+  (servo(effort_limit=LIMIT), lambda c: clamped(KP * (c.position_target - c.position) - KD * c.velocity, LIMIT)),
+  (servo(), lambda c: (KP * (c.position_target - c.position) - KD * c.velocity).numpy()),
+  (speed(effort_limit=0.3), lambda c: clamped(KD * (c.velocity_target - c.velocity), 0.3)),
+  (motor(), lambda c: c.effort_target.numpy()),
+  (motor(effort_limit=0.5, gear=-3.0), lambda c: clamped(c.effort_target, 1.5)),
   (
-    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD, effort_limit=LIMIT),
-    lambda c: clamped(KP * (c.position_target - c.position) - KD * c.velocity, LIMIT),
-  ),
-  (
-    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD),
-    lambda c: (KP * (c.position_target - c.position) - KD * c.velocity).numpy(),
-  ),
-  (
-    NativeVelocityActuatorCfg(target_names_expr=ALL, damping=KD, effort_limit=0.3),
-    lambda c: clamped(KD * (c.velocity_target - c.velocity), 0.3),
-  ),
-  (NativeMotorActuatorCfg(target_names_expr=ALL), lambda c: c.effort_target.numpy()),
-  (
-    NativeMotorActuatorCfg(target_names_expr=ALL, effort_limit=0.5, gear=-3.0),
-    lambda c: clamped(c.effort_target, 1.5),
-  ),
-  (
-    IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD, effort_limit=LIMIT),
+    pd(effort_limit=LIMIT),
     lambda c: clamped(
       KP * (c.position_target - c.position) + KD * (c.velocity_target - c.velocity) + c.effort_target, LIMIT
     ),
@@ -98,7 +108,7 @@ def test_mujoco_applies_the_closed_form(cfg: ActuatorCfg, law: Callable[[Actuato
 
 
 def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
-  model, actuators = make(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=0.0))
+  model, actuators = make(servo(damping=0.0))
   cmd = random_command()
   cmd.position_target.fill_(50.0)
   ctrl = actuators.compute(*columns(cmd))
@@ -106,7 +116,7 @@ def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
 
 
 def test_the_informational_ctrl_range_is_the_joint_range_widened_to_saturation_in_radians() -> None:
-  model, _ = make(NativePositionActuatorCfg(target_names_expr=ALL, stiffness=2.0, damping=0.0, effort_limit=3.0))
+  model, _ = make(servo(stiffness=2.0, damping=0.0, effort_limit=3.0))
   assert not model.actuator_ctrllimited.any()
   np.testing.assert_allclose(model.actuator("a").ctrlrange, [-np.pi / 3 - 1.5, np.pi / 2 + 1.5])
   np.testing.assert_allclose(model.actuator("b").ctrlrange, [0.0, 0.0])
@@ -114,8 +124,7 @@ def test_the_informational_ctrl_range_is_the_joint_range_widened_to_saturation_i
 
 
 def test_one_config_gives_each_joint_its_own_numbers() -> None:
-  cfg = NativePositionActuatorCfg(
-    target_names_expr=ALL,
+  cfg = servo(
     stiffness={"a": 1.0, "[bc]": 2.0},
     damping={"[ab]": 0.1, "c": 0.2},
     effort_limit={"a": 5.0, "b": 6.0, "c": float("inf")},
@@ -134,10 +143,7 @@ def test_one_config_gives_each_joint_its_own_numbers() -> None:
 
 
 def test_zero_stiffness_with_an_effort_limit_builds() -> None:
-  for cfg in (
-    NativePositionActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
-    IdealPdActuatorCfg(target_names_expr=ALL, stiffness=0.0, damping=KD, effort_limit=LIMIT),
-  ):
+  for cfg in (servo(stiffness=0.0, effort_limit=LIMIT), pd(stiffness=0.0, effort_limit=LIMIT)):
     model, actuators = make(cfg)
     cmd = random_command()
     cmd.velocity_target.zero_()
@@ -150,47 +156,23 @@ def test_zero_stiffness_with_an_effort_limit_builds() -> None:
   ("cfg", "message"),
   [
     (
-      NativePositionActuatorCfg(target_names_expr=ALL, stiffness={"a": 1.0, "b": -2.0, "c": 1.0}, damping=0.0),
+      servo(stiffness={"a": 1.0, "b": -2.0, "c": 1.0}, damping=0.0),
       "NativePositionActuatorCfg: stiffness must not be negative, got .*'b': -2.0",
     ),
-    (
-      IdealPdActuatorCfg(target_names_expr=ALL, stiffness=1.0, damping=-0.1),
-      "IdealPd.*damping must not be negative, got -0.1",
-    ),
-    (
-      IdealPdActuatorCfg(target_names_expr=ALL, stiffness=float("nan"), damping=0.1),
-      "stiffness must be a number, got nan",
-    ),
-    (NativeMotorActuatorCfg(target_names_expr=ALL, effort_limit=0.0), "effort_limit must be positive, got 0.0"),
-    (
-      NativeVelocityActuatorCfg(target_names_expr=ALL, damping=1.0, effort_limit=-1.0),
-      "effort_limit must be positive, got -1.0",
-    ),
-    (NativeMotorActuatorCfg(target_names_expr=ALL, armature=-1e-3), "armature must not be negative, got -0.001"),
-    (
-      NativeMotorActuatorCfg(target_names_expr=ALL, frictionloss={"b": -1.0}),
-      "frictionloss must not be negative, got .*'b': -1.0",
-    ),
-    (
-      NativeMotorActuatorCfg(target_names_expr=ALL, viscous_damping=-1.0),
-      "viscous_damping must not be negative, got -1.0",
-    ),
-    (NativeMotorActuatorCfg(target_names_expr=ALL, gear=0.0), "gear must not be zero, got 0.0"),
-    (NativeMotorActuatorCfg(target_names_expr=ALL, delay_min_lag=3, delay_max_lag=2), "delay_min_lag 3 exceeds"),
-    (NativeMotorActuatorCfg(target_names_expr=ALL, delay_min_lag=-1), "delay_min_lag must not be negative, got -1"),
-    (
-      NativeMotorActuatorCfg(target_names_expr=ALL, delay_max_lag=1, delay_hold_prob=1.5),
-      r"delay_hold_prob must be in \[0, 1\], got 1.5",
-    ),
-    (
-      NativeMotorActuatorCfg(target_names_expr=ALL, delay_update_period=-1),
-      "delay_update_period must not be negative, got -1",
-    ),
-    (NativeMotorActuatorCfg(target_names_expr=("elbow",)), "entity 'arm': pattern 'elbow' matches no joint"),
-    (
-      NativePositionActuatorCfg(target_names_expr=ALL, stiffness={"a": 1.0}, damping=0.0),
-      "NativePositionActuatorCfg.stiffness",
-    ),
+    (pd(stiffness=1.0, damping=-0.1), "IdealPd.*damping must not be negative, got -0.1"),
+    (pd(stiffness=float("nan"), damping=0.1), "stiffness must be a number, got nan"),
+    (motor(effort_limit=0.0), "effort_limit must be positive, got 0.0"),
+    (speed(damping=1.0, effort_limit=-1.0), "effort_limit must be positive, got -1.0"),
+    (motor(armature=-1e-3), "armature must not be negative, got -0.001"),
+    (motor(frictionloss={"b": -1.0}), "frictionloss must not be negative, got .*'b': -1.0"),
+    (motor(viscous_damping=-1.0), "viscous_damping must not be negative, got -1.0"),
+    (motor(gear=0.0), "gear must not be zero, got 0.0"),
+    (motor(delay_min_lag=3, delay_max_lag=2), "delay_min_lag 3 exceeds"),
+    (motor(delay_min_lag=-1), "delay_min_lag must not be negative, got -1"),
+    (motor(delay_max_lag=1, delay_hold_prob=1.5), r"delay_hold_prob must be in \[0, 1\], got 1.5"),
+    (motor(delay_update_period=-1), "delay_update_period must not be negative, got -1"),
+    (motor(target_names_expr=("elbow",)), "entity 'arm': pattern 'elbow' matches no joint"),
+    (servo(stiffness={"a": 1.0}, damping=0.0), "NativePositionActuatorCfg.stiffness"),
   ],
 )
 def test_impossible_numbers_are_refused_by_name_at_build(cfg: ActuatorCfg, message: str) -> None:
@@ -208,7 +190,7 @@ class StifferServoCfg(NativePositionActuatorCfg):
 
 def test_a_subclass_of_a_native_config_is_one_too() -> None:
   own = StifferServoCfg(target_names_expr=("a",), stiffness=KP, damping=KD)
-  model, actuators = make(own, NativePositionActuatorCfg(target_names_expr=("[bc]",), stiffness=KP, damping=KD))
+  model, actuators = make(own, servo(target_names_expr=("[bc]",)))
   assert len(actuators.groups) == 1
   cmd = random_command()
   got = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
@@ -219,17 +201,17 @@ def test_a_subclass_of_a_native_config_is_one_too() -> None:
 
 def test_a_joint_driven_twice_is_refused() -> None:
   with pytest.raises(ValueError, match="joint 'b' already has an actuator"):
-    make(NativeMotorActuatorCfg(target_names_expr=ALL), NativeMotorActuatorCfg(target_names_expr=("b",)))
+    make(motor(), motor(target_names_expr=("b",)))
 
 
 def test_a_model_compiled_without_the_actuators_is_refused() -> None:
-  actuators = ActuatorSet([NativeMotorActuatorCfg(target_names_expr=ALL)])
+  actuators = ActuatorSet([motor()])
   with pytest.raises(ValueError, match="no actuator 'a'; call edit_spec before"):
     actuators.build(mujoco.MjModel.from_xml_string(ARM), num_envs=1, device="cpu", dtype=torch.float64)
 
 
 def test_a_raised_effort_limit_reaches_the_joint() -> None:
-  model, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=100.0, damping=0.0, effort_limit=LIMIT))
+  model, actuators = make(pd(stiffness=100.0, damping=0.0, effort_limit=LIMIT))
   cmd = random_command()
   (law,) = actuators.groups
   law.expand("effort_limit")[1] = 1000.0
@@ -242,7 +224,7 @@ def test_a_raised_effort_limit_reaches_the_joint() -> None:
 
 @pytest.mark.parametrize("worlds", [1, 2])
 def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -> None:
-  cfg = IdealPdActuatorCfg(target_names_expr=("a",), stiffness=1.0, damping=1.0)
+  cfg = pd(target_names_expr=("a",), stiffness=1.0, damping=1.0)
   law = cfg.build(target_names=["a"], num_envs=worlds, device="cpu", dtype=torch.float64)
   assert law.state_dict() == {}
   law.expand("stiffness")
@@ -250,7 +232,7 @@ def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -
 
 
 def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> None:
-  _, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  _, actuators = make(pd())
   cmd = random_command()
   before = actuators.compute(*columns(cmd)).clone()
   (law,) = actuators.groups
@@ -270,14 +252,14 @@ def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> N
 
 
 def test_expanded_limits_clamp_where_there_was_no_limit() -> None:
-  _, actuators = make(IdealPdActuatorCfg(target_names_expr=ALL, stiffness=KP, damping=KD))
+  _, actuators = make(pd())
   cmd = random_command()
   actuators.groups[0].expand("effort_limit").fill_(0.01)
   assert actuators.compute(*columns(cmd)).abs().max() <= 0.01
 
 
 def test_a_law_works_without_a_model() -> None:
-  cfg = IdealPdActuatorCfg(target_names_expr=ALL, stiffness={"x": 1.0, "y": 2.0}, damping=0.0, delay_max_lag=0)
+  cfg = pd(stiffness={"x": 1.0, "y": 2.0}, damping=0.0, delay_max_lag=0)
   law = cfg.build(target_names=["x", "y"], num_envs=4, device="cpu", dtype=torch.float64)
   cmd = random_command(n=2)
   expected = torch.tensor([1.0, 2.0]) * (cmd.position_target - cmd.position) + cmd.effort_target

@@ -115,10 +115,7 @@ def test_each_target_gets_its_own_factor_wherever_its_number_lives() -> None:
   assert parameter.default.tolist() == [[2.0, 4.0, 3.0]]
   assert {
     (field, text.split("'")[1]) for (field, column), text in parameter.claims.items() if isinstance(column, int)
-  } == {
-    ("actuator_gainprm", "c"),
-    ("actuator_biasprm", "c"),
-  }
+  } == {("actuator_gainprm", "c"), ("actuator_biasprm", "c")}
   factor = torch.tensor([[1.0, 2.0, 3.0]], dtype=torch.float64) + torch.arange(WORLDS)[:, None]
   parameter.scale(factor, MASK)
   (law,) = (law for law in actuators.groups if isinstance(law, IdealPd))

@@ -300,10 +300,7 @@ def test_a_tendon_and_a_joint_of_one_name_are_two_targets() -> None:
   ]
   for order in (cfgs, cfgs[::-1]):
     model, actuators = make(*order)
-    assert {model.actuator(i).name for i in range(2)} == {
-      "lift",
-      "lift_joint" if order is not cfgs else "lift_tendon",
-    }
+    assert {model.actuator(i).name for i in range(2)} == {"lift", "lift_joint" if order is not cfgs else "lift_tendon"}
     # One law, one computation, whatever it acts on.
     assert len(actuators.groups) == 1
     worlds = moving(model)

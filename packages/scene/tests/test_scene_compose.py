@@ -173,12 +173,7 @@ def test_entities_that_disagree_on_an_option_are_both_named() -> None:
 
 def test_sensors_of_a_model_are_wrapped_named_or_not(make_worlds: MakeWorlds) -> None:
   scene, sim = make_worlds(cfg=three())
-  assert list(scene.sensors) == [
-    "robot/gyro",
-    "robot/accelerometer_imu",
-    "twin/gyro",
-    "twin/accelerometer_imu",
-  ]
+  assert list(scene.sensors) == ["robot/gyro", "robot/accelerometer_imu", "twin/gyro", "twin/accelerometer_imu"]
   sim.data.qvel[:, 3:6] = 1.5
   assert (scene["robot/gyro"].data == 1.5).all()
 

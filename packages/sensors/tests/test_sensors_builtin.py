@@ -84,12 +84,7 @@ OBJECTS: list[tuple[Any, ObjRef | None, ObjRef | None, str]] = [
   *[(kind, BASE, None, 'body="robot/base"') for kind in ("subtreecom", "subtreelinvel", "subtreeangmom")],
   *[(kind, None, None, "") for kind in ("e_potential", "e_kinetic", "clock")],
   ("camprojection", TIP, ref("camera", "watch"), 'site="robot/tip" camera="robot/watch"'),
-  (
-    "insidesite",
-    ref("xbody", "base"),
-    ref("site", "zone"),
-    'objtype="xbody" objname="robot/base" site="robot/zone"',
-  ),
+  ("insidesite", ref("xbody", "base"), ref("site", "zone"), 'objtype="xbody" objname="robot/base" site="robot/zone"'),
   *[
     (kind, ref("geom", "hand"), ref("body", "pad"), 'geom1="robot/hand" body2="robot/pad"')
     for kind in ("distance", "normal", "fromto")

@@ -7,13 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_sensors import (
-  ContactMatch,
-  ContactSensorCfg,
-  FrameMatch,
-  GridPatternCfg,
-  RayCastSensorCfg,
-)
+from mjlab_sensors import ContactMatch, ContactSensorCfg, FrameMatch, GridPatternCfg, RayCastSensorCfg
 from mjlab_sim import Simulation
 from sensor_scenes import World, advance
 

@@ -150,11 +150,7 @@ def test_a_wrong_configuration_is_refused_by_name(right: str, change: dict[str, 
   [
     ("gyro", {"sensor_type": None, "obj": None, "element": "robot/imu_gyr"}, "'robot/imu_gyr' does not exist. Nearest"),
     ("gyro", {"obj": ref("site", "imo")}, r"site 'imo' does not exist. Nearest: imu"),
-    (
-      "gyro",
-      {"sensor_type": "framepos", "ref": ref("geom", "rud")},
-      r"geom 'rud' does not exist. Nearest: rod",
-    ),
+    ("gyro", {"sensor_type": "framepos", "ref": ref("geom", "rud")}, r"geom 'rud' does not exist. Nearest: rod"),
     ("gyro", {"obj": ref("site", "imu", "robo")}, r"entity 'robo' does not exist. Nearest: robot"),
     (
       "gyro",

@@ -167,10 +167,7 @@ def test_rays_over_an_edge_do_not_pollute_the_others() -> None:
   sim, sensors = build(
     *[
       TerrainHeightSensorCfg(
-        frames=FrameMatch(type="site", pattern="head", entity="robot"),
-        pattern=pattern,
-        reduction=how,
-        max_distance=3.0,
+        frames=FrameMatch(type="site", pattern="head", entity="robot"), pattern=pattern, reduction=how, max_distance=3.0
       )
       for how in REDUCTIONS
     ],

@@ -1,12 +1,14 @@
 """Rays among geoms of every type that move, and past everything that moves with where they start."""
 
 import copy
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab_sim import RayHits, Simulation, SimulationCfg
+from sim_rays import Expected, check, mujoco_rays
 
 NUM_ENVS, NUM_RAYS = 3, 150
 Geom = mujoco.mjtGeom
@@ -72,31 +74,12 @@ def rays(sim: Simulation) -> tuple[torch.Tensor, torch.Tensor]:
   return torch.tensor(origins, dtype=sim.dtype), torch.tensor(directions, dtype=sim.dtype)
 
 
-def mujoco_rays(
-  sim: Simulation, rays: tuple[torch.Tensor, torch.Tensor], models: list[mujoco.MjModel]
-) -> tuple[np.ndarray, ...]:
-  distance, geom = np.zeros((NUM_ENVS, NUM_RAYS)), np.full((NUM_ENVS, NUM_RAYS, 1), -1, dtype=np.int32)
-  normal = np.zeros((NUM_ENVS, NUM_RAYS, 3))
-  for world, model in enumerate(models):
-    data = mujoco.MjData(model)
-    for name in ("qpos", "mocap_pos", "mocap_quat"):
-      getattr(data, name)[:] = getattr(sim.data, name)[world].double().numpy()
-    mujoco.mj_kinematics(model, data)
-    for ray in range(NUM_RAYS):
-      origin, direction = (part[world, ray].double().numpy() for part in rays)
-      found = geom[world, ray], normal[world, ray]
-      distance[world, ray] = mujoco.mj_ray(model, data, origin, direction, None, 1, -1, *found)
-  return distance, geom[..., 0], normal
+def expected_of(sim: Simulation, models: Sequence[mujoco.MjModel]) -> Expected:
+  return mujoco_rays(sim, *rays(sim), models=models)
 
 
-def check(hits: RayHits, expected: tuple[np.ndarray, ...]) -> None:
-  """Equal but for rays that graze an edge, of which single precision may hit the other side."""
-  distance, geom, normal = expected
-  wrong = np.abs(hits.distance.double().numpy() - distance) > 3e-5
-  assert wrong.mean() < 0.01
-  np.testing.assert_allclose(hits.normal.double().numpy()[~wrong], normal[~wrong], atol=5e-4)
-  assert hits.geomid is not None
-  assert (hits.geomid.numpy() == geom)[~wrong].mean() > 0.99
+def same(hits: RayHits, expected: Expected, far: float = np.inf) -> None:
+  check(hits, expected, far=far, atol=3e-5, normals=5e-4)
 
 
 def without(model: mujoco.MjModel, *bodies: str) -> mujoco.MjModel:
@@ -107,10 +90,10 @@ def without(model: mujoco.MjModel, *bodies: str) -> mujoco.MjModel:
 
 
 def test_rays_see_every_type_of_geom_where_it_is(sim: Simulation) -> None:
-  expected = mujoco_rays(sim, rays(sim), [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
+  expected = expected_of(sim, [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
   trunk = sim.mj_model.body("trunk").id
   hits = sim.make_ray_caster(NUM_RAYS, bodyexclude=trunk, exclude_trees=True).cast(*rays(sim))
-  check(hits, expected)
+  same(hits, expected)
   seen = {sim.mj_model.geom(geom).name for geom in np.unique(expected[1]) if geom >= 0}
   assert seen == {*MOVING, "plane", "hfield"}
 
@@ -119,26 +102,22 @@ def test_rays_pass_through_the_tree_of_a_body_or_through_that_body_alone(sim: Si
   model = sim.mj_model
   leg = model.body("leg1").id
   alone = sim.make_ray_caster(NUM_RAYS, bodyexclude=leg)
-  check(alone.cast(*rays(sim)), mujoco_rays(sim, rays(sim), [without(model, "leg1")] * NUM_ENVS))
+  same(alone.cast(*rays(sim)), expected_of(sim, [without(model, "leg1")] * NUM_ENVS))
   # Rays of a robot and rays of others go together.
   half = NUM_RAYS // 2
   mixed = sim.make_ray_caster(NUM_RAYS, bodyexclude=[leg] * half + [-1] * half, exclude_trees=True)
   hits = mixed.cast(*rays(sim))
-  past, all_of_it = (
-    mujoco_rays(sim, rays(sim), [seen] * NUM_ENVS) for seen in (without(model, "trunk", "leg-1", "leg1"), model)
-  )
-  check(hits, tuple(np.concatenate((a[:, :half], b[:, half:]), axis=1) for a, b in zip(past, all_of_it, strict=True)))
+  past, all_of_it = (expected_of(sim, [seen] * NUM_ENVS) for seen in (without(model, "trunk", "leg-1", "leg1"), model))
+  same(hits, tuple(np.concatenate((a[:, :half], b[:, half:]), axis=1) for a, b in zip(past, all_of_it, strict=True)))
 
 
 def test_a_ray_passes_through_all_of_its_robot_however_far_it_must_go(sim: Simulation) -> None:
   trunk = sim.mj_model.body("trunk").id
   caster = sim.make_ray_caster(NUM_RAYS, bodyexclude=trunk, exclude_trees=True, max_distance=0.8)
   hits = caster.cast(*rays(sim))
-  distance, geom, normal = mujoco_rays(sim, rays(sim), [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
-  far = distance > 0.8
-  distance[far], geom[far], normal[far] = -1.0, -1, 0.0
-  check(hits, (distance, geom, normal))
-  assert far.any()
+  expected = expected_of(sim, [without(sim.mj_model, "trunk", "leg-1", "leg1")] * NUM_ENVS)
+  same(hits, expected, far=0.8)
+  assert (expected[0] > 0.8).any()
 
 
 def test_rays_that_need_not_tell_their_geom_see_the_same(sim: Simulation) -> None:
@@ -162,7 +141,7 @@ def test_a_world_that_was_given_another_mesh_sees_that(sim: Simulation) -> None:
   sim.model.geom_dataid[1, geom] = big
   changed = copy.copy(model)
   changed.geom_dataid[geom] = big
-  expected = mujoco_rays(sim, rays(sim), [model, changed, model])
-  check(caster.cast(*rays(sim)), expected)
-  before = mujoco_rays(sim, rays(sim), [model] * NUM_ENVS)
+  expected = expected_of(sim, [model, changed, model])
+  same(caster.cast(*rays(sim)), expected)
+  before = expected_of(sim, [model] * NUM_ENVS)
   assert (expected[0] != before[0]).any(axis=1).tolist() == [False, True, False]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from mjlab_core import MjlabError
-from mjlab_sim import RayHits, Simulation, SimulationCfg
+from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.rays import fixed_geoms, triangulate
-from numpy.typing import NDArray
+from sim_rays import check, mujoco_rays
 
 NUM_ENVS, NUM_RAYS = 3, 150
 Geom = mujoco.mjtGeom
@@ -65,47 +65,6 @@ def random_rays(sim: Simulation, seed: int = 1) -> tuple[torch.Tensor, torch.Ten
   directions = rng.uniform([-3, -3, -0.5], [3, 3, 0.5], origins.shape) - origins
   directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
   return torch.tensor(origins, dtype=sim.dtype), torch.tensor(directions, dtype=sim.dtype)
-
-
-def mujoco_rays(
-  sim: Simulation,
-  origins: torch.Tensor,
-  directions: torch.Tensor,
-  *,
-  group: NDArray[np.uint8] | None = None,
-  exclude: Any = -1,
-  model: mujoco.MjModel | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-  model = sim.mj_model if model is None else model
-  data = mujoco.MjData(model)
-  distance, geom = np.zeros(origins.shape[:2]), np.zeros(origins.shape[:2], dtype=np.int32)
-  normal = np.zeros(origins.shape)
-  exclude = np.broadcast_to(exclude, NUM_RAYS)
-  for world in range(NUM_ENVS):
-    data.qpos[:] = sim.data.qpos[world].double().numpy()
-    mujoco.mj_kinematics(model, data)
-    for ray in range(NUM_RAYS):
-      origin, direction = (rays[world, ray].double().numpy() for rays in (origins, directions))
-      found = np.zeros(1, dtype=np.int32)
-      distance[world, ray] = mujoco.mj_ray(
-        model, data, origin, direction, group, 1, exclude[ray], found, normal[world, ray]
-      )
-      geom[world, ray] = found[0]
-  return distance, geom, normal
-
-
-def check(hits: RayHits, expected: tuple[np.ndarray, ...], far: float = np.inf) -> None:
-  """Equal but for rays that graze an edge, of which single precision may hit the other side."""
-  distance, geom, normal = (array.copy() for array in expected)
-  missed = distance > far
-  distance[missed], geom[missed], normal[missed] = -1.0, -1, 0.0
-  got = hits.distance.double().numpy()
-  wrong = np.abs(got - distance) > 2e-5
-  assert wrong.mean() < 0.01
-  assert ((distance < 0) == (got < 0))[~wrong].all()
-  np.testing.assert_allclose(hits.normal.double().numpy()[~wrong], normal[~wrong], atol=2e-4)
-  if hits.geomid is not None:
-    assert (hits.geomid.numpy() == geom)[~wrong].mean() > 0.99
 
 
 @pytest.fixture(scope="module", params=ENGINES)
@@ -172,7 +131,7 @@ def test_ground_that_is_changed_is_seen_as_it_is(engine: str, field: str, per_wo
   sim.model[field][:, rows] *= factor
   graph()
   for hits in (casts[-1], caster.cast(origins, directions)):
-    check(hits, mujoco_rays(sim, origins, directions, model=changed))
+    check(hits, mujoco_rays(sim, origins, directions, models=[changed] * NUM_ENVS))
   sim.model[field][:] = sim.default_field(field)
   torch.testing.assert_close(caster.cast(origins, directions).distance, before, rtol=0, atol=0)
   sim.close()
@@ -191,7 +150,7 @@ def test_ground_that_is_changed_right_after_its_memory_was_replaced_is_seen_as_i
   terrain = changed.body("terrain").id
   changed.body_pos[terrain] *= 3.0
   sim.model.body_pos[:, terrain].mul_(3.0)
-  check(caster.cast(origins, directions), mujoco_rays(sim, origins, directions, model=changed))
+  check(caster.cast(origins, directions), mujoco_rays(sim, origins, directions, models=[changed] * NUM_ENVS))
   sim.close()
 
 
