@@ -57,13 +57,6 @@ def test_the_reach_of_an_action_is_the_farther_limit_of_its_joint(make: Make) ->
   np.testing.assert_allclose(env.action_manager.get_term("legs").reach, [[1.2 / 0.5, 1.1 / 0.25]])
 
 
-def test_the_order_of_joints_is_no_state(make: Make) -> None:
-  cfg = hopper_cfg(
-    num_envs=2, actions={"legs": mdp.JointPositionActionCfg(actuators=("knee", "hip"), preserve_order=True)}
-  )
-  assert "_ids" not in make(cfg).action_manager.get_term("legs").state_dict()
-
-
 def test_one_clip_bounds_all_joints(make: Make) -> None:
   env = acting(make, legs=mdp.JointPositionActionCfg(clip=(-0.1, 0.3)))
   action = 10.0 * actions(env, 2)
@@ -79,6 +72,8 @@ def test_columns_come_in_the_order_of_the_model_or_of_the_patterns(
   term = env.action_manager.get_term("legs")
   assert isinstance(term, mdp.JointPositionAction)
   assert term.joint_names == names
+  # The order is no state.
+  assert "_ids" not in term.state_dict()
   action = actions(env, 3)
   by_name = dict(zip(names, action.double().numpy().T, strict=True))
   expected = np.stack([DEFAULT[0] + by_name["hip"], DEFAULT[1] + 2.0 * by_name["knee"]], axis=1)

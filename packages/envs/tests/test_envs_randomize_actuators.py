@@ -26,36 +26,19 @@ from mjlab_scene import EntityArticulationCfg, EntityCfg, SceneCfg
 
 WORLDS = 4
 LIMIT = 5.0
+PD: dict[str, Any] = {"stiffness": 20.0, "damping": 2.0}
+GAINS: dict[str, Any] = {**PD, "effort_limit": LIMIT}
+CURRENT: dict[str, Any] = {"torque_constant": 0.5, "resistance": 0.1, "inputs": ("position_target", "velocity_target")}
 LAWS: dict[str, ActuatorCfg] = {
   "xml": XmlActuatorCfg(target_names_expr=("xml",)),
-  "position": NativePositionActuatorCfg(
-    target_names_expr=("position",), stiffness=20.0, damping=2.0, effort_limit=LIMIT
-  ),
+  "position": NativePositionActuatorCfg(target_names_expr=("position",), **GAINS),
   "velocity": NativeVelocityActuatorCfg(target_names_expr=("velocity",), damping=2.0, effort_limit=LIMIT),
   "motor": NativeMotorActuatorCfg(target_names_expr=("motor",), effort_limit=LIMIT),
-  "native_dc": NativeDcMotorActuatorCfg(
-    target_names_expr=("native_dc",),
-    torque_constant=0.5,
-    resistance=0.1,
-    inputs=("position_target", "velocity_target"),
-    stiffness=20.0,
-    damping=2.0,
-    effort_limit=LIMIT,
-  ),
-  "pd": IdealPdActuatorCfg(target_names_expr=("pd",), stiffness=20.0, damping=2.0, effort_limit=LIMIT),
-  "dc": DcMotorActuatorCfg(
-    target_names_expr=("dc",),
-    stiffness=20.0,
-    damping=2.0,
-    effort_limit=LIMIT,
-    saturation_effort=100.0,
-    velocity_limit=1e3,
-  ),
+  "native_dc": NativeDcMotorActuatorCfg(target_names_expr=("native_dc",), **CURRENT, **GAINS),
+  "pd": IdealPdActuatorCfg(target_names_expr=("pd",), **GAINS),
+  "dc": DcMotorActuatorCfg(target_names_expr=("dc",), saturation_effort=100.0, velocity_limit=1e3, **GAINS),
   "envelope": EnvelopedPdActuatorCfg(
-    target_names_expr=("envelope",),
-    stiffness=20.0,
-    damping=2.0,
-    envelope=TorqueSpeedEnvelope(10.0, 20.0, LIMIT, LIMIT),
+    target_names_expr=("envelope",), envelope=TorqueSpeedEnvelope(10.0, 20.0, LIMIT, LIMIT), **PD
   ),
 }
 # Every other joint limits its actuators itself, too.

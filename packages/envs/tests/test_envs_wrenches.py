@@ -41,20 +41,17 @@ def box_cfg(engine: Any, num_envs: int = 3, **events: EventTermCfg) -> ManagerBa
   )
 
 
+def impulse(**params: Any) -> EventTermCfg:
+  return EventTermCfg(mdp.apply_body_impulse, mode="step", params={**params, "asset": BOX_BODY})
+
+
 def step(env: Any) -> None:
   env.step(torch.zeros(env.num_envs, 0, device=env.device))
 
 
 def test_a_force_acts_for_the_whole_episode(make: Make, engine: str) -> None:
-  push = EventTermCfg(
-    mdp.apply_external_force_torque,
-    mode="reset",
-    params={
-      "force_range": {"x": (2.0, 6.0)},
-      "torque_range": (-0.01, 0.01),
-      "asset": BOX_BODY,
-    },
-  )
+  ranges = {"force_range": {"x": (2.0, 6.0)}, "torque_range": (-0.01, 0.01), "asset": BOX_BODY}
+  push = EventTermCfg(mdp.apply_external_force_torque, mode="reset", params=ranges)
   env = make(box_cfg(engine, push=push))
   force, torque = env.sim.data.xfrc_applied[:, 1].clone().split(3, -1)
   assert ((force[:, 0] >= 2.0) & (force[:, 0] <= 6.0)).all()
@@ -74,16 +71,7 @@ def test_a_force_acts_for_the_whole_episode(make: Make, engine: str) -> None:
 
 
 def test_impulses_come_and_go_by_their_times(make: Make, engine: str) -> None:
-  push = EventTermCfg(
-    mdp.apply_body_impulse,
-    mode="step",
-    params={
-      "cooldown_s": (0.02, 0.02),
-      "duration_s": (0.03, 0.03),
-      "force_range": {"y": (4.0, 4.0)},
-      "asset": BOX_BODY,
-    },
-  )
+  push = impulse(cooldown_s=(0.02, 0.02), duration_s=(0.03, 0.03), force_range={"y": (4.0, 4.0)})
   env = make(box_cfg(engine, push=push))
   moves = []
   speed = torch.zeros(3, dtype=env.sim.dtype, device=env.device)
@@ -105,17 +93,8 @@ def test_impulses_come_and_go_by_their_times(make: Make, engine: str) -> None:
 
 
 def test_times_differ_between_worlds_and_a_step_waits_for_nothing(make: Make) -> None:
-  push = EventTermCfg(
-    mdp.apply_body_impulse,
-    mode="step",
-    params={
-      "cooldown_s": (0.0, 0.1),
-      "duration_s": (0.01, 0.1),
-      "force_range": (-3.0, 3.0),
-      "body_point_offset": (0.0, 0.2, 0.0),
-      "asset": BOX_BODY,
-    },
-  )
+  times: dict[str, Any] = {"cooldown_s": (0.0, 0.1), "duration_s": (0.01, 0.1)}
+  push = impulse(**times, force_range=(-3.0, 3.0), body_point_offset=(0.0, 0.2, 0.0))
   env = make(box_cfg("native", num_envs=32, push=push))
   env.step(torch.zeros(32, 0))
   with Watch() as watch:
