@@ -28,14 +28,7 @@ from mjlab_rl.reference_policy import write_for_others
 from mjlab_velocity import sim_to_real
 
 STEPS = 110
-MEASURED = {
-  "imu/gyro",
-  "imu/projected_gravity",
-  "joint/position",
-  "joint/velocity",
-  "last_action",
-  "command/velocity",
-}
+MEASURED = set("imu/gyro imu/projected_gravity joint/position joint/velocity last_action command/velocity".split())
 """Sources that every legged robot has."""
 NO_OPENGL = "no camera images"
 FOR_OTHERS = {
@@ -95,19 +88,7 @@ def sources(bundle: Bundle) -> set[str]:
   ("task", "expected", "refusal"),
   [
     ("Mjlab-Cartpole-Swingup", {"cartpole/joint/position", "cartpole/joint/velocity"}, "other targets than positions"),
-    (
-      "Mjlab-Velocity-Flat-Unitree-Go1",
-      {
-        "estimate/linear_velocity",
-        "imu/gyro",
-        "imu/projected_gravity",
-        "joint/position",
-        "joint/velocity",
-        "last_action",
-        "command/velocity",
-      },
-      None,
-    ),
+    ("Mjlab-Velocity-Flat-Unitree-Go1", {"estimate/linear_velocity", *MEASURED}, None),
     ("Mjlab-Velocity-Rough-Unitree-G1", {"terrain/terrain_scan", "command/velocity"}, "the bundle has no scene"),
     ("Mjlab-Velocity-Flat-Unitree-G1-Blind", MEASURED, None),
     (
