@@ -251,7 +251,7 @@ def test_nothing_but_a_push_moves_a_robot_whose_episode_goes_on(steps: list[Step
 
 @pytest.mark.warp
 def test_every_term_is_its_formula_on_mujoco_warp(folder: Path) -> None:
-  steps = roll(folder, 20, num_envs=4, engine="warp")
+  steps = roll(folder, 30, num_envs=4, engine="warp")
   check(steps, "critic", 2e-4)
   for name in steps[0].rewards:
     ours, oracle = sides(steps, "rewards", name)
