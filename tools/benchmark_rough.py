@@ -35,7 +35,8 @@ def build(task: str, num_envs: int, device: str, tree: str) -> ManagerBasedRlEnv
 
   def build_tree(vertices: Any, triangles: Any) -> wp.Mesh:
     points, indices = wp.array(vertices, dtype=wp.vec3), wp.array(triangles.ravel(), dtype=wp.int32)
-    return wp.Mesh(points, indices, bvh_constructor=tree)
+    constructor, _, leaf_size = tree.partition(":")
+    return wp.Mesh(points, indices, bvh_constructor=constructor, bvh_leaf_size=int(leaf_size) if leaf_size else None)
 
   module: Any = rays
   module._tree = build_tree
@@ -103,7 +104,9 @@ def main() -> None:
   parser.add_argument("--num-envs", type=int, default=4096)
   parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
   parser.add_argument("--robots", nargs="+", choices=tuple(TASKS), default=list(TASKS))
-  parser.add_argument("--trees", nargs="+", default=["lbvh", "sah"])
+  parser.add_argument(
+    "--trees", nargs="+", default=["lbvh", "sah"], help="constructors of Warp, as sah or sah:2 (leaf)"
+  )
   # The first seed twice: scatter that remains between the two is not one of the terrain.
   parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 1])
   parser.add_argument("--blocks", type=int, default=3)

@@ -93,7 +93,10 @@ def exported(policy: CheckpointPolicy, cfg: Any, env: PointEnv, folder: Path) ->
 
 
 class Waits(TorchDispatchMode):
-  """Operations for which a GPU would be waited for; drawing from a normal looks whether a deviation is negative."""
+  """Operations for which a GPU would be waited for.
+
+  Drawing from a normal looks whether a deviation is negative. Writing one number where a mask is True needs no wait.
+  """
 
   words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.normal.Tensor")
 
@@ -103,7 +106,8 @@ class Waits(TorchDispatchMode):
 
   def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
     masks = [i for x in args if isinstance(x, list | tuple) for i in x if isinstance(i, torch.Tensor)]
-    by_mask = "aten.index" in str(func) and any(mask.dtype == torch.bool for mask in masks)
+    is_one = "aten.index_put" in str(func) and args[2].numel() == 1
+    by_mask = "aten.index" in str(func) and not is_one and any(mask.dtype == torch.bool for mask in masks)
     if by_mask or any(word in str(func) for word in (*self.words, "aten.equal", "unique")):
       self.found.append(str(func))
     return func(*args, **(kwargs or {}))

@@ -18,10 +18,8 @@ from mjlab_sim.warp.fused_newton_kernels import Problem, make_kernel
 
 _MAX_DOFS = 64
 _MAX_GROUPS = 2**16 - 1
-_SHARED_BYTES = 44 * 1024
-"""Shared memory of a block; 48 KB is the most that needs no permission."""
 _SMALL = 24
-"""Degrees of freedom up to which many small blocks beat few large ones."""
+"""Degrees of freedom up to which blocks of one warp beat blocks of two."""
 
 
 def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
@@ -62,13 +60,6 @@ def _groups(nv: int) -> int:
   return -(-nv // 4)
 
 
-def _groups_that_fit(nv: int, rows: int) -> int:
-  """Return the number of groups of the Jacobian that shared memory holds beside `rows` rows of a model."""
-  padded = 4 * _groups(nv)
-  others = 4 * (nv * padded + 8 * padded + 8 * rows + 64)
-  return (_SHARED_BYTES - others) // 16
-
-
 class FusedNewton:
   """Solver of one model's constraints.
 
@@ -104,10 +95,9 @@ class FusedNewton:
   def _build(self, m: mjw.Model, d: mjw.Data) -> None:
     self._njmax, most = d.njmax, d.njmax * _groups(m.nv)
     rows, groups, registers = self._sizes
-    if m.nv <= _SMALL:
-      rows, groups = rows or 96, groups or 384
-    rows = min(rows or 256, d.njmax)
-    groups = min(groups or _groups_that_fit(m.nv, rows), most)
+    # Little shared memory lets many blocks run at once; rows are a multiple of the threads that share them.
+    usual = (96, 384) if m.nv <= _SMALL else (128, 768)
+    rows, groups = min(rows or usual[0], d.njmax), min(groups or usual[1], most)
     shared: dict[str, Any] = {
       "threads": self._threads,
       "is_elliptic": m.opt.cone == mjw.ConeType.ELLIPTIC,
