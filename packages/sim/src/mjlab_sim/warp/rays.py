@@ -65,7 +65,7 @@ class RayScene(Stage):
 def _tree(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> wp.Mesh:
   # Built on the host, once; rays search it faster than the tree that Warp builds on a GPU.
   points, indices = wp.array(vertices, dtype=wp.vec3), wp.array(triangles.ravel(), dtype=wp.int32)
-  return wp.Mesh(points, indices, bvh_constructor="sah")
+  return wp.Mesh(points, indices, bvh_constructor="sah", bvh_leaf_size=1)
 
 
 class WarpRayCaster:
