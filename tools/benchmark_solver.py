@@ -25,6 +25,7 @@ from mjlab_sim.warp.fused_newton import FusedNewton
 GO1, G1 = "Mjlab-Velocity-Flat-Unitree-Go1", "Mjlab-Velocity-Flat-Unitree-G1"
 _96 = {"rows": 96, "groups": 384}
 _64 = {"rows": 64, "groups": 256}
+_128 = {"threads": 64, "rows": 128}
 _ALL = {"rows": 1 << 20, "groups": 1 << 20}
 FUSED: dict[str, dict[str, int]] = {
   "fused": {},
@@ -32,6 +33,12 @@ FUSED: dict[str, dict[str, int]] = {
   "fused, 64 threads": {"threads": 64, **_96},
   "fused, 128 threads": {"threads": 128, **_96},
   "fused, 256 threads": {"threads": 256, **_96},
+  "fused, 64 threads, 96 rows, 9 KB of J": {"threads": 64, "rows": 96, "groups": 576},
+  "fused, 64 threads, 112 rows, 10 KB of J": {"threads": 64, "rows": 112, "groups": 640},
+  "fused, 64 threads, 128 rows, 8 KB of J": {**_128, "groups": 512},
+  "fused, 64 threads, 128 rows, 12 KB of J": {**_128, "groups": 768},
+  "fused, 64 threads, 128 rows, 16 KB of J": {**_128, "groups": 1024},
+  "fused, 64 threads, 160 rows, 20 KB of J": {"threads": 64, "rows": 160, "groups": 1280},
   "fused, 32 threads, 64 rows, 4 KB of J": {"threads": 32, **_64},
   "fused, 64 threads, 64 rows, 4 KB of J": {"threads": 64, **_64},
   "fused, 32 threads, 64 registers": {"threads": 32, "registers": 64, **_96},
