@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
-from mjlab_core import MjlabError, check_fields, match_names
+from mjlab_core import MjlabError, check_fields, match_names, require
 
 from mjlab_actuators.actuator import ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg
@@ -51,9 +51,9 @@ class XmlActuatorCfg(ActuatorCfg):
     pass
 
   def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
-    if self.command_field is None:
-      raise MjlabError("XmlActuatorCfg: without a model, command_field must name the target to hand over")
-    return replace(super()._group(target_names, ctrl_ids), command_fields=(self.command_field,))
+    missing = "XmlActuatorCfg: without a model, command_field must name the target to hand over"
+    field = require(self.command_field, str, missing)
+    return replace(super()._group(target_names, ctrl_ids), command_fields=(field,))
 
   def groups(
     self,

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjlab_core import ConfigError, UnknownNameError, unknown
+from mjlab_core import ConfigError, UnknownNameError, require, unknown
 from mjlab_rl.references import TASK_GROUP, distribution_name, trust_package
 
 if TYPE_CHECKING:
@@ -73,10 +73,8 @@ def load_task(name: str) -> "TaskCfg[Any]":
   from mjlab_rl import TaskCfg
 
   task = build() if callable(build) else build
-  if not isinstance(task, TaskCfg):
-    wanted = "its entry point must name a function that returns a mjlab_rl.TaskCfg"
-    raise ConfigError(f"task '{name}' of {package}: {wanted}; got {type(task).__name__}")
-  return task
+  wanted = "its entry point must name a function that returns a mjlab_rl.TaskCfg"
+  return require(task, TaskCfg, f"task '{name}' of {package}: {wanted}; got {type(task).__name__}")
 
 
 def task_file(name: str) -> Path | None:

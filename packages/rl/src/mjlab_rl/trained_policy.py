@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mjlab_core import unknown
+from mjlab_core import require, unknown
 from mjlab_core.errors import ConfigError, FileError
 
 from mjlab_rl.checkpoint import Shapes, check_finite, read_checkpoint, refuse, shapes_seen
@@ -47,9 +47,8 @@ class TrainedPolicy:
       ConfigError: Both are missing, or they differ.
     """
     if self.run is None:
-      if agent.teacher is None:
-        raise ConfigError(f"{self.name}: its run has no manifest; agent.teacher must describe its network")
-      return agent.teacher
+      missing = f"{self.name}: its run has no manifest; agent.teacher must describe its network"
+      return require(agent.teacher, RslRlModelCfg, missing)
     trained: RslRlModelCfg = getattr(self.run.agent, self.role)
     if agent.teacher is not None and agent.teacher != trained:
       differences = _differences(_encoded(trained), _encoded(agent.teacher), "agent.teacher")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 import torch
-from mjlab_core import MjlabError, check_name
+from mjlab_core import MjlabError, check_name, require
 from mjlab_terrain.terrain import apportion
 
 from mjlab_scene.articulated import FIELDS, Skeleton, all_float, is_articulated, merge_articulated
@@ -273,9 +273,9 @@ def _give_inertia(root: mujoco.MjsBody, inertias: Mapping[str, _Inertia | None])
 def _merge_articulated(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> tuple[mujoco.MjSpec, Skeleton]:
   """Return the spec with the joints of all variants, and the numbers of each."""
   specs: dict[str, mujoco.MjSpec] = {}
-  for name, spec in variants.items():
-    if spec is None:
-      raise MjlabError(f"{owner}: variant '{name}' is None, but others have joints; only rigid objects can be absent")
+  for name, given in variants.items():
+    absent = f"{owner}: variant '{name}' is None, but others have joints; only rigid objects can be absent"
+    spec = require(given, mujoco.MjSpec, absent)
     name_everything(spec)
     _only_body(spec, f"{owner}: variant '{name}'")
     specs[name] = spec

@@ -164,13 +164,11 @@ class ModelView(DataView):
     object.__setattr__(self, "_prefix", prefix)
 
   def __getitem__(self, name: str) -> TorchArray:
-    try:
-      return self._fresh.model_field(self._prefix + name)
-    except KeyError:
-      raise AttributeError(
-        unknown("per-world model field", self._prefix + name, sorted(PER_WORLD))
-        + " Others are the same in every world: read them from sim.mj_model."
-      ) from None
+    name = self._prefix + name
+    if name not in PER_WORLD:
+      others = "Others are the same in every world: read them from sim.mj_model."
+      raise AttributeError(f"{unknown('per-world model field', name, sorted(PER_WORLD))} {others}")
+    return self._fresh.model_field(name)
 
   @property
   def opt(self) -> "ModelView":

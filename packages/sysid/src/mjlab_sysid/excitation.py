@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import mujoco
 import numpy as np
 import torch
-from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
+from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields, require
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.tables import table
@@ -222,9 +222,8 @@ class _Search:
     """Search, and return the best excitation."""
     cfg, count = self._cfg, len(self.names)
     slow = _Waves(np.full((1, count), 0.5), np.ones((1, count)), np.pi * np.linspace(0.0, 1.0, count)[None])
-    plain = self._safe([slow] * cfg.candidates)[0]
-    if plain is None:
-      raise MjlabError("the robot touches something as soon as it moves; choose another pose or fewer joints")
+    touches = "the robot touches something as soon as it moves; choose another pose or fewer joints"
+    plain = require(self._safe([slow] * cfg.candidates)[0], Record, touches)
     before = self._information(plain)
     best, waves, known, stopped, tried = plain, slow, before, False, 0
     for round_ in range(cfg.rounds):

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from mjlab_core.constraints import require
 from mjlab_core.errors import MjlabError
 from mjlab_core.names import check_name
 from mjlab_dr import FIELDS, Operation
@@ -75,9 +76,8 @@ def parse_term(text: str) -> FitTerm:
     MjlabError: The text has another form, or the bounds are inverted.
     UnknownNameError: The field or its axis does not exist.
   """
-  match = _PATTERN.fullmatch(text)
-  if match is None:
-    raise MjlabError(f"fit {text!r}: expected FIELD[.AXIS]:PATTERN[=LO..HI][,shared], such as armature:.*_calf_joint")
+  expected = f"fit {text!r}: expected FIELD[.AXIS]:PATTERN[=LO..HI][,shared], such as armature:.*_calf_joint"
+  match = require(_PATTERN.fullmatch(text), re.Match, expected)
   field, axis = match["field"], match["axis"]
   if field == "opt" and axis:
     field, axis = f"opt.{axis}", None

@@ -3,8 +3,9 @@
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_core import MjlabError, Range, check_name
+from mjlab_core import Range, check_name, require
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
+from mjlab_scene import TerrainLevels
 
 from mjlab_envs.mdp.events import reset_root_state_uniform
 
@@ -63,9 +64,8 @@ class terrain_edge_reached(ManagerTermBase):
     self, env: "ManagerBasedRlEnv", *, threshold_fraction: float = 0.95, asset: SceneEntityCfg = _ROBOT
   ) -> None:
     super().__init__(env)
-    levels = env.scene.terrain_levels
-    if levels is None:
-      raise MjlabError("the terrain has no tiles; give the scene a TerrainGridCfg")
+    missing = "the terrain has no tiles; give the scene a TerrainGridCfg"
+    levels = require(env.scene.terrain_levels, TerrainLevels, missing)
     self._entity, self._fraction = env.scene[asset.name], threshold_fraction
     self._size = torch.tensor(levels.tile_size, device=env.device, dtype=env.sim.dtype)
     middle = (0.5 * (levels.num_rows - 1), 0.5 * (levels.num_columns - 1))

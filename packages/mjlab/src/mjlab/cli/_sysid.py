@@ -5,8 +5,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mjlab_core import MjlabError
-from mjlab_core.constraints import Items
+from mjlab_core.constraints import Items, require
 from mjlab_core.names import check_name
 
 from mjlab import environments
@@ -149,16 +148,16 @@ def robot_of(
 
   Raises:
     UnknownNameError: The scene has no such entity.
-    MjlabError: The entity has no actuator models.
+    ConfigError: The entity has no actuator models.
   """
+  from mjlab_actuators import ActuatorSet
   from mjlab_sysid import robot_on_ground, robot_on_stand
 
   built = env.scene.entities[check_name("entity", entity, env.scene.entities)].build(entity)
-  if built.actuators is None:
-    raise MjlabError(f"entity '{entity}' has no actuator models, so nothing commands it")
+  missing = f"entity '{entity}' has no actuator models, so nothing commands it"
+  cfgs = require(built.actuators, ActuatorSet, missing).cfgs
   env.sim.apply(built.spec)
   pose = {name: values[0] for name, values in built.initial_state.joint_pos.items() if len(values) == 1}
-  cfgs = built.actuators.cfgs
   if base == "free":
     return robot_on_ground(built.spec, cfgs, pose=pose, floor=0.0 if floor is None else floor, imu=imu)
   return robot_on_stand(built.spec, cfgs, pose=pose, height=height, floor=floor, imu=imu)

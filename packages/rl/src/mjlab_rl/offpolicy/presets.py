@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from mjlab_core.errors import ConfigError
+from mjlab_core.constraints import require
 from mjlab_core.names import check_name
 
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg
@@ -74,14 +74,14 @@ def with_agent(task: TaskCfg[Any], name: str) -> TaskCfg[Any]:
     UnknownNameError: There is no such learner.
     ConfigError: The task is not one of reinforcement learning.
   """
-  if not isinstance(task.agent, RslRlOnPolicyRunnerCfg):
-    raise ConfigError(f"learner '{name}': the task has a {type(task.agent).__name__}, which no other learner replaces")
+  fixed = f"learner '{name}': the task has a {type(task.agent).__name__}, which no other learner replaces"
+  agent = require(task.agent, RslRlOnPolicyRunnerCfg, fixed)
   if name == "ppo":
     return task
   if name in task.agents:
     return dataclasses.replace(task, agent=task.agents[name])
   check_name("learner", name, ["ppo", *dict.fromkeys((*PRESETS, *task.agents))])
-  return dataclasses.replace(task, agent=PRESETS[name](task.agent))
+  return dataclasses.replace(task, agent=PRESETS[name](agent))
 
 
 def _like(base: RslRlBaseRunnerCfg, name: str, *, num_steps_per_env: int, max_iterations: int) -> OffPolicyRunnerCfg:

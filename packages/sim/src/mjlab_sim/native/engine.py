@@ -13,7 +13,7 @@ from mjlab_core import Contacts, MjlabError
 from mujoco import batch
 
 from mjlab_sim.config import SimulationCfg
-from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.fields import KINEMATIC_STATE, STATE
 from mjlab_sim.native.contacts import NativeContacts
 from mjlab_sim.native.rays import NativeRayCaster, ground_geoms, ground_model
 from mjlab_sim.rays import EngineRays, RayTargets
@@ -106,8 +106,6 @@ class NativeEngine:
     if name in self._per_world:
       return self._per_world[name]
     if name not in self._shared:
-      if name not in PER_WORLD:
-        raise KeyError(name)
       source: Any = self._model.opt if name.startswith("opt.") else self._model
       rows = self._batch.expanded(name)
       # The batch derives constants for each world; while their sources are shared, all worlds have the same.

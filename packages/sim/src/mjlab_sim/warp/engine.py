@@ -12,7 +12,7 @@ import warp as wp
 from mjlab_core import Contacts, MjlabError, where_
 
 from mjlab_sim.config import RK4_REFUSED, SimulationCfg
-from mjlab_sim.fields import CONSTANTS, PER_WORLD
+from mjlab_sim.fields import CONSTANTS
 from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of, versions
@@ -135,8 +135,6 @@ class WarpEngine:
 
   def model_field(self, name: str) -> TorchArray:
     if name not in self._model_views:
-      if name not in PER_WORLD:
-        raise KeyError(name)
       owner, attribute = self._owner(name)
       array = getattr(owner, attribute)
       self._model_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
