@@ -22,6 +22,9 @@ FACTS = {
   name: json.loads((Path(__file__).parent / "data" / f"{name}.json").read_text(encoding="utf-8")) for name in ROBOTS
 }
 each_robot = pytest.mark.parametrize("name", ROBOTS)
+unpacks = pytest.mark.skipif(
+  not hasattr(tarfile, "data_filter"), reason="Python before 3.11.4 cannot unpack archives safely"
+)
 needs_meshes = pytest.mark.skipif(
   "MENAGERIE_ROOT" not in os.environ, reason="set MENAGERIE_ROOT to a folder with Menagerie's robots to test meshes"
 )
@@ -72,6 +75,14 @@ def test_required_meshes_that_are_missing_say_how_to_get_them(name: str) -> None
 
 
 @pytest.mark.usefixtures("published")
+def test_an_old_python_is_named_before_a_download(monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.delattr(tarfile, "data_filter", raising=False)
+  with pytest.raises(FileError, match=r"Python before 3\.11\.4 cannot unpack archives safely.*MENAGERIE_ROOT"):
+    go1_spec(meshes="download")
+
+
+@unpacks
+@pytest.mark.usefixtures("published")
 def test_a_download_is_worn_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
   with pytest.raises(FileError):
     go1_spec(meshes="require")
@@ -94,6 +105,7 @@ def test_nothing_is_downloaded_unasked(mode: MeshMode, tmp_path: Path) -> None:
   assert not (tmp_path / "cache").exists()
 
 
+@unpacks
 @pytest.mark.usefixtures("without_meshes")
 def test_a_download_that_fails_says_where_from_and_what_else_there_is(tmp_path: Path) -> None:
   with pytest.raises(FileError, match=r"releases/unitree_g1-.*MENAGERIE_ROOT.*meshes='auto'"):
@@ -101,6 +113,7 @@ def test_a_download_that_fails_says_where_from_and_what_else_there_is(tmp_path: 
   assert not list((tmp_path / "cache").rglob("*.STL"))
 
 
+@unpacks
 @pytest.mark.usefixtures("without_meshes")
 def test_a_broken_download_is_refused(tmp_path: Path) -> None:
   (tmp_path / "releases").mkdir()

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tarfile
 from collections.abc import Collection
 from pathlib import Path
 from typing import Literal, get_args
@@ -55,12 +56,14 @@ def download_meshes(robot: str) -> Path:
     Folder with its mesh files.
 
   Raises:
-    FileError: The download failed or does not match its digest; the message says what to do.
+    FileError: The download failed, does not match its digest, or cannot be unpacked; the message says what to do.
     mujoco_menagerie.UnknownRobotError: Menagerie has no such robot.
   """
   import mujoco_menagerie
 
   entry, cache = mujoco_menagerie.get(robot), mujoco_menagerie.Cache()
+  if not hasattr(tarfile, "data_filter") and cache.root is None and not cache.is_cached(entry):
+    raise FileError(f"meshes of {robot!r}: Python before 3.11.4 cannot unpack archives safely. {_way_out(robot)}")
   if cache.root is None and not cache.is_cached(entry):
     size = f"{(entry.download_size or 0) / 2**20:.1f} MB"
     print(f"fetching the meshes of {robot}, {size}, from {cache.base_url} into {cache.dir}", file=sys.stderr)
