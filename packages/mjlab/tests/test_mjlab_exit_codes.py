@@ -161,7 +161,6 @@ WRONG = [
   (f"{EXCITE} --fit armour:.*", "field 'armour' does not exist"),
   (f"{EXCITE} --fit armature:.* --joints FR_knee", "pattern 'FR_knee' matches no driven joint"),
   (f"{EXCITE} --fit armature:.* --output a.txt", "a.txt does not end in .csv"),
-  (f"{GRID.format(GO1)} mass=1,2", "event 'mass' does not exist"),
   (f"sweep {TASK}", "--space FILE is missing"),
   (f"sweep {TASK} --resume absent", "no such file"),
 ]
