@@ -1,4 +1,4 @@
-"""Whoever watches an environment leaves it as it is."""
+"""Watching an environment leaves it as it is."""
 
 import contextlib
 from collections.abc import Callable

@@ -177,7 +177,7 @@ def test_the_reference_is_the_clip_by_mujoco_c_from_its_first_frame_to_its_last(
 
 
 def sides(steps: list[Step], kind: str, name: str) -> tuple[np.ndarray, np.ndarray]:
-  """What the environment and the oracle say."""
+  """Values of the environment and of the oracle."""
   ours, oracle = (np.array([getattr(step, kind)[name][side] for step in steps]) for side in range(2))
   return ours, oracle
 
