@@ -62,6 +62,7 @@ def test_the_published_schema_is_that_of_the_code() -> None:
       "robot.joints[0].stiffness must be number, got 'high'",
     ),
     (lambda d: d["robot"]["joints"][0].update(stiffness=float("nan")), "robot.joints[0].stiffness must be number"),
+    (lambda d: d["robot"]["joints"][0].update(stiffness=10**400), "bundle.json: int too large to convert to float"),
     (lambda d: d["timing"].update(decimation=True), "timing.decimation must be integer, got 'True'"),
     (lambda d: d["targets"][0].update(quantity="magic"), "targets[0].quantity must be 'position' or 'velocity'"),
     (lambda d: d["files"].update({"../../etc/passwd": "0"}), "'../../etc/passwd' does not exist; there are "),

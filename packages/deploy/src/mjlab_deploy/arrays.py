@@ -1,4 +1,4 @@
-"""NumPy archives from strangers: sizes are read before data, and nothing in them runs."""
+"""NumPy archives from untrusted sources: sizes are read before data, and nothing in them runs."""
 
 import math
 import zipfile

@@ -41,7 +41,7 @@ class Bundle:
   def __init__(self, folder: Path) -> None:
     self.folder = folder
     text = self.read_bytes("bundle.json")
-    with reading("bundle.json", ValueError, RecursionError):
+    with reading("bundle.json", ValueError, OverflowError, RecursionError):
       self.description = describe(json.loads(text))
     for name, digest in self.description.files.items():
       check_known("bundle.json: files: file of a bundle", name, MAX_BYTES)
@@ -107,7 +107,7 @@ def write_description(folder: Path, description: Description) -> None:
     if name != "bundle.json" and (folder / name).is_file()
   }
   data = dataclasses.asdict(dataclasses.replace(description, files=digests))
-  # Checked before anybody else reads it.
+  # A description that breaks the schema is not written.
   text = json.dumps(data, indent=1, allow_nan=False)
   describe(json.loads(text))
   (folder / "bundle.json").write_text(text + "\n", encoding="utf-8")
@@ -133,6 +133,6 @@ def bundle_schema() -> dict[str, Any]:
 def _unpack(path: Path, folder: Path) -> None:
   with reading("not a zip that can be read", Exception), zipfile.ZipFile(path) as archive:
     for name in MAX_BYTES.keys() & archive.namelist():
-      # The size in the zip is the stranger's word. What comes out counts, and a file that is too large stays so.
+      # The zip may state a wrong size. One byte more than allowed lets the reader refuse the file.
       with archive.open(name) as file:
         (folder / name).write_bytes(file.read(MAX_BYTES[name] + 1))

@@ -14,7 +14,7 @@ from mjlab_deploy.errors import DeployError
 from mjlab_deploy.model_readings import CAMERA, Readings
 
 _FAR = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-# OpenGL limits the light on a texture to 1, which the training does not: it is drawn darker by this factor.
+# OpenGL limits the light on a texture to 1, the training does not. Images are drawn darker by this factor.
 _DARKER = 2.0
 # Half the length and width of a plane that is drawn in small squares, and their size [m].
 _NEAR = (3.0, 3.0, 0.03)
@@ -77,7 +77,7 @@ class _View:
     self._option.sitegroup[:] = False
 
   def __del__(self) -> None:
-    # What OpenGL holds belongs to a context, and is freed in the one that is current.
+    # OpenGL frees objects of the current context only.
     with contextlib.suppress(Exception):
       self._opengl.make_current()
       self._context.free()
@@ -101,12 +101,12 @@ class _View:
     mujoco.mjr_render(area, scene, self._context)
     mujoco.mjr_readPixels(colours, buffer, area, self._context)
     if not self._is_depth:
-      # What is behind everything has no light on it.
+      # The background is not lit.
       lit = colours * np.where(buffer > 0.0, np.float32(_DARKER), np.float32(1.0))[..., None] / np.float32(255.0)
       return np.ascontiguousarray(np.minimum(lit, 1.0)[::-1].transpose(2, 0, 1))
     extent, planes = self._model.stat.extent, self._model.vis.map
     near, far = planes.znear * extent, planes.zfar * extent
-    # The buffer is 1 at the near plane and 0 at the far one, where nothing is.
+    # The buffer is 1 at the near plane and 0 at the far one, the background.
     share = buffer[::-1].astype(float)
     depth = near * far / (near + share * (far - near))
     return np.where(share > 0.0, depth, -1.0).astype(np.float32)[None]

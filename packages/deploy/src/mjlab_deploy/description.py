@@ -42,7 +42,7 @@ class Robot:
   joints: tuple[Joint, ...]
   """Joints in the order of "joint/position" and "joint/velocity"."""
   root_body: str
-  """Body that the others hang on."""
+  """Root of the kinematic tree."""
   is_floating: bool
   """True if the root moves freely."""
   actuator_model: Literal["position_servo", "other"] = "position_servo"
@@ -130,7 +130,7 @@ class Observation:
   group: str
   name: str
   columns: tuple[int, int]
-  """First column in its group, and the one after its last; (0, 0) for an image, which is a group of its own."""
+  """First column in its group, and the one after its last; (0, 0) for an image, which is a separate group."""
   shape: tuple[int, ...]
   """Shape of one observation, history included."""
   sources: tuple[str, ...]
@@ -165,7 +165,7 @@ class Motion:
   name: str = ""
   """Name of the motion's command in the task."""
   anchor_body: str
-  """Body by which robot and clip are laid over one another."""
+  """Body at which the clip is aligned with the robot."""
 
 
 @dataclass(frozen=True, kw_only=True)

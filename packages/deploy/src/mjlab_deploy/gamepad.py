@@ -42,7 +42,7 @@ class Gamepad:
     self._steers = bool(sticks.any())
     values = runner.command[commands[0].input]
     for column, (stick, (low, high)) in enumerate(zip(sticks, commands[0].ranges.values(), strict=False)):
-      values[column] = min(max(stick * (high if stick > 0.0 else -low), low), high)
+      values[column] = stick * (high if stick > 0.0 else -low)
 
 
 def connected_gamepad() -> Gamepad | None:

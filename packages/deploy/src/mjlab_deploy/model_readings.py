@@ -12,7 +12,7 @@ CAMERA = ("camera_rgb", "camera_depth")
 
 
 class ModelReadings:
-  """Inputs of a policy that a MuJoCo model can supply, but for images.
+  """Inputs of a policy that a MuJoCo model can supply, except images.
 
   Args:
     model: The model.
@@ -33,7 +33,7 @@ class ModelReadings:
     """Columns of the robot's joints in qpos."""
     self.qvel = model.jnt_dofadr[joints]
     """Columns of the robot's joints in qvel."""
-    # The first reading shows that the model has all that inputs name.
+    # Find missing elements now.
     self.read(mujoco.MjData(model))
 
   def read(self, data: mujoco.MjData) -> Readings:

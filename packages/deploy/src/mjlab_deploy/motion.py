@@ -30,7 +30,7 @@ class MotionPlayer:
       found = self._arrays[name].shape if name in self._arrays else None
       if found != wanted:
         raise DeployError(f"motion.npz: {name} is {found}, bundle.json says {wanted}")
-    self._last = motion.num_frames - 1
+    self.anchor_body, self._last = motion.anchor_body, motion.num_frames - 1
     self._turn, self._shift = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     self.reset()
 

@@ -43,18 +43,18 @@ def onnx_metadata(description: Description) -> dict[str, str]:
   metadata = {
     "run_path": str(description.training.get("checkpoint", "")),
     "joint_names": ",".join(joint.name for joint in joints),
-    "joint_stiffness": _csv(joint.stiffness or 0.0 for joint in joints),
-    "joint_damping": _csv(joint.damping or 0.0 for joint in joints),
-    "default_joint_pos": _csv(joint.default_position for joint in joints),
+    "joint_stiffness": csv(joint.stiffness or 0.0 for joint in joints),
+    "joint_damping": csv(joint.damping or 0.0 for joint in joints),
+    "default_joint_pos": csv(joint.default_position for joint in joints),
     "command_names": ",".join(names),
     "observation_names": ",".join(term.name for term in terms),
-    "observation_terms_scale": ";".join(_csv(_scales(term)) for term in terms),
-    "observation_terms_history_length": _csv(float(term.history_length) for term in terms),
-    "observation_terms_flatten_history_dim": _csv(float(len(term.shape) == 1) for term in terms),
-    "observation_terms_clip": ";".join("None" if term.clip is None else _csv(term.clip) for term in terms),
+    "observation_terms_scale": ";".join(csv(_scales(term)) for term in terms),
+    "observation_terms_history_length": csv(float(term.history_length) for term in terms),
+    "observation_terms_flatten_history_dim": csv(float(len(term.shape) == 1) for term in terms),
+    "observation_terms_clip": ";".join("None" if term.clip is None else csv(term.clip) for term in terms),
   }
   if description.action_scale is not None:
-    metadata["action_scale"] = _csv(description.action_scale)
+    metadata["action_scale"] = csv(description.action_scale)
   if description.motion is not None:
     metadata["anchor_body_name"] = description.motion.anchor_body
   return metadata
@@ -124,7 +124,8 @@ def _scales(term: Observation) -> list[float]:
   return [1.0 if term.scale is None else float(term.scale)] * width
 
 
-def _csv(values: Iterable[float]) -> str:
+def csv(values: Iterable[float]) -> str:
+  """Return numbers in full precision, joined by commas."""
   return ",".join(repr(float(value)) for value in values)
 
 

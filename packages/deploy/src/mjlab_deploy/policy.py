@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -44,10 +43,15 @@ class Policy:
   def __init__(self, bundle: Bundle) -> None:
     self.description = bundle.description
     session = open_graph(bundle.read_bytes("policy.onnx"))
-    # A network of others has one input of observations instead of readings.
-    self._session: Any = NetworkGraph(session) if is_network(session) else session
-    given = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
-    self._outputs = [value.name for value in self._session.get_outputs()]
+    given = {value.name: tuple(value.shape) for value in session.get_inputs()}
+    outputs = [value.name for value in session.get_outputs()]
+    self._run = lambda feed: dict(zip(outputs, map(np.asarray, session.run(None, feed)), strict=True))
+    if "obs" in given:
+      # A network of others, which takes observations instead of readings.
+      robot, scale = self.description.robot, self.description.action_scale or ()
+      with reading("policy.onnx", LookupError):
+        graph = NetworkGraph(session, robot.joints, scale, self.description.observations)
+      given, outputs, self._run = graph.inputs, graph.outputs, graph.run
     wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
     wanted |= {item.input: item.shape for item in self.description.memories}
     self._has_start = EPISODE_START in given
@@ -61,7 +65,7 @@ class Policy:
     promised = [ACTION, *(item.output for item in self.description.memories)]
     promised += [item.name for item in self.description.targets]
     for name in promised:
-      check_known("policy.onnx: output", name, self._outputs)
+      check_known("policy.onnx: output", name, outputs)
     self.reset()
 
   def reset(self) -> None:
@@ -89,14 +93,14 @@ class Policy:
       feed[item.name] = value.reshape(1, *item.shape)
     if self._has_start:
       feed[EPISODE_START] = np.full((1, 1), float(self._is_first), np.float32)
-    values = {name: np.asarray(value) for name, value in zip(self._outputs, self._session.run(None, feed), strict=True)}
+    values = self._run(feed)
     self._memory = {item.input: values[item.output] for item in self.description.memories}
     self._is_first = False
     prefix = "observation/"
     return Step(
       targets={item.name: values[item.name][0] for item in self.description.targets},
       action=values[ACTION][0],
-      observations={name.removeprefix(prefix): values[name][0] for name in self._outputs if name.startswith(prefix)},
+      observations={name.removeprefix(prefix): value[0] for name, value in values.items() if name.startswith(prefix)},
     )
 
 
@@ -111,8 +115,3 @@ def open_graph(data: bytes) -> onnxruntime.InferenceSession:
   options.log_severity_level = 4
   with reading("policy.onnx: not a graph that ONNX Runtime takes", Exception):
     return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-
-
-def is_network(session: onnxruntime.InferenceSession) -> bool:
-  """Return True for the network alone, with metadata of its observations, as mjlab 1.x and BeyondMimic export it."""
-  return "obs" in {item.name for item in session.get_inputs()}

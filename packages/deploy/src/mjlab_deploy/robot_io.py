@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class RobotInfo:
-  """Facts that a robot reports before anything moves."""
+  """Properties of a robot, read before anything moves."""
 
   joint_names: tuple[str, ...]
   """Joints in the order of all arrays."""
@@ -17,7 +17,7 @@ class RobotInfo:
   stiffness: tuple[float, ...] | None = None
   """Gains that the drives are fixed to [N m/rad]; None: they take those of each command."""
   damping: tuple[float, ...] | None = None
-  """Likewise [N m s/rad]."""
+  """Damping that the drives are fixed to [N m s/rad]; None: that of each command."""
   readings: tuple[str, ...] = ()
   """Inputs beyond joints and IMU that the robot supplies, such as "estimate/linear_velocity"."""
 
@@ -27,7 +27,7 @@ class RobotState:
   """Measurements of one message."""
 
   time: float
-  """When the robot measured it [s], on the clock of the runner."""
+  """Time of the measurement [s], on the clock of the runner."""
   sequence: int
   """Number of the message, one more than that of the message before."""
   position: np.ndarray
@@ -59,7 +59,7 @@ class RobotIO(ABC):
 
   @abstractmethod
   def info(self) -> RobotInfo:
-    """Return what the robot says about itself."""
+    """Return the properties of the robot."""
 
   @abstractmethod
   def read(self) -> RobotState | None:

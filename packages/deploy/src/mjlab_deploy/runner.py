@@ -1,4 +1,4 @@
-"""The runner: a state machine that drives a robot by a policy, and lets it go when anything is wrong."""
+"""State machine that drives a robot by a policy, and switches to damping if anything is wrong."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -23,13 +23,13 @@ _DAMPING = 2.0
 
 
 class Runner:
-  """State machine: damping, stand, policy, and damping again. `tick` is to be called with every message of the robot.
+  """State machine: damping, stand, policy, and damping again. Call `tick` with every message of the robot.
 
   Args:
     bundle: The bundle.
     robot: The robot.
     limits: Limits; None: the standard ones.
-    stand_time: Duration of the way to the default pose [s].
+    stand_time: Time to reach the default pose [s].
 
   Raises:
     DeployError: The robot's joints, gains or rate are not the bundle's, or it lacks a reading of the policy.
@@ -44,11 +44,11 @@ class Runner:
     if problem := next(self._problems(), ""):
       raise DeployError(f"refused: {problem}")
     joints = self.description.robot.joints
-    self._names = [joint.name for joint in joints]
+    names = [joint.name for joint in joints]
     self._default = np.array([joint.default_position for joint in joints])
     self._stiffness = np.array([joint.stiffness or 0.0 for joint in joints])
     self._damping = np.array([joint.damping if joint.damping is not None else _DAMPING for joint in joints])
-    self._columns = [self._names.index(name) for name in self.description.targets[0].joints]
+    self._columns = [names.index(name) for name in self.description.targets[0].joints]
     self.safety = Safety(self.description, limits or SafetyLimits())
     self.phase: Phase = "damping"
     """Present phase."""
@@ -60,7 +60,6 @@ class Runner:
     """Newest joint targets [rad]."""
     self._stand_time = stand_time
     self._sequence: int | None = None
-    self._state: RobotState | None = None
     self._phase_start = self._next_step = self._now = 0.0
     self._from = self._default
     self._held = np.zeros(len(joints))
@@ -72,13 +71,10 @@ class Runner:
     """Yield a line for each reason not to move the robot."""
     info, robot, timing = self.robot.info(), self.description.robot, self.description.timing
     names = tuple(joint.name for joint in robot.joints)
-    if info.joint_names != names:
-      pairs = enumerate(zip(names, info.joint_names, strict=False))
-      yield from (
-        f"joint {i} is '{ours}' in the bundle and '{theirs}' on the robot"
-        for i, (ours, theirs) in pairs
-        if ours != theirs
-      )
+    for i, (ours, theirs) in enumerate(zip(names, info.joint_names, strict=False)):
+      if ours != theirs:
+        yield f"joint {i} is '{ours}' in the bundle and '{theirs}' on the robot"
+    if len(info.joint_names) != len(names):
       yield f"the bundle has {len(names)} joints, the robot {len(info.joint_names)}"
     for gain in ("stiffness", "damping"):
       for joint, value in zip(robot.joints, getattr(info, gain) or (), strict=False):
@@ -106,14 +102,13 @@ class Runner:
     if state is None:
       raise DeployError("the robot sends no state")
     self.safety.reset()
-    self._state = state
     self._sequence = state.sequence
     self._from = state.position.copy()
     self.targets = state.position.copy()
     self._enter("stand", state.time)
 
   def stop(self, reason: str = "stopped by the operator") -> None:
-    """Let the robot go: damping, whatever the phase."""
+    """Switch to damping from any phase."""
     self.reason = reason
     self.phase = "damping"
     self._write(self.targets, 0.0)
@@ -127,7 +122,7 @@ class Runner:
     try:
       self._tick(now)
     except Exception as error:
-      # Nothing that fails here may leave the robot with its last command.
+      # A failure must not leave the robot with its last command.
       self.stop(f"{type(error).__name__}: {error}")
     return self.phase
 
@@ -140,7 +135,7 @@ class Runner:
       self.stop(f"no state for {now - state.time:.3f} s" if state is not None else "no state")
       return
     if state.sequence != self._sequence:
-      self._sequence, self._state = state.sequence, state
+      self._sequence = state.sequence
       if (problem := self.safety.check_message(state)) is not None:
         self.stop(problem)
         return
@@ -164,13 +159,15 @@ class Runner:
       self.policy.reset()
       if self.motion is not None:
         self.motion.reset()
-        self.motion.align(state.readings.get(self._anchor("position"), np.zeros(3)), self._orientation(state))
+        body, given = self.motion.anchor_body, state.readings
+        position = given.get(f"estimate/{body}/position", np.zeros(3))
+        self.motion.align(position, given.get(f"imu/{body}/orientation", state.orientation))
       self._enter("policy", now)
 
   def _run_policy(self, now: float, state: RobotState) -> None:
     if now + 1e-9 >= self._next_step:
       self._next_step += self.description.timing.control_dt
-      # After a pause steps are not made up for.
+      # Steps missed in a pause are skipped.
       self._next_step = max(self._next_step, now + 0.5 * self.description.timing.control_dt)
       step = self.policy.step(self._readings(state))
       wanted = step.targets[self.description.targets[0].name]
@@ -194,20 +191,12 @@ class Runner:
     }
     for item in self.description.commands:
       value = self.command[item.input].astype(float)
-      for i, (low, high) in enumerate(item.ranges.values()):
-        if i < len(value):
-          value[i] = min(max(value[i], low), high)
+      for i, limits in zip(range(len(value)), item.ranges.values(), strict=False):
+        value[i] = np.clip(value[i], *limits)
       readings[item.input] = value
     if self.motion is not None:
       readings |= self.motion.readings()
     return readings | state.readings
-
-  def _anchor(self, quantity: str) -> str:
-    body = self.description.motion.anchor_body if self.description.motion is not None else ""
-    return f"{'estimate' if quantity == 'position' else 'imu'}/{body}/{quantity}"
-
-  def _orientation(self, state: RobotState) -> np.ndarray:
-    return state.readings.get(self._anchor("orientation"), state.orientation)
 
   def _enter(self, phase: Phase, now: float) -> None:
     self.phase, self.reason = phase, ""

@@ -15,11 +15,11 @@ class SafetyLimits:
   """Limits of the runner; those of joints come from the bundle."""
 
   stale_after: float = 0.012
-  """Age of the newest state at which the robot is let go [s]."""
+  """Age of the newest state at which the policy ends [s]."""
   frozen_messages: int = 4
   """Messages in a row with bit-equal joints and IMU that mean a frozen sensor; real ones have noise."""
   loss: float = 0.05
-  """Share of lost messages, in a window of `loss_window`, at which the robot is let go."""
+  """Share of lost messages, in a window of `loss_window`, at which the policy ends."""
   loss_window: int = 100
   """Messages over which losses are counted."""
   tilt: float = 1.0
@@ -27,7 +27,7 @@ class SafetyLimits:
   position_margin: float = 0.1
   """Largest distance of a measured joint outside of its range [rad]."""
   velocity_factor: float = 1.5
-  """Share of a joint's velocity limit at which the robot is let go."""
+  """Share of a joint's velocity limit at which the policy ends."""
 
 
 class Safety:
@@ -47,15 +47,13 @@ class Safety:
     self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
     self._speed = _numbers([joint.velocity_limit for joint in joints], math.inf)
     kp = _numbers([joint.stiffness for joint in joints], 0.0)
-    self._damping = _numbers([joint.damping for joint in joints], 0.0)
+    damping = _numbers([joint.damping for joint in joints], 0.0)
     effort = _numbers([joint.effort_limit for joint in joints], math.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-      # Where the servo is saturated anyhow, a target farther away asks for nothing more.
+      # Beyond this distance the servo is saturated.
       self._reach = np.where(kp > 0.0, effort / kp, math.inf)
-      self._brake = np.where(kp > 0.0, self._damping / kp, 0.0)
-    self._largest_step = (
-      2.0 * self._reach + np.where(np.isinf(self._speed), math.inf, self._speed) * description.timing.control_dt
-    )
+      self._brake = np.where(kp > 0.0, damping / kp, 0.0)
+    self._largest_step = 2.0 * self._reach + self._speed * description.timing.control_dt
     self.reset()
 
   def reset(self) -> None:
@@ -82,7 +80,7 @@ class Safety:
     self._losses.append(False)
     self._sequence = state.sequence
     lost = sum(self._losses)
-    # Of a full window, so that one message lost at the start does not count as many.
+    # The share is of a full window, so that one message lost at the start does not count as many.
     if lost >= limits.loss * limits.loss_window:
       return f"{lost} of the last {len(self._losses)} messages were lost"
     return self._check_limits(state)

@@ -48,7 +48,7 @@ class SimulatedRun:
   ) -> None:
     rate = 500.0
     self.robot = LoopbackRobot(bundle, rate=rate, delay=round(latency * rate), seed=seed)
-    # A message is as old as its way here; silence counts from then on.
+    # A message is `latency` old when it arrives.
     limits = SafetyLimits(stale_after=SafetyLimits().stale_after + 2.0 * latency)
     self.robot.watchdog += 2.0 * latency
     self.runner = Runner(bundle, self.robot, limits, stand_time=_STAND_TIME)
@@ -59,10 +59,10 @@ class SimulatedRun:
       values[:] = command
     self._pushes, self._next_push = pushes and bundle.description.robot.is_floating, _STAND_TIME + _PUSH_EVERY
     self._rng = np.random.default_rng(seed)
-    self._rows: dict[str, list[np.ndarray]] = {}
+    self._rows: list[dict[str, np.ndarray]] = []
 
   def advance(self) -> None:
-    """Go on by one message."""
+    """Advance by one message."""
     robot, runner = self.robot, self.runner
     if self._pushes and robot.time >= self._next_push:
       robot.data.qvel[:2] += self._rng.uniform(-_PUSH, _PUSH, 2)
@@ -74,12 +74,10 @@ class SimulatedRun:
     if (state := robot.read()) is not None:
       row = {"time": np.array(state.time), "position": state.position, "velocity": state.velocity}
       row |= {"target": runner.targets.copy(), "is_policy": np.array(float(runner.phase == "policy"))}
-      row |= {name: value.copy() for name, value in runner.command.items()}
-      for name, value in row.items():
-        self._rows.setdefault(name, []).append(value)
+      self._rows.append(row | {name: value.copy() for name, value in runner.command.items()})
 
   def run(self, seconds: float) -> None:
-    """Run as fast as it goes, until the time is over or the robot is let go."""
+    """Run as fast as possible, until the time is over or the runner returns to damping."""
     while self.robot.time < seconds:
       self.advance()
       if self.runner.phase == "damping" and self.runner.reason != "not started":
@@ -109,15 +107,14 @@ class SimulatedRun:
       if column < len(ranges):
         low, high = ranges[column]
         values = self.runner.command[commands[0].input]
-        values[column] = min(max(values[column] + share * (high - low), low), high)
+        values[column] = np.clip(values[column] + share * (high - low), low, high)
 
   def summary(self) -> str:
-    """Return one line on how it went."""
+    """Return the result in one line."""
     if self.runner.phase == "damping":
       return f"let go after {self.robot.time:.2f} s: {self.runner.reason}"
-    rows = self._rows
-    is_policy = np.array(rows["is_policy"]) > 0
-    error = np.abs(np.array(rows["position"]) - np.array(rows["target"]))[is_policy]
+    log = self._log()
+    error = np.abs(log["position"] - log["target"])[log["is_policy"] > 0]
     mean = float(error.mean()) if error.size else 0.0
     return f"ran {self.robot.time:.1f} s; joints are {mean:.3f} rad from their targets on average"
 
@@ -144,4 +141,5 @@ class SimulatedRun:
     return [joint.name for joint in self.runner.description.robot.joints]
 
   def _log(self) -> dict[str, np.ndarray]:
-    return {name.replace("/", "_"): np.stack(values) for name, values in self._rows.items()}
+    names = self._rows[0] if self._rows else ()
+    return {name.replace("/", "_"): np.stack([row[name] for row in self._rows]) for name in names}

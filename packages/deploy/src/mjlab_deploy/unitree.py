@@ -80,7 +80,7 @@ class UnitreeRobot(RobotIO):
     self._tick: int | None = None
     self._mode_machine = 0
     self.channels: tuple[Any, ...] = ()
-    """Channels of the SDK, kept for as long as the robot is."""
+    """Channels of the SDK, kept alive with the robot."""
     self.num_damaged = 0
     """Number of states whose CRC was wrong; they are not read."""
 
@@ -88,7 +88,7 @@ class UnitreeRobot(RobotIO):
     return RobotInfo(joint_names=self._joints, rate=RATE)
 
   def receive(self, message: Any) -> None:
-    """Take a LowState_; one with a wrong CRC is counted and left out."""
+    """Take a LowState_; a message with a wrong CRC is counted and ignored."""
     if self._checksum(message) != message.crc:
       self.num_damaged += 1
       return

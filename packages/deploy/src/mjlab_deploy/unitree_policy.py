@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from mjlab_deploy.errors import DeployError, library, read_limited, reading
-from mjlab_deploy.other_formats import MOTORS
+from mjlab_deploy.other_formats import MOTORS, csv
 
 _MAX_BYTES = 2**20
-_METADATA_PROPS = 14
-"""Number of the field of an ONNX model that holds its metadata."""
 
 
 def find_deploy_yaml(policy: Path) -> Path | None:
@@ -33,14 +31,6 @@ def read_deploy_yaml(path: Path) -> dict[str, str]:
     return _metadata(data)
 
 
-def with_metadata(model: bytes, metadata: Mapping[str, str]) -> bytes:
-  """Return the bytes of an ONNX model with metadata; what is appended to a protobuf message belongs to it."""
-  out = bytearray(model)
-  for key, value in metadata.items():
-    out += _field(_METADATA_PROPS, _field(1, key.encode()) + _field(2, value.encode()))
-  return bytes(out)
-
-
 _KEYS = ("joint_ids_map", "step_dt", "stiffness", "damping", "default_joint_pos", "actions", "observations")
 
 
@@ -60,15 +50,15 @@ def _metadata(data: Mapping[str, Any]) -> dict[str, str]:
   terms = data["observations"]
   return {
     "joint_names": ",".join(names[i] for i in motors),
-    # Its gains are in the order of the motors, everything else in that of the policy.
-    "joint_stiffness": _csv(data["stiffness"][i] for i in motors),
-    "joint_damping": _csv(data["damping"][i] for i in motors),
-    "default_joint_pos": _csv(default),
-    "action_scale": _csv(_spread(action.get("scale"), len(motors), 1.0)),
+    # Gains are in the order of the motors, everything else in that of the policy.
+    "joint_stiffness": csv(data["stiffness"][i] for i in motors),
+    "joint_damping": csv(data["damping"][i] for i in motors),
+    "default_joint_pos": csv(default),
+    "action_scale": csv(_spread(action.get("scale"), len(motors), 1.0)),
     "observation_names": ",".join(terms),
-    "observation_terms_scale": ";".join("None" if not (s := term.get("scale")) else _csv(s) for term in terms.values()),
-    "observation_terms_clip": ";".join("None" if not (c := term.get("clip")) else _csv(c) for term in terms.values()),
-    "observation_terms_history_length": _csv(term.get("history_length") or 1 for term in terms.values()),
+    "observation_terms_scale": ";".join(csv(term.get("scale") or ()) for term in terms.values()),
+    "observation_terms_clip": ";".join(csv(term.get("clip") or ()) for term in terms.values()),
+    "observation_terms_history_length": csv(term.get("history_length") or 1 for term in terms.values()),
     "step_dt": repr(float(data["step_dt"])),
   }
 
@@ -76,20 +66,3 @@ def _metadata(data: Mapping[str, Any]) -> dict[str, str]:
 def _spread(value: Any, count: int, default: float) -> list[float]:
   values = value if isinstance(value, Sequence) else [default if value is None else value] * count
   return [float(number) for number in values]
-
-
-def _csv(values: Any) -> str:
-  return ",".join(repr(float(value)) for value in values)
-
-
-def _field(number: int, content: bytes) -> bytes:
-  return _varint(number << 3 | 2) + _varint(len(content)) + content
-
-
-def _varint(value: int) -> bytes:
-  out = bytearray()
-  while value > 127:
-    out.append(value & 127 | 128)
-    value >>= 7
-  out.append(value)
-  return bytes(out)
