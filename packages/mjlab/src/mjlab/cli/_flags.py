@@ -1,4 +1,4 @@
-"""Flags of a configuration: `--env.rewards.foot-slip.weight -0.2`. tyro reads, completes and explains them.
+"""Flags of a configuration: `--env.rewards.foot-slip.weight -0.2`. tyro reads their values and completes them.
 
 A flag is the path to a value, with hyphens for underscores; keys of dictionaries and indices of tuples are parts of it.
 Setting a flag copies the objects along its path, so that functions, shared parts and other values stay the same
@@ -13,7 +13,6 @@ import copy
 import dataclasses
 import enum
 import functools
-import io
 import itertools
 import types
 import typing
@@ -25,7 +24,7 @@ from mjlab_core import UsageError, nearest
 from mjlab_core.constraints import field_problems
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from mjlab.cli._help import FlagRow, field_docs, own_fields_first
+from mjlab.cli._help import FlagRow, field_docs, own_fields_first, shown
 
 ConfigT = TypeVar("ConfigT")
 
@@ -55,19 +54,16 @@ class Flag:
     return "" if self.owner is None else field_docs(self.owner).get(self.path[-1], "")
 
   @functools.cached_property
-  def parts(self) -> tuple[str, ...]:
-    """The steps of the name. A dot at the end of a pattern is left out, because it would make an empty step."""
-    return tuple(str(part).strip(".").replace("_", "-") for part in self.path)
-
-  @property
   def name(self) -> str:
     """Name without the two hyphens: "env.rewards.foot-slip.weight"."""
-    return ".".join(self.parts)
+    # A dot at the end of a pattern would make an empty part.
+    return ".".join(str(part).strip(".").replace("_", "-") for part in self.path)
 
   @property
   def negative(self) -> str:
     """Name that switches a switch off: "env.sim.no-capture"."""
-    return ".".join([*self.parts[:-1], f"no-{self.parts[-1]}"])
+    head, dot, last = self.name.rpartition(".")
+    return f"{head}{dot}no-{last}"
 
 
 def flags(config: Any) -> list[Flag]:
@@ -98,17 +94,21 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
     UsageError: A flag does not exist (the message names the nearest), or a value does not fit, such as one that breaks
       a constraint of its field.
   """
-  known = flags(config)
-  # tyro's time goes with the number of flags.
-  given = {word[2:].partition("=")[0].replace("_", "-") for word in words}
-  named = [flag for flag in known if flag.name in given or flag.negative in given]
-  parsed = _read(named, words)
-  if parsed is None:
-    raise UsageError(_mistake(known, words))
+  known = {flag.name: flag for flag in flags(config)}
+  switched_off = {flag.negative: flag for flag in known.values() if flag.kind is bool}
+  given: dict[str, Any] = {}
+  for word, values in _grouped(words):
+    name, equals, value = word.removeprefix("--").partition("=")
+    name = name.replace("_", "-")
+    flag = known.get(name) or switched_off.get(name)
+    if flag is None:
+      raise UsageError(_unknown(name, [*known, *switched_off]))
+    values = [value, *values] if equals else values
+    given[flag.name] = name in known if flag.kind is bool and not values else _read(flag, values)
   # From the back: values inside a part are set before the part is removed.
-  for flag, value in reversed(list(zip(named, _leaves(parsed), strict=True))):
-    if value is not flag.value:
-      config = replaced(config, flag.path, None if flag.kind is _PART else value)
+  for flag in reversed(known.values()):
+    if flag.name in given and given[flag.name] is not flag.value:
+      config = replaced(config, flag.path, None if flag.kind is _PART else given[flag.name])
   for name, _, rule in (problem.partition(" ") for problem in field_problems(config)):
     raise UsageError(f"--{name.replace('_', '-')} {rule}")
   return config
@@ -116,20 +116,12 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
 
 def help_rows(config: Any) -> list[FlagRow]:
   """Return the flags of a configuration for a help text."""
-  return [FlagRow(flag.name, _choices(flag), _shown(flag.value), flag.about) for flag in flags(config)]
+  return [FlagRow(flag.name, _choices(flag), shown(flag.value), flag.about) for flag in flags(config)]
 
 
 def _choices(flag: Flag) -> str:
   spec = _spec(flag.kind)
   return f"| --{flag.negative}" if flag.kind is bool else spec.metavar if spec is not None else ""
-
-
-def _shown(value: Any) -> str:
-  if isinstance(value, bool):
-    return "on" if value else "off"
-  if isinstance(value, (tuple, list)):
-    return " ".join(map(_shown, value)) or "empty"
-  return value.name if isinstance(value, enum.Enum) else str(value) or "empty"
 
 
 def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[str]) -> None:
@@ -148,7 +140,14 @@ def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[s
     raise UsageError(f"{words[0]}: expected {'|'.join(shells)}, got {' '.join(words[1:]) or 'nothing'}")
   commands: list[Any] = []
   for name, config in configs.items():
-    parser: Any = _parser(flags(config))
+    fields: list[tuple[str, Any, Any]] = []
+    for flag in flags(config):
+      kind = Annotated[flag.kind, tyro.conf.arg(name=flag.name, help=flag.about or None)]
+      # A factory, because a list may not be a default.
+      default = dataclasses.field(default_factory=lambda value=flag.value: value)
+      fields.append((f"field_{len(fields)}", kind, default))
+    # tyro reads the source of a class for comments, except of a built-in class; that takes a second in all.
+    parser: Any = dataclasses.make_dataclass("Flags", fields, namespace={"__module__": "builtins"})
     commands.append(Annotated[parser, tyro.conf.subcommand(name, prefix_name=False)])
   command: Any = Union[tuple(commands)]  # noqa: UP007
   with contextlib.suppress(SystemExit):
@@ -229,70 +228,30 @@ def _tuple_of(*kinds: Any) -> Any:
   return types.GenericAlias(tuple, kinds)
 
 
-class _Part:
-  """Part of a parser; its fields are flags and parts."""
+def _grouped(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+  """Yield each flag with the words that follow it."""
+  if words and not words[0].startswith("--"):
+    raise UsageError(f"'{words[0]}': not a flag")
+  starts = [number for number, word in enumerate(words) if word.startswith("--")]
+  for start, end in itertools.pairwise([*starts, len(words)]):
+    yield words[start], list(words[start + 1 : end])
 
 
-def _parser(known: Sequence[Flag], depth: int = 0) -> Any:
-  """Return a class for tyro with one field for each flag, nested as the names are."""
-  fields: list[tuple[str, Any, Any]] = []
-  for (head, is_leaf), group in itertools.groupby(known, key=lambda f: (f.parts[depth], len(f.parts) == depth + 1)):
-    inside = list(group)
-    if is_leaf:
-      (flag,) = inside
-      kind, about, default = flag.kind, flag.about or None, flag.value
-    else:
-      kind, about = _parser(inside, depth + 1), None
-      default = kind()
-    # A part and its switch have the same name. A factory, because a list may not be a default.
-    field = dataclasses.field(default_factory=lambda default=default: default)
-    fields.append((f"field_{len(fields)}", Annotated[kind, tyro.conf.arg(name=head, help=about)], field))
-  # tyro reads the source of a class for comments, except of a built-in class; that takes a second in all.
-  return dataclasses.make_dataclass("Flags", fields, bases=(_Part,), namespace={"__module__": "builtins"})
+def _read(flag: Flag, values: list[str]) -> Any:
+  """Return the value of a flag from its words.
 
-
-def _leaves(part: _Part) -> Iterator[Any]:
-  for value in vars(part).values():
-    if isinstance(value, _Part):
-      yield from _leaves(value)
-    else:
-      yield value
-
-
-def _read(known: Sequence[Flag], words: Sequence[str]) -> _Part | None:
-  """Return what tyro reads; None if it refuses a word or leaves one."""
-  # tyro's own message is a box of many lines.
-  with contextlib.redirect_stderr(io.StringIO()):
-    try:
-      parsed, left = tyro.cli(_parser(known), args=words, return_unknown_args=True)
-    except SystemExit:
-      return None
-  return None if left else parsed
-
-
-def _mistake(known: Sequence[Flag], words: Sequence[str]) -> str:
-  """Return a message about the first flag in `words` that is refused."""
-  spelled = {flag.name: flag for flag in known}
-  spelled |= {flag.negative: flag for flag in known if flag.kind is bool}
-  given: list[list[str]] = []
-  for word in words:
-    if word.startswith("--"):
-      given.append([word])
-    elif given:
-      given[-1].append(word)
-    else:
-      return f"'{word}': not a flag"
-  for first, *rest in given:
-    name, equals, value = first[2:].partition("=")
-    flag = spelled.get(name.replace("_", "-"))
-    if flag is None:
-      return _unknown(name.replace("_", "-"), list(spelled))
-    if _read([flag], [first, *rest]) is None:
-      got = " ".join([value, *rest] if equals else rest) or "nothing"
-      spec = _spec(flag.kind)
-      expected = spec.metavar if flag.kind is not bool and spec else f"no value (--{flag.negative} switches it off)"
-      return f"--{flag.name}: expected {expected}, got {got}"
-  return f"{' '.join(words)}: not understood"
+  Raises:
+    UsageError: They do not fit.
+  """
+  expected = f"no value (--{flag.negative} switches it off)"
+  if flag.kind is not bool and (spec := _spec(flag.kind)) is not None:
+    expected = spec.metavar
+    counts = spec.nargs if isinstance(spec.nargs, tuple) else (spec.nargs,)
+    if "*" in counts or len(values) in counts:
+      # tyro raises KeyError for enumerations.
+      with contextlib.suppress(ValueError, KeyError):
+        return spec.instance_from_str(values)
+  raise UsageError(f"--{flag.name}: expected {expected}, got {' '.join(values) or 'nothing'}")
 
 
 def _unknown(name: str, known: Sequence[str]) -> str:

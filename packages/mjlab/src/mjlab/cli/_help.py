@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import enum
 import functools
 import inspect
 import itertools
@@ -38,7 +39,7 @@ def command_help(usage: str, purpose: str, arguments: Any, *, notes: str = "") -
   """
   docs = field_docs(arguments)
   rows = [
-    FlagRow(field.name.replace("_", "-"), _metavar(field.type), _shown(field), docs.get(field.name, ""))
+    FlagRow(field.name.replace("_", "-"), _metavar(field.type), shown(field.default), docs.get(field.name, ""))
     for field in own_fields_first(arguments)
     if field.type is not Any
   ]
@@ -82,13 +83,13 @@ def _metavar(kind: Any) -> str:
   return "" if kind is bool else {str: "TEXT", int: "INT"}.get(kind, "NUMBER")
 
 
-def _shown(field: dataclasses.Field[Any]) -> str:
-  if field.default is dataclasses.MISSING:
-    return "required"
-  if isinstance(field.default, bool):
-    return "on" if field.default else "off"
-  shown = " ".join(map(str, field.default)) if isinstance(field.default, tuple) else str(field.default)
-  return shown or "empty"
+def shown(value: Any) -> str:
+  """Return the present value of a flag as a help text shows it."""
+  if isinstance(value, bool):
+    return "on" if value else "off"
+  if isinstance(value, (tuple, list)):
+    return " ".join(map(shown, value)) or "empty"
+  return value.name if isinstance(value, enum.Enum) else str(value) or "empty"
 
 
 @functools.cache
