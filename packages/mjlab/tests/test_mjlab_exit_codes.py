@@ -66,7 +66,7 @@ WRONG = [
   (f"{TRAIN} --init-from Test-Pendulun", "Nearest task: Test-Pendulum"),
   (f"{TRAIN} --seed 1 --resume", "exclude each other: a resumed run keeps its random numbers"),
   (f"{TRAIN} --agent flashsax", "learner 'flashsax' does not exist. Nearest: flashsac"),
-  (f"{TRAIN} --agent --quiet", "learner '--quiet' does not exist"),
+  (f"{TRAIN} --agent --quiet", "learner '' does not exist"),
   (f"{TRAIN} --agent=fastsac --resume", "--agent and --resume exclude each other"),
   *((f"{TRAIN} --gpus {gpus}", f"--gpus {gpus}: ") for gpus in ("0", "two", "0,0")),
   (f"{TRAIN} --agent.torch-compile-mode maximal", "--agent.torch-compile-mode: expected {None,default,"),

@@ -57,6 +57,11 @@ def test_a_dry_run_shows_processes_and_the_command_of_torchrun(capsys: pytest.Ca
     assert line.endswith(f"--nproc-per-node 2 --max-restarts 3 --node-rank {number} {same}")
 
 
+def test_processes_have_the_learner_of_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+  assert train([TASK, "--agent", "fastsac", "--device", "cpu", "--gpus", "2", "--dry-run"]) == 0
+  assert f"--no-python train {TASK} --agent fastsac --device cpu\n" in capsys.readouterr().out
+
+
 def test_each_host_runs_torchrun_by_ssh_and_one_that_fails_ends_all(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

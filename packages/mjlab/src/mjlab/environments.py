@@ -9,6 +9,7 @@ from mjlab.registry import load_task
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
+  from mjlab_rl import RunManifest, TaskCfg
 
 GPU_NUM_ENVS = 4096
 
@@ -26,7 +27,7 @@ def make(task: str, *, num_envs: int | None = None, device: str = "auto", play: 
     UnknownNameError: The task or the device does not exist.
   """
   loaded = load_task(task)
-  cfg = loaded.play(loaded.env) if play and loaded.play is not None else loaded.env
+  cfg = for_watching(loaded) if play else loaded.env
   device = resolve_device(device)
   cfg.scene.num_envs = default_num_envs(device, cfg.scene.num_envs) if num_envs is None else num_envs
   return (loaded.make_env or standard_env)(cfg, device=device)
@@ -37,6 +38,11 @@ def standard_env(cfg: Any, *, device: str) -> "ManagerBasedRlEnv":
   from mjlab_envs import ManagerBasedRlEnv
 
   return ManagerBasedRlEnv(cfg, device=device)
+
+
+def for_watching(parts: "TaskCfg[Any] | RunManifest") -> Any:
+  """Return the configuration for watching of a task or a run; that of its training if it has no other."""
+  return parts.env if parts.play is None else parts.play(parts.env)
 
 
 def resolve_device(device: str) -> str:

@@ -1,5 +1,6 @@
 """Command lines of one form: `COMMAND WORDS [flags]`, where the words are a task, a file or nothing."""
 
+import argparse
 import contextlib
 import dataclasses
 import itertools
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core import MjlabError, UsageError
+from mjlab_core.constraints import field_problems
 
 from mjlab import environments
 from mjlab.cli._help import FlagRow, command_help
@@ -47,24 +49,74 @@ class PageArguments(CommonArguments):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskLine:
+  """Command line with a task."""
+
+  name: str
+  """Task id."""
+  task: "TaskCfg[Any]"
+  given: list[str]
+  """All words after the task."""
+  flags: list[str]
+  """Flags among them that set values of the arguments."""
+
+
+def _load(name: str, given: list[str]) -> TaskLine:
+  return TaskLine(name=name, task=load_task(name), given=given, flags=given)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CommandLine:
   """Form of a command: its words, its flags and its help."""
 
   name: str
-  words: str
-  """Words before the flags, as the help shows them: "TASK", "FILE", "[KEYWORD]" or ""."""
+  words: str = "TASK"
+  """Words before the flags, as the help shows them: "TASK", "FILE", "CLIP [MORE ...]", "[KEYWORD]" or ""."""
   purpose: str
   """Description, for the help."""
   arguments: Any
   """Dataclass of the flags; a field of type Any is a part of a task."""
   notes: str = ""
   """Text below the flags, for the help."""
+  load: Callable[[str, list[str]], TaskLine] = _load
+  """Function of a task id and the words after it that loads the task."""
 
-  @property
-  def usage(self) -> str:
-    return " ".join(
-      part for part in (self.name, self.words, "[flags]" * bool(dataclasses.fields(self.arguments))) if part
-    )
+  def command(self, action: Callable[[Any, list[str]], int]) -> Callable[[list[str]], int]:
+    """Return the command as a function of its words, with the exit code as result.
+
+    Args:
+      action: Function of the arguments and of the words before the flags.
+    """
+
+    def run(words: list[str]) -> int:
+      if self.wants_help(words):
+        return 0
+      leading, flags = self.split(words)
+      return action(self.parse(flags), leading)
+
+    return run
+
+  def task_command(self, action: Callable[[Any, TaskLine], int]) -> Callable[[list[str]], int]:
+    """Return a command with a task as a function of its words; `action` gets the arguments and the task."""
+
+    def run(words: list[str]) -> int:
+      if words and words[0] in _HELP:
+        tasks = "".join(f"\n  {name}" for name in list_tasks()) or "\n  (none is installed)"
+        notes = (
+          f"  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192.\n{self.notes}"
+        )
+        dataclasses.replace(self, notes=f"{notes}\ntasks:{tasks}").wants_help(words)
+        return 0
+      (name,), words = self.split(words)
+      given = list(itertools.takewhile(lambda word: word not in _HELP, words))
+      if len(given) < len(words):
+        searched = "-".join(words[len(given) + 1 :])
+        print(task_help(self.name, name, given, searched, lambda: self._rows(name, given), notes=self.notes), end="")
+        return 0
+      line = self.load(name, given)
+      return action(self.parse(line.flags, **self._parts(line.task)), line)
+
+    return run
 
   def wants_help(self, words: Sequence[str]) -> bool:
     """Print the help if it is asked for; return True then."""
@@ -73,84 +125,65 @@ class CommandLine:
     print(command_help(self.usage, self.purpose, self.arguments, notes=self.notes), end="")
     return True
 
-  def split(self, words: Sequence[str], most: int | None = 1) -> tuple[list[str], list[str]]:
-    """Return the words before the flags, at most `most`, and the rest.
+  @property
+  def usage(self) -> str:
+    return " ".join(part for part in (self.name, self.words, "[flags]") if part)
+
+  def split(self, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the words before the flags, at most one unless the form has "...", and the rest.
 
     Raises:
       UsageError: There are no such words, although the command needs some.
     """
+    most = None if "..." in self.words else 1
     leading = list(itertools.takewhile(lambda word: not word.startswith("-"), words))[:most]
     if not leading and self.words and not self.words.startswith("["):
       raise UsageError(f"no {self.words.split()[0]} given. usage: {self.usage}")
     return leading, list(words[len(leading) :])
 
+  def parse(self, flags: list[str], **parts: Any) -> Any:
+    """Return the arguments with `flags` set.
 
-def run_with_words(
-  line: CommandLine, words: list[str], action: Callable[[list[str], Any], int], most: int | None = 1
-) -> int:
-  """Run a command of the form `COMMAND WORDS [flags]`, or print its help; return the exit code.
+    Args:
+      flags: Words after those of the command.
+      parts: Parts of a task, the default of the flags that begin with their names.
+
+    Raises:
+      UsageError: A flag does not exist, or does not take its value.
+    """
+    arguments = self.arguments(**parts)
+    if flags:
+      # tyro is heavy.
+      from mjlab.cli._flags import parse
+
+      arguments = parse(arguments, flags)
+    for name, _, rule in (problem.partition(" ") for problem in field_problems(arguments)):
+      raise UsageError(f"--{name.replace('_', '-')} {rule}")
+    return arguments
+
+  def _parts(self, task: "TaskCfg[Any]") -> dict[str, Any]:
+    parts = {"env": task.env, "agent": task.agent, "eval": task.evaluator}
+    return {field.name: parts[field.name] for field in dataclasses.fields(self.arguments) if field.type is Any}
+
+  def _rows(self, name: str, given: list[str]) -> list[FlagRow]:
+    parts = self._parts(self.load(name, given).task)
+    from mjlab.cli._flags import help_rows
+
+    return help_rows(self.arguments(**parts))
+
+
+def take(words: Sequence[str], flag: str, **options: Any) -> tuple[Any, list[str]]:
+  """Return the value of a flag, None if it is not given, and the other words.
 
   Args:
-    line: Form of the command.
-    words: Words after the name of the command.
-    action: Function of the words before the flags, and of the arguments.
-    most: Largest number of words before the flags; None: any.
-
-  Raises:
-    UsageError: The words are missing, or a flag is wrong.
+    words: Words of a command line.
+    flag: Name of the flag, with the two hyphens.
+    options: Arguments of `argparse.ArgumentParser.add_argument`; without any, a missing value is an empty string.
   """
-  if line.wants_help(words):
-    return 0
-  leading, flags = line.split(words, most)
-  # tyro is heavy.
-  from mjlab.cli._flags import parse
-
-  return action(leading, parse(line.arguments(), flags))
-
-
-def run_with_task(
-  line: CommandLine,
-  words: list[str],
-  action: "Callable[[str, TaskCfg[Any], list[str]], int]",
-  configs: "Callable[[TaskCfg[Any]], dict[str, Any]]" = lambda task: {"env": task.env},
-  variant: str = "",
-) -> int:
-  """Run a command of the form `COMMAND TASK [flags]`, or print its help; return the exit code.
-
-  Args:
-    line: Form of the command.
-    words: Words after the name of the command.
-    action: Function of the task's id, the task, and the flags.
-    configs: Parts of the task among the fields of `line.arguments`.
-    variant: Name of the learner that `configs` takes in place of that of the task.
-
-  Raises:
-    UsageError: The task is missing, does not come first, or does not exist.
-  """
-  if words and words[0] in _HELP:
-    tasks = "".join(f"\n  {name}" for name in list_tasks()) or "\n  (none is installed)"
-    notes = f"  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192.\n{line.notes}"
-    dataclasses.replace(line, notes=f"{notes}\ntasks:{tasks}").wants_help(words)
-    return 0
-  (name,), given = line.split(words)
-  if any(word in _HELP for word in given):
-    text = {"variant": variant, "notes": line.notes}
-    print(task_help(line.name, name, _help_word(given), lambda: _rows(line, name, configs), **text), end="")
-    return 0
-  return action(name, load_task(name), given)
-
-
-def _rows(line: CommandLine, name: str, configs: "Callable[[TaskCfg[Any]], dict[str, Any]]") -> list[FlagRow]:
-  task = load_task(name)
-  from mjlab.cli._flags import help_rows
-
-  return help_rows(line.arguments(**configs(task)))
-
-
-def _help_word(words: list[str]) -> str:
-  """Return the words after `--help`, joined; empty if there are none."""
-  after = itertools.dropwhile(lambda word: word not in _HELP, words)
-  return "-".join(itertools.takewhile(lambda word: word not in _HELP, itertools.islice(after, 1, None)))
+  parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+  parser.add_argument(flag, dest="value", **(options or {"nargs": "?", "const": ""}))
+  found, others = parser.parse_known_args(words)
+  return found.value, others
 
 
 def output_file(flag: str, path: str | Path, ending: str = "", *, force: bool) -> Path:
@@ -188,8 +221,9 @@ def beside(source: Path, name: str) -> Path:
   return Path(name) if is_installed else source.parent / name
 
 
-def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any:
-  """Build the environment of a task or a run from a configuration.
+@contextlib.contextmanager
+def built_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Generator[Any]:
+  """Build the environment of a task or a run from a configuration, and close it at the end.
 
   Raises:
     MjlabError: The configuration cannot be built.
@@ -197,7 +231,11 @@ def build_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Any
   from mjlab_rl import RunManifest
 
   with building(from_file=isinstance(parts, RunManifest)):
-    return (parts.make_env or environments.standard_env)(cfg, device=device)
+    env = (parts.make_env or environments.standard_env)(cfg, device=device)
+  try:
+    yield env
+  finally:
+    env.close()
 
 
 @contextlib.contextmanager

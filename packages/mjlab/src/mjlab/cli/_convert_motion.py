@@ -11,7 +11,7 @@ from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
 from mjlab.cli._progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -86,12 +86,9 @@ examples:
 )
 
 
-def run(words: list[str]) -> int:
-  """Convert; return the exit code."""
-  return run_with_words(_LINE, words, _convert, most=None)
-
-
-def _convert(clips: list[str], wanted: Arguments) -> int:
+@_LINE.command
+def run(wanted: Arguments, clips: list[str]) -> int:
+  """Convert clips; return the exit code."""
   from mjlab_motions import Kinematics
 
   from mjlab.cli._clip_preview import Preview

@@ -7,7 +7,7 @@ from mjlab_core import UsageError
 from mjlab_core.names import check_name
 
 from mjlab.cli import _play
-from mjlab.cli._command_line import CommandLine
+from mjlab.cli._command_line import CommandLine, take
 from mjlab.demos import shipped
 
 
@@ -43,7 +43,8 @@ def run(words: list[str]) -> int:
   policies = shipped()
   if dataclasses.replace(_LINE, notes=_NOTES + ", ".join(policies)).wants_help(words):
     return 0
-  name, flags = _task(words, list(policies))
+  name, flags = take(words, "--task")
+  name = next(iter(policies)) if name is None else check_name("demo", name, policies)
   if flags and not flags[0].startswith("-"):
     raise UsageError(f"'{flags[0]}': not a flag; --task selects the policy: {', '.join(policies)}")
   if not any(word.partition("=")[0] in ("--viewer", "--video") for word in flags):
@@ -52,13 +53,3 @@ def run(words: list[str]) -> int:
     from mjlab_rl.bundle_policy import task_of_bundle
 
     return _play.run([task_of_bundle(directory), "--checkpoint", str(directory), *flags])
-
-
-def _task(words: list[str], names: list[str]) -> tuple[str, list[str]]:
-  """Return the value of `--task`, and the other words."""
-  words = [part for word in words for part in (word.split("=", 1) if word.startswith("--task=") else [word])]
-  if "--task" not in words:
-    return names[0], words
-  at = words.index("--task")
-  name = check_name("demo", "".join(words[at + 1 : at + 2]), names)
-  return name, words[:at] + words[at + 2 :]

@@ -1,16 +1,13 @@
 """`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record tells parameters of a task's robot well."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from mjlab_core.constraints import Items
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, output_file, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.cli._sysid import iteration_text, robot_of, task_ranges
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -53,7 +50,6 @@ class Arguments(TaskArguments):
 
 _LINE = CommandLine(
   name="design-excitation",
-  words="TASK",
   purpose=(
     "Designs commands for a robot held by its base: sums of sines that stay within its limits, touch nothing, and make "
     "the smallest singular value of a later fit large. Writes a table of commands. Ctrl-C ends the search and writes "
@@ -64,16 +60,9 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
-  """Design; return the exit code."""
-  return run_with_task(_LINE, words, _design)
-
-
-def _design(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  del name
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(env=task.env), given)
+@_LINE.task_command
+def run(wanted: Arguments, _: TaskLine) -> int:
+  """Design commands; return the exit code."""
   output = output_file("--output", wanted.output, ".csv", force=wanted.force)
   from mjlab_sysid import ExcitationCfg, design_excitation, parse_term, write_record
 

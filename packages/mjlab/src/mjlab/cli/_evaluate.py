@@ -11,18 +11,18 @@ from mjlab import environments
 from mjlab.cli._command_line import (
   CommandLine,
   TaskArguments,
+  TaskLine,
   as_usage,
   beside,
-  build_env,
   building,
   output_file,
-  run_with_task,
 )
-from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
+from mjlab.cli._policies import PolicyArguments, find_policy
 from mjlab.cli._progress import ProgressBar
+from mjlab.registry import load_task
 
 if TYPE_CHECKING:
-  from mjlab_rl import Evaluation, Evaluator, TaskCfg, Threshold
+  from mjlab_rl import Evaluation, Policy, Threshold
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -45,9 +45,17 @@ class Arguments(PolicyArguments, TaskArguments):
   """Settings of the evaluation."""
 
 
+def _load(name: str, given: list[str]) -> TaskLine:
+  """Load a task; one without an evaluator gets that of the return."""
+  from mjlab_rl import ReturnEvaluation
+
+  task = load_task(name)
+  task = dataclasses.replace(task, evaluator=task.evaluator or ReturnEvaluation())
+  return TaskLine(name=name, task=task, given=given, flags=given)
+
+
 _LINE = CommandLine(
   name="evaluate",
-  words="TASK",
   purpose="Plays fixed scenarios with a policy and prints statistics with 95 % confidence intervals.",
   arguments=Arguments,
   notes="""\
@@ -55,47 +63,38 @@ _LINE = CommandLine(
 
 exit codes: 0 done, 1 a threshold was missed or the command failed, 2 wrong command line
 """,
+  load=_load,
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
   """Evaluate; return the exit code."""
-  return run_with_task(_LINE, words, _evaluate, lambda task: {"eval": _evaluator(task), "env": task.env})
-
-
-def _evaluator(task: "TaskCfg[Any]") -> "Evaluator":
-  from mjlab_rl import ReturnEvaluation
-
-  return task.evaluator if task.evaluator is not None else ReturnEvaluation()
-
-
-def _evaluate(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(eval=_evaluator(task), env=task.env), given)
   thresholds = _thresholds(wanted.require)
-  source, parts = find_policy(wanted, name, task)
+  found = find_policy(wanted, line)
   # Again, with the configuration of the run as the default.
-  wanted = parse(Arguments(eval=_evaluator(task), env=parts.env), given)
-  folder = _folder(wanted, source)
+  wanted = _LINE.parse(line.flags, eval=line.task.evaluator, env=found.parts.env)
+  folder = _folder(wanted, found.source)
   device = environments.resolve_device(wanted.device)
-  cfg = _configured(wanted, name, parts.env.scene.num_envs)
-  env = build_env(parts, without_teacher(cfg, parts.agent), device)
-  what = f"{wanted.agent} actions" if source is None else str(source)
-  try:
+  cfg = _configured(wanted, line.name, found.parts.env.scene.num_envs)
+  with found.acting(cfg, device) as (env, policy):
     if not wanted.quiet:
-      print(f"{name}: {what}, {env.num_envs} episodes on {device}", flush=True)
-    evaluation, broken = _played(wanted, source, env, parts)
-  finally:
-    env.close()
+      print(f"{line.name}: {found}, {env.num_envs} episodes on {device}", flush=True)
+    evaluation, broken = _played(wanted, env, policy)
   print(evaluation.table())
   if folder is not None:
-    about = {"task": name, "policy": what, "device": device, "command": ["evaluate", name, *given]}
-    _write(folder, evaluation, {**about, "nonfinite_actions": broken})
+    about = {
+      "task": line.name,
+      "policy": str(found),
+      "device": device,
+      "command": ["evaluate", line.name, *line.given],
+      "nonfinite_actions": broken,
+    }
+    _write(folder, evaluation, about)
     print(f"wrote {folder}")
   outcomes = [threshold.check(evaluation) for threshold in thresholds]
-  for _, line in outcomes:
-    print(line)
+  for _, text in outcomes:
+    print(text)
   if broken:
     print(f"failed: {broken} actions of the policy were NaN or infinite, which the environment takes for zero")
   return int(broken > 0 or not all(reached for reached, _ in outcomes))
@@ -122,12 +121,12 @@ def _configured(wanted: Arguments, name: str, default: int) -> Any:
   return cfg
 
 
-def _played(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Evaluation, int]":
+def _played(wanted: Arguments, env: Any, policy: "Policy") -> "tuple[Evaluation, int]":
   """Return the evaluation of a policy, and the number of its actions that were not finite."""
   from mjlab_core import seed_everything
   from mjlab_rl import FinitePolicy
 
-  policy = FinitePolicy(make_policy(wanted.agent, source, env, parts))
+  policy = FinitePolicy(policy)
   # Random actions are the same in every evaluation.
   seed_everything(getattr(wanted.eval, "seed", 0))
   if wanted.quiet:

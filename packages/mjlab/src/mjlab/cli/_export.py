@@ -9,14 +9,14 @@ from typing import Any
 from mjlab_core import UsageError
 from mjlab_core.constraints import Count
 
+from mjlab import environments
 from mjlab.cli._command_line import (
   CommandLine,
   CommonArguments,
   beside,
-  build_env,
   building,
+  built_env,
   output_folder,
-  run_with_words,
 )
 from mjlab.registry import load_task
 
@@ -51,12 +51,9 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
-  """Export; return the exit code."""
-  return run_with_words(_LINE, words, _export)
-
-
-def _export(sources: list[str], wanted: Arguments) -> int:
+@_LINE.command
+def run(wanted: Arguments, sources: list[str]) -> int:
+  """Export a policy; return the exit code."""
   from mjlab_rl import find_checkpoint
 
   checkpoint = find_checkpoint(sources[0], log_root=Path(wanted.log_root), experiment="")
@@ -69,9 +66,8 @@ def _export(sources: list[str], wanted: Arguments) -> int:
 
   parts, name = _parts(checkpoint, wanted.task)
   with building():
-    cfg = without_noise(parts.play(parts.env) if parts.play is not None else parts.env)
-  env = build_env(parts, cfg, "cpu")
-  try:
+    cfg = without_noise(environments.for_watching(parts))
+  with built_env(parts, cfg, "cpu") as env:
     policy = CheckpointPolicy(env, parts.agent, parts.runner)
     policy.load(checkpoint)
     seed_everything(0)
@@ -90,8 +86,6 @@ def _export(sources: list[str], wanted: Arguments) -> int:
     if wanted.others:
       others = write_for_others(folder.with_name(f"{folder.name}-others"), env, policy.network, description)
       print(f"wrote {others}")
-  finally:
-    env.close()
   archive = write_zip(folder)
   print(f"wrote {folder} and {archive}; check it with: mjlab-deploy verify {folder}")
   return 0

@@ -3,14 +3,10 @@
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from mjlab_core import safe_name
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, building, output_folder, run_with_task
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, building, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -27,23 +23,17 @@ class Arguments(TaskArguments):
 
 _LINE = CommandLine(
   name="export-scene",
-  words="TASK",
   purpose="Writes a task's model with its assets; python -m mujoco.viewer opens it.",
   arguments=Arguments,
 )
 
 
-def run(words: list[str]) -> int:
-  """Export; return the exit code."""
-  return run_with_task(_LINE, words, _export)
-
-
-def _export(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(env=task.env), given)
-  cfg = wanted.env if not wanted.play or task.play is None else task.play(wanted.env)
-  folder = output_folder(Path(wanted.output or f"export/{safe_name(name)}"), "scene.xml", force=wanted.force)
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
+  """Export a scene; return the exit code."""
+  play = line.task.play
+  cfg = play(wanted.env) if wanted.play and play is not None else wanted.env
+  folder = output_folder(Path(wanted.output or f"export/{safe_name(line.name)}"), "scene.xml", force=wanted.force)
   from mjlab_scene import Scene
 
   with building():

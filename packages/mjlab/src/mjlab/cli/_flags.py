@@ -21,7 +21,6 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 
 import tyro
 from mjlab_core import UsageError, nearest
-from mjlab_core.constraints import field_problems
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from mjlab.cli._help import FlagRow, field_docs, own_fields_first, shown
@@ -91,8 +90,7 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   """Return a copy of `config` with the flags in `words` set.
 
   Raises:
-    UsageError: A flag does not exist (the message names the nearest), or a value does not fit, such as one that breaks
-      a constraint of its field.
+    UsageError: A flag does not exist (the message names the nearest), or a value does not fit.
   """
   known = {flag.name: flag for flag in flags(config)}
   switched_off = {flag.negative: flag for flag in known.values() if flag.kind is bool}
@@ -109,8 +107,6 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   for flag in reversed(known.values()):
     if flag.name in given and given[flag.name] is not flag.value:
       config = replaced(config, flag.path, None if flag.kind is _PART else given[flag.name])
-  for name, _, rule in (problem.partition(" ") for problem in field_problems(config)):
-    raise UsageError(f"--{name.replace('_', '-')} {rule}")
   return config
 
 

@@ -1,14 +1,11 @@
 """`inspect-dr TASK [flags]`: effects of the events of a task, as a table and a picture."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from mjlab_core.constraints import Limits
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, output_file, run_with_task
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, built_env, output_file
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -29,7 +26,6 @@ class Arguments(TaskArguments):
 
 _LINE = CommandLine(
   name="inspect-dr",
-  words="TASK",
   purpose=(
     "Fires every event of a task once in many environments. Prints the drawn values beside the requested range, the "
     "state that each event changes, and the total mass. Capitals mark an event that does nothing, or not what was "
@@ -40,33 +36,24 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
   """Inspect one task; return 1 if a draw does nothing, or not what was requested."""
-  return run_with_task(_LINE, words, _inspect)
-
-
-def _inspect(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab import environments
-  from mjlab.cli._flags import parse, replaced
-
-  wanted = parse(Arguments(env=task.env), given)
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
+  from mjlab import environments
+  from mjlab.cli._flags import replaced
   from mjlab.inspection import inspect_events, inspect_inertia, report_text
 
   device = environments.resolve_device(wanted.device)
   cfg = replaced(replaced(wanted.env, ("scene", "num_envs"), wanted.num_envs), ("seed",), wanted.seed)
-  env = build_env(task, cfg, device)
-  try:
+  with built_env(line.task, cfg, device) as env:
     reports = inspect_events(env)
     inertia = inspect_inertia(env)
-    print(f"{name}: {env.num_envs} environments on {device}, one draw each")
+    print(f"{line.name}: {env.num_envs} environments on {device}, one draw each")
     print(report_text(reports, inertia))
     if picture is not None:
       from mjlab.cli._plots import plot_inspection
 
-      plot_inspection(reports, inertia, name, picture)
+      plot_inspection(reports, inertia, line.name, picture)
       print(f"wrote {picture}")
-  finally:
-    env.close()
-  wrong = any(axis.verdict != "as asked" for report in reports for axis in report.axes)
-  return 1 if wrong else 0
+  return int(any(axis.verdict != "as asked" for report in reports for axis in report.axes))

@@ -7,20 +7,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mjlab_core import MjlabError, UsageError
 
 from mjlab import environments
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
+from mjlab.cli._command_line import TaskLine, take
 
 _OURS = ("--gpus", "--hosts", "--max-restarts", "--dry-run")
 _PORT = 29400
 
 
-def launch(wanted: Any, name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
+def launch(wanted: Any, line: TaskLine) -> int:
   """Start the processes of a training and wait for them; return the exit code.
 
   torchrun passes a Ctrl-C to each process once, ends all if one fails, and starts them again up to `--max-restarts`
@@ -32,10 +30,10 @@ def launch(wanted: Any, name: str, task: "TaskCfg[Any]", given: list[str]) -> in
   device = environments.resolve_device(wanted.device)
   gpus = _gpus(wanted.gpus or "all", device)
   hosts = wanted.hosts.split(",") if wanted.hosts else []
-  train = ["train", name, *_without_launch(given)]
+  train = ["train", line.name, *_without_launch(line.given)]
   command = _torchrun(len(gpus), hosts, wanted.max_restarts)
   num_envs = wanted.env.scene.num_envs
-  if not any(word.startswith("--env.scene.num-envs") for word in given):
+  if not any(word.startswith("--env.scene.num-envs") for word in line.given):
     num_envs = environments.default_num_envs(device, num_envs)
   if wanted.dry_run:
     for rank in range(len(gpus) * max(1, len(hosts))):
@@ -118,16 +116,10 @@ def _device(gpu: str) -> str:
 
 
 def _without_launch(given: list[str]) -> list[str]:
-  """Return the flags without those of the launch."""
-  words: list[str] = []
-  remaining = iter(given)
-  for word in remaining:
-    flag, _, value = word.replace("_", "-").partition("=")
-    if flag not in _OURS:
-      words.append(word)
-    elif flag != "--dry-run" and not value:
-      next(remaining, None)
-  return words
+  """Return the words without the flags of the launch."""
+  for flag in _OURS:
+    _, given = take(given, flag)
+  return given
 
 
 def _torchrun(processes: int, hosts: list[str], restarts: int) -> list[str]:

@@ -1,37 +1,23 @@
 """`list-envs [KEYWORD]`: the tasks and the packages that offer them."""
 
-import dataclasses
 import sys
 
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine
+from mjlab.cli._command_line import CommandLine, CommonArguments
 from mjlab.registry import task_entries
-
-
-@dataclasses.dataclass(kw_only=True)
-class Arguments:
-  """Flags of the command; there are none."""
-
 
 _LINE = CommandLine(
   name="list-envs",
   words="[KEYWORD]",
   purpose="Lists the tasks whose names contain KEYWORD, in upper or lower case, with the packages that offer them.",
-  arguments=Arguments,
+  arguments=CommonArguments,
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.command
+def run(_: CommonArguments, keywords: list[str]) -> int:
   """List the tasks; return 0 even if none is found."""
-  if _LINE.wants_help(words):
-    return 0
-  keywords, flags = _LINE.split(words)
-  if flags:
-    # tyro, which is heavy, for the message only.
-    from mjlab.cli._flags import parse
-
-    parse(Arguments(), flags)
   keyword = "".join(keywords)
   entries = [entry for entry in task_entries() if keyword.lower() in entry.name.lower()]
   if not entries:

@@ -8,8 +8,7 @@ from typing import Literal
 
 from mjlab_core import UsageError, printable, unknown
 
-from mjlab.cli._command_line import CommandLine, CommonArguments, building, run_with_words
-from mjlab.cli._help import command_help
+from mjlab.cli._command_line import CommandLine, CommonArguments, building
 from mjlab.registry import list_tasks
 
 
@@ -67,23 +66,10 @@ _TASK = CommandLine(
   ),
   arguments=TaskArguments,
 )
-_KINDS = {"robot": _ROBOT, "task": _TASK}
 
 
-def run(words: list[str]) -> int:
-  """Write a package; return the exit code."""
-  kind = words[0] if words else ""
-  if kind in ("-h", "--help"):
-    for line in _KINDS.values():
-      print(command_help(line.usage, line.purpose, line.arguments))
-    return 0
-  if kind not in _KINDS:
-    usage = "; ".join(line.usage for line in _KINDS.values())
-    raise UsageError(f"{unknown('kind', kind, list(_KINDS)) if kind else 'nothing given'}. usage: {usage}")
-  return run_with_words(_KINDS[kind], words[1:], _new_robot if kind == "robot" else _new_task)
-
-
-def _new_robot(files: list[str], wanted: RobotArguments) -> int:
+@_ROBOT.command
+def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
   file = Path(files[0])
   from mjlab.new.package import check_new_package, package_name, write_package
 
@@ -106,7 +92,8 @@ def _new_robot(files: list[str], wanted: RobotArguments) -> int:
   return 0
 
 
-def _new_task(names: list[str], wanted: TaskArguments) -> int:
+@_TASK.command
+def _new_task(wanted: TaskArguments, names: list[str]) -> int:
   (name,) = names
   from mjlab.new.package import check_new_package, write_package
   from mjlab.new.task import task_files, task_id
@@ -122,3 +109,15 @@ def _new_task(names: list[str], wanted: TaskArguments) -> int:
   write_package(folder, task_files(name, wanted.like, wanted.robot))
   print(f"wrote {folder}, which offers {task_id(name)}; next: uv pip install -e {shlex.quote(str(folder))}")
   return 0
+
+
+def run(words: list[str]) -> int:
+  """Write a package; return the exit code."""
+  kinds = {"robot": _new_robot, "task": _new_task}
+  kind = words[0] if words else ""
+  if kind in ("-h", "--help"):
+    return max(new([kind]) for new in kinds.values())
+  if kind not in kinds:
+    problem = unknown("kind", kind, kinds) if kind else "nothing given"
+    raise UsageError(f"{problem}. usage: {_ROBOT.usage}; {_TASK.usage}")
+  return kinds[kind](words[1:])

@@ -1,19 +1,17 @@
 """`play TASK [flags]`: watch a policy."""
 
-import copy
 import dataclasses
 import math
 import os
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import Positive, PositiveCount
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, PageArguments, TaskArguments, build_env, output_file, run_with_task
-from mjlab.cli._policies import PolicyArguments, find_policy, make_policy, without_teacher
+from mjlab.cli._command_line import CommandLine, PageArguments, TaskArguments, TaskLine, output_file
+from mjlab.cli._policies import FoundPolicy, PolicyArguments, find_policy
 from mjlab.cli._watching import browse, until_interrupted
 
 if TYPE_CHECKING:
@@ -55,50 +53,37 @@ class Arguments(PolicyArguments, PageArguments, TaskArguments):
 
 _LINE = CommandLine(
   name="play",
-  words="TASK",
   purpose="Shows a policy in a browser, in a native window or as a film.",
   arguments=Arguments,
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
   """Play; return the exit code."""
-  return run_with_task(_LINE, words, _play)
+  from mjlab.cli._flags import replaced
 
-
-def _play(name: str, task: Any, given: list[str]) -> int:
-  from mjlab.cli._flags import parse, replaced
-
-  # First to find the policy; again below, with the configuration of its run as the default.
-  wanted = parse(Arguments(env=task.env), given)
   viewer = _viewer(wanted)
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force)
   device = environments.resolve_device(wanted.device)
-  source, parts = find_policy(wanted, name, task)
-  cfg = copy.deepcopy(parts.env)
-  if parts.play is not None:
-    cfg = parts.play(cfg)
+  found = find_policy(wanted, line)
   num_envs = _NUM_ENVS[viewer] if wanted.num_envs is None else wanted.num_envs
-  cfg = replaced(cfg, ("scene", "num_envs"), num_envs)
-  cfg = replaced(cfg, ("seed",), wanted.seed)
-  wanted = parse(Arguments(env=cfg), given)
+  cfg = replaced(environments.for_watching(found.parts), ("scene", "num_envs"), num_envs)
+  # Again, with the configuration of the run as the default.
+  wanted = _LINE.parse(line.flags, env=replaced(cfg, ("seed",), wanted.seed))
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
-  what = f"{wanted.agent} actions" if source is None else str(source)
   count = cfg.scene.num_envs
-  print(f"{name}: {what}, {count} environment{'s' * (count != 1)} on {device}", flush=True)
-  env = build_env(parts, without_teacher(cfg, parts.agent), device)
-  try:
-    policy, checkpoints = _policy(wanted, source, env, parts)
+  print(f"{line.name}: {found}, {count} environment{'s' * (count != 1)} on {device}", flush=True)
+  with found.acting(cfg, device) as (env, policy):
+    policy, checkpoints = _guarded(found, policy)
     if wanted.video is not None:
       return _film(wanted, env, policy)
     from mjlab_viewer import Playback
 
     playback = Playback(env, policy)
     playback.speed = wanted.speed
-    return (_native if viewer == "native" else _browser)(wanted, name, playback, checkpoints)
-  finally:
-    env.close()
+    return (_native if viewer == "native" else _browser)(wanted, line.name, playback, checkpoints)
 
 
 def _viewer(wanted: Arguments) -> str:
@@ -118,23 +103,22 @@ def _without_terminations(cfg: Any) -> Any:
   return replaced(cfg, ("terminations",), kept)
 
 
-def _policy(wanted: Arguments, source: Path | None, env: Any, parts: Any) -> "tuple[Policy, CheckpointList | None]":
-  policy = make_policy(wanted.agent, source, env, parts)
-  if wanted.agent != "trained":
+def _guarded(found: FoundPolicy, policy: Any) -> "tuple[Policy, CheckpointList | None]":
+  """Return a trained policy with a warning about actions that are not finite, and the checkpoints of its run."""
+  source = found.source
+  if source is None:
     return policy, None
   from mjlab_rl import FinitePolicy
 
   text = "warning: actions of the policy are NaN or infinite, which the environment takes for zero"
   finite = FinitePolicy(policy, lambda: print(text, flush=True))
-  if source is None or source.suffix != ".pt":
+  if source.suffix != ".pt":
     return finite, None
   from mjlab_rl import checkpoints
   from mjlab_viewer import CheckpointList
 
-  trained: Any = policy
-
   def load(name: str) -> "Policy":
-    trained.load(source.parent / name)
+    policy.load(source.parent / name)
     return finite
 
   def names() -> list[str]:

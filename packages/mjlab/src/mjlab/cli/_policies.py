@@ -1,11 +1,14 @@
 """Policies that a command line selects: those of runs, exported networks, zeros and random numbers."""
 
+import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from mjlab_core import UsageError
+
+from mjlab.cli._command_line import TaskLine, built_env
 
 if TYPE_CHECKING:
   from mjlab_rl import Policy, RunManifest, TaskCfg
@@ -29,46 +32,57 @@ class PolicyArguments:
   """Folder of all runs."""
 
 
-def find_policy(
-  wanted: PolicyArguments, name: str, task: "TaskCfg[Any]"
-) -> "tuple[Path | None, TaskCfg[Any] | RunManifest]":
-  """Return the checkpoint, bundle or exported network that is wanted, and its run.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FoundPolicy:
+  """Policy that a command line selects."""
 
-  The path is None for zero and random actions; the run is the task itself if the policy has no manifest of the task.
+  agent: Agent
+  source: Path | None
+  """Checkpoint, bundle or exported network; None for zero and random actions."""
+  parts: "TaskCfg[Any] | RunManifest"
+  """Run of the policy; the task itself if the policy has no manifest of the task."""
 
-  Args:
-    wanted: Arguments of a command.
-    name: Name of the task.
-    task: The task itself.
+  def __str__(self) -> str:
+    return f"{self.agent} actions" if self.source is None else str(self.source)
+
+  @contextlib.contextmanager
+  def acting(self, cfg: Any, device: str) -> "Generator[tuple[Any, Policy]]":
+    """Build an environment and the policy that acts in it, and close the environment at the end.
+
+    Raises:
+      MjlabError: The configuration cannot be built, or the file of the policy cannot be read or does not fit.
+    """
+    with built_env(self.parts, without_teacher(cfg, self.parts.agent), device) as env:
+      yield env, _policy(self, env)
+
+
+def find_policy(wanted: PolicyArguments, line: TaskLine) -> FoundPolicy:
+  """Return the policy that is wanted for a task.
 
   Raises:
     UsageError: The task has no run yet.
-    UnknownNameError: What was named is not there.
+    UnknownNameError: There is no run or file of the given name.
   """
   if wanted.agent != "trained":
-    return None, task
-  from mjlab_rl.bundle_policy import is_bundle
-
-  source = _source(wanted.checkpoint, Path(wanted.log_root), name, task.agent.experiment_name)
-  if is_bundle(source):
-    # Bundles stand beside the manifest of their run, or alone; their description is compared with the environment.
-    return source, manifest_of(source.parent, name, say=lambda line: None) or task
-  return source, manifest_of(source, name) or task
-
-
-def _source(checkpoint: str, log_root: Path, task: str, experiment: str) -> Path:
+    return FoundPolicy(agent=wanted.agent, source=None, parts=line.task)
   from mjlab_core.errors import UnknownNameError
   from mjlab_rl import find_checkpoint
   from mjlab_rl.bundle_policy import is_bundle
 
-  if is_bundle(Path(checkpoint)):
-    return Path(checkpoint)
-  try:
-    return find_checkpoint(checkpoint, log_root=log_root, experiment=experiment, task=task)
-  except UnknownNameError as error:
-    if checkpoint != "latest":
-      raise
-    raise UsageError(f"{error}. Train one with `train {task}`, or use --agent random.") from error
+  named, source = wanted.checkpoint, Path(wanted.checkpoint)
+  if is_bundle(source):
+    # Bundles stand beside the manifest of their run, or alone; their description is compared with the environment.
+    run = manifest_of(source.parent, line.name, say=lambda text: None)
+  else:
+    experiment = line.task.agent.experiment_name
+    try:
+      source = find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=line.name)
+    except UnknownNameError as error:
+      if named != "latest":
+        raise
+      raise UsageError(f"{error}. Train one with `train {line.name}`, or use --agent random.") from error
+    run = manifest_of(source, line.name)
+  return FoundPolicy(agent="trained", source=source, parts=run or line.task)
 
 
 def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -> "RunManifest | None":
@@ -99,18 +113,14 @@ def without_teacher(env: Any, agent: Any) -> Any:
   return replaced(env, ("observations",), {name: group for name, group in groups.items() if name not in unseen})
 
 
-def make_policy(agent: Agent, source: Path | None, env: Any, parts: Any) -> "Policy":
-  """Return the policy that acts in `env`; a trained one needs the learner of `parts`, a task or a run.
-
-  Raises:
-    MjlabError: The file cannot be read or does not fit.
-  """
+def _policy(found: FoundPolicy, env: Any) -> "Policy":
+  """Return the policy that acts in `env`."""
+  source, parts = found.source, found.parts
   if source is None:
     from mjlab_viewer import RandomPolicy, ZeroPolicy
 
-    return (ZeroPolicy if agent == "zero" else RandomPolicy)(
-      env.num_envs, env.action_manager.total_action_dim, env.device
-    )
+    kind = ZeroPolicy if found.agent == "zero" else RandomPolicy
+    return kind(env.num_envs, env.action_manager.total_action_dim, env.device)
   from mjlab_rl.bundle_policy import is_bundle
 
   if is_bundle(source):

@@ -8,12 +8,11 @@ from mjlab_core.constraints import NonNegative, Positive
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, build_env, output_file, run_with_task
-from mjlab.cli._policies import PolicyArguments, find_policy, make_policy
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
+from mjlab.cli._policies import PolicyArguments, find_policy
 
 if TYPE_CHECKING:
   from mjlab_motions import MotionRecorder
-  from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -44,31 +43,22 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
-  """Record; return the exit code."""
-  return run_with_task(_LINE, words, _record)
-
-
-def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(env=task.env), given)
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
+  """Record a clip; return the exit code."""
   if wanted.output is None:
     raise UsageError("--output is missing: name the clip's file, ending in .npz")
   output = output_file("--output", wanted.output, ".npz", force=wanted.force)
-  source, parts = find_policy(wanted, name, task)
+  found = find_policy(wanted, line)
   import torch
   from mjlab_motions import check_quality, derived_arrays, save_motion
 
-  wanted = parse(Arguments(env=parts.env if parts.play is None else parts.play(parts.env)), given)
+  # Again, with the configuration of the run as the default.
+  wanted = _LINE.parse(line.flags, env=environments.for_watching(found.parts))
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
-  device = environments.resolve_device(wanted.device)
-  env = build_env(parts, wanted.env, device)
-  try:
-    policy = make_policy(wanted.agent, source, env, parts)
-    what = f"{wanted.agent} actions" if source is None else str(source)
+  with found.acting(wanted.env, environments.resolve_device(wanted.device)) as (env, policy):
     recorder = _recorder(env, wanted.entity)
-    print(f"{name}: {what}", flush=True)
+    print(f"{line.name}: {found}", flush=True)
     first = round(wanted.skip / env.step_dt)
     with torch.no_grad():
       observations, _ = env.reset(seed=wanted.seed)
@@ -80,12 +70,10 @@ def _record(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
         if bool((terminated | truncated).any()):
           remedy = "try --seed, a shorter --seconds, or a better policy"
           raise MjlabError(f"the episode ended after {(step + 1) * env.step_dt:.2f} s, before the clip did; {remedy}")
-    about = f"mjlab, {name}, {what}, seed {wanted.seed}"
+    about = f"mjlab, {line.name}, {found}, seed {wanted.seed}"
     motion = recorder.motion(output.stem, source=about, license=wanted.license)
     print(check_quality(motion, recorder.kinematics).table())
     save_motion(motion, output, derived_arrays(motion, recorder.kinematics))
-  finally:
-    env.close()
   print(f"wrote {output}: {motion.num_frames} frames at {motion.rate:g} Hz")
   return 0
 

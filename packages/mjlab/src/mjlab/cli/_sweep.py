@@ -6,7 +6,7 @@ import math
 import time
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import msgspec
 from mjlab_core import AtomicWrite, UsageError, printable
@@ -14,11 +14,8 @@ from mjlab_core.constraints import NonNegative, PositiveCount
 from mjlab_core.files import reading
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine
 from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, check, read_space
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -51,7 +48,6 @@ class Arguments(TaskArguments):
 
 _LINE = CommandLine(
   name="sweep",
-  words="TASK",
   purpose="Trains a task with many values of its configuration, and shows the best. Needs Ray, the extra sweep.",
   arguments=Arguments,
   notes="""\
@@ -67,15 +63,10 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.task_command
+def run(wanted: Arguments, line: TaskLine) -> int:
   """Run or continue a sweep; return 1 if every trial failed."""
-  return run_with_task(_LINE, words, _sweep, lambda task: {"agent": task.agent, "env": task.env})
-
-
-def _sweep(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
-  from mjlab.cli._flags import parse
-
-  wanted = parse(Arguments(agent=task.agent, env=task.env), given)
+  name = line.name
   sweeps = Path(wanted.log_root).resolve() / "sweeps"
   if wanted.resume is not None:
     folder = sweeps / wanted.resume
@@ -91,7 +82,7 @@ def _sweep(name: str, task: "TaskCfg[Any]", given: list[str]) -> int:
       raise UsageError(f"--name: {folder} exists; --resume {folder.name} continues it")
     sweep = Sweep(
       task=name,
-      flags=_of_configs(given),
+      flags=_of_configs(line.flags),
       space=read_space(wanted.space),
       trials=wanted.trials,
       scheduler=wanted.scheduler,

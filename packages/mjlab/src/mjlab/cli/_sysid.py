@@ -9,7 +9,7 @@ from mjlab_core.constraints import Items, require
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
 from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
 from mjlab.registry import load_task
 
@@ -76,12 +76,9 @@ the model's value.
 )
 
 
-def run(words: list[str]) -> int:
-  """Identify; return the exit code."""
-  return run_with_words(_LINE, words, _identify, most=None)
-
-
-def _identify(paths: list[str], wanted: Arguments) -> int:
+@_LINE.command
+def run(wanted: Arguments, paths: list[str]) -> int:
+  """Fit parameters; return the exit code."""
   output = Path(wanted.output)
   report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
   for flag, path in (("--output", output), ("--report", report)):

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,22 +21,22 @@ _LONGEST = 2000  # characters of a text from the file
 
 
 def task_help(
-  command: str, task: str, word: str, rows: Callable[[], list[FlagRow]], *, variant: str = "", notes: str = ""
+  command: str, task: str, given: Sequence[str], word: str, rows: Callable[[], list[FlagRow]], *, notes: str = ""
 ) -> str:
   """Return the help on flags that have `word` in their names.
 
   Args:
     command: Name of the command.
     task: Name of the task.
+    given: Words before `--help`; one of them may select a learner.
     word: Part of names; empty for all.
     rows: Function that builds the task and returns all flags; not called if the kept ones are up to date.
-    variant: Name of the learner, if it is not that of the task.
     notes: Text below all flags.
 
   Raises:
     UsageError: No flag has `word` in its name.
   """
-  path = _path(f"{command} {variant}" if variant else command, task)
+  path = _path(command, task, given)
   known = None if path is None else _read(path)
   if known is None:
     known = rows()
@@ -51,7 +51,7 @@ def task_help(
   return flags_help(f"{command} {task} [flags]", about, shown, notes="" if word else notes)
 
 
-def _path(command: str, task: str) -> Path | None:
+def _path(command: str, task: str, given: Sequence[str]) -> Path | None:
   """Return the file of a task of an installed package; None for one that a script registered."""
   found = [entry.package for entry in task_entries() if entry.name == task]
   if len(found) != 1 or found[0] == "(registered)":
@@ -59,7 +59,7 @@ def _path(command: str, task: str) -> Path | None:
   root = os.environ.get("XDG_CACHE_HOME")
   folder = Path(root) if root else Path.home() / ".cache"
   # Several environments may have tasks of one name.
-  parts = (command, task, sys.prefix, sys.version, metadata.version("mjlab"), metadata.version(found[0]))
+  parts = (command, task, *given, sys.prefix, sys.version, metadata.version("mjlab"), metadata.version(found[0]))
   return folder / "mjlab" / "help" / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.json"
 
 

@@ -1,7 +1,6 @@
 """`train TASK [flags]`: build the task, apply the flags, train."""
 
 import dataclasses
-import itertools
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,13 +10,13 @@ from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, as_usage, building, run_with_task
+from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, as_usage, building, take
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import Watchers
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
-  from mjlab_rl import Console, RlEnv, TaskCfg
+  from mjlab_rl import Console, RlEnv
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -70,9 +69,28 @@ class Arguments(TaskArguments):
   """Configuration of the learner."""
 
 
+def _load(name: str, words: list[str]) -> TaskLine:
+  """Load a task with the learner of `--agent NAME`; a bare `--resume` means the latest run.
+
+  Raises:
+    UsageError: There is no such learner, or a run with another one is resumed.
+  """
+  resume, given = take(words, "--resume", nargs="?", const="latest")
+  given += [] if resume is None else ["--resume", resume]
+  learner, flags = take(given, "--agent")
+  task = load_task(name)
+  if learner is not None:
+    from mjlab_rl.offpolicy import with_agent
+
+    if resume is not None:
+      raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
+    with as_usage("--agent"):
+      task = with_agent(task, learner)
+  return TaskLine(name=name, task=task, given=given, flags=flags)
+
+
 _LINE = CommandLine(
   name="train",
-  words="TASK",
   purpose="Trains a policy.",
   arguments=Arguments,
   notes="""\
@@ -82,81 +100,41 @@ _LINE = CommandLine(
 
 train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.
 """,
+  load=_load,
 )
 
 
 def run(words: list[str]) -> int:
   """Train; return the exit code."""
-  if words and words[0].startswith("--tyro-"):
-    _print_completion(words)
-    return 0
-  given = list(itertools.takewhile(lambda word: word not in ("-h", "--help"), words))
-  variant = " ".join(after for word, after in itertools.pairwise([*given, ""]) if word == "--agent")
-  variant += "".join(word for word in given if word.startswith("--agent="))
-
-  def parts(task: "TaskCfg[Any]") -> dict[str, Any]:
-    return {"agent": _chosen(task, given)[0].agent, "env": task.env}
-
-  return run_with_task(_LINE, words, _train, parts, variant)
-
-
-def _print_completion(words: list[str]) -> None:
+  if not words or not words[0].startswith("--tyro-"):
+    return _train(words)
   from mjlab.cli._flags import print_completion
 
   tasks = {name: load_task(name) for name in list_tasks()}
   configs = {name: Arguments(agent=task.agent, env=task.env) for name, task in tasks.items()}
   print_completion(configs, prog="train", words=words)
+  return 0
 
 
-def _with_latest(given: list[str]) -> list[str]:
-  """Return the words with `--resume latest` for a bare `--resume`."""
-  words: list[str] = []
-  for word, following in itertools.zip_longest(given, given[1:], fillvalue="--"):
-    words += [word, "latest"] if word == "--resume" and following.startswith("--") else [word]
-  return words
-
-
-def _chosen(task: "TaskCfg[Any]", words: list[str]) -> "tuple[TaskCfg[Any], list[str]]":
-  """Return the task with the learner of `--agent NAME`, and the other words.
-
-  Raises:
-    UsageError: There is no such learner, no name, or another run is resumed.
-  """
-  number = next((i for i, word in enumerate(words) if word.partition("=")[0] == "--agent"), None)
-  if number is None:
-    return task, words
-  from mjlab_rl.offpolicy import with_agent
-
-  _, equals, name = words[number].partition("=")
-  rest = words[number + (1 if equals else 2) :]
-  name = name if equals else next(iter(words[number + 1 : number + 2]), "")
-  if any(word.partition("=")[0] == "--resume" for word in words):
-    raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
-  with as_usage("--agent"):
-    return with_agent(task, name), words[:number] + rest
-
-
-def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
+@_LINE.task_command
+def _train(wanted: Arguments, line: TaskLine) -> int:
   from mjlab_rl import Console
   from mjlab_rl.ranks import Ranks
 
-  from mjlab.cli._flags import parse, replaced
+  from mjlab.cli._flags import replaced
   from mjlab.cli._launch import launch, restarted_from
 
-  task, given = _chosen(task, _with_latest(words))
-  # First to find the run to start from; again below, with the configuration of that run as the default.
-  wanted = parse(Arguments(agent=task.agent, env=task.env), given)
   _check_combinations(wanted)
-  ranks = Ranks.launched()
   if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:
-    return launch(wanted, name, task, given)
+    return launch(wanted, line)
+  name, task, ranks = line.name, line.task, Ranks.launched()
   console = Console("quiet" if wanted.quiet or not ranks.is_first else "verbose" if wanted.verbose else "normal")
   device = ranks.device(environments.resolve_device(wanted.device))
   experiment = wanted.agent.experiment_name
   restarted = restarted_from(Path(wanted.log_root), experiment)
   checkpoint = restarted
   if checkpoint is None and wanted.resume is not None:
-    checkpoint = _trained(wanted.resume, wanted, experiment, name)
+    checkpoint = _checkpoint(wanted.resume, wanted, experiment, name)
   run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
   default = None
   if run is None:
@@ -164,13 +142,15 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
     task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
   else:
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
-  wanted = parse(Arguments(agent=task.agent, env=task.env), given)
+  # Again, with the configuration of the run as the default.
+  wanted = _LINE.parse(line.flags, agent=task.agent, env=task.env)
   if restarted is not None:
     wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
   if wanted.seed is not None:
     wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
     wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
-  teachers, beginning = _teachers(wanted, name), _beginning(wanted)
+  teachers = _teachers(wanted, name)
+  beginning = None if wanted.init_from is None else _checkpoint(wanted.init_from, wanted, wanted.agent.experiment_name)
   hint = " (--env.scene.num-envs sets it)" if wanted.env.scene.num_envs == default else ""
   console.say(_place_line(name, wanted.env, device, ranks.world_size, hint))
   known = {"continuing from": checkpoint, "imitating": ", ".join(map(str, teachers)), "starting from": beginning}
@@ -183,14 +163,14 @@ def _train(name: str, task: "TaskCfg[Any]", words: list[str]) -> int:
     "resume": checkpoint,
     "teacher": teachers,
     "init_from": beginning,
-    "command": ["train", name, *_with_latest(words)],
+    "command": ["train", name, *line.given],
   }
   try:
     return _run(name, wanted, console, is_watched=ranks.is_first, is_from_file=run is not None, **options)
   except DivergedError:
     if ranks.is_first:
       raise
-    return 1  # The first process says it.
+    return 1  # The first process reports it.
 
 
 def _check_combinations(wanted: Arguments) -> None:
@@ -264,49 +244,33 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
     raise UsageError(f"{task} needs a teacher: give its run or checkpoint with --teacher")
   experiment = (agent if agent.teacher_task is None else load_task(agent.teacher_task).agent).experiment_name
   try:
-    return [_of_task(name, wanted, experiment, agent.teacher_task) for name in names]
+    return [_checkpoint(name, wanted, experiment, agent.teacher_task) for name in names]
   except UnknownNameError as error:
     train_one = f". Train one with `train {agent.teacher_task}`" if names == ("latest",) else ""
     raise UsageError(f"no teacher: {error}{train_one}") from error
 
 
-def _beginning(wanted: Arguments) -> Path | None:
-  """Return the checkpoint of the policy to start from, if one is given."""
-  named, experiment = wanted.init_from, wanted.agent.experiment_name
-  return None if named is None else _of_task(named, wanted, experiment)
-
-
-def _of_task(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
-  """Return the checkpoint of `named`, as `_trained` does, or the latest of a task of this name."""
+def _checkpoint(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
+  """Return the checkpoint that `find_checkpoint` finds for a name, or that of the latest run of a task of this name."""
   from mjlab_core import nearest
+  from mjlab_rl import find_checkpoint
 
   if named in list_tasks():
-    return _trained("latest", wanted, load_task(named).agent.experiment_name, named)
+    named, experiment, task = "latest", load_task(named).agent.experiment_name, named
   try:
-    return _trained(named, wanted, experiment, task)
+    return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
   except UnknownNameError as error:
     close = nearest(named, list_tasks(), 1)
     raise UnknownNameError(f"{error}. Nearest task: {close[0]}" if close else str(error)) from error
 
 
-def _trained(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
-  """Return the checkpoint that `find_checkpoint` finds in the folder of all runs."""
-  from mjlab_rl import find_checkpoint
-
-  return find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=task)
-
-
 def _place_line(name: str, env: Any, device: str, processes: int, hint: str) -> str:
-  count = env.scene.num_envs
-  where = f"{device} ({environments.cpu_cores()} cores)" if device == "cpu" else f"{device} ({_gpu_name(device)})"
-  each = f" in each of {processes} processes" if processes > 1 else ""
-  return f"{name}: {count} environment{'s' * (count != 1)}{each}{hint} on {where}"
-
-
-def _gpu_name(device: str) -> str:
   import torch
 
-  return torch.cuda.get_device_name(device)
+  count = env.scene.num_envs
+  place = f"{environments.cpu_cores()} cores" if device == "cpu" else torch.cuda.get_device_name(device)
+  each = f" in each of {processes} processes" if processes > 1 else ""
+  return f"{name}: {count} environment{'s' * (count != 1)}{each}{hint} on {device} ({place})"
 
 
 def _environment_line(env: Any) -> str:

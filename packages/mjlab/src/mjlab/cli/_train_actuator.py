@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core import UsageError
 
-from mjlab.cli._command_line import CommandLine, CommonArguments, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
 from mjlab.cli._progress import ProgressBar, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
 
@@ -63,12 +63,9 @@ records are .csv, .npz or .mcap files (docs/sysid.md); of each joint the command
 )
 
 
-def run(words: list[str]) -> int:
-  """Fit; return the exit code."""
-  return run_with_words(_LINE, words, _fit, most=None)
-
-
-def _fit(records: list[str], wanted: Arguments) -> int:
+@_LINE.command
+def run(wanted: Arguments, records: list[str]) -> int:
+  """Fit a network; return the exit code."""
   output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
   plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
   for flag, path in (("--output", output), ("--plot", plot)):

@@ -2,15 +2,15 @@
 
 import dataclasses
 import os
-import subprocess
 import sys
 import textwrap
+from ctypes.util import find_library
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mjlab_core.constraints import Items, PositiveCount
 from mjlab_core.names import check_name
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
+from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, take
 
 if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg
@@ -56,38 +56,28 @@ _LINE = CommandLine(
 
 def run(words: list[str]) -> int:
   """Show terrain; return the exit code."""
+  # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
+  if sys.platform == "linux" and not os.environ.get("DISPLAY") and find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
   from mjlab_terrain import all_types
 
   types = textwrap.fill(f"types (default: walking): all, walking, {', '.join(all_types())}", 120)
-  line = dataclasses.replace(_LINE, notes=f"{types}\n")
-  if line.wants_help(words):
-    return 0
-  names, flags = line.split(words, most=None)
-  from mjlab.cli._flags import parse
+  # Of a flag that is given again only the last counts otherwise.
+  settings, words = take(words, "--set", nargs="*", action="extend")
+  words += ["--set", *settings] if settings else []
+  return dataclasses.replace(_LINE, notes=f"{types}\n").command(_show)(words)
 
-  wanted = parse(Arguments(), _with_all_settings(flags))
+
+def _show(wanted: Arguments, names: list[str]) -> int:
   cfg = _grid(names, wanted)
   if wanted.image is not None:
-    return _write_image(cfg, wanted, words)
+    return _write_image(cfg, wanted)
   from mjlab_terrain.view.page import serve
   from mjlab_viewer import check_address
 
   check_address(wanted.host, wanted.port)
   serve(cfg, wanted.port, wanted.host)
   return 0
-
-
-def _with_all_settings(flags: list[str]) -> list[str]:
-  """Return flags with the values of all `--set` behind one; of a flag that is given again only the last counts."""
-  others, settings, flag = [], [], ""
-  for word in flags:
-    is_flag = word.startswith("--")
-    flag = word if is_flag else flag
-    if flag.partition("=")[0] != "--set":
-      others.append(word)
-    elif not is_flag or "=" in word:
-      settings.append(word.removeprefix("--set="))
-  return [*others, "--set", *settings] if settings else flags
 
 
 def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
@@ -125,31 +115,23 @@ def _types(names: list[str]) -> "dict[str, TileCfg]":
   return chosen
 
 
-def _write_image(cfg: "TerrainGridCfg", wanted: Arguments, words: list[str]) -> int:
+def _write_image(cfg: "TerrainGridCfg", wanted: Arguments) -> int:
   """Write a picture: a rendering, or a plot if that is wanted or OpenGL does not work."""
   path = output_file("--image", wanted.image or "", ".png", force=True)
-  size = wanted.image_size
-  # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
-  is_headless = sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ
-  if is_headless and not wanted.plot:
-    code = "import sys; from mjlab.cli import main; sys.exit(main(['visualize-terrain', *sys.argv[1:]]))"
-    command = [sys.executable, "-c", code, *words]
-    done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False)
-    if done.returncode == 0:
-      print(done.stdout, end="")
-      return 0
   import numpy as np
   from mjlab_terrain.view.picture import plot, render
   from PIL import Image
 
   pixels, kind = None, "rendering"
-  if not (wanted.plot or is_headless):
+  if not wanted.plot:
     try:
-      pixels = render(cfg, size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0, names=True)
+      pixels = render(
+        cfg, wanted.image_size, azimuth=35.0 if cfg.rows == 1 and len(cfg.types) == 1 else 0.0, names=True
+      )
     except Exception as error:  # The class of the error depends on the system.
       print(f"no OpenGL ({type(error).__name__}: {error}); plotting heights instead", file=sys.stderr)
   if pixels is None:
-    pixels, kind = plot(cfg, size, names=True), "plot"
+    pixels, kind = plot(cfg, wanted.image_size, names=True), "plot"
   path.parent.mkdir(parents=True, exist_ok=True)
   Image.fromarray(np.ascontiguousarray(pixels)).save(path)
   print(f"{path} ({kind})")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core.constraints import Positive
 
-from mjlab.cli._command_line import CommandLine, PageArguments, output_file, run_with_words
+from mjlab.cli._command_line import CommandLine, PageArguments, output_file
 from mjlab.cli._watching import browse
 
 if TYPE_CHECKING:
@@ -40,12 +40,9 @@ _LINE = CommandLine(
 )
 
 
-def run(words: list[str]) -> int:
+@_LINE.command
+def run(wanted: Arguments, files: list[str]) -> int:
   """Print a report on every environment of the file; show them if wanted."""
-  return run_with_words(_LINE, words, _explain)
-
-
-def _explain(files: list[str], wanted: Arguments) -> int:
   (file,) = files
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force)
