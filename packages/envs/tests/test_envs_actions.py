@@ -27,8 +27,8 @@ def test_a_position_is_the_default_plus_the_scaled_action(make: Make) -> None:
   np.testing.assert_allclose(targets(env, action), DEFAULT + 0.5 * action.double().numpy(), rtol=1e-12)
   assert env.action_manager.total_action_dim == 2
   term = env.action_manager.get_term("legs")
-  assert isinstance(term, mdp.JointPositionAction)
-  assert term.joint_names == ["hip", "knee"]
+  assert isinstance(term, mdp.AffineAction)
+  assert term.target_names == ["hip", "knee"]
   assert term.scale.shape == term.offset.shape == (1, 2)
   assert torch.equal(env.action_manager.action, action)
 
@@ -51,12 +51,6 @@ def test_scales_offsets_and_clips_are_given_by_pattern(make: Make) -> None:
   assert (np.abs(expected[:, 1]) > 0.2).any()
 
 
-def test_the_reach_of_an_action_is_the_farther_limit_of_its_joint(make: Make) -> None:
-  env = acting(make, legs=mdp.JointPositionActionCfg(scale={"hip": 0.5, "knee": -0.25}))
-  # The hip goes from -1 to 1 around 0.2, the knee from -1.5 to 0.5 around -0.4.
-  np.testing.assert_allclose(env.action_manager.get_term("legs").reach, [[1.2 / 0.5, 1.1 / 0.25]])
-
-
 def test_one_clip_bounds_all_joints(make: Make) -> None:
   env = acting(make, legs=mdp.JointPositionActionCfg(clip=(-0.1, 0.3)))
   action = 10.0 * actions(env, 2)
@@ -70,8 +64,8 @@ def test_columns_come_in_the_order_of_the_model_or_of_the_patterns(
   cfg = mdp.JointPositionActionCfg(actuators=("knee", "hip"), preserve_order=preserve, scale={"hip": 1.0, "knee": 2.0})
   env = acting(make, legs=cfg)
   term = env.action_manager.get_term("legs")
-  assert isinstance(term, mdp.JointPositionAction)
-  assert term.joint_names == names
+  assert isinstance(term, mdp.AffineAction)
+  assert term.target_names == names
   # The order is no state.
   assert "_ids" not in term.state_dict()
   action = actions(env, 3)

@@ -12,7 +12,6 @@ from envs_hopper import HOPPER, Ended, Make, actions, end, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_dr import body_com_offset, geom_friction, randomize_field
 from mjlab_envs import ManagerBasedRlEnv, mdp
-from mjlab_envs.viewing import default_drawers
 from mjlab_managers import (
   EventTermCfg,
   MetricsTermCfg,
@@ -229,7 +228,7 @@ def test_pictures_show_the_sensors_that_are_to_be_drawn(make: Make) -> None:
     )
   env = make(cfg)
   assert {"sensor shown", "sensor hidden", "sensor robot/gyro"} <= set(env.drawers())
-  assert [name for name in default_drawers(env) if name.startswith("sensor")] == ["sensor shown"]
+  assert [name for name in env.default_drawers() if name.startswith("sensor")] == ["sensor shown"]
 
 
 def calibrate(env: Any, mask: torch.Tensor, *, sensor: str, most: float) -> None:

@@ -145,7 +145,7 @@ def test_inverse_kinematics_gets_from_any_pose_to_one_near_it() -> None:
   angle = 2.0 * torch.acos((reached_quat * quat).sum(-1).abs().clamp(max=1.0))
   assert error.max() < 1e-3
   assert angle.max() < 1e-2
-  assert term.joint_names == list(ARM)
+  assert term.target_names == list(ARM)
 
 
 @pytest.mark.warp

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +34,14 @@ MANAGERS: dict[str, tuple[str, type[ManagerBase[Any]]]] = {
   "events": ("event_manager", EventManager),
   "commands": ("command_manager", CommandManager),
   "actions": ("action_manager", ActionManager),
-  "observations": ("observation_manager", ObservationManager),
   "terminations": ("termination_manager", TerminationManager),
-  "rewards": ("reward_manager", RewardManager),
-  "curriculum": ("curriculum_manager", CurriculumManager),
   "metrics": ("metrics_manager", MetricsManager),
+  "rewards": ("reward_manager", RewardManager),
+  "observations": ("observation_manager", ObservationManager),
+  "curriculum": ("curriculum_manager", CurriculumManager),
   "recorders": ("recorder_manager", RecorderManager),
 }
-"""Attribute and type of the manager of each part of a config."""
+"""Attribute and type of the manager of each part of a config, in the order in which they are built."""
 
 _log = logging.getLogger("mjlab")
 
@@ -79,21 +79,17 @@ class ManagerBasedEnv:
   observation_manager: ObservationManager
   curriculum_manager: CurriculumManager
   recorder_manager: RecorderManager
+  managers: dict[str, ManagerBase[Any]]
+  """All managers by the name of their part of the config."""
   nan_guard: NanGuard | None
   """Record of the last states of every world; None where it is off, or without a termination for divergence."""
   output_dir: Path | None = None
   """Folder of a training run, which sets it. Dumps of diverged worlds go to its subfolder `nan_dumps`."""
 
-  _managers: tuple[ManagerBase[Any], ...]
   _step_graph: StepGraph
   _pending: torch.Tensor
   _announced: set[str]
   _compiled: tuple[CompiledTerms, ...] = ()
-
-  @property
-  def managers(self) -> dict[str, ManagerBase[Any]]:
-    """All managers by the name of their part of the config."""
-    return {part: getattr(self, name) for part, (name, _) in MANAGERS.items()}
 
   def run_eagerly(self, fn: Callable[[], None], name: str) -> None:
     """Run a function that cannot be recorded; split the step graph around it. Warn once for each name."""
@@ -132,12 +128,12 @@ class ManagerBasedEnv:
     """
     names: list[str] = []
     values: list[torch.Tensor] = []
-    for manager in self._managers:
+    for manager in self.managers.values():
       manager_names, manager_values = manager.log_tensors()
       names += manager_names
       values.append(manager_values)
     numbers = torch.cat(values).tolist() if names else []
-    for manager in self._managers:
+    for manager in self.managers.values():
       manager.clear_log()
     self._warn(self.sim.overflow_report())
     self._warn_of_divergence()
@@ -219,35 +215,27 @@ class ManagerBasedEnv:
       f"{self.num_envs} worlds on {self.device} ({self.sim.engine} engine), physics {self.physics_dt:g} s,"
       f" step {self.step_dt:g} s, episode {self.max_episode_length} steps, seed {self.seed}"
     )
-    return "\n".join([head, *(text for manager in self._managers if (text := manager.describe()))])
+    return "\n".join([head, *(text for manager in self.managers.values() if (text := manager.describe()))])
 
   @property
   def single_observation_space(self) -> Any:
     """Observation space of one world, a Gymnasium Dict of unbounded boxes by group."""
-    from mjlab_envs.spaces import observation_space
-
-    return observation_space(self.observation_manager)
+    return _space(self.observation_manager.buffers, single=True)
 
   @property
   def single_action_space(self) -> Any:
     """Action space of one world, an unbounded Gymnasium box."""
-    from mjlab_envs.spaces import box
-
-    return box((self.action_manager.total_action_dim,))
+    return _space(self.action_manager.action, single=True)
 
   @property
   def observation_space(self) -> Any:
     """Observation space of all worlds."""
-    from mjlab_envs.spaces import batched
-
-    return batched(self.single_observation_space, self.num_envs)
+    return _space(self.observation_manager.buffers)
 
   @property
   def action_space(self) -> Any:
     """Action space of all worlds."""
-    from mjlab_envs.spaces import batched
-
-    return batched(self.single_action_space, self.num_envs)
+    return _space(self.action_manager.action)
 
   @contextlib.contextmanager
   def _one_torch_thread(self) -> Generator[None, None, None]:
@@ -269,6 +257,16 @@ def cloned(observations: Observations) -> Observations:
     group: value.clone() if isinstance(value, torch.Tensor) else {name: term.clone() for name, term in value.items()}
     for group, value in observations.items()
   }
+
+
+def _space(values: torch.Tensor | Mapping[str, Any], *, single: bool = False) -> Any:
+  """Return the Gymnasium space of values of all worlds, or of a single one: an unbounded box, or a Dict by name."""
+  # Gymnasium takes a third of a second to import.
+  from gymnasium import spaces
+
+  if isinstance(values, torch.Tensor):
+    return spaces.Box(-math.inf, math.inf, tuple(values.shape[1:] if single else values.shape))
+  return spaces.Dict({name: _space(value, single=single) for name, value in values.items()})
 
 
 def select_worlds(env_ids: torch.Tensor | Sequence[int] | None, num_envs: int, device: torch.device) -> torch.Tensor:

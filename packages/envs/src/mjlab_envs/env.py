@@ -2,35 +2,24 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
 import torch
-from mjlab_core import ConfigError, DebugDraw, MjlabError, call_where, check_value, draw_seed, make_generator
-from mjlab_managers import (
-  ActionManager,
-  CommandManager,
-  CurriculumManager,
-  EventManager,
-  MetricsManager,
-  ObservationManager,
-  RecorderManager,
-  RewardManager,
-  TerminationManager,
-  TerminationTermCfg,
-)
+from mjlab_core import ConfigError, MjlabError, call_where, check_value, draw_seed, make_generator
+from mjlab_managers import EventManager, TerminationTermCfg
 from mjlab_scene import Scene
 from mjlab_sim import NanGuard, Simulation
 
 from mjlab_envs import rehearsal, viewing
-from mjlab_envs.base_env import MANAGERS, ManagerBasedEnv, Observations, cloned, select_worlds
+from mjlab_envs.base_env import MANAGERS, Observations, cloned, select_worlds
 from mjlab_envs.compiled_terms import CompiledTerms
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
 
 
-class ManagerBasedRlEnv(ManagerBasedEnv):
+class ManagerBasedRlEnv(viewing.ViewableEnv):
   """Many worlds of one task behind Gymnasium's vector interface.
 
   A step is eight stages in a fixed order, `_step_stages`. On a GPU they are recorded once as one graph and replayed;
@@ -134,31 +123,23 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     guard = self.cfg.sim.nan_guard
     self.nan_guard = NanGuard(self.sim, self.cfg.decimation, guard) if guard.enabled and detectors else None
     self._nan_detector = detectors[0] if detectors else ""
-    cfg = self.cfg
-    self.event_manager = EventManager(cfg.events, self, problems=problems)
-    self.sim.expand_model_fields(self.event_manager.model_fields)
-    self.command_manager = CommandManager(cfg.commands, self, problems=problems)
-    self.action_manager = ActionManager(cfg.actions, self, problems=problems)
-    self.termination_manager = TerminationManager(terminations, self, problems=problems)
-    self.metrics_manager = MetricsManager(cfg.metrics, self, problems=problems)
-    self.reward_manager = RewardManager(cfg.rewards, self, scale_by_dt=cfg.scale_rewards_by_dt, problems=problems)
-    self.observation_manager = ObservationManager(cfg.observations, self, problems=problems)
-    others = (
-      self.event_manager,
-      self.command_manager,
-      self.termination_manager,
-      self.metrics_manager,
-      self.reward_manager,
-      self.observation_manager,
-    )
-    self.curriculum_manager = CurriculumManager(cfg.curriculum, self, others=others, problems=problems)
-    self.recorder_manager = RecorderManager(cfg.recorders, self, problems=problems)
-    self._managers = tuple(self.managers.values())
+    parts = vars(self.cfg) | {"terminations": terminations}
+    self.managers = {}
+    options = {
+      "rewards": {"scale_by_dt": self.cfg.scale_rewards_by_dt},
+      "curriculum": {"others": self.managers.values()},
+    }
+    for part, (name, kind) in MANAGERS.items():
+      manager = kind(parts[part], self, problems=problems, **options.get(part, {}))
+      self.managers[part] = manager
+      setattr(self, name, manager)
+      if isinstance(manager, EventManager):
+        self.sim.expand_model_fields(manager.model_fields)
 
   def _rehearse(self, problems: list[str]) -> None:
     """Call the parts that no manager has called yet, add failures to `problems`, and restore all state."""
     state = self.state_dict()
-    undo = [manager.remember() for manager in self._managers]
+    undo = [manager.remember() for manager in self.managers.values()]
     problems += rehearsal.rehearse(self.managers, self.drawers())
     if problems:
       return
@@ -222,16 +203,7 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     self.sim.reset(mask)
     self.scene.reset(mask)
     self.event_manager.apply("reset", mask)
-    for manager in (
-      self.observation_manager,
-      self.action_manager,
-      self.reward_manager,
-      self.metrics_manager,
-      self.curriculum_manager,
-      self.command_manager,
-      self.event_manager,
-      self.termination_manager,
-    ):
+    for manager in reversed(self.managers.values()):
       manager.reset(mask)
     self.episode_length_buf.masked_fill_(mask, 0)
 
@@ -277,7 +249,7 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     # A step is not differentiable; a policy may be called outside torch.no_grad().
     self._action.copy_(action.detach())
     with self._one_torch_thread():
-      for manager in self._managers:
+      for manager in self.managers.values():
         manager.sync()
       self._step_graph()
     return (
@@ -357,22 +329,6 @@ class ManagerBasedRlEnv(ManagerBasedEnv):
     if self._camera is None:
       self._camera = viewing.Camera(self, self.cfg.viewer)
     return self._camera.picture()
-
-  def signals(self) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
-    """Return the numbers to plot by group, for example "rewards": names and live values, (num_envs, k)."""
-    return viewing.signals(self)
-
-  def drawers(self) -> dict[str, Callable[[DebugDraw], None]]:
-    """Return the functions that draw over pictures by name: `debug_draw` of commands, events and sensors."""
-    return viewing.drawers(self)
-
-  def default_drawers(self) -> tuple[str, ...]:
-    """Return the names of the commands and sensors with `debug_vis` in their configuration."""
-    return viewing.default_drawers(self)
-
-  def steering(self) -> dict[str, Any]:
-    """Return the commands that a user can steer, by name: those that have `axes`."""
-    return viewing.steering(self)
 
   def __enter__(self) -> "ManagerBasedRlEnv":
     return self

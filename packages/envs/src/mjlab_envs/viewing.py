@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,63 +10,57 @@ import numpy as np
 import torch
 from mjlab_core import DebugDraw
 
+from mjlab_envs.base_env import ManagerBasedEnv
+
 if TYPE_CHECKING:
   from mjlab_viewer import ViewedEnv
 
-  from mjlab_envs.base_env import ManagerBasedEnv
   from mjlab_envs.env_cfg import ViewerCfg
 
 RenderMode = Literal["rgb_array"]
 MOST_TILES = 4
 
 
-def signals(env: ManagerBasedEnv) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
-  """Return the numbers to plot by group, names and values (num_envs, k): weighted rewards, commands and so on."""
-  found: dict[str, tuple[Sequence[str], torch.Tensor]] = {}
-  if env.reward_manager.active_terms:
-    found["rewards"] = (env.reward_manager.active_terms, env.reward_manager.step_reward)
-  for name in env.command_manager.active_terms:
-    command = env.command_manager.get_command(name)
-    found[f"command {name}"] = (_numbered(name, command[0].numel()), command.reshape(env.num_envs, -1))
-  if env.termination_manager.active_terms:
-    found["terminations"] = env.termination_manager.step_terms
-  manager = env.observation_manager
-  for group, value in manager.buffers.items():
-    if isinstance(value, dict):
-      terms = {f"{group}/{term}": tensor for term, tensor in value.items()}
-      found |= {name: (_numbered(name, t[0].numel()), t.reshape(env.num_envs, -1)) for name, t in terms.items()}
-    elif value.dim() == 2:
-      names: list[str] = []
-      for term, shape in zip(manager.active_terms[group], manager.group_obs_term_dim[group], strict=True):
-        names += _numbered(term, int(np.prod(shape)))
-      # Parts that are joined along another axis than the last have no names of their own.
-      found[f"observations {group}"] = (
-        names if len(names) == value.shape[1] else _numbered(group, value.shape[1]),
-        value,
-      )
-  return found
+class ViewableEnv(ManagerBasedEnv):
+  """Signals, drawings and commands of an environment, as viewers ask for them."""
 
+  def signals(self) -> dict[str, tuple[Sequence[str], torch.Tensor]]:
+    """Return the numbers to plot by group, for example "rewards": names and live values, (num_envs, k)."""
+    found: dict[str, tuple[Sequence[str], torch.Tensor]] = {}
+    if self.reward_manager.active_terms:
+      found["rewards"] = (self.reward_manager.active_terms, self.reward_manager.step_reward)
+    for name in self.command_manager.active_terms:
+      found[f"command {name}"] = _columns(name, self.command_manager.get_command(name))
+    if self.termination_manager.active_terms:
+      found["terminations"] = self.termination_manager.step_terms
+    manager = self.observation_manager
+    for group, value in manager.buffers.items():
+      if isinstance(value, dict):
+        found |= {f"{group}/{term}": _columns(f"{group}/{term}", tensor) for term, tensor in value.items()}
+      elif value.dim() == 2:
+        shapes = zip(manager.active_terms[group], manager.group_obs_term_dim[group], strict=True)
+        names = [name for term, shape in shapes for name in _numbered(term, math.prod(shape))]
+        # Parts that are joined along another axis than the last have no names of their own.
+        found[f"observations {group}"] = (names, value) if len(names) == value.shape[1] else _columns(group, value)
+    return found
 
-def drawers(env: ManagerBasedEnv) -> dict[str, Callable[[DebugDraw], None]]:
-  """Return the `debug_draw` of the commands, events and sensors that have one, by name."""
-  parts: dict[str, Any] = {
-    f"command {name}": env.command_manager.get_term(name) for name in env.command_manager.active_terms
-  }
-  parts |= {f"event {name}": env.event_manager.term(name).func for name in env.event_manager.active_terms}
-  parts |= {f"sensor {name}": sensor for name, sensor in env.scene.sensors.items()}
-  return {name: part.debug_draw for name, part in parts.items() if hasattr(part, "debug_draw")}
+  def drawers(self) -> dict[str, Callable[[DebugDraw], None]]:
+    """Return the functions that draw over pictures by name: `debug_draw` of commands, events and sensors."""
+    commands, events = self.command_manager, self.event_manager
+    parts: dict[str, Any] = {f"command {name}": commands.get_term(name) for name in commands.active_terms}
+    parts |= {f"event {name}": events.term(name).func for name in events.active_terms}
+    parts |= {f"sensor {name}": sensor for name, sensor in self.scene.sensors.items()}
+    return {name: part.debug_draw for name, part in parts.items() if hasattr(part, "debug_draw")}
 
+  def default_drawers(self) -> tuple[str, ...]:
+    """Return the names of the commands and sensors with `debug_vis` in their configuration."""
+    owners = ((name, getattr(draw, "__self__", None)) for name, draw in self.drawers().items())
+    return tuple(name for name, owner in owners if getattr(getattr(owner, "cfg", None), "debug_vis", False))
 
-def default_drawers(env: ManagerBasedEnv) -> tuple[str, ...]:
-  """Return the names of the commands and sensors with `debug_vis` in their configuration."""
-  owners = ((name, getattr(draw, "__self__", None)) for name, draw in drawers(env).items())
-  return tuple(name for name, owner in owners if getattr(getattr(owner, "cfg", None), "debug_vis", False))
-
-
-def steering(env: ManagerBasedEnv) -> dict[str, Any]:
-  """Return the commands that a user can steer, by name: those that have `axes`."""
-  terms = {name: env.command_manager.get_term(name) for name in env.command_manager.active_terms}
-  return {name: term for name, term in terms.items() if term.axes}
+  def steering(self) -> dict[str, Any]:
+    """Return the commands that a user can steer, by name: those that have `axes`."""
+    terms = {name: self.command_manager.get_term(name) for name in self.command_manager.active_terms}
+    return {name: term for name, term in terms.items() if term.axes}
 
 
 class Camera:
@@ -88,6 +83,12 @@ class Camera:
   def close(self) -> None:
     """Free the memory of OpenGL."""
     self._renderer.close()
+
+
+def _columns(name: str, values: torch.Tensor) -> tuple[list[str], torch.Tensor]:
+  """Return values with one column for each number of a world, and the names of the columns."""
+  flat = values.flatten(1) if values.dim() > 1 else values.unsqueeze(1)
+  return _numbered(name, flat.shape[1]), flat
 
 
 def _numbered(name: str, count: int) -> list[str]:

@@ -1,6 +1,5 @@
 """Actions: the policy's output becomes targets of joints, tendons and sites."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -8,85 +7,54 @@ import torch
 from mjlab_core import Finite, Limits, MjlabError, where_
 from mjlab_managers import ActionTargets
 
-from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargets, DrivenTargetsCfg
+from mjlab_envs.mdp.driven_targets import DrivenTargets, DrivenTargetsCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 
 class AffineAction(DrivenTargets):
-  """Base of actions with one column for each target: target = clip(scale * action + offset)."""
+  """Action with one column for each target: target = clip(scale * action + offset)."""
 
   def __init__(self, cfg: "AffineActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    self._scale = self._per_target(cfg.scale, "scale")
-    default = self._default_offset()
-    if default is not None and getattr(cfg, "use_default_offset", False):
+    self.scale = self._per_target(cfg.scale, "scale")
+    """Factor of each target, (1, targets)."""
+    self.offset = self._per_target(0.0 if cfg.offset is None else cfg.offset, "offset")
+    """Offset of each target, (1 or num_envs, targets)."""
+    if getattr(cfg, "use_default_offset", False):
       if cfg.offset is not None:
         raise MjlabError(f"offset requires use_default_offset=False; got offset={cfg.offset}")
-      self._offset = default
-    else:
-      self._offset = self._per_target(0.0 if cfg.offset is None else cfg.offset, "offset")
-
-  def _default_offset(self) -> torch.Tensor | None:
-    """Return what `use_default_offset` means for this action, (1, targets); None if nothing."""
-    return None
+      data = self._entity.data
+      is_position = cfg.quantity == "position"
+      default = data.default_joint_pos[:, self._q] if is_position else data.default_joint_vel[:, self._v]
+      self.offset = default.clone()
 
   @property
   def action_dim(self) -> int:
     return len(self.target_names)
 
-  @property
-  def scale(self) -> torch.Tensor:
-    """Factor of each target, (1, targets)."""
-    return self._scale
-
-  @property
-  def offset(self) -> torch.Tensor:
-    """Offset of each target, (1, targets)."""
-    return self._offset
-
-  def target(self, actions: torch.Tensor) -> torch.Tensor:
-    """Return the targets of raw actions, (num_envs, targets)."""
-    target = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
-    return target if self._lo is None else target.clamp(self._lo, self._hi)
+  def affine(self, actions: torch.Tensor) -> torch.Tensor:
+    """Return scale * action + offset of raw actions, (num_envs, targets)."""
+    return torch.addcmul(self.offset, actions.to(self.scale.dtype), self.scale)
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    self._target.write(self.target(actions))
+    # The action of most tasks: `affine`, `clipped` and `set_targets` in one call.
+    target = torch.addcmul(self.offset, actions.to(self.scale.dtype), self.scale)
+    if self._lo is not None:
+      target = target.clamp(self._lo, self._hi)
+    if self._has_bias:
+      target = target - self._entity.data.encoder_bias[:, self._q]
+    self._target.write(target)
 
   def exported(self) -> ActionTargets | None:
     if self.transmission != "joint":
       return None
-    return ActionTargets(quantity=self.quantity, joints=tuple(self.target_names), compute=self._traceable())
-
-  def _traceable(self) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return `target` with constants in float32 on the CPU."""
-    scale, offset = self._scale.cpu().float(), self._offset[:1].cpu().float()
-    bound = self._traceable_bounds()
-    return lambda action: bound(offset + action * scale)
+    twin = self._on_cpu()
+    return self._export(lambda action: twin.clipped(twin.affine(action)))
 
 
-class JointPositionAction(AffineAction, DrivenJoints):
-  """See `JointPositionActionCfg`."""
-
-  @property
-  def reach(self) -> torch.Tensor:
-    """Absolute raw action whose target is the farther limit of a joint, infinite without limits, (1, targets)."""
-    limits = self._entity.data.default_joint_pos_limits[:, self._q]
-    return (limits - self._offset[:1, :, None]).abs().amax(-1) / self._scale.abs()
-
-  def _default_offset(self) -> torch.Tensor:
-    return self._entity.data.default_joint_pos[:, self._q].clone()
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    # The action of most tasks: `target` and `set_positions` in one call.
-    target = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
-    if self._lo is not None:
-      target = target.clamp(self._lo, self._hi)
-    self._target.write(target - self._entity.data.encoder_bias[:, self._q])
-
-
-class SmoothedJointPositionAction(JointPositionAction):
+class SmoothedJointPositionAction(AffineAction):
   """See `SmoothedJointPositionActionCfg`."""
 
   def __init__(self, cfg: "SmoothedJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
@@ -94,26 +62,23 @@ class SmoothedJointPositionAction(JointPositionAction):
     self._weight = 1.0 - cfg.smoothing
     self._smoothed = self.state_of(self.measured_positions().clone())
 
-  def exported(self) -> ActionTargets:
-    reading, driven = self._position_reading()
-    target, weight = self._traceable(), self._weight
-    return ActionTargets(
-      quantity=self.quantity,
-      joints=tuple(self.target_names),
-      compute=lambda action, last, _: torch.lerp(last, target(action), weight),
-      readings=(reading,),
-      start=driven,
-    )
-
   def process_actions(self, actions: torch.Tensor) -> None:
-    self._smoothed.lerp_(self.target(actions), self._weight)
-    self.set_positions(self._smoothed)
+    self._smoothed.lerp_(self.clipped(self.affine(actions)), self._weight)
+    self.set_targets(self._smoothed)
+
+  def exported(self) -> ActionTargets:
+    twin, (reading, driven) = self._on_cpu(), self._position_reading()
+
+    def compute(action: torch.Tensor, last: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
+      return torch.lerp(last, twin.clipped(twin.affine(action)), twin._weight)
+
+    return self._export(compute, reading, start=driven)
 
   def reset(self, mask: torch.Tensor) -> None:
     where_(self._smoothed, mask, self.measured_positions())
 
 
-class RelativeJointPositionAction(AffineAction, DrivenJoints):
+class RelativeJointPositionAction(AffineAction):
   """See `RelativeJointPositionActionCfg`."""
 
   def __init__(self, cfg: "RelativeJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
@@ -121,29 +86,24 @@ class RelativeJointPositionAction(AffineAction, DrivenJoints):
     self._from_target = cfg.relative_to == "target"
     self._previous = self.state_of(self.measured_positions().clone())
 
-  def exported(self) -> ActionTargets:
-    reading, driven = self._position_reading()
-    scale, offset = self._scale.cpu().float(), self._offset[:1].cpu().float()
-    bound, from_target = self._traceable_bounds(), self._from_target
-    return ActionTargets(
-      quantity=self.quantity,
-      joints=tuple(self.target_names),
-      compute=lambda action, last, q: bound((last if from_target else driven(q)) + offset + action * scale),
-      readings=(reading,),
-      start=driven,
-    )
-
   def process_actions(self, actions: torch.Tensor) -> None:
     base = self._previous if self._from_target else self.measured_positions()
-    change = torch.addcmul(self._offset, actions.to(self._scale.dtype), self._scale)
-    self._previous.copy_(self.clipped(base + change))
-    self.set_positions(self._previous)
+    self._previous.copy_(self.clipped(base + self.affine(actions)))
+    self.set_targets(self._previous)
+
+  def exported(self) -> ActionTargets:
+    twin, (reading, driven) = self._on_cpu(), self._position_reading()
+
+    def compute(action: torch.Tensor, last: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
+      return twin.clipped((last if twin._from_target else driven(positions)) + twin.affine(action))
+
+    return self._export(compute, reading, start=driven)
 
   def reset(self, mask: torch.Tensor) -> None:
     where_(self._previous, mask, self.measured_positions())
 
 
-class BinaryJointPositionAction(DrivenJoints):
+class BinaryJointPositionAction(DrivenTargets):
   """See `BinaryJointPositionActionCfg`."""
 
   def __init__(self, cfg: "BinaryJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
@@ -155,58 +115,15 @@ class BinaryJointPositionAction(DrivenJoints):
   def action_dim(self) -> int:
     return 1
 
-  def exported(self) -> ActionTargets:
-    opened, closed = self._open.cpu().float(), self._close.cpu().float()
-    return ActionTargets(
-      quantity=self.quantity,
-      joints=tuple(self.target_names),
-      compute=lambda action: torch.where(action < 0.0, closed, opened),
-    )
+  def chosen(self, actions: torch.Tensor) -> torch.Tensor:
+    """Return the targets of the open or the closed gripper, (num_envs, targets)."""
+    return torch.where(actions < 0.0, self._close, self._open)
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    self.set_positions(torch.where(actions < 0.0, self._close, self._open))
+    self.set_targets(self.chosen(actions))
 
-
-class JointVelocityAction(AffineAction, DrivenJoints):
-  """See `JointVelocityActionCfg`."""
-
-  quantity = "velocity"
-
-  def _default_offset(self) -> torch.Tensor:
-    return self._entity.data.default_joint_vel[:, self._v].clone()
-
-
-class JointEffortAction(AffineAction, DrivenJoints):
-  """See `JointEffortActionCfg`."""
-
-  quantity = "effort"
-
-
-class TendonLengthAction(AffineAction):
-  """See `TendonLengthActionCfg`."""
-
-  transmission = "tendon"
-
-
-class TendonVelocityAction(AffineAction):
-  """See `TendonVelocityActionCfg`."""
-
-  transmission = "tendon"
-  quantity = "velocity"
-
-
-class TendonEffortAction(AffineAction):
-  """See `TendonEffortActionCfg`."""
-
-  transmission = "tendon"
-  quantity = "effort"
-
-
-class SiteEffortAction(AffineAction):
-  """See `SiteEffortActionCfg`."""
-
-  transmission = "site"
-  quantity = "effort"
+  def exported(self) -> ActionTargets:
+    return self._export(self._on_cpu().chosen)
 
 
 @dataclass(kw_only=True)
@@ -218,6 +135,8 @@ class AffineActionCfg(DrivenTargetsCfg):
   offset: Annotated[float | dict[str, float] | None, Limits()] = None
   """One offset, or one per target by pattern; None is 0, or the default that `use_default_offset` adds."""
 
+  action = AffineAction
+
 
 @dataclass(kw_only=True)
 class JointPositionActionCfg(AffineActionCfg):
@@ -225,8 +144,6 @@ class JointPositionActionCfg(AffineActionCfg):
 
   use_default_offset: bool = True
   """Offset by the default pose; must be False if `offset` is given."""
-
-  action = JointPositionAction
 
 
 @dataclass(kw_only=True)
@@ -236,14 +153,14 @@ class JointVelocityActionCfg(AffineActionCfg):
   use_default_offset: bool = True
   """Offset by the default velocities; must be False if `offset` is given."""
 
-  action = JointVelocityAction
+  quantity = "velocity"
 
 
 @dataclass(kw_only=True)
 class JointEffortActionCfg(AffineActionCfg):
   """Joint effort targets [N m, N]."""
 
-  action = JointEffortAction
+  quantity = "effort"
 
 
 @dataclass(kw_only=True)
@@ -289,25 +206,28 @@ class BinaryJointPositionActionCfg(DrivenTargetsCfg):
 class TendonLengthActionCfg(AffineActionCfg):
   """Tendon length targets [m, rad]."""
 
-  action = TendonLengthAction
+  transmission = "tendon"
 
 
 @dataclass(kw_only=True)
 class TendonVelocityActionCfg(AffineActionCfg):
   """Targets of the rate of change of tendon lengths [m/s, rad/s]."""
 
-  action = TendonVelocityAction
+  transmission = "tendon"
+  quantity = "velocity"
 
 
 @dataclass(kw_only=True)
 class TendonEffortActionCfg(AffineActionCfg):
   """Effort targets along tendons [N, N m]; positive ones push."""
 
-  action = TendonEffortAction
+  transmission = "tendon"
+  quantity = "effort"
 
 
 @dataclass(kw_only=True)
 class SiteEffortActionCfg(AffineActionCfg):
   """Effort targets at sites [N, N m]; the wrench is the effort times the gear of the actuator."""
 
-  action = SiteEffortAction
+  transmission = "site"
+  quantity = "effort"

@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from mjlab_core import MjlabError, PositiveCount
-from mjlab_managers import ManagerBase, ManagerTermBase
+from mjlab_managers import ManagerTermBase
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -29,7 +29,62 @@ Stages = Sequence[Stage | Mapping[str, Any]]
 """Stages in the order of their steps, each a `Stage` or a dict of its fields."""
 
 
-class termination_curriculum(ManagerTermBase):
+_Kind = Literal["reward", "termination"]
+_WEIGHT = ""  # Weight among the names of parameters.
+
+
+class _StagedValues(ManagerTermBase):
+  """Base of curricula that set the weight and parameters of a term in stages of the step counter."""
+
+  env: "ManagerBasedRlEnv"
+
+  def __init__(
+    self, env: "ManagerBasedRlEnv", kind: _Kind, term: str, stages: Stages, steps_per_iteration: int
+  ) -> None:
+    super().__init__(env)
+    self._kind: _Kind = kind
+    self._term = term
+    read = [stage if isinstance(stage, Stage) else Stage(**stage) for stage in stages]
+    if any(later.step <= sooner.step for sooner, later in pairwise(read)):
+      raise MjlabError(f"stages must follow in order, got steps {[stage.step for stage in read]}")
+    changes = [stage.params if stage.weight is None else {_WEIGHT: stage.weight, **stage.params} for stage in read]
+    self._names = tuple(dict.fromkeys(name for change in changes for name in change))
+    rows = [[float(self._scalar(name)) for name in self._names]]
+    for change in changes:
+      rows.append([change.get(name, value) for name, value in zip(self._names, rows[-1], strict=True)])
+    # Values as configured, then of each stage.
+    self._rows = torch.tensor(rows, dtype=torch.float64, device=self.device)
+    self._values = self.state_of(self._rows[0].clone(), shared=True)
+    starts = [stage.step * steps_per_iteration for stage in read]
+    self._starts = torch.tensor(starts, dtype=torch.int64, device=self.device)
+
+  def __call__(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
+    del mask  # All worlds share the stage, which follows from the step counter.
+    stage = (self.env.common_step_counter >= self._starts).sum(0, keepdim=True)
+    self._values.copy_(self._rows.index_select(0, stage)[0])
+    self._write()
+    return {name or "weight": value for name, value in zip(self._names, self._values.unbind(), strict=True)}
+
+  def restore(self, state: Mapping[str, Any], mask: torch.Tensor | None = None) -> None:
+    """Write a saved state back, and its values into the term."""
+    super().restore(state, mask)
+    self._write()
+
+  def _write(self) -> None:
+    for name, value in zip(self._names, self._values.unbind(), strict=True):
+      self._scalar(name).copy_(value)
+
+  def _scalar(self, name: str) -> torch.Tensor:
+    """Return the scalar of a parameter, or the weight, on the device."""
+    if self._kind == "reward":
+      rewards = self.env.reward_manager
+      return rewards.weight(self._term) if name == _WEIGHT else rewards.scalar(self._term, name)
+    if name == _WEIGHT:
+      raise MjlabError(f"stages of termination '{self._term}': a termination has no weight")
+    return self.env.termination_manager.scalar(self._term, name)
+
+
+class termination_curriculum(_StagedValues):
   """Set parameters of a termination in stages of the step counter; before the first stage they are as configured.
 
   Only numbers that the term takes as scalars can change inside the recorded step. Logs each by its name.
@@ -42,54 +97,13 @@ class termination_curriculum(ManagerTermBase):
       iterations.
   """
 
-  env: "ManagerBasedRlEnv"
-
   def __init__(
     self, env: "ManagerBasedRlEnv", *, termination: str, stages: Stages, steps_per_iteration: PositiveCount = 1
   ) -> None:
-    super().__init__(env)
-    read = _read(stages)
-    if any(stage.weight is not None for stage in read):
-      raise MjlabError(f"stages of termination '{termination}': a termination has no weight")
-    self._term = termination
-    self._tabulate(read, steps_per_iteration)
-
-  @property
-  def _manager(self) -> ManagerBase[Any]:
-    return self.env.termination_manager
-
-  def __call__(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
-    del mask  # All worlds share the stage, which follows from the step counter.
-    self._values.copy_(self._rows.index_select(0, self._stage())[0])
-    self._write()
-    return dict(zip(self._params, self._values.unbind(), strict=True))
-
-  def restore(self, state: Mapping[str, Any], mask: torch.Tensor | None = None) -> None:
-    """Write a saved state back, and its values into the term."""
-    super().restore(state, mask)
-    self._write()
-
-  def _tabulate(self, stages: list[Stage], steps_per_iteration: int) -> None:
-    """Make a table of the values: first as configured, then one row for each stage."""
-    self._params = tuple(dict.fromkeys(name for stage in stages for name in stage.params))
-    rows = [[float(self._manager.scalar(self._term, name)) for name in self._params]]
-    for stage in stages:
-      rows.append([stage.params.get(name, value) for name, value in zip(self._params, rows[-1], strict=True)])
-    self._rows = torch.tensor(rows, dtype=torch.float64, device=self.device)
-    self._values = self.state_of(self._rows[0].clone(), shared=True)
-    starts = [stage.step * steps_per_iteration for stage in stages]
-    self._starts = torch.tensor(starts, dtype=torch.int64, device=self.device)
-
-  def _stage(self) -> torch.Tensor:
-    """Return the number of stages that have begun, (1,)."""
-    return (self.env.common_step_counter >= self._starts).sum(0, keepdim=True)
-
-  def _write(self) -> None:
-    for name, value in zip(self._params, self._values.unbind(), strict=True):
-      self._manager.scalar(self._term, name).copy_(value)
+    super().__init__(env, "termination", termination, stages, steps_per_iteration)
 
 
-class reward_curriculum(termination_curriculum):
+class reward_curriculum(_StagedValues):
   """Set the weight and parameters of a reward in stages of the step counter; before the first they are as configured.
 
   As `termination_curriculum`. A weight is logged as "weight". With a weight in some stage the term is always evaluated,
@@ -99,32 +113,4 @@ class reward_curriculum(termination_curriculum):
   def __init__(
     self, env: "ManagerBasedRlEnv", *, reward: str, stages: Stages, steps_per_iteration: PositiveCount = 1
   ) -> None:
-    ManagerTermBase.__init__(self, env)
-    read = _read(stages)
-    self._term = reward
-    self._tabulate(read, steps_per_iteration)
-    self._weights: torch.Tensor | None = None
-    if any(stage.weight is not None for stage in read):
-      weights = [float(env.reward_manager.weight(reward))]
-      for stage in read:
-        weights.append(weights[-1] if stage.weight is None else stage.weight)
-      self._weights = torch.tensor(weights, dtype=torch.float32, device=env.device)
-
-  @property
-  def _manager(self) -> ManagerBase[Any]:
-    return self.env.reward_manager
-
-  def __call__(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
-    values = super().__call__(mask)
-    if self._weights is None:
-      return values
-    weight = self._weights.index_select(0, self._stage())[0]
-    self.env.reward_manager.weight(self._term).copy_(weight)
-    return {"weight": weight, **values}
-
-
-def _read(stages: Stages) -> list[Stage]:
-  read = [stage if isinstance(stage, Stage) else Stage(**stage) for stage in stages]
-  if any(later.step <= sooner.step for sooner, later in pairwise(read)):
-    raise MjlabError(f"stages must follow in order, got steps {[stage.step for stage in read]}")
-  return read
+    super().__init__(env, "reward", reward, stages, steps_per_iteration)

@@ -20,7 +20,7 @@ from mjlab_core import (
   select,
 )
 
-from mjlab_envs.mdp.driven_targets import DrivenJoints, DrivenTargetsCfg
+from mjlab_envs.mdp.driven_targets import DrivenTargets, DrivenTargetsCfg
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -77,7 +77,7 @@ class DifferentialIKActionCfg(DrivenTargetsCfg):
     return DifferentialIKAction(self, env)
 
 
-class DifferentialIKAction(DrivenJoints):
+class DifferentialIKAction(DrivenTargets):
   """See `DifferentialIKActionCfg`.
 
   Raises:
@@ -117,8 +117,8 @@ class DifferentialIKAction(DrivenJoints):
     while body:
       carriers.add(body)
       body = int(model.body_parentid[body])
-    joints = [model.joint(self._entity.prefix + name).id for name in self.joint_names]
-    bodies = dict(zip(self.joint_names, model.jnt_bodyid[joints], strict=True))
+    joints = [model.joint(self._entity.prefix + name).id for name in self.target_names]
+    bodies = dict(zip(self.target_names, model.jnt_bodyid[joints], strict=True))
     if idle := [name for name, carrier in bodies.items() if carrier not in carriers]:
       raise MjlabError(f"{self._owner}: {', '.join(idle)} in actuators cannot move {cfg.frame_type} '{cfg.frame_name}'")
     return [int(model.jnt_dofadr[joint]) for joint in joints]
@@ -129,7 +129,7 @@ class DifferentialIKAction(DrivenJoints):
     if not cfg.posture_weight:
       raise MjlabError("posture_target is given, but posture_weight is 0")
     owner = f"{self._owner}: posture_target"
-    numbers = match_values_full(cfg.posture_target, self.joint_names, what="joint", owner=owner)
+    numbers = match_values_full(cfg.posture_target, self.target_names, what="joint", owner=owner)
     return torch.tensor([numbers], **self._constant)
 
   @property
@@ -167,7 +167,7 @@ class DifferentialIKAction(DrivenJoints):
     fill_(self._has_goal, mask, False)
 
   def apply_actions(self) -> None:
-    self.set_positions(self.clipped(self.measured_positions() + self.solve()))
+    self.set_targets(self.clipped(self.measured_positions() + self.solve()))
 
   def frame_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
     """Return position (num_envs, 3) [m] and orientation (num_envs, 4) of the frame in the world, by the encoders."""

@@ -1,13 +1,14 @@
 """Bases of actions that set targets of joints, tendons or sites."""
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import torch
 from mjlab_actuators import Transmission
 from mjlab_core import Bounds, as_index, match_names, match_values_full
-from mjlab_managers import ActionTerm, ActionTermCfg, Reading
+from mjlab_managers import ActionTargets, ActionTerm, ActionTermCfg, Reading
 from mjlab_scene import Quantity
 
 from mjlab_envs.mdp.readings import joint_positions, selected
@@ -30,6 +31,10 @@ class DrivenTargetsCfg(ActionTermCfg):
 
   action: ClassVar[type["DrivenTargets"]]
   """Class of the term."""
+  transmission: ClassVar[Transmission] = "joint"
+  """Kind of the targets."""
+  quantity: ClassVar[Quantity] = "position"
+  """Quantity of the targets that the action sets."""
 
   def build(self, env: Any) -> "DrivenTargets":
     return self.action(self, env)
@@ -38,12 +43,9 @@ class DrivenTargetsCfg(ActionTermCfg):
 class DrivenTargets(ActionTerm):
   """Base of actions that set targets of joints, tendons or sites, with the selection and bounds of the targets."""
 
-  transmission: ClassVar[Transmission] = "joint"
-  quantity: ClassVar[Quantity] = "position"
-  """Kind of target that the action sets."""
-
   def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
+    self.transmission, self.quantity = cfg.transmission, cfg.quantity
     kind = self.transmission
     self._entity = env.scene[cfg.entity]
     self._owner = f"entity '{cfg.entity}'"
@@ -59,20 +61,31 @@ class DrivenTargets(ActionTerm):
     self._ids = [names.index(name) for name in self.target_names]
     self._target = self._entity.target_view(kind, self.quantity, self._ids)
     self._constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
-    self._lo, self._hi = self._bounds(cfg)
+    self._lo, self._hi = self._bounds(cfg.clip)
+    if kind == "joint":
+      # The same joints as columns of positions and of velocities; an actuated joint has one of each.
+      ix = self._entity.indexing
+      self._q, self._v = (
+        as_index([of[joint][0] for joint in self._ids], env.device) for of in (ix.q_of_joint, ix.v_of_joint)
+      )
+    self._has_bias = (kind, self.quantity) == ("joint", "position")
 
   def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
     owner = f"{self._owner}: {what}"
     numbers = match_values_full(values, self.target_names, what=self.transmission, owner=owner)
     return torch.tensor([numbers], **self._constant)
 
-  def _bounds(self, cfg: DrivenTargetsCfg) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-    if cfg.clip is None:
+  def _bounds(self, clip: Bounds | dict[str, Bounds] | None) -> tuple[torch.Tensor, torch.Tensor] | tuple[None, None]:
+    if clip is None:
       return None, None
-    unbounded = (-float("inf"), float("inf"))
-    by_pattern = {".*": cfg.clip} if isinstance(cfg.clip, tuple) else cfg.clip
-    owner = f"{self._owner}: clip"
-    bounds = match_values_full(by_pattern, self.target_names, what=self.transmission, owner=owner, default=unbounded)
+    by_pattern = {".*": clip} if isinstance(clip, tuple) else clip
+    bounds = match_values_full(
+      by_pattern,
+      self.target_names,
+      what=self.transmission,
+      owner=f"{self._owner}: clip",
+      default=(-float("inf"), float("inf")),
+    )
     table = torch.tensor([bounds], **self._constant)
     return table[..., 0], table[..., 1]
 
@@ -82,43 +95,37 @@ class DrivenTargets(ActionTerm):
     kind = "" if self.transmission == "joint" else f"{self.transmission} "
     return frozenset(f"{self.cfg.entity}/{kind}{name}" for name in self.target_names)
 
-  def _traceable_bounds(self) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return `clipped` with constants in float32 on the CPU."""
-    if self._lo is None or self._hi is None:
-      return lambda target: target
-    lo, hi = self._lo.cpu().float(), self._hi.cpu().float()
-    return lambda target: torch.minimum(torch.maximum(target, lo), hi)
-
   def clipped(self, target: torch.Tensor) -> torch.Tensor:
     """Return targets within the bounds of `clip`, (num_envs, targets)."""
     return target if self._lo is None else target.clamp(self._lo, self._hi)
 
+  def set_targets(self, target: torch.Tensor) -> None:
+    """Set targets (num_envs, targets); positions of joints as the encoders would read them, so without their bias."""
+    self._target.write(target - self._entity.data.encoder_bias[:, self._q] if self._has_bias else target)
 
-class DrivenJoints(DrivenTargets):
-  """Base of actions that set targets of joints and read their positions and velocities."""
+  def measured_positions(self) -> torch.Tensor:
+    """Return joint positions as the encoders read them, (num_envs, joints) [rad, m]."""
+    return self._entity.data.joint_pos_biased[:, self._q]
 
-  def __init__(self, cfg: DrivenTargetsCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    # The same joints as columns of positions and of velocities; an actuated joint has one of each.
-    ix = self._entity.indexing
-    self._q, self._v = (
-      as_index([of[joint][0] for joint in self._ids], env.device) for of in (ix.q_of_joint, ix.v_of_joint)
-    )
+  # Export of policies
 
-  @property
-  def joint_names(self) -> list[str]:
-    """Names of the joints in the order of the targets."""
-    return self.target_names
+  def _on_cpu(self) -> Self:
+    """Return a copy with its constants in float32 on the CPU, whose computations can be exported."""
+    twin = copy.copy(self)
+    tensors = {name: value for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+    vars(twin).update({name: value[:1].cpu().float() for name, value in tensors.items()})
+    return twin
 
-  def set_positions(self, target: torch.Tensor) -> None:
-    """Set position targets (num_envs, joints) as the encoders would read them, so without their bias."""
-    self._target.write(target - self._entity.data.encoder_bias[:, self._q])
+  def _export(
+    self,
+    compute: Callable[..., torch.Tensor],
+    *readings: Reading,
+    start: Callable[[torch.Tensor], torch.Tensor] | None = None,
+  ) -> ActionTargets:
+    names = tuple(self.target_names)
+    return ActionTargets(quantity=self.quantity, joints=names, compute=compute, readings=readings, start=start)
 
   def _position_reading(self) -> tuple[Reading, Callable[[torch.Tensor], torch.Tensor]]:
     """Return the reading of joint positions, and the computation that takes those of the driven joints."""
     reading = joint_positions(self.env, self.cfg.entity)
     return reading, selected(self._ids, torch.zeros(1, len(reading.columns)))
-
-  def measured_positions(self) -> torch.Tensor:
-    """Return joint positions as the encoders read them, (num_envs, joints) [rad, m]."""
-    return self._entity.data.joint_pos_biased[:, self._q]
