@@ -101,9 +101,9 @@ def test_a_tile_does_not_depend_on_the_others() -> None:
   large = TerrainGridCfg(types={"flat": FlatCfg(), "rough": RandomRoughCfg()}, rows=3, difficulty=(1.0, 1.0)).tiles()
   # Row 1 of the only column, and row 1 of the first column.
   assert len(small) == 3
-  assert large[2].tile.solids
+  assert large[2].solids
   again = TerrainGridCfg(types={"rough": RandomRoughCfg()}, rows=9, difficulty=(1.0, 1.0)).tiles()
-  first, same, other = (vars(p.tile.solids[0])["heights"] for p in (small[1], again[1], small[2]))
+  first, same, other = (vars(p.solids[0])["heights"] for p in (small[1], again[1], small[2]))
   np.testing.assert_array_equal(first, same)
   assert not np.array_equal(first, other)
 
@@ -405,8 +405,8 @@ AT = r"at difficulty 0, tile \(0, 0\): .*"
     (lambda tile: None, "build added no geometry"),
     (lambda tile: tile.heights(np.full((5, 5), np.nan)), AT + "a HeightField .* is not finite"),
     (lambda tile: tile.box((0.0, np.nan), (0.0, 1.0), (0.0, 1.0)), AT + "is not finite"),
-    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, np.nan, (0.0, 0.0)), AT + "is not finite"),
-    (lambda tile: tile.prism((0.0, 1.0), (0.0, 1.0), -1.0, 0.0, (1.0, 0.96)), AT + "a Prism of .* m, 0.02 m thick"),
+    (lambda tile: tile.box((0.0, 1.0), (0.0, 1.0), (-1.0, 0.0), slope=(0.0, np.nan)), AT + "is not finite"),
+    (lambda tile: tile.box((0.0, 1.0), (0.0, 1.0), (-1.0, 0.0), slope=(1.0, 0.96)), AT + "a Box of .* m, 0.02 m thick"),
   ],
 )
 def test_a_type_that_builds_nonsense_is_named_and_nothing_is_added(build: Callable[[Tile], None], message: str) -> None:

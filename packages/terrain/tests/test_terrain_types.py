@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab_terrain import PerlinNoiseCfg, RandomGridCfg, TerrainGridCfg, TileCfg, all_types
-from mjlab_terrain.assembly import PlacedTile
 from mjlab_terrain.solids import MIN_THICKNESS, HeightField
 from mjlab_terrain.surface import surface
 from mjlab_terrain.tile import Tile
@@ -65,9 +64,9 @@ def heights_of(tile: Tile, num: int = 120) -> np.ndarray:
 class Kept(TerrainGridCfg):
   """Grid that keeps its tiles."""
 
-  placed: list[PlacedTile] = field(default_factory=list)
+  placed: list[Tile] = field(default_factory=list)
 
-  def tiles(self) -> list[PlacedTile]:
+  def tiles(self) -> list[Tile]:
     self.placed = super().tiles()
     return self.placed
 
@@ -93,7 +92,7 @@ def add_feet(spec: mujoco.MjSpec, built: Built) -> None:
   offsets = np.random.default_rng(built.cfg.seed).uniform(-0.4, 0.4, (len(built.placed), 2)) * built.cfg.tile_size
   for xy in (built.terrain.origins.reshape(-1, 3)[:, :2], np.array([p.center[:2] for p in built.placed]) + offsets):
     for place, p in zip(xy, built.placed, strict=True):
-      height = surface(p.tile.solids, *(np.array([c]) for c in place - p.center[:2]))[0, 0]
+      height = surface(p.solids, *(np.array([c]) for c in place - p.center[:2]))[0, 0]
       body = spec.worldbody.add_body(pos=(*place, height + 0.15))
       body.add_freejoint()
       body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=FOOT, mass=1.0, contype=0, conaffinity=1, group=3)
@@ -130,7 +129,7 @@ def test_every_ray_from_above_meets_ground_where_the_tile_says(built: Built) -> 
     x, y = (np.sort(rng.uniform(-0.5, 0.5, 7)) * s for s in built.cfg.tile_size)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     hit = built.surface(points + p.center[:2])
-    expected = surface(p.tile.solids, x, y).ravel()
+    expected = surface(p.solids, x, y).ravel()
     np.testing.assert_allclose(hit, expected, atol=1e-5, err_msg=NAMES[p.kind])
 
 
@@ -145,14 +144,14 @@ def test_seams_between_tiles_hold(built: Built) -> None:
 def test_geometry_stays_on_its_tile(built: Built) -> None:
   half = 0.5 * np.array(built.cfg.tile_size)
   for p in built.placed:
-    for solid in p.tile.solids:
+    for solid in p.solids:
       assert (np.maximum(-solid.low, solid.high)[:2] <= half + 1e-6).all(), NAMES[p.kind]
 
 
 def test_heights_are_within_the_configured_bounds(built: Built) -> None:
   for p in built.placed:
     low, high = BOUNDS[NAMES[p.kind]]
-    z = heights_of(p.tile, 60)
+    z = heights_of(p, 60)
     assert low - 1e-9 <= z.min(), NAMES[p.kind]
     assert z.max() <= high + 1e-9, NAMES[p.kind]
     assert built.terrain.height_range[0] - 1e-9 <= z.min()
@@ -165,12 +164,12 @@ def test_foot_sized_boxes_do_not_fall_through(built: Built) -> None:
   position = data.qpos.reshape(-1, 7)[:, :3]
   for k, p in enumerate([*built.placed, *built.placed]):
     where = position[k] - p.center
-    z = surface(p.tile.solids, np.array([where[0]]), np.array([where[1]]))[0, 0]
+    z = surface(p.solids, np.array([where[0]]), np.array([where[1]]))[0, 0]
     # A foot may slip under a tread, by no more than the rise and a tread's thickness.
     reach = 0.02 + (0.2 if NAMES[p.kind] == "open_stairs" else 0.0)
     if np.isfinite(z):
-      assert position[k, 2] > z - reach, (NAMES[p.kind], p.tile.difficulty)
-    assert position[k, 2] > built.terrain.height_range[0] - 0.02, (NAMES[p.kind], p.tile.difficulty)
+      assert position[k, 2] > z - reach, (NAMES[p.kind], p.difficulty)
+    assert position[k, 2] > built.terrain.height_range[0] - 0.02, (NAMES[p.kind], p.difficulty)
 
 
 @pytest.mark.parametrize("size", SHAPES)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from mjlab_terrain import FlatCfg, HeightMapCfg, PyramidStairsCfg, TerrainGridCfg, all_types
 from mjlab_terrain.colors import coloring_of, picture_of
+from mjlab_terrain.presets import apply_settings
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.view.picture import plot
-from mjlab_terrain.view.settings import apply_settings, settings_of
 from mjlab_terrain.view.triangles import triangles
 
 
@@ -44,20 +44,33 @@ def test_settings_are_read_as_what_they_are() -> None:
   assert vars(types["discrete_obstacles"])["mode"] == "fixed"
 
 
-def test_every_setting_of_every_type_is_shown_with_its_kind() -> None:
-  kinds = {name: {s.name: s.kind for s in settings_of(cfg)} for name, cfg in all_types().items()}
+def test_every_setting_of_a_type_has_a_control_of_its_kind() -> None:
+  pytest.importorskip("trimesh")
+  viser = pytest.importorskip("viser")
+  from mjlab_terrain.view.page import Page
+
+  server = viser.ViserServer(port=0, verbose=False)
+  try:
+    page = Page(TerrainGridCfg(rows=1, border_width=0.0), server)
+    kinds = {}
+    for name in all_types():
+      page._choice.value = name
+      kinds[name] = {setting: type(control.value) for setting, control in page._settings.items()}
+  finally:
+    server.stop()
   assert kinds["flat"] == {}
   assert kinds["stairs_up"] == {
-    "step_height": "pair",
-    "step_width": "number",
-    "platform": "number",
-    "border": "number",
-    "inverted": "flag",
-    "holes": "flag",
-    "pit_depth": "number",
+    "step_height": tuple,
+    "step_width": float,
+    "platform": float,
+    "border": float,
+    "inverted": bool,
+    "holes": bool,
+    "pit_depth": float,
   }
-  assert kinds["discrete_obstacles"]["mode"] == "choice"
-  assert kinds["narrow_beams"]["num_beams"] == "whole"
+  assert kinds["discrete_obstacles"]["mode"] is str
+  assert kinds["narrow_beams"]["num_beams"] is int
+  assert "levels" not in kinds["random_grid"]
 
 
 def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
@@ -74,7 +87,7 @@ def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
 def test_the_picture_of_a_height_field_is_a_png_with_its_colors() -> None:
   image = pytest.importorskip("PIL.Image")
   pixels = np.random.default_rng(0).integers(256, size=(5, 7, 3), dtype=np.uint8)
-  field = HeightField(heights=np.zeros((5, 7)), x=(0.0, 1.0), y=(0.0, 1.0), bottom=-1.0)
+  field = HeightField(center=np.zeros(3), half=(0.5, 0.5), bottom=-1.0, heights=np.zeros((5, 7)))
   read = np.asarray(image.open(io.BytesIO(picture_of(field, lambda kind, z: pixels / 255.0, 0))))
   # First line at the far end of y, x to the right.
   np.testing.assert_array_equal(read, pixels.transpose(1, 0, 2)[::-1])
@@ -91,7 +104,7 @@ def test_the_page_builds_what_its_controls_say() -> None:
     assert "14 tiles" in page._status.content
     page._choice.value = "stepping_stones"
     assert "2 tiles" in page._status.content
-    page._tile_size.value = (1.0, 1.0)
+    page._controls["tile_size"].value = (1.0, 1.0)
     assert "Cannot be built" in page._status.content
     page._choice.value = "flat"
     assert "2 tiles of 2 solids, 12 triangles" in page._status.content
@@ -109,12 +122,12 @@ def test_difficulty_seed_and_settings_change_the_ground_that_the_page_shows() ->
   server.scene.add_mesh_trimesh = lambda name, mesh: shown.append(np.array(mesh.vertices))
   try:
     page = Page(TerrainGridCfg(types={"rough": all_types()["random_rough"]}, rows=1, border_width=0.0), server)
-    page._easiest.value = page._hardest.value = 0.5
+    page._controls["difficulty"].value = (0.5, 0.5)
     easy = shown[-1]
-    page._easiest.value = page._hardest.value = 1.0
+    page._controls["difficulty"].value = (1.0, 1.0)
     hard = shown[-1]
     assert np.ptp(hard[:, 2]) > 1.5 * np.ptp(easy[:, 2])
-    page._seed.value = page._seed.value + 1
+    page._controls["seed"].value += 1
     assert not np.array_equal(shown[-1], hard)
     page._choice.value = "stairs_up"
     steps = shown[-1]

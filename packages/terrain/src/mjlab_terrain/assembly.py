@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -11,85 +11,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjlab_terrain.colors import Coloring, picture_of
-from mjlab_terrain.solids import GROUND_DEPTH, Box, Floats, HeightField, Prism, Solid
-from mjlab_terrain.surface import lowest_points
+from mjlab_terrain.solids import GROUND_DEPTH, Box, Floats, HeightField, Solid
 from mjlab_terrain.tile import Tile
 
 FRICTION = (1.0, 0.005, 0.0001)
 """Sliding, torsional and rolling friction of ground by default [1, m, m]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlacedTile:
-  """Tile of a grid, and its place."""
-
-  row: int
-  column: int
-  kind: int
-  """Index of its type."""
-  center: Floats
-  """Of the tile, at the height of the rim, world frame, (3,) [m]."""
-  tile: Tile
-  lowest: float
-  """Lowest height of its surface [m]."""
-  lowest_at_rim: float
-  """Lowest height of its surface along its rim [m]."""
-
-  @property
-  def origin(self) -> Floats:
-    """Spawn point on the surface, world frame, (3,) [m]."""
-    return self.center + np.array((*self.tile.spawn, self.tile.spawn_height()))
-
-
-def place_tile(
-  build: Callable[[Tile], None], label: str, tile: Tile, *, row: int, column: int, kind: int, center: Floats
-) -> PlacedTile:
-  """Build a tile; `label` is its type in messages.
-
-  Raises:
-    ValueError: `build` fails, or adds nothing.
-  """
-  try:
-    build(tile)
-  except ValueError as error:
-    where = f"at difficulty {tile.difficulty:.3g}, tile ({row}, {column})"
-    raise ValueError(f"{label}: {where}: {error}") from error
-  if not tile.solids:
-    raise ValueError(f"{label}: build added no geometry to the tile.")
-  lowest, rim = lowest_points(tile.solids, tile.size)
-  return PlacedTile(row=row, column=column, kind=kind, center=center, tile=tile, lowest=lowest, lowest_at_rim=rim)
-
-
-def height_range(placed: Sequence[PlacedTile]) -> tuple[float, float]:
+def height_range(tiles: Sequence[Tile]) -> tuple[float, float]:
   """Return the lowest and highest point of the surface, with the ground around the tiles at 0 [m]."""
-  highest = max(float(solid.high[2]) for p in placed for solid in p.tile.solids)
-  return min(0.0, *(p.lowest for p in placed)), max(0.0, highest)
+  highest = max(float(solid.high[2]) for tile in tiles for solid in tile.solids)
+  return min(0.0, *(tile.lowest_points[0] for tile in tiles)), max(0.0, highest)
 
 
-def gather(placed: Sequence[PlacedTile], border: Sequence[Box] = ()) -> list[tuple[Solid, int]]:
+def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[tuple[Solid, int]]:
   """Return all solids in the world frame with their type; boxes that are level with each other become one.
 
   Where a pit reaches the rim of its tile, everything around it becomes deep enough to have no hollow below it.
   """
-  rim = min((p.lowest_at_rim for p in placed), default=0.0)
+  rim = min(tile.lowest_points[1] for tile in tiles)
   bottom = rim - GROUND_DEPTH if rim < 0.0 else np.inf
-  solids = [
-    ((solid.deepened(bottom) if solid.low[2] <= p.lowest else solid).moved(p.center), p.kind)
-    for p in placed
-    for solid in p.tile.solids
-  ]
-  solids += [(box.deepened(bottom), 0) for box in border]
-  upright = [(s, kind) for s, kind in solids if isinstance(s, Box) and s.rotation is None]
-  others = [(s, kind) for s, kind in solids if not (isinstance(s, Box) and s.rotation is None)]
-  if not upright:
+  solids = [(_deepened(solid, bottom), 0) for solid in border]
+  for tile in tiles:
+    for solid in tile.solids:
+      lowered = _deepened(solid, bottom) if solid.bottom <= tile.lowest_points[0] else solid
+      solids.append((lowered.moved(tile.center), tile.kind))
+  plain = [(solid, kind) for solid, kind in solids if isinstance(solid, Box) and solid.is_plain]
+  others = [(solid, kind) for solid, kind in solids if not (isinstance(solid, Box) and solid.is_plain)]
+  if not plain:
     return others
-  low, high, kinds = merge_boxes(
-    np.array([box.low for box, _ in upright]),
-    np.array([box.high for box, _ in upright]),
-    np.array([kind for _, kind in upright]),
-  )
-  merged = zip(0.5 * (low + high), 0.5 * (high - low), kinds.tolist(), strict=True)
-  return [*((Box(center=center, half=half), kind) for center, half, kind in merged), *others]
+  low, high = (np.array([getattr(box, end) for box, _ in plain]) for end in ("low", "high"))
+  low, high, kinds = merge_boxes(low, high, np.array([kind for _, kind in plain]))
+  center, half = np.column_stack((0.5 * (low + high)[:, :2], high[:, 2])), 0.5 * (high - low)[:, :2]
+  merged = [Box(center=c, half=tuple(h), bottom=float(z)) for c, h, z in zip(center, half, low[:, 2], strict=True)]
+  return [*zip(merged, kinds.tolist(), strict=True), *others]
+
+
+def _deepened(solid: Solid, bottom: float) -> Solid:
+  return replace(solid, bottom=min(solid.bottom, bottom))
 
 
 def merge_boxes(low: Floats, high: Floats, kind: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
@@ -104,18 +63,16 @@ def merge_boxes(low: Floats, high: Floats, kind: NDArray[np.int64]) -> tuple[Flo
     The same three for the boxes that remain; together they fill the same space.
   """
   for axis in (0, 1):
-    other = 1 - axis
     # Corners of neighbouring tiles agree but for rounding.
-    keys = np.round(np.column_stack((low[:, other], high[:, other], low[:, 2], high[:, 2])) * 1e6).astype(np.int64)
-    start, end = np.round(low[:, axis] * 1e6).astype(np.int64), np.round(high[:, axis] * 1e6).astype(np.int64)
-    order = np.lexsort((start, *keys.T, kind))
-    same = (keys[order][1:] == keys[order][:-1]).all(1) & (kind[order][1:] == kind[order][:-1])
-    new_run = np.concatenate(([True], ~(same & (start[order][1:] == end[order][:-1]))))
-    first = np.flatnonzero(new_run)
-    last = np.concatenate((first[1:], [len(order)])) - 1
-    merged = high[order][first]
-    merged[:, axis] = high[order][last, axis]
-    low, high, kind = low[order][first], merged, kind[order][first]
+    ends = np.round(np.column_stack((low, high)) * 1e6).astype(np.int64)
+    start, end = ends[:, axis], ends[:, 3 + axis]
+    keys = np.column_stack((ends[:, [1 - axis, 4 - axis, 2, 5]], kind))
+    order = np.lexsort((start, *keys.T))
+    joins = (keys[order][1:] == keys[order][:-1]).all(1) & (start[order][1:] == end[order][:-1])
+    first, last = order[np.append(True, ~joins)], order[np.append(~joins, True)]
+    merged = high[first]
+    merged[:, axis] = high[last, axis]
+    low, high, kind = low[first], merged, kind[first]
   return low, high, kind
 
 
@@ -132,6 +89,11 @@ def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoc
     again = "Give the terrain another name, or add it once."
     raise ValueError(f"terrain '{name}': the model '{spec.modelname}' already has a {taken}. {again}")
   return spec.worldbody.add_body(name=name)
+
+
+def add_geom(body: mujoco.MjsBody, name: str, friction: tuple[float, float, float], **fields: Any) -> None:
+  """Add a geom of group 0 that collides with everything, whatever the defaults of the model are."""
+  body.add_geom(name=name, friction=friction, condim=3, contype=1, conaffinity=1, group=0, mass=0.0, **fields)
 
 
 def add_body(
@@ -151,20 +113,12 @@ def add_body(
   names = tuple(f"{name}_{index}" for index in range(len(solids)))
   body = new_body(spec, name, names)
   for geom_name, (solid, kind) in zip(names, solids, strict=True):
-    if isinstance(solid, Box):
-      own = _box(solid)
-    elif isinstance(solid, Prism):
-      own = _prism(spec, geom_name, solid)
-    else:
-      own = _height_field(spec, geom_name, solid)
     if isinstance(solid, HeightField):
       _add_material(spec, geom_name, picture_of(solid, coloring, kind))
-      own |= {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
+      look: dict[str, Any] = {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
     else:
-      own["rgba"] = (*coloring(kind, np.array(solid.color_height)), 1.0)
-    # Explicit, although most are MuJoCo's defaults: the model may have defaults of its own.
-    common: dict[str, Any] = {"condim": 3, "contype": 1, "conaffinity": 1, "group": 0, "mass": 0.0}
-    body.add_geom(name=geom_name, friction=friction, **common, **own)
+      look = {"rgba": (*coloring(kind, solid.center[2]), 1.0)}
+    add_geom(body, geom_name, friction, **_shape(spec, geom_name, solid), **look)
   if light:
     add_light(body, height=10.0, direction=(0.3, 0.2, -1.0))
   return names
@@ -182,32 +136,30 @@ def add_light(body: mujoco.MjsBody, *, height: float, direction: tuple[float, fl
   )
 
 
-def _box(box: Box) -> dict[str, Any]:
-  quat = np.array([1.0, 0.0, 0.0, 0.0])
-  if box.rotation is not None:
-    mujoco.mju_mat2Quat(quat, box.rotation.ravel())
-  return {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": box.center, "quat": quat, "size": box.half}
-
-
-def _prism(spec: mujoco.MjSpec, name: str, prism: Prism) -> dict[str, Any]:
-  spec.add_mesh(name=name, uservert=(prism.corners - prism.center).ravel())
-  return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "pos": prism.center}
-
-
-def _height_field(spec: mujoco.MjSpec, name: str, field: HeightField) -> dict[str, Any]:
-  low, high = field.heights.min(), field.heights.max()
-  half = 0.5 * (field.high - field.low)
-  nx, ny = field.heights.shape
-  spec.add_hfield(
-    name=name,
-    nrow=ny,
-    ncol=nx,
-    size=(*half[:2], high - low, low - field.bottom),
-    # MuJoCo counts rows along y.
-    userdata=((field.heights - low) / (high - low)).T.ravel().tolist(),
-  )
-  middle = 0.5 * (field.low + field.high)
-  return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": name, "pos": (*middle[:2], low)}
+def _shape(spec: mujoco.MjSpec, name: str, solid: Solid) -> dict[str, Any]:
+  """Return the fields of a geom that give its shape, and add the asset of this name that it needs."""
+  x, y, top = solid.center
+  if isinstance(solid, HeightField):
+    low, high = solid.top_range
+    nx, ny = solid.heights.shape
+    spec.add_hfield(
+      name=name,
+      nrow=ny,
+      ncol=nx,
+      size=(*solid.half, high - low, top + low - solid.bottom),
+      # MuJoCo counts rows along y.
+      userdata=((solid.heights - low) / (high - low)).T.ravel().tolist(),
+    )
+    return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": name, "pos": (x, y, top + low)}
+  if any(solid.slope):
+    spec.add_mesh(name=name, uservert=(solid.corners - solid.center).ravel())
+    return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "pos": solid.center}
+  return {
+    "type": mujoco.mjtGeom.mjGEOM_BOX,
+    "pos": (x, y, 0.5 * (solid.bottom + top)),
+    "quat": (np.cos(0.5 * solid.yaw), 0.0, 0.0, np.sin(0.5 * solid.yaw)),
+    "size": (*solid.half, 0.5 * (top - solid.bottom)),
+  }
 
 
 def _add_material(spec: mujoco.MjSpec, name: str, picture: bytes) -> None:

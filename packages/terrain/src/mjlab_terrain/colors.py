@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import struct
 import zlib
 from collections.abc import Callable
@@ -31,19 +32,6 @@ _GRADIENT: tuple[tuple[float, Rgb], ...] = (
   (2.0, (0.62, 0.25, 0.22)),
 )
 
-_TYPES: tuple[Rgb, ...] = (
-  (0.56, 0.60, 0.62),
-  (0.36, 0.53, 0.70),
-  (0.83, 0.55, 0.35),
-  (0.47, 0.64, 0.47),
-  (0.70, 0.45, 0.50),
-  (0.55, 0.50, 0.72),
-  (0.80, 0.70, 0.42),
-  (0.40, 0.63, 0.64),
-  (0.72, 0.58, 0.70),
-  (0.60, 0.62, 0.36),
-)
-
 
 def coloring_of(color: GroundColor) -> Coloring:
   """Return the coloring by height, by type, or in one color."""
@@ -56,21 +44,22 @@ def coloring_of(color: GroundColor) -> Coloring:
 
 
 def _by_height(z: Floats) -> Floats:
-  at, colors = [z for z, _ in _GRADIENT], np.array([rgb for _, rgb in _GRADIENT])
-  return np.stack([np.interp(z, at, colors[:, k]) for k in range(3)], axis=-1)
+  at, colors = zip(*_GRADIENT, strict=True)
+  return np.stack([np.interp(z, at, channel) for channel in np.transpose(colors)], axis=-1)
 
 
 def _by_type(index: int, z: Floats) -> Floats:
   """Return the color of a type, darker below the rim and lighter above it."""
+  # Multiples of the golden ratio spread hues evenly, however many types there are.
+  color = colorsys.hsv_to_rgb(0.6 + 0.618 * index, 0.4, 0.75)
   shade = np.clip(1.0 + 0.35 * np.asarray(z, dtype=np.float64), 0.45, 1.6)
-  return np.clip(np.array(_TYPES[index % len(_TYPES)]) * shade[..., None], 0.0, 1.0)
+  return np.clip(np.array(color) * shade[..., None], 0.0, 1.0)
 
 
 def picture_of(field: HeightField, coloring: Coloring, kind: int) -> bytes:
   """Return a PNG file with the colors of a height field of this type, seen from above with x to the right."""
-  count = [min(n, _PICTURE) for n in field.heights.shape]
-  i, j = (np.linspace(0, n - 1, m).round().astype(np.int64) for n, m in zip(field.heights.shape, count, strict=True))
-  colors = coloring(kind, field.heights[np.ix_(i, j)])
+  rows = [np.linspace(0, n - 1, min(n, _PICTURE)).round().astype(np.int64) for n in field.heights.shape]
+  colors = coloring(kind, field.center[2] + field.heights[np.ix_(*rows)])
   # The first row of a picture is at the far end of y.
   return _png(np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1])
 

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjlab_terrain.assembly import FRICTION, PlacedTile, add_body, gather, height_range, place_tile
-from mjlab_terrain.checked_fields import check_fields, choice, count, drawn, number, refuse
+from mjlab_terrain.assembly import FRICTION, add_body, gather, height_range
+from mjlab_terrain.checked_fields import check_fields, choice, drawn, number, refuse
 from mjlab_terrain.colors import GroundColor, coloring_of
 from mjlab_terrain.patches import FlatPatchCfg
 from mjlab_terrain.presets import walking_types
-from mjlab_terrain.solids import GROUND_DEPTH, MIN_THICKNESS, Box
+from mjlab_terrain.solids import GROUND_DEPTH, MIN_THICKNESS, Solid
 from mjlab_terrain.terrain import Terrain, apportion
 from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import TileCfg, tile_rng
@@ -43,7 +43,7 @@ class TerrainGridCfg:
   rows: int = number(10, least=1)
   """Number of tiles along x."""
 
-  columns: int | None = count(None, least=1)
+  columns: int | None = number(None, least=1, whole=True)
   """Number of tiles along y. None is one for each type in a curriculum, as many as rows in a random layout."""
 
   layout: Literal["curriculum", "random"] = choice("curriculum", "random")
@@ -77,12 +77,32 @@ class TerrainGridCfg:
       ValueError: a setting is out of its range, or `spec` already has a body or a geom of a name that is needed;
         `spec` is unchanged.
     """
-    placed = self.tiles()
-    solids = gather(placed, self._border(placed))
-    names = add_body(spec, self.name, solids, coloring_of(self.color), friction=self.friction, light=self.light)
-    return self._describe(placed, names)
+    tiles = self.tiles()
+    shape = tiles[-1].place[0] + 1, tiles[-1].place[1] + 1
+    solids, color = gather(tiles, self._border(shape)), coloring_of(self.color)
+    names = add_body(spec, self.name, solids, color, friction=self.friction, light=self.light)
+    kinds = np.array([tile.kind for tile in tiles]).reshape(shape)
+    column_shares = np.full(shape[1], 1.0 / shape[1])
+    if self.layout == "curriculum":
+      column_shares = (self._shares() / np.bincount(kinds[0]))[kinds[0]]
+    patches = {}
+    for k, (name, cfg) in enumerate(self.flat_patches.items()):
+      found = [tile.center + cfg.find(tile, tile_rng(self.seed, *tile.place, _PATCHES, k)) for tile in tiles]
+      patches[name] = np.reshape(found, (*shape, cfg.count, 3))
+    return Terrain(
+      name=self.name,
+      geom_names=names,
+      tile_size=self.tile_size,
+      origins=np.reshape([tile.origin for tile in tiles], (*shape, 3)),
+      difficulty=np.reshape([tile.difficulty for tile in tiles], shape),
+      type_names=tuple(self._used()),
+      tile_types=kinds,
+      column_shares=column_shares,
+      flat_patches=patches,
+      height_range=height_range(tiles),
+    )
 
-  def tiles(self) -> list[PlacedTile]:
+  def tiles(self) -> list[Tile]:
     """Return all tiles, row by row.
 
     Raises:
@@ -91,16 +111,14 @@ class TerrainGridCfg:
     self.check()
     kinds, difficulty = self._plan()
     cfgs = list(self._used().items())
-    middle = 0.5 * (np.array(kinds.shape) - 1)
-    placed = []
-    for row, column in np.ndindex(*kinds.shape):
-      kind = int(kinds[row, column])
+    tiles = []
+    for place in np.ndindex(*kinds.shape):
+      x, y = (place - 0.5 * (np.array(kinds.shape) - 1)) * self.tile_size
+      kind, rng = int(kinds[place]), tile_rng(self.seed, *place)
+      tile = Tile(self.tile_size, float(difficulty[place]), rng, place=place, kind=kind, center=(x, y))
       name, cfg = cfgs[kind]
-      tile = Tile(self.tile_size, float(difficulty[row, column]), tile_rng(self.seed, row, column))
-      center = np.array((*((row, column) - middle) * self.tile_size, 0.0))
-      label = f"{type(cfg).__name__} '{name}'"
-      placed.append(place_tile(cfg.build, label, tile, row=row, column=column, kind=kind, center=center))
-    return placed
+      tiles.append(cfg.built(name, tile))
+    return tiles
 
   def check(self) -> None:
     """Check all settings.
@@ -131,59 +149,25 @@ class TerrainGridCfg:
     shares = np.array([cfg.share for cfg in self._used().values()], dtype=np.float64)
     return shares / shares.sum()
 
-  def _columns_of_types(self) -> NDArray[np.int64]:
-    """Return the number of columns of each type in a curriculum, at least one, (types,)."""
-    shares = self._shares()
-    counts = np.ones(len(shares), dtype=np.int64)
-    if self.columns is not None:
-      # The claim of a type beyond its first column.
-      owed = np.maximum(shares * self.columns - 1.0, 0.0)
-      if owed.sum() > 0.0:
-        counts += apportion(owed / owed.sum(), self.columns - len(shares))
-      else:
-        counts[: self.columns - len(shares)] += 1
-    return counts
-
   def _plan(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the type and difficulty of each tile, both (rows, columns)."""
     low, high = self.difficulty
     shares = self._shares()
-    if self.layout == "curriculum":
-      columns = np.repeat(np.arange(len(shares)), self._columns_of_types())
-      row = np.linspace(low, high, self.rows) if self.rows > 1 else np.array([low])
-      return np.tile(columns, (self.rows, 1)), np.repeat(row[:, None], len(columns), axis=1)
-    rng = tile_rng(self.seed, _LAYOUT)
-    shape = self.rows, self.columns or self.rows
-    return rng.choice(len(shares), size=shape, p=shares), rng.uniform(low, high, shape)
+    if self.layout == "random":
+      rng = tile_rng(self.seed, _LAYOUT)
+      shape = self.rows, self.columns or self.rows
+      return rng.choice(len(shares), size=shape, p=shares), rng.uniform(low, high, shape)
+    spare = 0 if self.columns is None else self.columns - len(shares)
+    # The claim of a type beyond its first column.
+    owed = np.maximum(shares * (len(shares) + spare) - 1.0, 0.0)
+    counts = 1 + apportion(owed / owed.sum() if owed.any() else shares, spare)
+    columns = np.repeat(np.arange(len(shares)), counts)
+    difficulty = np.linspace(low, high, self.rows)
+    return np.tile(columns, (self.rows, 1)), np.repeat(difficulty[:, None], len(columns), axis=1)
 
-  def _border(self, placed: list[PlacedTile]) -> list[Box]:
-    if self.border_width == 0.0:
-      return []
-    last = placed[-1].center[:2] + 0.5 * np.array(self.tile_size)
-    around = Tile(tuple(2.0 * (last + self.border_width)), 0.0, tile_rng(self.seed, _LAYOUT))
-    around.frame(around.size, tuple(2.0 * last), (-GROUND_DEPTH, 0.0))
-    return [solid for solid in around.solids if isinstance(solid, Box)]
-
-  def _describe(self, placed: list[PlacedTile], geom_names: tuple[str, ...]) -> Terrain:
-    kinds, difficulty = self._plan()
-    rows, columns = kinds.shape
-    if self.layout == "curriculum":
-      column_shares = (self._shares() / self._columns_of_types())[kinds[0]]
-    else:
-      column_shares = np.full(columns, 1.0 / columns)
-    patches = {}
-    for k, (name, cfg) in enumerate(self.flat_patches.items()):
-      found = [p.center + cfg.find(p.tile, tile_rng(self.seed, p.row, p.column, _PATCHES, k)) for p in placed]
-      patches[name] = np.array(found).reshape(rows, columns, cfg.count, 3)
-    return Terrain(
-      name=self.name,
-      geom_names=geom_names,
-      tile_size=self.tile_size,
-      origins=np.array([p.origin for p in placed]).reshape(rows, columns, 3),
-      difficulty=difficulty,
-      type_names=tuple(self._used()),
-      tile_types=kinds,
-      column_shares=column_shares,
-      flat_patches=patches,
-      height_range=height_range(placed),
-    )
+  def _border(self, shape: tuple[int, int]) -> list[Solid]:
+    """Return the level ground around a grid of this many rows and columns."""
+    x, y = np.multiply(shape, self.tile_size) + 2.0 * self.border_width
+    around = Tile((x, y), 0.0, tile_rng(self.seed, _LAYOUT))
+    around.ring(0.0, self.border_width, (-GROUND_DEPTH, 0.0))
+    return around.solids

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjlab_terrain.checked_fields import check_fields, drawn, number, refuse
-from mjlab_terrain.surface import disc, over_disc, surface
+from mjlab_terrain.surface import over_disc, surface
 from mjlab_terrain.tile import Tile
 
 EVERYWHERE = (-math.inf, math.inf)
@@ -60,8 +60,9 @@ class FlatPatchCfg:
     axes = [np.linspace(-0.5 * s, 0.5 * s, 2 * max(math.ceil(0.5 * s / self.resolution), 1) + 1) for s in tile.size]
     z = surface(tile.solids, *axes)
     # The grid is square enough that the finer of its two spacings covers the radius in both.
-    offsets = disc(self.radius, min(a[1] - a[0] for a in axes))
-    difference = over_disc(z, offsets, np.maximum) - over_disc(z, offsets, np.minimum)
+    spacing = min(a[1] - a[0] for a in axes)
+    highest, lowest = (over_disc(z, self.radius, spacing, reduce) for reduce in (np.maximum, np.minimum))
+    difference = highest - lowest
     allowed = np.ones(z.shape, dtype=bool)
     for axis, (at, limits, extent) in enumerate(zip(axes, (self.x_range, self.y_range), tile.size, strict=True)):
       reach = 0.5 * extent - self.radius

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from mjlab_terrain.assembly import FRICTION, add_light, new_body
+from mjlab_terrain.assembly import FRICTION, add_geom, add_light, new_body
 from mjlab_terrain.checked_fields import check_fields, number
 from mjlab_terrain.colors import Rgb
 from mjlab_terrain.terrain import Terrain
@@ -61,19 +61,15 @@ class PlaneCfg:
     )
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = self.name
     # Two zeros make the plane infinite; the third number is the spacing of the squares that the renderer cuts it into.
-    geom = body.add_geom(
-      name=self.name,
+    add_geom(
+      body,
+      self.name,
+      self.friction,
       type=mujoco.mjtGeom.mjGEOM_PLANE,
       size=(0.0, 0.0, 0.01),
       material=self.name,
-      friction=self.friction,
-      # Explicit, although they are MuJoCo's defaults: the model may have defaults of its own.
-      condim=3,
-      contype=1,
-      conaffinity=1,
-      group=0,
       rgba=(0.5, 0.5, 0.5, 1.0),
     )
     if self.light:
       add_light(body, height=3.0, direction=(0.2, 0.1, -1.0))
-    return Terrain(name=body.name, geom_names=(geom.name,))
+    return Terrain(name=body.name, geom_names=(self.name,))

@@ -1,6 +1,10 @@
-"""Sets of types of tile with useful settings."""
+"""Sets of types of tile with useful settings, and changes of settings that are given as text."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 from mjlab_terrain.tile_cfg import TileCfg
 from mjlab_terrain.types.boxes import FlatCfg, RandomBoxesCfg, RandomGridCfg, TiltedGridCfg
@@ -49,3 +53,39 @@ def walking_types() -> dict[str, TileCfg]:
     "random_rough": RandomRoughCfg(share=0.1),
     "waves": WavesCfg(share=0.1),
   }
+
+
+def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> None:
+  """Change settings of `types`: "setting=value" of all types that have it, "type.setting=value" of one.
+
+  Raises:
+    ValueError: an assignment names a type or setting that does not exist, or its value cannot be read.
+  """
+  for assignment in assignments:
+    target, _, text = assignment.partition("=")
+    type_name, _, setting = target.rpartition(".")
+    if type_name and type_name not in types:
+      raise ValueError(f"'{assignment}': there is no type '{type_name}' here. There are {', '.join(types)}.")
+    meant = [type_name] if type_name else list(types)
+    known = sorted({setting for name in meant for setting in vars(types[name])})
+    if setting not in known:
+      raise ValueError(f"'{assignment}': there is no setting '{setting}'. There are {', '.join(known)}.")
+    for name in meant:
+      if setting in vars(types[name]):
+        value = _read(text, getattr(types[name], setting), assignment)
+        types[name] = replace(types[name], **{setting: value})
+
+
+def _read(text: str, present: Any, assignment: str) -> Any:
+  """Return the value that `text` gives, of the same kind as the present one."""
+  try:
+    if isinstance(present, bool):
+      return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+    if isinstance(present, str):
+      return text
+    values = [int(part) if part.strip().lstrip("-").isdigit() else float(part) for part in text.split(",")]
+    if isinstance(present, tuple) != (len(values) == 2):
+      raise ValueError
+  except (KeyError, ValueError):
+    raise ValueError(f"'{assignment}': the value must be like {present!r}, without brackets.") from None
+  return tuple(values) if isinstance(present, tuple) else values[0]

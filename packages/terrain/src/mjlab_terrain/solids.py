@@ -1,9 +1,11 @@
-"""Solids of the ground: boxes, prisms with a sloping top, and height fields."""
+"""Solids of the ground: boxes, whose tops may slope, and height fields."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,187 +27,134 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Box:
-  """Box of any orientation."""
-
-  center: Floats
-  """In the frame of its tile, (3,) [m]."""
-  half: Floats
-  """Half of its extent along its own axes, (3,) [m]."""
-  rotation: Floats | None = None
-  """Its axes as columns, in the frame of its tile, (3, 3); None if they are those of the tile."""
-
-  @cached_property
-  def extent(self) -> Floats:
-    """Half of its extent along the axes of the tile, (3,) [m]."""
-    return self.half if self.rotation is None else np.abs(self.rotation) @ self.half
-
-  @cached_property
-  def low(self) -> Floats:
-    """Lowest corner of its bounds, (3,) [m]."""
-    return self.center - self.extent
-
-  @cached_property
-  def high(self) -> Floats:
-    """Highest corner of its bounds, (3,) [m]."""
-    return self.center + self.extent
-
-  @property
-  def thickness(self) -> float:
-    """Least extent [m]."""
-    return 2.0 * float(self.half.min())
-
-  @property
-  def color_height(self) -> float:
-    """Height that its color shows [m]."""
-    return float(self.high[2])
-
-  def top(self, x: Floats, y: Floats) -> Floats:
-    """Return its height at the grid of points `x` (nx,) and `y` (ny,), (nx, ny) [m]; -inf where it has none."""
-    if self.rotation is None:
-      return np.full((len(x), len(y)), self.high[2])
-    around = np.meshgrid(x - self.center[0], y - self.center[1], indexing="ij")
-    start, up = np.stack((*around, np.zeros((len(x), len(y)))), -1) @ self.rotation, self.rotation[2]
-    enter = np.full(start.shape[:2], -np.inf)
-    leave = np.full(start.shape[:2], np.inf)
-    for axis in range(3):
-      if abs(up[axis]) < 1e-12:
-        leave = np.where(np.abs(start[..., axis]) > self.half[axis] + EDGE, -np.inf, leave)
-      else:
-        ends = (np.array([-1.0, 1.0]) * self.half[axis] - start[..., axis, None]) / up[axis]
-        enter = np.maximum(enter, ends.min(-1))
-        leave = np.minimum(leave, ends.max(-1))
-    return np.where(leave >= enter - EDGE, self.center[2] + leave, -np.inf)
-
-  def moved(self, by: Floats) -> Box:
-    """Return the box moved by (3,) [m]."""
-    return replace(self, center=self.center + by)
-
-  def deepened(self, bottom: float) -> Box:
-    """Return the box with its bottom no higher than this height [m]; a box that is tilted stays as it is."""
-    low, high = self.low, self.high
-    tilted = self.rotation is not None and abs(self.rotation[2, 2]) < 1.0 - 1e-9
-    if tilted or low[2] <= bottom:
-      return self
-    half = 0.5 * (high[2] - bottom)
-    return replace(self, center=np.array((*self.center[:2], high[2] - half)), half=np.array((*self.half[:2], half)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Prism:
-  """Upright prism over a rectangle; its top is a plane, its sides are vertical."""
+class SolidBase(ABC):
+  """Part of the ground over a rectangle, with vertical sides and a level bottom."""
 
   center: Floats
   """Middle of its top, in the frame of its tile, (3,) [m]."""
   half: tuple[float, float]
-  """Half of its extent along x and y [m]."""
-  slope: tuple[float, float]
-  """Rise of its top along x and y [1]."""
+  """Half of its extent along its own x and y [m]."""
   bottom: float
   """Height of its bottom [m]."""
 
-  @cached_property
-  def corners(self) -> Floats:
-    """Corners, for each of four the one at the bottom and the one at the top, (8, 3) [m]."""
-    out = []
-    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-      at = x * self.half[0], y * self.half[1]
-      xy = self.center[:2] + at
-      out += [(*xy, self.bottom), (*xy, self.center[2] + np.dot(self.slope, at))]
-    return np.array(out)
+  @property
+  def reach(self) -> Floats:
+    """Half of its extent along x and y of the tile, (2,) [m]."""
+    return np.array(self.half)
+
+  @property
+  @abstractmethod
+  def top_range(self) -> Interval:
+    """Lowest and highest point of its top above `center` [m]."""
+
+  @abstractmethod
+  def top(self, x: Floats, y: Floats) -> Floats:
+    """Return its height at the grid of points `x` (nx,) and `y` (ny,) inside its bounds, (nx, ny) [m].
+
+    It is -inf where it has none.
+    """
 
   @cached_property
   def low(self) -> Floats:
     """Lowest corner of its bounds, (3,) [m]."""
-    return np.array((*(self.center[:2] - self.half), self.bottom))
+    return np.array((*(self.center[:2] - self.reach), self.bottom))
 
   @cached_property
   def high(self) -> Floats:
     """Highest corner of its bounds, (3,) [m]."""
-    return np.array((*(self.center[:2] + self.half), self.center[2] + np.abs(self.slope) @ np.array(self.half)))
+    return np.array((*(self.center[:2] + self.reach), self.center[2] + self.top_range[1]))
 
   @property
   def thickness(self) -> float:
     """Least extent, between the lowest point of its top and its bottom too [m]."""
-    return float(min(*(self.high - self.low)[:2], 2.0 * self.center[2] - self.high[2] - self.bottom))
+    return float(np.min((*np.multiply(self.half, 2.0), self.center[2] + self.top_range[0] - self.bottom)))
 
-  @property
-  def color_height(self) -> float:
-    """Height that its color shows [m]."""
-    return float(self.center[2])
+  def ticks(self, axis: int) -> Floats:
+    """Return coordinates along an axis at which a surface may be lowest: both sides of its edges, (n,) [m]."""
+    edges = np.array((self.low[axis], self.high[axis]))
+    return np.concatenate((edges - 1e-6, edges + 1e-6))
 
-  def top(self, x: Floats, y: Floats) -> Floats:
-    """Return its height at the grid of points `x` (nx,) and `y` (ny,) inside its bounds, (nx, ny) [m]."""
-    x, y = x - self.center[0], y - self.center[1]
-    return self.center[2] + self.slope[0] * x[:, None] + self.slope[1] * y[None, :]
-
-  def moved(self, by: Floats) -> Prism:
-    """Return the prism moved by (3,) [m]."""
+  def moved(self, by: Floats) -> Self:
+    """Return the solid moved by (3,) [m]."""
     return replace(self, center=self.center + by, bottom=self.bottom + float(by[2]))
-
-  def deepened(self, bottom: float) -> Prism:
-    """Return the prism with its bottom no higher than this height [m]."""
-    return replace(self, bottom=min(self.bottom, bottom))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HeightField:
-  """Surface over a rectangle, given at the vertices of a regular grid, and solid below."""
+class Box(SolidBase):
+  """Upright box, whose top may slope."""
 
-  heights: Floats
-  """Height at each vertex, first index along x, second along y, (nx, ny) [m]."""
-  x: Interval
-  """Extent along x [m]."""
-  y: Interval
-  """Extent along y [m]."""
-  bottom: float
-  """Height of its bottom [m]."""
+  slope: tuple[float, float] = (0.0, 0.0)
+  """Rise of its top along its own x and y [1]."""
+  yaw: float = 0.0
+  """Angle about the vertical from the axes of the tile to its own [rad]."""
 
   @property
-  def thickness(self) -> float:
-    """Least extent [m]."""
-    return float(self.heights.min()) - self.bottom
+  def is_plain(self) -> bool:
+    """True if its sides are along the axes of the tile, and its top is level."""
+    return not self.yaw and not any(self.slope)
 
-  @cached_property
-  def low(self) -> Floats:
-    """Lowest corner of its bounds, (3,) [m]."""
-    return np.array((self.x[0], self.y[0], self.bottom))
+  @property
+  def top_range(self) -> Interval:
+    rise = float(np.dot(np.abs(self.slope), self.half))
+    return -rise, rise
 
-  @cached_property
-  def high(self) -> Floats:
-    """Highest corner of its bounds, (3,) [m]."""
-    return np.array((self.x[1], self.y[1], self.heights.max()))
+  @property
+  def axes(self) -> Floats:
+    """Its own x and y axes as columns, in the frame of its tile, (2, 2)."""
+    cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+    return np.array(((cos, -sin), (sin, cos)))
+
+  @property
+  def reach(self) -> Floats:
+    return np.abs(self.axes) @ self.half
+
+  @property
+  def corners(self) -> Floats:
+    """Corners, for each of four the one at the bottom and the one at the top, (8, 3) [m]."""
+    own = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * self.half
+    out = np.repeat(np.column_stack((self.center[:2] + own @ self.axes.T, own @ self.slope)), 2, axis=0)
+    out[::2, 2], out[1::2, 2] = self.bottom, out[1::2, 2] + self.center[2]
+    return out
 
   def top(self, x: Floats, y: Floats) -> Floats:
-    """Return its height at the grid of points `x` (nx,) and `y` (ny,) inside its bounds, (nx, ny) [m].
+    (cos, _), (sin, _) = self.axes
+    x, y = x[:, None] - self.center[0], y[None, :] - self.center[1]
+    along, across = cos * x + sin * y, cos * y - sin * x
+    inside = (np.abs(along) <= self.half[0] + EDGE) & (np.abs(across) <= self.half[1] + EDGE)
+    return np.where(inside, self.center[2] + self.slope[0] * along + self.slope[1] * across, -np.inf)
 
-    It is the height on the two triangles that MuJoCo cuts each cell into.
-    """
-    h = self.heights
 
-    def cell(p: Floats, ends: Interval, num: int) -> tuple[NDArray[np.int64], Floats]:
-      at = np.clip((p - ends[0]) / (ends[1] - ends[0]) * (num - 1), 0.0, num - 1.0)
-      index = np.minimum(at.astype(np.int64), num - 2)
-      return index, at - index
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeightField(SolidBase):
+  """Surface given at the vertices of a regular grid, and solid below."""
 
-    i, u = cell(x, self.x, h.shape[0])
-    j, v = cell(y, self.y, h.shape[1])
-    i, u, j, v = i[:, None], u[:, None], j[None, :], v[None, :]
+  heights: Floats
+  """Height of each vertex above `center`, first index along x, second along y, (nx, ny) [m]."""
+
+  @property
+  def top_range(self) -> Interval:
+    return float(self.heights.min()), float(self.heights.max())
+
+  def ticks(self, axis: int) -> Floats:
+    vertices = np.linspace(self.low[axis], self.high[axis], self.heights.shape[axis])
+    return np.append(super().ticks(axis), vertices)
+
+  def top(self, x: Floats, y: Floats) -> Floats:
+    # The height on the two triangles that MuJoCo cuts each cell into.
+    cells = []
+    for axis, at in enumerate((x, y)):
+      last = self.heights.shape[axis] - 1
+      place = np.clip((at - self.low[axis]) / (self.high[axis] - self.low[axis]) * last, 0.0, last)
+      index = np.minimum(place.astype(np.int64), last - 1)
+      cells.append((index, place - index))
+    (i, u), (j, v) = cells
+    i, u = i[:, None], u[:, None]
+    h = self.center[2] + self.heights
     near, far = h[i, j], h[i + 1, j + 1]
     # The diagonal runs from the corner with the lowest x and y to that with the highest.
     below = near + u * (h[i + 1, j] - near) + v * (far - h[i + 1, j])
     above = near + v * (h[i, j + 1] - near) + u * (far - h[i, j + 1])
     return np.where(u >= v, below, above)
 
-  def moved(self, by: Floats) -> HeightField:
-    """Return the height field moved by (3,) [m]."""
-    (dx, dy, dz) = (float(d) for d in by)
-    x, y = (self.x[0] + dx, self.x[1] + dx), (self.y[0] + dy, self.y[1] + dy)
-    return HeightField(heights=self.heights + dz, x=x, y=y, bottom=self.bottom + dz)
 
-  def deepened(self, bottom: float) -> HeightField:
-    """Return the height field with its bottom no higher than this height [m]."""
-    return replace(self, bottom=min(self.bottom, bottom))
-
-
-Solid = Box | Prism | HeightField
+Solid = Box | HeightField

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mjlab_terrain.solids import EDGE, Box, Floats, HeightField, Prism, Solid
+from mjlab_terrain.solids import EDGE, Floats, Solid
 
 
 def surface(solids: Sequence[Solid], x: Floats, y: Floats) -> Floats:
@@ -32,37 +31,23 @@ def lowest_points(solids: Sequence[Solid], size: tuple[float, float]) -> tuple[f
   """
   axes = []
   for axis, extent in enumerate(size):
-    ends = np.array((-0.5, 0.5)) * extent
-    edges = np.unique(np.concatenate([ends, *((s.low[axis], s.high[axis]) for s in solids)]))
-    # Upright boxes are level between their edges, prisms are lowest at their corners, height fields at their vertices.
-    at = [ends, 0.5 * (edges[1:] + edges[:-1])]
-    at += [np.array((s.low[axis] + 1e-6, s.high[axis] - 1e-6)) for s in solids if isinstance(s, Prism)]
-    fields = [s for s in solids if isinstance(s, HeightField)]
-    at += [np.linspace(s.low[axis], s.high[axis], s.heights.shape[axis]) for s in fields]
-    if any(isinstance(s, Box) and s.rotation is not None for s in solids):
-      at.append(np.arange(ends[0], ends[1], 0.05))
-    points = np.unique(np.round(np.concatenate(at), 7))
-    axes.append(points[np.abs(points) <= ends[1] + EDGE])
+    reach = 0.5 * extent
+    points = np.concatenate((np.arange(-reach, reach, 0.05), [reach], *(solid.ticks(axis) for solid in solids)))
+    points = np.unique(np.round(points, 7))
+    axes.append(points[np.abs(points) <= reach + EDGE])
   z = surface(solids, *axes)
   return float(z.min()), float(min(z[[0, -1]].min(), z[:, [0, -1]].min()))
 
 
-def disc(radius: float, spacing: float) -> NDArray[np.int64]:
-  """Return the offsets of all points of a grid of this spacing within `radius` of one of them, (n, 2)."""
-  reach = int(radius / spacing + 1e-9)
-  i, j = np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij")
-  inside = np.hypot(i, j) * spacing <= radius + 1e-9
-  return np.stack((i[inside], j[inside]), axis=-1)
+def over_disc(z: Floats, radius: float, spacing: float, reduce: np.ufunc) -> Floats:
+  """Return `reduce` (`np.maximum` or `np.minimum`) over the points of a grid within `radius` of each, (nx, ny).
 
-
-def over_disc(z: Floats, offsets: NDArray[np.int64], reduce: np.ufunc) -> Floats:
-  """Return `reduce` (`np.maximum` or `np.minimum`) over the offsets around each point, (nx, ny).
-
-  Points beyond the rim of `z` do not count.
+  Points of the grid are `spacing` apart. Those beyond the rim of `z` do not count.
   """
-  reach = int(np.abs(offsets).max(initial=0))
+  reach = int(radius / spacing + 1e-9)
   padded = np.pad(z, reach, constant_values=-np.inf if reduce is np.maximum else np.inf)
   out = z.copy()
-  for i, j in offsets + reach:
-    reduce(out, padded[i : i + z.shape[0], j : j + z.shape[1]], out=out)
+  for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
+    if np.hypot(i - reach, j - reach) * spacing <= radius + 1e-9:
+      reduce(out, padded[i : i + z.shape[0], j : j + z.shape[1]], out=out)
   return out

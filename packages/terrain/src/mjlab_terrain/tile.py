@@ -2,29 +2,56 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from functools import cached_property
 
-from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Box, HeightField, Interval, Prism, Solid
-from mjlab_terrain.surface import disc, over_disc, surface
+import numpy as np
+
+from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Box, Floats, HeightField, Interval, Solid
+from mjlab_terrain.surface import lowest_points, over_disc, surface
 
 
 class Tile:
-  """Tile that is being built.
+  """Tile of a terrain.
 
   Its frame has its origin at the tile's centre, at the height of the rim where tiles meet, and the axes of the world.
   """
 
-  def __init__(self, size: tuple[float, float], difficulty: float, rng: np.random.Generator) -> None:
+  def __init__(
+    self,
+    size: tuple[float, float],
+    difficulty: float,
+    rng: np.random.Generator,
+    *,
+    place: tuple[int, int] = (0, 0),
+    kind: int = 0,
+    center: tuple[float, float] = (0.0, 0.0),
+  ) -> None:
     self.size = size
     """Extent along x and y [m]."""
     self.difficulty = difficulty
     """From 0, easiest, to 1, hardest."""
     self.rng = rng
     """Source of all randomness. Draw the same numbers at any difficulty, and scale them: then features grow with it."""
+    self.place = place
+    """Row and column in its grid."""
+    self.kind = kind
+    """Index of its type in its grid."""
+    self.center = np.array((*center, 0.0))
+    """Origin of its frame, world frame, (3,) [m]."""
     self.spawn: tuple[float, float] = (0.0, 0.0)
     """Spawn point [m]; its height is that of the surface."""
     self.solids: list[Solid] = []
+
+  @property
+  def origin(self) -> Floats:
+    """Spawn point on the surface, world frame, (3,) [m]."""
+    height = surface(self.solids, *np.reshape(self.spawn, (2, 1)))
+    return self.center + np.append(self.spawn, height)
+
+  @cached_property
+  def lowest_points(self) -> tuple[float, float]:
+    """Lowest height of the surface of the finished tile, and the lowest along its rim [m]."""
+    return lowest_points(self.solids, self.size)
 
   def scaled(self, ends: Interval) -> float:
     """Return the value at this tile's difficulty, between that of the easiest and that of the hardest."""
@@ -50,40 +77,39 @@ class Tile:
       )
     self.solids.append(solid)
 
-  def box(self, x: Interval, y: Interval, z: Interval) -> None:
-    """Add a box between these bounds [m]."""
-    low, high = np.array([x, y, z], dtype=np.float64).T
-    self.add(Box(center=0.5 * (low + high), half=0.5 * (high - low)))
+  def box(
+    self, x: Interval, y: Interval, z: Interval, *, slope: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0
+  ) -> None:
+    """Add a box between these bounds [m].
 
-  def turned_box(self, center: ArrayLike, half: ArrayLike, rotation: NDArray[np.float64] | None) -> None:
-    """Add a box by its centre, half extents [m] and axes, the columns of `rotation`."""
-    floats = np.array((center, half), dtype=np.float64)
-    self.add(Box(center=floats[0], half=floats[1], rotation=rotation))
+    Args:
+      x: Lowest and highest x.
+      y: Lowest and highest y.
+      z: Bottom, and height of the middle of the top.
+      slope: Rise of the top along x and y [1].
+      yaw: Angle by which the box is turned about its middle [rad].
+    """
+    center = np.array((0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), z[1]))
+    half = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
+    self.add(Box(center=center, half=half, bottom=z[0], slope=slope, yaw=yaw))
 
-  def prism(self, x: Interval, y: Interval, bottom: float, top: float, slope: tuple[float, float]) -> None:
-    """Add an upright prism over a rectangle: a plane from `slope` [1] through the height `top` at its middle [m]."""
-    center = np.array((0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), top))
-    self.add(Prism(center=center, half=(0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])), slope=slope, bottom=bottom))
+  def block(self, border: float, z: Interval) -> None:
+    """Add a box that leaves a border of this width free [m]."""
+    x, y = np.multiply(0.5, self.inner(border)).tolist()
+    self.box((-x, x), (-y, y), z)
 
   def slab(self, top: float = 0.0) -> None:
     """Add level ground over the whole tile, its top at this height [m]."""
-    x, y = 0.5 * self.size[0], 0.5 * self.size[1]
-    self.box((-x, x), (-y, y), (top - GROUND_DEPTH, top))
+    self.block(0.0, (top - GROUND_DEPTH, top))
 
-  def block(self, extent: tuple[float, float], z: Interval) -> None:
-    """Add a box of this extent along x and y at the centre [m]."""
-    self.box((-0.5 * extent[0], 0.5 * extent[0]), (-0.5 * extent[1], 0.5 * extent[1]), z)
+  def ring(self, outer: float, inner: float, z: Interval, arms: float | None = None) -> None:
+    """Add four boxes that leave a border of width `outer` free, and everything inside one of width `inner` [m].
 
-  def frame(
-    self, outer: tuple[float, float], inner: tuple[float, float], z: Interval, arms: float | None = None
-  ) -> None:
-    """Add four boxes around the centre: the space inside `outer` but not inside `inner`, extents along x and y [m].
-
-    With `arms` it is only the middle of each side, of that width [m].
+    With `arms` they are only the middle of each side, of that width [m].
     """
-    (ox, oy), (ix, iy) = np.multiply(outer, 0.5), np.multiply(inner, 0.5)
-    if ox - ix < 1e-9:
+    if inner - outer < 1e-9:
       return
+    ox, oy, ix, iy = np.multiply(0.5, (*self.inner(outer), *self.inner(inner))).tolist()
     wide, narrow = (oy, ix) if arms is None else (0.5 * arms, 0.5 * arms)
     self.box((-ox, -ix), (-wide, wide), z)
     self.box((ix, ox), (-wide, wide), z)
@@ -93,32 +119,32 @@ class Tile:
   def pit(self, depth: float, border: float) -> None:
     """Add a floor `depth` below the rim over the whole tile, and a border at the rim's height around it [m]."""
     self.slab(-depth)
-    self.frame(self.size, self.inner(border), (-depth, 0.0))
+    self.ring(0.0, border, (-depth, 0.0))
 
-  def grid(self, resolution: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+  def grid(self, resolution: float) -> tuple[Floats, Floats]:
     """Return vertices of a grid over the tile, about `resolution` apart: x as (nx, 1) and y as (1, ny) [m]."""
     axes = [np.linspace(-0.5 * s, 0.5 * s, max(round(s / resolution), 2) + 1) for s in self.size]
     return axes[0][:, None], axes[1][None, :]
 
-  def fade(self, x: NDArray[np.float64], y: NDArray[np.float64], border: float, blend: float) -> NDArray[np.float64]:
+  def fade(self, x: Floats, y: Floats, border: float, blend: float) -> Floats:
     """Return a factor for heights at (x, y): 0 on the border, 1 inside, smooth over the `blend` [m] between them."""
     to_rim = np.minimum(0.5 * self.size[0] - np.abs(x), 0.5 * self.size[1] - np.abs(y))
     t = np.clip((to_rim - border) / max(blend, 1e-9), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
-  def heights(self, heights: NDArray[np.float64]) -> None:
-    """Add a surface over the whole tile: heights at the vertices of a regular grid, (nx, ny) [m], x first."""
+  def heights(self, heights: Floats) -> None:
+    """Add a surface over the whole tile, and spawn on top of it.
+
+    Args:
+      heights: Heights at the vertices of a regular grid, first index along x, (nx, ny) [m].
+    """
     if np.ptp(heights) < FLAT:
       self.slab(float(heights.max()))
       return
-    x, y = 0.5 * self.size[0], 0.5 * self.size[1]
+    half = 0.5 * self.size[0], 0.5 * self.size[1]
     bottom = float(heights.min()) - GROUND_DEPTH
-    self.add(HeightField(heights=heights, x=(-x, x), y=(-y, y), bottom=bottom))
-
-  def spawn_height(self) -> float:
-    """Return the height of the surface at `spawn` [m]."""
-    x, y = (np.array([c]) for c in self.spawn)
-    return float(surface(self.solids, x, y)[0, 0])
+    self.add(HeightField(center=np.zeros(3), half=half, bottom=bottom, heights=heights))
+    self.spawn_on_top()
 
   def spawn_on_top(self, search: float = 1.0, radius: float = 0.4) -> None:
     """Set the spawn point to the nearest place above which nothing within `radius` [m] rises.
@@ -126,12 +152,10 @@ class Tile:
     The search ends `search` [m] from the centre along x and y; without such a place, the best one is taken.
     """
     spacing = 0.05
-    axes: list[NDArray[np.float64]] = []
-    for extent in self.size:
-      count = int(min(search + radius, 0.5 * extent) / spacing)
-      axes.append(spacing * np.arange(-count, count + 1, dtype=np.float64))
+    counts = [int(min(search + radius, 0.5 * extent) / spacing) for extent in self.size]
+    axes = [spacing * np.arange(-count, count + 1, dtype=np.float64) for count in counts]
     z = surface(self.solids, *axes)
-    rise = over_disc(z, disc(radius, spacing), np.maximum) - z
+    rise = over_disc(z, radius, spacing, np.maximum) - z
     x, y = np.meshgrid(*axes, indexing="ij")
     rise[(np.abs(x) > search) | (np.abs(y) > search)] = np.inf
     best = np.lexsort((np.hypot(x, y).ravel(), np.round(rise, 3).ravel()))[0]

@@ -9,8 +9,8 @@ from typing import NoReturn
 import mujoco
 import numpy as np
 
-from mjlab_terrain.assembly import add_body, gather, height_range, place_tile
-from mjlab_terrain.checked_fields import check_fields, number, refuse
+from mjlab_terrain.assembly import add_body, gather, height_range
+from mjlab_terrain.checked_fields import check_fields, number, refuse, rule_of
 from mjlab_terrain.colors import coloring_of
 from mjlab_terrain.solids import MIN_THICKNESS
 from mjlab_terrain.terrain import Terrain
@@ -47,6 +47,21 @@ class TileCfg(ABC):
     """Return the default extent of a tile of this type along x and y [m]."""
     return 8.0, 8.0
 
+  def built(self, name: str, tile: Tile) -> Tile:
+    """Return a tile after `build`; `name` is the type's name in messages.
+
+    Raises:
+      ValueError: `build` fails, or adds nothing.
+    """
+    label = f"{type(self).__name__} '{name}'"
+    try:
+      self.build(tile)
+    except ValueError as error:
+      raise ValueError(f"{label}: at difficulty {tile.difficulty:.3g}, tile {tile.place}: {error}") from error
+    if not tile.solids:
+      raise ValueError(f"{label}: build added no geometry to the tile.")
+    return tile
+
   def add_to(
     self,
     spec: mujoco.MjSpec,
@@ -64,17 +79,15 @@ class TileCfg(ABC):
     """
     size = tile_size or self.natural_size()
     self.check("tile", size)
-    tile = Tile(size, difficulty, tile_rng(seed, 0, 0))
-    label = f"{type(self).__name__} 'tile'"
-    placed = place_tile(self.build, label, tile, row=0, column=0, kind=0, center=np.zeros(3))
+    tile = self.built("tile", Tile(size, difficulty, tile_rng(seed, 0, 0)))
     return Terrain(
       name=name,
-      geom_names=add_body(spec, name, gather([placed]), coloring_of("height")),
+      geom_names=add_body(spec, name, gather([tile]), coloring_of("height")),
       tile_size=size,
-      origins=placed.origin[None, None],
+      origins=tile.origin[None, None],
       difficulty=np.array([[difficulty]]),
       type_names=("tile",),
-      height_range=height_range([placed]),
+      height_range=height_range([tile]),
     )
 
 
@@ -98,7 +111,7 @@ class BorderedTileCfg(TileCfg):
         f"make {way_out}, or the tile at least {min(size) + platform - room:g} m",
       )
     for f in fields(self):
-      if f.metadata.get("inside") and np.max(getattr(self, f.name)) > inside:
+      if rule_of(f).get("inside") and np.max(getattr(self, f.name)) > inside:
         got = f"{f.name} {getattr(self, f.name)} does not fit inside the border of {tile}"
         self.refuse(name, f"{got}; at most {inside:g} m would work")
 

@@ -82,7 +82,7 @@ def _show(wanted: Arguments, names: list[str]) -> int:
 
 def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
   from mjlab_terrain import TerrainGridCfg
-  from mjlab_terrain.view.settings import apply_settings
+  from mjlab_terrain.presets import apply_settings
 
   low, high = wanted.difficulty[0], wanted.difficulty[-1]
   with as_usage():

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mjlab_terrain.checked_fields import count, drawn, number, scaled
-from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS
+from mjlab_terrain.checked_fields import drawn, number, scaled
+from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Interval
 from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import BorderedTileCfg, TileCfg
 
@@ -22,34 +23,41 @@ class FlatCfg(TileCfg):
     tile.slab()
 
 
-def lattice(extent: float, pitch: float) -> NDArray[np.float64]:
-  """Return the edges of as many equal cells as fit into `extent`, each at least `pitch` wide, centred, (n + 1,) [m]."""
-  return np.linspace(-0.5 * extent, 0.5 * extent, int(extent / pitch + 1e-9) + 1)
+@dataclass(kw_only=True)
+class _ColumnsCfg(BorderedTileCfg):
+  """Square columns around a level platform."""
+
+  platform: float = number(1.0)
+  """Edge of the level platform [m], in whole columns."""
+
+  def cells(self, tile: Tile, pitch: float) -> tuple[list[Interval], list[Interval]]:
+    """Return the intervals along x and y of as many equal cells as fit, each at least `pitch` wide [m]."""
+    x, y = (np.linspace(-0.5 * s, 0.5 * s, int(s / pitch + 1e-9) + 1).tolist() for s in tile.inner(self.border))
+    return list(pairwise(x)), list(pairwise(y))
 
 
-def in_platform(x: NDArray[np.float64], y: NDArray[np.float64], platform: float) -> NDArray[np.bool_]:
+def in_platform(x: list[Interval], y: list[Interval], platform: float) -> NDArray[np.bool_]:
   """Return a mask of the cells whose centre is on a central square of edge `platform`, (cells_x, cells_y).
 
   Along each axis there is at least one, or two if the number of cells is even, unless `platform` is 0.
   """
-  inside = [
-    (np.abs(0.5 * (e[:-1] + e[1:])) <= 0.5 * max(platform, e[1] - e[0]) + 1e-9) & (platform > 0.0) for e in (x, y)
-  ]
+  inside = []
+  for cells in (x, y):
+    low, high = np.transpose(cells)
+    inside.append((0.5 * np.abs(low + high) <= 0.5 * max(platform, high[0] - low[0]) + 1e-9) & (platform > 0.0))
   return inside[0][:, None] & inside[1][None, :]
 
 
 @dataclass(kw_only=True)
-class RandomGridCfg(BorderedTileCfg):
+class RandomGridCfg(_ColumnsCfg):
   """Square columns of random heights around a level platform. Harder: larger differences."""
 
   height: tuple[float, float] = scaled((0.0, 0.3), harder="more")
   """Columns are up to this much higher or lower than the rim [m]."""
   cell: float = number(0.4, least=MIN_THICKNESS, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
-  levels: int | None = count(None, least=2)
+  levels: int | None = number(None, least=2, whole=True)
   """Number of different heights; neighbours of equal height become one geom. None draws from all heights."""
-  platform: float = number(1.0)
-  """Edge of the level platform [m], in whole columns."""
   holes: bool = False
   """True leaves only a cross as wide as the platform, with a pit between its arms."""
   pit_depth: float = number(2.0, least=MIN_THICKNESS)
@@ -57,9 +65,8 @@ class RandomGridCfg(BorderedTileCfg):
 
   def build(self, tile: Tile) -> None:
     height = tile.scaled(self.height)
-    inner = tile.inner(self.border)
-    x, y = (lattice(extent, self.cell) for extent in inner)
-    shape = len(x) - 1, len(y) - 1
+    x, y = self.cells(tile, self.cell)
+    shape = len(x), len(y)
     if self.levels is None:
       unit = tile.rng.uniform(-1.0, 1.0, shape)
     else:
@@ -68,17 +75,16 @@ class RandomGridCfg(BorderedTileCfg):
     if height < FLAT and not self.holes:
       tile.slab()
       return
-    bottom = -self.pit_depth if self.holes else -height - GROUND_DEPTH
+    bottom, kept = -height - GROUND_DEPTH, np.ones(shape, dtype=bool)
     if self.holes:
+      bottom = -self.pit_depth
       tile.slab(bottom)
-    tile.frame(tile.size, inner, (bottom, 0.0))
-    # Of a tile with holes only rows and columns of the platform remain, at least those of one cell each.
-    reach = max(self.platform, self.cell)
-    middle = in_platform(x, y, reach)
-    cross = np.any(middle, axis=1, keepdims=True) | np.any(middle, axis=0, keepdims=True)
-    xs, ys, tops = x.tolist(), y.tolist(), (height * unit).tolist()
-    for i, j in np.argwhere(cross if self.holes else np.ones(shape, dtype=bool)).tolist():
-      tile.box((xs[i], xs[i + 1]), (ys[j], ys[j + 1]), (bottom, tops[i][j]))
+      # Only rows and columns of the platform remain, at least those of one cell each.
+      middle = in_platform(x, y, max(self.platform, self.cell))
+      kept = middle.any(axis=1, keepdims=True) | middle.any(axis=0, keepdims=True)
+    tile.ring(0.0, self.border, (bottom, 0.0))
+    for i, j in np.argwhere(kept):
+      tile.box(x[i], y[j], (bottom, height * float(unit[i, j])))
 
 
 @dataclass(kw_only=True)
@@ -116,22 +122,18 @@ class RandomBoxesCfg(BorderedTileCfg):
 
   def build(self, tile: Tile) -> None:
     # All are drawn, so that an easier tile has the same boxes, only fewer and lower ones.
-    most = max(self.num_boxes)
+    most = round(max(self.num_boxes))
     half = 0.5 * np.stack([tile.rng.uniform(*ends, most) for ends in (self.width, self.length)], axis=-1)
     tops = tile.rng.uniform(*self.height, most) * tile.scaled(self.scale)
     yaw = np.radians(tile.rng.uniform(*self.yaw, most))
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    reach = np.stack(
-      (np.abs(cos) * half[:, 0] + np.abs(sin) * half[:, 1], np.abs(sin) * half[:, 0] + np.abs(cos) * half[:, 1]), -1
-    )
+    cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+    reach = np.stack((cos * half[:, 0] + sin * half[:, 1], sin * half[:, 0] + cos * half[:, 1]), -1)
     at = tile.rng.uniform(-1.0, 1.0, (most, 2)) * (0.5 * np.array(tile.inner(self.border)) - reach)
     tile.slab()
     for k in range(round(tile.scaled(self.num_boxes))):
-      free = overlap_free(at[k], half[k], float(yaw[k]), 0.5 * self.platform)
-      if free and tops[k] >= FLAT:
-        rotation = np.array([[cos[k], -sin[k], 0.0], [sin[k], cos[k], 0.0], [0.0, 0.0, 1.0]])
-        z = (-MIN_THICKNESS, tops[k])
-        tile.turned_box((*at[k], 0.5 * (z[0] + z[1])), (*half[k], 0.5 * (z[1] - z[0])), rotation)
+      if tops[k] >= FLAT and overlap_free(at[k], half[k], float(yaw[k]), 0.5 * self.platform):
+        x, y = np.stack((at[k] - half[k], at[k] + half[k]), axis=-1).tolist()
+        tile.box(x, y, (-MIN_THICKNESS, float(tops[k])), yaw=float(yaw[k]))
 
 
 def overlap_free(center: NDArray[np.float64], half: NDArray[np.float64], yaw: float, square: float) -> bool:
@@ -145,7 +147,7 @@ def overlap_free(center: NDArray[np.float64], half: NDArray[np.float64], yaw: fl
 
 
 @dataclass(kw_only=True)
-class TiltedGridCfg(BorderedTileCfg):
+class TiltedGridCfg(_ColumnsCfg):
   """Square columns with sloping tops around a level platform. Harder: steeper and more uneven.
 
   Their sides are vertical, so that nothing can get under a neighbour's edge.
@@ -157,14 +159,11 @@ class TiltedGridCfg(BorderedTileCfg):
   """Middles of tops differ by up to this much [m]."""
   cell: float = number(1.0, least=0.2, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
-  platform: float = number(1.0)
-  """Edge of the level platform [m], in whole columns."""
 
   def build(self, tile: Tile) -> None:
     tilt, height = math.radians(tile.scaled(self.tilt)), tile.scaled(self.height)
-    inner = tile.inner(self.border)
-    x, y = (lattice(extent, self.cell) for extent in inner)
-    shape = len(x) - 1, len(y) - 1
+    x, y = self.cells(tile, self.cell)
+    shape = len(x), len(y)
     slopes = np.tan(tile.rng.uniform(-1.0, 1.0, (*shape, 2)) * tilt)
     tops = tile.rng.uniform(-0.5, 0.5, shape) * height
     if height < FLAT and tilt < FLAT:
@@ -172,13 +171,8 @@ class TiltedGridCfg(BorderedTileCfg):
       return
     on_platform = in_platform(x, y, self.platform)
     slopes[on_platform], tops[on_platform] = 0.0, 0.0
-    fall = 0.5 * (np.abs(slopes) @ (x[1] - x[0], y[1] - y[0]))
+    fall = 0.5 * (np.abs(slopes) @ (x[0][1] - x[0][0], y[0][1] - y[0][0]))
     bottom = float((tops - fall).min()) - GROUND_DEPTH
-    tile.frame(tile.size, inner, (bottom, 0.0))
-    xs, ys = x.tolist(), y.tolist()
+    tile.ring(0.0, self.border, (bottom, 0.0))
     for i, j in np.ndindex(*shape):
-      cell = (xs[i], xs[i + 1]), (ys[j], ys[j + 1])
-      if slopes[i, j].any():
-        tile.prism(*cell, bottom, float(tops[i, j]), tuple(slopes[i, j].tolist()))
-      else:
-        tile.box(*cell, (bottom, float(tops[i, j])))
+      tile.box(x[i], y[j], (bottom, float(tops[i, j])), slope=tuple(slopes[i, j].tolist()))

@@ -14,7 +14,15 @@ from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 @dataclass(kw_only=True)
-class SteppingStonesCfg(BorderedTileCfg):
+class _PitCfg(BorderedTileCfg):
+  """Footholds over a pit."""
+
+  pit_depth: float = number(2.0, least=0.5)
+  """Depth of the pit below the rim [m]."""
+
+
+@dataclass(kw_only=True)
+class SteppingStonesCfg(_PitCfg):
   """Stones on a lattice over a pit, around a platform. Harder: smaller, farther apart and more irregular stones."""
 
   stone_size: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=0.1)
@@ -27,39 +35,37 @@ class SteppingStonesCfg(BorderedTileCfg):
   """Edges are up to this much longer or shorter [m]."""
   displacement: tuple[float, float] = scaled((0.0, 0.1), harder="more")
   """Stones are up to this far from their place on the lattice, along x and along y [m]."""
-  pit_depth: float = number(2.0, least=0.5)
-  """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Least edge of the platform [m]; it grows towards the nearest whole stones."""
 
   def build(self, tile: Tile) -> None:
     side = tile.scaled(self.stone_size)
     inner = 0.5 * np.array(tile.inner(self.border))
-    lattices, platform = [], np.zeros(2)
-    for axis in range(2):
-      count = max(int(2.0 * inner[axis] / (self.stone_size[0] + self.stone_distance) + 1e-9) + 1, 2)
-      places = np.linspace(-inner[axis], inner[axis], count)
-      gap = max(places[1] - places[0] - side, 0.0)
-      lattices.append(places)
+    lattices, platform = [], []
+    for reach in inner:
+      count = max(int(2.0 * reach / (self.stone_size[0] + self.stone_distance) + 1e-9) + 1, 2)
+      places = np.linspace(-reach, reach, count)
       # The platform ends one gap before the first stone that stays whole.
-      ends = places - 0.5 * side - gap
-      platform[axis] = min(ends[ends >= 0.5 * self.platform - 1e-9], default=0.5 * self.platform)
+      ends = places - 0.5 * side - max(places[1] - places[0] - side, 0.0)
+      lattices.append(places)
+      platform.append(float(min(ends[ends >= 0.5 * self.platform - 1e-9], default=0.5 * self.platform)))
     tile.pit(self.pit_depth, self.border)
-    tile.block((2.0 * platform[0], 2.0 * platform[1]), (-self.pit_depth, 0.0))
-    x, y = np.meshgrid(*lattices, indexing="ij")
-    center = np.stack((x, y), -1)
+    x, y = platform
+    tile.box((-x, x), (-y, y), (-self.pit_depth, 0.0))
+    center = np.stack(np.meshgrid(*lattices, indexing="ij"), -1)
     center = center + tile.rng.uniform(-1.0, 1.0, center.shape) * tile.scaled(self.displacement)
     half = 0.5 * (side + tile.rng.uniform(-1.0, 1.0, center.shape) * tile.scaled(self.size_variation))
-    tops = tile.rng.uniform(-1.0, 1.0, x.shape) * tile.scaled(self.height_variation)
+    tops = tile.rng.uniform(-1.0, 1.0, center.shape[:2]) * tile.scaled(self.height_variation)
     low, high = np.maximum(center - half, -inner), np.minimum(center + half, inner)
     under = (np.abs(center) < platform).all(-1)
-    for i, j in np.argwhere(~under & ((high - low) >= MIN_THICKNESS).all(-1)):
-      x0, y0, x1, y1 = (float(edge) for edge in (*low[i, j], *high[i, j]))
-      tile.box((x0, x1), (y0, y1), (-self.pit_depth, float(tops[i, j])))
+    stones = np.stack((low, high), axis=-1)
+    for i, j in np.argwhere(~under & (high - low >= MIN_THICKNESS).all(-1)):
+      x, y = stones[i, j].tolist()
+      tile.box(x, y, (-self.pit_depth, float(tops[i, j])))
 
 
 @dataclass(kw_only=True)
-class NarrowBeamsCfg(BorderedTileCfg):
+class NarrowBeamsCfg(_PitCfg):
   """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams.
 
   Their tops are 1 mm below the platform and the rim, so that a foot where they meet touches only one of them.
@@ -69,8 +75,6 @@ class NarrowBeamsCfg(BorderedTileCfg):
   """Number of beams, at equal angles."""
   beam_width: tuple[float, float] = scaled((0.8, 0.2), harder="less", least=MIN_THICKNESS)
   """Width of a beam [m]."""
-  pit_depth: float = number(2.0, least=0.5)
-  """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=0.2)
   """Least edge of the platform [m]; it grows until beams are apart where they leave it."""
 
@@ -96,7 +100,8 @@ class NarrowBeamsCfg(BorderedTileCfg):
       tile.slab()
       return
     tile.pit(self.pit_depth, self.border)
-    tile.block((2.0 * platform, 2.0 * platform), (-self.pit_depth, 0.0))
+    square = -platform, platform
+    tile.box(square, square, (-self.pit_depth, 0.0))
     # Both corners of the near end lie on the platform.
     start = math.sqrt(platform**2 - half**2)
     for k in range(self.num_beams):
@@ -108,15 +113,13 @@ class NarrowBeamsCfg(BorderedTileCfg):
       reach = ((np.sign(along) * inner - corners) / along).min(-1).max()
       inside = ((np.sign(along) * outer - corners) / along).min()
       end = min(reach, inside)
-      center = 0.5 * (start + end) * along
-      rotation = np.array([[along[0], across[0], 0.0], [along[1], across[1], 0.0], [0.0, 0.0, 1.0]])
-      height = self.pit_depth - FLAT
-      size = 0.5 * np.array([end - start, 2.0 * half, height])
-      tile.turned_box((*center, 0.5 * height - self.pit_depth), size, rotation)
+      x, y = 0.5 * (start + end) * along
+      length = 0.5 * (end - start)
+      tile.box((x - length, x + length), (y - half, y + half), (-self.pit_depth, -FLAT), yaw=angle)
 
 
 @dataclass(kw_only=True)
-class NestedRingsCfg(BorderedTileCfg):
+class NestedRingsCfg(_PitCfg):
   """Square rings over a pit, around a platform. Harder: narrower rings and wider gaps."""
 
   num_rings: int = number(8, least=1)
@@ -125,8 +128,6 @@ class NestedRingsCfg(BorderedTileCfg):
   """Width of a ring [m]."""
   gap: tuple[float, float] = scaled((0.1, 0.4), harder="more")
   """Width of the gaps [m]."""
-  pit_depth: float = number(2.0, least=0.5)
-  """Depth of the pit below the rim [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Least edge of the platform, which fills what the rings leave [m]."""
 
@@ -152,8 +153,8 @@ class NestedRingsCfg(BorderedTileCfg):
       tile.slab()
       return
     tile.pit(self.pit_depth, self.border)
-    extent = np.array(tile.inner(self.border)) - 2.0 * gap
+    border = self.border + gap
     for _ in range(self._num_rings(tile.size)):
-      tile.frame(tuple(extent), tuple(extent - 2.0 * width), (-self.pit_depth, 0.0))
-      extent = extent - 2.0 * (width + gap)
-    tile.block(tuple(extent), (-self.pit_depth, 0.0))
+      tile.ring(border, border + width, (-self.pit_depth, 0.0))
+      border += width + gap
+    tile.block(border, (-self.pit_depth, 0.0))

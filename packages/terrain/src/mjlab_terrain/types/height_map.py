@@ -49,7 +49,6 @@ class HeightMapCfg(BorderedTileCfg):
       x, y = (np.linspace(-0.5 * s, 0.5 * s, n) for s, n in zip(tile.size, z.shape, strict=True))
       z = z * tile.fade(x[:, None], y[None, :], self.border, self.blend)
     tile.heights(z)
-    tile.spawn_on_top()
 
 
 def source_name(source: object) -> str:

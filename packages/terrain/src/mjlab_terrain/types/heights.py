@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +16,22 @@ from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 
 @dataclass(kw_only=True)
-class PyramidSlopeCfg(BorderedTileCfg):
+class _HeightsCfg(BorderedTileCfg):
+  """Height field over the whole tile."""
+
+  resolution: float = number(0.1, least=0.01)
+  """Distance between the vertices of the height field [m]."""
+
+  def build(self, tile: Tile) -> None:
+    tile.heights(self.heights(tile, *tile.grid(self.resolution)))
+
+  @abstractmethod
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
+    """Return the heights at the grid of points `x` (nx, 1) and `y` (1, ny), (nx, ny) [m]."""
+
+
+@dataclass(kw_only=True)
+class PyramidSlopeCfg(_HeightsCfg):
   """Slopes on all four sides, up to a platform in the middle, or down to it. Harder: steeper."""
 
   slope: tuple[float, float] = scaled((0.0, 0.7), harder="more")
@@ -26,30 +42,24 @@ class PyramidSlopeCfg(BorderedTileCfg):
   """True makes the slopes go down."""
   platform: float = number(2.0, least=MIN_THICKNESS)
   """Edge of the platform [m]."""
-  resolution: float = number(0.1, least=0.01)
-  """Distance between the vertices of the height field [m]."""
 
-  def build(self, tile: Tile) -> None:
-    x, y = tile.grid(self.resolution)
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
     inner = tile.inner(self.border)
     reach = 0.5 * min(inner)
 
     def height(x: Floats, y: Floats) -> Floats:
-      if not self.curved:
-        return np.clip(np.minimum(0.5 * inner[0] - np.abs(x), 0.5 * inner[1] - np.abs(y)), 0.0, reach)
-      return reach * np.prod(
-        [np.clip(1.0 - 2.0 * np.abs(p) / s, 0.0, 1.0) for p, s in zip((x, y), inner, strict=True)], 0
-      )
+      shares = [np.clip(1.0 - 2.0 * np.abs(p) / s, 0.0, 1.0) for p, s in zip((x, y), inner, strict=True)]
+      if self.curved:
+        return reach * shares[0] * shares[1]
+      return np.minimum(np.minimum(0.5 * inner[0] * shares[0], 0.5 * inner[1] * shares[1]), reach)
 
     edge = np.array(0.5 * self.platform)
-    top = height(edge, edge) if self.curved else np.array(reach - edge)
     slope = tile.scaled(self.slope)
-    z = np.minimum(height(*np.broadcast_arrays(x, y)), top) * (-slope if self.inverted else slope)
-    tile.heights(z)
+    return np.minimum(height(x, y), height(edge, edge)) * (-slope if self.inverted else slope)
 
 
 @dataclass(kw_only=True)
-class RandomRoughCfg(BorderedTileCfg):
+class RandomRoughCfg(_HeightsCfg):
   """Rough ground of random heights. Harder: rougher."""
 
   amplitude: tuple[float, float] = scaled((0.0, 0.05), harder="more")
@@ -60,11 +70,8 @@ class RandomRoughCfg(BorderedTileCfg):
   """Distance between the points whose heights are drawn [m]; between them the ground is smooth."""
   blend: float = number(0.25)
   """Width over which the heights grow from the rim inwards [m]."""
-  resolution: float = number(0.1, least=0.01)
-  """Distance between the vertices of the height field [m]."""
 
-  def build(self, tile: Tile) -> None:
-    x, y = tile.grid(self.resolution)
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
     counts = [max(round(s / self.spacing), 1) + 1 for s in tile.size]
     unit = tile.rng.uniform(-1.0, 1.0, counts)
     amplitude = tile.scaled(self.amplitude)
@@ -74,28 +81,23 @@ class RandomRoughCfg(BorderedTileCfg):
       drawn_heights = np.clip(np.floor((unit + 1.0) * (levels + 0.5)) - levels, -levels, levels) * self.step
     else:
       drawn_heights = unit * amplitude
-    weights = [_smooth_weights(len(p.ravel()), n) for p, n in zip((x, y), counts, strict=True)]
-    tile.heights(weights[0] @ drawn_heights @ weights[1].T * tile.fade(x, y, self.border, self.blend))
-    tile.spawn_on_top()
+    smooth = _interpolated(_interpolated(drawn_heights, x.size).T, y.size).T
+    return smooth * tile.fade(x, y, self.border, self.blend)
 
 
-def _smooth_weights(fine: int, coarse: int) -> Floats:
-  """Return weights that interpolate `coarse` points at `fine` points over the same interval, (fine, coarse).
+def _interpolated(coarse: Floats, num: int) -> Floats:
+  """Return `num` rows over the same interval as the given ones, (num, columns).
 
   The interpolation is smooth and does not overshoot.
   """
-  at = np.linspace(0.0, coarse - 1.0, fine)
-  index = np.minimum(at.astype(np.int64), coarse - 2)
-  t = at - index
-  t = t * t * (3.0 - 2.0 * t)
-  weights = np.zeros((fine, coarse))
-  weights[np.arange(fine), index] = 1.0 - t
-  weights[np.arange(fine), index + 1] += t
-  return weights
+  at = np.linspace(0.0, len(coarse) - 1.0, num)
+  index = np.minimum(at.astype(np.int64), len(coarse) - 2)
+  t = (at - index)[:, None]
+  return coarse[index] + t * t * (3.0 - 2.0 * t) * (coarse[index + 1] - coarse[index])
 
 
 @dataclass(kw_only=True)
-class WavesCfg(BorderedTileCfg):
+class WavesCfg(_HeightsCfg):
   """Waves along x plus waves along y, with a crest in the middle. Harder: higher."""
 
   amplitude: tuple[float, float] = scaled((0.0, 0.2), harder="more")
@@ -104,19 +106,15 @@ class WavesCfg(BorderedTileCfg):
   """Number of waves along the shorter side of the tile."""
   blend: float = number(0.25)
   """Width over which the heights grow from the rim inwards [m]."""
-  resolution: float = number(0.1, least=0.01)
-  """Distance between the vertices of the height field [m]."""
 
-  def build(self, tile: Tile) -> None:
-    x, y = tile.grid(self.resolution)
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
     k = 2.0 * math.pi * self.num_waves / min(tile.inner(self.border))
     waves = 0.5 * (np.cos(k * x) + np.cos(k * y))
-    tile.heights(tile.scaled(self.amplitude) * waves * tile.fade(x, y, self.border, self.blend))
-    tile.spawn_on_top()
+    return tile.scaled(self.amplitude) * waves * tile.fade(x, y, self.border, self.blend)
 
 
 @dataclass(kw_only=True)
-class DiscreteObstaclesCfg(BorderedTileCfg):
+class DiscreteObstaclesCfg(_HeightsCfg):
   """Rectangular obstacles and hollows around a level platform, later ones over earlier ones. Harder: higher and deeper.
 
   Their sides are as steep as one cell of the height field allows; for vertical ones see `RandomBoxesCfg`.
@@ -134,11 +132,8 @@ class DiscreteObstaclesCfg(BorderedTileCfg):
   """Number of obstacles, at any difficulty."""
   platform: float = number(1.0)
   """Edge of the level square in the middle [m]."""
-  resolution: float = number(0.1, least=0.01)
-  """Distance between the vertices of the height field [m]."""
 
-  def build(self, tile: Tile) -> None:
-    x, y = tile.grid(self.resolution)
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
     n = self.num_obstacles
     edges = tile.rng.uniform(*self.width, (n, 2))
     if self.square:
@@ -146,18 +141,18 @@ class DiscreteObstaclesCfg(BorderedTileCfg):
     at = tile.rng.uniform(-0.5, 0.5, (n, 2)) * (np.array(tile.inner(self.border)) - edges)
     factor = np.array([-1.0, -0.5, 0.5, 1.0])[tile.rng.integers(4, size=n)]
     height = tile.scaled(self.height) * (factor if self.mode == "choice" else np.ones(n))
-    z = np.zeros((len(x), y.shape[1]))
+    z = np.zeros_like(x + y)
     for k in range(n):
-      inside = [np.abs(p.ravel() - at[k, axis]) <= 0.5 * edges[k, axis] for axis, p in enumerate((x, y))]
-      z[np.ix_(*inside)] = height[k]
+      half = 0.5 * edges[k]
+      z[(np.abs(x - at[k, 0]) <= half[0]) & (np.abs(y - at[k, 1]) <= half[1])] = height[k]
     # The sides of obstacles start beyond the platform's edge.
-    cell = self.resolution
-    z[(np.abs(x) <= 0.5 * self.platform + cell) & (np.abs(y) <= 0.5 * self.platform + cell)] = 0.0
-    tile.heights(z)
+    free = 0.5 * self.platform + self.resolution
+    z[(np.abs(x) <= free) & (np.abs(y) <= free)] = 0.0
+    return z
 
 
 @dataclass(kw_only=True)
-class PerlinNoiseCfg(BorderedTileCfg):
+class PerlinNoiseCfg(_HeightsCfg):
   """Hills of fractal Perlin noise. Harder: higher."""
 
   height: tuple[float, float] = scaled((0.0, 1.0), harder="more")
@@ -172,20 +167,16 @@ class PerlinNoiseCfg(BorderedTileCfg):
   """Frequency of each noise relative to that before it."""
   blend: float = number(0.5)
   """Width over which the heights grow from the rim inwards [m]."""
-  resolution: float = number(0.1, least=0.01)
-  """Distance between the vertices of the height field [m]."""
 
-  def build(self, tile: Tile) -> None:
-    x, y = tile.grid(self.resolution)
-    noise = np.zeros((len(x), y.shape[1]))
+  def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
+    noise = np.zeros_like(x + y)
     for octave in range(self.octaves):
       frequency = self.lacunarity**octave / self.wavelength
       if octave and frequency * self.resolution > 1.0 + 1e-9:
         break
       noise += self.persistence**octave * perlin(x.ravel() * frequency, y.ravel() * frequency, tile.rng)
     noise = (noise - noise.min()) / max(np.ptp(noise), 1e-12)
-    tile.heights(tile.scaled(self.height) * noise * tile.fade(x, y, self.border, self.blend))
-    tile.spawn_on_top()
+    return tile.scaled(self.height) * noise * tile.fade(x, y, self.border, self.blend)
 
 
 def perlin(x: Floats, y: Floats, rng: np.random.Generator) -> Floats:

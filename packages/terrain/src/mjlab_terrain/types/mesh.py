@@ -81,7 +81,6 @@ class MeshCfg(TileCfg):
     x, y = tile.grid(self.resolution)
     z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
     tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
-    tile.spawn_on_top()
 
 
 @lru_cache(maxsize=8)

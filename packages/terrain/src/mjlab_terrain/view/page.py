@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from mjlab_terrain.checked_fields import rule_of
 from mjlab_terrain.colors import coloring_of
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.presets import all_types, walking_types
 from mjlab_terrain.tile_cfg import TileCfg
-from mjlab_terrain.view.settings import Setting, settings_of
 from mjlab_terrain.view.triangles import triangles
 
 # Extras, which may be missing where types are checked.
@@ -30,33 +30,28 @@ class Page:
 
   def __init__(self, cfg: TerrainGridCfg, server: Any) -> None:
     self._given, self._server = cfg, server
-    self._types = dict(cfg.types)
     gui = server.gui
     gui.configure_theme(control_width="large", show_share_button=False)
     # Beside the terrain, not over it.
     gui.main_panel.dock_right()
     self._choice = gui.add_dropdown("Terrain", (_GIVEN, _WALKING, _ALL, *all_types()), initial_value=_GIVEN)
-    self._easiest = gui.add_slider("Easiest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[0])
-    self._hardest = gui.add_slider("Hardest", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty[1])
-    self._rows = gui.add_slider("Rows", min=1, max=20, step=1, initial_value=min(cfg.rows, 20))
-    self._seed = gui.add_number("Seed", cfg.seed, min=0, step=1)
-    self._tile_size = gui.add_vector2("Tile size [m]", tuple(cfg.tile_size), min=(1.0, 1.0), step=0.5)
-    self._layout = gui.add_dropdown("Layout", ("curriculum", "random"), initial_value=cfg.layout)
-    self._color = gui.add_dropdown(
-      "Color", ("height", "type"), initial_value="type" if cfg.color == "type" else "height"
-    )
+    color = "type" if cfg.color == "type" else "height"
+    # Controls of fields of the grid, by name.
+    self._controls: dict[str, Any] = {
+      "difficulty": gui.add_multi_slider("Difficulty", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty),
+      "rows": gui.add_slider("Rows", min=1, max=20, step=1, initial_value=min(cfg.rows, 20)),
+      "seed": gui.add_number("Seed", cfg.seed, min=0, step=1),
+      "tile_size": gui.add_vector2("Tile size [m]", cfg.tile_size, min=(1.0, 1.0), step=0.5),
+      "layout": gui.add_dropdown("Layout", ("curriculum", "random"), initial_value=cfg.layout),
+      "color": gui.add_dropdown("Color", ("height", "type"), initial_value=color),
+    }
     self._spawns = gui.add_checkbox("Spawn points", True)
     self._names = gui.add_checkbox("Names of tiles", True)
-    self._labels: list[Any] = []
     self._status = gui.add_markdown("")
+    self._folder = gui.add_folder("Settings")
     self._settings: dict[str, Any] = {}
-    self._folder: Any = None
     self._choice.on_update(lambda _: self._choose())
-    for control in (
-      *(self._easiest, self._hardest, self._rows, self._seed, self._tile_size, self._layout, self._color),
-      self._spawns,
-      self._names,
-    ):
+    for control in (*self._controls.values(), self._spawns, self._names):
       control.on_update(lambda _: self.draw())
     self._choose()
 
@@ -66,33 +61,38 @@ class Page:
     sets: dict[str, dict[str, TileCfg]] = {_GIVEN: self._given.types, _WALKING: walking_types(), _ALL: all_types()}
     types = sets[name] if name in sets else {name: all_types()[name]}
     self._types = {key: dataclasses.replace(cfg) for key, cfg in types.items()}
-    if self._folder is not None:
-      self._folder.remove()
-      self._folder = None
-      self._settings.clear()
-    if len(self._types) == 1:
-      self._folder = self._server.gui.add_folder("Settings")
+    for control in self._settings.values():
+      control.remove()
+    self._settings.clear()
+    self._folder.visible = len(self._types) == 1
+    if self._folder.visible:
+      (cfg,) = self._types.values()
       with self._folder:
-        for cfg in self._types.values():
-          for setting in settings_of(cfg):
-            self._add_control(cfg, setting)
+        for setting in dataclasses.fields(cfg):
+          self._add_control(cfg, setting)
     self.draw()
 
-  def _add_control(self, cfg: TileCfg, setting: Setting) -> None:
-    gui, value, label = self._server.gui, getattr(cfg, setting.name), setting.name.replace("_", " ")
-    if setting.kind == "pair":
-      control = gui.add_vector2(label, tuple(float(v) for v in value), min=(setting.least,) * 2, step=0.01)
-    elif setting.kind == "flag":
+  def _add_control(self, cfg: TileCfg, setting: dataclasses.Field[Any]) -> None:
+    """Add a control for a setting, but not for a share, a file, or a number that is None."""
+    gui, value, rule, label = (
+      self._server.gui,
+      getattr(cfg, setting.name),
+      rule_of(setting),
+      setting.name.replace("_", " "),
+    )
+    if isinstance(value, bool):
       control = gui.add_checkbox(label, value)
-    elif setting.kind == "choice":
-      control = gui.add_dropdown(label, setting.choices, initial_value=value)
+    elif setting.name == "share" or value is None or not rule:
+      return
+    elif words := rule.get("words"):
+      control = gui.add_dropdown(label, words, initial_value=value)
+    elif isinstance(value, tuple):
+      control = gui.add_vector2(label, value, min=(rule["least"],) * 2, step=0.01)
     else:
-      control = gui.add_number(label, value, min=setting.least, step=1 if setting.kind == "whole" else 0.01)
+      control = gui.add_number(label, value, min=rule["least"], step=1 if rule["whole"] else 0.01)
 
     def change(_: Any) -> None:
-      whole = setting.kind == "pair" and all(isinstance(v, int) for v in value)
-      new = tuple(round(v) if whole else v for v in control.value) if setting.kind == "pair" else control.value
-      setattr(cfg, setting.name, new)
+      setattr(cfg, setting.name, control.value)
       self.draw()
 
     control.on_update(change)
@@ -100,49 +100,29 @@ class Page:
 
   def draw(self) -> None:
     """Build the terrain and show it, or show why it cannot be built."""
-    low, high = sorted((self._easiest.value, self._hardest.value))
-    cfg = dataclasses.replace(
-      self._given,
-      types=self._types,
-      difficulty=(low, high),
-      rows=int(self._rows.value),
-      columns=self._given.columns if self._choice.value == _GIVEN else None,
-      seed=int(self._seed.value),
-      tile_size=tuple(self._tile_size.value),
-      layout=self._layout.value,
-      color=self._color.value,
-    )
+    columns = self._given.columns if self._choice.value == _GIVEN else None
+    values = {name: control.value for name, control in self._controls.items()}
+    cfg = dataclasses.replace(self._given, types=self._types, columns=columns, **values)
     try:
-      placed = cfg.tiles()
+      tiles = cfg.tiles()
     except ValueError as error:
       self._status.content = f"**Cannot be built.** {error}"
       return
-    vertices, faces, colors = triangles(placed, coloring_of(cfg.color))
-    alpha = np.full((len(colors), 1), 255, dtype=np.uint8)
-    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=np.hstack((colors, alpha)), process=False)
-    self._server.scene.add_mesh_trimesh("/terrain", mesh)
-    spawns = np.array([p.origin for p in placed])
-    self._server.scene.add_point_cloud(
-      "/spawns", spawns + np.array([0.0, 0.0, 0.05]), np.full((len(spawns), 3), (210, 40, 60)), point_size=0.1,
-      visible=self._spawns.value,
-    )  # fmt: skip
-    for label in self._labels:
-      label.remove()
-    self._labels.clear()
+    vertices, faces, colors = triangles(tiles, coloring_of(cfg.color))
+    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
+    origins = np.array([tile.origin for tile in tiles])
+    scene, red = self._server.scene, np.tile((210, 40, 60), (len(tiles), 1))
+    scene.reset()
+    scene.add_mesh_trimesh("/terrain", mesh)
+    spawns = origins + np.array([0.0, 0.0, 0.05])
+    scene.add_point_cloud("/spawns", spawns, red, point_size=0.1, visible=self._spawns.value)
+    names = [name.replace("_", " ") for name in cfg.types]
     if self._names.value:
-      names = [name.replace("_", " ") for name in cfg.types]
-      for p in placed:
-        label = self._server.scene.add_label(
-          f"/names/{p.row}/{p.column}",
-          names[p.kind],
-          position=p.origin + np.array([0.0, 0.0, 0.6]),
-          anchor="bottom-center",
-          # As large in the distance.
-          font_size_mode="screen",
-        )
-        self._labels.append(label)
-    num_solids = sum(len(p.tile.solids) for p in placed)
-    self._status.content = f"{len(placed)} tiles of {num_solids} solids, {len(faces)} triangles"
+      for tile, origin in zip(tiles, origins, strict=True):
+        above = origin + np.array([0.0, 0.0, 0.6])
+        scene.add_label(f"/names/{tile.place}", names[tile.kind], position=above, anchor="bottom-center")
+    num_solids = sum(len(tile.solids) for tile in tiles)
+    self._status.content = f"{len(tiles)} tiles of {num_solids} solids, {len(faces)} triangles"
 
 
 def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mjlab_terrain.colors import coloring_of
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.surface import surface
+from mjlab_terrain.tile import Tile
 
 Pixels = NDArray[np.uint8]
 """Red, green and blue, first line at the top, (height, width, 3)."""
@@ -21,8 +22,6 @@ PAPER = (246, 247, 248)
 """Color around the terrain, red, green and blue in [0, 255]."""
 
 _FOVY = 30.0
-# Rendered larger and averaged: smoother edges than the renderer's own multisampling.
-_OVERSAMPLING = 2
 
 
 def render(
@@ -52,16 +51,14 @@ def render(
   camera.azimuth, camera.elevation = azimuth, elevation
   camera.distance = _distance(extent, size[0] / size[1], math.radians(azimuth), math.radians(elevation))
   camera.lookat[:] = (0.0, 0.0, -0.035 * camera.distance)
-  width, height = (_OVERSAMPLING * s for s in size)
+  width, height = size
   font = mujoco.mjtFontScale.mjFONTSCALE_200
   _load_triton()
   with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 1000, font_scale=font) as renderer:
     renderer.update_scene(data, camera)
     if names:
       _add_names(renderer.scene, cfg)
-    pixels = np.asarray(renderer.render(), dtype=np.float64)
-  blocks = pixels.reshape(size[1], _OVERSAMPLING, size[0], _OVERSAMPLING, 3)
-  return np.round(blocks.mean((1, 3))).astype(np.uint8)
+    return renderer.render()
 
 
 def _load_triton() -> None:
@@ -72,11 +69,11 @@ def _load_triton() -> None:
 
 def _add_names(scene: mujoco.MjvScene, cfg: TerrainGridCfg) -> None:
   types = [name.replace("_", " ") for name in cfg.types]
-  for placed in cfg.tiles()[: scene.maxgeom - scene.ngeom]:
+  for tile in cfg.tiles()[: scene.maxgeom - scene.ngeom]:
     label = scene.geoms[scene.ngeom]
-    place = placed.origin + np.array([0.0, 0.0, 0.4])
+    place = tile.origin + np.array([0.0, 0.0, 0.4])
     mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, np.zeros(3), place, np.eye(3).ravel(), np.ones(4))
-    label.label = types[placed.kind]
+    label.label = types[tile.kind]
     scene.ngeom += 1
 
 
@@ -115,7 +112,7 @@ def _stage(cfg: TerrainGridCfg, size: tuple[int, int]) -> tuple[mujoco.MjModel, 
   spec.visual.map.shadowclip = 1.0
   # No farther than needed: the depth of shadows shares the range.
   spec.visual.map.znear, spec.visual.map.zfar = 0.1, 10.0
-  spec.visual.global_.offwidth, spec.visual.global_.offheight = (_OVERSAMPLING * s for s in size)
+  spec.visual.global_.offwidth, spec.visual.global_.offheight = size
   spec.visual.global_.fovy = _FOVY
   return spec.compile(), extent
 
@@ -135,36 +132,37 @@ def plot(cfg: TerrainGridCfg, size: tuple[int, int], *, names: bool = False) -> 
 
   With `names`, each tile has the name of its type.
   """
-  placed = cfg.tiles()
-  rows, columns = placed[-1].row + 1, placed[-1].column + 1
-  scale = min(size[1] / (rows * cfg.tile_size[0]), size[0] / (columns * cfg.tile_size[1]))
-  shape = tuple(max(int(s * scale), 2) for s in cfg.tile_size)
+  tiles = cfg.tiles()
+  grid = np.add(tiles[-1].place, 1)
+  scale = min(np.array(size[::-1]) / (grid * cfg.tile_size))
+  shape = np.maximum(np.multiply(cfg.tile_size, scale).astype(int), 2)
   x, y = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(cfg.tile_size, shape, strict=True))
-  heights = np.zeros((rows * shape[0], columns * shape[1]))
+  heights = np.zeros(grid * shape)
   colors = np.zeros((*heights.shape, 3))
   coloring = coloring_of(cfg.color)
-  for p in placed:
-    here = slice(p.row * shape[0], (p.row + 1) * shape[0]), slice(p.column * shape[1], (p.column + 1) * shape[1])
-    heights[here] = surface(p.tile.solids, x, y)
-    colors[here] = coloring(p.kind, heights[here])
+  for tile in tiles:
+    row, column = tile.place * shape
+    here = slice(row, row + shape[0]), slice(column, column + shape[1])
+    heights[here] = surface(tile.solids, x, y)
+    colors[here] = coloring(tile.kind, heights[here])
   # Light from the upper left, as on a map.
   slope = np.gradient(heights, x[1] - x[0], y[1] - y[0])
   shade = np.clip(1.0 - 0.35 * (slope[0] + slope[1]) / np.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), 0.3, 1.3)
   pixels = np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]
-  return _with_names(pixels, cfg) if names else pixels
+  return _with_names(pixels, list(cfg.types), tiles) if names else pixels
 
 
-def _with_names(pixels: Pixels, cfg: TerrainGridCfg) -> Pixels:
+def _with_names(pixels: Pixels, types: list[str], tiles: list[Tile]) -> Pixels:
   """Return a map with the name of its type on each tile."""
   from PIL import Image, ImageDraw, ImageFont
 
   image = Image.fromarray(np.ascontiguousarray(pixels))
-  draw, placed = ImageDraw.Draw(image), cfg.tiles()
-  types = [name.replace("_", "\n") for name in cfg.types]
-  height, width = image.height / (placed[-1].row + 1), image.width / (placed[-1].column + 1)
-  font = ImageFont.load_default(size=max(8.0, 0.12 * min(height, width)))
-  for p in placed:
+  draw = ImageDraw.Draw(image)
+  edges = np.array(image.size[::-1]) / np.add(tiles[-1].place, 1)
+  font = ImageFont.load_default(size=max(8.0, 0.12 * min(edges)))
+  for tile in tiles:
     # x points up and y to the left.
-    middle = (image.width - (p.column + 0.5) * width, image.height - (p.row + 0.5) * height)
-    draw.text(middle, types[p.kind], font=font, fill="white", stroke_width=2, stroke_fill="black", anchor="mm")
+    up, left = image.size[::-1] - np.add(tile.place, 0.5) * edges
+    name = types[tile.kind].replace("_", "\n")
+    draw.text((left, up), name, font=font, fill="white", stroke_width=2, stroke_fill="black", anchor="mm")
   return np.asarray(image)
