@@ -12,7 +12,6 @@ import torch
 import warp as wp
 from mjlab_core import Contacts, MjlabError, host_contacts
 from mjlab_sim import Simulation, SimulationCfg
-from mjlab_sim.engine import MOST_WATCHED, Watched
 from sim_world import NUM_WORLDS, SIZES, WORLD, reference, scatter
 
 MakeSim = Callable[..., Simulation]
@@ -206,23 +205,20 @@ def test_a_world_that_was_reset_has_no_contacts_and_the_others_keep_theirs(make_
   assert len(found(sim.contacts(1))["pos"])
 
 
-def test_of_many_worlds_those_asked_for_last_are_kept(make_sim: MakeSim, engine: str) -> None:
-  many = MOST_WATCHED + 6
-  sim = make_sim(engine, num_envs=many)
+def test_contacts_of_every_world_are_kept_from_the_first_call_on(make_sim: MakeSim, engine: str) -> None:
+  sim = make_sim(engine, num_envs=70)
   sim.contacts(0)
+  assert not sim.contacts(69).found.any()
   sim.step()
-  last = many - 1
-  assert sim.contacts(0).found.any()
-  assert not sim.contacts(last).found.any()
-  sim.step()
-  np.testing.assert_allclose(found(sim.contacts(last))["force"], found(sim.contacts(0))["force"], atol=1e-4)
-  # World 1 had to leave.
-  assert not sim.contacts(1).found.any()
+  forces = [found(sim.contacts(world))["force"] for world in (69, 1, 0)]
+  assert len(forces[0])
+  for force in forces[1:]:
+    np.testing.assert_allclose(force, forces[0], atol=1e-4)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
-  sim = Simulation(MOST_WATCHED + 6, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
+  sim = Simulation(70, mujoco.MjSpec.from_string(WORLD), SimulationCfg(**SIZES), "cuda")
   graph = sim.capture(sim.step)
   for _ in range(5):
     graph()
@@ -230,28 +226,13 @@ def test_contacts_are_kept_in_a_replayed_step_on_a_gpu() -> None:
   for _ in range(400):
     graph()
   assert graph.num_graphs == 1
-  # A world that comes later needs no new recording.
-  last = MOST_WATCHED + 5
-  assert not sim.contacts(last).found.any()
-  graph()
-  assert graph.num_graphs == 1
-  for world in (3, last):
+  for world in (3, 69):
     contacts = sim.contacts(world)
     weight = contacts.force[contacts.found].sum(dim=0)
     torch.testing.assert_close(
       weight.cpu(), torch.tensor([0.0, 0.0, 9.81 * sum(RESTING.values())]), rtol=5e-3, atol=0.05
     )
   sim.close()
-
-
-def test_the_least_recently_asked_for_leaves_first() -> None:
-  watched = Watched(MOST_WATCHED + 10)
-  assert watched.slot(0) == (0, None)
-  assert watched.slot(MOST_WATCHED) == (1, 1)
-  assert watched.slot(1) == (2, 2)
-  assert watched.slot(0) == (0, None)
-  assert sorted(watched.worlds) == [0, 1, *range(3, MOST_WATCHED + 1)]
-  assert watched.worlds[1] == MOST_WATCHED
 
 
 def test_a_world_that_does_not_exist_is_refused(make_sim: MakeSim) -> None:

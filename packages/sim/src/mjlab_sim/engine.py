@@ -10,9 +10,6 @@ from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray
 
-MOST_WATCHED = 64
-"""Most worlds whose contacts are kept at a time."""
-
 
 class Engine(Protocol):
   """Many worlds of one model on one device.
@@ -63,7 +60,7 @@ class Engine(Protocol):
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     """Return the contacts of a world in the last step; every step keeps them from the first call on.
 
-    There are none before the next step after the first call for a world, and none after a reset.
+    There are none before the step after the first call, and none after a reset.
     """
     ...
 
@@ -93,27 +90,3 @@ class Closed:
 
   def __getattr__(self, name: str) -> Any:
     raise MjlabError("this simulation is closed")
-
-
-class Watched:
-  """Worlds with a slot: all where there are few, else those that were asked for last."""
-
-  def __init__(self, num_envs: int) -> None:
-    self.num_slots = min(num_envs, MOST_WATCHED)
-    # Least recently asked for first.
-    self._slots = {world: world for world in range(self.num_slots)}
-
-  @property
-  def worlds(self) -> list[int]:
-    """The world of each slot."""
-    return sorted(self._slots, key=self._slots.__getitem__)
-
-  def slot(self, world: int) -> tuple[int, int | None]:
-    """Return the slot of a world, and the world that had to leave it."""
-    left = None
-    if world not in self._slots:
-      left = next(iter(self._slots))
-      self._slots[world] = self._slots.pop(left)
-    else:
-      self._slots[world] = self._slots.pop(world)
-    return self._slots[world], left

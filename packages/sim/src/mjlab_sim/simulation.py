@@ -204,8 +204,8 @@ class Simulation:
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     """Return the contacts of one world in the physics step just done, for viewers.
 
-    Steps keep them from the first call on: of all worlds up to 64, else of those asked for last. There are none before
-    the first step after that, nor in a world just reset. Bodies have moved on since by one physics step.
+    Steps keep them from the first call on. There are none before the first step after that, nor in a world just reset.
+    Bodies have moved on since by one physics step.
 
     Raises:
       MjlabError: no such world, or a first call from inside a recorded step.

@@ -1,8 +1,8 @@
-"""Contacts on a CPU: MuJoCo C computes them once more for the worlds that somebody looks at.
+"""Contacts on a CPU: MuJoCo C computes them again for a world that is looked at.
 
-The batch is one step ahead: what it has of contacts after a step belongs to the next one, and has no forces yet. So the
-state that a step starts from is kept, and the forward pass of that step is run again from it, in the same code and
-precision and from the same warm start: it is the same bit for bit.
+The batch is one step ahead: its contacts after a step belong to the next one, and have no forces yet. So the state that
+a step starts from is kept, and the forward pass of that step is run again from it. Code, precision and warm start are
+the same, and so is every bit of the result.
 """
 
 import copy
@@ -13,12 +13,11 @@ import torch
 from mjlab_core import Contacts, host_contacts
 from mujoco import batch
 
-from mjlab_sim.engine import Watched
 from mjlab_sim.fields import STATE, put
 
 
 class NativeContacts:
-  """Keeps the state of a few worlds before the last step.
+  """State of all worlds before the last step.
 
   Args:
     worlds: All worlds.
@@ -26,35 +25,29 @@ class NativeContacts:
 
   def __init__(self, worlds: batch.Batch) -> None:
     self._worlds = worlds
-    self._watched = Watched(worlds.nsim)
-    self._chosen = np.array(self._watched.worlds)
     live = {name: worlds.bind(name) for name in STATE}
     self._live = {name: rows for name, rows in live.items() if rows.size}
-    self._before = {name: rows[self._chosen].copy() for name, rows in self._live.items()}
-    self._is_stepped = np.zeros(len(self._chosen), dtype=bool)
+    self._before = {name: rows.copy() for name, rows in self._live.items()}
+    self._has_stepped = np.zeros(worlds.nsim, dtype=bool)
     self._model = copy.copy(worlds.model)
     self._data = mujoco.MjData(self._model)
 
-  def remember(self) -> None:
-    """Keep what the step about to be done starts from."""
+  def record(self) -> None:
+    """Keep the state that the next step starts from."""
     for name, rows in self._live.items():
-      np.take(rows, self._chosen, axis=0, out=self._before[name])
-    self._is_stepped[:] = True
+      np.copyto(self._before[name], rows)
+    self._has_stepped[:] = True
 
   def forget(self, worlds: np.ndarray) -> None:
-    """Worlds that were reset, bool (num_envs,), have no contacts."""
-    self._is_stepped &= ~worlds[self._chosen]
+    """Drop the contacts of worlds that were reset, bool (num_envs,)."""
+    self._has_stepped &= ~worlds
 
   def of(self, world: int) -> Contacts[torch.Tensor]:
-    """Return the contacts of a world, and keep its state from now on."""
-    slot, left = self._watched.slot(world)
-    if left is not None:
-      self._chosen[slot] = world
-      self._is_stepped[slot] = False
+    """Return the contacts of a world."""
     model, data = self._worlds.get_model(world, self._model), self._data
-    if self._is_stepped[slot]:
+    if self._has_stepped[world]:
       for name, rows in self._before.items():
-        put(data, name, rows[slot])
+        put(data, name, rows[world])
       mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_NONE, True)
     else:
       mujoco.mj_resetData(model, data)

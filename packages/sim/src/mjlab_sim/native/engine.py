@@ -128,7 +128,7 @@ class NativeEngine:
   def step(self) -> None:
     self._push_shared()
     if self._contacts is not None:
-      self._contacts.remember()
+      self._contacts.record()
     self._batch.step(stage=_VEL)
     self._remember()
 

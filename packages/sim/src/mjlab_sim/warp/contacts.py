@@ -1,4 +1,4 @@
-"""Contacts on MuJoCo Warp, put aside between the two halves of a step: afterwards they are those of the next one."""
+"""Contacts on MuJoCo Warp, copied between the two halves of a step: afterwards they are those of the next one."""
 
 from typing import Any
 
@@ -8,89 +8,53 @@ import torch
 import warp as wp
 from mjlab_core import Contacts
 
-from mjlab_sim.engine import Watched
-from mjlab_sim.warp import engine_kernels as kernels
-
 
 class WarpContacts:
-  """Contacts of a few worlds in fixed memory.
+  """Contacts of all worlds in the last step, in fixed memory.
 
   Args:
     m: MuJoCo Warp's model.
     d: MuJoCo Warp's data.
-    num_envs: Number of worlds.
-    device: Warp's device.
   """
 
-  def __init__(self, m: Any, d: Any, num_envs: int, device: Any) -> None:
-    self._m, self._d, self._device = m, d, device
-    self._watched = Watched(num_envs)
-    num_slots = self._watched.num_slots
-    with wp.ScopedDevice(device):
-      self._slot_of = wp.full(num_envs, -1, dtype=wp.int32)
-      self._count = wp.zeros(num_slots, dtype=wp.int32)
-    self._slots, self._counts = wp.to_torch(self._slot_of), wp.to_torch(self._count)
-    self._slots[:num_slots] = torch.arange(num_slots, dtype=torch.int32, device=self._slots.device)
-    self._rows: list[torch.Tensor] = []
+  _NAMES = ("worldid", "efc_address", "geom", "dist", "pos", "frame")
+
+  def __init__(self, m: Any, d: Any) -> None:
+    self._m, self._d = m, d
+    self._count: Any = wp.zeros_like(d.nacon)
+    self._has_stepped: Any = wp.zeros(d.nworld, dtype=bool, device=d.nacon.device)
+    self._kept: dict[str, torch.Tensor] = {}
     self.resize()
 
   def resize(self) -> None:
-    """Follow the sizes of the data, which have grown; what was kept stays."""
-    d, before = self._d, self._rows
-    # Each contact in the solver has a row of constraints at least.
-    shape = (self._watched.num_slots, d.njmax)
-    with wp.ScopedDevice(self._device):
+    """Follow the sizes of the data, which have grown; kept contacts stay."""
+    before, d = self._kept, self._d
+    with wp.ScopedDevice(d.nacon.device):
       self._ids: Any = wp.array(np.arange(d.naconmax), dtype=wp.int32)
-      self._wrench: Any = wp.zeros(d.naconmax, dtype=wp.spatial_vector)
-      self._geom = wp.zeros(shape, dtype=wp.vec2i)
-      self._dist = wp.zeros(shape, dtype=wp.float32)
-      self._pos, self._normal, self._force = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
-    self._rows = [wp.to_torch(rows) for rows in (self._geom, self._dist, self._pos, self._normal, self._force)]
-    for rows, kept in zip(self._rows, before, strict=bool(before)):
-      rows[:, : kept.shape[1]] = kept
-    self._numbers = torch.arange(shape[1], device=self._slots.device)
+      self._arrays = {name: wp.zeros_like(getattr(d.contact, name)) for name in self._NAMES}
+      self._arrays["wrench"] = wp.zeros(d.naconmax, dtype=wp.spatial_vector)
+    self._kept = {name: wp.to_torch(array) for name, array in self._arrays.items()}
+    for name, rows in before.items():
+      self._kept[name][: len(rows)] = rows
 
   def record(self) -> None:
     """Keep the contacts whose forces have just been solved for."""
-    d = self._d
-    contact = d.contact
-    self._count.zero_()
-    mjw.contact_force(self._m, d, self._ids, True, self._wrench)
-    wp.launch(
-      kernels.record_contacts,
-      dim=d.naconmax,
-      inputs=[
-        d.nacon,
-        contact.worldid,
-        contact.efc_address,
-        contact.geom,
-        contact.dist,
-        contact.pos,
-        contact.frame,
-        self._wrench,
-        self._slot_of,
-      ],
-      outputs=[self._count, self._geom, self._dist, self._pos, self._normal, self._force],
-      device=self._device,
-    )
+    for name in self._NAMES:
+      wp.copy(self._arrays[name], getattr(self._d.contact, name))
+    wp.copy(self._count, self._d.nacon)
+    mjw.contact_force(self._m, self._d, self._ids, True, self._arrays["wrench"])
+    self._has_stepped.fill_(True)
 
-  def forget(self, mask: Any) -> None:
-    """Drop the contacts of worlds that were reset."""
-    wp.launch(
-      kernels.forget_contacts,
-      dim=len(mask),
-      inputs=[mask, self._slot_of],
-      outputs=[self._count],
-      device=self._device,
-    )
+  def forget(self, mask: torch.Tensor) -> None:
+    """Drop the contacts of worlds that were reset, bool (num_envs,)."""
+    wp.to_torch(self._has_stepped).logical_and_(~mask)
 
   def of(self, world: int) -> Contacts[torch.Tensor]:
-    """Return the contacts of a world, and keep them from now on."""
-    slot, left = self._watched.slot(world)
-    if left is not None:
-      self._slots[left] = -1
-      self._slots[world] = slot
-      self._counts[slot] = 0
-    geom, dist, pos, normal, force = (rows[slot] for rows in self._rows)
-    found = self._numbers < self._counts[slot]
-    return Contacts(found=found, geom=geom, dist=dist, pos=pos, normal=normal, force=force)
+    """Return the contacts of a world. Reads the device."""
+    kept = self._kept
+    found = (kept["worldid"] == world) & (kept["efc_address"][:, 0] >= 0)
+    found[int(self._count.numpy()[0]) :] = False
+    rows = (found & wp.to_torch(self._has_stepped)[world]).nonzero().squeeze(1)
+    geom, dist, pos, frame, wrench = (kept[name][rows] for name in ("geom", "dist", "pos", "frame", "wrench"))
+    found = torch.ones_like(rows, dtype=torch.bool)
+    return Contacts(found=found, geom=geom, dist=dist, pos=pos, normal=frame[:, 0], force=wrench[:, :3])

@@ -170,6 +170,8 @@ class WarpEngine:
   def reset(self, mask: torch.Tensor) -> None:
     self._mask_torch.copy_(mask)
     self._run("reset", self._reset)
+    if self._contacts is not None:
+      self._contacts.forget(mask)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
     is_shared = self._shared_writes() != self._shared_version
@@ -258,8 +260,6 @@ class WarpEngine:
         shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
         flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
         wp.launch(kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat], device=device)
-    if self._contacts is not None:
-      self._contacts.forget(self._mask)
 
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
@@ -319,7 +319,7 @@ class WarpEngine:
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     if self._contacts is None:
-      self._contacts = WarpContacts(self._m, self._d, self._num_envs, self._wp_device)
+      self._contacts = WarpContacts(self._m, self._d)
       self._launcher.clear()
     return self._contacts.of(world)
 

@@ -15,6 +15,7 @@ from mjlab_core import MjlabError
 
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.fused_newton_kernels import Problem, make_kernel
+from mjlab_sim.warp.structs import filled
 
 _MAX_DOFS = 64
 _MAX_GROUPS = 2**16 - 1
@@ -115,31 +116,17 @@ class FusedNewton:
     """Find the constraint forces and the acceleration of every world, as `mujoco_warp.solve` does."""
     if d.njmax != self._njmax:
       self._build(m, d)
-    problem = self._problem(m, d)
-    for kernel, blocks in zip(self.kernels, (d.nworld, self._blocks), strict=False):
-      self._launch(kernel, blocks, problem, d)
-
-  def _launch(self, kernel: Any, blocks: int, problem: Any, d: mjw.Data) -> None:
-    dim, inputs = (blocks, self._threads), [problem, d.nworld, blocks]
-    wp.launch(kernel, dim=dim, inputs=inputs, device=d.qacc.device, block_dim=self._threads)
-
-  def _problem(self, m: mjw.Model, d: mjw.Data) -> Any:
-    problem: Any = Problem()
     warm = not m.opt.disableflags & mjw.DisableBit.WARMSTART
-    efc, contact = d.efc, d.contact
-    for owner, prefix, names in (
-      (m, "", "M_rownnz M_rowadr M_colind"),
-      (m.opt, "", "iterations ls_iterations tolerance ls_tolerance impratio_invsqrt"),
-      (d, "", "njmax ne nf nefc M qfrc_smooth qacc qfrc_constraint solver_niter overflow"),
-      (contact, "contact_", "friction dim efc_address"),
-      (efc, "efc_", "type id J D aref frictionloss Ma force state"),
-      (efc, "", "J_rownnz J_rowadr J_colind"),
-    ):
-      for name in names.split():
-        setattr(problem, prefix + name, getattr(owner, name))
-    problem.is_sparse = int(m.is_sparse)
-    problem.start = d.qacc_warmstart if warm else d.qacc_smooth
-    # Without rows the smooth acceleration is the answer, where it is computed.
-    problem.without_rows = d.qacc_smooth if m.opt.run_qacc_smooth or not warm else d.qacc_warmstart
-    problem.is_left, problem.scratch = self.is_left, self._scratch
-    return problem
+    problem = filled(
+      Problem,
+      m,
+      d,
+      start=d.qacc_warmstart if warm else d.qacc_smooth,
+      # Without rows the smooth acceleration is the answer, where it is computed.
+      without_rows=d.qacc_smooth if m.opt.run_qacc_smooth or not warm else d.qacc_warmstart,
+      is_left=self.is_left,
+      scratch=self._scratch,
+    )
+    for kernel, blocks in zip(self.kernels, (d.nworld, self._blocks), strict=False):
+      dim, inputs = (blocks, self._threads), [problem, d.nworld, blocks]
+      wp.launch(kernel, dim=dim, inputs=inputs, device=d.qacc.device, block_dim=self._threads)

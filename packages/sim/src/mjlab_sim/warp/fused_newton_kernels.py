@@ -6,54 +6,21 @@ from typing import Any
 import mujoco_warp as mjw
 import warp as wp
 
+from mjlab_sim.warp.structs import with_arrays
+
 _SOURCE = (Path(__file__).parent / "newton_world.cu").read_text(encoding="utf-8")
-_vec5: Any = wp.types.vector(length=5, dtype=float)
 
 
-@wp.struct
+@with_arrays(
+  """njmax iterations ls_iterations is_sparse tolerance ls_tolerance impratio_invsqrt M_rownnz M_rowadr M_colind ne nf
+  nefc M qfrc_smooth contact_friction contact_dim contact_efc_address efc_type efc_id efc_J efc_J_rownnz efc_J_rowadr
+  efc_J_colind efc_D efc_aref efc_frictionloss qacc qfrc_constraint efc_Ma efc_force efc_state solver_niter overflow"""
+)
 class Problem:
-  """Arrays that a solve reads and writes, named as in MuJoCo Warp's `Model` and `Data`."""
+  """Arrays that a solve reads and writes."""
 
-  # Model:
-  njmax: int
-  iterations: int
-  ls_iterations: int
-  is_sparse: int
-  tolerance: wp.array[float]
-  ls_tolerance: wp.array[float]
-  impratio_invsqrt: wp.array[float]
-  M_rownnz: wp.array[int]
-  M_rowadr: wp.array[int]
-  M_colind: wp.array[int]
-  # Data in:
-  ne: wp.array[int]
-  nf: wp.array[int]
-  nefc: wp.array[int]
-  M: wp.array2d[float]
-  qfrc_smooth: wp.array2d[float]
   start: wp.array2d[float]
   without_rows: wp.array2d[float]
-  contact_friction: wp.array[_vec5]
-  contact_dim: wp.array[int]
-  contact_efc_address: wp.array2d[int]
-  efc_type: wp.array2d[int]
-  efc_id: wp.array2d[int]
-  efc_J: wp.array3d[float]  # noqa: N815
-  J_rownnz: wp.array2d[int]
-  J_rowadr: wp.array2d[int]
-  J_colind: wp.array3d[int]
-  efc_D: wp.array2d[float]  # noqa: N815
-  efc_aref: wp.array2d[float]
-  efc_frictionloss: wp.array2d[float]
-  # Data out:
-  qacc: wp.array2d[float]
-  qfrc_constraint: wp.array2d[float]
-  efc_Ma: wp.array2d[float]  # noqa: N815
-  efc_force: wp.array2d[float]
-  efc_state: wp.array2d[int]
-  solver_niter: wp.array[int]
-  overflow: wp.array[int]
-  # Between the two kernels:
   is_left: wp.array[bool]
   scratch: wp.array2d[float]
 

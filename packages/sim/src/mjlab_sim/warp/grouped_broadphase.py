@@ -15,6 +15,7 @@ import warp as wp
 
 from mjlab_sim.warp import grouped_broadphase_kernels as kernels
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.structs import filled
 
 _SAVED = 1000
 """Threads that groups have to save in a world; with fewer, the second kernel costs more."""
@@ -88,9 +89,7 @@ class GroupedBroadphase:
       found: Pairs, to be filled.
       awake_before: Not used, since no body sleeps.
     """
-    geoms: Any = kernels.Geoms()
-    for name in kernels.Geoms.vars:
-      setattr(geoms, name, getattr(m if hasattr(m, name) else d, name))
+    geoms = filled(kernels.Geoms, m, d)
     self._launch(kernels.bound_groups, self._pairs.center.shape, geoms, self._pairs)
     varying = (m.geom_aabb, m.geom_rbound, m.geom_margin, m.geom_gap, m.pair_margin, m.pair_gap)
     kernel = kernels.make_find_pairs(int(m.opt.broadphase_filter), *(array.shape[0] for array in varying))

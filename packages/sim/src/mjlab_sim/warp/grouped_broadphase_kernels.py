@@ -8,6 +8,7 @@ import mujoco
 import warp as wp
 
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.structs import with_arrays
 
 FAR = wp.constant(float(mujoco.mjMAXVAL))
 ROUNDING = wp.constant(1e-5)
@@ -34,20 +35,11 @@ class Pairs:
   """Half of the edges of that box [m]."""
 
 
-@wp.struct
+@with_arrays(
+  "geom_type geom_dataid geom_aabb geom_rbound geom_margin geom_gap pair_margin pair_gap geom_xpos geom_xmat"
+)
 class Geoms:
-  """Arrays that the kernels read, named as in MuJoCo Warp's `Model` and `Data`."""
-
-  geom_type: wp.array[int]
-  geom_dataid: wp.array2d[int]
-  geom_aabb: wp.array3d[wp.vec3]
-  geom_rbound: wp.array2d[float]
-  geom_margin: wp.array2d[float]
-  geom_gap: wp.array2d[float]
-  pair_margin: wp.array2d[float]
-  pair_gap: wp.array2d[float]
-  geom_xpos: wp.array2d[wp.vec3]
-  geom_xmat: wp.array2d[wp.mat33]
+  """Geoms of all worlds."""
 
 
 @wp.func

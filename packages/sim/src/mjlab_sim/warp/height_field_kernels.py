@@ -11,8 +11,8 @@ import mujoco_warp as mjw
 import warp as wp
 
 from mjlab_sim.warp import internals
+from mjlab_sim.warp.structs import with_arrays
 
-_vec5: Any = wp.types.vector(length=5, dtype=float)
 _mat63: Any = wp.types.matrix(shape=(6, 3), dtype=float)
 HFIELD = wp.constant(int(mujoco.mjtGeom.mjGEOM_HFIELD))
 MESH = wp.constant(int(mujoco.mjtGeom.mjGEOM_MESH))
@@ -22,54 +22,17 @@ CLEAR = wp.constant(1e-4)
 """Distance from a prism's top that no rounding turns into a contact [m]."""
 
 
-@wp.struct
+@with_arrays(
+  """ccd_tolerance geom_type geom_condim geom_dataid geom_priority geom_solmix geom_solref geom_solimp geom_size
+  geom_rbound geom_friction geom_margin geom_gap geom_adhesion mesh_vertadr mesh_vertnum mesh_graphadr mesh_vert
+  mesh_graph mesh_polynum mesh_polyadr mesh_polynormal mesh_polyvertadr mesh_polyvertnum mesh_polyvert
+  mesh_polymapadr mesh_polymapnum mesh_polymap hfield_size hfield_nrow hfield_ncol hfield_adr hfield_data pair_dim
+  pair_solref pair_solreffriction pair_solimp pair_margin pair_gap pair_adhesion pair_friction geom_xpos geom_xmat
+  ncollision"""
+)
 class Scene:
-  """Arrays that the kernels read, named as in MuJoCo Warp's `Model` and `Data`."""
+  """Geoms and height fields, and the pairs of geoms that may touch."""
 
-  ccd_tolerance: wp.array[float]
-  geom_type: wp.array[int]
-  geom_condim: wp.array[int]
-  geom_dataid: wp.array2d[int]
-  geom_priority: wp.array[int]
-  geom_solmix: wp.array2d[float]
-  geom_solref: wp.array2d[wp.vec2]
-  geom_solimp: wp.array2d[_vec5]
-  geom_size: wp.array2d[wp.vec3]
-  geom_rbound: wp.array2d[float]
-  geom_friction: wp.array2d[wp.vec3]
-  geom_margin: wp.array2d[float]
-  geom_gap: wp.array2d[float]
-  geom_adhesion: wp.array2d[float]
-  mesh_vertadr: wp.array[int]
-  mesh_vertnum: wp.array[int]
-  mesh_graphadr: wp.array[int]
-  mesh_vert: wp.array[wp.vec3]
-  mesh_graph: wp.array[int]
-  mesh_polynum: wp.array[int]
-  mesh_polyadr: wp.array[int]
-  mesh_polynormal: wp.array[wp.vec3]
-  mesh_polyvertadr: wp.array[int]
-  mesh_polyvertnum: wp.array[int]
-  mesh_polyvert: wp.array[int]
-  mesh_polymapadr: wp.array[int]
-  mesh_polymapnum: wp.array[int]
-  mesh_polymap: wp.array[int]
-  hfield_size: wp.array[wp.vec4]
-  hfield_nrow: wp.array[int]
-  hfield_ncol: wp.array[int]
-  hfield_adr: wp.array[int]
-  hfield_data: wp.array[float]
-  pair_dim: wp.array[int]
-  pair_solref: wp.array2d[wp.vec2]
-  pair_solreffriction: wp.array2d[wp.vec2]
-  pair_solimp: wp.array2d[_vec5]
-  pair_margin: wp.array2d[float]
-  pair_gap: wp.array2d[float]
-  pair_adhesion: wp.array2d[float]
-  pair_friction: wp.array2d[_vec5]
-  geom_xpos: wp.array2d[wp.vec3]
-  geom_xmat: wp.array2d[wp.mat33]
-  ncollision: wp.array[int]
   collision_pair: wp.array[wp.vec2i]
   collision_pairid: wp.array[wp.vec2i]
   collision_worldid: wp.array[int]

@@ -14,6 +14,7 @@ import warp as wp
 from mjlab_sim.warp import height_field_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.prism_contact_kernels import Written, choose_contacts
+from mjlab_sim.warp.structs import filled
 
 _KINDS = [mjw.GeomType[name] for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")]
 _ROOM = 16
@@ -90,19 +91,13 @@ class HeightFields:
   def _collide(self, m: mjw.Model, d: mjw.Data, pairs: Any) -> None:
     if d.naconmax != self._naconmax:
       self._build(d)
-    scene: Any = kernels.Scene()
-    for name in kernels.Scene.vars:
-      owner = next(owner for owner in (m, d, pairs, m.opt) if hasattr(owner, name))
-      setattr(scene, name, getattr(owner, name))
-    written: Any = Written()
-    for name in Written.vars:
-      owner, attribute = (d.contact, name.removeprefix("contact_")) if "_" in name else (d, name)
-      setattr(written, name, getattr(owner, attribute))
+    own = {name: getattr(pairs, name) for name in ("collision_pair", "collision_pairid", "collision_worldid")}
+    scene = filled(kernels.Scene, m, d, **own)
     self._prisms.count.zero_()
     self._launch(kernels.find_prisms, d.naconmax, scene, self._prisms, d.overflow)
     for kernel in self._kernels:
       self._launch(kernel, self._threads, scene, self._prisms, self._memory, self._threads, d.overflow)
-    self._launch(choose_contacts, d.naconmax, scene, self._prisms, written, d.overflow)
+    self._launch(choose_contacts, d.naconmax, scene, self._prisms, filled(Written, m, d), d.overflow)
 
   def _launch(self, kernel: Any, threads: int, *inputs: Any) -> None:
     wp.launch(kernel, dim=threads, inputs=inputs, device=self._device)

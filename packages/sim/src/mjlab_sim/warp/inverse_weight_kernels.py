@@ -8,6 +8,8 @@ has these entries too. It is the triangular R of inv(M) = R R'.
 import mujoco
 import warp as wp
 
+from mjlab_sim.warp.structs import with_arrays
+
 FREE = wp.constant(int(mujoco.mjtJoint.mjJNT_FREE))
 BALL = wp.constant(int(mujoco.mjtJoint.mjJNT_BALL))
 
@@ -24,197 +26,166 @@ def rest(qpos0: wp.array2d[float], qpos: wp.array2d[float]):
   qpos[world, column] = qpos0[world % qpos0.shape[0], column]
 
 
-# A module of its own: a module is compiled once for every size of block that its kernels are launched with.
-@wp.kernel(enable_backward=False, module="unique")
-def invert_inertia(
-  mask: wp.array[bool],
-  rownnz: wp.array[int],
-  rowadr: wp.array[int],
-  above: wp.array[int],
-  pairs: wp.array[wp.vec2i],
-  longest: int,
-  inertia: wp.array2d[float],
-  root: wp.array2d[float],
-):
-  """R of inv(M) = R R', by one block of threads for each world; `inertia` is left as D L, where M = L' D L.
+@with_arrays(
+  """M M_rownnz M_rowadr M_colind dof_bodyid dof_jntid dof_parentid jnt_type jnt_dofadr body_mass body_parentid
+  body_rootid body_dofadr body_dofnum subtree_com xipos cdof ten_J ten_J_rownnz ten_J_rowadr ten_J_colind
+  actuator_moment moment_rownnz moment_rowadr moment_colind dof_invweight0 body_invweight0 tendon_invweight0
+  actuator_acc0"""
+)
+class Worlds:
+  """Worlds at the reference pose."""
 
-  `above` is where the row of each entry's column begins, `pairs` are all (a, b) with b <= a, ordered by a, and
-  `longest` is the number of entries of the longest row.
+  mask: wp.array[bool]
+  """Worlds whose weights are written."""
+  is_slider: wp.array[bool]
+  """Bodies that only slide along their parent's axes."""
+  above: wp.array[int]
+  """Place at which the row of each entry's column begins."""
+  pairs: wp.array[wp.vec2i]
+  """All (a, b) with b <= a, ordered by a."""
+  longest: int
+  """Number of entries of the longest row."""
+  num_shared: wp.array2d[int]
+  """Number of entries that the rows of two dofs begin with in common."""
+  root: wp.array2d[float]
+
+
+# A separate module: a module is compiled once for every size of block that its kernels are launched with.
+@wp.kernel(enable_backward=False, module="unique")
+def invert_inertia(w: Worlds):
+  """Find `root` by one block of threads for each world; `M` is left as D L, where M = L' D L.
+
   The factorisation is that of Featherstone (2008), Rigid Body Dynamics Algorithms, section 6.5.
   """
   world, thread = wp.tid()
-  if not mask[world]:
+  if not w.mask[world]:
     return
-  nv = rownnz.shape[0]
+  inertia, root = w.M, w.root
+  nv = w.M_rownnz.shape[0]
   # A step reads the row of its dof, writes to rows of ancestors only, and to each entry from one thread.
   for back in range(nv):
     i = nv - 1 - back
-    adr = rowadr[i]
-    last = rownnz[i] - 1
+    adr = w.M_rowadr[i]
+    last = w.M_rownnz[i] - 1
     scale = 1.0 / inertia[world, adr + last]
     for p in range(thread, last * (last + 1) // 2, wp.block_dim()):
-      a = pairs[p][0]
-      b = pairs[p][1]
-      to = above[adr + a] + b
+      a = w.pairs[p][0]
+      b = w.pairs[p][1]
+      to = w.above[adr + a] + b
       # Not "-=", which Warp makes an atomic of.
       inertia[world, to] = inertia[world, to] - inertia[world, adr + a] * scale * inertia[world, adr + b]
     sync()
-  # inv(L) inv(sqrt(D)), row by row down the tree. Entry a of a row follows from the entries a of rows above: what a
-  # thread reads of `root` is what it wrote itself.
-  for a in range(thread, longest, wp.block_dim()):
+  # inv(L) inv(sqrt(D)), row by row down the tree. Entry a of a row follows from the entries a of rows above: a thread
+  # reads of `root` only its own writes.
+  for a in range(thread, w.longest, wp.block_dim()):
     for i in range(nv):
-      adr = rowadr[i]
-      last = rownnz[i] - 1
+      adr = w.M_rowadr[i]
+      last = w.M_rownnz[i] - 1
       if a == last:
         root[world, adr + a] = 1.0 / wp.sqrt(inertia[world, adr + a])
       elif a < last:
         total = wp.float32(0.0)
         for k in range(a, last):
-          total += inertia[world, adr + k] * root[world, above[adr + k] + a]
+          total += inertia[world, adr + k] * root[world, w.above[adr + k] + a]
         root[world, adr + a] = -total / inertia[world, adr + last]
 
 
 @wp.func
-def respond(
-  world: int, i: int, j: int, rowadr: wp.array[int], num_shared: wp.array2d[int], root: wp.array2d[float]
-) -> float:
-  """inv(M)[i, j]: rows of R have in common what they begin with, their `num_shared` ancestors."""
+def respond(w: Worlds, world: int, i: int, j: int) -> float:
+  """inv(M)[i, j]: rows of R have in common what they begin with, their ancestors."""
   total = wp.float32(0.0)
-  for k in range(num_shared[i, j]):
-    total += root[world, rowadr[i] + k] * root[world, rowadr[j] + k]
+  for k in range(w.num_shared[i, j]):
+    total += w.root[world, w.M_rowadr[i] + k] * w.root[world, w.M_rowadr[j] + k]
   return total
 
 
+@wp.func
+def slider_weight(w: Worlds, world: int, body: int) -> float:
+  """Inverse mass, which MuJoCo gives to bodies that only slide, armature or not."""
+  return 1.0 / w.body_mass[world % w.body_mass.shape[0], body]
+
+
 @wp.kernel(enable_backward=False)
-def weigh_dofs(
-  mask: wp.array[bool],
-  rowadr: wp.array[int],
-  num_shared: wp.array2d[int],
-  root: wp.array2d[float],
-  dof_jntid: wp.array[int],
-  jnt_type: wp.array[int],
-  jnt_dofadr: wp.array[int],
-  dof_bodyid: wp.array[int],
-  is_slider: wp.array[bool],
-  body_mass: wp.array2d[float],
-  dof_invweight0: wp.array2d[float],
-):
+def weigh_dofs(w: Worlds):
   """Of the three dofs that turn a body, or move it, each has their mean."""
   world, dof = wp.tid()
-  if not mask[world]:
+  if not w.mask[world]:
     return
-  body = dof_bodyid[dof]
-  if is_slider[body]:
-    dof_invweight0[world, dof] = 1.0 / body_mass[world % body_mass.shape[0], body]
+  body = w.dof_bodyid[dof]
+  if w.is_slider[body]:
+    w.dof_invweight0[world, dof] = slider_weight(w, world, body)
     return
-  joint = dof_jntid[dof]
+  joint = w.dof_jntid[dof]
   first = wp.int32(dof)
   count = wp.int32(1)
-  if jnt_type[joint] == FREE or jnt_type[joint] == BALL:
+  if w.jnt_type[joint] == FREE or w.jnt_type[joint] == BALL:
     count = 3
-    first = jnt_dofadr[joint] + 3 * ((dof - jnt_dofadr[joint]) // 3)
+    first = w.jnt_dofadr[joint] + 3 * ((dof - w.jnt_dofadr[joint]) // 3)
   total = wp.float32(0.0)
   for i in range(first, first + count):
-    total += respond(world, i, i, rowadr, num_shared, root)
-  dof_invweight0[world, dof] = total / wp.float32(count)
+    total += respond(w, world, i, i)
+  w.dof_invweight0[world, dof] = total / wp.float32(count)
 
 
 @wp.kernel(enable_backward=False)
-def weigh_bodies(
-  mask: wp.array[bool],
-  rowadr: wp.array[int],
-  root: wp.array2d[float],
-  rownnz: wp.array[int],
-  colind: wp.array[int],
-  is_slider: wp.array[bool],
-  body_mass: wp.array2d[float],
-  body_parentid: wp.array[int],
-  body_rootid: wp.array[int],
-  body_dofadr: wp.array[int],
-  body_dofnum: wp.array[int],
-  dof_parentid: wp.array[int],
-  subtree_com: wp.array2d[wp.vec3],
-  xipos: wp.array2d[wp.vec3],
-  cdof: wp.array2d[wp.spatial_vector],
-  body_invweight0: wp.array2d[wp.vec2],
-):
+def weigh_bodies(w: Worlds):
   """Mean over the axes of (translation, rotation) at the body's centre of mass; 0 for bodies that never move."""
   world, body = wp.tid()
-  if not mask[world]:
+  if not w.mask[world]:
     return
-  if is_slider[body]:
-    body_invweight0[world, body] = wp.vec2(1.0 / body_mass[world % body_mass.shape[0], body], 0.0)
+  if w.is_slider[body]:
+    w.body_invweight0[world, body] = wp.vec2(slider_weight(w, world, body), 0.0)
     return
   weight = wp.vec2(0.0, 0.0)
   mover = wp.int32(body)
-  while mover > 0 and body_dofnum[mover] == 0:
-    mover = body_parentid[mover]
+  while mover > 0 and w.body_dofnum[mover] == 0:
+    mover = w.body_parentid[mover]
   if mover > 0:
-    offset = xipos[world, body] - subtree_com[world, body_rootid[body]]
-    dof = body_dofadr[mover] + body_dofnum[mover] - 1
+    offset = w.xipos[world, body] - w.subtree_com[world, w.body_rootid[body]]
+    dof = w.body_dofadr[mover] + w.body_dofnum[mover] - 1
     # Once, but for bodies so simple that their part of M is diagonal: their rows do not hold their other dofs.
     while dof >= 0:
-      adr = rowadr[dof]
-      for a in range(rownnz[dof]):
+      adr = w.M_rowadr[dof]
+      for a in range(w.M_rownnz[dof]):
         motion = wp.spatial_vector()
-        for k in range(a, rownnz[dof]):
-          i = colind[adr + k]
-          motion += root[world, rowadr[i] + a] * cdof[world, i]
+        for k in range(a, w.M_rownnz[dof]):
+          i = w.M_colind[adr + k]
+          motion += w.root[world, w.M_rowadr[i] + a] * w.cdof[world, i]
         turn = wp.spatial_top(motion)
         move = wp.spatial_bottom(motion) + wp.cross(turn, offset)
         weight += wp.vec2(wp.dot(move, move), wp.dot(turn, turn)) / 3.0
-      dof = dof_parentid[colind[adr]]
-  body_invweight0[world, body] = weight
+      dof = w.dof_parentid[w.M_colind[adr]]
+  w.body_invweight0[world, body] = weight
 
 
 @wp.kernel(enable_backward=False)
-def weigh_tendons(
-  mask: wp.array[bool],
-  rowadr: wp.array[int],
-  num_shared: wp.array2d[int],
-  root: wp.array2d[float],
-  jac_rownnz: wp.array[int],
-  jac_rowadr: wp.array[int],
-  jac_colind: wp.array[int],
-  ten_jac: wp.array2d[float],
-  tendon_invweight0: wp.array2d[float],
-):
+def weigh_tendons(w: Worlds):
   """Write the inverse weight of each tendon."""
   world, tendon = wp.tid()
-  if not mask[world]:
+  if not w.mask[world]:
     return
-  first = jac_rowadr[tendon]
-  end = first + jac_rownnz[tendon]
+  first = w.ten_J_rowadr[tendon]
+  end = first + w.ten_J_rownnz[tendon]
   total = wp.float32(0.0)
   for j in range(first, end):
     for k in range(first, end):
-      response = respond(world, jac_colind[j], jac_colind[k], rowadr, num_shared, root)
-      total += ten_jac[world, j] * response * ten_jac[world, k]
-  tendon_invweight0[world, tendon] = total
+      response = respond(w, world, w.ten_J_colind[j], w.ten_J_colind[k])
+      total += w.ten_J[world, j] * response * w.ten_J[world, k]
+  w.tendon_invweight0[world, tendon] = total
 
 
 @wp.kernel(enable_backward=False)
-def accelerate(
-  mask: wp.array[bool],
-  rowadr: wp.array[int],
-  num_shared: wp.array2d[int],
-  root: wp.array2d[float],
-  moment_rownnz: wp.array2d[int],
-  moment_rowadr: wp.array2d[int],
-  moment_colind: wp.array2d[int],
-  moment: wp.array2d[float],
-  actuator_acc0: wp.array2d[float],
-):
+def accelerate(w: Worlds):
   """Length of the joint acceleration that one unit of the actuator's force makes."""
   world, actuator = wp.tid()
-  if not mask[world]:
+  if not w.mask[world]:
     return
-  first = moment_rowadr[world, actuator]
-  end = first + moment_rownnz[world, actuator]
+  first = w.moment_rowadr[world, actuator]
+  end = first + w.moment_rownnz[world, actuator]
   total = wp.float32(0.0)
-  for i in range(rowadr.shape[0]):
+  for i in range(w.M_rowadr.shape[0]):
     acceleration = wp.float32(0.0)
     for j in range(first, end):
-      acceleration += moment[world, j] * respond(world, i, moment_colind[world, j], rowadr, num_shared, root)
+      acceleration += w.actuator_moment[world, j] * respond(w, world, i, w.moment_colind[world, j])
     total += acceleration * acceleration
-  actuator_acc0[world, actuator] = wp.sqrt(total)
+  w.actuator_acc0[world, actuator] = wp.sqrt(total)

@@ -79,8 +79,8 @@ SYNC();
 for (int r = lane; r < n; r += NT) {
   unsigned mask = 0;
   if (given.is_sparse) {
-    const int* const columns = ROW_OF(int, given.J_colind) + ROW_OF(int, given.J_rowadr)[r];
-    const int count = ROW_OF(int, given.J_rownnz)[r];
+    const int* const columns = ROW_OF(int, given.efc_J_colind) + ROW_OF(int, given.efc_J_rowadr)[r];
+    const int count = ROW_OF(int, given.efc_J_rownnz)[r];
     for (int k = 0; k < count; k++) mask |= 1u << (columns[k] >> 2);
   } else {
     const Four* const row = (const Four*)((const char*)ROW_OF(float, given.efc_J) + (long long)r * given.efc_J.strides[1]);
@@ -127,8 +127,8 @@ for (int r = lane; r < n; r += NT) {
   float* const to = J + 4 * ((unsigned)groups[r] >> 16);
   if (given.is_sparse) {
     for (int k = 0; k < 4 * COUNT_BITS(mask); k++) to[k] = 0.0f;
-    const int adr = ROW_OF(int, given.J_rowadr)[r], count = ROW_OF(int, given.J_rownnz)[r];
-    const int* const columns = ROW_OF(int, given.J_colind) + adr;
+    const int adr = ROW_OF(int, given.efc_J_rowadr)[r], count = ROW_OF(int, given.efc_J_rownnz)[r];
+    const int* const columns = ROW_OF(int, given.efc_J_colind) + adr;
     const float* const values = ROW_OF(float, given.efc_J) + adr;
     for (int k = 0; k < count; k++) {
       const int c = columns[k];

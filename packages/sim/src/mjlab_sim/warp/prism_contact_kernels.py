@@ -1,15 +1,13 @@
 """Kernel of `HeightFields` that chooses contacts among the prisms that a geom touches."""
 
-from typing import Any
-
 import mujoco
 import mujoco_warp as mjw
 import warp as wp
 
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.height_field_kernels import FAR, Prisms, Scene, margin_gap
+from mjlab_sim.warp.structs import with_arrays
 
-_vec5: Any = wp.types.vector(length=5, dtype=float)
 HFIELD_OVERFLOW = wp.constant(int(mjw.OverflowType.HFIELD))
 MOST = wp.constant(int(mujoco.mjMAXCONPAIR))
 """Prisms that a geom may touch; further ones are not looked at."""
@@ -17,27 +15,13 @@ DISTINCT = wp.constant(1e-3)
 """Distance below which a further contact adds nothing [m]."""
 
 
-@wp.struct
+@with_arrays(
+  """naconmax contact_dist contact_pos contact_frame contact_includemargin contact_friction contact_solref
+  contact_solreffriction contact_solimp contact_dim contact_geom contact_efc_address contact_worldid contact_type
+  contact_geomcollisionid contact_adhesion nacon"""
+)
 class Written:
-  """Arrays that contacts are written to, named as in MuJoCo Warp's `Data`."""
-
-  naconmax: int
-  contact_dist: wp.array[float]
-  contact_pos: wp.array[wp.vec3]
-  contact_frame: wp.array[wp.mat33]
-  contact_includemargin: wp.array[float]
-  contact_friction: wp.array[_vec5]
-  contact_solref: wp.array[wp.vec2]
-  contact_solreffriction: wp.array[wp.vec2]
-  contact_solimp: wp.array[_vec5]
-  contact_dim: wp.array[int]
-  contact_geom: wp.array[wp.vec2i]
-  contact_efc_address: wp.array2d[int]
-  contact_worldid: wp.array[int]
-  contact_type: wp.array[int]
-  contact_geomcollisionid: wp.array[int]
-  contact_adhesion: wp.array[float]
-  nacon: wp.array[int]
+  """Arrays that contacts are written to."""
 
 
 @wp.kernel(enable_backward=False)

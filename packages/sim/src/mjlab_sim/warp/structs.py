@@ -1,0 +1,52 @@
+"""Structs of arrays of MuJoCo Warp, which kernels take in place of long lists of arguments.
+
+Fields have the names and types that they have in MuJoCo Warp's `Model`, `Option` and `Data`. Arrays of contacts begin
+with `contact_`, those of constraint rows with `efc_`.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import mujoco_warp as mjw
+import warp as wp
+
+_PARTS = {"contact": mjw.Contact, "efc": mjw.Constraint}
+
+
+def _types(owner: Any) -> dict[str, Any]:
+  return {field.name: field.type for field in dataclasses.fields(owner)}
+
+
+_TYPES = _types(mjw.Option) | _types(mjw.Data) | _types(mjw.Model)
+for _part, _owner in _PARTS.items():
+  _TYPES |= {f"{_part}_{name}": kind for name, kind in _types(_owner).items()}
+
+
+def with_arrays(names: str) -> Callable[[type], Any]:
+  """Return a decorator that makes a Warp struct of a class, with fields of MuJoCo Warp before those of the class.
+
+  Args:
+    names: Names of the fields, separated by white space.
+  """
+
+  def decorate(cls: type) -> Any:
+    cls.__annotations__ = {name: _TYPES[name] for name in names.split()} | cls.__annotations__
+    return wp.struct(cls)
+
+  return decorate
+
+
+def filled(struct: Any, m: mjw.Model, d: mjw.Data, **own: Any) -> Any:
+  """Return a struct with the fields of a model and of data, and with `own` for the fields that they do not have."""
+  values = struct()
+  for name in struct.vars:
+    part, _, rest = name.partition("_")
+    if name in own:
+      value = own[name]
+    elif part in _PARTS:
+      value = getattr(getattr(d, part), rest)
+    else:
+      value = next(getattr(owner, name) for owner in (m, d, m.opt) if hasattr(owner, name))
+    setattr(values, name, value)
+  return values
