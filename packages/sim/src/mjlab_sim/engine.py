@@ -80,13 +80,9 @@ class Engine(Protocol):
     """
     ...
 
-  def close(self) -> None:
-    """Release threads and graphs."""
-    ...
-
 
 class Closed:
-  """Engine of a simulation that is closed: whatever is asked of it is refused."""
+  """Engine of a simulation that is closed; it refuses every call."""
 
   def __getattr__(self, name: str) -> Any:
     raise MjlabError("this simulation is closed")

@@ -26,7 +26,6 @@ class Freshness:
 
   def __init__(self, engine: Engine) -> None:
     self.engine = engine
-    self.is_closed = False
     self.version = 0
     """A number that changes whenever derived quantities do."""
     self.num_sensed = 0
@@ -41,10 +40,12 @@ class Freshness:
     # Tensors of fields that were returned before their fields were expanded, with their version then.
     self._replaced: list[tuple[str, torch.Tensor, int]] = []
 
-  def check_open(self) -> None:
-    """Raise MjlabError if the simulation is closed."""
-    if self.is_closed:
-      raise MjlabError("this simulation is closed")
+  def close(self, closed: Engine) -> None:
+    """Let go of the engine. Whatever is read from now on asks `closed`, which refuses it."""
+    self.engine = closed
+    self._asked_for.clear()
+    self._watched.clear()
+    self.note_write()
 
   def check_mask(self, mask: torch.Tensor, what: str) -> None:
     """Raise MjlabError unless `mask` is bool, (num_envs,)."""
@@ -54,7 +55,6 @@ class Freshness:
 
   def refresh(self) -> None:
     """Recompute derived quantities if state or a model field was written since."""
-    self.check_open()
     version = versions(self._watched)
     if version != self._model_version:
       self._model_version = version
@@ -82,7 +82,6 @@ class Freshness:
 
   def data_field(self, name: str) -> TorchArray:
     """Return a field of MjData; KeyError if the engine has no such field."""
-    self.check_open()
     if name not in STATE:
       self.refresh()
     return self.engine.data_field(name)
@@ -91,7 +90,6 @@ class Freshness:
     """Return a per-world field of MjModel; KeyError if there is no such field."""
     field = self._asked_for.get(name)
     if field is None:
-      self.check_open()
       field = self._asked_for[name] = self.engine.model_field(name)
       self._watched.append(plain(field))
       # Its memory may have been written before: only what comes now counts.

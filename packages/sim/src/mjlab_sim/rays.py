@@ -4,9 +4,9 @@ MuJoCo casts a ray against one geom after another, and a terrain has hundreds. T
 are turned into triangles once, when a caster is made, and an engine then looks them up in a tree.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import mujoco
 import numpy as np
@@ -43,17 +43,18 @@ class RayHits:
   """Surface normal at the hit, world frame; zero where nothing was hit, (num_envs, num_rays, 3)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EngineRays:
-  """Rays in an engine: fixed memory, and the function that casts them."""
+class EngineRays(Protocol):
+  """Rays of one caster in an engine, in fixed memory."""
 
   origins: torch.Tensor
   """Starts of the rays of the next cast, world frame, (num_envs, num_rays, 3) [m]."""
   directions: torch.Tensor
   """Directions of the rays of the next cast, world frame, (num_envs, num_rays, 3)."""
   hits: RayHits
-  cast: Callable[[bool], None]
-  """Fills `hits`; the argument is True where the geoms that never move are in their compiled places."""
+
+  def cast(self, is_in_place: bool) -> None:
+    """Fill `hits`; `is_in_place` is True if the geoms that never move are in their compiled places."""
+    ...
 
 
 @dataclass(frozen=True, kw_only=True)

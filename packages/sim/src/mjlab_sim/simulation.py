@@ -340,12 +340,10 @@ class Simulation:
 
   def close(self) -> None:
     """Release threads, graphs and memory. Tensors taken from here must not be used afterwards."""
-    if not self._fresh.is_closed:
-      self._fresh.is_closed = True
-      self._recordings.invalidate()
-      self._engine.close()
-      closed: Any = Closed()
-      self._engine = self._fresh.engine = closed
+    self._recordings.invalidate()
+    closed: Any = Closed()
+    self._engine = closed
+    self._fresh.close(closed)
 
 
 def _resolve_device(device: str | torch.device) -> torch.device:

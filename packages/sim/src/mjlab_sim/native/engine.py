@@ -21,7 +21,7 @@ from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of
 
 if TYPE_CHECKING:
-  from mjlab_sim.warp.rendering import DrawnStage
+  from mjlab_sim.warp.rendering import Renderers
 
 _NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _VEL = mujoco.mjtStage.mjSTAGE_VEL.value
@@ -80,7 +80,7 @@ class NativeEngine:
     self._known: dict[str, tuple[np.ndarray, int]] = {}
     self._shared: dict[str, tuple[TorchArray, int]] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
-    self._stage: DrawnStage | None = None
+    self._renderers: Renderers | None = None
     self._contacts: NativeContacts | None = None
     self._batch.reset(stage=_VEL)
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
@@ -194,7 +194,7 @@ class NativeEngine:
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
     ground = None if geomid else self._ground(targets)
-    return NativeRayCaster(self._batch, targets, max_distance, ground, geomid=geomid).rays()
+    return NativeRayCaster(self._batch, targets, max_distance, ground, geomid=geomid)
 
   def _ground(self, targets: RayTargets) -> batch.Batch | None:
     """Return the fixed geoms by themselves, where that is faster; casters that see the same ones share them."""
@@ -207,12 +207,12 @@ class NativeEngine:
     return self._grounds[key]
 
   def renderer(self, view: View) -> EngineImages:
-    if self._stage is None:
+    if self._renderers is None:
       # Warp is loaded when the first image is asked for.
-      from mjlab_sim.native.rendering import native_stage
+      from mjlab_sim.native.rendering import native_renderers
 
-      self._stage = native_stage(self._model, self._batch, self.data_field)
-    return self._stage.renderer(view)
+      self._renderers = native_renderers(self._model, self._batch, self.data_field)
+    return self._renderers.add(view)
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     if self._contacts is None:
@@ -246,14 +246,3 @@ class NativeEngine:
       f"{worlds} of {self._num_envs} worlds ran out of MuJoCo's memory and dropped {' and '.join(dropped)}."
       f' Set <size memory="{max(4 * self._model.narena, 2**20)}"/> in the model.'
     ]
-
-  def close(self) -> None:
-    self._data.clear()
-    self._per_world.clear()
-    self._known.clear()
-    self._shared.clear()
-    self._kinematic.clear()
-    self._grounds.clear()
-    self._stage = None
-    self._contacts = None
-    del self._batch

@@ -6,7 +6,7 @@ import torch
 from mujoco import batch
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import EngineRays, Geoms, RayHits, RayTargets, fixed_geoms, triangulate
+from mjlab_sim.rays import Geoms, RayHits, RayTargets, fixed_geoms, triangulate
 
 # A ray takes as long for one mesh of any size as for about so many boxes, one after another.
 _MANY = 32
@@ -37,17 +37,13 @@ class NativeRayCaster:
     shape = (worlds.nsim, len(targets.bodyexclude))
     self.origins = torch.zeros((*shape, 3), dtype=torch.float64)
     self.directions = torch.zeros((*shape, 3), dtype=torch.float64)
-    self._hits = RayHits(
+    self.hits = RayHits(
       distance=torch.full(shape, -1.0, dtype=torch.float64),
       geomid=torch.full(shape, -1, dtype=torch.int32) if geomid else None,
       normal=torch.zeros((*shape, 3), dtype=torch.float64),
     )
 
-  def rays(self) -> EngineRays:
-    """Return the memory of the caster, and its function."""
-    return EngineRays(origins=self.origins, directions=self.directions, hits=self._hits, cast=self._cast)
-
-  def _cast(self, is_in_place: bool) -> None:
+  def cast(self, is_in_place: bool) -> None:
     rays = self.origins.numpy(), self.directions.numpy()
     if self._ground is None or not is_in_place:
       distance, geomid, normal = self._against_all(*rays, flg_static=True)
@@ -61,10 +57,10 @@ class NativeRayCaster:
     if self._max_distance < np.inf:
       too_far = distance > self._max_distance
       distance[too_far], geomid[too_far], normal[too_far] = -1.0, -1, 0.0
-    self._hits.distance.copy_(torch.from_numpy(distance))
-    self._hits.normal.copy_(torch.from_numpy(normal))
-    if self._hits.geomid is not None:
-      self._hits.geomid.copy_(torch.from_numpy(geomid))
+    self.hits.distance.copy_(torch.from_numpy(distance))
+    self.hits.normal.copy_(torch.from_numpy(normal))
+    if self.hits.geomid is not None:
+      self.hits.geomid.copy_(torch.from_numpy(geomid))
 
   def _against_all(
     self, origins: NDArray[np.float64], directions: NDArray[np.float64], *, flg_static: bool

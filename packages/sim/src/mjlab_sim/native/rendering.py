@@ -14,7 +14,8 @@ from mjlab_core import MjlabError
 from mujoco import batch
 from numpy.typing import NDArray
 
-from mjlab_sim.warp.rendering import POSES, DrawnStage
+from mjlab_sim.warp.launching import Stage
+from mjlab_sim.warp.rendering import POSES, Renderers
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -26,8 +27,10 @@ mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
 _OPTIONS = ("solver", "integrator", "jacobian", "disableflags", "enableflags")
 
 
-def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callable[[str], torch.Tensor]) -> DrawnStage:
-  """Return the worlds of a batch as MuJoCo Warp's renderer takes them, copied before each image.
+def native_renderers(
+  model: mujoco.MjModel, batched: batch.Batch, data_field: Callable[[str], torch.Tensor]
+) -> Renderers:
+  """Return MuJoCo Warp's renderers of the worlds of a batch, which are copied before each image.
 
   Args:
     model: The compiled model.
@@ -69,13 +72,8 @@ def native_stage(model: mujoco.MjModel, batched: batch.Batch, data_field: Callab
         setattr(m, name, array)
       np.copyto(array.numpy(), rows, casting="same_kind")
 
-  return DrawnStage(model, worlds, m, d, device, _run(device), refresh)
-
-
-def _run(device: Any) -> Callable[[str, Callable[[], None]], None]:
   def run(name: str, launches: Callable[[], None]) -> None:
-    del name
     with wp.ScopedDevice(device):
       launches()
 
-  return run
+  return Renderers(Stage(model, worlds, m, d, device, run, refresh))

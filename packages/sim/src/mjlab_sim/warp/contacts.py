@@ -31,7 +31,7 @@ class WarpContacts:
     before, d = self._kept, self._d
     with wp.ScopedDevice(d.nacon.device):
       self._ids: Any = wp.array(np.arange(d.naconmax), dtype=wp.int32)
-      self._arrays = {name: wp.zeros_like(getattr(d.contact, name)) for name in self._NAMES}
+      self._arrays: dict[str, Any] = {name: wp.zeros_like(getattr(d.contact, name)) for name in self._NAMES}
       self._arrays["wrench"] = wp.zeros(d.naconmax, dtype=wp.spatial_vector)
     self._kept = {name: wp.to_torch(array) for name, array in self._arrays.items()}
     for name, rows in before.items():

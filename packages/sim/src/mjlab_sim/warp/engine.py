@@ -25,10 +25,10 @@ from mjlab_sim.warp.grouped_broadphase import grouped_broadphase
 from mjlab_sim.warp.height_fields import height_field_collisions
 from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
-from mjlab_sim.warp.launching import Launcher, check_capture
+from mjlab_sim.warp.launching import Launcher, Stage, check_capture
 from mjlab_sim.warp.overflow import Overflow
 from mjlab_sim.warp.rays import RayScene
-from mjlab_sim.warp.rendering import DrawnStage
+from mjlab_sim.warp.rendering import Renderers
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -53,8 +53,6 @@ class WarpEngine:
     self._data_views: dict[str, TorchArray] = {}
     self._model_views: dict[str, TorchArray] = {}
     self._expanded: set[str] = set()
-    # Memory for the values of derived fields before they are recomputed.
-    self._before: dict[str, torch.Tensor] = {}
     self._shared_version = 0
     if cfg.capture:
       check_capture(self._wp_device)
@@ -79,8 +77,8 @@ class WarpEngine:
     self._inverse_weights = InverseWeights(model, self._m, self._d)
     self._launcher = Launcher(self._d, device, capture=cfg.capture)
     self._run = self._launcher.run
-    self._stage = DrawnStage(model, num_envs, self._m, self._d, self._wp_device, self._run, refresh=lambda: None)
-    self._rays = RayScene(model, num_envs, self._m, self._d, self._wp_device, self._run)
+    stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run)
+    self._rays, self._renderers = RayScene(stage), Renderers(stage)
     self._load_kernels()
     self._run("forward", self._forward)
 
@@ -152,7 +150,6 @@ class WarpEngine:
     view.copy_(self.model_field(name))
     setattr(owner, attribute, rows)
     self._model_views[name] = view
-    self._before.pop(name, None)
     self._launcher.clear()
 
   # Stages
@@ -187,20 +184,14 @@ class WarpEngine:
       self._mask_torch.copy_(mask)
     fields = sorted(name for group in groups for name in CONSTANTS[group])
     # Most are derived for all worlds, in single precision: fields without a change must not change by a rounding.
-    for name in fields:
-      view = self.model_field(name)
-      if name not in self._before:
-        self._before[name] = torch.empty_like(view)
-      self._before[name].copy_(view)
-    others = None if mask is None else ~mask
+    before = {name: self.model_field(name).clone() for name in fields}
     places = self._has_moved()
     self._run(f"constants {groups} {places}", lambda: self._recompute(groups, places))
-    for name in fields:
-      view, before = self.model_field(name), self._before[name]
+    for name, value in before.items():
       if name not in self._expanded and not is_shared:
-        view.copy_(before)
-      elif name in self._expanded and others is not None:
-        where_(view, others, before)
+        self.model_field(name).copy_(value)
+      elif name in self._expanded and mask is not None:
+        where_(self.model_field(name), ~mask, value)
     self._shared_version = self._shared_writes()
 
   def _shared_writes(self) -> int:
@@ -214,13 +205,7 @@ class WarpEngine:
   def _step(self) -> None:
     # Touch is added up, and forces of limits are written where there are any: both count on columns that are zero.
     if self._has_acceleration_sensors:
-      wp.launch(
-        kernels.clear_acceleration_sensors,
-        dim=self._saved_sensors.shape,
-        inputs=[self._is_acceleration],
-        outputs=[self._d.sensordata],
-        device=self._wp_device,
-      )
+      self._d.sensordata.zero_()
     with self._ours():
       mjw.step2(self._m, self._d)
     self._overflow.count()
@@ -315,17 +300,10 @@ class WarpEngine:
     return self._rays.caster(targets, max_distance, geomid=geomid)
 
   def renderer(self, view: View) -> EngineImages:
-    return self._stage.renderer(view)
+    return self._renderers.add(view)
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     if self._contacts is None:
       self._contacts = WarpContacts(self._m, self._d)
       self._launcher.clear()
     return self._contacts.of(world)
-
-  def close(self) -> None:
-    self._launcher.clear()
-    self._rays.clear()
-    self._contacts = None
-    self._data_views.clear()
-    self._model_views.clear()

@@ -20,14 +20,6 @@ def restore_acceleration_sensors(
 
 
 @wp.kernel(enable_backward=False)
-def clear_acceleration_sensors(is_acceleration: wp.array[bool], sensordata: wp.array2d[float]):
-  """Zero the readings of the acceleration stage."""
-  world, column = wp.tid()
-  if is_acceleration[column]:
-    sensordata[world, column] = 0.0
-
-
-@wp.kernel(enable_backward=False)
 def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
   """Zero the rows of masked worlds."""
   world, column = wp.tid()

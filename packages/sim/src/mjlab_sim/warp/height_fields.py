@@ -14,7 +14,7 @@ import warp as wp
 from mjlab_sim.warp import height_field_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.prism_contact_kernels import Written, choose_contacts
-from mjlab_sim.warp.structs import filled
+from mjlab_sim.warp.structs import allocated, filled
 
 _KINDS = [mjw.GeomType[name] for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")]
 _ROOM = 16
@@ -54,27 +54,16 @@ class HeightFields:
   def _build(self, d: mjw.Data) -> None:
     self._naconmax = d.naconmax
     self._threads = min(d.naconmax, _THREADS_PER_PROCESSOR * self._device.sm_count) if self._device.is_cuda else 1
-    threads, iterations = self._threads, self._iterations
-    number = int(_ROOM * d.naconmax) * len(self._kernels)
-    prisms: Any = kernels.Prisms()
-    memory: Any = kernels.Polytopes()
+    threads, iterations, room = self._threads, self._iterations, int(_ROOM * d.naconmax)
+    of_prisms = dict.fromkeys(("place", "dist", "pos", "normal"), room * len(self._kernels))
+    of_pairs = dict.fromkeys(("first", "number"), d.naconmax)
+    of_faces = dict.fromkeys(("face", "pr", "norm2"), (threads, 6 + _EPA_FACES * iterations))
+    of_vertices = dict.fromkeys(("vert", "vert_index"), (threads, 10 + 2 * iterations))
     with wp.ScopedDevice(self._device):
-      prisms.room = number // len(self._kernels)
-      prisms.list_of_type = wp.array(self._lists, dtype=int)
-      prisms.count = wp.zeros(len(self._kernels), dtype=int)
-      prisms.first = wp.zeros(d.naconmax, dtype=int)
-      prisms.number = wp.zeros(d.naconmax, dtype=int)
-      prisms.place = wp.zeros(number, dtype=wp.vec2i)
-      prisms.dist = wp.zeros(number, dtype=float)
-      prisms.pos = wp.zeros(number, dtype=wp.vec3)
-      prisms.normal = wp.zeros(number, dtype=wp.vec3)
-      memory.vert = wp.zeros((threads, 10 + 2 * iterations), dtype=wp.vec3)
-      memory.vert_index = wp.zeros((threads, 10 + 2 * iterations), dtype=int)
-      memory.face = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=int)
-      memory.pr = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=wp.vec3)
-      memory.norm2 = wp.zeros((threads, 6 + _EPA_FACES * iterations), dtype=float)
-      memory.horizon = wp.zeros((threads, _EPA_HORIZON), dtype=int)
-    self._prisms, self._memory = prisms, memory
+      self._prisms = allocated(kernels.Prisms, count=len(self._kernels), **of_prisms, **of_pairs)
+      self._prisms.room = room
+      self._prisms.list_of_type = wp.array(self._lists, dtype=int)
+      self._memory = allocated(kernels.Polytopes, horizon=(threads, _EPA_HORIZON), **of_faces, **of_vertices)
 
   def narrowphase(self, m: mjw.Model, d: mjw.Data, pairs: Any, types: Sequence[tuple[int, int]]) -> None:
     """Find the contacts of convex geoms, as MuJoCo Warp's `convex_narrowphase` does.

@@ -8,11 +8,15 @@ ray, not a kinematic tree, and refits a tree of all geoms in every world before 
 saves a factorisation per step, with the same motion, but leaves `qacc_smooth` stale.
 """
 
+import contextlib
+import importlib
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
 import mujoco_warp as mjw
+
+from mjlab_sim.warp.tile_solvers import replaced
 
 TESTED = "4.0"
 PRIVATE = {
@@ -38,54 +42,19 @@ PRIVATE = {
 IS_TESTED = mjw.__version__.startswith(TESTED + ".")
 """True for the minor whose private names are known."""
 
-ray_geom: Any = None
-compute_ray: Any = None
-tendon_armature: Any = None
-solver: Any = None
-collision_driver: Any = None
-nxn_broadphase: Any = None
-convex_narrowphase: Any = None
-broadphase_filter: Any = None
-mesh_missing: Any = None
-add_geom_pair: Any = None
-hfield_filter: Any = None
-contact_margin_gap: Any = None
-contact_params: Any = None
-geom_collision_pair: Any = None
-write_contact: Any = None
-ccd: Any = None
-support: Any = None
-make_frame: Any = None
-upper_trid_index: Any = None
 
-if IS_TESTED:
-  from mujoco_warp._src import (
-    collision_convex,
-    collision_core,
-    collision_driver,
-    collision_gjk,
-    math,
-    ray,
-    render_util,
-    smooth,
-    solver,
-  )
+_FOUND: dict[str, Any] = {}
+# Found once: `stepping_with` replaces some of them meanwhile.
+for _path in PRIVATE:
+  _module, _, _name = _path.rpartition(".")
+  _FOUND[_name.lstrip("_")] = getattr(importlib.import_module(_module), _name) if IS_TESTED else None
 
-  nxn_broadphase = collision_driver.nxn_broadphase
-  convex_narrowphase = collision_driver.convex_narrowphase
-  broadphase_filter = collision_driver._broadphase_filter
-  mesh_missing, add_geom_pair = collision_driver._mesh_missing, collision_driver._add_geom_pair
-  hfield_filter = collision_convex._hfield_filter
-  contact_margin_gap = collision_core.contact_margin_gap
-  contact_params = collision_core.contact_params
-  geom_collision_pair = collision_core.geom_collision_pair
-  write_contact = collision_core.write_contact
-  ccd, support = collision_gjk.ccd, collision_gjk.support
-  make_frame, upper_trid_index = math.make_frame, math.upper_trid_index
 
-  ray_geom = ray.ray_geom
-  compute_ray = render_util.compute_ray
-  tendon_armature = smooth.tendon_armature
+def __getattr__(name: str) -> Any:
+  """Return what has a name of `PRIVATE`, without its underscore; None if MuJoCo Warp is of another minor."""
+  if name not in _FOUND:
+    raise AttributeError(name)
+  return _FOUND[name]
 
 
 @contextmanager
@@ -95,16 +64,13 @@ def stepping_with(
   narrowphase: Callable[..., None] | None,
 ) -> Generator[None]:
   """Have steps of MuJoCo Warp call these meanwhile, instead of its own solver and collisions; None keeps its own."""
-  ours = [
-    (solver, "solve", solve),
-    (collision_driver, "nxn_broadphase", broadphase),
-    (collision_driver, "convex_narrowphase", narrowphase),
-  ]
-  replaced = [(owner, name, getattr(owner, name), call) for owner, name, call in ours if call is not None]
-  for owner, name, _, call in replaced:
-    setattr(owner, name, call)
-  try:
+  with contextlib.ExitStack() as stack:
+    for module, name, call in (
+      ("solver", "solve", solve),
+      ("collision_driver", "nxn_broadphase", broadphase),
+      ("collision_driver", "convex_narrowphase", narrowphase),
+    ):
+      if call is not None:
+        owner = importlib.import_module(f"mujoco_warp._src.{module}")
+        stack.enter_context(replaced(owner, name, call))
     yield
-  finally:
-    for owner, name, before, _ in replaced:
-      setattr(owner, name, before)

@@ -72,12 +72,10 @@ def _once_per_cache(digest: str) -> Generator[None]:
     yield
     return
   with file:
+    # The system takes the lock from a process that dies. Some network file systems have none.
+    with contextlib.suppress(OSError):
+      fcntl.flock(file, fcntl.LOCK_EX)
     is_filled = os.fstat(file.fileno()).st_size > 0
-    if not is_filled:
-      # The system takes the lock from a process that dies. Some network file systems have none.
-      with contextlib.suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_EX)
-      is_filled = os.fstat(file.fileno()).st_size > 0
     if is_filled:
       with contextlib.suppress(OSError):
         fcntl.flock(file, fcntl.LOCK_UN)

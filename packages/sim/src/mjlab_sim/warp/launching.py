@@ -29,6 +29,8 @@ class Stage:
   """Warp's device."""
   run: Callable[[str, Callable[[], None]], None]
   """Runs launches under a name, by which they may be recorded and replayed."""
+  refresh: Callable[[], None] = lambda: None
+  """Brings `m` and `d` up to date."""
 
 
 class Launcher:

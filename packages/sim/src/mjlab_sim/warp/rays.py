@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -18,11 +17,15 @@ from mjlab_sim.warp import internals
 from mjlab_sim.warp.launching import Stage
 
 
-@dataclass
-class RayScene(Stage):
-  """Geoms of a model and their poses in every world, for rays."""
+class RayScene:
+  """Trees of the geoms that the casters of one simulation see.
 
-  def __post_init__(self) -> None:
+  Args:
+    stage: Geoms and their poses in every world.
+  """
+
+  def __init__(self, stage: Stage) -> None:
+    self.stage = stage
     self._numbers = itertools.count()
     self._fixed: dict[bytes, tuple[wp.Mesh | None, Any]] = {}
     self._surfaces: dict[int, tuple[list[wp.Mesh], Any]] = {}
@@ -30,7 +33,7 @@ class RayScene(Stage):
   def caster(self, targets: RayTargets, max_distance: float, *, geomid: bool) -> EngineRays:
     """Return rays that see `targets` up to `max_distance` [m]."""
     # Graphs are kept by name, and a caster may be gone before its graph.
-    return WarpRayCaster(self, f"rays {next(self._numbers)}", targets, max_distance).rays(geomid=geomid)
+    return WarpRayCaster(self, f"rays {next(self._numbers)}", targets, max_distance, geomid=geomid)
 
   def triangles(self, geoms: Geoms) -> tuple[wp.Mesh | None, Any]:
     """Return fixed geoms as one tree that all worlds share, None without any, and the geom of each triangle.
@@ -39,7 +42,7 @@ class RayScene(Stage):
     """
     key = geoms.tobytes()
     if key not in self._fixed:
-      surface, owners = triangulate(self.model, geoms)
+      surface, owners = triangulate(self.stage.model, geoms)
       self._fixed[key] = _tree(*surface) if len(geoms) else None, wp.array(owners, dtype=wp.int32)
     return self._fixed[key]
 
@@ -49,17 +52,12 @@ class RayScene(Stage):
     They are for geoms that move, or that were moved. A geom may have another mesh in some worlds, so rays that see one
     geom of a kind need all surfaces of the kind; handles are zero if no geom in `geoms` is of the kind.
     """
-    if not (self.model.geom_type[geoms] == kind).any():
+    if not (self.stage.model.geom_type[geoms] == kind).any():
       return wp.zeros(count, dtype=wp.uint64)
     if kind not in self._surfaces:
-      trees = [_tree(*surface_of(self.model, number)) for number in range(count)]
+      trees = [_tree(*surface_of(self.stage.model, number)) for number in range(count)]
       self._surfaces[kind] = trees, wp.array([tree.id for tree in trees], dtype=wp.uint64)
     return self._surfaces[kind][1]
-
-  def clear(self) -> None:
-    """Release the trees."""
-    self._fixed.clear()
-    self._surfaces.clear()
 
 
 def _tree(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> wp.Mesh:
@@ -74,9 +72,9 @@ class WarpRayCaster:
   Where one of the fixed geoms is not where the compiled model has it, all geoms are searched one by one.
   """
 
-  def __init__(self, scene: RayScene, name: str, targets: RayTargets, max_distance: float) -> None:
-    self._scene, self._name = scene, name
-    model, num_envs, num_rays = scene.model, scene.num_envs, len(targets.exclude)
+  def __init__(self, scene: RayScene, name: str, targets: RayTargets, max_distance: float, *, geomid: bool) -> None:
+    self._stage, self._name = scene.stage, name
+    model, shape = scene.stage.model, (scene.stage.num_envs, len(targets.exclude))
     # Python's infinity would make Warp's comparisons with a miss ambiguous.
     self._max_distance = min(max_distance, mujoco.mjMAXVAL)
     if not internals.IS_TESTED and (targets.exclude != targets.bodyexclude).any():
@@ -85,7 +83,7 @@ class WarpRayCaster:
       )
     groups = targets.geomgroup
     self._groups: Any = [-1.0] * 6 if groups is None else [float(group) for group in groups]
-    with wp.ScopedDevice(scene.device):
+    with wp.ScopedDevice(self._stage.device):
       self._fixed, self._fixed_geom = scene.triangles(targets.fixed)
       every = np.concatenate((targets.fixed, targets.others))
       self._meshes = scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, mesh_surface, every)
@@ -95,44 +93,33 @@ class WarpRayCaster:
       self._owner: Any = wp.array(targets.owner, dtype=wp.int32)
       self._exclude: Any = wp.array(targets.exclude, dtype=wp.int32)
       self._bodyexclude: Any = wp.array(targets.bodyexclude, dtype=wp.int32)
-      self._origins: Any = wp.zeros((num_envs, num_rays), dtype=wp.vec3)
-      self._directions: Any = wp.zeros((num_envs, num_rays), dtype=wp.vec3)
-      self._distance: Any = wp.full((num_envs, num_rays), -1.0, dtype=wp.float32)
-      self._geomid: Any = wp.full((num_envs, num_rays), -1, dtype=wp.int32)
-      self._normal: Any = wp.zeros((num_envs, num_rays), dtype=wp.vec3)
+      self._origins: Any = wp.zeros(shape, dtype=wp.vec3)
+      self._directions: Any = wp.zeros(shape, dtype=wp.vec3)
+      distance, ids = wp.full(shape, -1.0, dtype=wp.float32), wp.full(shape, -1, dtype=wp.int32)
+      normal: Any = wp.zeros(shape, dtype=wp.vec3)
+    self._outputs: Any = [distance, ids, normal]
+    self.origins, self.directions = wp.to_torch(self._origins), wp.to_torch(self._directions)
+    found, geoms, normals = map(wp.to_torch, self._outputs)
+    self.hits = RayHits(distance=found, geomid=geoms if geomid else None, normal=normals)
 
-  def rays(self, *, geomid: bool) -> EngineRays:
-    """Return the memory of the caster, and its function."""
-    return EngineRays(
-      origins=wp.to_torch(self._origins),
-      directions=wp.to_torch(self._directions),
-      hits=RayHits(
-        distance=wp.to_torch(self._distance),
-        geomid=wp.to_torch(self._geomid) if geomid else None,
-        normal=wp.to_torch(self._normal),
-      ),
-      cast=self._cast,
-    )
-
-  def _cast(self, is_in_place: bool) -> None:
+  def cast(self, is_in_place: bool) -> None:
     if not internals.IS_TESTED:
-      self._scene.run(f"{self._name} public", self._search_public)
+      self._stage.run(f"{self._name} public", self._search_public)
     elif is_in_place:
-      self._scene.run(self._name, lambda: self._search(self._fixed, self._others))
+      self._stage.run(self._name, lambda: self._search(self._fixed, self._others))
     else:
-      self._scene.run(f"{self._name} one by one", lambda: self._search(None, self._every))
+      self._stage.run(f"{self._name} one by one", lambda: self._search(None, self._every))
 
   def _search_public(self) -> None:
-    scene = self._scene
-    outputs = [self._distance, self._geomid, self._normal]
-    mjw.rays(scene.m, scene.d, self._origins, self._directions, self._groups, True, self._bodyexclude, *outputs)
-    wp.launch(kernels.drop_far_hits, dim=self._distance.shape, inputs=[self._max_distance, *outputs])
+    m, d = self._stage.m, self._stage.d
+    mjw.rays(m, d, self._origins, self._directions, self._groups, True, self._bodyexclude, *self._outputs)
+    wp.launch(kernels.drop_far_hits, dim=self._origins.shape, inputs=[self._max_distance, *self._outputs])
 
   def _search(self, fixed: wp.Mesh | None, others: Any) -> None:
-    m, d = self._scene.m, self._scene.d
+    m, d = self._stage.m, self._stage.d
     wp.launch(
       kernels.cast_rays,
-      dim=self._distance.shape,
+      dim=self._origins.shape,
       inputs=[
         wp.uint64(0 if fixed is None else fixed.id),
         *(self._fixed_geom, others),
@@ -140,6 +127,6 @@ class WarpRayCaster:
         *(self._meshes, self._hfields, self._owner, self._exclude, self._max_distance),
         *(self._origins, self._directions),
       ],
-      outputs=[self._distance, self._geomid, self._normal],
-      device=self._scene.device,
+      outputs=self._outputs,
+      device=self._stage.device,
     )

@@ -1,8 +1,7 @@
 """MuJoCo Warp's batch renderer, for both engines: one ray a pixel, in all worlds at once."""
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,20 +20,21 @@ _PER_VIEW = ("cam_res", "cam_id_map", "rgb_adr", "depth_adr", "seg_adr", "render
 """Arrays of a render context that have one entry for each view."""
 
 
-@dataclass
-class DrawnStage(Stage):
-  """Stage that is drawn."""
+class Renderers:
+  """Views of one stage.
 
-  refresh: Callable[[], None]
-  """Brings `m` and `d` up to date."""
+  Args:
+    stage: Worlds that are drawn.
+  """
 
-  def __post_init__(self) -> None:
+  def __init__(self, stage: Stage) -> None:
+    self._stage = stage
     self._scenes: dict[Look, _Scene] = {}
 
-  def renderer(self, view: View) -> EngineImages:
+  def add(self, view: View) -> EngineImages:
     """Return images of a view, and the function that draws them."""
-    scene = self._scenes.setdefault(view.look, _Scene(self, view.look))
-    renderer = WarpRenderer(self, scene, view)
+    scene = self._scenes.setdefault(view.look, _Scene(self._stage, view.look))
+    renderer = WarpRenderer(self._stage, scene, view)
     return EngineImages(images=renderer.images, draw=renderer.draw)
 
 
@@ -46,7 +46,7 @@ class _Scene:
   name = ""
   """Another one whenever contexts are made: what was recorded with the old ones is not for them."""
 
-  def __init__(self, stage: DrawnStage, look: Look) -> None:
+  def __init__(self, stage: Stage, look: Look) -> None:
     self._stage, self._look = stage, look
     self._views: list[View] = []
     self._contexts: list[Any] = []
@@ -108,7 +108,7 @@ class _Scene:
 class WarpRenderer:
   """One view of a stage."""
 
-  def __init__(self, stage: DrawnStage, scene: _Scene, view: View) -> None:
+  def __init__(self, stage: Stage, scene: _Scene, view: View) -> None:
     self._stage, self._scene, self._view = stage, scene, view
     self._number = scene.add(view)
     worlds, pixels = stage.num_envs, view.width * view.height

@@ -50,3 +50,11 @@ def filled(struct: Any, m: mjw.Model, d: mjw.Data, **own: Any) -> Any:
       value = next(getattr(owner, name) for owner in (m, d, m.opt) if hasattr(owner, name))
     setattr(values, name, value)
   return values
+
+
+def allocated(struct: Any, **shapes: int | tuple[int, int]) -> Any:
+  """Return a struct with arrays of zeros of these shapes; other fields are left as they are."""
+  values = struct()
+  for name, shape in shapes.items():
+    setattr(values, name, wp.zeros(shape, dtype=struct.vars[name].type.dtype))
+  return values
