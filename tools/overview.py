@@ -97,7 +97,7 @@ def _of_iteration(text: str) -> float:
 def _of_learner(text: str) -> float:
   """Return the median of the seeds' times; a seed that did not get there counts as the longest."""
   targets = [row["target [s]"] for row in _columns(text) if (row["task"], row["learner"]) == ("G1 flat", "FastSAC")]
-  return statistics.median_low(float(word) if word.isdigit() else float("inf") for word in targets)
+  return statistics.median(float(word) if word.isdigit() else float("inf") for word in targets)
 
 
 def draw(found: Sequence[Figure]) -> None:

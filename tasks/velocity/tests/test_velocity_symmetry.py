@@ -99,7 +99,8 @@ def test_a_term_without_a_mirror_image_is_named() -> None:
 
 
 @pytest.mark.parametrize("task", [g1_flat, g1_rough, g1_flat_blind, g1_rough_blind])
-def test_fastsac_of_the_g1_learns_from_mirror_images(task: Any) -> None:
+def test_fastsac_of_the_g1_learns_from_mirror_images_and_three_rewards(task: Any) -> None:
   agent = cast("OffPolicyRunnerCfg", task().agents["fastsac"])
   assert agent.algorithm.symmetry is left_right
+  assert agent.algorithm.n_step == 3
   assert agent.experiment_name.removesuffix("_fastsac") == task().agent.experiment_name
