@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import mujoco
-import numpy as np
 import torch
 from mjlab_actuators import ActuatorSet, Transmission
 from mjlab_core import Stateful, as_index, fill_, select, where_
@@ -58,8 +56,10 @@ class Actuation(Stateful):
     """Effort targets, (num_envs, num_joint_vel + num_tendons + num_sites) [N m or N]."""
     if actuators is not None:
       self._build(actuators, indexing, prefix, rng)
-    start = _start(sim.mj_model, indexing, initial, actuators)
-    self._default = torch.tensor(start[None], dtype=sim.dtype, device=sim.device)
+    start = [x for name in names["joint"] for x in initial.joint_pos[name]]
+    start += [initial.tendon_len[name] for name in names["tendon"]]
+    start += [initial.site_pos.get(name, 0.0) for name in names["site"]]
+    self._default = torch.tensor([start], dtype=sim.dtype, device=sim.device)
     # A list, because an attribute of a Stateful object is checked whenever it is assigned.
     self._written: list[int] = []
     self.position.copy_(self._default)
@@ -152,23 +152,3 @@ class Actuation(Stateful):
     lengths = (position, select(data.ten_length, self._tendons), select(data.actuator_length, outputs))
     rates = (velocity, select(data.ten_velocity, self._tendons), select(data.actuator_velocity, outputs))
     return torch.cat(lengths, dim=1), torch.cat(rates, dim=1)
-
-
-def _start(
-  model: mujoco.MjModel, indexing: EntityIndexing, initial: InitialState, actuators: ActuatorSet | None
-) -> np.ndarray:
-  """Return the position targets of the initial state: of joints, tendons, and sites that are driven."""
-  names = indexing.names
-  joints = [x for name in names["joint"] for x in initial.joint_pos[name]]
-  lengths, positions = np.zeros(len(names["tendon"])), np.zeros(len(names["site"]))
-  if actuators is not None and (actuators.driven("tendon") or actuators.driven("site")):
-    start = mujoco.MjData(model)
-    if indexing.root_q is not None:
-      start.qpos[indexing.root_q] = initial.root_pose
-    start.qpos[[column for columns in indexing.qpos_of_joint for column in columns]] = joints
-    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
-      stage(model, start)
-    lengths = start.ten_length[indexing.ids["tendon"]]
-    for name, output in zip(actuators.driven("site"), actuators.site_outputs, strict=True):
-      positions[names["site"].index(name)] = start.actuator_length[output]
-  return np.concatenate((joints, lengths, positions))

@@ -96,20 +96,21 @@ class EntitySpec:
     root = _find_root(spec, self.owner)
     self.is_floating = root is not None and _floats(root)
     """True if the base has a free joint."""
-    self.is_mocap = root is not None and root.mocap and not self.is_floating
+    self.is_mocap = root is not None and not self.is_floating
     """True if the model itself makes the root a mocap body."""
-    own_root = root if self.is_floating or self.is_mocap else None
-    self.root_body_name: str = MOCAP_BASE if own_root is None else own_root.name
+    self.root_body_name: str = MOCAP_BASE if root is None else root.name
     """Name of the body that `root_*` quantities and writes are about."""
     apply_edits(spec, edits, self.owner)
     apply_collisions(spec, collisions, self.owner)
     if actuators is not None:
       actuators.edit_spec(spec)
       name_everything(spec)
-    self.initial_state: InitialState = read_initial_state(spec, init_state, own_root, self.is_floating, self.owner)
+    self.initial_state: InitialState = read_initial_state(
+      spec, init_state, self.root_body_name, root is not None, self.owner
+    )
     """State that the entity is reset to, by local name."""
     names = {kind: _spec_names(spec, kind) for kind in KINDS}
-    if own_root is None:
+    if root is None:
       names["body"] = (MOCAP_BASE, *names["body"])
     self._set_names(names)
 

@@ -1,8 +1,8 @@
 """State that an entity starts in: configured, read from its spec, and joined to the keyframe of a scene."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ INIT_STATE = "init_state"
 """Name of the scene's keyframe."""
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
-_ORIGIN = (0.0, 0.0, 0.0, *_IDENTITY)
+_FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 @dataclass(kw_only=True)
@@ -38,13 +38,15 @@ class InitialStateCfg(Config):
   """Joint velocities by pattern [rad/s or m/s], three numbers for a ball joint."""
   ctrl: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
   """Controls of the scene's keyframe by actuator pattern, one number per input; an input that is a position defaults to
-  the joint's initial position."""
+  the initial position of its target."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InitialState:
   """State that an entity starts in, by local name, so that it does not depend on what else is in the scene."""
 
+  root: str
+  """Name of the root body."""
   root_pose: np.ndarray
   """Position and unit quaternion of the root body, relative to the world's origin, (7,) [m, 1]."""
   root_velocity: np.ndarray
@@ -53,139 +55,139 @@ class InitialState:
   """Position of each joint but the free one, (1,) [rad or m] or a unit quaternion (4,)."""
   joint_vel: dict[str, np.ndarray]
   """Velocity of each joint but the free one, (1,) or (3,) [rad/s or m/s]."""
-  ctrl: dict[str, tuple[float, ...]]
-  """Control of each actuator in the scene's keyframe."""
+  tendon_len: dict[str, float]
+  """Length of each tendon [m or rad]."""
+  site_pos: dict[str, float]
+  """Position along its gear of each site that an actuator acts on [m or rad]."""
+  ctrl: dict[str, np.ndarray]
+  """Control of each actuator in the scene's keyframe, one number per input."""
 
 
 def read_initial_state(
-  spec: mujoco.MjSpec, cfg: InitialStateCfg, root: mujoco.MjsBody | None, floating: bool, owner: str
+  spec: mujoco.MjSpec, cfg: InitialStateCfg, root: str, has_root: bool, owner: str
 ) -> InitialState:
-  """Return the initial state of the entity that `spec` describes.
+  """Return the initial state of the entity that `spec` describes: its reference or keyframe, changed by `cfg`.
 
   Args:
     spec: The entity alone, every element named.
     cfg: Overrides what the spec says.
-    root: The entity's own root body; None for a fixed base, which has none.
-    floating: True if `root` has a free joint.
+    root: Name of the root body.
+    has_root: True if the spec has this body, with a free joint or as mocap body; False for a fixed base.
     owner: Beginning of error messages.
 
   Raises:
-    MjlabError: A pattern matches nothing, a value has the wrong size, a quaternion is zero, a position is outside the
-      limits of its joint, a velocity is given for a base that does not float, or `joint_pos` is None and the spec has
-      no keyframe.
+    MjlabError: The spec cannot be compiled, a pattern matches nothing, a value has the wrong size, a quaternion is
+      zero, a position is outside the limits of its joint, a velocity is given for a base that does not float, or
+      `joint_pos` is None and the spec has no keyframe.
   """
   check_fields(cfg, owner)
-  state = _reference_state(spec, root)
-  _place_joints(spec, cfg, floating, state, owner)
-  _place_root(cfg, floating, state, owner)
-  _set_controls(spec, cfg, state, owner)
-  return state
-
-
-def _reference_state(spec: mujoco.MjSpec, root: mujoco.MjsBody | None) -> InitialState:
-  """Return what the model itself says, at rest."""
-  joints = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+  model, data, holds_ctrl = _compiled(spec, cfg.joint_pos is None, owner)
+  joints = {model.joint(i).name: data.joint(i) for i in range(model.njnt) if model.jnt_type[i] != _FREE}
+  positions = {name: joint.qpos for name, joint in joints.items()}
+  moved = _set(positions, cfg.joint_pos or {}, "joint", f"{owner}, joint_pos")
+  _check_limits(model, {name: positions[name] for name in moved}, owner)
+  for name, position in positions.items():
+    if position.size == 4:
+      position[:] = _unit(position, f"{owner}, joint_pos of '{name}'")
+  _set({name: joint.qvel for name, joint in joints.items()}, cfg.joint_vel, "joint", f"{owner}, joint_vel")
+  pose, velocity = _place_root(model, data, cfg, model.body(root).id if has_root else 0, owner)
+  for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
+    stage(model, data)
+  lengths = data.actuator_length[model.actuator_outadr]
+  ctrl: dict[str, np.ndarray] = {}
+  for i, length in enumerate(lengths):
+    start = model.actuator_ctrladr[i]
+    inputs = ctrl[model.actuator(i).name] = data.ctrl[start : start + model.actuator_ctrlnum[i]]
+    if not holds_ctrl:
+      inputs[:] = [length if field == "position_target" else 0.0 for field in command_fields_of(model, i)] or 0.0
+  _set(ctrl, cfg.ctrl, "actuator", f"{owner}, ctrl")
+  at_site = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE)
   return InitialState(
-    root_pose=np.array(_ORIGIN) if root is None else _placed(spec, root),
-    root_velocity=np.zeros(6),
-    joint_pos={joint.name: _reference(joint, spec.compiler.degree) for joint in joints},
-    joint_vel={joint.name: np.zeros(_widths(joint)[1]) for joint in joints},
-    ctrl={},
+    root=root,
+    root_pose=pose,
+    root_velocity=velocity,
+    joint_pos={name: joint.qpos.copy() for name, joint in joints.items()},
+    joint_vel={name: joint.qvel.copy() for name, joint in joints.items()},
+    tendon_len={model.tendon(i).name: float(length) for i, length in enumerate(data.ten_length)},
+    site_pos={model.site(model.actuator_trnid[i, 0]).name: float(lengths[i]) for i in at_site},
+    ctrl={name: inputs.copy() for name, inputs in ctrl.items()},
   )
 
 
-def _place_joints(spec: mujoco.MjSpec, cfg: InitialStateCfg, floating: bool, state: InitialState, owner: str) -> None:
-  """Overwrite joints with the keyframe or the configured values, which must be within limits."""
-  if cfg.joint_pos is None:
-    if not spec.keys:
-      raise MjlabError(f"{owner}: joint_pos=None takes the model's keyframe, but the model has none")
-    _read_key(spec, spec.keys[0], floating, state, owner)
-  else:
-    named = _set_joints(state.joint_pos, cfg.joint_pos, owner, "joint_pos")
-    given = [joint for joint in spec.joints if joint.name in named]
-    if problems := list(_limit_problems(given, state, spec.compiler.degree)):
-      raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
-  for name, value in state.joint_pos.items():
-    if value.size == 4:
-      state.joint_pos[name] = _unit(value, f"{owner}, joint_pos of '{name}'")
-  _set_joints(state.joint_vel, cfg.joint_vel, owner, "joint_vel")
+def _compiled(spec: mujoco.MjSpec, with_key: bool, owner: str) -> tuple[mujoco.MjModel, mujoco.MjData, bool]:
+  """Return the entity alone at its reference or its first keyframe, and True if that has the controls."""
+  if with_key and not spec.keys:
+    raise MjlabError(f"{owner}: joint_pos=None takes the model's keyframe, but the model has none")
+  alone = spec.copy()
+  for key in list(alone.keys)[int(with_key) :]:
+    alone.delete(key)
+  ctrl: list[float] = []
+  for key in alone.keys:
+    # The keyframe of a model does not know the actuators that configs add.
+    ctrl, key.ctrl, key.act = list(key.ctrl), [], []
+  try:
+    model = alone.compile()
+  except ValueError as error:
+    raise MjlabError(f"{owner}: its model cannot be made: {error}") from error
+  data = mujoco.MjData(model)
+  if with_key:
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+  holds_ctrl = with_key and len(ctrl) == model.nu
+  if holds_ctrl:
+    data.ctrl[:] = ctrl
+  return model, data, holds_ctrl
 
 
-def _place_root(cfg: InitialStateCfg, floating: bool, state: InitialState, owner: str) -> None:
-  """Overwrite pose and velocity of the root with configured ones."""
-  if cfg.pos is not None:
-    state.root_pose[:3] = cfg.pos
-  if cfg.rot is not None:
-    state.root_pose[3:] = cfg.rot
-  state.root_pose[3:] = _unit(state.root_pose[3:], f"{owner}, rot")
-  velocity = [*cfg.lin_vel, *cfg.ang_vel]
-  if any(velocity):
-    if not floating:
-      raise MjlabError(f"{owner}: lin_vel and ang_vel need a floating base; this one has no free joint")
-    state.root_velocity[:] = velocity
-
-
-def _set_controls(spec: mujoco.MjSpec, cfg: InitialStateCfg, state: InitialState, owner: str) -> None:
-  """Overwrite controls with configured ones; those that no keyframe gave hold the joints where they are."""
-  for actuator in spec.actuators:
-    state.ctrl.setdefault(actuator.name, _resting_ctrl(actuator, state.joint_pos))
-  _, names, values = match_values(cfg.ctrl, list(state.ctrl), what="actuator", owner=owner)
-  for name, value in zip(names, values, strict=True):
-    state.ctrl[name] = tuple(_sized(value, len(state.ctrl[name]), f"{owner}, ctrl of '{name}'"))
-
-
-def _widths(joint: mujoco.MjsJoint) -> tuple[int, int]:
-  """Return the numbers of a joint in qpos and in qvel."""
-  return {mujoco.mjtJoint.mjJNT_FREE: (7, 6), mujoco.mjtJoint.mjJNT_BALL: (4, 3)}.get(joint.type, (1, 1))
-
-
-def _set_joints(
-  state: dict[str, np.ndarray], values: Mapping[str, float | tuple[float, ...]], owner: str, field: str
-) -> list[str]:
-  """Overwrite `state` with `values` by pattern and return the names that they match."""
-  _, names, matched = match_values(values, list(state), what="joint", owner=owner)
+def _set(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], what: str, where: str) -> list[str]:
+  """Overwrite arrays with values by pattern, and return the names that they match."""
+  owner, _, field = where.rpartition(", ")
+  _, names, matched = match_values(values, list(arrays), what=what, owner=owner)
   for name, value in zip(names, matched, strict=True):
-    state[name] = _sized(value, state[name].size, f"{owner}, {field} of '{name}'")
+    numbers, size = np.atleast_1d(np.asarray(value, dtype=np.float64)), arrays[name].size
+    if numbers.shape != (size,):
+      wanted = "a quaternion (w, x, y, z)" if size == 4 else f"of length {size}"
+      raise MjlabError(f"{where} of '{name}': {value!r} must be {wanted}")
+    check_value(f"{where} of '{name}'", tuple(numbers.tolist()), tuple[Finite, ...])
+    arrays[name][:] = numbers
   return names
 
 
-def _placed(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> np.ndarray:
-  """Return the pose in the world of a body on top level, through the frames around it, (7,)."""
-  pose = np.array(_ORIGIN)
-  element: mujoco.MjsBody | mujoco.MjsFrame | None = body
-  while element is not None:
-    quat = np.array(element.quat)
-    if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-      quat = np.array(
-        spec.resolve_orientation(
-          degree=bool(spec.compiler.degree), sequence=spec.compiler.eulerseq, orientation=element.alt
-        )
-      )
-    pos, rot = np.zeros(3), np.zeros(4)
-    mujoco.mju_mulPose(pos, rot, np.array(element.pos), quat, pose[:3], pose[3:])
-    pose[:3], pose[3:] = pos, rot
-    element = element.frame
-  return pose
+def _check_limits(model: mujoco.MjModel, positions: Mapping[str, np.ndarray], owner: str) -> None:
+  problems = []
+  for name, position in positions.items():
+    joint = model.joint(name)
+    low, high = joint.range
+    if model.jnt_limited[joint.id] and position.size == 1 and not low - 1e-6 <= position[0] <= high + 1e-6:
+      problems.append(f"{owner}: initial position {position[0]:g} of joint '{name}' is outside [{low:g}, {high:g}]")
+  if problems:
+    raise ConfigError(*problems)
 
 
-def _reference(joint: mujoco.MjsJoint, degree: bool) -> np.ndarray:
-  if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-    return np.array(_IDENTITY)
-  return np.array([joint.ref * _radians(joint, degree)])
-
-
-def _radians(joint: mujoco.MjsJoint, degree: bool) -> float:
-  # A spec holds what the file says; the compiler converts degrees later.
-  return math.pi / 180 if degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
-
-
-def _sized(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
-  numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
-  if numbers.shape != (size,):
-    wanted = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "a quaternion (w, x, y, z)"}[size]
-    raise MjlabError(f"{where}: {value!r} must be {wanted}")
-  check_value(where, tuple(numbers.tolist()), tuple[Finite, ...])
-  return numbers
+def _place_root(
+  model: mujoco.MjModel, data: mujoco.MjData, cfg: InitialStateCfg, body: int, owner: str
+) -> tuple[np.ndarray, np.ndarray]:
+  """Put the root body where `cfg` says, and return its pose and its velocity; body 0 stands for a fixed base."""
+  mujoco.mj_kinematics(model, data)
+  pose, velocity = np.concatenate((data.xpos[body], data.xquat[body])), np.zeros(6)
+  free = data.joint(model.body_jntadr[body]) if model.body_jntnum[body] else None
+  if free is not None:
+    velocity[:3] = free.qvel[:3]
+    mujoco.mju_rotVecQuat(velocity[3:], free.qvel[3:], pose[3:])
+  if cfg.pos is not None:
+    pose[:3] = cfg.pos
+  if cfg.rot is not None:
+    pose[3:] = _unit(np.array(cfg.rot), f"{owner}, rot")
+  given = [*cfg.lin_vel, *cfg.ang_vel]
+  if free is not None:
+    free.qpos[:] = pose
+  elif body:
+    row = model.body_mocapid[body]
+    data.mocap_pos[row], data.mocap_quat[row] = pose[:3], pose[3:]
+  if any(given):
+    if free is None:
+      raise MjlabError(f"{owner}: lin_vel and ang_vel need a floating base; this one has no free joint")
+    velocity[:] = given
+  return pose, velocity
 
 
 def _unit(quaternion: np.ndarray, where: str) -> np.ndarray:
@@ -195,66 +197,7 @@ def _unit(quaternion: np.ndarray, where: str) -> np.ndarray:
   return quaternion / norm
 
 
-def _limit_problems(joints: Sequence[mujoco.MjsJoint], state: InitialState, degree: bool) -> Iterator[str]:
-  for joint in joints:
-    limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
-      joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and joint.range[0] != joint.range[1]
-    )
-    if not limited or joint.type == mujoco.mjtJoint.mjJNT_BALL:
-      continue
-    low, high = np.asarray(joint.range) * _radians(joint, degree)
-    value = state.joint_pos[joint.name][0]
-    if not low - 1e-6 <= value <= high + 1e-6:
-      yield f"initial position {value:g} of joint '{joint.name}' is outside [{low:g}, {high:g}]"
-
-
-def _num_inputs(actuator: mujoco.MjsActuator) -> int:
-  return max(1, len(command_fields_of(actuator)))
-
-
-def _resting_ctrl(actuator: mujoco.MjsActuator, joint_pos: Mapping[str, np.ndarray]) -> tuple[float, ...]:
-  """Return a number per input: where that is a position, the joint's times the gear, else zero."""
-  fields = command_fields_of(actuator) or ("effort_target",)
-  position = joint_pos.get(actuator.target) if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT else None
-  length = 0.0 if position is None or position.size != 1 else float(position[0] * actuator.gear[0])
-  return tuple(length if field == "position_target" else 0.0 for field in fields)
-
-
-def _read_key(spec: mujoco.MjSpec, key: mujoco.MjsKey, floating: bool, state: InitialState, owner: str) -> None:
-  """Overwrite `state` with a keyframe of the entity's model."""
-  nq, nv = (sum(numbers) for numbers in zip((0, 0), *map(_widths, spec.joints), strict=True))
-  for numbers, expected, what in ((key.qpos, nq, "qpos"), (key.qvel, nv, "qvel")):
-    if len(numbers) not in (0, expected):
-      raise MjlabError(f"{owner}: keyframe '{key.name}' has {len(numbers)} numbers in {what}, the model {expected}")
-  qpos, qvel = np.array(key.qpos), np.array(key.qvel)
-  for joint in spec.joints:
-    widths = _widths(joint)
-    (position, qpos), (velocity, qvel) = (np.split(of, [n]) for of, n in zip((qpos, qvel), widths, strict=True))
-    if joint.type != mujoco.mjtJoint.mjJNT_FREE:
-      if position.size:
-        state.joint_pos[joint.name] = position
-      if velocity.size:
-        state.joint_vel[joint.name] = velocity
-      continue
-    if position.size:
-      state.root_pose[:] = position
-    if velocity.size:
-      state.root_velocity[:3] = velocity[:3]
-      quat = state.root_pose[3:] / np.linalg.norm(state.root_pose[3:])
-      mujoco.mju_rotVecQuat(state.root_velocity[3:], velocity[3:], quat)
-  if not floating and any(body.mocap for body in spec.bodies):
-    if len(key.mpos):
-      state.root_pose[:3] = list(key.mpos)[:3]
-    if len(key.mquat):
-      state.root_pose[3:] = list(key.mquat)[:4]
-  inputs = [_num_inputs(actuator) for actuator in spec.actuators]
-  if len(key.ctrl) == sum(inputs):
-    numbers = iter(key.ctrl)
-    for actuator, count in zip(spec.actuators, inputs, strict=True):
-      state.ctrl[actuator.name] = tuple(float(next(numbers)) for _ in range(count))
-
-
-def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState], roots: Mapping[str, str]) -> None:
+def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState]) -> None:
   """Add the keyframe "init_state" to an assembled scene: every entity in its initial state, at the world's origin.
 
   Joints, mocap bodies and actuators outside of entities keep the model's reference and zero control.
@@ -262,51 +205,43 @@ def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState], root
   Args:
     spec: The scene; edited.
     states: Initial states by the prefix of the entity's names.
-    roots: Full name of the root body by the same prefix.
   """
-  qpos: list[float] = []
-  qvel: list[float] = []
+  key: dict[str, list[float]] = {name: [] for name in ("qpos", "qvel", "mpos", "mquat", "ctrl")}
+
+  def add(**numbers: Sequence[float] | np.ndarray) -> None:
+    for name, values in numbers.items():
+      key[name].extend(values)
+
   for joint in spec.joints:
-    prefix, state = _owner(joint.name, states)
-    if state is None:
-      is_free = joint.type == mujoco.mjtJoint.mjJNT_FREE
-      nq, nv = _widths(joint)
-      qpos.extend([*joint.parent.pos, *joint.parent.quat] if is_free else _IDENTITY if nq == 4 else [0.0])
-      qvel.extend([0.0] * nv)
-    elif joint.type == mujoco.mjtJoint.mjJNT_FREE:
-      qpos.extend(state.root_pose)
-      qvel.extend([*state.root_velocity[:3], *_into_body(state.root_pose[3:], state.root_velocity[3:])])
+    name, state = _state_of(joint.name, states)
+    if joint.type == _FREE and state is not None:
+      into_body, angular = np.zeros(4), np.zeros(3)
+      mujoco.mju_negQuat(into_body, state.root_pose[3:])
+      mujoco.mju_rotVecQuat(angular, state.root_velocity[3:], into_body)
+      add(qpos=state.root_pose, qvel=[*state.root_velocity[:3], *angular])
+    elif joint.type == _FREE:
+      add(qpos=[*joint.parent.pos, *joint.parent.quat], qvel=np.zeros(6))
+    elif state is not None:
+      add(qpos=state.joint_pos[name], qvel=state.joint_vel[name])
+    elif joint.type == mujoco.mjtJoint.mjJNT_BALL:
+      add(qpos=_IDENTITY, qvel=np.zeros(3))
     else:
-      name = joint.name.removeprefix(prefix)
-      qpos.extend(state.joint_pos[name])
-      qvel.extend(state.joint_vel[name])
-  mpos: list[float] = []
-  mquat: list[float] = []
+      add(qpos=[0.0], qvel=[0.0])
   for body in spec.bodies:
-    if not body.mocap:
-      continue
-    prefix, state = _owner(body.name, states)
-    is_root = state is not None and roots[prefix] == body.name
-    pose = state.root_pose if state is not None and is_root else [*body.pos, *body.quat]
-    mpos.extend(pose[:3])
-    mquat.extend(pose[3:])
-  ctrl: list[float] = []
+    if body.mocap:
+      name, state = _state_of(body.name, states)
+      is_root = state is not None and state.root == name
+      pose = state.root_pose if is_root else [*body.pos, *body.quat]
+      add(mpos=pose[:3], mquat=pose[3:])
   for actuator in spec.actuators:
-    prefix, state = _owner(actuator.name, states)
-    at_rest = (0.0,) * _num_inputs(actuator)
-    ctrl.extend(at_rest if state is None else state.ctrl[actuator.name.removeprefix(prefix)])
-  spec.add_key(name=INIT_STATE, qpos=qpos, qvel=qvel, mpos=mpos, mquat=mquat, ctrl=ctrl)
+    name, state = _state_of(actuator.name, states)
+    # An actuator has an input for each bit, or one if it has no bits.
+    add(ctrl=np.zeros(max(1, int(actuator.ctrlspec).bit_count())) if state is None else state.ctrl[name])
+  spec.add_key(name=INIT_STATE, **key)
 
 
-def _owner(name: str, states: Mapping[str, InitialState]) -> tuple[str, InitialState | None]:
-  for prefix, state in states.items():
-    if name.startswith(prefix):
-      return prefix, state
-  return "", None
-
-
-def _into_body(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-  inverse, rotated = np.zeros(4), np.zeros(3)
-  mujoco.mju_negQuat(inverse, quaternion)
-  mujoco.mju_rotVecQuat(rotated, vector, inverse)
-  return rotated
+def _state_of(name: str, states: Mapping[str, InitialState]) -> tuple[str, InitialState | None]:
+  """Return the local name of an element and the state of its entity, if it belongs to one."""
+  return next(
+    ((name.removeprefix(prefix), of) for prefix, of in states.items() if name.startswith(prefix)), (name, None)
+  )

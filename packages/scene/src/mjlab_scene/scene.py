@@ -33,7 +33,7 @@ from mjlab_scene.edits import SpecEdit, apply_edits
 from mjlab_scene.entity import Entity, EntityCfg
 from mjlab_scene.export import write_spec, zip_spec
 from mjlab_scene.initial_state import add_init_state
-from mjlab_scene.scene_spec import OptionMerger, new_scene_spec
+from mjlab_scene.scene_spec import merge_options, new_scene_spec
 from mjlab_scene.terrain_levels import TerrainLevels
 
 if TYPE_CHECKING:
@@ -126,24 +126,16 @@ class Scene(Stateful):
     # A body compiled as simple cannot get another centre of mass, joint anchor or joint axis.
     for body in self.spec.bodies[1:]:
       body.simple = False
-    by_prefix = {entity.prefix: entity for entity in self.entities.values()}
-    add_init_state(
-      self.spec,
-      {prefix: entity.initial_state for prefix, entity in by_prefix.items()},
-      {prefix: prefix + entity.root_body_name for prefix, entity in by_prefix.items()},
-    )
+    add_init_state(self.spec, {entity.prefix: entity.initial_state for entity in self.entities.values()})
 
   def _attach_entities(self) -> dict[str, Entity]:
-    options = OptionMerger(self.spec)
     entities: dict[str, Entity] = {}
     for name, cfg in self.cfg.entities.items():
       with self._part(name):
         entities[name] = cfg.build(name)
-    # Options of all first: an attached spec must agree with the scene when it comes in and when the scene is compiled.
-    for name, entity in entities.items():
-      options.adopt(entity.spec, f"entity '{name}'")
-    for name, entity in entities.items():
-      options.adopt(entity.spec, f"entity '{name}'")
+    # Before the first is attached: an attached spec must agree with the scene then, and when the scene is compiled.
+    merge_options(self.spec, {entity.owner: entity.spec for entity in entities.values()})
+    for entity in entities.values():
       entity.attach(self.spec)
     return entities
 

@@ -1,6 +1,6 @@
 """Spec of a scene: how it looks by default, and physics options merged from its parts."""
 
-from typing import Any
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -56,53 +56,31 @@ def new_scene_spec() -> mujoco.MjSpec:
   return spec
 
 
-class OptionMerger:
-  """Merger of the options of attached specs into those of their scene.
+def merge_options(scene: mujoco.MjSpec, parts: Mapping[str, mujoco.MjSpec]) -> None:
+  """Merge the options of parts, by name, into the scene's; then all agree in every option.
 
   MuJoCo does not propagate the options of an attached spec, and writes a warning where they differ. Here an option
-  that a part sets to other than MuJoCo's default becomes the scene's; two parts that set it differently are an error.
+  that a part sets to other than MuJoCo's default becomes the scene's.
+
+  Raises:
+    MjlabError: Two parts set the same option to different values; the message names both.
   """
-
-  def __init__(self, scene: mujoco.MjSpec) -> None:
-    self._scene = scene
-    self._default = mujoco.MjSpec().option
-    self._setter: dict[str, str] = {}
-
-  def adopt(self, part: mujoco.MjSpec, name: str) -> None:
-    """Merge the options of `part` into the scene's; then both agree in every option.
-
-    Raises:
-      MjlabError: `part` and another part set the same option to different values; the message names both.
-    """
-    for option in _OPTIONS:
-      mine = getattr(part.option, option)
-      if not _equal(mine, getattr(self._default, option)):
-        theirs = getattr(self._scene.option, option)
-        other = self._setter.get(option)
-        if other is not None and not _equal(mine, theirs):
-          raise MjlabError(
-            f"option '{option}': {name} says {_text(mine)} and {other} says {_text(theirs)}; "
-            "the worlds of a scene share their options, so set one of them to the other's value or to the default"
-          )
-        _assign(self._scene.option, option, mine)
-        self._setter[option] = name
-      _assign(part.option, option, getattr(self._scene.option, option))
-    for size in _SIZES:
-      largest = max(getattr(self._scene, size), getattr(part, size))
-      setattr(self._scene, size, largest)
-      setattr(part, size, largest)
-
-
-def _assign(option: Any, name: str, value: Any) -> None:
-  if np.ndim(value):
-    getattr(option, name)[:] = value
-  else:
-    setattr(option, name, value)
-
-
-def _equal(a: Any, b: Any) -> bool:
-  return bool(np.all(np.asarray(a) == np.asarray(b)))
-
-
-def _text(value: Any) -> str:
-  return str(np.asarray(value).tolist())
+  default, specs = mujoco.MjSpec().option, (scene, *parts.values())
+  for option in _OPTIONS:
+    value, setter = np.array(getattr(scene.option, option)), None
+    for name, part in parts.items():
+      given = np.array(getattr(part.option, option))
+      if np.array_equal(given, getattr(default, option)):
+        continue
+      if setter is not None and not np.array_equal(given, value):
+        raise MjlabError(
+          f"option '{option}': {name} says {given.tolist()} and {setter} says {value.tolist()}; "
+          "the worlds of a scene share their options, so set one of them to the other's value or to the default"
+        )
+      value, setter = given, name
+    for spec in specs:
+      setattr(spec.option, option, value if value.ndim else value.item())
+  for size in _SIZES:
+    largest = max(getattr(spec, size) for spec in specs)
+    for spec in specs:
+      setattr(spec, size, largest)
