@@ -177,7 +177,7 @@ def test_the_assignment_is_part_of_the_saved_state(make: Make) -> None:
     (
       "</worldbody>",
       '</worldbody><actuator><motor name="drive" joint="elbow"/></actuator>',
-      "variant 'long': actuator 'drive' cannot be part of a variant with joints; configure actuators in",
+      "variant 'long': actuator 'drive' cannot be part of a variant; configure actuators in",
     ),
   ],
 )

@@ -84,12 +84,12 @@ def read_initial_state(
   model, data, holds_ctrl = _compiled(spec, cfg.joint_pos is None, owner)
   joints = {model.joint(i).name: data.joint(i) for i in range(model.njnt) if model.jnt_type[i] != _FREE}
   positions = {name: joint.qpos for name, joint in joints.items()}
-  moved = _set(positions, cfg.joint_pos or {}, "joint", f"{owner}, joint_pos")
+  moved = _set(positions, cfg.joint_pos or {}, "joint", owner, "joint_pos")
   _check_limits(model, {name: positions[name] for name in moved}, owner)
   for name, position in positions.items():
     if position.size == 4:
       position[:] = _unit(position, f"{owner}, joint_pos of '{name}'")
-  _set({name: joint.qvel for name, joint in joints.items()}, cfg.joint_vel, "joint", f"{owner}, joint_vel")
+  _set({name: joint.qvel for name, joint in joints.items()}, cfg.joint_vel, "joint", owner, "joint_vel")
   pose, velocity = _place_root(model, data, cfg, model.body(root).id if has_root else 0, owner)
   for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
     stage(model, data)
@@ -100,7 +100,7 @@ def read_initial_state(
     inputs = ctrl[model.actuator(i).name] = data.ctrl[start : start + model.actuator_ctrlnum[i]]
     if not holds_ctrl:
       inputs[:] = [length if field == "position_target" else 0.0 for field in command_fields_of(model, i)] or 0.0
-  _set(ctrl, cfg.ctrl, "actuator", f"{owner}, ctrl")
+  _set(ctrl, cfg.ctrl, "actuator", owner, "ctrl")
   at_site = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE)
   return InitialState(
     root=root,
@@ -138,16 +138,16 @@ def _compiled(spec: mujoco.MjSpec, with_key: bool, owner: str) -> tuple[mujoco.M
   return model, data, holds_ctrl
 
 
-def _set(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], what: str, where: str) -> list[str]:
+def _set(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], what: str, owner: str, field: str) -> list[str]:
   """Overwrite arrays with values by pattern, and return the names that they match."""
-  owner, _, field = where.rpartition(", ")
   _, names, matched = match_values(values, list(arrays), what=what, owner=owner)
   for name, value in zip(names, matched, strict=True):
-    numbers, size = np.atleast_1d(np.asarray(value, dtype=np.float64)), arrays[name].size
+    where, size = f"{owner}, {field} of '{name}'", arrays[name].size
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if numbers.shape != (size,):
       wanted = "a quaternion (w, x, y, z)" if size == 4 else f"of length {size}"
-      raise MjlabError(f"{where} of '{name}': {value!r} must be {wanted}")
-    check_value(f"{where} of '{name}'", tuple(numbers.tolist()), tuple[Finite, ...])
+      raise MjlabError(f"{where}: {value!r} must be {wanted}")
+    check_value(where, tuple(numbers.tolist()), tuple[Finite, ...])
     arrays[name][:] = numbers
   return names
 
@@ -230,8 +230,7 @@ def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState]) -> N
   for body in spec.bodies:
     if body.mocap:
       name, state = _state_of(body.name, states)
-      is_root = state is not None and state.root == name
-      pose = state.root_pose if is_root else [*body.pos, *body.quat]
+      pose = state.root_pose if state is not None and state.root == name else [*body.pos, *body.quat]
       add(mpos=pose[:3], mquat=pose[3:])
   for actuator in spec.actuators:
     name, state = _state_of(actuator.name, states)
