@@ -11,6 +11,7 @@ import torch
 from mjlab_core.errors import MjlabError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import ManagerBase, SceneEntityCfg
+from mjlab_managers.binding import Term
 from mjlab_sensors import CameraSensorCfg
 
 WORLDS = 4
@@ -220,8 +221,9 @@ def test_a_changed_parameter_acts_or_is_refused() -> None:
     with ManagerBasedRlEnv(cfg, device="cpu") as env:
       sweep = Sweep(env)
       for part, manager in env.managers.items():
-        for name in list(manager._bound):
-          term = manager.term(name)
+        for name, term in list(manager._terms.items()):
+          if not isinstance(term, Term):
+            continue
           kind = getattr(term.cfg.func, "__name__", type(term.func).__name__)
           wanted = [param for param in term.given if found.get(f"{kind}.{param}", "silent") == "silent"]
           if wanted:

@@ -65,7 +65,7 @@ def test_mistakes_in_twelve_rooms_come_in_one_error(make: Make) -> None:
     "EventManager: term 'mass'",
     "CommandManager: term 'speed': resampling_time_range",
     "ActionManager: term 'legs'",
-    "TerminationManager: term 'fell': unknown parameter 'limit_angel'",
+    "TerminationManager: term 'fell': parameter 'limit_angel' does not exist. Nearest: limit_angle",
     "MetricsManager: term 'jerk': reduce 'median' does not exist",
     "RewardManager: term 'posture': missing parameter std",
     "ObservationManager: group 'empty': has no terms",

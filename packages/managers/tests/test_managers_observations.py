@@ -78,7 +78,6 @@ class TestOrder:
     assert manager.active_terms == {"g": ["b", "a"]}
     assert manager.group_obs_dim == {"g": (4,)}
     assert manager.group_obs_term_dim == {"g": [(3,), (1,)]}
-    assert manager.group_obs_concatenate == {"g": True}
 
 
 class TestNoise:
@@ -398,7 +397,7 @@ class TestEvaluation:
       ({"history_length": None}, "history_length must be a whole number, got None"),
       ({"noise": GaussianNoiseCfg(std=float("nan"))}, "std must be a number"),
       ({"noise": ConstantNoiseCfg(bias=float("inf"))}, "finite"),
-      ({"noise": 0.1}, "expected a NoiseCfg or a model of noise, got float 0.1"),
+      ({"noise": 0.1}, "expected a NoiseCfg or a NoiseModelCfg, got float 0.1"),
       ({"noise": UniformNoiseCfg(n_min=1.0, n_max=-1.0)}, "must not fall"),
       ({"noise": UniformNoiseCfg(n_min=(0.0,) * 3)}, "3 numbers for 2 components"),
       ({"noise": GaussianNoiseCfg(std=-1.0)}, "std must not be negative"),

@@ -33,7 +33,7 @@ def test_the_lift_rewards_grow_at_every_stage() -> None:
   place(env, site.numpy() + np.array([[0.3], [0.0], [0.3], [0.05], [0.0]]) * [1.0, 0.0, 0.0])
   env.reward_manager.compute()
   # Far from everything; holding it far from the goal; at neither but nearer; 5 cm from both; holding it there.
-  lift_, precise = env.reward_manager._finite.values[:, :2].T
+  lift_, precise = env.reward_manager._values[:, :2].T
   near, far = np.exp(-((0.05 / np.array([0.2, 0.3])) ** 2)), np.exp(-((0.3 / np.array([0.2, 0.3])) ** 2))
   expected = [far[0], 1.0, far[0] * (1 + far[1]), near[0] * (1 + near[1]), 2.0]
   assert lift_.tolist() == pytest.approx(expected, rel=1e-5)

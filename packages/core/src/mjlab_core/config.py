@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_core.names import unknown
 
 _EDITS = "put its configs into edits"
@@ -92,6 +93,8 @@ FORMER_FIELDS: dict[str, dict[str, str]] = {
 class Config:
   """Base of config dataclasses. An unknown keyword is an error that names the nearest field, or the one it became.
 
+  `lock` makes a config read-only.
+
   Raises:
     ConfigError: unknown keywords, all in one message.
   """
@@ -104,6 +107,51 @@ class Config:
       if wrong := [name for name in kwargs if known is not None and name not in known]:
         raise ConfigError(*(_problem(cls, name, known) for name in wrong))
       return super().__new__(cls)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+      advice, live = vars(self).get("_lock", ("", (name,)))
+      if name not in live:
+        raise MjlabError(advice)
+      super().__setattr__(name, value)
+
+  def __getstate__(self) -> dict[str, Any]:
+    """Return the attributes of a copy, which is not read-only."""
+    return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+
+class _LockedDict(dict[Any, Any]):
+  """Read-only dictionary. A copy of it is a plain dictionary."""
+
+  def __init__(self, items: dict[Any, Any], advice: str) -> None:
+    super().__init__({key: lock(value, advice) for key, value in items.items()})
+    self._advice = advice
+
+  def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+    raise MjlabError(self._advice)
+
+  __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse  # type: ignore[assignment]
+
+  def __reduce_ex__(self, protocol: Any, /) -> Any:
+    return dict, (dict(self),)
+
+
+def lock(value: Any, advice: str, live: frozenset[str] = frozenset()) -> Any:
+  """Return a read-only copy of a config, dictionary or list, also of those inside; any other value is returned itself.
+
+  Args:
+    value: the value. A read-only list is a tuple.
+    advice: text of the error for a change. It names the call that makes the change.
+    live: fields of the config that may still be assigned.
+  """
+  if type(value) is dict:
+    return _LockedDict(value, advice)
+  if type(value) is list:
+    return tuple(lock(item, advice) for item in value)
+  if not isinstance(value, Config) or "_lock" in vars(value):
+    return value
+  twin = copy.copy(value)
+  vars(twin).update({name: lock(item, advice) for name, item in vars(twin).items()}, _lock=(advice, live))
+  return twin
 
 
 def _problem(cls: type, name: str, known: tuple[str, ...]) -> str:

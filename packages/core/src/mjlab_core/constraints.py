@@ -191,20 +191,25 @@ def field_problems(cfg: Any) -> list[str]:
 
 @cache
 def field_hints(cls: type) -> dict[str, Any]:
-  """Return the annotations of fields that can be resolved.
-
-  Others, such as names that only type checkers import, are left out.
-  """
+  """Return the annotations of fields that can be resolved."""
   hints: dict[str, Any] = {}
   for base in reversed(cls.__mro__):
+    own = vars(base).get("__annotations__", {})
     # Code that was run without a module has only its own names.
     namespace = vars(sys.modules.get(base.__module__, builtins))
-    for name, hint in vars(base).get("__annotations__", {}).items():
-      hints.pop(name, None)
-      holder: Any = types.SimpleNamespace(__annotations__={name: hint})
-      with suppress(NameError, AttributeError, TypeError, SyntaxError):
-        hints |= get_type_hints(holder, namespace, dict(vars(base)), include_extras=True)
+    hints = {name: hint for name, hint in hints.items() if name not in own}
+    hints |= resolved_hints(own, namespace, dict(vars(base)))
   return hints
+
+
+def resolved_hints(hints: Mapping[str, Any], namespace: dict[str, Any], local: dict[str, Any]) -> dict[str, Any]:
+  """Return the annotations that can be resolved; others, such as names that only type checkers import, are left out."""
+  resolved: dict[str, Any] = {}
+  for name, hint in hints.items():
+    holder: Any = types.SimpleNamespace(__annotations__={name: hint})
+    with suppress(NameError, AttributeError, TypeError, SyntaxError):
+      resolved |= get_type_hints(holder, namespace, local, include_extras=True)
+  return resolved
 
 
 def _broken_rule(value: Any, hint: Any) -> str:

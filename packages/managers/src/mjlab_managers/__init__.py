@@ -29,7 +29,6 @@ from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
 from mjlab_managers.scene_entity import SceneEntityCfg
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.termination_manager import TerminationManager, TerminationTermCfg
-from mjlab_managers.vector_manager import LogBuffer
 
 __all__ = [
   "ActionManager",
@@ -47,7 +46,6 @@ __all__ = [
   "EventMode",
   "EventTermCfg",
   "GaussianNoiseCfg",
-  "LogBuffer",
   "ManagerBase",
   "ManagerEnv",
   "ManagerTermBase",

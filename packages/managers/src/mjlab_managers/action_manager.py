@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core import Config, Stateful, fill_
+from mjlab_core import Config, fill_
 from mjlab_core.tables import table
 
 from mjlab_managers.deployment import ActionTargets
 from mjlab_managers.manager import ManagerBase
+from mjlab_managers.term import ManagerTermBase
 from mjlab_managers.vector_manager import nan_if_zero
 
 
@@ -28,20 +29,19 @@ class ActionTermCfg(Config, ABC):
     """Return the term for an environment whose scene is initialised."""
 
 
-class ActionTerm(Stateful, ABC):
+class ActionTerm(ManagerTermBase, ABC):
   """Base of action terms.
 
   The manager calls `process_actions` once per step and `apply_actions` before every physics substep. Subclasses declare
   state by `self.state(...)` in `__init__`.
   """
 
-  name: str = ""
   # The manager's memory, where the raw action is saved.
   _raw_action: torch.Tensor
 
   def __init__(self, cfg: ActionTermCfg, env: Any) -> None:
-    self.cfg, self.env = cfg, env
-    self.num_envs, self.device = env.num_envs, env.device
+    super().__init__(env)
+    self.cfg = cfg
 
   @property
   @abstractmethod
@@ -69,34 +69,19 @@ class ActionTerm(Stateful, ABC):
   def apply_actions(self) -> None:
     """Write targets for the next physics substep. The default writes nothing: targets stay until they are replaced."""
 
-  def reset(self, mask: torch.Tensor) -> None:
-    """Begin new episodes in the worlds of `mask`, bool (N,). The default refills their declared state."""
-    self.refill(mask)
-
 
 class ActionManager(ManagerBase[ActionTermCfg]):
   """Manager that splits the action among its terms and keeps the last three raw actions."""
 
   cfg_type = ActionTermCfg
 
-  def _make(self) -> None:
-    self._terms: dict[str, ActionTerm] = {}
-    driver: dict[str, str] = {}
-    for name, cfg in list(self._cfgs.items()):
-      term = self._build(name, cfg)
-      if term is None:
-        self._drop(name)
-        continue
-      self._terms[name] = term
-      shared: dict[str, list[str]] = {}
-      for target in sorted(term.driven):
-        if target in driver:
-          shared.setdefault(driver[target], []).append(target)
-        driver.setdefault(target, name)
-      for other, targets in shared.items():
-        self._problem(f"terms '{other}' and '{name}' both drive {', '.join(targets)}.")
-    self._raise_problems()
+  def _mistake(self, term: ActionTerm) -> str:
+    for name, other in self._terms.items():
+      if shared := sorted(term.driven & other.driven):
+        return f"terms '{name}' and '{term.name}' both drive {', '.join(shared)}."
+    return ""
 
+  def _make(self) -> None:
     self._applied = {n: t for n, t in self._terms.items() if type(t).apply_actions is not ActionTerm.apply_actions}
     self.action_term_dim = [term.action_dim for term in self._terms.values()]
     self.total_action_dim = sum(self.action_term_dim)
@@ -128,7 +113,7 @@ class ActionManager(ManagerBase[ActionTermCfg]):
     Raises:
       UnknownNameError: no such term; the message lists the nearest names.
     """
-    return self._lookup(self._terms, name)
+    return self.term(name)
 
   def term_slices(self) -> dict[str, slice]:
     """Return the columns of each term in the action."""
@@ -160,13 +145,11 @@ class ActionManager(ManagerBase[ActionTermCfg]):
       with self._naming(name):
         term.apply_actions()
 
-  def rehearse(self) -> None:
-    for name, term in self._terms.items():
-      with self._trial(name, term):
-        term.process_actions(torch.zeros_like(term._raw_action))
-        term.apply_actions()
-        term.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
-    self._raise_problems()
+  def _rehearse(self, term: ActionTerm) -> None:
+    with self._trial(term):
+      term.process_actions(torch.zeros_like(term._raw_action))
+      term.apply_actions()
+      term.reset(self._everywhere)
 
   def reset(self, mask: torch.Tensor) -> None:
     """Set the action history of the worlds in `mask`, bool (N,), to zero, and reset the terms there."""

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core import Config, NonNegativeRange, Stateful, call_where, fill_, uniform, where_
+from mjlab_core import Config, NonNegativeRange, call_where, fill_, uniform, where_
 from mjlab_core.tables import table
 
+from mjlab_managers.binding import placed
 from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.manager import ManagerBase
+from mjlab_managers.term import ManagerTermBase
 from mjlab_managers.vector_manager import LogBuffer
 
 # Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.
@@ -47,17 +49,15 @@ class Metrics(dict[str, torch.Tensor]):
       mine.copy_(value)
 
 
-class CommandTerm(Stateful, ABC):
+class CommandTerm(ManagerTermBase, ABC):
   """Base of command terms.
 
   Subclasses declare state and metrics in `__init__`: `self.state(...)` and `self.metrics["error"] = torch.zeros(...)`.
   """
 
-  name: str = ""
-
   def __init__(self, cfg: CommandTermCfg, env: Any) -> None:
-    self.cfg, self.env = cfg, env
-    self.num_envs, self.device = env.num_envs, env.device
+    super().__init__(env)
+    self.cfg = cfg
     self.metrics = Metrics()
     self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
     # The manager resets both.
@@ -82,10 +82,6 @@ class CommandTerm(Stateful, ABC):
 
   def update_metrics(self) -> None:
     """Add this step to `metrics`."""
-
-  def reset(self, mask: torch.Tensor) -> None:
-    """Begin new episodes in the worlds of `mask`, bool (N,), before `resample`. The default refills their state."""
-    self.refill(mask)
 
   def log_values(self) -> dict[str, torch.Tensor]:
     """Return further values to log, 0-d tensors by name. Called once per log interval; the names must not change."""
@@ -141,51 +137,37 @@ class CommandManager(ManagerBase[CommandTermCfg]):
 
   cfg_type = CommandTermCfg
 
-  def _make(self) -> None:
-    self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-    """Worlds that do not advance in the current `compute`, bool (N,)."""
-    self._none = self.fresh
-    self._terms: dict[str, CommandTerm] = {}
-    log_names: list[str] = []
-    for name, cfg in list(self._cfgs.items()):
-      term = self._build(name, cfg)
-      if term is None or not (self._check_command(name, term) and self._lay_out_metrics(name, term)):
-        self._drop(name)
-        continue
-      self._terms[name] = term
-      log_names += [f"Metrics/{name}/{metric}" for metric in term.metrics]
-    self._log = LogBuffer(log_names, self.device)
-
-  def rehearse(self) -> None:
-    everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-    for name, term in self._terms.items():
-      with self._trial(name, term, "a trial step"):
-        term.reset(everywhere)
-        term.resample(everywhere)
-        term.update_metrics()
-        term.update()
-        term.log_values()
-    self._raise_problems()
-
-  def _check_command(self, name: str, term: CommandTerm) -> bool:
+  def _mistake(self, term: CommandTerm) -> str:
     def fits(command: torch.Tensor) -> bool:
       return command.dim() >= 2 and command.shape[0] == self.num_envs
 
-    with self._noting(name, "while reading its command"):
-      return self._check_tensor(name, term.command, f"a command of shape ({self.num_envs}, d)", fits)
-    return False
-
-  def _lay_out_metrics(self, name: str, term: CommandTerm) -> bool:
+    with placed("while reading its command"):
+      if misfit := self._misfit(term.command, f"a command of shape ({self.num_envs}, d)", fits):
+        return misfit
     for metric, value in term.metrics.items():
       if value.shape != (self.num_envs,):
-        self._problem(f"term '{name}': metric '{metric}' must be ({self.num_envs},), is {tuple(value.shape)}.")
-        return False
+        return f"metric '{metric}' must be ({self.num_envs},), is {tuple(value.shape)}."
     if term.metrics:
       # One block per term: one operation to log it, one to reset it.
       term._metric_values = term.state_of(torch.stack(list(term.metrics.values()), dim=1))
       for column, metric in enumerate(term.metrics):
         dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
-    return True
+    return ""
+
+  def _make(self) -> None:
+    self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+    """Worlds that do not advance in the current `compute`, bool (N,)."""
+    self._none = self.fresh
+    names = [f"Metrics/{name}/{metric}" for name, term in self._terms.items() for metric in term.metrics]
+    self._log = LogBuffer(names, self.device)
+
+  def _rehearse(self, term: CommandTerm) -> None:
+    with self._trial(term):
+      term.reset(self._everywhere)
+      term.resample(self._everywhere)
+      term.update_metrics()
+      term.update()
+      term.log_values()
 
   def get_term(self, name: str) -> CommandTerm:
     """Return a term.
@@ -193,7 +175,7 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     Raises:
       UnknownNameError: no such term; the message lists the nearest names.
     """
-    return self._lookup(self._terms, name)
+    return self.term(name)
 
   def get_command(self, name: str) -> torch.Tensor:
     """Return the command of a term, (N, d).
@@ -201,7 +183,7 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     Raises:
       UnknownNameError: no such term; the message lists the nearest names.
     """
-    return self._lookup(self._terms, name).command
+    return self.term(name).command
 
   def compute(self, dt: float, fresh: torch.Tensor | None = None) -> None:
     """Advance all commands by `dt`: metrics, timers, draws for expired timers, updates.

@@ -47,64 +47,53 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     problems: list[str] | None = None,
   ) -> None:
     self._others = tuple(others)
+    self._last: dict[str, torch.Tensor] = {}
     super().__init__(cfgs, env, problems=problems)
 
-  def _make(self) -> None:
-    self._no_world = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-    self._terms: list[Term] = []
-    self._names: list[str] = []
-    for name, cfg in list(self._cfgs.items()):
-      term = self._bind(name, cfg)
-      # A term that takes indices may return anything when it first gets some; it runs on the host anyway.
-      entries = {} if term is None or term.wants_ids else self._try(term, self._no_world)
-      if term is None or entries is None:
-        self._drop(name)
-        continue
-      self._terms.append(term)
-      self._names += entries
-    self._raise_problems()
-    self._last = torch.full((len(self._names),), torch.nan, dtype=torch.float64, device=self.device)
-    self._from_ids: dict[str, torch.Tensor] = {}
+  def _mistake(self, term: Term) -> str:
+    # A term that takes indices may return anything when it first gets some; it runs on the host anyway.
+    if not term.wants_ids:
+      self._try(term, ~self._everywhere)
+    return ""
 
-  def rehearse(self) -> None:
-    for term in self._terms:
-      worlds = torch.arange(self.num_envs, device=self.device)
-      self._try(term, worlds if term.wants_ids else worlds >= 0)
-    self._raise_problems()
+  def _rehearse(self, term: Term) -> None:
+    self._try(term, torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._everywhere)
 
-  def _check_again(self, term: Term) -> bool:
-    return term.wants_ids or self._try(term, self._no_world) is not None
-
-  def _try(self, term: Term, worlds: torch.Tensor) -> dict[str, torch.Tensor] | None:
-    """Return the log entries of a trial call, or None with the mistake noted."""
+  def _try(self, term: Term, worlds: torch.Tensor) -> None:
+    """Call a term on trial, and make memory for its log entries."""
     undo = [manager.remember() for manager in self._others]
-    with self._trial(term.name, term.func) as trial:
-      value = term.try_call(worlds, rebuilt=trial.rebuilt)
-      trial.value = _entries(term, _as_tensor(value, self.device) if term.wants_ids else value)
-    for put_back in undo:
-      put_back()
-    return None if trial.failed else trial.value
+    try:
+      entries = _entries(term, self._tried(term, worlds))
+      if not term.wants_ids:
+        self._reserve(entries)
+    finally:
+      for put_back in undo:
+        put_back()
 
   def compute(self, mask: torch.Tensor) -> None:
     """Evaluate every term for the worlds about to be reset, `mask`, bool (N,)."""
-    values: list[torch.Tensor] = []
-    for term in self._terms:
+    for term in self._terms.values():
       if term.wants_ids:
-        self._with_ids(term.name, mask, lambda ids, term=term: self._compute_with_ids(term, ids))
+        self._with_ids(term, mask, lambda ids, term=term: self._keep(term, term(ids)))
       else:
-        values += _entries(term, term(mask)).values()
-    if values:
-      self._last.copy_(torch.stack([value.double() for value in values]))
+        self._keep(term, term(mask))
 
-  def _compute_with_ids(self, term: Term, ids: torch.Tensor) -> None:
-    for key, value in _entries(term, _as_tensor(term(ids), self.device)).items():
-      self._from_ids.setdefault(key, torch.zeros((), dtype=torch.float64, device=self.device)).copy_(value)
+  def _keep(self, term: Term, state: Any) -> None:
+    entries = _entries(term, state)
+    self._reserve(entries)
+    for key, value in entries.items():
+      self._last[key].copy_(value)
+
+  def _reserve(self, keys: Iterable[str]) -> None:
+    for key in keys:
+      if key not in self._last:
+        self._last[key] = torch.full((), torch.nan, dtype=torch.float64, device=self.device)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return the last states as `Curriculum/<term>` or `Curriculum/<term>/<key>`."""
-    if not self._from_ids:
-      return self._names, self._last.clone()
-    return [*self._names, *self._from_ids], torch.cat([self._last, torch.stack(list(self._from_ids.values()))])
+    if not self._last:
+      return super().log_tensors()
+    return list(self._last), torch.stack(list(self._last.values()))
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     del env_idx
@@ -112,15 +101,11 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     return [(name.removeprefix("Curriculum/"), [value]) for name, value in zip(names, values.tolist(), strict=True)]
 
   def describe(self) -> str:
-    return table(("term",), [(term.name,) for term in self._terms], title="Curricula")
-
-
-def _as_tensor(state: Any, device: torch.device) -> Any:
-  return torch.tensor(float(state), device=device) if isinstance(state, int | float) else state
+    return table(("term",), [(name,) for name in self._terms], title="Curricula")
 
 
 def _entries(term: Term, state: Any) -> dict[str, torch.Tensor]:
-  """Return log key and value of each part of a state.
+  """Return log key and value of each part of a state. A term that takes indices may return numbers, too.
 
   Raises:
     MjlabError: the state is not None, a 0-d tensor or a dict of them.
@@ -129,6 +114,8 @@ def _entries(term: Term, state: Any) -> dict[str, torch.Tensor]:
     return {}
   entries = {}
   for key, value in state.items() if isinstance(state, Mapping) else [("", state)]:
+    if term.wants_ids and isinstance(value, int | float):
+      value = torch.tensor(float(value))
     if not isinstance(value, torch.Tensor) or value.dim() != 0:
       raise MjlabError(f"must return None, a 0-d tensor or a dict of them, returned {described(value)}.")
     entries[f"Curriculum/{term.name}/{key}" if key else f"Curriculum/{term.name}"] = value

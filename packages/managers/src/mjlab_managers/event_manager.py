@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
-from functools import partial
-from typing import Literal, get_args
+from functools import partial, reduce
+from typing import Any, Literal, get_args
 
 import torch
 from mjlab_core import Count, NonNegativeRange, call_where, where_
@@ -52,98 +52,66 @@ class EventManager(ManagerBase[EventTermCfg]):
   masked = True
 
   def _make(self) -> None:
-    self._terms: dict[EventMode, list[Term]] = {mode: [] for mode in _MODES}
-    for name, cfg in list(self._cfgs.items()):
-      term = self._bind(name, cfg)
-      if term is not None and self._may_write(term):
-        self._terms[cfg.mode].append(term)
-      else:
-        self._drop(name)
-    self._raise_problems()
-
-    self.model_fields = self._written_fields()
+    self._modes: dict[str, list[Term]] = {mode: [] for mode in _MODES}
+    for name, term in self._terms.items():
+      self._modes[self._cfgs[name].mode].append(term)
+    # The order of a rehearsal.
+    self._terms = {term.name: term for terms in self._modes.values() for term in terms}
+    self.model_fields = self._written_fields(self._terms.values())
     """Model fields that terms write per world. They must be expanded before the first event."""
-    self._needs_constants = self._deriving()
-    self._all_worlds = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
 
-    interval = self._terms["interval"]
-    self._own = [term for term in interval if not self._cfgs[term.name].is_global_time]
-    self._global = [term for term in interval if self._cfgs[term.name].is_global_time]
-    self._lo, self._span = self._ranges(self._own)
-    self._global_lo, self._global_span = self._ranges(self._global)
-    self._time_left = self.state_of(self._draw((self.num_envs, len(self._own)), self._lo, self._span))
-    self._global_time_left = self.state_of(
-      self._draw((1, len(self._global)), self._global_lo, self._global_span), shared=True
-    )
+    self._timed = [term.name for term in self._modes["interval"]]
+    is_global = torch.tensor([[self._cfgs[name].is_global_time for name in self._timed]], dtype=torch.bool)
+    self._global = is_global.to(self.device) if is_global.any() else None
+    ranges = [self._cfgs[name].interval_range_s for name in self._timed]
+    self._lo = torch.tensor([[lo for lo, _ in ranges]], dtype=torch.float64, device=self.device)
+    self._span = torch.tensor([[hi - lo for lo, hi in ranges]], dtype=torch.float64, device=self.device)
+    self._time_left = self.state_of(self._draw())
 
-    self._gated = [term for term in self._terms["reset"] if self._cfgs[term.name].min_step_count_between_reset > 0]
-    steps = [self._cfgs[term.name].min_step_count_between_reset for term in self._gated]
+    self._gated = [term.name for term in self._modes["reset"] if self._cfgs[term.name].min_step_count_between_reset > 0]
+    steps = [self._cfgs[name].min_step_count_between_reset for name in self._gated]
     self._min_steps = torch.tensor([steps], dtype=torch.int64, device=self.device)
     self._last_fired = self.state((len(self._gated),), fill=_NEVER, dtype=torch.int64)
 
   @classmethod
-  def _cfg_problems(cls, name: str, cfg: EventTermCfg) -> Iterator[str]:
-    yield from super()._cfg_problems(name, cfg)
+  def _cfg_problems(cls, cfg: Any) -> list[str]:
+    problems = super()._cfg_problems(cfg)
     if not isinstance(cfg, EventTermCfg):
-      return
+      return problems
     if cfg.mode == "interval" and cfg.interval_range_s is None:
-      yield f"term '{name}': mode interval needs interval_range_s."
+      problems.append("mode interval needs interval_range_s.")
     for option, mode in (
       ("interval_range_s", "interval"),
       ("is_global_time", "interval"),
       ("min_step_count_between_reset", "reset"),
     ):
       if getattr(cfg, option) and cfg.mode != mode:
-        yield f"term '{name}': {option} is for mode {mode}, the mode is {cfg.mode}."
+        problems.append(f"{option} is for mode {mode}, the mode is {cfg.mode}.")
+    return problems
 
-  def rehearse(self) -> None:
-    for term in self._all_terms():
-      worlds = torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._all_worlds
-      with self._trial(term.name, term.func) as trial:
-        term.try_call(worlds, rebuilt=trial.rebuilt)
-    self._raise_problems()
-
-  def _check_again(self, term: Term) -> bool:
-    if new := [field for field in self._written_fields() if field not in self.model_fields]:
-      self._problem(f"term '{term.name}': writes model fields {', '.join(new)}, which must be known at build.")
-    self._needs_constants = self._deriving()
-    return self._may_write(term) and not new
-
-  def _may_write(self, term: Term) -> bool:
-    """Return True if no other event claims the same numbers; note the mistake otherwise."""
+  def _mistake(self, term: Term) -> str:
     claims: Mapping[Hashable, str] = attribute_of(term.func, "claims", {})
-    for other in self._all_terms():
+    for other in self._terms.values():
       both = () if other is term else [key for key in attribute_of(other.func, "claims", ()) if key in claims]
       if both:
-        self._problem(
-          f"term '{term.name}': {claims[both[0]]} is written by event '{other.name}' too; only one of them would count."
-        )
-        return False
-    return True
+        return f"{claims[both[0]]} is written by event '{other.name}' too; only one of them would count."
+    is_new = term.name not in self._terms
+    unknown = [] if is_new else [field for field in self._written_fields([term]) if field not in self.model_fields]
+    return f"writes model fields {', '.join(unknown)}, which must be known at build." if unknown else ""
 
-  def _written_fields(self) -> tuple[str, ...]:
-    fields = [field for term in self._all_terms() for field in attribute_of(term.func, "model_fields", ())]
-    return tuple(dict.fromkeys(fields))
+  def _rehearse(self, term: Term) -> None:
+    self._tried(term, torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._everywhere)
 
-  def _deriving(self) -> set[str]:
-    """Return the names of the terms after which quantities that derive from model fields must be recomputed."""
-    return {term.name for term in self._all_terms() if attribute_of(term.func, "needs_constants", False)}
+  @staticmethod
+  def _written_fields(terms: Iterable[Term]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(field for term in terms for field in attribute_of(term.func, "model_fields", ())))
 
-  def _all_terms(self) -> list[Term]:
-    return [term for terms in self._terms.values() for term in terms]
-
-  def _ranges(self, terms: list[Term]) -> tuple[torch.Tensor, torch.Tensor]:
-    ranges = [self._cfgs[term.name].interval_range_s or (0.0, 0.0) for term in terms]
-    lo = torch.tensor([[lo for lo, _ in ranges]], dtype=torch.float64, device=self.device)
-    return lo, torch.tensor([[hi - lo for lo, hi in ranges]], dtype=torch.float64, device=self.device)
-
-  def _draw(self, shape: tuple[int, int], lo: torch.Tensor, span: torch.Tensor) -> torch.Tensor:
-    return torch.addcmul(lo, torch.rand(shape, generator=self.env.rng, device=self.device, dtype=lo.dtype), span)
-
-  @property
-  def available_modes(self) -> list[EventMode]:
-    """Modes that have at least one term."""
-    return [mode for mode, terms in self._terms.items() if terms]
+  def _draw(self) -> torch.Tensor:
+    """Draw the times of all timers, (N, K); a global one has the same time in all worlds."""
+    shape = (self.num_envs, len(self._timed))
+    draw = torch.rand(shape, generator=self.env.rng, device=self.device, dtype=self._lo.dtype)
+    times = torch.addcmul(self._lo, draw, self._span)
+    return times if self._global is None else torch.where(self._global, times[:1], times)
 
   def apply(self, mode: EventMode, mask: torch.Tensor | None = None) -> None:
     """Fire the terms of one mode.
@@ -154,16 +122,15 @@ class EventManager(ManagerBase[EventTermCfg]):
         in mode interval those in which one step of time passed. A global timer always advances, and fires in all
         worlds.
     """
-    terms = self._terms[mode]
+    terms = self._modes[mode]
     if not terms:
       return
-    mask = self._all_worlds if mask is None else mask
+    mask = self._everywhere if mask is None else mask
+    fired = {}
     if mode == "interval":
       fired = self._due(mask)
     elif mode == "reset" and self._gated:
       fired = self._allowed(mask)
-    else:
-      fired = {}
     self._fire(terms, mask, fired)
 
   def fire(self, name: str, mask: torch.Tensor | None = None) -> None:
@@ -172,58 +139,46 @@ class EventManager(ManagerBase[EventTermCfg]):
     Raises:
       UnknownNameError: no such term.
     """
-    term = self._lookup({term.name: term for term in self._all_terms()}, name)
-    self._fire([term], self._all_worlds if mask is None else mask, {})
+    self._fire([self.term(name)], self._everywhere if mask is None else mask, {})
 
   def _fire(self, terms: list[Term], mask: torch.Tensor, fired: dict[str, torch.Tensor]) -> None:
     """Call each term on its worlds in `fired`, or on `mask` if it has none there."""
     derived: list[torch.Tensor] = []
     for term in terms:
       where = fired.get(term.name, mask)
-      act = partial(self._with_ids, term.name, act=term) if term.wants_ids else term
+      act = partial(self._with_ids, term, act=term) if term.wants_ids else term
       if term.name in fired:
         call_where(where, act, self.env.rng)
       else:
         act(where)
-      if term.name in self._needs_constants and not any(where is other for other in derived):
+      if attribute_of(term.func, "needs_constants", False) and not any(where is other for other in derived):
         derived.append(where)
     if derived:
-      where = derived[0]
-      for other in derived[1:]:
-        where = where | other
-      self.env.recompute_constants(where)
+      self.env.recompute_constants(reduce(torch.logical_or, derived))
 
   def _due(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
-    fired: dict[str, torch.Tensor] = {}
-    dt = self.env.step_dt
-    if self._own:
-      self._time_left.sub_(mask[:, None].double(), alpha=dt)
-      due = (self._time_left <= _DUE) & mask[:, None]
-      where_(self._time_left, due, self._draw((self.num_envs, len(self._own)), self._lo, self._span))
-      fired |= {term.name: column for term, column in zip(self._own, due.unbind(1), strict=True)}
-    if self._global:
-      self._global_time_left.sub_(dt)
-      due = self._global_time_left <= _DUE
-      where_(self._global_time_left, due, self._draw((1, len(self._global)), self._global_lo, self._global_span))
-      columns = due.expand(self.num_envs, -1).unbind(1)
-      fired |= {term.name: column for term, column in zip(self._global, columns, strict=True)}
-    return fired
+    moving = mask[:, None] if self._global is None else mask[:, None] | self._global
+    self._time_left.sub_(moving.double(), alpha=self.env.step_dt)
+    due = (self._time_left <= _DUE) & moving
+    where_(self._time_left, due, self._draw())
+    return dict(zip(self._timed, due.unbind(1), strict=True))
 
   def _allowed(self, mask: torch.Tensor) -> dict[str, torch.Tensor]:
     now = self.env.common_step_counter
     allowed = (now - self._last_fired >= self._min_steps) & mask[:, None]
     where_(self._last_fired, allowed, now)
-    return {term.name: column for term, column in zip(self._gated, allowed.unbind(1), strict=True)}
+    return dict(zip(self._gated, allowed.unbind(1), strict=True))
 
   def reset(self, mask: torch.Tensor) -> None:
     """Draw new timers in the worlds of `mask`, bool (N,), and reset class terms; after `apply("reset", mask)`."""
-    if self._own:
-      where_(self._time_left, mask, self._draw((self.num_envs, len(self._own)), self._lo, self._span))
+    if self._timed:
+      own = mask if self._global is None else mask[:, None] & ~self._global
+      where_(self._time_left, own, self._draw())
     super().reset(mask)
 
   def describe(self) -> str:
     rows = []
-    for mode, terms in self._terms.items():
+    for mode, terms in self._modes.items():
       for term in terms:
         cfg = self._cfgs[term.name]
         when = "every {} to {} s".format(*cfg.interval_range_s) if cfg.interval_range_s else ""

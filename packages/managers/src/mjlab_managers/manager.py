@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+import copy
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
-from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownNameError, unknown
+from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownNameError, require, unknown
+from mjlab_core.config import lock
 from mjlab_core.errors import as_consequence, is_consequence
 
-from mjlab_managers.binding import Term, call_terms, cfg_problems, copy_cfg, described
+from mjlab_managers.binding import Term, call_terms, cfg_problems, described, placed
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.locked import lock
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
-from mjlab_managers.watch import undeclared_memory
+from mjlab_managers.watch import only_declared
 
 CfgT = TypeVar("CfgT")
 
@@ -49,35 +48,34 @@ class ManagerBase(Stateful, Generic[CfgT]):
     self.num_envs, self.device = env.num_envs, torch.device(env.device)
     self.evaluate: Callable[[Sequence[Term]], list[torch.Tensor]] = call_terms
     """Function that returns the values of terms in the step; the environment may set a compiled one."""
-    self._stateful_terms: StatefulDict[Stateful] = StatefulDict()
-    self._resets: dict[str, Callable[[torch.Tensor], Any]] = {}
-    self._bound: dict[str, Term] = {}
-    self._problems: list[str] = []
-    self._collected = problems
-    self._cause: BaseException | None = None
-    self._broken: set[str] = set()
-    self._cfgs: dict[str, CfgT] = {}
+    self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+    self._terms: dict[str, Any] = {}
+    self._stateful_terms: StatefulDict[ManagerTermBase] = StatefulDict()
+    self._cfgs: dict[str, Any] = {}
     self._live: list[tuple[Any, frozenset[str]]] = []
-    # Masks of the terms that take indices, read outside the recorded step.
-    self._id_masks: dict[str, torch.Tensor] = {}
-    for name, cfg in cfgs.items():
-      if cfg is not None:
-        self._read(name, cfg)
+    self._broken: set[str] = set()
+    self._problems: list[str] = []
+    self._cause: Exception | None = None
+    for name, cfg in self._term_cfgs(cfgs):
+      with self._noting(name):
+        self._add(name, cfg)
+      if name not in self._terms:
+        self._broken.add(name)
+        self._cfgs.pop(name, None)
+        self._stateful_terms.pop(name, None)
     self._make()
-    self._raise_problems()
-    self._collected = None
-    self._seal()
+    self._report(problems)
 
   @classmethod
   def check(cls, cfgs: Mapping[str, CfgT | None]) -> list[str]:
     """Return the mistakes in configs that show without an environment, one line each."""
     given = [(name, cfg) for name, cfg in cfgs.items() if cfg is not None]
-    return [f"{cls.__name__}: {problem}" for name, cfg in given for problem in cls._cfg_problems(name, cfg)]
+    return [f"{cls.__name__}: term '{name}': {problem}" for name, cfg in given for problem in cls._cfg_problems(cfg)]
 
   @classmethod
-  def _cfg_problems(cls, name: str, cfg: CfgT) -> Iterator[str]:
-    """Yield the mistakes in one config that show without an environment."""
-    yield from cfg_problems(f"term '{name}'", cfg, cls.cfg_type, cls.term_base, masked=cls.masked)
+  def _cfg_problems(cls, cfg: Any) -> list[str]:
+    """Return the mistakes in the config of a term that show without an environment."""
+    return cfg_problems(cfg, cls.cfg_type, cls.term_base, masked=cls.masked)
 
   # Interface for users.
 
@@ -89,7 +87,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
   @property
   def active_terms(self) -> Any:
     """Names of the terms in order."""
-    return list(self._cfgs)
+    return list(self._terms)
 
   def get_term_cfg(self, name: str, /) -> CfgT:
     """Return the config of a term. It is read-only except for `live_fields`; `set_params` changes parameters.
@@ -99,13 +97,13 @@ class ManagerBase(Stateful, Generic[CfgT]):
     """
     return self._lookup(self._cfgs, name)
 
-  def term(self, name: str, /) -> Term:
-    """Return a term as a callable with its parameters: `term()`, or `term(mask)` for events and curricula.
+  def term(self, name: str, /) -> Any:
+    """Return a term: that of an action or command, or a callable with its parameters, with `mask` for events.
 
     Raises:
       UnknownNameError: no such term.
     """
-    return self._lookup(self._bound, name)
+    return self._lookup(self._terms, name)
 
   def set_params(self, name: str, /, **params: Any) -> None:
     """Change parameters of a term from the next step on.
@@ -121,16 +119,18 @@ class ManagerBase(Stateful, Generic[CfgT]):
       UnknownNameError: no such term.
       ConfigError: a parameter does not exist or has a wrong value; nothing was changed.
     """
-    term = self._lookup(self._bound, name)
-    with self._naming(name):
+    term = self._with_params(name)
+    undo = None
+    with self._noting(name):
       undo = term.set_params(params)
-    if undo is None:
-      return
-    if not self._check_again(term):
-      undo()
-    self._adopt(name, term.func)
-    self._raise_problems()
-    if not term.wants_ids:
+      if undo is not None:
+        self._refuse(term)
+    if undo is not None:
+      if self._problems:
+        undo()
+      self._adopt(term)
+    self._report()
+    if undo is not None and not term.wants_ids:
       self.env.request_recapture(f"{self.label}: parameters of '{name}' changed")
 
   def scalar(self, name: str, parameter: str, /) -> torch.Tensor:
@@ -142,9 +142,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       UnknownNameError: no such term.
       MjlabError: no such parameter, or the term does not read it in every step.
     """
-    term = self._lookup(self._bound, name)
     with self._naming(name):
-      return term.scalar(parameter)
+      return self._with_params(name).scalar(parameter)
 
   def describe(self) -> str:
     """Return a table of the terms."""
@@ -162,16 +161,20 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
     The state of terms is restored. The environment restores the simulation, the scene and the generator.
     """
+    for name, term in self._terms.items():
+      with self._noting(name):
+        self._rehearse(term)
+    self._report()
 
   def remember(self) -> Callable[[], None]:
     """Return a function that restores the present parameters, live fields of configs, and state."""
     state = self.state_dict()
-    given = {name: dict(term.given) for name, term in self._bound.items()}
+    given = {name: dict(term.given) for name, term in self._terms.items() if isinstance(term, Term)}
     fields = [(cfg, {name: getattr(cfg, name) for name in live}) for cfg, live in self._live]
 
     def put_back() -> None:
       for name, params in given.items():
-        now = self._bound[name].given
+        now = self._terms[name].given
         if changed := {key: value for key, value in params.items() if now[key] is not value}:
           self.set_params(name, **changed)
       for cfg, values in fields:
@@ -183,9 +186,9 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def reset(self, mask: torch.Tensor) -> None:
     """End the episodes of the worlds in `mask`, bool (N,): log their statistics and reset their state."""
-    for name, reset in self._resets.items():
+    for name, term in self._stateful_terms.items():
       with self._naming(name):
-        reset(mask)
+        term.reset(mask)
 
   def sync(self) -> None:
     """Read changes of live fields, on the host before each step, and request a new recording if needed."""
@@ -197,27 +200,72 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def clear_log(self) -> None:
     """Begin a new log interval."""
 
-  # Interface for subclasses.
+  # Interface for subclasses. Terms raise MjlabError for mistakes, and `_noting` collects them.
+
+  def _term_cfgs(self, cfgs: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Return name and config of the terms."""
+    return [(name, cfg) for name, cfg in cfgs.items() if cfg is not None]
 
   def _make(self) -> None:
-    """Make the terms of the configs, which are read by now; note the mistakes."""
+    """Make buffers and logs of the terms."""
 
-  def _read(self, name: str, cfg: CfgT) -> None:
-    """Keep a copy of a config without mistakes; note the mistakes otherwise."""
-    if found := list(self._cfg_problems(name, cfg)):
-      self._broken.add(name)
-      for problem in found:
-        self._problem(problem)
-    else:
-      self._cfgs[name] = copy_cfg(cfg)
+  def _mistake(self, term: Any) -> str:
+    """Return the reason why a term that was built or rebuilt does not work; empty if it works.
+
+    Raises:
+      MjlabError: the term failed in a trial call.
+    """
+    del term
+    return ""
+
+  def _rehearse(self, term: Any) -> None:
+    """Call a term that `_mistake` does not call."""
+
+  def _add(self, name: str, cfg: Any) -> None:
+    if problems := self._cfg_problems(cfg):
+      raise ConfigError(*problems)
+    func = getattr(cfg, "func", None)
+    # A function stays the same object, and so does the owner of a method.
+    own = copy.deepcopy(cfg, {id(func): func})
+    cfg = self._cfgs[name] = self._locked(name, own, self.live_fields)
+    with placed("while making it"):
+      if isinstance(own, ManagerTermBaseCfg):
+        term = Term(name, self.label, cfg, own.params, self.env, masked=self.masked)
+      else:
+        term = cfg.build(self.env)
+        term.name = name
+    self._adopt(term)
+    self._refuse(term)
+    self._terms[name] = term
+
+  def _refuse(self, term: Any) -> None:
+    if mistake := self._mistake(term):
+      raise MjlabError(mistake)
+
+  def _locked(self, name: str, cfg: Any, live: frozenset[str]) -> Any:
+    """Return a read-only copy of a config."""
+    ways = [f"set_params('{name}', ...) changes its parameters"] if isinstance(cfg, ManagerTermBaseCfg) else []
+    ways += [f"these fields may be assigned: {', '.join(sorted(live))}"] if live else []
+    advice = f"{self.label}: '{name}' is built, and its config is read-only"
+    cfg = lock(cfg, "; ".join([advice, *ways]) + ".", live)
+    self._live.append((cfg, live))
+    return cfg
+
+  def _adopt(self, term: Any) -> None:
+    """Register a term for saving and for resets."""
+    obj = term.func if isinstance(term, Term) else term
+    if isinstance(obj, ManagerTermBase):
+      self._stateful_terms[term.name] = obj
+      obj.state_dict()
+
+  def _with_params(self, name: str) -> Term:
+    return require(self.term(name), Term, f"{self.label}: term '{name}' has no parameters.")
 
   def _lookup(self, table: Mapping[str, Any], name: str) -> Any:
     if name in table:
       return table[name]
     error = UnknownNameError(unknown("term", name, list(table), owner=self.label))
-    if name in self._broken:
-      raise as_consequence(error)
-    raise error
+    raise as_consequence(error) if name in self._broken else error
 
   @contextmanager
   def _naming(self, name: str) -> Generator[None]:
@@ -232,149 +280,65 @@ class ManagerBase(Stateful, Generic[CfgT]):
     return MjlabError(f"{self.label}: term '{name}': {kind}{error}")
 
   @contextmanager
-  def _noting(self, name: str, what: str) -> Generator[None]:
-    """Note an error as a mistake of a term; `what` tells when it occurred, such as "in a trial call"."""
+  def _noting(self, name: str, kind: str = "term") -> Generator[None]:
+    """Note a mistake of a term, instead of raising it."""
     try:
       yield
-    except Exception as error:
-      kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__} {what}{place_of(error)}: "
-      self._problem(f"term '{name}': {kind}{error}", error)
+    except MjlabError as error:
+      if not is_consequence(error):
+        lines = error.problems if isinstance(error, ConfigError) else [str(error)]
+        self._problems += [f"{kind} '{name}': {line}" for line in lines]
+        self._cause = self._cause or error
 
-  def _problem(self, text: str, cause: BaseException | None = None) -> None:
-    if not is_consequence(cause):
-      self._problems.append(text)
-      self._cause = self._cause or cause
-
-  def _raise_problems(self) -> None:
-    """Report the mistakes so far: raise them, or add them to the list passed to the manager."""
-    if not self._problems:
-      return
+  def _report(self, collected: list[str] | None = None) -> None:
+    """Raise the mistakes that were noted, or add them to a list."""
     lines, cause = [f"{self.label}: {problem}" for problem in self._problems], self._cause
     self._problems, self._cause = [], None
-    if self._collected is None:
+    if collected is not None:
+      collected += lines
+    elif lines:
       raise ConfigError(*lines) from cause
-    self._collected += lines
 
-  def _seal(self) -> None:
-    """Make the configs read-only."""
-    for name, cfg in self._cfgs.items():
-      self._lock(name, cfg, self.live_fields)
+  @contextmanager
+  def _undone(self, obj: Any) -> Generator[None]:
+    """Restore the state of an object and the generator after a trial."""
+    generator = self.env.rng.get_state()
+    state = obj.state_dict() if isinstance(obj, Stateful) else None
+    try:
+      yield
+    finally:
+      self.env.rng.set_state(generator)
+      if state is not None:
+        obj.restore(state)
 
-  def _lock(self, name: str, cfg: Any, live: frozenset[str]) -> None:
-    ways = [f"set_params('{name}', ...) changes its parameters"] if isinstance(cfg, ManagerTermBaseCfg) else []
-    ways += [f"these fields may be assigned: {', '.join(sorted(live))}"] if live else []
-    advice = f"{self.label}: '{name}' is built, and its config is read-only"
-    lock(cfg, "; ".join([advice, *ways]) + ".", live)
-    self._live.append((cfg, live))
+  @contextmanager
+  def _trial(self, obj: Any) -> Generator[None]:
+    """Refuse writes to undeclared tensors, and undo all others."""
+    with self._undone(obj), placed("in a trial call"), only_declared(obj):
+      yield
 
-  def _drop(self, name: str) -> None:
-    """Remove a term that has a mistake."""
-    self._broken.add(name)
-    self._cfgs.pop(name, None)
-    self._bound.pop(name, None)
-    self._resets.pop(name, None)
-    self._stateful_terms.pop(name, None)
+  def _tried(self, term: Term, *worlds: torch.Tensor) -> Any:
+    """Return the value of a trial call, whose writes to state are undone."""
+    with self._undone(term.func):
+      value = term.try_call(*worlds)
+      if isinstance(term.func, ManagerTermBase) and not self.masked:
+        with placed("in a trial call"), only_declared(term.func):
+          term.func.reset(self._everywhere)
+    return value
 
-  def _bind(self, name: str, cfg: ManagerTermBaseCfg) -> Term | None:
-    """Return the term with its parameters, or None with the mistake noted."""
-    with self._noting(name, "while making it"):
-      term = Term(name, self.label, cfg, self.env, masked=self.masked)
-      self._adopt(name, term.func)
-      self._bound[name] = term
-      if term.wants_ids:
-        self._id_masks[name] = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-      return term
-    return None
+  def _misfit(self, value: Any, what: str, fits: Callable[[torch.Tensor], bool]) -> str:
+    """Return the message about a value that is not a tensor on the device that fits; empty if it is one."""
+    if isinstance(value, torch.Tensor) and value.device.type == self.device.type and fits(value):
+      return ""
+    return f"must return {what} on {self.device}, returned {described(value)}."
 
-  def _adopt(self, name: str, obj: Any) -> None:
-    """Register a term for saving and for resets."""
-    if isinstance(obj, Stateful):
-      self._stateful_terms[name] = obj
-      obj.state_dict()
-    if not isinstance(obj, type) and callable(reset := getattr(obj, "reset", None)):
-      self._resets[name] = reset
-
-  def _build(self, name: str, cfg: Any) -> Any:
-    """Return `cfg.build(env)`, or None with the mistake noted."""
-    with self._noting(name, "while making it"):
-      obj = cfg.build(self.env)
-      obj.name = name
-      self._adopt(name, obj)
-      return obj
-    return None
-
-  def _with_ids(self, name: str, mask: torch.Tensor, act: Callable[[torch.Tensor], object]) -> None:
+  def _with_ids(self, term: Term, mask: torch.Tensor, act: Callable[[torch.Tensor], object]) -> None:
     """Call `act` with the indices of the worlds in `mask` outside the recorded step, if there are any."""
-    kept = self._id_masks[name]
-    kept.copy_(mask)
+    term.worlds.copy_(mask)
 
     def call() -> None:
-      ids = kept.nonzero().flatten()
+      ids = term.worlds.nonzero().flatten()
       if ids.numel() > 0:
         act(ids)
 
-    self.env.run_eagerly(call, name=f"{self.label.removesuffix('Manager').lower()} '{name}'")
-
-  @contextmanager
-  def _trial(self, name: str, obj: Any, what: str = "a trial call") -> Generator[Trial]:
-    """Note errors of a trial and its writes to undeclared tensors; restore state and the generator."""
-    trial, generator = Trial(obj), self.env.rng.get_state()
-    state = obj.state_dict() if isinstance(obj, Stateful) else None
-    trial.failed = True
-    with self._noting(name, f"in {what}"):
-      yield trial
-      trial.failed = False
-    self.env.rng.set_state(generator)
-    before, after = trial.memory, undeclared_memory(obj)
-    way = "Declare state in __init__, self.x = self.state(...), and write into it: copy_, mul_, where_."
-    moved = [path for path, (address, _) in after.items() if path not in before or before[path][0] != address]
-    written = [] if moved else [path for path, memory in after.items() if before[path] != memory]
-    if moved:
-      self._problem(
-        f"term '{name}': {what} put another tensor into {', '.join(moved)}, which a recorded step cannot follow. {way}"
-      )
-    if written:
-      self._problem(
-        f"term '{name}': {what} wrote into {', '.join(written)}, which is not declared, so it is not saved with a run. "
-        f"{way}"
-      )
-    trial.failed = trial.failed or bool(moved or written)
-    if isinstance(obj, Stateful) and state is not None:
-      obj.restore(state)
-
-  def _check_again(self, term: Term) -> bool:
-    """Return True if a term works after a build or rebuild; note the mistakes otherwise."""
-    del term
-    return True
-
-  def _check_tensor(self, name: str, value: Any, what: str, fits: Callable[[torch.Tensor], bool]) -> bool:
-    """Return True for a tensor on the device that fits; note the mistake otherwise."""
-    if isinstance(value, torch.Tensor) and value.device.type == self.device.type and fits(value):
-      return True
-    self._problem(f"term '{name}': must return {what} on {self.device}, returned {described(value)}.")
-    return False
-
-
-class Trial:
-  """Result of a trial call, and the undeclared memory of the object before it."""
-
-  def __init__(self, obj: Any) -> None:
-    self.value: Any = None
-    self.failed = False
-    self._obj = obj
-    self.rebuilt()
-
-  def rebuilt(self) -> None:
-    """Take the memory again, because the object was built again."""
-    self.memory = undeclared_memory(self._obj)
-
-
-def place_of(error: Exception) -> str:
-  """Return the place in a term, or in a function that it called, of an error: " (my_terms.py, line 12)"."""
-  here = Path(__file__).parent
-  # The first frame is where it was caught.
-  for frame in traceback.extract_tb(error.__traceback__)[1:]:
-    path = Path(frame.filename)
-    if path.parent != here and "torch" not in path.parts:
-      return f" ({path.name}, line {frame.lineno})"
-  return ""
+    self.env.run_eagerly(call, name=f"{self.label.removesuffix('Manager').lower()} '{term.name}'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
@@ -9,9 +10,8 @@ import torch
 from mjlab_core import fill_, where_
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import FiniteValues, LogBuffer, VectorManager, nan_if_zero
+from mjlab_managers.vector_manager import VectorManager
 
 Reduction = Literal["mean", "sum", "last", "max"]
 
@@ -39,32 +39,24 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
   cfg_type = MetricsTermCfg
 
   def _make(self) -> None:
-    terms = self._bind_vectors()
-
-    def rank(term: Term) -> int:
-      return _REDUCTIONS.index(self._cfgs[term.name].reduce)
-
-    self._terms = sorted(terms, key=rank)
-    ranks = [rank(term) for term in self._terms]
-    self._num_mean, self._num_added = ranks.count(0), ranks.count(0) + ranks.count(1)
-    self._max_start = self._num_added + ranks.count(2)
-    self._substep_columns = [i for i, term in enumerate(self._terms) if self._cfgs[term.name].per_substep]
+    ranks = {name: _REDUCTIONS.index(self._cfgs[name].reduce) for name in self._terms}
+    self._names = sorted(ranks, key=lambda name: ranks[name])
+    counts = [list(ranks.values()).count(rank) for rank in range(len(_REDUCTIONS))]
+    self._num_mean, self._num_added, self._max_start, _ = itertools.accumulate(counts)
+    self._substep_columns = [i for i, name in enumerate(self._names) if self._cfgs[name].per_substep]
     self._substeps = round(self.env.step_dt / self.env.physics_dt)
 
-    count = len(self._terms)
-    self._initial = torch.zeros(1, count, device=self.device)
+    self._initial = torch.zeros(1, len(self._names), device=self.device)
     self._initial[:, self._max_start :] = -torch.inf
-    self._episode = self.state((count,), fill=self._initial)
+    self._episode = self.state((len(self._names),), fill=self._initial)
     self._steps = self.state(dtype=torch.int64)
     self._substep_sums = self.state((len(self._substep_columns),))
-    names = [term.name for term in self._terms]
-    self._finite = FiniteValues(names, "metrics", self.num_envs, self.device)
-    self._log = LogBuffer([f"Episode_Metrics/{name}" for name in names], self.device)
+    self._lay_out(self._names, "metrics", "Episode_Metrics")
 
   def compute_substep(self) -> None:
     """Evaluate the per-substep metrics. Call it after every physics substep."""
     if self._substep_columns:
-      values = [self._terms[column]() for column in self._substep_columns]
+      values = [self._terms[self._names[column]]() for column in self._substep_columns]
       self._substep_sums.add_(torch.stack(values, dim=1))
 
   def compute(self) -> None:
@@ -76,10 +68,10 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
       means = (self._substep_sums / self._substeps).unbind(1)
       self._substep_sums.zero_()
       values = dict(zip(self._substep_columns, means, strict=True))
-    others = [i for i in range(len(self._terms)) if i not in values]
-    values |= dict(zip(others, self.evaluate([self._terms[i] for i in others]), strict=True))
-    self._finite.put([values[i] for i in range(len(self._terms))])
-    now, added, top = self._finite.values, self._num_added, self._max_start
+    others = [i for i in range(len(self._names)) if i not in values]
+    values |= dict(zip(others, self.evaluate([self._terms[self._names[i]] for i in others]), strict=True))
+    now = self._put([values[i] for i in range(len(self._names))])
+    added, top = self._num_added, self._max_start
     if added:
       self._episode[:, :added].add_(now[:, :added])
     if top > added:
@@ -95,8 +87,8 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     Raises:
       UnknownNameError: no such term; the message lists the nearest names.
     """
-    columns = {term.name: column for column, term in enumerate(self._terms)}
-    return self._finite.values[:, self._lookup(columns, name)]
+    columns = {name: column for column, name in enumerate(self._names)}
+    return self._values[:, self._lookup(columns, name)]
 
   def reset(self, mask: torch.Tensor) -> None:
     """Log the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and reset them there."""
@@ -120,15 +112,10 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
 
     A value is NaN if there was no such episode or no replaced value.
     """
-    names, means = self._log.tensors()
-    return [*names, *self._finite.names], torch.cat([means, nan_if_zero(self._finite.counts)])
-
-  def clear_log(self) -> None:
-    self._log.clear()
-    self._finite.counts.zero_()
+    return super().log_tensors()
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = dict(zip((term.name for term in self._terms), self._finite.values[env_idx].tolist(), strict=True))
+    values = dict(zip(self._names, self._values[env_idx].tolist(), strict=True))
     return [(name, [values[name]]) for name in self._cfgs]
 
   def describe(self) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import torch
-from mjlab_core import Config, Limits, Range, Stateful, check_fields, check_value, where_
+from mjlab_core import Config, ConfigError, Limits, Range, Stateful, check_fields, check_value, require, where_
 
 Operation = Literal["add", "scale", "abs"]
 PerDim = Annotated[float | tuple[float, ...], Limits()]
@@ -30,7 +31,7 @@ class NoiseCfg(Config, ABC):
     """Return base, width and std.
 
     Raises:
-      ValueError: the config is wrong.
+      ConfigError: the config is wrong.
     """
 
 
@@ -52,12 +53,11 @@ class UniformNoiseCfg(NoiseCfg):
   n_max: PerDim = 1.0
 
   def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    length = max(len(_tuple(self.n_min)), len(_tuple(self.n_max)))
-    ends = [_spread(value, length, "UniformNoiseCfg") for value in (self.n_min, self.n_max)]
-    pairs = list(zip(*ends, strict=True))
-    for pair in pairs:
+    length = max(len(value) if isinstance(value, tuple | list) else 1 for value in (self.n_min, self.n_max))
+    lows, highs = (_spread(value, length, "UniformNoiseCfg") for value in (self.n_min, self.n_max))
+    for pair in zip(lows, highs, strict=True):
       check_value("UniformNoiseCfg: (n_min, n_max)", pair, Range)
-    return ends[0], tuple(hi - lo for lo, hi in pairs), 0.0
+    return lows, tuple(hi - lo for lo, hi in zip(lows, highs, strict=True)), 0.0
 
 
 @dataclass(kw_only=True)
@@ -69,17 +69,6 @@ class GaussianNoiseCfg(NoiseCfg):
 
   def affine(self) -> tuple[PerDim, PerDim, PerDim]:
     return self.mean, 0.0, self.std
-
-
-@dataclass(kw_only=True)
-class NoiseModelWithAdditiveBiasCfg(Config):
-  """Noise, then a bias that is drawn at every reset and added during the whole episode."""
-
-  bias_noise_cfg: NoiseCfg
-  """Distribution of the bias; its `operation` does not matter."""
-  noise_cfg: NoiseCfg | None = None
-  sample_bias_per_component: bool = True
-  """True: one draw for each component of the term; False: the draw of the first one for all."""
 
 
 class NoiseModel(Stateful, ABC):
@@ -109,47 +98,92 @@ class NoiseModelCfg(Config, ABC):
     """
 
 
+@dataclass(kw_only=True)
+class NoiseModelWithAdditiveBiasCfg(NoiseModelCfg):
+  """Noise, then a bias that is drawn at every reset and added during the whole episode."""
+
+  bias_noise_cfg: NoiseCfg
+  """Distribution of the bias; its `operation` does not matter."""
+  noise_cfg: NoiseCfg | None = None
+  sample_bias_per_component: bool = True
+  """True: one draw for each component of the term; False: the draw of the first one for all."""
+
+  def build(
+    self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
+  ) -> NoiseModel:
+    return _AdditiveBias(self, math.prod(shape), num_envs, device, generator)
+
+
+class _AdditiveBias(NoiseModel):
+  def __init__(
+    self,
+    cfg: NoiseModelWithAdditiveBiasCfg,
+    width: int,
+    num_envs: int,
+    device: torch.device | str,
+    generator: torch.Generator,
+  ) -> None:
+    check_fields(cfg, "NoiseModelWithAdditiveBiasCfg")
+    self.num_envs, self.device = num_envs, torch.device(device)
+    self._generator, self._per_component = generator, cfg.sample_bias_per_component
+    whole = slice(0, width)
+    self._bias_noise = FusedNoise([(whole, cfg.bias_noise_cfg)], device)
+    self._noise = FusedNoise([(whole, cfg.noise_cfg)], device) if cfg.noise_cfg is not None else None
+    self._bias = self.state_of(torch.zeros(num_envs, width, device=device))
+    self.reset(torch.ones(num_envs, dtype=torch.bool, device=device))
+
+  def reset(self, mask: torch.Tensor) -> None:
+    bias = self._bias_noise.sample(self.num_envs, self._generator)
+    where_(self._bias, mask, bias if self._per_component else bias[:, :1])
+
+  def apply_(self, x: torch.Tensor) -> None:
+    if self._noise is not None:
+      self._noise.apply_(x.flatten(1), self._generator)
+    x.add_(self._bias.view_as(x))
+
+
 class FusedNoise:
   """Noise of many columns, applied together.
 
   Args:
-    parts: first column, column after the last, and noise of each noisy term.
+    parts: columns and noise of each noisy term.
     device: device of the columns.
+
+  Raises:
+    ConfigError: a config is wrong, or does not fit its columns.
   """
 
-  def __init__(self, parts: Sequence[tuple[int, int, NoiseCfg]], device: torch.device | str) -> None:
-    self.start = min(start for start, _, _ in parts)
-    self.stop = max(stop for _, stop, _ in parts)
-    columns = self.stop - self.start
-    base, width, std = (torch.zeros(1, columns) for _ in range(3))
-    scales, replaces = (torch.zeros(1, columns, dtype=torch.bool) for _ in range(2))
-    for start, stop, cfg in parts:
-      check_fields(cfg, type(cfg).__name__)
-      where = slice(start - self.start, stop - self.start)
-      for vector, value in zip((base, width, std), cfg.affine(), strict=True):
-        vector[0, where] = torch.tensor(_spread(value, stop - start, type(cfg).__name__))
-      scales[0, where] = cfg.operation == "scale"
-      replaces[0, where] = cfg.operation == "abs"
+  def __init__(self, parts: Sequence[tuple[slice, NoiseCfg]], device: torch.device | str) -> None:
+    self._columns = slice(min(where.start for where, _ in parts), max(where.stop for where, _ in parts))
+    self._width, self._device = self._columns.stop - self._columns.start, device
+    vectors = torch.zeros(5, 1, self._width)
+    for where, cfg in parts:
+      require(cfg, NoiseCfg, f"expected a NoiseCfg or a NoiseModelCfg, got {type(cfg).__name__} {cfg!r}.")
+      owner = type(cfg).__name__
+      check_fields(cfg, owner)
+      own = slice(where.start - self._columns.start, where.stop - self._columns.start)
+      values = (*cfg.affine(), float(cfg.operation == "scale"), float(cfg.operation == "abs"))
+      for vector, value in zip(vectors, values, strict=True):
+        vector[0, own] = torch.tensor(_spread(value, where.stop - where.start, owner))
+    base, *others = vectors
     self._base = base.to(device)
-    self._width = width.to(device) if width.any() else None
-    self._std = std.to(device) if std.any() else None
-    self._scales = scales.to(device) if scales.any() else None
-    self._replaces = replaces.to(device) if replaces.any() else None
-    self._device = device
+    # Vectors of zeros need no operation.
+    self._uniform, self._std, scales, replaces = (vector.to(device) if vector.any() else None for vector in others)
+    self._scales, self._replaces = (None if mask is None else mask > 0.0 for mask in (scales, replaces))
 
   def sample(self, num_envs: int, generator: torch.Generator) -> torch.Tensor:
-    """Return noise for columns `start` to `stop`, (num_envs, stop - start), or (1, ...) if nothing is random."""
-    shape = (num_envs, self.stop - self.start)
+    """Return noise of the columns from the first to the last noisy one, (num_envs, W), or (1, W) if it is constant."""
+    shape = (num_envs, self._width)
     noise = self._base
-    if self._width is not None:
-      noise = torch.addcmul(noise, torch.rand(shape, generator=generator, device=self._device), self._width)
+    if self._uniform is not None:
+      noise = torch.addcmul(noise, torch.rand(shape, generator=generator, device=self._device), self._uniform)
     if self._std is not None:
       noise = torch.addcmul(noise, torch.randn(shape, generator=generator, device=self._device), self._std)
     return noise
 
   def apply_(self, frame: torch.Tensor, generator: torch.Generator) -> None:
     """Apply the noise to `frame`, float32 (num_envs, all columns), in place."""
-    x = frame[:, self.start : self.stop]
+    x = frame[:, self._columns]
     noise = self.sample(frame.shape[0], generator)
     if self._scales is None and self._replaces is None:
       x.add_(noise)
@@ -162,53 +196,10 @@ class FusedNoise:
     x.copy_(y)
 
 
-class EpisodeBias:
-  """Biases of many columns, each constant over an episode.
-
-  Args:
-    parts: first column, column after the last, and noise of each term with a bias.
-    values: memory of the biases, (num_envs, all columns), owned by the caller.
-    generator: source of the draws.
-  """
-
-  def __init__(
-    self,
-    parts: Sequence[tuple[int, int, NoiseModelWithAdditiveBiasCfg]],
-    values: torch.Tensor,
-    generator: torch.Generator,
-  ) -> None:
-    self._noise = FusedNoise([(start, stop, cfg.bias_noise_cfg) for start, stop, cfg in parts], values.device)
-    self._values = values[:, self._noise.start : self._noise.stop]
-    self._generator = generator
-    source = list(range(self._noise.stop - self._noise.start))
-    for start, stop, cfg in parts:
-      if cfg.sample_bias_per_component:
-        continue
-      first = start - self._noise.start
-      source[first : stop - self._noise.start] = [first] * (stop - start)
-    shared = source != list(range(len(source)))
-    self._source = torch.tensor(source, device=values.device) if shared else None
-
-  def redraw(self, mask: torch.Tensor) -> None:
-    """Draw biases for all worlds and keep those of the worlds in `mask`, bool (N,)."""
-    draw = self._noise.sample(self._values.shape[0], self._generator)
-    if self._source is not None:
-      draw = draw.index_select(1, self._source)
-    where_(self._values, mask, draw)
-
-  def add_to(self, frame: torch.Tensor) -> None:
-    """Add the biases to `frame`, (num_envs, all columns), in place."""
-    frame[:, self._noise.start : self._noise.stop].add_(self._values)
-
-
-def _tuple(value: PerDim) -> tuple[float, ...]:
-  return tuple(value) if isinstance(value, tuple | list) else (float(value),)
-
-
 def _spread(value: PerDim, length: int, owner: str) -> tuple[float, ...]:
-  values = _tuple(value)
+  values = tuple(value) if isinstance(value, tuple | list) else (float(value),)
   if len(values) == 1:
     return values * length
   if len(values) != length:
-    raise ValueError(f"{owner}: {len(values)} numbers for {length} components.")
+    raise ConfigError(f"{owner}: {len(values)} numbers for {length} components.")
   return values

@@ -7,7 +7,7 @@ from typing import Literal
 
 from mjlab_core import Bounds, Config, Count, Share
 
-from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, NoiseModelWithAdditiveBiasCfg
+from mjlab_managers.noise import NoiseCfg, NoiseModelCfg
 from mjlab_managers.term import ManagerTermBaseCfg
 
 NanPolicy = Literal["sanitize", "warn", "disabled", "error"]
@@ -21,7 +21,7 @@ class ObservationTermCfg(ManagerTermBaseCfg):
   """
 
   _: KW_ONLY
-  noise: NoiseCfg | NoiseModelWithAdditiveBiasCfg | NoiseModelCfg | None = None
+  noise: NoiseCfg | NoiseModelCfg | None = None
   """Noise, applied in groups with `corrupt=True`."""
   clip: Bounds | None = None
   """Smallest and largest value."""

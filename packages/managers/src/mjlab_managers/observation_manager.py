@@ -2,165 +2,162 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import copy
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import torch
-from mjlab_core import MjlabError, Stateful, check_name, where_
+from mjlab_core import ConfigError, MjlabError, Stateful, check_name, where_
+from mjlab_core.config import lock
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term, copy_cfg
+from mjlab_managers.binding import Term, cfg_problems, same
 from mjlab_managers.deployment import Reading, TermSource
+from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
-from mjlab_managers.observation_checks import group_problems, group_term_problems, processing_problems
 from mjlab_managers.observation_memory import Memory
-from mjlab_managers.observation_processing import Processing
-from mjlab_managers.observation_slots import Slot, place_columns, twin_of
+from mjlab_managers.observation_processing import Processing, Slot
 from mjlab_managers.term import ManagerTermBase
 from mjlab_managers.vector_manager import nan_if_zero
 
 Observation = torch.Tensor | dict[str, torch.Tensor]
 
-_LIVE = frozenset({"noise", "clip", "scale"})
 
-
-class ObservationManager(ManagerBase[ObservationGroupCfg]):
+class ObservationManager(ManagerBase[Any]):
   """Manager that evaluates every distinct term once and processes all groups as columns of one frame.
 
   Noise, clip, scale and the NaN check work on the whole frame. Delays and histories work on their columns. The result
   is one block of memory, and `buffers` are views of it.
   """
 
-  cfg_type = ObservationGroupCfg
-  live_fields = frozenset({"corrupt", "nan_policy"})
+  cfg_type = ObservationTermCfg
+  live_fields = frozenset({"noise", "clip", "scale"})
 
-  def _make(self) -> None:
-    slots: list[Slot] = []
-    for group, cfg in self._cfgs.items():
-      for name, term_cfg in cfg.terms.items():
-        assert term_cfg is not None
-        slot = self._make_slot(group, name, term_cfg, slots)
-        if slot is not None:
-          slots.append(slot)
-      self._check_shapes(group, [slot for slot in slots if slot.group == group])
-    self._slots = [slot for slot in slots if not self._note(processing_problems(slot))]
-    self._raise_problems()
-
-    place_columns(self._slots)
-    frame_width = self._slots[-1].frame.stop if self._slots else 0
-    out_width = self._slots[-1].out.stop if self._slots else 0
-    self._frame = torch.zeros(self.num_envs, frame_width, device=self.device)
-    self._clean = torch.zeros_like(self._frame)
-    self._out = self.state((out_width,))
-    # Processing compares configs by identity, so they are made read-only first.
-    self._seal()
-    self._processing = Processing(self._slots, frame_width, self.env)
-    self._note(self._processing.problems)
-    self._memory = Memory(self._slots, frame_width, self.env)
-    self._share()
-    self.buffers: dict[str, Observation] = {group: self._view(group, self._out) for group in self.active_groups}
-    """Observation of each group, float32 (N, D) or a dict of terms; always the same memory."""
+  def __init__(
+    self, cfgs: Mapping[str, ObservationGroupCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
+  ) -> None:
+    self._groups: dict[str, ObservationGroupCfg] = {}
+    self._slots: dict[str, Slot] = {}
+    super().__init__(cast(Any, cfgs), env, problems=problems)
 
   # Build.
 
   @classmethod
-  def _cfg_problems(cls, name: str, cfg: ObservationGroupCfg) -> Iterator[str]:
-    yield from group_problems(name, cfg)
-    if isinstance(cfg, ObservationGroupCfg) and isinstance(cfg.terms, Mapping):
-      for term, term_cfg in cfg.terms.items():
-        yield from group_term_problems(f"{name}/{term}", term_cfg)
+  def check(cls, cfgs: Mapping[str, Any]) -> list[str]:
+    groups = {group: cfg for group, cfg in cfgs.items() if cfg is not None}
+    problems = [
+      f"{cls.__name__}: group '{name}': {line}" for name, cfg in groups.items() for line in _group_problems(cfg)
+    ]
+    return problems + super().check(dict(_paths(groups)))
 
-  def _read(self, name: str, cfg: ObservationGroupCfg) -> None:
-    """Keep a copy of a group, without the terms that have mistakes."""
-    if self._note(group_problems(name, cfg)):
-      self._broken.add(name)
-      return
-    group = copy_cfg(cfg)
-    for term, term_cfg in cfg.terms.items():
-      if term_cfg is None or self._note(group_term_problems(f"{name}/{term}", term_cfg)):
-        del group.terms[term]
-    self._cfgs[name] = group
+  @classmethod
+  def _cfg_problems(cls, cfg: Any) -> list[str]:
+    problems = super()._cfg_problems(cfg)
+    if not problems and cfg.delay_min_lag > cfg.delay_max_lag:
+      problems.append(f"needs delay_min_lag <= delay_max_lag, got {cfg.delay_min_lag} and {cfg.delay_max_lag}.")
+    return problems
 
-  def _note(self, problems: Iterator[str] | list[str]) -> bool:
-    """Note mistakes, and return True if there are any."""
-    found = list(problems)
-    for problem in found:
-      self._problem(problem)
-    return bool(found)
+  def _term_cfgs(self, cfgs: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    for name, cfg in cfgs.items():
+      if cfg is not None:
+        with self._noting(name, "group"):
+          if problems := _group_problems(cfg):
+            raise ConfigError(*problems)
+          group = copy.copy(cfg)
+          group.terms = {}
+          self._groups[name] = self._locked(name, group, frozenset({"corrupt", "nan_policy"}))
+    return _paths({name: cfgs[name] for name in self._groups})
 
-  def _make_slot(self, group: str, name: str, cfg: ObservationTermCfg, earlier: list[Slot]) -> Slot | None:
-    path, group_cfg = f"{group}/{name}", self._cfgs[group]
-    own = self._bind(path, cfg)
-    if own is None:
-      return None
-    history, flatten = cfg.history_length, cfg.flatten_history_dim
-    if group_cfg.history_length is not None:
-      history, flatten = group_cfg.history_length, group_cfg.flatten_history_dim
-    twin = twin_of(own, earlier)
-    shape = self._shape_of(own) if twin is None else twin.shape
-    if shape is None:
-      self._drop(path)
-      return None
-    return Slot(group, name, group_cfg, cfg, own, own, shape, history, flatten)
-
-  def _shape_of(self, term: Term) -> tuple[int, ...] | None:
-    """Return the shape of the value of one world, or None with the mistake noted."""
-    with self._trial(term.name, term.func) as trial:
-      trial.value = term.try_call(rebuilt=trial.rebuilt)
-      if isinstance(term.func, ManagerTermBase):
-        term.func.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
-
+  def _mistake(self, term: Term) -> str:
     def fits(value: torch.Tensor) -> bool:
       return value.is_floating_point() and value.dim() >= 2 and value.shape[0] == self.num_envs
 
-    what = f"float ({self.num_envs}, ...) with at least two dimensions"
-    if trial.failed or not self._check_tensor(term.name, trial.value, what, fits):
-      return None
-    return tuple(trial.value.shape[1:])
+    value = self._tried(term)
+    if misfit := self._misfit(value, f"float ({self.num_envs}, ...) with at least two dimensions", fits):
+      return misfit
+    shape = tuple(value.shape[1:])
+    if term.name not in self._slots:
+      self._slots[term.name] = self._slot(term, shape)
+    elif shape != (before := self._slots[term.name].frame_shape):
+      return f"returned {before} for each world before, and {shape} now."
+    return ""
 
-  def _check_shapes(self, group: str, slots: list[Slot]) -> None:
-    if self._cfgs[group].concatenate_terms and len(slots) > 1:
-      for slot in slots:
-        if len(slot.out_shape) > 1:
-          self._problem(
-            f"term '{slot.path}': shape {slot.out_shape} cannot be concatenated; flatten it, or set "
-            f"concatenate_terms=False on group '{group}'."
-          )
+  def _slot(self, term: Term, shape: tuple[int, ...]) -> Slot:
+    group, _, name = term.name.partition("/")
+    group_cfg, cfg = self._groups[group], self._cfgs[term.name]
+    history, flatten = cfg.history_length, cfg.flatten_history_dim
+    if group_cfg.history_length is not None:
+      history, flatten = group_cfg.history_length, group_cfg.flatten_history_dim
+    width, out_shape = math.prod(shape), shape
+    if history > 0:
+      out_shape = (history * width,) if flatten else (history, *shape)
+    frame, out = next(((slot.frame.stop, slot.out.stop) for slot in reversed(self._slots.values())), (0, 0))
+    return Slot(
+      group=group,
+      name=name,
+      group_cfg=group_cfg,
+      cfg=cfg,
+      term=term,
+      frame_shape=shape,
+      history_length=history,
+      shape=out_shape,
+      frame=slice(frame, frame + width),
+      out=slice(out, out + math.prod(out_shape)),
+    )
+
+  def _make(self) -> None:
+    for slot in self._slots.values():
+      group = self._groups[slot.group]
+      if group.concatenate_terms and len(slot.shape) > 1 and len(self._group_slots(slot.group)) > 1:
+        self._problems.append(
+          f"term '{slot.path}': shape {slot.shape} cannot be concatenated; flatten it, or set concatenate_terms=False "
+          f"on group '{slot.group}'."
+        )
+    for name, group in self._groups.items():
+      terms = {slot.name: slot.cfg for slot in self._group_slots(name)}
+      vars(group)["terms"] = lock(terms, f"{self.label}: the terms of group '{name}' are fixed at build.")
+    slots = list(self._slots.values())
+    self._frame = torch.zeros(self.num_envs, slots[-1].frame.stop if slots else 0, device=self.device)
+    self._clean = torch.zeros_like(self._frame)
+    self._out = self.state((slots[-1].out.stop if slots else 0,))
+    self._processing = Processing((), self.env)
+    self._process(None)
+    self._memory = Memory(slots, self.env)
+    self._share()
+    self.buffers: dict[str, Observation] = {group: self._view(group, self._out) for group in self.active_groups}
+    """Observation of each group, float32 (N, D) or a dict of terms; always the same memory."""
+
+  def _process(self, before: Processing | None) -> None:
+    """Compile the present options, or note the mistakes in them."""
+    try:
+      self._processing = Processing(list(self._slots.values()), self.env, before)
+    except ConfigError as error:
+      self._problems += error.problems
 
   def _share(self) -> None:
-    """Share one evaluation among equal terms."""
-    for index, slot in enumerate(self._slots):
-      twin = twin_of(slot.own, self._slots[:index])
-      slot.term = slot.own if twin is None else twin.term
-    self._terms = list(dict.fromkeys(slot.term for slot in self._slots))
-
-  def _check_again(self, term: Term) -> bool:
-    shape = self._shape_of(term)
-    before = next(slot.shape for slot in self._slots if slot.own is term)
-    if shape is not None and shape != before:
-      self._problem(f"term '{term.name}': returned {before} for each world before, and {shape} now.")
-    return shape == before
-
-  def _lock(self, name: str, cfg: Any, live: frozenset[str]) -> None:
-    for term, term_cfg in cfg.terms.items():
-      super()._lock(f"{name}/{term}", term_cfg, _LIVE)
-    super()._lock(name, cfg, live)
+    """Share one evaluation among terms with the same function and parameters. Class terms are never shared."""
+    self._evaluated: dict[str, Term] = {}
+    for path, slot in self._slots.items():
+      twins = (term for term in self._evaluated.values() if _are_equal(term, slot.term))
+      self._evaluated[path] = next(twins, slot.term)
+    self._distinct = list(dict.fromkeys(self._evaluated.values()))
 
   def _view(self, group: str, memory: torch.Tensor) -> Observation:
     slots = self._group_slots(group)
-    if not self._cfgs[group].concatenate_terms:
-      return {slot.name: memory[:, slot.out].unflatten(1, slot.out_shape) for slot in slots}
+    if not self._groups[group].concatenate_terms:
+      return {slot.name: memory[:, slot.out].unflatten(1, slot.shape) for slot in slots}
     columns = memory[:, slots[0].out.start : slots[-1].out.stop]
-    return columns.unflatten(1, slots[0].out_shape) if len(slots) == 1 else columns
+    return columns.unflatten(1, slots[0].shape) if len(slots) == 1 else columns
 
   # Interface for users.
 
   @property
   def active_groups(self) -> list[str]:
     """Names of the groups in order."""
-    return list(dict.fromkeys(slot.group for slot in self._slots))
+    return list(dict.fromkeys(slot.group for slot in self._slots.values()))
 
   @property
   def active_terms(self) -> dict[str, list[str]]:
@@ -178,17 +175,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   @property
   def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
     """Shapes of the terms of one world by group."""
-    return {group: [slot.out_shape for slot in self._group_slots(group)] for group in self.active_groups}
-
-  @property
-  def group_obs_concatenate(self) -> dict[str, bool]:
-    """`concatenate_terms` of each group."""
-    return {group: self._cfgs[group].concatenate_terms for group in self.active_groups}
-
-  @property
-  def nonfinite_counts(self) -> dict[str, torch.Tensor]:
-    """Entries that were NaN or infinite since `clear_log` by "group/term", int64, 0-d."""
-    return {slot.path: self._processing.nonfinite[slot.frame].sum() for slot in self._slots}
+    return {group: [slot.shape for slot in self._group_slots(group)] for group in self.active_groups}
 
   def layout(self, group: str) -> list[TermLayout]:
     """Return the columns and the processing of each term of a group."""
@@ -199,9 +186,9 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       TermLayout(
         name=slot.name,
         columns=slice(slot.out.start - start, slot.out.stop - start),
-        shape=slot.out_shape,
-        frame_shape=slot.shape,
-        history_length=slot.history,
+        shape=slot.shape,
+        frame_shape=slot.frame_shape,
+        history_length=slot.history_length,
         clip=slot.cfg.clip,
         scale=slot.cfg.scale,
       )
@@ -215,8 +202,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
       UnknownNameError: no such group or term.
       MjlabError: the term declares no source.
     """
-    cfg = self.get_term_cfg(group, name)
-    term = next(slot.own for slot in self._group_slots(group) if slot.name == name)
+    cfg, term = self.get_term_cfg(group, name), self.term(f"{group}/{name}")
     if cfg.source is not None:
       return TermSource(readings=(Reading(name=cfg.source, read=term),))
     describe = getattr(term.func, "source", None)
@@ -237,7 +223,7 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     Raises:
       UnknownNameError: no such group or term.
     """
-    cfg = self._lookup(self._cfgs, group)
+    cfg = self._lookup(self._groups, group)
     if name is None:
       return cfg
     return cfg.terms[check_name("term", name, cfg.terms, f"{self.label}: group '{group}'")]
@@ -245,9 +231,9 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   def set_params(self, name: str, /, **params: Any) -> None:
     """Change parameters of the term `name`, "group/term"; see `ManagerBase.set_params`."""
     super().set_params(name, **params)
-    before = self._terms
+    before = self._distinct
     self._share()
-    if self._terms != before:
+    if self._distinct != before:
       self.env.request_recapture(f"{self.label}: '{name}' has other parameters than its equals in other groups")
 
   def get(self) -> dict[str, Observation]:
@@ -306,14 +292,15 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
     prefix = "Nonfinite/observation/"
     return [
       f"observation '{slot.path}': {log[prefix + slot.path]:.0f} entries were NaN or infinite and became 0"
-      for slot in self._slots
+      for slot in self._slots.values()
       if slot.group_cfg.nan_policy == "warn" and prefix + slot.path in log
     ]
 
   def _evaluate(self, advance: torch.Tensor | None) -> list[torch.Tensor]:
-    values = self.evaluate(self._terms) if advance is None else [self._observe(term, advance) for term in self._terms]
-    raw = {term: value.flatten(1) for term, value in zip(self._terms, values, strict=True)}
-    return [raw[slot.term] for slot in self._slots]
+    terms = self._distinct
+    values = self.evaluate(terms) if advance is None else [self._observe(term, advance) for term in terms]
+    raw = {term: value.flatten(1) for term, value in zip(terms, values, strict=True)}
+    return [raw[term] for term in self._evaluated.values()]
 
   def _observe(self, term: Term, advance: torch.Tensor) -> torch.Tensor:
     """Return the value of a term, whose state advances in the worlds of `advance` only."""
@@ -335,34 +322,53 @@ class ObservationManager(ManagerBase[ObservationGroupCfg]):
   def sync(self) -> None:
     """Read replaced noise, clip, scale and NaN policies from the configs, on the host before each step."""
     if not self._processing.is_current():
-      self._note(self._processing.compile())
-      self._raise_problems()
+      self._process(self._processing)
+      self._report()
       self.env.request_recapture(f"{self.label}: noise, clip, scale or NaN policy changed")
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Nonfinite/observation/<group>/<term>`, counts of NaN or infinite entries; NaN if there were none."""
-    names = [f"Nonfinite/observation/{slot.path}" for slot in self._slots]
-    if not names:
+    if not self._slots:
       return super().log_tensors()
-    return names, nan_if_zero(torch.stack(list(self.nonfinite_counts.values())))
+    counts = [self._processing.nonfinite[slot.frame].sum() for slot in self._slots.values()]
+    return [f"Nonfinite/observation/{path}" for path in self._slots], nan_if_zero(torch.stack(counts))
 
   def clear_log(self) -> None:
     self._processing.nonfinite.zero_()
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     row = self._out[env_idx].tolist()
-    return [(slot.path, row[slot.out]) for slot in self._slots]
+    return [(path, row[slot.out]) for path, slot in self._slots.items()]
 
   def describe(self) -> str:
     rows = []
-    for slot in self._slots:
-      cfg, group = slot.cfg, self._cfgs[slot.group]
-      noise = type(cfg.noise).__name__ if group.corrupt and cfg.noise is not None else ""
+    for slot in self._slots.values():
+      cfg = slot.cfg
+      noise = "" if slot.noise is None else type(slot.noise).__name__
       lag = f"{cfg.delay_min_lag} to {cfg.delay_max_lag}" if cfg.delay_max_lag else ""
       optional = ["" if value is None else value for value in (cfg.clip, cfg.scale)]
-      rows.append((slot.group, slot.name, slot.out_shape, noise, *optional, lag, slot.history or ""))
+      rows.append((slot.group, slot.name, slot.shape, noise, *optional, lag, slot.history_length or ""))
     columns = ("group", "term", "shape", "noise", "clip", "scale", "delay", "history")
     return table(columns, rows, title="Observations")
 
   def _group_slots(self, group: str) -> list[Slot]:
-    return [slot for slot in self._slots if slot.group == group]
+    return [slot for slot in self._slots.values() if slot.group == group]
+
+
+def _group_problems(cfg: Any) -> list[str]:
+  """Return the mistakes in a group, apart from those in its terms."""
+  problems = cfg_problems(cfg, ObservationGroupCfg)
+  if not problems and not any(term is not None for term in cfg.terms.values()):
+    problems.append("has no terms. Give it some, or set the group itself to None to leave it out.")
+  return problems
+
+
+def _paths(groups: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+  """Yield "group/term" and config of the terms of all groups."""
+  for group, cfg in groups.items():
+    if isinstance(getattr(cfg, "terms", None), Mapping):
+      yield from ((f"{group}/{name}", term) for name, term in cfg.terms.items() if term is not None)
+
+
+def _are_equal(a: Term, b: Term) -> bool:
+  return not isinstance(a.func, ManagerTermBase) and same(a.func, b.func) and same(a.given, b.given)

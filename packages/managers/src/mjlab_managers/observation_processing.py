@@ -3,122 +3,127 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core import DivergedError, Stateful, StatefulDict
+from mjlab_core import Bounds, ConfigError, DivergedError, Stateful, StatefulDict, field_problem
 
+from mjlab_managers.binding import Term
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.noise import (
-  EpisodeBias,
-  FusedNoise,
-  NoiseCfg,
-  NoiseModel,
-  NoiseModelCfg,
-  NoiseModelWithAdditiveBiasCfg,
-)
-from mjlab_managers.observation_checks import processing_problems
-from mjlab_managers.observation_slots import Slot
+from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModel, NoiseModelCfg
+from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
+
+
+@dataclass(kw_only=True, eq=False)
+class Slot:
+  """Term of a group, with its columns in the frame of all terms and in the output."""
+
+  group: str
+  name: str
+  group_cfg: ObservationGroupCfg
+  cfg: ObservationTermCfg
+  term: Term
+  frame_shape: tuple[int, ...]
+  """Shape of one frame of one world."""
+  history_length: int
+  shape: tuple[int, ...]
+  """Shape of the observation of one world, history included."""
+  frame: slice
+  out: slice
+
+  @property
+  def path(self) -> str:
+    return f"{self.group}/{self.name}"
+
+  @property
+  def width(self) -> int:
+    return self.frame.stop - self.frame.start
+
+  @property
+  def noise(self) -> Any:
+    """Noise of the term, or None if its group is not corrupted."""
+    return self.cfg.noise if self.group_cfg.corrupt else None
+
+  def options(self) -> tuple[Any, ...]:
+    """Return the live options. A replaced option has another identity."""
+    return (self.cfg.noise, self.cfg.clip, self.cfg.scale, self.group_cfg.corrupt, self.group_cfg.nan_policy)
 
 
 class Processing(Stateful):
-  """Processing of the frame, the columns of all terms side by side, float32 (N, W).
+  """Processing of the frame, the columns of all terms side by side, float32 (N, W), with the present options.
 
   Args:
     slots: the terms and their columns.
-    width: columns of the frame.
     env: the environment.
+    before: processing with earlier options. Noise models with the same config keep their state.
+
+  Raises:
+    ConfigError: an option does not fit its term.
   """
 
-  def __init__(self, slots: Sequence[Slot], width: int, env: ManagerEnv) -> None:
+  def __init__(self, slots: Sequence[Slot], env: ManagerEnv, before: Processing | None = None) -> None:
     self.num_envs, self.device = env.num_envs, env.device
-    self._env, self._slots, self._width = env, slots, width
-    # Redrawn at resets by `redraw`, not refilled.
-    self._bias = self.state_of(torch.zeros(self.num_envs, width, device=self.device))
-    self._models: StatefulDict[NoiseModel] = StatefulDict()
-    self._built_from: dict[str, NoiseModelCfg] = {}
-    self._bias_parts: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
-    self._episode_bias: EpisodeBias | None = None
-    self.nonfinite = torch.zeros(width, dtype=torch.int64, device=self.device)
+    self._env, self._slots = env, slots
+    self._options = [option for slot in slots for option in slot.options()]
+    width = slots[-1].frame.stop if slots else 0
+    self.nonfinite = torch.zeros(width, dtype=torch.int64, device=self.device) if before is None else before.nonfinite
     """NaN or infinite entries per column since `clear_log`, int64 (W,)."""
-    self._compiled: list[tuple[Any, ...]] = []
-    self.problems = self.compile()
-
-  def is_current(self) -> bool:
-    """Return True if no config was replaced since `compile`."""
-    now = [slot.processing() for slot in self._slots]
-    return len(now) == len(self._compiled) and all(
-      all(map(operator.is_, new, old)) for new, old in zip(now, self._compiled, strict=True)
-    )
-
-  def compile(self) -> list[str]:
-    """Read the configs and return the mistakes in them. With mistakes, nothing changes."""
-    if problems := [problem for slot in self._slots for problem in processing_problems(slot)]:
-      return problems
-    lo, hi = torch.full((1, self._width), -math.inf), torch.full((1, self._width), math.inf)
-    scale = torch.ones(1, self._width)
-    checked = torch.zeros(1, self._width, dtype=torch.bool)
-    noises: list[tuple[int, int, NoiseCfg]] = []
-    biases: list[tuple[int, int, NoiseModelWithAdditiveBiasCfg]] = []
-    modelled: list[tuple[Slot, NoiseModelCfg]] = []
-    for slot in self._slots:
+    lo, hi = torch.full((1, width), -math.inf), torch.full((1, width), math.inf)
+    scale = torch.ones(1, width)
+    checked = torch.zeros(1, width, dtype=torch.bool)
+    noises: list[tuple[slice, NoiseCfg]] = []
+    self._models: StatefulDict[NoiseModel] = StatefulDict()
+    self._modelled: dict[str, tuple[NoiseModelCfg, Slot]] = {}
+    problems: list[str] = []
+    for slot in slots:
       cfg, columns = slot.cfg, slot.frame
+      try:
+        self._add_noise(slot, noises, before)
+      except (TypeError, ValueError) as error:
+        problems.append(f"term '{slot.path}': noise: {error}")
+      if wrong := _number_problem(slot):
+        problems.append(f"term '{slot.path}': {wrong}")
+        continue
       if cfg.clip is not None:
         lo[0, columns], hi[0, columns] = cfg.clip
       if cfg.scale is not None:
         scale[0, columns] = torch.as_tensor(cfg.scale, dtype=torch.float32).cpu().flatten()
       checked[0, columns] = slot.group_cfg.nan_policy != "disabled"
-      noise = cfg.noise if slot.group_cfg.corrupt else None
-      if isinstance(noise, NoiseModelCfg):
-        modelled.append((slot, noise))
-      elif isinstance(noise, NoiseModelWithAdditiveBiasCfg):
-        biases.append((columns.start, columns.stop, noise))
-        if noise.noise_cfg is not None:
-          noises.append((columns.start, columns.stop, noise.noise_cfg))
-      elif noise is not None:
-        noises.append((columns.start, columns.stop, noise))
-    if problems := self._build_models(modelled):
-      return problems
-    self._strict = [slot for slot in self._slots if slot.group_cfg.nan_policy == "error"]
+    if problems:
+      raise ConfigError(*problems)
+    self._strict = [slot for slot in slots if slot.group_cfg.nan_policy == "error"]
     self._noise = FusedNoise(noises, self.device) if noises else None
-    if biases != self._bias_parts:
-      self._bias_parts = biases
-      self._episode_bias = EpisodeBias(biases, self._bias.zero_(), self._env.rng) if biases else None
-      if self._episode_bias is not None:
-        self._episode_bias.redraw(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
     clips = bool(torch.isfinite(lo).any() or torch.isfinite(hi).any())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
     self._checks = bool(checked.any())
     self._checked = None if checked.all() else checked.to(self.device)
-    self._compiled = [slot.processing() for slot in self._slots]
-    return []
 
-  def _build_models(self, wanted: Sequence[tuple[Slot, NoiseModelCfg]]) -> list[str]:
-    """Build the noise models and return mistakes. A model with an unchanged config keeps its state."""
-    models: dict[str, NoiseModel] = {}
-    problems: list[str] = []
-    for slot, cfg in wanted:
-      if self._built_from.get(slot.path) is cfg:
-        models[slot.path] = self._models[slot.path]
-        continue
-      try:
-        models[slot.path] = cfg.build(slot.shape, self.num_envs, self.device, self._env.rng)
-      except (TypeError, ValueError) as error:
-        problems.append(f"term '{slot.path}': noise: {error}")
-    if not problems:
-      self._models = StatefulDict(models)
-      self._built_from = {slot.path: cfg for slot, cfg in wanted}
-      self._modelled = [(models[slot.path], slot.frame, slot.shape) for slot, _ in wanted]
-    return problems
+  def _add_noise(self, slot: Slot, noises: list[tuple[slice, NoiseCfg]], before: Processing | None) -> None:
+    noise = slot.noise
+    if noise is None:
+      return
+    if not isinstance(noise, NoiseModelCfg):
+      noises.append((slot.frame, noise))
+      # The noise of all terms is made together; here it is checked.
+      FusedNoise(noises[-1:], "cpu")
+      return
+    if before is not None and before._modelled.get(slot.path, (None,))[0] is noise:
+      self._models[slot.path] = before._models[slot.path]
+    else:
+      self._models[slot.path] = noise.build(slot.frame_shape, self.num_envs, self.device, self._env.rng)
+    self._modelled[slot.path] = noise, slot
+
+  def is_current(self) -> bool:
+    """Return True if no option was replaced."""
+    now = (option for slot in self._slots for option in slot.options())
+    return all(new is old for new, old in zip(now, self._options, strict=True))
 
   def redraw(self, mask: torch.Tensor) -> None:
     """Draw the episode noise of the worlds in `mask`, bool (N,)."""
-    if self._episode_bias is not None:
-      self._episode_bias.redraw(mask)
-    for model, *_ in self._modelled:
+    for model in self._models.values():
       model.reset(mask)
 
   def apply(self, frame: torch.Tensor, clean: torch.Tensor, advance: torch.Tensor | None) -> None:
@@ -128,10 +133,8 @@ class Processing(Stateful):
     """
     if self._noise is not None:
       self._noise.apply_(frame, self._env.rng)
-    if self._episode_bias is not None:
-      self._episode_bias.add_to(frame)
-    for model, columns, shape in self._modelled:
-      model.apply_(frame[:, columns].unflatten(1, shape))
+    for path, (_, slot) in self._modelled.items():
+      self._models[path].apply_(frame[:, slot.frame].unflatten(1, slot.frame_shape))
     if self._lo is not None:
       torch.clamp(frame, self._lo, self._hi, out=frame)
     if self._scale is not None:
@@ -164,3 +167,14 @@ class Processing(Stateful):
         raise DivergedError(
           f"ObservationManager: term '{slot.path}' is NaN or infinite in {len(worlds)} worlds: {listed}."
         )
+
+
+def _number_problem(slot: Slot) -> str:
+  """Return the reason why clip or scale do not fit a term; empty if they fit."""
+  scale = slot.cfg.scale
+  if wrong := field_problem(slot.cfg.clip, Bounds | None):
+    return f"clip {wrong}"
+  factors = torch.as_tensor(1.0 if scale is None else scale, dtype=torch.float32).flatten()
+  if factors.numel() not in (1, slot.width):
+    return f"{factors.numel()} scales for {slot.width} components."
+  return "" if factors.isfinite().all() else f"scale must be finite, got {scale}."

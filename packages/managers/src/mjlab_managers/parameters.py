@@ -11,13 +11,12 @@ from numbers import Real
 from typing import Any
 
 import torch
-from mjlab_core import nearest
-from mjlab_core.constraints import named_problem
+from mjlab_core import unknown
+from mjlab_core.constraints import named_problem, resolved_hints
 
 Scalar = torch.Tensor | tuple[torch.Tensor, ...]
 """Number, or tuple of numbers, as 0-d float64 tensors on the device."""
 
-_NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -25,49 +24,43 @@ class Signature:
   """Parameters of a function, or of the `__init__` of a class.
 
   Args:
-    func: the function or class.
+    func: the function or class. A built-in without a signature takes anything.
     num_leading: number of positional parameters before those of the term, such as the environment.
   """
 
   def __init__(self, func: Callable[..., Any], num_leading: int) -> None:
-    found = _parameters(func)
-    self.known = found is not None
-    """False for built-ins without a signature, which cannot be checked."""
-    parameters = found or []
-    positional = [p for p in parameters if p.kind in _POSITIONAL]
-    self.leading = [p.name for p in positional[:num_leading]]
-    self.takes_more_positional = any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
-    self._takes_any_name = not self.known or any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
-    named = {p.name: p for p in parameters if p.kind in _NAMED and p not in positional[:num_leading]}
-    self.names = list(named)
-    self.defaults = {name: p.default for name, p in named.items() if p.default is not p.empty}
-    self.hints = {name: _resolved(p.annotation, func) for name, p in named.items()}
+    parameters = _parameters(func)
+    kinds = {p.kind for p in parameters}
+    self.leading = [p.name for p in parameters if p.kind in _POSITIONAL][:num_leading]
+    self.takes_more_positional = inspect.Parameter.VAR_POSITIONAL in kinds
+    self._takes_any_name = inspect.Parameter.VAR_KEYWORD in kinds
+    named = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) and p.name not in self.leading]
+    self.names = [p.name for p in named]
+    self.defaults = {p.name: p.default for p in named if p.default is not p.empty}
+    self._hints = resolved_hints({p.name: p.annotation for p in named}, _namespace(func), {})
 
   def problems(self, given: Mapping[str, Any], *, complete: bool = True) -> Iterator[str]:
     """Yield the mistakes in parameters: unknown names, wrong types, and missing names if `complete`."""
-    missing = [name for name in self.names if name not in self.defaults and name not in given] if complete else []
     for name, value in given.items():
       if name not in self.names and not self._takes_any_name:
-        close = nearest(name, self.names)
-        hint = f" Nearest: {', '.join(close)}." if close else ""
-        yield f"unknown parameter '{name}'.{hint} Given: {_listed(given)}; possible: {_listed(self.names)}."
-      elif not _has_tensors(value) and (wrong := named_problem(f"parameter '{name}'", value, self.hints.get(name))):
+        yield unknown("parameter", name, self.names)
+      elif not _has_tensors(value) and (wrong := named_problem(f"parameter '{name}'", value, self._hints.get(name))):
         yield f"{wrong}."
+    missing = [name for name in self.names if complete and name not in {**self.defaults, **given}]
     if missing:
-      yield (
-        f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}. Given: {_listed(given)}; "
-        f"possible: {_listed(self.names)}."
-      )
+      yield f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}."
 
-  def scalar(self, name: str, value: Any, device: torch.device) -> Scalar | None:
-    """Return a parameter annotated `float` or `tuple[float, ...]` as a new scalar; None for all others."""
-    hints = _alternatives(self.hints.get(name))
-    if _is_number(value) and float in hints:
-      return torch.tensor(float(value), dtype=torch.float64, device=device)
-    tuples = any(typing.get_origin(hint) is tuple and float in typing.get_args(hint) for hint in hints)
-    if tuples and isinstance(value, tuple | list) and value and all(map(_is_number, value)):
-      return tuple(torch.tensor(float(number), dtype=torch.float64, device=device) for number in value)
-    return None
+  def scalars(self, given: Mapping[str, Any], device: torch.device) -> dict[str, Scalar]:
+    """Return the parameters annotated `float` or `tuple[float, ...]` as new scalars."""
+    found: dict[str, Scalar] = {}
+    for name, value in given.items():
+      hints = _alternatives(self._hints.get(name))
+      takes_tuple = any(typing.get_origin(hint) is tuple and float in typing.get_args(hint) for hint in hints)
+      if float in hints and _is_number(value):
+        found[name] = _scalar(value, device)
+      elif takes_tuple and isinstance(value, tuple | list) and value and all(map(_is_number, value)):
+        found[name] = tuple(_scalar(number, device) for number in value)
+    return found
 
 
 def fits_scalar(scalar: Scalar, value: Any) -> bool:
@@ -79,10 +72,7 @@ def fits_scalar(scalar: Scalar, value: Any) -> bool:
 def write_scalar(scalar: Scalar, value: Any) -> None:
   """Write a value that fits into a scalar, in place."""
   for tensor, new in _pairs(scalar, value):
-    if isinstance(new, torch.Tensor):
-      tensor.copy_(new)
-    else:
-      tensor.fill_(float(new))
+    tensor.fill_(new)
 
 
 def _pairs(scalar: Scalar, value: Any) -> list[tuple[torch.Tensor, Any]]:
@@ -92,29 +82,28 @@ def _pairs(scalar: Scalar, value: Any) -> list[tuple[torch.Tensor, Any]]:
   return list(zip(scalar, value, strict=True)) if same_length else []
 
 
-def _parameters(func: Any) -> list[inspect.Parameter] | None:
+def _scalar(value: Any, device: torch.device) -> torch.Tensor:
+  return torch.tensor(float(value), dtype=torch.float64, device=device)
+
+
+def _parameters(func: Any) -> list[inspect.Parameter]:
   try:
     if isinstance(func, type):
       return list(inspect.signature(func.__init__).parameters.values())[1:]
     return list(inspect.signature(func).parameters.values())
   except (ValueError, TypeError):
-    return None
+    return list(inspect.signature(lambda *args, **kwargs: None).parameters.values())
 
 
-def _resolved(annotation: Any, func: Any) -> Any:
-  """Return an annotation as a type, or None if it cannot be evaluated."""
-  if not isinstance(annotation, str):
-    return annotation
+def _namespace(func: Any) -> dict[str, Any]:
+  """Return the names that the annotations of a function, or of the `__init__` of a class, can use."""
   while isinstance(func, functools.partial):
     func = func.func
   if isinstance(func, type):
     func = func.__init__
-  elif not hasattr(func, "__globals__") and not hasattr(func, "__func__"):
-    func = vars(type(func)).get("__call__", func)
-  try:
-    return eval(annotation, getattr(inspect.unwrap(func), "__globals__", {}))
-  except Exception:
-    return None
+  elif not inspect.isroutine(func):
+    func = type(func).__call__
+  return getattr(inspect.unwrap(func), "__globals__", {})
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -134,7 +123,3 @@ def _has_tensors(value: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
   return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _listed(names: Any) -> str:
-  return ", ".join(names) or "none"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import collections
 import contextlib
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from mjlab_core.tables import table
 
+from mjlab_managers.binding import Term, placed
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 
@@ -50,24 +50,11 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
   cfg_type = RecorderTermCfg
   term_base = RecorderTerm
 
-  def _make(self) -> None:
-    self._terms: dict[str, RecorderTerm] = {}
-    for name, cfg in list(self._cfgs.items()):
-      term = self._bind(name, cfg)
-      if term is None:
-        self._drop(name)
-      else:
-        assert isinstance(term.func, RecorderTerm)
-        self._terms[name] = term.func
-
-  def rehearse(self) -> None:
-    everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-    for name, term in self._terms.items():
-      twin = _twin(term)
-      for hook, args in (("pre_reset", (everywhere,)), ("post_reset", (everywhere,)), ("post_step", ())):
-        with self._noting(name, f"in {hook}"):
-          getattr(twin, hook)(*args)
-    self._raise_problems()
+  def _rehearse(self, term: Term) -> None:
+    twin = _twin(term.func)
+    for hook, args in (("pre_reset", (self._everywhere,)), ("post_reset", (self._everywhere,)), ("post_step", ())):
+      with placed(f"in {hook}"):
+        getattr(twin, hook)(*args)
 
   def reset(self, mask: torch.Tensor) -> None:
     """Do nothing. Recorders have hooks for resets."""
@@ -78,7 +65,7 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     Raises:
       UnknownNameError: no such recorder; the message lists the nearest names.
     """
-    return self._lookup(self._terms, name)
+    return self.term(name).func
 
   def pre_reset(self, mask: torch.Tensor) -> None:
     """Call `pre_reset(mask)` of the recorders that have it."""
@@ -96,26 +83,24 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
     """Close all recorders, even if one of them raises an error."""
     with contextlib.ExitStack() as stack:
       for term in reversed(self._terms.values()):
-        stack.callback(term.close)
+        stack.callback(term.func.close)
 
   def _call(self, hook: str, *args: torch.Tensor) -> None:
     base = getattr(RecorderTerm, hook)
-    terms = [term for term in self._terms.values() if getattr(type(term), hook) is not base]
-    if not terms:
+    names = [name for name, term in self._terms.items() if getattr(type(term.func), hook) is not base]
+    if not names:
       return
-    hooks: list[tuple[str, Callable[..., None]]] = [(term.name, getattr(term, hook)) for term in terms]
 
     def call() -> None:
-      for name, function in hooks:
+      for name in names:
         with self._naming(name):
-          function(*args)
+          getattr(self._terms[name].func, hook)(*args)
 
-    self.env.run_eagerly(call, name=f"recorders {', '.join(term.name for term in terms)} ({hook})")
+    self.env.run_eagerly(call, name=f"recorders {', '.join(names)} ({hook})")
 
   def describe(self) -> str:
-    return table(
-      ("term", "type"), [(name, type(term).__name__) for name, term in self._terms.items()], title="Recorders"
-    )
+    rows = [(name, type(term.func).__name__) for name, term in self._terms.items()]
+    return table(("term", "type"), rows, title="Recorders")
 
 
 def _twin(term: RecorderTerm) -> RecorderTerm:

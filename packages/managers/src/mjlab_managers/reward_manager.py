@@ -8,12 +8,12 @@ from itertools import compress
 from typing import Any
 
 import torch
-from mjlab_core import Finite, field_problem, fill_
+from mjlab_core import Finite, check_value, fill_
 from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBaseCfg
-from mjlab_managers.vector_manager import FiniteValues, LogBuffer, VectorManager, nan_if_zero
+from mjlab_managers.vector_manager import VectorManager
 
 
 @dataclass
@@ -50,25 +50,20 @@ class RewardManager(VectorManager[RewardTermCfg]):
     super().__init__(cfgs, env, problems=problems)
 
   def _make(self) -> None:
-    self._terms = self._bind_vectors()
-    self._raise_problems()
-
-    names = [term.name for term in self._terms]
     self._scale = self.env.step_dt if self.scale_by_dt else 1.0
     self._host_weights = self._read_host_weights()
     weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
     self._weights = self.state_of(weights, shared=True)
     # Terms whose weight is set on the device; the host cannot know when it is 0.
     self._on_device: set[str] = set()
-    self._active = [weight != 0.0 for weight in self._host_weights]
+    self._active = self._read_active()
 
     self.reward = self.state()
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
-    self._finite = FiniteValues(names, "reward", self.num_envs, self.device)
-    self._weighted = torch.zeros_like(self._finite.values)
-    self._episode_sums = self.state((len(names),))
-    self._log = LogBuffer([f"Episode_Reward/{name}" for name in names], self.device)
+    self._lay_out(self.active_terms, "reward", "Episode_Reward")
+    self._weighted = torch.zeros_like(self._values)
+    self._episode_sums = self.state((len(self._terms),))
 
   @property
   def step_reward(self) -> torch.Tensor:
@@ -80,30 +75,23 @@ class RewardManager(VectorManager[RewardTermCfg]):
     """Sum of the contribution of each term over the running episode, (N, R)."""
     return self._episode_sums
 
-  @property
-  def nonfinite_counts(self) -> torch.Tensor:
-    """Values per term that were NaN or infinite since `clear_log`, int64 (R,)."""
-    return self._finite.counts
-
   def weight(self, name: str) -> torch.Tensor:
     """Return the weight of a term on the device, 0-d, that curricula may write inside the step.
 
     After this call the term is always evaluated. The config of the term does not show such writes.
     """
-    self._lookup(self._cfgs, name)
-    index = [term.name for term in self._terms].index(name)
-    if name not in self._on_device:
-      self._on_device.add(name)
-      self._update_activity()
+    index = self._lookup({name: index for index, name in enumerate(self._terms)}, name)
+    self._on_device.add(name)
+    self._update_activity()
     return self._weights[0, index]
 
   def compute(self) -> torch.Tensor:
     """Evaluate the step and return `reward`, (N,), always the same memory."""
     if not self._terms:
       return self.reward
-    values = iter(self.evaluate(list(compress(self._terms, self._active))))
-    self._finite.put([next(values) if active else self._idle for active in self._active])
-    torch.mul(self._finite.values, self._weights, out=self._weighted)
+    values = iter(self.evaluate(list(compress(self._terms.values(), self._active))))
+    finite = self._put([next(values) if active else self._idle for active in self._active])
+    torch.mul(finite, self._weights, out=self._weighted)
     self._episode_sums.add_(self._weighted, alpha=self._scale)
     torch.sum(self._weighted, dim=1, out=self.reward)
     if self.scale_by_dt:
@@ -124,10 +112,10 @@ class RewardManager(VectorManager[RewardTermCfg]):
     weights = self._read_host_weights()
     if weights == self._host_weights:
       return
-    for term, weight in zip(self._terms, weights, strict=True):
-      if wrong := field_problem(weight, Finite):
-        self._problem(f"term '{term.name}': weight {wrong}")
-    self._raise_problems()
+    for name, weight in zip(self._terms, weights, strict=True):
+      with self._noting(name):
+        check_value("weight", weight, Finite)
+    self._report()
     for index, (new, old) in enumerate(zip(weights, self._host_weights, strict=True)):
       if new != old:
         self._weights[0, index].fill_(new)
@@ -137,21 +125,20 @@ class RewardManager(VectorManager[RewardTermCfg]):
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
     super().load_state_dict(state)
     # A weight from the config takes precedence; only weights that curricula set on the device are part of the state.
-    for index, (term, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
-      if term.name not in self._on_device:
+    for index, (name, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
+      if name not in self._on_device:
         self._weights[0, index].fill_(weight)
 
-  def _read_host_weights(self) -> tuple[float, ...]:
-    return tuple(self._cfgs[term.name].weight for term in self._terms)
+  def _read_host_weights(self) -> list[float]:
+    return [self._cfgs[name].weight for name in self._terms]
+
+  def _read_active(self) -> list[bool]:
+    weights = zip(self._terms, self._host_weights, strict=True)
+    return [weight != 0.0 or name in self._on_device for name, weight in weights]
 
   def _update_activity(self) -> None:
-    active = [
-      weight != 0.0 or term.name in self._on_device
-      for weight, term in zip(self._host_weights, self._terms, strict=True)
-    ]
-    changed = [term.name for term, new, old in zip(self._terms, active, self._active, strict=True) if new != old]
-    self._active = active
-    if changed:
+    before, self._active = self._active, self._read_active()
+    if changed := [name for name, new, old in zip(self._terms, self._active, before, strict=True) if new != old]:
       self.env.request_recapture(f"{self.label}: terms switched on or off: {', '.join(changed)}")
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
@@ -161,17 +148,12 @@ class RewardManager(VectorManager[RewardTermCfg]):
     divided if episodes have no greatest length (0). The second is the number of values replaced by 0, or NaN if there
     were none.
     """
-    names, means = self._log.tensors()
-    rates = means / (self.env.max_episode_length_s or 1.0)
-    return [*names, *self._finite.names], torch.cat([rates, nan_if_zero(self._finite.counts)])
-
-  def clear_log(self) -> None:
-    self._log.clear()
-    self._finite.counts.zero_()
+    names, values = super().log_tensors()
+    values[: len(self._terms)] /= self.env.max_episode_length_s or 1.0
+    return names, values
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = self._weighted[env_idx].tolist()
-    return [(term.name, [value]) for term, value in zip(self._terms, values, strict=True)]
+    return [(name, [value]) for name, value in zip(self._terms, self._weighted[env_idx].tolist(), strict=True)]
 
   def describe(self) -> str:
     return table(("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()], title="Rewards")

@@ -28,7 +28,6 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
   dtype_name = "bool"
 
   def _make(self) -> None:
-    self._terms = self._bind_vectors()
     self.terminated = self.state(dtype=torch.bool)
     """Worlds that ended for another reason than time in the last `compute`, bool (N,)."""
     self.time_outs = self.state(dtype=torch.bool)
@@ -42,27 +41,27 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
   def _order(self) -> None:
     # Columns hold terminations first, so that both unions are over a slice.
     self._kinds = self._read_kinds()
-    self._columns = sorted(self._terms, key=lambda term: self._kinds[self._terms.index(term)])
-    self._column = {term.name: column for column, term in enumerate(self._columns)}
-    self._num_terminations = self._kinds.count(False)
+    self._names = sorted(self._kinds, key=lambda name: self._kinds[name])
+    self._num_terminations = list(self._kinds.values()).count(False)
 
-  def _read_kinds(self) -> tuple[bool, ...]:
-    return tuple(bool(self._cfgs[term.name].time_out) for term in self._terms)
+  def _read_kinds(self) -> dict[str, bool]:
+    return {name: bool(self._cfgs[name].time_out) for name in self._terms}
 
   def get_term(self, name: str) -> torch.Tensor:
     """Return the value of a term in the last `compute`, bool (N,)."""
-    return self._masks[:, self._lookup(self._column, name)]
+    columns = {name: column for column, name in enumerate(self._names)}
+    return self._masks[:, self._lookup(columns, name)]
 
   @property
   def step_terms(self) -> tuple[list[str], torch.Tensor]:
     """Names of the terms, and their values in the last `compute`, bool (N, terms), always the same memory."""
-    return [term.name for term in self._columns], self._masks
+    return self._names, self._masks
 
   def compute(self) -> torch.Tensor:
     """Evaluate the step and return `dones`, bool (N,), always the same memory."""
     if not self._terms:
       return self.dones
-    torch.stack(self.evaluate(self._columns), dim=1, out=self._masks)
+    torch.stack(self.evaluate([self._terms[name] for name in self._names]), dim=1, out=self._masks)
     torch.any(self._masks[:, : self._num_terminations], dim=1, out=self.terminated)
     torch.any(self._masks[:, self._num_terminations :], dim=1, out=self.time_outs)
     torch.logical_or(self.terminated, self.time_outs, out=self.dones)
@@ -79,15 +78,15 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Episode_Termination/<term>`, episodes that the term ended since `clear_log`; NaN if no episode ended."""
     counts = self._counts.double()
-    names = [f"Episode_Termination/{term.name}" for term in self._columns]
+    names = [f"Episode_Termination/{name}" for name in self._names]
     return names, counts.masked_fill(counts.sum() == 0, torch.nan)
 
   def clear_log(self) -> None:
     self._counts.zero_()
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = self._masks[env_idx].tolist()
-    return [(term.name, [float(values[self._column[term.name]])]) for term in self._terms]
+    values = dict(zip(self._names, self._masks[env_idx].tolist(), strict=True))
+    return [(name, [float(values[name])]) for name in self._terms]
 
   def describe(self) -> str:
     rows = [(name, "time out" if cfg.time_out else "termination") for name, cfg in self._cfgs.items()]

@@ -6,12 +6,12 @@ and `Tensor._version` counts the writes to a tensor. A test fails if a version o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from typing import Any, Self
 
 import torch
-from mjlab_core import Stateful
+from mjlab_core import MjlabError, Stateful
 from torch.fx.node import map_aggregate
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -19,7 +19,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from mjlab_managers.parameters import Scalar
 
 
-class Watch(ExitStack):
+class Watch(TorchFunctionMode):
   """Context that notes the use of scalars and reads of tensors on the host.
 
   A scalar that is only stored can later be changed by a write. A scalar that is used may have changed other values. A
@@ -29,45 +29,43 @@ class Watch(ExitStack):
   def __init__(self, scalars: Mapping[str, Scalar] | None = None) -> None:
     super().__init__()
     self.used: set[str] = set()
-    self.reads_host = False
     self._name_of = {
       id(tensor): name
       for name, scalar in (scalars or {}).items()
       for tensor in (scalar if isinstance(scalar, tuple) else (scalar,))
     }
+    self._calls_host = False
+    self._inner = _HostReads()
+
+  @property
+  def reads_host(self) -> bool:
+    """True if a tensor was read on the host."""
+    return self._calls_host or self._inner.found
 
   def __enter__(self) -> Self:
-    super().__enter__()
-    self.enter_context(_Calls(self))
-    self.enter_context(_HostReads(self))
-    return self
+    self._inner.__enter__()
+    return super().__enter__()
 
-  def note(self, args: Any) -> None:
-    """Note the scalars among the arguments of an operation."""
-    if self._name_of:
-      self.used.update(self._name_of[id(leaf)] for leaf in _leaves(args) if id(leaf) in self._name_of)
-
-
-class _Calls(TorchFunctionMode):
-  """Observer of calls of torch functions and tensor methods."""
-
-  def __init__(self, watch: Watch) -> None:
-    super().__init__()
-    self._watch = watch
+  def __exit__(self, exc_type: Any, exc_val: Any, exc_tb: Any) -> None:
+    super().__exit__(exc_type, exc_val, exc_tb)
+    self._inner.__exit__(exc_type, exc_val, exc_tb)
 
   def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-    self._watch.note((args, kwargs))
-    if getattr(func, "__name__", "") in ("tolist", "numpy", "__array__"):
-      self._watch.reads_host = True
+    if self._name_of:
+      map_aggregate((args, kwargs), self._note)
+    self._calls_host |= getattr(func, "__name__", "") in ("tolist", "numpy", "__array__")
     return func(*args, **(kwargs or {}))
+
+  def _note(self, leaf: Any) -> Any:
+    if id(leaf) in self._name_of:
+      self.used.add(self._name_of[id(leaf)])
+    return leaf
 
 
 class _HostReads(TorchDispatchMode):
   """Observer of operations, also inside of torch, that copy a number to the host."""
 
-  def __init__(self, watch: Watch) -> None:
-    super().__init__()
-    self._watch = watch
+  found = False
 
   @classmethod
   def _should_skip_dynamo(cls) -> bool:
@@ -75,8 +73,7 @@ class _HostReads(TorchDispatchMode):
     return False
 
   def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-    if "_local_scalar_dense" in str(func):
-      self._watch.reads_host = True
+    self.found |= "_local_scalar_dense" in str(func)
     return func(*args, **(kwargs or {}))
 
 
@@ -112,25 +109,33 @@ class PlainTensors(TorchDispatchMode):
     return func(*map_aggregate(args, self._replaced), **map_aggregate(kwargs or {}, self._replaced))
 
 
-def _leaves(value: Any) -> Iterator[Any]:
-  if isinstance(value, dict):
-    value = tuple(value.values())
-  if isinstance(value, list | tuple):
-    for item in value:
-      yield from _leaves(item)
-  else:
-    yield value
-
-
 def undeclared_memory(obj: Any) -> dict[str, tuple[int, int]]:
   """Return address and number of writes of each tensor of a class term that is not declared as state.
 
   Writes are counted only for memory that the term owns, not for views or arrays of a simulation.
   """
-  if not isinstance(obj, Stateful):
-    return {}
   found: dict[str, tuple[int, int]] = {}
-  for path, tensor in obj.undeclared().items():
+  for path, tensor in obj.undeclared().items() if isinstance(obj, Stateful) else ():
     owned = type(tensor) is torch.Tensor and not tensor._is_view() and not tensor.is_inference()
     found[path] = tensor.data_ptr(), tensor._version if owned else 0
   return found
+
+
+@contextmanager
+def only_declared(obj: Any) -> Generator[None]:
+  """Refuse writes of a trial call to tensors of a class term that are not declared as state.
+
+  Raises:
+    MjlabError: the call replaced such a tensor, or wrote into one.
+  """
+  before = undeclared_memory(obj)
+  yield
+  after = undeclared_memory(obj)
+  moved = [path for path in after if path not in before or before[path][0] != after[path][0]]
+  if written := [path for path in after if before.get(path) != after[path]]:
+    act = "put another tensor into" if moved else "wrote into"
+    why = "which a recorded step cannot follow" if moved else "which is not declared, so it is not saved with a run"
+    raise MjlabError(
+      f"a trial call {act} {', '.join(moved or written)}, {why}. Declare state in __init__, self.x = self.state(...), "
+      "and write into it: copy_, mul_, where_."
+    )
