@@ -157,7 +157,7 @@ def test_primaries_come_in_model_order_or_in_that_of_the_patterns() -> None:
 
   def names(**kwargs: Any) -> tuple[str, ...]:
     match = ContactMatch(mode="geom", pattern=pattern, entity="robot", **kwargs)
-    return tuple(name.removeprefix("robot/") for name in match.resolve(spec, ENTITIES, ""))
+    return tuple(name.removeprefix("robot/") for name in match.names_in(spec, ENTITIES, match.mode, ""))
 
   assert names() == ("box_geom", "ball_geom", "tail_geom", "tail_tip")
   assert names(preserve_order=True) == ("ball_geom", "box_geom", "tail_geom", "tail_tip")

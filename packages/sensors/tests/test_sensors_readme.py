@@ -2,9 +2,10 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
-from mjlab_sensors import NATIVE_TYPES
+from mjlab_sensors import NATIVE_TYPES, SensorType
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -24,7 +25,7 @@ def test_the_examples_run_and_print_what_they_say(capsys: pytest.CaptureFixture[
 def test_the_table_of_native_sensors_is_that_of_the_code() -> None:
   rows = ["| type | attached to | relative to | numbers | frame | unit | stage |", "|---|---|---|---|---|---|---|"]
   for name, kind in NATIVE_TYPES.items():
-    how = "" if kind.declared_by == "BuiltinSensorCfg" else f" ({kind.declared_by or 'MJCF only'})"
+    how = "" if name in get_args(SensorType) else " (ContactSensorCfg)" if name == "contact" else " (MJCF only)"
     relative = ", ".join(kind.references) + (" (needed)" if kind.needs_reference else "")
     cells = (
       f"`{name}`{how}",

@@ -1,35 +1,33 @@
 """Names of the elements of a scene's spec, and their selection by name or pattern."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-from mjlab_core import MjlabError, UnknownNameError, check_name, match_names
-
-_ELEMENTS: dict[str, Callable[[mujoco.MjSpec], Iterable[Any]]] = {
-  "body": lambda spec: spec.bodies,
-  "joint": lambda spec: spec.joints,
-  "geom": lambda spec: spec.geoms,
-  "site": lambda spec: spec.sites,
-  "actuator": lambda spec: spec.actuators,
-  "tendon": lambda spec: spec.tendons,
-  "camera": lambda spec: spec.cameras,
-  "mesh": lambda spec: spec.meshes,
-  "sensor": lambda spec: spec.sensors,
-}
+from mjlab_core import Config, MjlabError, UnknownNameError, check_fields, check_name, match_names
 
 # MuJoCo's "xbody" is a body seen at its frame instead of its centre of mass; a subtree is named by its root body.
-_BODY_KINDS = ("xbody", "subtree")
+_LISTS = {"body": "bodies", "xbody": "bodies", "subtree": "bodies", "mesh": "meshes"}
 
 
 def names_of(spec: mujoco.MjSpec, kind: str) -> list[str]:
   """Return the full names of all named elements of a kind, in the order of the spec."""
-  elements = _ELEMENTS["body" if kind in _BODY_KINDS else kind](spec)
-  return [element.name for element in elements if element.name]
+  return [element.name for element in getattr(spec, _LISTS.get(kind, f"{kind}s")) if element.name]
 
 
-def _prefix(entity: str | None, entities: Mapping[str, Any], owner: str) -> str:
-  return "" if entity is None else check_name("entity", entity, entities, owner) + "/"
+def names_within(
+  spec: mujoco.MjSpec, entities: Mapping[str, Any], kind: str, entity: str | None, owner: str
+) -> tuple[str, list[str]]:
+  """Return an entity's prefix, and the names of its elements without it; without an entity, those of all elements.
+
+  Raises:
+    UnknownNameError: the entity does not exist; the message names the nearest.
+  """
+  prefix = "" if entity is None else check_name("entity", entity, entities, owner) + "/"
+  return prefix, [name.removeprefix(prefix) for name in names_of(spec, kind) if name.startswith(prefix)]
 
 
 def add_sensor(spec: mujoco.MjSpec, owner: str, name: str, **fields: Any) -> Any:
@@ -43,44 +41,31 @@ def add_sensor(spec: mujoco.MjSpec, owner: str, name: str, **fields: Any) -> Any
   return spec.add_sensor(name=name, **fields)
 
 
-def find_element(
-  spec: mujoco.MjSpec, entities: Mapping[str, Any], kind: str, name: str, *, entity: str | None, owner: str
-) -> str:
-  """Return the full name of the element called exactly `name`, within an entity if one is given.
+@dataclass(kw_only=True, frozen=True)
+class ElementMatch(Config):
+  """Elements of the scene, by patterns."""
 
-  Raises:
-    UnknownNameError: the entity or element does not exist; the message names the nearest.
-  """
-  prefix = _prefix(entity, entities, owner)
-  candidates = [full.removeprefix(prefix) for full in names_of(spec, kind) if full.startswith(prefix)]
-  return prefix + check_name(kind, name, candidates, owner)
+  pattern: str | tuple[str, ...]
+  """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
+  entity: str | None = None
+  """Entity that the elements belong to."""
+  exclude: str | tuple[str, ...] = ()
+  """Patterns, under the same rule, of elements to leave out again."""
+  preserve_order: bool = False
+  """Order the elements as the patterns are, instead of as they come in the model."""
 
+  def __post_init__(self) -> None:
+    check_fields(self, f"{type(self).__name__} {self.pattern!r}")
 
-def match_elements(
-  spec: mujoco.MjSpec,
-  entities: Mapping[str, Any],
-  kind: str,
-  patterns: str | Sequence[str],
-  *,
-  entity: str | None,
-  exclude: str | Sequence[str] = (),
-  preserve_order: bool = False,
-  owner: str,
-) -> list[str]:
-  """Return the full names of the elements that the patterns match and `exclude` does not.
+  def names_in(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], kind: str, owner: str) -> tuple[str, ...]:
+    """Return the full names of the elements of a kind.
 
-  Patterns are whole regular expressions. With an entity they are matched against the names of its own elements,
-  without the entity's prefix; without one, against the full names of the scene.
-
-  Raises:
-    UnknownNameError: unknown entity, a pattern (of `exclude` too) that matches nothing, or nothing left.
-  """
-  prefix = _prefix(entity, entities, owner)
-  candidates = [full.removeprefix(prefix) for full in names_of(spec, kind) if full.startswith(prefix)]
-  _, names = match_names(patterns, candidates, what=kind, owner=owner, preserve_order=preserve_order)
-  if exclude:
-    dropped = set(match_names(exclude, candidates, what=f"excluded {kind}", owner=owner)[1])
-    names = [name for name in names if name not in dropped]
-  if not names:
-    raise UnknownNameError(f"{owner}: no {kind} is left of pattern {patterns!r}, exclude {exclude!r}")
-  return [prefix + name for name in names]
+    Raises:
+      UnknownNameError: unknown entity, a pattern (of `exclude` too) that matches nothing, or nothing left.
+    """
+    prefix, candidates = names_within(spec, entities, kind, self.entity, owner)
+    _, names = match_names(self.pattern, candidates, what=kind, owner=owner, preserve_order=self.preserve_order)
+    _, dropped = match_names(self.exclude, candidates, what=f"excluded {kind}", owner=owner)
+    if not (kept := tuple(prefix + name for name in names if name not in dropped)):
+      raise UnknownNameError(f"{owner}: no {kind} is left of pattern {self.pattern!r}, exclude {self.exclude!r}")
+    return kept

@@ -10,7 +10,8 @@ import mujoco
 import torch
 from mjlab_core import Config, DebugDraw, Items, Limits, check_fields, check_name, quat_from_matrix
 
-from mjlab_sensors._elements import add_sensor, find_element, names_of
+from mjlab_sensors._elements import add_sensor, names_of, names_within
+from mjlab_sensors.frames import POSES
 from mjlab_sensors.native_types import NATIVE_TYPES
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
@@ -70,15 +71,6 @@ SensorType = Literal[
 
 
 RayDataField = Literal["dist", "dir", "origin", "point", "normal", "depth"]
-_Obj = mujoco.mjtObj
-# Fields of the simulation's data with position and axes of the object that a sensor is attached to.
-_POSES: dict[int, tuple[str, str]] = {
-  _Obj.mjOBJ_SITE: ("site_xpos", "site_xmat"),
-  _Obj.mjOBJ_GEOM: ("geom_xpos", "geom_xmat"),
-  _Obj.mjOBJ_CAMERA: ("cam_xpos", "cam_xmat"),
-  _Obj.mjOBJ_XBODY: ("xpos", "xmat"),
-  _Obj.mjOBJ_BODY: ("xipos", "ximat"),
-}
 # In the order in which MuJoCo lays them out for each ray.
 _RAY_FIELDS: tuple[str, ...] = get_args(RayDataField)
 
@@ -98,7 +90,8 @@ class ObjRef(Config):
 
   def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> str:
     """Return the full name in the scene; raise UnknownNameError if the element does not exist."""
-    return find_element(spec, entities, self.type, self.name, entity=self.entity, owner=owner)
+    prefix, candidates = names_within(spec, entities, self.type, self.entity, owner)
+    return prefix + check_name(self.type, self.name, candidates, owner)
 
 
 @dataclass(kw_only=True)
@@ -205,21 +198,18 @@ class BuiltinSensor(Sensor[torch.Tensor]):
     sim, worlds = self.sim, list(draw.worlds)
     model = sim.mj_model
     index = model.sensor(self._element).id
-    field = _POSES.get(int(model.sensor_objtype[index]))
-    if field is None:
+    pose = POSES.get(mujoco.mju_type2Str(model.sensor_objtype[index]))
+    if pose is None:
       return
     _ = sim.version
-    place, turn = (getattr(sim.data, name)[worlds, int(model.sensor_objid[index])] for name in field)
+    place, turn = (getattr(sim.data, field)[worlds, int(model.sensor_objid[index])] for field in pose)
     draw.frames(place, quat_from_matrix(turn), 3.0 * self._draw_size)
     kind = next(kind for kind in NATIVE_TYPES.values() if kind.enum.value == model.sensor_type[index])
     has_direction = kind.dim == 3 and kind.unit != "m" and kind.frame in ("own", "world", "reference")
     if not has_direction or (kind.frame == "reference" and model.sensor_refid[index] >= 0):
       return
     vector = self._columns[worlds]
-    if kind.frame == "own":
-      vector = (turn * vector[:, None]).sum(-1)
-    vector = vector / vector.norm(dim=-1, keepdim=True).clamp(min=1e-9)
-    draw.arrows(place, place + 5.0 * self._draw_size * vector, (1.0, 1.0, 0.0, 1.0), 0.2 * self._draw_size)
+    self._draw_direction(draw, place, (turn * vector[:, None]).sum(-1) if kind.frame == "own" else vector)
 
   def _read(self) -> torch.Tensor:
     return self._columns

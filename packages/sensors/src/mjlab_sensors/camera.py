@@ -14,21 +14,19 @@ from mjlab_core import (
   Items,
   MjlabError,
   Positive,
-  Stateful,
   check_name,
   quat_from_matrix,
   where_,
 )
 from mjlab_sim import DataType
 
-from mjlab_sensors._elements import find_element, names_of
+from mjlab_sensors._elements import names_of
 from mjlab_sensors.frames import FrameSet
-from mjlab_sensors.pinhole import resolution_of, resolution_problems
+from mjlab_sensors.pinhole import physical_intrinsics, resolution_of, resolution_problems
 from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
 
 if TYPE_CHECKING:
-  from mjlab_core import DebugDraw
-  from mjlab_sim import Images, Simulation
+  from mjlab_sim import Simulation
 
 _ORTHOGRAPHIC = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC
 
@@ -120,41 +118,6 @@ class CameraData:
     return quat_from_matrix(self.mat_w)
 
 
-class _Shutter(Stateful):
-  """Time until each world's next image, and the image that it holds until then."""
-
-  def __init__(self, period: int, images: Images, pos: torch.Tensor, mat: torch.Tensor) -> None:
-    self.num_envs, self.device = len(pos), pos.device
-    self._period = period
-    self._wait = self.state(dtype=torch.int64)
-    # Until a world that was reset takes a step, it is still being put into its initial state.
-    self._at_start = self.state(fill=True, dtype=torch.bool)
-    self._pos, self._mat = self.state((3,), dtype=pos.dtype), self.state((3, 3), dtype=mat.dtype)
-    for name in ("rgb", "depth", "distance", "segmentation"):
-      image = getattr(images, name)
-      setattr(self, f"_{name}", None if image is None else self.state_of(image))
-
-  def step(self) -> None:
-    self._wait -= 1
-    self._at_start.fill_(False)
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self._wait.masked_fill_(mask, 0)
-    self._at_start |= mask
-
-  def open(self) -> torch.Tensor:
-    """Return the worlds to be drawn, bool (num_envs,); their next image is due a whole number of periods later."""
-    due = self._at_start | (self._wait <= 0)
-    torch.sub(self._period, torch.remainder(-self._wait, self._period), out=self._wait)
-    return due
-
-  def pose(self, due: torch.Tensor, pos: torch.Tensor, mat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of the camera when each world was drawn."""
-    where_(self._pos, due, pos)
-    where_(self._mat, due, mat)
-    return self._pos, self._mat
-
-
 class CameraSensor(Sensor[CameraData]):
   """Images of one camera in all worlds, drawn together by MuJoCo Warp's renderer, on a CPU too.
 
@@ -171,7 +134,6 @@ class CameraSensor(Sensor[CameraData]):
     self.camera_name = name if cfg.camera is None or cfg.fovy is not None else cfg.camera
     """Full name of the camera."""
     self.width, self.height = cfg.width, cfg.height
-    self._shutter: _Shutter | None = None
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
     cfg, cameras = self.cfg, names_of(spec, "camera")
@@ -190,9 +152,7 @@ class CameraSensor(Sensor[CameraData]):
       twin = like.parent.add_camera(name=self.name, resolution=(self.width, self.height), **copied)
       twin.alt, twin.fovy = like.alt, cfg.fovy
       return
-    body = "world"
-    if cfg.body is not None:
-      body = find_element(spec, entities, "body", cfg.body, entity=None, owner=self.label)
+    body = "world" if cfg.body is None else check_name("body", cfg.body, names_of(spec, "body"), self.label)
     camera = spec.body(body).add_camera(
       name=self.name, pos=cfg.pos, quat=cfg.quat, resolution=(self.width, self.height)
     )
@@ -217,16 +177,24 @@ class CameraSensor(Sensor[CameraData]):
       shadows=cfg.use_shadows,
     )
     if cfg.update_period:
-      self._shutter = _Shutter(cfg.update_period, self._renderer.images, *self._pose())
+      # Substeps until the next image of each world, and the image that it holds until then.
+      self._wait = self.state(dtype=torch.int64)
+      # Until a world that was reset takes a step, it is still being put into its initial state.
+      self._at_start = self.state(fill=True, dtype=torch.bool)
+      self._held_pos, self._held_mat = self.state((3,), dtype=sim.dtype), self.state((3, 3), dtype=sim.dtype)
+      for name, image in vars(self._renderer.images).items():
+        if image is not None:
+          setattr(self, f"_held_{name}", self.state_of(image))
 
   def update(self, dt: float) -> None:
-    del dt
-    if self._shutter is not None:
-      self._shutter.step()
+    if self.cfg.update_period:
+      self._wait -= 1
+      self._at_start.fill_(False)
 
   def reset(self, mask: torch.Tensor) -> None:
-    if self._shutter is not None:
-      self._shutter.reset(mask)
+    if self.cfg.update_period:
+      self._wait.masked_fill_(mask, 0)
+      self._at_start |= mask
       # The held images may have to be drawn again though the state is the same.
       self._read_at = None
 
@@ -244,16 +212,14 @@ class CameraSensor(Sensor[CameraData]):
       raise MjlabError(f"{self.label}: camera {self.camera_name!r} is orthographic, and has no intrinsic matrix")
     sensor = model.cam_sensorsize[self._camera]
     if sensor[1] > 0.0:
-      # An image of another shape than the sensor's shows the largest part of it that has the image's shape.
-      scale = max(self.width / float(sensor[0]), self.height / float(sensor[1]))
-      fx, fy, left, up = (scale * sim.model.cam_intrinsic[:, self._camera]).unbind(-1)
+      fx, fy, cx, cy = physical_intrinsics(sim.model.cam_intrinsic[:, self._camera], sensor, self.width, self.height)
     else:
       half = torch.deg2rad(sim.model.cam_fovy[:, self._camera]) / 2.0
       fx = fy = self.height / (2.0 * torch.tan(half))
-      left = up = torch.zeros_like(half)
+      cx, cy = self.width / 2.0, self.height / 2.0
     matrix = torch.zeros(self.num_envs, 3, 3, dtype=sim.dtype, device=sim.device)
     matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 2, 2] = fx, fy, 1.0
-    matrix[:, 0, 2], matrix[:, 1, 2] = self.width / 2.0 - left, self.height / 2.0 - up
+    matrix[:, 0, 2], matrix[:, 1, 2] = cx, cy
     return matrix
 
   def debug_draw(self, draw: DebugDraw) -> None:
@@ -262,23 +228,19 @@ class CameraSensor(Sensor[CameraData]):
     _ = sim.version
     pos, mat = (value[worlds] for value in self._pose())
     draw.frames(pos, quat_from_matrix(mat), 3.0 * self._draw_size)
-    corner = torch.tensor(((0, 0), (1, 0), (1, 1), (0, 1)), dtype=sim.dtype, device=sim.device)
-    pixel = corner * corner.new_tensor((self.width, self.height))
-    if sim.mj_model.cam_projection[self._camera] == _ORTHOGRAPHIC:
+    size = mat.new_tensor((self.width, self.height))
+    pixel = mat.new_tensor(((0, 0), (1, 0), (1, 1), (0, 1))) * size
+    is_orthographic = sim.mj_model.cam_projection[self._camera] == _ORTHOGRAPHIC
+    if is_orthographic:
       metres = sim.model.cam_fovy[:, self._camera].expand(self.num_envs)[worlds, None, None] / self.height
-      near = (pixel - corner.new_tensor((self.width, self.height)) / 2.0) * metres
-      far = near
+      image = (pixel - size / 2.0) * metres
     else:
       matrix = self.intrinsic_matrix[worlds]
-      focal, center = matrix[:, None, (0, 1), (0, 1)], matrix[:, None, :2, 2]
-      far = (pixel - center) / focal * length
-      near = torch.zeros_like(far)
-
-    def place(image: torch.Tensor, depth: float) -> torch.Tensor:
-      point = torch.stack((image[..., 0], -image[..., 1], torch.full_like(image[..., 0], -depth)), dim=-1)
-      return pos[:, None] + (mat[:, None] * point[:, :, None]).sum(-1)
-
-    start, end = place(near, 0.0), place(far, length)
+      image = (pixel - matrix[:, None, :2, 2]) / matrix[:, None, (0, 1), (0, 1)] * length
+    local = torch.stack((image[..., 0], -image[..., 1], torch.full_like(image[..., 0], -length)), dim=-1)
+    end = pos[:, None] + (mat[:, None] * local[:, :, None]).sum(-1)
+    # The camera looks along its negative z axis.
+    start = end + length * mat[:, None, :, 2] if is_orthographic else pos[:, None].expand_as(end)
     edges = torch.cat((start, end), dim=1), torch.cat((end, end.roll(-1, dims=1)), dim=1)
     draw.lines(edges[0].flatten(0, 1), edges[1].flatten(0, 1), (1.0, 0.8, 0.1, 1.0), 0.1 * self._draw_size)
 
@@ -286,11 +248,13 @@ class CameraSensor(Sensor[CameraData]):
     return self._frame.positions[:, 0], self._frame.rotations[:, 0]
 
   def _read(self) -> CameraData:
-    pose = self._pose()
-    if self._shutter is None:
-      images = self._renderer.render()
-    else:
-      due = self._shutter.open()
-      images = self._renderer.render(due)
-      pose = self._shutter.pose(due, *pose)
-    return CameraData(**vars(images), pos_w=pose[0], mat_w=pose[1])
+    pos, mat = self._pose()
+    period = self.cfg.update_period
+    if not period:
+      return CameraData(**vars(self._renderer.render()), pos_w=pos, mat_w=mat)
+    due = self._at_start | (self._wait <= 0)
+    # The next image is due a whole number of periods later.
+    torch.sub(period, torch.remainder(-self._wait, period), out=self._wait)
+    where_(self._held_pos, due, pos)
+    where_(self._held_mat, due, mat)
+    return CameraData(**vars(self._renderer.render(due)), pos_w=self._held_pos, mat_w=self._held_mat)

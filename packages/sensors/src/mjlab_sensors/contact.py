@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import mujoco
 import torch
-from mjlab_core import Config, Count, DebugDraw, Items, MjlabError, PositiveCount, check_fields, fill_
+from mjlab_core import Count, DebugDraw, Items, MjlabError, PositiveCount, fill_
 
-from mjlab_sensors._elements import add_sensor, match_elements
+from mjlab_sensors._elements import ElementMatch, add_sensor
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
 if TYPE_CHECKING:
@@ -33,36 +33,12 @@ _OBJECTS = {
 
 
 @dataclass(kw_only=True, frozen=True)
-class ContactMatch(Config):
-  """Parts of the scene that take part in contacts."""
+class ContactMatch(ElementMatch):
+  """Parts of the scene that take part in contacts, by patterns."""
 
   mode: ContactMode
   """Kind of element that the patterns name: single geoms, bodies with all their geoms, or bodies with all their
   descendants."""
-  pattern: str | tuple[str, ...]
-  """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
-  entity: str | None = None
-  """Entity that the elements belong to."""
-  exclude: str | tuple[str, ...] = ()
-  """Patterns, under the same rule, of elements to leave out again."""
-  preserve_order: bool = False
-  """Order the elements as the patterns are, instead of as they come in the model."""
-
-  def __post_init__(self) -> None:
-    check_fields(self, f"ContactMatch {self.pattern!r}")
-
-  def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> list[str]:
-    """Return the full names of the elements; raise UnknownNameError if there are none."""
-    return match_elements(
-      spec,
-      entities,
-      self.mode,
-      self.pattern,
-      entity=self.entity,
-      exclude=self.exclude,
-      preserve_order=self.preserve_order,
-      owner=owner,
-    )
 
 
 @dataclass(kw_only=True)
@@ -160,16 +136,13 @@ class ContactSensor(Sensor[ContactData]):
     """Full names of the secondaries; empty if all elements count."""
     self.history_length = 0
     """Number of past substeps whose force is kept."""
-    self._fields = [field for field in _WIDTHS if field in cfg.fields or (field == "found" and cfg.track_air_time)]
-    # MuJoCo evaluates a contact sensor without forces before the step's forces, of the next state. All are to
-    # describe the same substep, so force is always among the columns.
-    needed = {"force"}
+    self._fields = {*cfg.fields, *(["found"] if cfg.track_air_time else [])}
     # The sum of all contacts is in the world frame already.
     self._is_turned = cfg.global_frame and cfg.reduce != "netforce"
-    if self._is_turned:
-      needed |= {"normal", "tangent"}
-    self._columns = [field for field in _WIDTHS if field in self._fields or field in needed]
-    self._views = ContactData()
+    # MuJoCo evaluates a contact sensor without forces before the step's forces, of the next state. All are to
+    # describe the same substep, so force is always among the columns.
+    needed = self._fields | {"force"} | ({"normal", "tangent"} if self._is_turned else set())
+    self._columns = [field for field in _WIDTHS if field in needed]
 
   @property
   def num_primaries(self) -> int:
@@ -189,9 +162,9 @@ class ContactSensor(Sensor[ContactData]):
       raise MjlabError(f"{self.label}: history_length='decimation' needs an environment; give a number without one")
     else:
       self.history_length = self.decimation
-    self.primary_names = tuple(cfg.primary.resolve(spec, entities, f"{self.label}: primary"))
+    self.primary_names = cfg.primary.names_in(spec, entities, cfg.primary.mode, f"{self.label}: primary")
     if cfg.secondary is not None:
-      self.secondary_names = tuple(cfg.secondary.resolve(spec, entities, f"{self.label}: secondary"))
+      self.secondary_names = cfg.secondary.names_in(spec, entities, cfg.secondary.mode, f"{self.label}: secondary")
     content = sum(1 << list(_WIDTHS).index(field) for field in self._columns)
     for name, primary, secondary in self._natives():
       sensor = add_sensor(spec, self.label, name, type=mujoco.mjtSensor.mjSENS_CONTACT)
@@ -213,12 +186,9 @@ class ContactSensor(Sensor[ContactData]):
     num_contacts = prod(self.contact_shape)
     blocks = [sensordata_columns(sim, name) for name, *_ in self._natives()]
     slots = sim.data.sensordata[:, blocks[0].start : blocks[-1].stop].unflatten(1, (num_contacts, -1))
-    columns, start = {}, 0
-    for field in self._columns:
-      columns[field] = slots[..., start] if _WIDTHS[field] == 1 else slots[..., start : start + 3]
-      start += _WIDTHS[field]
-    views = ContactData(**{field: columns[field] for field in self._fields})
-    self._slots = columns
+    parts = slots.split([_WIDTHS[field] for field in self._columns], dim=-1)
+    self._slots = {field: part.squeeze(-1) for field, part in zip(self._columns, parts, strict=True)}
+    self._views = views = ContactData(**{field: self._slots[field] for field in self._fields})
 
     # One block of memory, so that a reset is one write: air and contact times, now and last, then the forces.
     times = 4 * num_primaries if cfg.track_air_time else 0
@@ -227,7 +197,7 @@ class ContactSensor(Sensor[ContactData]):
     self._phases = torch.tensor([[[True], [False]]], device=sim.device)
     if cfg.track_air_time:
       # Slots are filled from the first on, so the first one decides.
-      self._touch = columns["found"].unflatten(1, self.contact_shape)[..., 0]
+      self._touch = self._slots["found"].unflatten(1, self.contact_shape)[..., 0]
       self._current, self._last = self._memory[:, :times].view(num_envs, 2, 2, num_primaries).unbind(1)
       views.current_air_time, views.current_contact_time = self._current.unbind(1)
       views.last_air_time, views.last_contact_time = self._last.unbind(1)
@@ -235,7 +205,6 @@ class ContactSensor(Sensor[ContactData]):
       self._history = self._memory[:, times:].view(num_envs, num_contacts, self.history_length, 3)
       self._older = self._history[:, :, :-1]
       views.force_history = self._history
-    self._views = views
 
   def update(self, dt: float) -> None:
     if not self._memory.shape[1]:

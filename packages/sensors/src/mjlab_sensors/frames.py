@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-import mujoco
 import numpy as np
 import torch
-from mjlab_core import Config, check_fields
 
-from mjlab_sensors._elements import match_elements
+from mjlab_sensors._elements import ElementMatch
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
 FrameType = Literal["site", "body", "geom", "camera"]
 
-_POSES = {
+POSES = {
   "site": ("site_xpos", "site_xmat"),
-  "body": ("xpos", "xmat"),
+  "xbody": ("xpos", "xmat"),
+  "body": ("xipos", "ximat"),
   "geom": ("geom_xpos", "geom_xmat"),
   "camera": ("cam_xpos", "cam_xmat"),
 }
+"""Fields of the simulation's data with position and axes of an element, by MuJoCo's name of its kind."""
+
 _BODY_OF = {"site": "site_bodyid", "geom": "geom_bodyid", "camera": "cam_bodyid"}
 
 # Below this length of its projection to the ground, a frame's x axis no longer gives its heading.
@@ -31,27 +31,12 @@ _SHORT = 0.1
 
 
 @dataclass(kw_only=True, frozen=True)
-class FrameMatch(Config):
-  """Frames of the scene."""
+class FrameMatch(ElementMatch):
+  """Frames of the scene, by patterns."""
 
   type: FrameType
   """Kind of element that has the frames. A camera looks along its negative z axis; x points right and y up in its
   image."""
-  pattern: str | tuple[str, ...]
-  """Whole regular expressions over the names of the entity's own elements, or over full names without an entity."""
-  entity: str | None = None
-  """Entity that the elements belong to."""
-  preserve_order: bool = False
-  """Order the frames as the patterns are, instead of as they come in the model."""
-
-  def __post_init__(self) -> None:
-    check_fields(self, f"FrameMatch {self.pattern!r}")
-
-  def resolve(self, spec: mujoco.MjSpec, entities: Mapping[str, Any], owner: str) -> list[str]:
-    """Return the full names of the elements; raise UnknownNameError if there are none."""
-    return match_elements(
-      spec, entities, self.type, self.pattern, entity=self.entity, preserve_order=self.preserve_order, owner=owner
-    )
 
 
 class FrameSet:
@@ -61,7 +46,7 @@ class FrameSet:
   """
 
   def __init__(self, sim: Simulation, frame_type: FrameType, names: tuple[str, ...]) -> None:
-    position, rotation = _POSES[frame_type]
+    position, rotation = POSES["xbody" if frame_type == "body" else frame_type]
     model = sim.mj_model
     ids = [getattr(model, frame_type)(name).id for name in names]
     bodies = np.arange(model.nbody) if frame_type == "body" else getattr(model, _BODY_OF[frame_type])

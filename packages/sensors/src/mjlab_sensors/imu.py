@@ -101,27 +101,27 @@ class ImuSensor(Sensor[ImuData]):
     self._gyro, self._accelerometer, self._orientation = (
       sim.data.sensordata[:, sensordata_columns(sim, f"{self.name}:{element}")] for element in _ELEMENTS
     )
-    self.gyro_bias, self.accelerometer_bias, self.orientation_bias = (
-      self.state((3,), dtype=sim.dtype) for _ in range(3)
-    )
+    self.gyro_bias, self.accelerometer_bias, self.orientation_bias = self._biases = [
+      self.state((3,), dtype=sim.dtype) for _ in _ELEMENTS
+    ]
     self._down = torch.tensor((0.0, 0.0, -1.0), dtype=sim.dtype, device=sim.device).expand(sim.num_envs, 3)
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
 
   def update(self, dt: float) -> None:
-    for bias, walk in ((self.gyro_bias, self.cfg.gyro_walk), (self.accelerometer_bias, self.cfg.accelerometer_walk)):
+    for bias, walk in zip(self._biases, self._walks, strict=True):
       if walk:
         bias.add_(torch.empty_like(bias).normal_(generator=self.rng), alpha=walk * sqrt(dt))
 
   def reset(self, mask: torch.Tensor) -> None:
     """Draw the biases of the worlds in `mask`, (num_envs,) bool."""
-    cfg = self.cfg
-    for bias, most, walk in (
-      (self.gyro_bias, cfg.gyro_bias, cfg.gyro_walk),
-      (self.accelerometer_bias, cfg.accelerometer_bias, cfg.accelerometer_walk),
-      (self.orientation_bias, cfg.orientation_bias, 0.0),
-    ):
+    magnitudes = self.cfg.gyro_bias, self.cfg.accelerometer_bias, self.cfg.orientation_bias
+    for bias, most, walk in zip(self._biases, magnitudes, self._walks, strict=True):
       if most or walk:
         where_(bias, mask, torch.empty_like(bias).uniform_(-most, most, generator=self.rng))
+
+  @property
+  def _walks(self) -> tuple[float, float, float]:
+    return self.cfg.gyro_walk, self.cfg.accelerometer_walk, 0.0
 
   def set_bias(
     self,
@@ -139,11 +139,7 @@ class ImuSensor(Sensor[ImuData]):
       accelerometer: of the acceleration, (num_envs, 3) [m/s^2].
       orientation: rotation vector of the axes, (num_envs, 3) [rad].
     """
-    for bias, value in (
-      (self.gyro_bias, gyro),
-      (self.accelerometer_bias, accelerometer),
-      (self.orientation_bias, orientation),
-    ):
+    for bias, value in zip(self._biases, (gyro, accelerometer, orientation), strict=True):
       if value is not None:
         where_(bias, mask, value)
 
@@ -152,12 +148,10 @@ class ImuSensor(Sensor[ImuData]):
     data, worlds = self.data, list(draw.worlds)
     place, turn = self.sim.data.site_xpos[worlds, self._site], data.orientation[worlds]
     draw.frames(place, turn, 5.0 * self._draw_size)
-    force = quat_apply(turn, data.linear_acceleration[worlds])
-    direction = force / force.norm(dim=-1, keepdim=True).clamp(min=1e-9)
-    draw.arrows(place, place + 5.0 * self._draw_size * direction, (1.0, 1.0, 0.0, 1.0), 0.2 * self._draw_size)
+    self._draw_direction(draw, place, quat_apply(turn, data.linear_acceleration[worlds]))
 
   def _version(self) -> int:
-    return sum(bias._version for bias in (self.gyro_bias, self.accelerometer_bias, self.orientation_bias))
+    return sum(bias._version for bias in self._biases)
 
   def _read(self) -> ImuData:
     turn = quat_mul(self._orientation, quat_from_rotvec(self.orientation_bias))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import radians, tan
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import mujoco
 import numpy as np
@@ -30,6 +30,22 @@ def resolution_of(owner: str, camera: str, resolution: Sequence[int]) -> tuple[i
   if width * height <= 1:  # MuJoCo's default.
     raise MjlabError(f"{owner}: camera {camera!r} has no resolution; give width and height")
   return width, height
+
+
+def physical_intrinsics(intrinsic: Any, sensor: np.ndarray, width: int, height: int) -> tuple[Any, Any, Any, Any]:
+  """Return fx, fy, cx and cy of the image of a physical sensor [pixel].
+
+  Args:
+    intrinsic: focal lengths and principal point, as in `MjModel.cam_intrinsic`, (..., 4) [m].
+    sensor: width and height of the sensor [m].
+    width: pixels of a row.
+    height: rows.
+  """
+  # An image of another shape than the sensor's shows the largest part of it that has the image's shape.
+  scale = max(width / float(sensor[0]), height / float(sensor[1]))
+  fx, fy, left, up = (scale * intrinsic[..., k] for k in range(4))
+  # MuJoCo's principal point is an offset from the middle of the image, to the left and up.
+  return fx, fy, width / 2.0 - left, height / 2.0 - up
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -115,10 +131,5 @@ class PinholeCameraPatternCfg(RayPatternCfg):
     sensor = model.cam_sensorsize[camera]
     if not sensor[1] > 0.0:
       return PinholeCameraPatternCfg(width=width, height=height, fovy=float(model.cam_fovy[camera]))
-    # An image of another shape than the sensor's shows the largest part of it that has the image's shape.
-    scale = max(width / sensor[0], height / sensor[1])
-    fx, fy, cx, cy = (float(length) * scale for length in model.cam_intrinsic[camera])
-    # MuJoCo's principal point is an offset from the middle of the image, to the left and up.
-    return PinholeCameraPatternCfg(
-      width=width, height=height, focal=(fx, fy), center=(width / 2.0 - cx, height / 2.0 - cy)
-    )
+    fx, fy, cx, cy = map(float, physical_intrinsics(model.cam_intrinsic[camera], sensor, width, height))
+    return PinholeCameraPatternCfg(width=width, height=height, focal=(fx, fy), center=(cx, cy))

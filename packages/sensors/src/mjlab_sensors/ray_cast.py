@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core import DebugDraw, NonNegative, quat_from_matrix
+from mjlab_core import DebugDraw, quat_from_matrix
 
-from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
-from mjlab_sensors.rays import RayAlignment, RayReach, RaySensor, RaySensorCfg
-from mjlab_sensors.sensor import GeomGroups
+from mjlab_sensors.rays import RaySensor, RaySensorCfg
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -21,15 +19,6 @@ if TYPE_CHECKING:
 class RayCastSensorCfg(RaySensorCfg):
   """Hits of a pattern of rays from each of several frames."""
 
-  pattern: RayPatternCfg = field(default_factory=GridPatternCfg)
-  alignment: RayAlignment = "base"
-  max_distance: RayReach = 10.0
-  start_height: NonNegative = 0.0
-  """Distance behind the points of the pattern, against their direction, at which rays start [m]. Rays of a height scan
-  that start at the frame itself start inside terrain that is higher than the frame; rays that start above all terrain
-  around it hit that terrain."""
-  geom_groups: GeomGroups = (0, 1, 2)
-  exclude_parent_body: bool = True
   identify_geoms: bool = False
   """Return the geoms that are hit. On a CPU that is slower on terrain of many geoms."""
 
@@ -66,16 +55,6 @@ class RayCastData:
     """Orientations (w, x, y, z) of the frames, world frame, computed at each access, (num_envs, num_frames, 4)."""
     return quat_from_matrix(self.frame_mat_w)
 
-  @property
-  def pos_w(self) -> torch.Tensor:
-    """Origin of the first frame, world frame, (num_envs, 3) [m]."""
-    return self.frame_pos_w[:, 0]
-
-  @property
-  def quat_w(self) -> torch.Tensor:
-    """Orientation (w, x, y, z) of the first frame, world frame, computed at each access, (num_envs, 4)."""
-    return quat_from_matrix(self.frame_mat_w[:, 0])
-
 
 class RayCastSensor(RaySensor[RayCastData]):
   """Casts a pattern of rays from each of its frames. Surfaces are hit from both sides, but planes from above only."""
@@ -86,10 +65,6 @@ class RayCastSensor(RaySensor[RayCastData]):
   def num_rays(self) -> int:
     """Number of rays of all frames of a world."""
     return self.num_frames * self.rays_per_frame
-
-  @property
-  def _identifies_geoms(self) -> bool:
-    return self.cfg.identify_geoms
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
@@ -105,15 +80,15 @@ class RayCastSensor(RaySensor[RayCastData]):
     draw.spheres(data.hit_pos_w[worlds][data.valid[worlds]], 0.5 * self._draw_size, (0.0, 0.8, 0.9, 1.0))
 
   def _read(self) -> RayCastData:
-    rays = self._cast()
-    torch.ge(rays.distance, 0.0, out=self._valid)
-    torch.addcmul(rays.origins, rays.directions, rays.distance.clamp(min=0.0)[..., None], out=self._hit_pos)
+    hits, caster = self._cast(), self._caster
+    torch.ge(hits.distance, 0.0, out=self._valid)
+    torch.addcmul(caster.origins, caster.directions, hits.distance.clamp(min=0.0)[..., None], out=self._hit_pos)
     return RayCastData(
-      distances=rays.distance,
+      distances=hits.distance,
       valid=self._valid,
       hit_pos_w=self._hit_pos,
-      normals_w=rays.normal,
+      normals_w=hits.normal,
       frame_pos_w=self._frames.positions,
       frame_mat_w=self._frames.rotations,
-      geom_ids=rays.geomid,
+      geom_ids=hits.geomid,
     )

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import mujoco
 import torch
 from mjlab_core import Limits, NonNegative
 
 from mjlab_sensors.frames import FrameMatch, FrameSet
-from mjlab_sensors.patterns import RayPatternCfg
+from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
 from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
 
 if TYPE_CHECKING:
-  from mjlab_sim import Simulation
+  from mjlab_sim import RayHits, Simulation
 
 T = TypeVar("T")
 RayAlignment = Literal["base", "yaw", "world"]
@@ -28,40 +28,22 @@ class RaySensorCfg(SensorCfg):
 
   frames: FrameMatch
   """The frames that rays start from."""
-  pattern: RayPatternCfg
+  pattern: RayPatternCfg = field(default_factory=GridPatternCfg)
   """The rays of each frame."""
-  alignment: RayAlignment
+  alignment: RayAlignment = "base"
   """Rotation of the pattern: with the frame ("base"), with the frame's heading only ("yaw"), or none ("world")."""
-  max_distance: RayReach
+  max_distance: RayReach = 10.0
   """Range of a ray, from its point of the pattern [m]."""
-  start_height: NonNegative
-  """Distance behind that point, against the ray's direction, at which the ray starts [m]."""
-  geom_groups: GeomGroups
+  start_height: NonNegative = 0.0
+  """Distance behind the points of the pattern, against their direction, at which rays start [m]. Rays of a height scan
+  that start at the frame itself start inside terrain that is higher than the frame; rays that start above all terrain
+  around it hit that terrain."""
+  geom_groups: GeomGroups = (0, 1, 2)
   """Geom groups that rays see; None for all. Geoms of zero alpha are never seen."""
-  exclude_parent_body: bool
+  exclude_parent_body: bool = True
   """Rays of a frame pass through the geoms of the body that carries it."""
   exclude_own_tree: bool = False
   """Rays of a frame pass through everything that moves with it: all bodies of its kinematic tree, such as a robot."""
-
-
-class RayReading(NamedTuple):
-  """Rays of a sensor and what they hit, (num_envs, num_frames * rays_per_frame, ...), frame by frame; world frame."""
-
-  origins: torch.Tensor
-  """Starting points of the rays, `start_height` behind the points of the pattern, (..., 3) [m]."""
-  directions: torch.Tensor
-  """Unit directions, (..., 3)."""
-  distance: torch.Tensor
-  """Distance of the hit from the start of the ray; -1 without a hit [m]."""
-  normal: torch.Tensor
-  """Surface normal at the hit; zero without a hit, (..., 3)."""
-  geomid: torch.Tensor | None
-  """Geom that was hit, -1 without a hit; None if the sensor does not identify geoms."""
-
-  @property
-  def height(self) -> torch.Tensor:
-    """World height of the hit; meaningless without a hit [m]."""
-    return torch.addcmul(self.origins[..., 2], self.distance, self.directions[..., 2])
 
 
 class RaySensor(Sensor[T]):
@@ -70,12 +52,11 @@ class RaySensor(Sensor[T]):
   Rays are cast when the data are first read after a change of state, so they always show the present state.
   """
 
-  _identifies_geoms = False
-
-  def __init__(self, name: str, cfg: RaySensorCfg) -> None:
-    super().__init__(name, cfg)
-    self._ray_cfg = cfg
-    self.frame_names: tuple[str, ...] = ()
+  # A `RaySensorCfg`, of another class in each subclass.
+  cfg: Any
+  frame_names: tuple[str, ...] = ()
+  rays_per_frame: int
+  """Number of rays of each frame."""
 
   @property
   def num_frames(self) -> int:
@@ -83,16 +64,16 @@ class RaySensor(Sensor[T]):
     return len(self.frame_names)
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
-    self.frame_names = tuple(self._ray_cfg.frames.resolve(spec, entities, f"{self.label}: frames"))
+    frames = self.cfg.frames
+    self.frame_names = frames.names_in(spec, entities, frames.type, f"{self.label}: frames")
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
-    cfg = self._ray_cfg
+    cfg = self.cfg
     self._frames = frames = FrameSet(sim, cfg.frames.type, self.frame_names)
     rows = cfg.pattern.resolve(sim.mj_model).rays()
     starts, directions = (torch.as_tensor(row, dtype=sim.dtype, device=sim.device) for row in rows)
-    self.rays_per_frame: int = len(starts)
-    """Number of rays of each frame."""
+    self.rays_per_frame = len(starts)
     starts = starts - cfg.start_height * directions
     self._starts, self._pointing = self._parts(starts), self._parts(directions)
     self._zero = torch.zeros(sim.num_envs, self.num_frames, 1, 3, dtype=sim.dtype, device=sim.device)
@@ -100,15 +81,15 @@ class RaySensor(Sensor[T]):
     straight_down = bool((directions == directions.new_tensor((0.0, 0.0, -1.0))).all())
     self._points_down = straight_down and cfg.alignment != "base"
     self._turns_directions = cfg.alignment == "base" or (cfg.alignment == "yaw" and bool(directions[:, :2].any()))
-    excludes = cfg.exclude_parent_body or cfg.exclude_own_tree
+    self._excluded = frames.body_ids if cfg.exclude_parent_body or cfg.exclude_own_tree else []
     groups = cfg.geom_groups
     self._caster = sim.make_ray_caster(
       self.num_frames * self.rays_per_frame,
       geomgroup=None if groups is None else [group in groups for group in range(mujoco.mjNGROUP)],
-      bodyexclude=[body if excludes else -1 for body in frames.body_ids for _ in range(self.rays_per_frame)],
+      bodyexclude=[body for body in self._excluded for _ in range(self.rays_per_frame)] or -1,
       exclude_trees=cfg.exclude_own_tree,
       max_distance=cfg.max_distance + cfg.start_height,
-      geomid=self._identifies_geoms,
+      geomid=getattr(cfg, "identify_geoms", False),
     )
     shape = (self.num_frames, self.rays_per_frame)
     self._origins, self._directions = (
@@ -116,31 +97,30 @@ class RaySensor(Sensor[T]):
     )
     self._directions.copy_(directions)
 
-  def _cast(self) -> RayReading:
+  def _cast(self) -> RayHits:
     """Cast the rays; the simulation must be current (`sim.version`)."""
     position, factors = self._frames.positions[:, :, None], self._factors()
     self._combine(position, factors, self._starts, out=self._origins)
     if self._turns_directions:
       self._combine(self._zero, factors, self._pointing, out=self._directions)
-    hits = self._caster.cast()
-    return RayReading(self._caster.origins, self._caster.directions, hits.distance, hits.normal, hits.geomid)
+    return self._caster.cast()
 
   # A vector of the pattern in the world is a sum of three products, each of a factor from the frames and a constant.
   # It is not written as a matrix product: on a GPU those may run in reduced precision.
 
   def _parts(self, rows: torch.Tensor) -> tuple[torch.Tensor, ...]:
     x, y, z = rows.split(1, dim=-1)
-    if self._ray_cfg.alignment == "base":
+    if self.cfg.alignment == "base":
       return x, y, z
-    if self._ray_cfg.alignment == "world":
+    if self.cfg.alignment == "world":
       return (rows,)
     zero = torch.zeros_like(x)
     return torch.cat((zero, zero, z), -1), torch.cat((x, y, zero), -1), torch.cat((-y, x, zero), -1)
 
   def _factors(self) -> tuple[torch.Tensor, ...]:
-    if self._ray_cfg.alignment == "base":
+    if self.cfg.alignment == "base":
       return self._frames.rotations[:, :, None].unbind(-1)
-    if self._ray_cfg.alignment == "world":
+    if self.cfg.alignment == "world":
       return (self._one,)
     return self._one, *self._frames.headings[:, :, None].split(1, dim=-1)
 
@@ -152,8 +132,8 @@ class RaySensor(Sensor[T]):
     for factor, part in zip(factors[1:], parts[1:], strict=True):
       out.addcmul_(factor, part)
 
-  def _leaves_inside(self, rays: RayReading) -> torch.Tensor:
-    """Return True for rays that started inside the geom they hit, (num_envs, num_frames * rays_per_frame) bool."""
+  def _leaves_inside(self, normal: torch.Tensor) -> torch.Tensor:
+    """Return True for rays that started inside the geom they hit with this normal, (num_envs, num_rays) bool."""
     if self._points_down:
-      return rays.normal[..., 2] < 0.0
-    return (rays.normal * rays.directions).sum(-1) > 0.0
+      return normal[..., 2] < 0.0
+    return (normal * self._caster.directions).sum(-1) > 0.0

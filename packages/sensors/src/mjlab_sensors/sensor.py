@@ -63,8 +63,8 @@ class SensorCfg(Config, ABC):
     if (not name and not self.name) or (name and self.name not in ("", name)):
       raise MjlabError(f"{self.label}: needs one name; the scene calls this sensor {name!r}")
     name = name or self.name
-    # A copy, so that messages give the name.
-    replace(self, name=name).validate()
+    # A copy, which is checked, so that messages give the name.
+    replace(self, name=name)
     return self._make(name)
 
   @abstractmethod
@@ -132,6 +132,11 @@ class Sensor(Stateful, ABC, Generic[T]):
   def _draw_size(self) -> float:
     """Size of a small thing in this model's picture [m]."""
     return 0.5 * float(self.sim.mj_model.stat.meansize)
+
+  def _draw_direction(self, draw: DebugDraw, place: torch.Tensor, vector: torch.Tensor) -> None:
+    """Draw the direction of world vectors at places, both (n, 3)."""
+    unit = vector / vector.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+    draw.arrows(place, place + 5.0 * self._draw_size * unit, (1.0, 1.0, 0.0, 1.0), 0.2 * self._draw_size)
 
   @property
   def data(self) -> T:

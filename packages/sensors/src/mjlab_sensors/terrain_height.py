@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -71,11 +71,7 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self.cfg
-    self._plane: float | None = None
-    if self._points_down:
-      groups = range(mujoco.mjNGROUP) if cfg.geom_groups is None else cfg.geom_groups
-      excludes = cfg.exclude_parent_body or cfg.exclude_own_tree
-      self._plane = _plane_height(sim, groups, self._frames.body_ids if excludes else [], trees=cfg.exclude_own_tree)
+    self._plane = self._plane_height() if self._points_down else None
     shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
     self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
@@ -97,10 +93,11 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     if self._plane is not None and self.sim.fixed_geoms_are_in_place():
       return self._read_above_plane(self._plane)
     cfg = self.cfg
-    rays = self._cast()
+    hits, caster = self._cast(), self._caster
+    hit_height = torch.addcmul(caster.origins[..., 2], hits.distance, caster.directions[..., 2])
     seen, height, from_inside = (
       values.unflatten(1, (self.num_frames, self.num_rays))
-      for values in (rays.distance >= 0.0, rays.height, self._leaves_inside(rays))
+      for values in (hits.distance >= 0.0, hit_height, self._leaves_inside(hits.normal))
     )
     heights = (self._frames.heights[..., None] - height).clamp_(min=0.0).masked_fill_(from_inside, 0.0)
     heights = torch.where(seen, heights, self._unseen)
@@ -129,28 +126,24 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
     torch.clamp(above, 0.0, self.cfg.max_distance, out=self._heights)
     return TerrainHeightData(heights=self._heights, valid=self._valid)
 
-
-def _plane_height(sim: Simulation, geom_groups: Iterable[int], excluded: list[int], *, trees: bool) -> float | None:
-  """World height of the only geom in `geom_groups` if it is a fixed, infinite, horizontal plane [m]; else None.
-
-  Geoms of bodies in `excluded`, or of their kinematic `trees`, through which some rays pass, do not count where all
-  rays pass through the same.
-  """
-  model = sim.mj_model
-  owner = model.body_rootid if trees else np.arange(model.nbody)
-  through = {int(owner[body]) for body in excluded}
-  unseen = through if len(through) == 1 else set()
-  owners = owner[model.geom_bodyid]
-  seen = [g for g in range(model.ngeom) if model.geom_group[g] in geom_groups and owners[g] not in unseen]
-  if len(seen) != 1 or owners[seen[0]] in through:
-    return None
-  geom = seen[0]
-  body = int(model.geom_bodyid[geom])
-  is_fixed = model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
-  is_infinite = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and not model.geom_size[geom, :2].any()
-  if not (is_fixed and is_infinite):
-    return None
-  data = mujoco.MjData(model)
-  mujoco.mj_kinematics(model, data)
-  is_level = np.allclose(data.geom_xmat[geom].reshape(3, 3)[:, 2], (0.0, 0.0, 1.0), atol=1e-9)
-  return float(data.geom_xpos[geom, 2]) if is_level else None
+  def _plane_height(self) -> float | None:
+    """Return the world height of the ground if it is one fixed, infinite, horizontal plane [m]; else None."""
+    cfg, model = self.cfg, self.sim.mj_model
+    body_owner = model.body_rootid if cfg.exclude_own_tree else np.arange(model.nbody)
+    owner, through = body_owner[model.geom_bodyid], np.unique(body_owner[self._excluded])
+    is_seen = np.isin(model.geom_group, range(mujoco.mjNGROUP) if cfg.geom_groups is None else cfg.geom_groups)
+    # Geoms that some rays pass through do not count where all rays pass through the same.
+    if len(through) == 1:
+      is_seen &= owner != through
+    if is_seen.sum() != 1 or np.isin(owner[is_seen], through):
+      return None
+    geom = int(np.argmax(is_seen))
+    body = model.geom_bodyid[geom]
+    is_fixed = model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
+    is_infinite = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and not model.geom_size[geom, :2].any()
+    if not (is_fixed and is_infinite):
+      return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_level = np.allclose(data.geom_xmat[geom].reshape(3, 3)[:, 2], (0.0, 0.0, 1.0), atol=1e-9)
+    return float(data.geom_xpos[geom, 2]) if is_level else None
