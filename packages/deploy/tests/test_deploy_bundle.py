@@ -6,14 +6,14 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from deploy_bundles import DEFAULT, DESCRIPTION, SCALE, WEIGHTS, write_bundle
-from mjlab_deploy import DeployError, Policy, bundle_schema, describe, open_bundle, pack
+from deploy_schema import PUBLISHED, bundle_schema
+from mjlab_deploy import DeployError, Policy, describe, open_bundle, pack
 
 
 @pytest.fixture
@@ -46,8 +46,7 @@ def test_a_folder_and_its_zip_hold_the_same_policy(folder: Path, tmp_path: Path)
 
 
 def test_the_published_schema_is_that_of_the_code() -> None:
-  published = resources.files("mjlab_deploy").joinpath("bundle.schema.json").read_text(encoding="utf-8")
-  assert json.loads(published) == bundle_schema()
+  assert json.loads(PUBLISHED.read_text(encoding="utf-8")) == bundle_schema()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Policy bundles: read, verify, run in MuJoCo C or on a robot. NumPy, MuJoCo and ONNX Runtime only."""
 
-from mjlab_deploy.bundle import Bundle, bundle_schema, describe, open_bundle, pack, write_description
+from mjlab_deploy.bundle import Bundle, describe, open_bundle, pack, write_description
 from mjlab_deploy.description import (
   FORMAT,
   Command,
@@ -37,7 +37,6 @@ __all__ = [
   "Step",
   "Target",
   "Timing",
-  "bundle_schema",
   "describe",
   "open_bundle",
   "pack",

@@ -15,10 +15,10 @@ from mjlab_deploy.bundle import MAX_BYTES, Bundle, write_description
 from mjlab_deploy.description import Command, Description, Input, Joint, Memory, Motion, Origin, Robot, Target, Timing
 from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
 from mjlab_deploy.model_readings import actuators_of
-from mjlab_deploy.network_graph import NetworkGraph, network_inputs
+from mjlab_deploy.network_graph import NetworkGraph
 from mjlab_deploy.network_metadata import numbers, read_joints, read_observations, words
+from mjlab_deploy.onnx_graph import OnnxGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
-from mjlab_deploy.policy import open_graph
 from mjlab_deploy.scene import write_scene
 from mjlab_deploy.unitree_policy import find_deploy_yaml, read_deploy_yaml
 
@@ -42,25 +42,26 @@ def adopted(policy: Path, model: Path, rate: float | None = None) -> Generator[B
     DeployError: Either file cannot be read, or they do not fit; the message begins with the path of the policy.
   """
   with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-    with reading(f"policy {policy}"):
+    with reading(f"policy {policy}", LookupError):
       bundle = _adopt(policy, model, rate, Path(temporary))
     yield bundle
 
 
 def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundle:
   data = read_limited(policy, MAX_BYTES["policy.onnx"])
-  session = open_graph(data)
-  metadata: Mapping[str, str] = session.get_modelmeta().custom_metadata_map
+  network = OnnxGraph(data)
+  check_known("input of the network", "obs", network.inputs)
+  metadata = network.metadata
   if "joint_names" not in metadata and (beside := find_deploy_yaml(policy)):
     metadata = read_deploy_yaml(beside)
     rate = rate or 1.0 / float(metadata["step_dt"])
   rate = rate or 50.0
-  follows_clip = "time_step" in network_inputs(session) and "joint_pos" in [out.name for out in session.get_outputs()]
+  follows_clip = "time_step" in network.inputs and "joint_pos" in network.outputs
   joints = read_joints(metadata)
   names = tuple(joint.name for joint in joints)
   scale = tuple(numbers(metadata, "action_scale", len(joints)))
   observations = read_observations(metadata, len(joints), follows_clip=follows_clip)
-  graph = NetworkGraph(session, joints, scale, observations)
+  graph = NetworkGraph(network, joints, scale, observations)
   spec = _scene(model, joints)
   (folder / "policy.onnx").write_bytes(data)
   if not write_scene(spec, folder):
@@ -79,7 +80,7 @@ def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundl
     action_names=names,
     action_scale=scale,
     commands=(Command(input="command/velocity", ranges=_VELOCITY),) if "command/velocity" in graph.readings else (),
-    motion=_write_motion(session, metadata, folder, rate) if follows_clip else None,
+    motion=_write_motion(network, metadata, folder, rate) if follows_clip else None,
     has_scene=True,
   )
   write_description(folder, description)
@@ -163,15 +164,15 @@ def _origin(name: str, root: str) -> Origin | None:
   return Origin(quantity=quantity, name=f"{_ROBOT}/{body[0]}" if body else root, object_type="body")
 
 
-def _write_motion(session: Any, metadata: Mapping[str, str], folder: Path, rate: float) -> Motion:
+def _write_motion(network: OnnxGraph, metadata: Mapping[str, str], folder: Path, rate: float) -> Motion:
   """Write the clip that a network shows frame by frame; its last frame is repeated for all later steps."""
   anchor, bodies = metadata.get("anchor_body_name", ""), words(metadata, "body_names")
   check_known("anchor_body_name of the metadata", anchor, bodies)
-  zeros = {name: np.zeros(shape, np.float32) for name, shape in network_inputs(session).items()}
+  zeros = network.zeros(*network.inputs)
 
   def shown(step: int) -> dict[str, np.ndarray]:
-    feed = zeros | {"time_step": np.full_like(zeros["time_step"], step)}
-    return dict(zip(REFERENCE_OUTPUTS, session.run(REFERENCE_OUTPUTS, feed), strict=True))
+    values = network.run(zeros | {"time_step": np.full_like(zeros["time_step"], step)})
+    return {name: values[name] for name in REFERENCE_OUTPUTS}
 
   last, frames, same = shown(_MAX_FRAMES), [], 0
   # A clip may pass through its last frame earlier.

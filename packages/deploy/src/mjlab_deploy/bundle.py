@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from mjlab_deploy.arrays import Arrays, read_arrays
+from mjlab_deploy.decoding import decode
 from mjlab_deploy.description import FORMAT, Description
 from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
-from mjlab_deploy.schema import decode, schema
 
 MAX_BYTES = {
   "bundle.json": 4 << 20,
@@ -119,15 +119,6 @@ def pack(folder: Path, path: Path) -> None:
     for name in MAX_BYTES:
       if (folder / name).is_file():
         archive.write(folder / name, name)
-
-
-def bundle_schema() -> dict[str, Any]:
-  """Return the JSON schema of `bundle.json`; `bundle.schema.json` in this package is a copy."""
-  return {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": "mjlab policy bundle",
-    **schema(Description),
-  }
 
 
 def _unpack(path: Path, folder: Path) -> None:

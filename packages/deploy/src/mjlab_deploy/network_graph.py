@@ -4,16 +4,15 @@ Observations are assembled here, in NumPy, as the description of the bundle says
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjlab_deploy.description import Joint, Observation
-from mjlab_deploy.errors import DeployError, check_known, reading
+from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.network_metadata import GROUP, reading_width
+from mjlab_deploy.onnx_graph import OnnxGraph, Shapes
 
-Shapes = dict[str, tuple[int, ...]]
 _SIX = (0, 1, 3, 4, 6, 7)
 """Entries of a rotation matrix, row by row, that are its first two columns."""
 
@@ -22,7 +21,7 @@ class NetworkGraph:
   """A network as a graph from readings to joint targets.
 
   Args:
-    session: Session of the network.
+    network: The network.
     joints: Joints of the robot.
     action_scale: Shift of the target per unit of action for each joint.
     observations: Observations in the order of the network's input.
@@ -32,25 +31,16 @@ class NetworkGraph:
   """
 
   def __init__(
-    self, session: Any, joints: Sequence[Joint], action_scale: Sequence[float], observations: Sequence[Observation]
+    self,
+    network: OnnxGraph,
+    joints: Sequence[Joint],
+    action_scale: Sequence[float],
+    observations: Sequence[Observation],
   ) -> None:
-    self._session, self._observations = session, observations
+    self._network, self._observations = network, observations
     self._default, self._scale = np.array([joint.default_position for joint in joints]), np.array(action_scale)
-    shapes = network_inputs(session)
-    self._outputs = [item.name for item in session.get_outputs()]
-    # Trainers agree on "obs", not on the output: rsl-rl writes "actions", MuJoCo Playground "continuous_actions".
-    self._action = "actions" if "actions" in self._outputs or len(self._outputs) != 1 else self._outputs[0]
-    if "obs" not in shapes or self._action not in self._outputs:
-      takes, returns = (", ".join(names)[:120] for names in (shapes, self._outputs))
-      raise DeployError(f"the network must take 'obs' and return 'actions'; it takes {takes} and returns {returns}")
-    self._states = {
-      name: f"{name[:-3]}_out" for name in shapes if name.endswith("_in") and f"{name[:-3]}_out" in self._outputs
-    }
-    for name in shapes:
-      check_known("meaning of the network's input", name, ("obs", "time_step", *self._states))
-    if (width := sum(item.shape[0] for item in observations)) != shapes["obs"][-1]:
-      raise DeployError(f"its observation_names give {width} numbers, the network takes {shapes['obs'][-1]}")
-    self._has_time_step = "time_step" in shapes
+    if (width := sum(item.shape[0] for item in observations)) != network.inputs["obs"][-1]:
+      raise DeployError(f"its observation_names give {width} numbers, the network takes {network.inputs['obs'][-1]}")
     count = len(joints)
     self.readings: Shapes = {
       name: (reading_width(name, count),) for item in observations for name in item.sources if name != "last_action"
@@ -61,7 +51,7 @@ class NetworkGraph:
     for item in observations:
       if item.history_length > 1:
         self.memories[_history(item)] = (1, item.history_length, item.shape[0] // item.history_length)
-    self.memories |= {f"memory/{name}": shapes[name] for name in self._states}
+    self.memories |= {f"memory/{name}": value.shape for name, value in network.zeros(*network.states).items()}
     with reading("the network cannot be run", Exception):
       self.run({name: np.zeros(shape, np.float32) for name, shape in self.inputs.items()})
 
@@ -81,12 +71,12 @@ class NetworkGraph:
     following: dict[str, np.ndarray] = {}
     parts = [self._observe(item, feed, following) for item in self._observations]
     observation = np.concatenate(parts, axis=1).astype(np.float32)
-    given = {"obs": observation} | {name: feed[f"memory/{name}"] for name in self._states}
-    if self._has_time_step:
+    given = {"obs": observation} | {name: feed[f"memory/{name}"] for name in self._network.states}
+    if "time_step" in self._network.inputs:
       given["time_step"] = feed["memory/time_step"]
-    values = dict(zip(self._outputs, self._session.run(None, given), strict=True))
-    action = np.asarray(values[self._action], np.float32).reshape(1, -1)
-    following |= {f"memory/{name}": np.asarray(values[output]) for name, output in self._states.items()}
+    values = self._network.run(given)
+    action = values[self._network.action].astype(np.float32).reshape(1, -1)
+    following |= {f"memory/{name}": values[output] for name, output in self._network.states.items()}
     following |= {"memory/last_action": action, "memory/time_step": feed["memory/time_step"] + np.float32(1.0)}
     target = (self._default + self._scale * action).astype(np.float32)
     found = {"target/position": target, "action": action, f"observation/{GROUP}": observation}
@@ -114,11 +104,6 @@ class NetworkGraph:
     if name == "motion_anchor_ori_b":
       return (_matrix(sources[1]).T @ _matrix(sources[0])).ravel()[list(_SIX)]
     return np.concatenate(sources)
-
-
-def network_inputs(session: Any) -> Shapes:
-  """Return the shapes of a network's inputs by name, for one world."""
-  return {item.name: tuple(n if isinstance(n, int) else 1 for n in item.shape) for item in session.get_inputs()}
 
 
 def _history(item: Observation) -> str:

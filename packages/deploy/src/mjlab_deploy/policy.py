@@ -1,14 +1,14 @@
-"""The graph of a bundle, run by ONNX Runtime."""
+"""Policy of a bundle, step by step."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import onnxruntime
 
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError, check_known, reading
 from mjlab_deploy.network_graph import NetworkGraph
+from mjlab_deploy.onnx_graph import OnnxGraph
 
 EPISODE_START = "episode_start"
 """Input of a graph with memory: 1 in the first step of an episode, else 0."""
@@ -42,16 +42,13 @@ class Policy:
 
   def __init__(self, bundle: Bundle) -> None:
     self.description = bundle.description
-    session = open_graph(bundle.read_bytes("policy.onnx"))
-    given = {value.name: tuple(value.shape) for value in session.get_inputs()}
-    outputs = [value.name for value in session.get_outputs()]
-    self._run = lambda feed: dict(zip(outputs, map(np.asarray, session.run(None, feed)), strict=True))
-    if "obs" in given:
+    graph: OnnxGraph | NetworkGraph = OnnxGraph(bundle.read_bytes("policy.onnx"))
+    if "obs" in graph.inputs:
       # A network of others, which takes observations instead of readings.
       robot, scale = self.description.robot, self.description.action_scale or ()
       with reading("policy.onnx", LookupError):
-        graph = NetworkGraph(session, robot.joints, scale, self.description.observations)
-      given, outputs, self._run = graph.inputs, graph.outputs, graph.run
+        graph = NetworkGraph(graph, robot.joints, scale, self.description.observations)
+    self._run, given = graph.run, graph.inputs
     wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
     wanted |= {item.input: item.shape for item in self.description.memories}
     self._has_start = EPISODE_START in given
@@ -65,7 +62,7 @@ class Policy:
     promised = [ACTION, *(item.output for item in self.description.memories)]
     promised += [item.name for item in self.description.targets]
     for name in promised:
-      check_known("policy.onnx: output", name, outputs)
+      check_known("policy.onnx: output", name, graph.outputs)
     self.reset()
 
   def reset(self) -> None:
@@ -102,16 +99,3 @@ class Policy:
       action=values[ACTION][0],
       observations={name.removeprefix(prefix): value[0] for name, value in values.items() if name.startswith(prefix)},
     )
-
-
-def open_graph(data: bytes) -> onnxruntime.InferenceSession:
-  """Return a session of a graph that needs no other file, on one thread of the CPU.
-
-  Raises:
-    DeployError: The graph is damaged.
-  """
-  options = onnxruntime.SessionOptions()
-  options.intra_op_num_threads = options.inter_op_num_threads = 1
-  options.log_severity_level = 4
-  with reading("policy.onnx: not a graph that ONNX Runtime takes", Exception):
-    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])

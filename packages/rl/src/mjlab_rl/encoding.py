@@ -9,7 +9,7 @@ import enum
 import functools
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Annotated, Any, Literal, TypeAlias
@@ -26,11 +26,20 @@ from mjlab_rl.references import reference, resolve, resolve_enum
 # JSON data: None, booleans, numbers, strings, lists and dictionaries of them.
 Json: TypeAlias = Any
 
+_KINDS: dict[str, Any] = {
+  "$float": float,
+  "$path": Path,
+  "$slice": slice,
+  "$range": range,
+  "$tuple": tuple,
+  "$set": set,
+  "$frozenset": frozenset,
+}
 # Paths for output are never taken from a file.
 _OUTPUT_FIELDS = ("output_dir",)
 
 
-def encode(value: object, where: str = "config") -> Json:
+def encode(value: Any, where: str = "config") -> Json:
   """Return JSON data from which `decode` rebuilds `value`.
 
   Handles dataclasses (their init fields), named tuples, functions and classes with an importable name, partials, enums,
@@ -39,18 +48,17 @@ def encode(value: object, where: str = "config") -> Json:
   Raises:
     ConfigError: Parts of it cannot be rebuilt; the message names each field, starting with `where`.
   """
-  if value is None or type(value) in (bool, int, str):
+  kind = type(value)
+  if value is None or kind in (bool, int, str):
     return value
-  if type(value) is float:
+  if kind is float:
     return value if math.isfinite(value) else {"$float": repr(value)}
-  if type(value) is list:
-    return _encode_each((f"{where}[{i}]", item) for i, item in enumerate(value))
-  if type(value) is tuple:
-    return {"$tuple": _encode_each((f"{where}[{i}]", item) for i, item in enumerate(value))}
-  if isinstance(value, (set, frozenset)):
-    items = sorted((encode(item, where) for item in value), key=json.dumps)
-    return {"$set" if isinstance(value, set) else "$frozenset": items}
-  if type(value) is dict:
+  if kind in (list, tuple, set, frozenset):
+    items = _encode_each((f"{where}[{i}]", item) for i, item in enumerate(value))
+    if kind in (set, frozenset):
+      items.sort(key=json.dumps)
+    return items if kind is list else {f"${kind.__name__}": items}
+  if kind is dict:
     if all(type(key) is str and not key.startswith("$") for key in value):
       items = _encode_each((f"{where}.{key}", item) for key, item in value.items())
       return dict(zip(value, items, strict=True))
@@ -58,28 +66,25 @@ def encode(value: object, where: str = "config") -> Json:
   if isinstance(value, (type, FunctionType, BuiltinFunctionType, MethodType)):
     return {"$ref": reference(value, where)}
   if isinstance(value, enum.Enum):
-    return {"$enum": reference(type(value), where), "name": value.name}
-  if dataclasses.is_dataclass(value):
-    names = [field.name for field in dataclasses.fields(value) if field.init]
+    return {"$enum": reference(kind, where), "name": value.name}
+  if (names := _field_names(value)) is not None:
     fields = _encode_each((f"{where}.{name}", getattr(value, name)) for name in names)
-    return {"$type": reference(type(value), where), "fields": dict(zip(names, fields, strict=True))}
-  if isinstance(value, tuple) and hasattr(value, "_fields"):
-    named: dict[str, Any] = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]  # ty: ignore[missing-attribute]
-    return {
-      "$type": reference(type(value), where),
-      "fields": {name: encode(item, f"{where}.{name}") for name, item in named.items()},
-    }
+    return {"$type": reference(kind, where), "fields": dict(zip(names, fields, strict=True))}
   if isinstance(value, functools.partial):
-    return {
-      "$partial": encode(value.func, where),
-      "args": [encode(item, f"{where}.args[{i}]") for i, item in enumerate(value.args)],
-      "keywords": {key: encode(item, f"{where}.{key}") for key, item in value.keywords.items()},
-    }
+    parts = {"args": list(value.args), "keywords": value.keywords}
+    return {"$partial": encode(value.func, where), **encode(parts, where)}
   if isinstance(value, (slice, range)):
-    return {f"${type(value).__name__}": [encode(item, where) for item in (value.start, value.stop, value.step)]}
+    return {f"${kind.__name__}": [encode(item, where) for item in (value.start, value.stop, value.step)]}
   if isinstance(value, Path):
     return {"$path": str(value)}
   return _encode_foreign(value, where)
+
+
+def _field_names(value: Any) -> Sequence[str] | None:
+  """Return the fields of a dataclass or a named tuple; None for another value."""
+  if dataclasses.is_dataclass(value):
+    return [field.name for field in dataclasses.fields(value) if field.init]
+  return getattr(value, "_fields", None) if isinstance(value, tuple) else None
 
 
 def _encode_each(parts: Iterable[tuple[str, object]]) -> list[Json]:
@@ -96,15 +101,14 @@ def _encode_each(parts: Iterable[tuple[str, object]]) -> list[Json]:
   return done
 
 
-def _encode_foreign(value: object, where: str) -> Json:
+def _encode_foreign(value: Any, where: str) -> Json:
   """Encode NumPy values, MuJoCo's enums and cached functions, recognised without importing their packages."""
   kind = type(value)
   if kind.__module__ == "numpy":
-    array: Any = value
     tag = "$array" if kind.__name__ == "ndarray" else "$scalar"
-    return {tag: encode(array.tolist(), where), "dtype": str(array.dtype), "shape": list(array.shape)}
+    return {tag: encode(value.tolist(), where), "dtype": str(value.dtype), "shape": list(value.shape)}
   if kind.__module__ == "mujoco._enums":
-    return {"$enum": f"{kind.__module__}:{kind.__qualname__}", "name": getattr(value, "name", "")}
+    return {"$enum": f"{kind.__module__}:{kind.__qualname__}", "name": value.name}
   if callable(value):
     return {"$ref": reference(value, where)}
   remedy = "use plain values, dataclasses, or a function of a module that builds it"
@@ -171,22 +175,14 @@ def _value(tag: str, node: Any, where: str) -> Any:
   """Rebuild one tagged value."""
   body = node.body
   match tag:
-    case "$float":
-      return float(body)
-    case "$tuple":
-      return tuple(decode(item, f"{where}[{i}]") for i, item in enumerate(body))
-    case "$set":
-      return {decode(item, where) for item in body}
-    case "$frozenset":
-      return frozenset(decode(item, where) for item in body)
+    case "$float" | "$path":
+      return _KINDS[tag](body)
+    case "$slice" | "$range":
+      return _KINDS[tag](*body)
+    case "$tuple" | "$set" | "$frozenset":
+      return _KINDS[tag](decode(item, f"{where}[{i}]") for i, item in enumerate(body))
     case "$dict":
       return {decode(key, where): decode(item, f"{where}[{printable(key, 60)}]") for key, item in body}
-    case "$slice":
-      return slice(*body)
-    case "$range":
-      return range(*body)
-    case "$path":
-      return Path(body)
     case "$ref":
       return resolve(body, where)
     case "$enum":

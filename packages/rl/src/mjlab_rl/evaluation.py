@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 import torch
 from mjlab_core.errors import ConfigError
@@ -34,18 +35,17 @@ class FinitePolicy:
 
   def __init__(self, policy: Any, on_first: Callable[[], None] | None = None) -> None:
     self._policy, self._on_first = policy, on_first
-    self._count: torch.Tensor | None = None
+    self._count: int | torch.Tensor = 0
 
   @property
   def num_broken(self) -> int:
     """Number of actions, one per world and step, of which a part was not finite."""
-    return 0 if self._count is None else int(self._count)
+    return int(self._count)
 
   def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
     """Return the actions of the policy, (num_envs, num_actions)."""
     actions: torch.Tensor = self._policy(observations)
-    broken = (~actions.isfinite()).any(-1).sum()
-    self._count = broken if self._count is None else self._count + broken
+    self._count = self._count + (~actions.isfinite()).any(-1).sum()
     if self._on_first is not None and self.num_broken:
       self._on_first()
       self._on_first = None
@@ -150,8 +150,7 @@ def bootstrap(values: torch.Tensor, *, seed: int = 0) -> Interval:
   from scipy import stats
 
   kept = values[~values.isnan()].double().numpy()
-  mean = float(kept.mean()) if len(kept) else math.nan
-  low = high = mean
+  mean = low = high = float(kept.mean()) if len(kept) else math.nan
   if len(kept) > 1:
     low, high = stats.bootstrap(
       (kept,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="percentile", rng=seed
@@ -187,26 +186,12 @@ class Evaluation:
 
   def to_json(self) -> dict[str, Any]:
     """Return plain data, in which NaN is None."""
-
-    def number(value: float) -> float | None:
-      return value if math.isfinite(value) else None
-
-    groups = {
-      group: {
-        name: {part: number(value) for part, value in dataclasses.asdict(interval).items()}
-        for name, interval in metrics.items()
-      }
-      for group, metrics in self.groups.items()
-    }
-    curves = {
-      metric: {group: [number(value) for value in values] for group, values in by_group.items()}
-      for metric, by_group in self.curves.items()
-    }
-    return {"groups": groups, "curves": curves, "units": dict(self.units), "confidence": CONFIDENCE}
+    # msgspec writes NaN as null.
+    return msgspec.json.decode(msgspec.json.encode({**vars(self), "confidence": CONFIDENCE}))
 
   def table(self) -> str:
     """Return a table with one line per group and one column per metric: the mean and its interval."""
-    names = list(dict.fromkeys(name for metrics in self.groups.values() for name in metrics))
+    names = dict.fromkeys(name for metrics in self.groups.values() for name in metrics)
     head = ["", "episodes", *(f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in names)]
     rows = []
     for group, metrics in self.groups.items():

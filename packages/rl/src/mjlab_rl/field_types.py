@@ -11,7 +11,7 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from mjlab_core import printable
-from mjlab_core.constraints import Ascending, Limits, field_hints, field_problem
+from mjlab_core.constraints import Ascending, Limits, field_hints
 
 _SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
 _SETS = (set, frozenset)
@@ -38,35 +38,35 @@ def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
   """Yield one line for each part of `value` that does not fit a type."""
   origin, arguments = get_origin(hint), get_args(hint)
   if origin is Annotated:
-    yield from _constrained(value, hint, where)
+    kind, *rules = arguments
+    found = list(problems(value, kind, where))
+    if not found and value is not None:
+      broken = [rule.problem(value) for rule in rules if isinstance(rule, Limits | Ascending)]
+      found = [f"{where}: must {rule}, got {_shown(value)}" for rule in broken if rule]
+    yield from found
   elif origin in (Union, types.UnionType):
-    arms = [arm for arm in arguments if arm is not type(None)]
-    if value is None and len(arms) < len(arguments):
+    if value is None and type(None) in arguments:
       return
-    found = [list(problems(value, arm, where)) for arm in arms]
-    if all(found):
-      rule = field_problem(value, hint) if isinstance(value, int | float) else ""
-      yield from found[0] if len(arms) == 1 else [f"{where}: {rule}" if rule else _mismatch(value, hint, where)]
+    arms = [list(problems(value, arm, where)) for arm in arguments if arm is not type(None)]
+    if all(arms):
+      yield from arms[0] if len(arms) == 1 else [_mismatch(value, hint, where)]
   elif origin is Callable or hint is Callable:
     yield from callable_problems(value, arguments, where)
   elif origin is Literal:
     if not any(value == choice and type(value) is type(choice) for choice in arguments):
       yield f"{where}: expected one of {', '.join(map(repr, arguments))}, got {_shown(value)}"
-  elif origin is type or hint is type:
-    bound: Any = get_origin(arguments[0]) or arguments[0] if arguments else Any
-    # Any is a class itself.
-    bound = bound if isinstance(bound, type) and bound is not Any else object
-    if not isinstance(value, type) or not issubclass(value, bound):
-      yield _mismatch(value, hint, where)
   elif (origin or hint) in (dict, Mapping, *_SEQUENCES, *_SETS):
     yield from _container_problems(value, origin or hint, arguments, where)
-  elif not _is_instance(value, origin or hint):
+  elif not _is_instance(value, origin or hint, arguments):
     yield _mismatch(value, hint, where)
   else:
     yield from _hidden_partials(value, where)
 
 
-def _is_instance(value: Any, kind: Any) -> bool:
+def _is_instance(value: Any, kind: Any, arguments: tuple[Any, ...]) -> bool:
+  if kind is type:
+    bound = get_origin(arguments[0]) or arguments[0] if arguments else object
+    return isinstance(value, type) and (bound is Any or not isinstance(bound, type) or issubclass(value, bound))
   if kind is None:
     return value is None
   if not isinstance(kind, type) or kind in (Any, object) or getattr(kind, "_is_protocol", False):
@@ -75,16 +75,6 @@ def _is_instance(value: Any, kind: Any) -> bool:
     number = numbers.Integral if kind is int else numbers.Real
     return isinstance(value, number) and not isinstance(value, bool)
   return isinstance(value, PurePath if issubclass(kind, PurePath) else kind)
-
-
-def _constrained(value: Any, hint: Any, where: str) -> Iterator[str]:
-  """Check a type and the constraints that `Annotated` adds to it."""
-  kind, *rules = get_args(hint)
-  found = list(problems(value, kind, where))
-  if not found and value is not None:
-    broken = [rule.problem(value) for rule in rules if isinstance(rule, Limits | Ascending)]
-    found = [f"{where}: must {rule}, got {_shown(value)}" for rule in broken if rule]
-  yield from found
 
 
 def _container_problems(value: Any, kind: Any, arguments: tuple[Any, ...], where: str) -> Iterator[str]:

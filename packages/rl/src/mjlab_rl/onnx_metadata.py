@@ -4,15 +4,18 @@ The keys and formats are those of mjlab 1.x: lists are joined by commas, nested 
 decimals. Keys that are missing in the file are not compared.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import msgspec
+import numpy as np
 from mjlab_core import MjlabError, match_names, match_values_full, printable
 from mjlab_core.errors import FileError
 
-# Half of the last of three decimals, and a little.
+# A little more than half of the last of three decimals.
 _ABSOLUTE, _RELATIVE = 6e-4, 1e-4
+_UNCLIPPED = (-math.inf, math.inf)
+_WORDS = {"true": 1.0, "false": 0.0}
 
 
 def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence[str]) -> Iterator[str]:
@@ -29,10 +32,33 @@ def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence
   yield from _observation_differences(metadata, env, groups)
   if (commands := getattr(env, "command_manager", None)) is not None:
     yield from _name_differences(metadata, "command_names", list(commands.active_terms))
-  terms = _action_terms(env)
-  if not terms:
+  if terms := _action_terms(env):
+    yield from _joint_differences(metadata, env.scene[terms[0].cfg.entity], terms)
+
+
+def _observation_differences(metadata: Mapping[str, str], env: Any, groups: Sequence[str]) -> Iterator[str]:
+  layout_of = getattr(getattr(env, "observation_manager", None), "layout", None)
+  if layout_of is None:
     return
-  entity = env.scene[terms[0].cfg.entity]
+  layouts = [layout for group in groups for layout in layout_of(group)]
+  names = [layout.name for layout in layouts]
+  if differences := list(_name_differences(metadata, "observation_names", names)):
+    yield from differences
+    return
+  # Flattening is compared only where there is a history.
+  expected = {
+    "scale": [1.0 if layout.scale is None else layout.scale for layout in layouts],
+    "history_length": [max(layout.history_length, 1) for layout in layouts],
+    "flatten_history_dim": [
+      len(layout.shape) == len(layout.frame_shape) if layout.history_length > 1 else None for layout in layouts
+    ],
+    "clip": [_UNCLIPPED if layout.clip is None else layout.clip for layout in layouts],
+  }
+  for key, ours in expected.items():
+    yield from _number_differences(metadata, f"observation_terms_{key}", names, ours)
+
+
+def _joint_differences(metadata: Mapping[str, str], entity: Any, terms: Sequence[Any]) -> Iterator[str]:
   joints = list(entity.joint_names)
   targets: list[str] = [name for term in terms for name in term.target_names]
   saved = _names(metadata, "joint_names") or joints
@@ -43,47 +69,13 @@ def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence
     yield f"joint_names: the actions are in another order here: {', '.join(targets)}"
   if saved != expected:
     return
-  columns = [joints.index(name) for name in saved if name in joints]
-  pose = entity.data.default_joint_pos.flatten().tolist()
-  yield from _number_differences(metadata, "default_joint_pos", saved, [pose[column] for column in columns])
-  for key, gain in (("joint_stiffness", "stiffness"), ("joint_damping", "damping")):
-    yield from _number_differences(metadata, key, saved, configured(entity, gain, saved))
+  pose = dict(zip(joints, entity.data.default_joint_pos.flatten().tolist(), strict=True))
+  yield from _number_differences(metadata, "default_joint_pos", saved, [pose[name] for name in saved])
+  for gain in ("stiffness", "damping"):
+    yield from _number_differences(metadata, f"joint_{gain}", saved, configured(entity, gain, saved))
   if all(hasattr(term, "scale") for term in terms):
     scale = [value for term in terms for value in term.scale.expand(1, len(term.target_names)).flatten().tolist()]
     yield from _number_differences(metadata, "action_scale", targets, scale)
-
-
-def _observation_differences(metadata: Mapping[str, str], env: Any, groups: Sequence[str]) -> Iterator[str]:
-  layout_of = getattr(getattr(env, "observation_manager", None), "layout", None)
-  if layout_of is None:
-    return
-  layouts = [layout for group in groups for layout in layout_of(group)]
-  names = [layout.name for layout in layouts]
-  differences = list(_name_differences(metadata, "observation_names", names))
-  yield from differences
-  if differences:
-    return
-  flat = [len(layout.shape) == len(layout.frame_shape) for layout in layouts]
-  for key, values in (
-    ("observation_terms_scale", [1.0 if layout.scale is None else layout.scale for layout in layouts]),
-    ("observation_terms_history_length", [layout.history_length for layout in layouts]),
-    ("observation_terms_flatten_history_dim", flat),
-    ("observation_terms_clip", [layout.clip for layout in layouts]),
-  ):
-    if key not in metadata:
-      continue
-    saved = _values(metadata, key)
-    if len(saved) != len(names):
-      yield f"{key}: {len(saved)} values in the file for {len(names)} observation terms"
-      continue
-    for name, theirs, ours, layout in zip(names, saved, values, layouts, strict=True):
-      if key.endswith("flatten_history_dim") and layout.history_length < 2:
-        continue
-      if key.endswith("history_length"):
-        # A history of one is none.
-        theirs, ours = [max(value or 0.0, 1.0) for value in theirs], max(ours, 1)
-      if not _close(theirs, ours, none=1.0 if key.endswith("scale") else None):
-        yield f"{key}: '{name}' has {_shown(theirs)} in the file and {_shown(ours)} here"
 
 
 def _action_terms(env: Any) -> list[Any]:
@@ -122,19 +114,23 @@ def _name_differences(metadata: Mapping[str, str], key: str, ours: list[str]) ->
 
 
 def _number_differences(
-  metadata: Mapping[str, str], key: str, names: Sequence[str], ours: Sequence[float | None]
+  metadata: Mapping[str, str], key: str, names: Sequence[str], ours: Sequence[Any]
 ) -> Iterator[str]:
+  """Yield a line for each number, or row of numbers, that differs; None in `ours` is not compared."""
   if key not in metadata:
     return
-  saved = _values(metadata, key)
-  if len(saved) == 1:
+  saved = _rows(metadata, key)
+  kind = "observation terms" if key.startswith("observation") else "joints"
+  if len(saved) == 1 and kind == "joints":
     saved = saved * len(names)
-  if len(saved) != len(names) or len(ours) != len(names):
-    yield f"{key}: {len(saved)} values in the file for {len(names)} joints"
+  if len(saved) != len(names):
+    yield f"{key}: {len(saved)} values in the file for {len(names)} {kind}"
     return
   for name, theirs, value in zip(names, saved, ours, strict=True):
-    if value is not None and not _close(theirs, value):
-      yield f"{key}: '{name}' has {_shown(theirs)} in the file and {_shown(value)} here"
+    row = np.atleast_1d(value)
+    is_comparable = len(theirs) == len(row) or 1 in (len(theirs), len(row))
+    if value is not None and not (is_comparable and np.allclose(theirs, row.astype(float), _RELATIVE, _ABSOLUTE)):
+      yield f"{key}: '{name}' has {_shown(theirs)} in the file and {_shown(row)} here"
 
 
 def _names(metadata: Mapping[str, str], key: str) -> list[str] | None:
@@ -143,32 +139,20 @@ def _names(metadata: Mapping[str, str], key: str) -> list[str] | None:
   return [name.strip() for name in metadata[key].split(",") if name.strip()]
 
 
-def _values(metadata: Mapping[str, str], key: str) -> list[list[float | None]]:
+def _rows(metadata: Mapping[str, str], key: str) -> list[Sequence[float]]:
   """Return the items of a list, each as a list of numbers."""
   text = metadata[key].strip()
-  items = text.split(";") if ";" in text else text.split(",")
-  words = {"none": None, "": None, "true": 1.0, "false": 0.0}
+  absent = _UNCLIPPED if key.endswith("clip") else (1.0,)
+  found: list[Sequence[float]] = []
   try:
-    return [
-      [words[w] if (w := word.strip(" ()[]").lower()) in words else msgspec.convert(w, float, strict=False)
-       for word in item.split(",")]
-      for item in items
-    ]  # fmt: skip
-  except msgspec.ValidationError as error:
+    for item in text.split(";" if ";" in text else ","):
+      words = [word.strip(" ()[]").lower() for word in item.split(",")]
+      is_absent = words in (["none"], [""])
+      found.append(absent if is_absent else [_WORDS[word] if word in _WORDS else float(word) for word in words])
+  except ValueError as error:
     raise FileError(f"metadata {key!r} has a value that is not a number: {printable(text, 80)}") from error
-
-
-def _close(theirs: Sequence[float | None], ours: Any, none: float | None = None) -> bool:
-  values = list(ours) if isinstance(ours, (tuple, list)) else [ours]
-  saved = [none if value is None else value for value in theirs]
-  if len(saved) == 1 and len(values) > 1:
-    saved = saved * len(values)
-  elif len(values) == 1 and len(saved) > 1:
-    values = values * len(saved)
-  return len(saved) == len(values) and all(
-    a == b or (a is not None and b is not None and abs(a - b) <= _ABSOLUTE + _RELATIVE * abs(b))
-    for a, b in zip(saved, values, strict=True)
-  )
+  # A history of no frames has the present one.
+  return [np.maximum(row, 1.0).tolist() for row in found] if key.endswith("history_length") else found
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -176,7 +160,5 @@ def _listed(names: Sequence[str]) -> str:
   return shown + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
-def _shown(values: Any) -> str:
-  if isinstance(values, (tuple, list)):
-    return ", ".join(map(_shown, values))
-  return f"{values:.4g}" if isinstance(values, (int, float)) else str(values)
+def _shown(values: Iterable[float]) -> str:
+  return ", ".join(f"{value:.4g}" for value in values)

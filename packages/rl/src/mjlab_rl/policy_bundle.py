@@ -1,7 +1,7 @@
 """Export of policies as bundles, which mjlab-deploy reads."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -29,12 +29,13 @@ from mjlab_deploy import (
   write_description,
 )
 from mjlab_deploy.arrays import write_arrays
+from mjlab_deploy.policy import EPISODE_START
 from mjlab_deploy.scene import write_scene
 
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.manifest import package_versions
 from mjlab_rl.onnx_metadata import configured
-from mjlab_rl.policy_graph import LAST_ACTION, PolicyGraph, export_onnx, refresh_weights
+from mjlab_rl.policy_graph import LAST_ACTION, GraphAction, GraphTerm, PolicyGraph, export_onnx, refresh_weights
 
 GOLDEN_STEPS = 500
 """Steps of the record in a bundle."""
@@ -121,19 +122,13 @@ class BundleWriter:
 
 def describe_policy(env: Any, graph: PolicyGraph, task: str) -> Description:
   """Return the contents of `bundle.json` for a policy in its environment."""
-  entities = {
-    term.cfg.entity for name in env.action_manager.term_slices() for term in [env.action_manager.get_term(name)]
-  }
+  entities = {action.term.cfg.entity for action in graph.actions}
   if len(entities) != 1:
     raise MjlabError(f"the actions drive {len(entities)} entities; a bundle is of one robot")
-  (name,) = entities
-  driven = {joint for parts in graph.targets.values() for part in parts for joint in part.joints}
-  actions = [term.targets for term in graph.actions]
-  scales = [getattr(env.action_manager.get_term(name), "scale", None) for name in env.action_manager.term_slices()]
-  has_scale = all(scale is not None for scale in scales)
+  driven = {joint for action in graph.actions for joint in action.targets.joints}
   return Description(
     task=task,
-    robot=_robot(env, name, driven),
+    robot=_robot(env, entities.pop(), driven),
     timing=Timing(
       physics_dt=env.physics_dt,
       decimation=env.cfg.decimation,
@@ -145,29 +140,34 @@ def describe_policy(env: Any, graph: PolicyGraph, task: str) -> Description:
     targets=tuple(
       Target(
         name=output,
-        quantity=parts[0].quantity,
-        joints=tuple(joint for part in parts for joint in part.joints),
+        quantity=parts[0].targets.quantity,
+        joints=tuple(joint for part in parts for joint in part.targets.joints),
       )
       for output, parts in graph.targets.items()
     ),
     observations=tuple(_observation(env, term) for term in graph.terms),
-    action_names=tuple(
-      part.joints[i] if len(part.joints) == action.columns.stop - action.columns.start else f"action {i}"
-      for action, part in zip(graph.actions, actions, strict=True)
-      for i in range(action.columns.stop - action.columns.start)
-    ),
-    action_scale=tuple(
-      float(value)
-      for scale, action in zip(scales, actions, strict=True)
-      if scale is not None
-      for value in scale.expand(1, len(action.joints)).flatten().tolist()
-    )
-    if has_scale
-    else None,
+    action_names=tuple(name for action in graph.actions for name in _column_names(action)),
+    action_scale=_scale(graph.actions),
     commands=tuple(_commands(env, graph)),
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
     versions=dict(package_versions()),
   )
+
+
+def _column_names(action: GraphAction) -> Sequence[str]:
+  """Return the joints of an action, or numbers where its columns are not one per joint."""
+  joints, width = action.targets.joints, action.columns.stop - action.columns.start
+  return joints if len(joints) == width else [f"action {i}" for i in range(width)]
+
+
+def _scale(actions: Sequence[GraphAction]) -> tuple[float, ...] | None:
+  """Return the scale of each joint; None if an action has none."""
+  rows = []
+  for action in actions:
+    if (scale := getattr(action.term, "scale", None)) is None:
+      return None
+    rows.append(scale.expand(1, len(action.targets.joints)))
+  return tuple(torch.cat(rows, 1).flatten().tolist())
 
 
 def _robot(env: Any, name: str, driven: set[str]) -> Robot:
@@ -214,7 +214,7 @@ def _input(reading: Any) -> Input:
   )
 
 
-def _observation(env: Any, term: Any) -> Observation:
+def _observation(env: Any, term: GraphTerm) -> Observation:
   layout = term.layout
   cfg = env.observation_manager.get_term_cfg(term.group, layout.name)
   scale = layout.scale
@@ -282,7 +282,7 @@ def record(
   """
   graph = PolicyGraph(env, agent, network)
   rows: dict[str, list[np.ndarray]] = {}
-  memories = {name: torch.zeros(shape) for name, shape in graph.memories.items()}
+  memories: dict[str, torch.Tensor] = {}
   start = True
   policy.reset(None)
   observations = env.get_observations()
@@ -290,16 +290,15 @@ def record(
     for _ in range(steps):
       readings = {name: reading.read()[:1].detach().cpu().float() for name, reading in graph.readings.items()}
       if start:
-        memories = {name: torch.zeros_like(value) for name, value in memories.items()}
-      extra = [torch.full((1, 1), float(start))] if graph.input_names[-1:] == ["episode_start"] else []
-      outputs = dict(zip(graph.output_names, graph(*readings.values(), *memories.values(), *extra), strict=True))
+        memories = {name: torch.zeros(shape) for name, shape in graph.memories.items()}
+      outputs = graph.named(readings | memories | {EPISODE_START: torch.full((1, 1), float(start))})
       memories = {name: outputs[f"{name}/next"] for name in memories}
       _check_observations(graph, observations, outputs)
       row = {f"input/{name}": value[0] for name, value in readings.items()}
       row |= {name: value[0] for name, value in outputs.items() if not name.endswith("/next")}
       row |= {"state/qpos": env.sim.data.qpos[0].double(), "state/qvel": env.sim.data.qvel[0].double()}
       row["episode_start"] = torch.tensor(float(start))
-      # What acts is the policy as it was trained; the graph's own action stands beside it.
+      # The policy as it was trained acts.
       action = policy(observations)
       row["action"] = action[0]
       if f"memory/{LAST_ACTION}" in memories:

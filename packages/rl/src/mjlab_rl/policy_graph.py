@@ -4,7 +4,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,19 +21,30 @@ LAST_ACTION = "last_action"
 
 
 @dataclass(frozen=True)
-class _Term:
+class GraphTerm:
+  """Observation term of a graph."""
+
   group: str
   layout: Any
+  """Its `TermLayout`."""
   inputs: tuple[str, ...]
+  """Names of its inputs in the graph."""
   compute: Callable[..., torch.Tensor] | None
+  """Function of the inputs; None returns the only one."""
 
 
 @dataclass(frozen=True)
-class _Action:
+class GraphAction:
+  """Action term of a graph."""
+
+  term: Any
   columns: slice
+  """Columns in the raw action."""
   targets: Any
+  """Its `ActionTargets`."""
   inputs: tuple[str, ...]
   memory: str | None
+  """Memory of the last targets; None without one."""
 
 
 class PolicyGraph(nn.Module):
@@ -67,15 +78,17 @@ class PolicyGraph(nn.Module):
     self.terms = [
       self._term(env, group, layout) for group in self.groups for layout in env.observation_manager.layout(group)
     ]
-    self.actions = self._actions(env)
-    shapes = zip(self._network_inputs, exported.get_dummy_inputs(), strict=True)
-    self._states = {
-      name: f"memory/{name.removesuffix('_in')}" for name in self._network_inputs if name not in ("obs", *self.groups)
-    }
-    self.memories |= {self._states[name]: tuple(value.shape) for name, value in shapes if name in self._states}
+    """Observation terms in the order of the network's input."""
+    self.actions = [self._action(env, name, columns) for name, columns in env.action_manager.term_slices().items()]
+    """Action terms in the order of the raw action."""
+    self._states: dict[str, str] = {}
+    for name, value in zip(self._network_inputs, exported.get_dummy_inputs(), strict=True):
+      if name not in ("obs", *self.groups):
+        self._states[name] = f"memory/{name.removesuffix('_in')}"
+        self.memories[self._states[name]] = tuple(value.shape)
     self._needs_start = any(name.startswith(("memory/history/", "memory/target/")) for name in self.memories)
 
-  def _term(self, env: Any, group: str, layout: Any) -> _Term:
+  def _term(self, env: Any, group: str, layout: Any) -> GraphTerm:
     source = env.observation_manager.source(group, layout.name)
     inputs = []
     for reading in source.readings:
@@ -86,7 +99,7 @@ class PolicyGraph(nn.Module):
         inputs.append(self._add(reading, f"observation '{group}/{layout.name}'"))
     if layout.history_length > 1:
       self.memories[f"memory/history/{group}/{layout.name}"] = (1, layout.history_length, *layout.frame_shape)
-    return _Term(group, layout, tuple(inputs), source.compute)
+    return GraphTerm(group, layout, tuple(inputs), source.compute)
 
   def _add(self, reading: Any, owner: str) -> str:
     known = self.readings.setdefault(reading.name, reading)
@@ -94,27 +107,23 @@ class PolicyGraph(nn.Module):
       raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
     return reading.name
 
-  def _actions(self, env: Any) -> list[_Action]:
-    manager, found = env.action_manager, []
-    for name, columns in manager.term_slices().items():
-      term = manager.get_term(name)
-      targets = term.exported()
-      if targets is None:
-        what = f"action '{name}' ({type(term).__name__}) has no computation outside the simulation"
-        raise MjlabError(f"{what}, so the policy cannot be exported; use an action that sets joint targets")
-      inputs = tuple(self._add(reading, f"action '{name}'") for reading in targets.readings)
-      memory = f"memory/target/{name}" if targets.start is not None else None
-      if memory is not None:
-        self.memories[memory] = (1, len(targets.joints))
-      found.append(_Action(columns, targets, inputs, memory))
-    return found
+  def _action(self, env: Any, name: str, columns: slice) -> GraphAction:
+    term = env.action_manager.get_term(name)
+    if (targets := term.exported()) is None:
+      what = f"action '{name}' ({type(term).__name__}) has no computation outside the simulation"
+      raise MjlabError(f"{what}, so the policy cannot be exported; use an action that sets joint targets")
+    inputs = tuple(self._add(reading, f"action '{name}'") for reading in targets.readings)
+    memory = f"memory/target/{name}" if targets.start is not None else None
+    if memory is not None:
+      self.memories[memory] = (1, len(targets.joints))
+    return GraphAction(term, columns, targets, inputs, memory)
 
   @property
-  def targets(self) -> dict[str, list[Any]]:
-    """Joint targets of the actions by name of their output, "target/QUANTITY"."""
-    by_name: dict[str, list[Any]] = {}
+  def targets(self) -> dict[str, list[GraphAction]]:
+    """Actions by name of the output with their joint targets, "target/QUANTITY"."""
+    by_name: dict[str, list[GraphAction]] = {}
     for action in self.actions:
-      by_name.setdefault(f"target/{action.targets.quantity}", []).append(action.targets)
+      by_name.setdefault(f"target/{action.targets.quantity}", []).append(action)
     return by_name
 
   @property
@@ -134,6 +143,10 @@ class PolicyGraph(nn.Module):
     memories = [torch.zeros(shape) for shape in self.memories.values()]
     return (*readings, *memories, *([torch.ones(1, 1)] if self._needs_start else []))
 
+  def named(self, given: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the outputs by name for inputs by name."""
+    return dict(zip(self.output_names, self(*(given[name] for name in self.input_names)), strict=True))
+
   def forward(self, *values: torch.Tensor) -> tuple[torch.Tensor, ...]:
     """Return the outputs in the order of `output_names`."""
     given = dict(zip(self.input_names, values, strict=True))
@@ -141,11 +154,11 @@ class PolicyGraph(nn.Module):
     seen: dict[str, list[torch.Tensor]] = {group: [] for group in self.groups}
     for term in self.terms:
       seen[term.group].append(self._observe(term, given, following))
-    observations = {group: parts[0] if len(parts) == 1 else torch.cat(parts, 1) for group, parts in seen.items()}
-    images = [group for group in self.groups if group in self._network_inputs]
+    observations = {group: torch.cat(parts, 1) for group, parts in seen.items()}
+    # Images are separate inputs of the network.
+    images = set(self._network_inputs) - {"obs"}
     vectors = [observations[group] for group in self.groups if group not in images]
-    feed = {"obs": torch.cat(vectors, 1) if len(vectors) > 1 else vectors[0]} if vectors else {}
-    feed |= {group: observations[group] for group in images}
+    feed = observations | ({"obs": torch.cat(vectors, 1)} if vectors else {})
     feed |= {name: given[memory] for name, memory in self._states.items()}
     result = self.network(*(feed[name] for name in self._network_inputs))
     outputs = dict(zip(self._network_outputs, result if isinstance(result, tuple) else (result,), strict=False))
@@ -154,18 +167,16 @@ class PolicyGraph(nn.Module):
       action = action.clamp(-self._clip, self._clip)
     for name, memory in self._states.items():
       following[memory] = outputs[name.replace("_in", "_out")]
-    if f"memory/{LAST_ACTION}" in self.memories:
-      # A copy: one tensor cannot have two names.
-      following[f"memory/{LAST_ACTION}"] = action + 0.0
-    targets = {name: [] for name in self.targets}
-    for part in self.actions:
-      targets[f"target/{part.targets.quantity}"].append(self._target(part, action, given, following))
-    joined = [parts[0] if len(parts) == 1 else torch.cat(parts, 1) for parts in targets.values()]
+    # Copies, because one tensor cannot have two names.
+    following[f"memory/{LAST_ACTION}"] = action + 0.0
+    targets = [
+      torch.cat([self._target(part, action, given, following) for part in parts], 1) for parts in self.targets.values()
+    ]
     shown = [observations[group] + 0.0 for group in self.groups]
-    return (*joined, action, *shown, *(following[name] for name in self.memories))
+    return (*targets, action, *shown, *(following[name] for name in self.memories))
 
   def _observe(
-    self, term: _Term, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
+    self, term: GraphTerm, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
   ) -> torch.Tensor:
     inputs, layout = [given[name] for name in term.inputs], term.layout
     frame = (inputs[0] if term.compute is None else term.compute(*inputs)).float()
@@ -185,7 +196,7 @@ class PolicyGraph(nn.Module):
 
   @staticmethod
   def _target(
-    part: _Action, action: torch.Tensor, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
+    part: GraphAction, action: torch.Tensor, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
   ) -> torch.Tensor:
     mine, readings = action[:, part.columns], [given[name] for name in part.inputs]
     if part.memory is None:
@@ -201,9 +212,7 @@ def export_onnx(
   module: nn.Module, example: tuple[torch.Tensor, ...], input_names: list[str], output_names: list[str]
 ) -> Any:
   """Return a module as an ONNX model whose constants keep the names of its parameters."""
-  with warnings.catch_warnings(), _quiet():
-    # The exporter's own.
-    warnings.simplefilter("ignore")
+  with _quiet():
     program = torch.onnx.export(
       module,
       example,
@@ -248,14 +257,13 @@ def refresh_weights(model: Any, network: Mapping[str, torch.Tensor], prefix: str
 
 
 @contextlib.contextmanager
-def _quiet() -> Any:
-  loggers: Sequence[logging.Logger] = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
-  before = [logger.level for logger in loggers]
-  for logger in loggers:
-    logger.setLevel(logging.ERROR)
+def _quiet() -> Generator[None]:
+  """Silence the exporter, which prints, warns and logs."""
+  before = logging.root.manager.disable
+  logging.disable(logging.WARNING)
   try:
-    with contextlib.redirect_stdout(io.StringIO()):
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+      warnings.simplefilter("ignore")
       yield
   finally:
-    for logger, level in zip(loggers, before, strict=True):
-      logger.setLevel(level)
+    logging.disable(before)
