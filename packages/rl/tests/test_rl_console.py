@@ -21,7 +21,7 @@ def _size(monkeypatch: pytest.MonkeyPatch) -> None:
 
 SCALARS = {
   "Loss/value": 0.123456789,
-  "Perf/total_fps": 1.0,
+  "Perf/total_fps": 215_400.0,
   "Episode_Metrics/height": 0.3,
   "Episode_Reward/track_velocity": 1.25,
   "Episode_Reward/energy": -0.5,
@@ -29,18 +29,9 @@ SCALARS = {
 
 
 def report(iteration: int, reward: float | None = 1.5) -> IterationReport:
+  episodes = {} if reward is None else {"Train/mean_reward": reward, "Train/mean_episode_length": 812.4}
   return IterationReport(
-    iteration=iteration,
-    end=1000,
-    total_steps=1,
-    steps_per_second=215_400.0,
-    collect_time=0.3,
-    learn_time=0.1,
-    elapsed=1.0,
-    eta=3725.0,
-    mean_reward=reward,
-    mean_episode_length=None if reward is None else 812.4,
-    scalars=SCALARS,
+    iteration=iteration, end=1000, total_steps=1, elapsed=1.0, eta=3725.0, scalars=SCALARS | episodes
   )
 
 

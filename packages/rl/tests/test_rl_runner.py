@@ -63,14 +63,13 @@ def test_statistics_are_those_of_rsl_rl(tmp_path: Path) -> None:
   logger = Logger(None, {"algorithm": {}}, {}, 60, False, 1, 0, "cpu")
   logger.writer = Listening()
   statistics = EpisodeStatistics(60, "cpu")
-  assert statistics.unpack(statistics.packed().tolist()) is None
+  assert statistics.means() == ()
   for step in range(40):
     rewards = torch.randn(60)
     dones = (torch.rand(60) < (1.0 if step == 20 else 0.1)).long()
     logger.process_env_step(rewards, dones, {})
     statistics.add(rewards, dones)
-    means = statistics.unpack(statistics.packed().tolist())
-    assert means is not None
+    means = statistics.means()
     assert means[0] == pytest.approx(sum(logger.rewbuffer) / len(logger.rewbuffer), rel=1e-5, abs=1e-5)
     assert means[1] == pytest.approx(sum(logger.lenbuffer) / len(logger.lenbuffer))
 
@@ -81,9 +80,7 @@ def test_more_than_a_window_of_episodes_in_one_step_keeps_the_last() -> None:
   statistics = EpisodeStatistics(2 * WINDOW + 7, "cpu")
   rewards = torch.arange(2 * WINDOW + 7.0)
   statistics.add(rewards, torch.ones_like(rewards))
-  means = statistics.unpack(statistics.packed().tolist())
-  assert means is not None
-  assert means[0] == pytest.approx(float(rewards[-WINDOW:].mean()))
+  assert statistics.means()[0] == pytest.approx(float(rewards[-WINDOW:].mean()))
 
 
 def test_termination_beats_time_out() -> None:
@@ -263,9 +260,7 @@ def test_a_policy_that_is_not_finite_is_not_trained_on_and_not_saved(tmp_path: P
   ],
 )
 def test_a_divergence_names_its_cause(scalars: dict[str, float], cause: str) -> None:
-  unused: dict[str, Any] = dict.fromkeys(("steps_per_second", "collect_time", "learn_time", "elapsed", "eta"), 1.0)
-  unused |= {"iteration": 0, "end": 1, "total_steps": 0, "mean_reward": None, "mean_episode_length": None}
-  report = IterationReport(scalars=scalars, **unused)
+  report = IterationReport(iteration=0, end=1, total_steps=0, elapsed=1.0, eta=1.0, scalars=scalars)
   assert cause in report.cause_of_divergence()
 
 

@@ -1,7 +1,7 @@
-"""PPO whose mini-batch step is recorded once as a CUDA graph."""
+"""PPO whose mini-batch step is recorded once as CUDA graphs."""
 
 import contextlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator
 from itertools import chain
 from typing import Any
 
@@ -9,38 +9,45 @@ import torch
 from rsl_rl.algorithms import PPO
 from torch import Tensor, nn
 
-from mjlab_rl.recording import record
+from mjlab_rl.ranks import Ranks
+from mjlab_rl.recording import Recorded
 
 
 class CapturedPPO(PPO):
-  """rsl-rl's PPO, without a host sync inside an update; on a GPU, a mini-batch step is one CUDA graph.
+  """rsl-rl's PPO, without a host sync inside an update; on a GPU, a mini-batch step is two CUDA graphs.
 
-  With several processes the step is two graphs: the first writes all gradients, and the KL divergence behind them, into
-  one buffer; the second applies their mean. Between the two `sum_over_ranks` sends the buffer.
+  The first graph computes the gradients and the KL divergence, the second applies them. Several processes have both in
+  one message, which is summed between the graphs.
 
-  The results are those of rsl-rl's PPO within float rounding. The first two updates run without a graph, to create the
-  optimiser's state and to choose kernels. Recurrent and compiled networks, curiosity, symmetry, and optimisers other
-  than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
+  The results are those of rsl-rl's PPO within float rounding. Recurrent and compiled networks, curiosity, symmetry, and
+  optimisers other than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
   """
-
-  sum_over_ranks: Callable[[Tensor], None] | None = None
-  """Function that sums a tensor over all processes in place; without it several processes use rsl-rl's own update."""
 
   def __init__(self, *args: Any, **kwargs: Any) -> None:
     super().__init__(*args, **kwargs)
-    self._is_on_gpu = torch.device(self.device).type == "cuda"
+    device = torch.device(self.device)
+    self._is_on_gpu = device.type == "cuda"
+    self._ranks = Ranks.current()
     # Fused Adam reads a single-precision learning rate.
-    self._rate = torch.zeros((), dtype=torch.float32 if self._is_on_gpu else torch.float64, device=self.device)
-    self._sums = torch.zeros(3, dtype=self._rate.dtype, device=self.device)
+    self._rate = torch.zeros((), dtype=torch.float32 if self._is_on_gpu else torch.float64, device=device)
+    self._sums = torch.zeros(3, dtype=self._rate.dtype, device=device)
     self._advantages = torch.empty_like(self.storage.advantages)
     size = self.storage.num_envs * self.storage.num_transitions_per_env // self.num_mini_batches
-    self._rows = torch.zeros(size, dtype=torch.int64, device=self.device)
+    self._rows = torch.zeros(size, dtype=torch.int64, device=device)
     # Gradients of several processes, and the KL divergence.
-    self._message = torch.zeros(1, device=self.device)
-    self._recorded: list[Callable[[], None]] = []
-    self._addresses: tuple[int, ...] = ()
+    sizes = [parameter.numel() for parameter in self._parameters] if self.is_multi_gpu else []
+    self._message = torch.zeros(sum(sizes) + 1, device=device)
+    if self.is_multi_gpu:
+      for parameter, place in zip(self._parameters, self._message[:-1].split(sizes), strict=True):
+        parameter.grad = place.view_as(parameter)
+    self._differentiate = Recorded(self._compute_gradients, device)
+    self._apply = Recorded(self._apply_gradients, device)
     self._buffers: dict[tuple[nn.Module, str], Tensor] = {}
     self._keep_buffers()
+
+  @property
+  def _parameters(self) -> list[Tensor]:
+    return [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
 
   @property
   def is_covered(self) -> bool:
@@ -48,9 +55,14 @@ class CapturedPPO(PPO):
     return (
       isinstance(self.optimizer, torch.optim.Adam)
       and not (self.rnd or self.symmetry or self.actor.is_recurrent or self.critic.is_recurrent)
-      and (self.sum_over_ranks is not None or not self.is_multi_gpu)
       and self.actor is self.get_policy()
     )
+
+  def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, bool] | None, strict: bool) -> bool:
+    """Restore a `save`. The state of the optimiser gets new memory, so steps are recorded again."""
+    self._differentiate.clear()
+    self._apply.clear()
+    return super().load(loaded_dict, load_cfg, strict)
 
   def update(self) -> dict[str, float]:
     """Run the epochs over the stored rollout; return mean losses, which is the only wait for the device."""
@@ -62,15 +74,15 @@ class CapturedPPO(PPO):
     size = len(self._rows)
     rows = torch.randperm(self.num_mini_batches * size, device=self.device).view(self.num_mini_batches, size)
     self._sums.zero_()
-    if self.is_multi_gpu:
-      self._put_gradients_into_message()
     with self._rate_on_device():
-      parts = self._recorded_step()
       for _ in range(self.num_learning_epochs):
         for mini_batch in rows:
           self._rows.copy_(mini_batch)
-          for part in parts:
-            part()
+          self._differentiate()
+          # Not recorded, because processes may wait for each other here.
+          if self.is_multi_gpu:
+            self._ranks.sum(self._message)
+          self._apply()
       value, surrogate, entropy, self.learning_rate = torch.cat(
         (self._sums.double(), self._rate.double()[None])
       ).tolist()
@@ -97,33 +109,6 @@ class CapturedPPO(PPO):
       for group in self.optimizer.param_groups:
         group |= {"lr": self.learning_rate, "capturable": False, "fused": None}
 
-  def _put_gradients_into_message(self) -> None:
-    """Give the gradient of each parameter its place in the message."""
-    parameters = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
-    sizes = [parameter.numel() for parameter in parameters]
-    if len(self._message) != sum(sizes) + 1:
-      self._message = torch.zeros(sum(sizes) + 1, device=self.device)
-    for parameter, place in zip(parameters, self._message[:-1].split(sizes), strict=True):
-      parameter.grad = place.view_as(parameter)
-
-  def _recorded_step(self) -> list[Callable[[], None]]:
-    """Return the parts of a mini-batch step: graphs, recorded anew where memory has moved since, or plain functions."""
-    parts: list[Callable[[], None]] = [self._step]
-    if self.is_multi_gpu:
-      parts = [self._differentiate, self._send, self._apply]
-    if not self._is_on_gpu:
-      return parts
-    addresses = tuple(tensor.data_ptr() for tensor in self._tensors())
-    if addresses != self._addresses:
-      self._addresses, self._recorded = addresses, []
-      return parts
-    if not self._recorded:
-      if not self.is_multi_gpu:
-        # Gradients are made in the graph's memory.
-        self.optimizer.zero_grad(set_to_none=True)
-      self._recorded = [part if part == self._send else record(part) for part in parts]
-    return self._recorded
-
   def _keep_buffers(self) -> None:
     """Write buffers that were assigned anew, such as a normaliser's deviation, into the memory of the first ones."""
     for module in chain(self.actor.modules(), self.critic.modules()):
@@ -132,28 +117,7 @@ class CapturedPPO(PPO):
         if first is not buffer:
           setattr(module, name, first.copy_(buffer))
 
-  def _tensors(self) -> Iterator[Tensor]:
-    """Yield the tensors that a step reads or writes, except those that it makes and those of this class."""
-    yield from chain(self.actor.parameters(), self.actor.buffers(), self.critic.parameters(), self.critic.buffers())
-    for state in self.optimizer.state.values():
-      yield from state.values()
-    storage = self.storage
-    yield from (storage.observations[group] for group in storage.observations.keys())  # noqa: SIM118 - of a TensorDict
-    yield from (storage.actions, storage.values, storage.returns, storage.actions_log_prob)
-    yield from storage.distribution_params or ()
-    yield self._message
-
-  def _step(self) -> None:
-    """Do one step of the optimiser on the rows of the rollout in `_rows`, as rsl-rl's PPO does."""
-    self._differentiate()
-    self._apply()
-
-  def _send(self) -> None:
-    """Sum the gradients over all processes; not recorded, because processes may wait for each other here."""
-    if self.sum_over_ranks is not None:
-      self.sum_over_ranks(self._message)
-
-  def _differentiate(self) -> None:
+  def _compute_gradients(self) -> None:
     """Compute the gradients of the loss on the rows in `_rows`, and the KL divergence."""
     storage, rows = self.storage, self._rows
     if self.is_multi_gpu:
@@ -194,7 +158,7 @@ class CapturedPPO(PPO):
     loss.backward()
     self._sums += torch.stack((value_loss.detach(), surrogate_loss.detach(), entropy.detach()))
 
-  def _apply(self) -> None:
+  def _apply_gradients(self) -> None:
     """Adapt the learning rate and do one step of the optimiser, with the means over all processes."""
     if self.is_multi_gpu:
       self._message /= self.gpu_world_size

@@ -32,17 +32,10 @@ class EpisodeStatistics:
     self._return.masked_fill_(done, 0.0)
     self._length.masked_fill_(done, 0.0)
 
-  def packed(self) -> torch.Tensor:
-    """Return the window and its length as one tensor on the device, (201,), for `unpack` on the host."""
-    return torch.cat((self._window[:, :WINDOW].flatten(), self._finished.clamp(max=WINDOW).float().view(1)))
-
-  @staticmethod
-  def unpack(values: list[float]) -> tuple[float, float] | None:
-    """Return (mean return, mean length in steps) of a host copy of `packed`; None before the first episode end."""
-    count = int(values[2 * WINDOW])
-    if count == 0:
-      return None
-    return sum(values[:count]) / count, sum(values[WINDOW : WINDOW + count]) / count
+  def means(self) -> tuple[float, ...]:
+    """Return (mean return, mean length in steps), with a wait for the device; () before the first episode end."""
+    count = min(int(self._finished), WINDOW)
+    return tuple(self._window[:, :count].double().mean(1).tolist()) if count else ()
 
   def state_dict(self) -> dict[str, torch.Tensor]:
     """Return copies of all tensors."""

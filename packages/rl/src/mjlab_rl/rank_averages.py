@@ -1,43 +1,34 @@
-"""Traffic between the ranks of a run: one reduction of gradients per update, and one of figures per iteration."""
+"""Averages over the ranks of a run, in one message per iteration."""
 
 import contextlib
+import functools
 from collections.abc import Generator, Mapping
 from typing import Any, TypeAlias
 
 import torch
-from mjlab_core import printable
-from mjlab_core.errors import MjlabError
 from rsl_rl.models import MLPModel
-from torch import distributed
 
-from mjlab_rl.captured_ppo import CapturedPPO
 from mjlab_rl.ranks import Ranks
 from mjlab_rl.stop_signals import SIGNALS
 
-Figures: TypeAlias = dict[str, dict[str, float]]
+Figures: TypeAlias = dict[str, float]
+"""Figures of an iteration by tag."""
 
 
 class RankAverages:
-  """Averages over the ranks of a run, in place of rsl-rl's own traffic.
-
-  The moments of observations, which rsl-rl sends for each normaliser, travel with the figures of the iteration. The KL
-  divergence of a `CapturedPPO` travels with its gradients. Updates that rsl-rl does itself send both its way.
+  """Averages of figures and of the moments of observations, which rsl-rl would send for each normaliser.
 
   Args:
-    alg: Algorithm of rsl-rl.
-    networks: Its networks.
+    networks: Networks of the learner.
     ranks: Place of this process.
     device: Device of the learner.
   """
 
-  def __init__(self, alg: Any, networks: Mapping[str, MLPModel], ranks: Ranks, device: torch.device):
+  def __init__(self, networks: Mapping[str, MLPModel], ranks: Ranks, device: torch.device):
     self._ranks, self._device = ranks, device
-    normalizers: list[Any] = [network.obs_normalizer for network in networks.values() if network.obs_normalization]
-    self._normalizers = normalizers
-    self._moments: dict[int, torch.Tensor] = {}
-    self._names: list[tuple[str, str]] = []
-    if ranks.world_size > 1 and isinstance(alg, CapturedPPO):
-      alg.sum_over_ranks = self._sum
+    self._normalizers: list[Any] = [n.obs_normalizer for n in networks.values() if n.obs_normalization]
+    self._moments: dict[Any, torch.Tensor] = {}
+    self._tags: list[str] = []
 
   @contextlib.contextmanager
   def replacing(self) -> Generator[None]:
@@ -45,8 +36,8 @@ class RankAverages:
     if self._ranks.world_size == 1:
       yield
       return
-    for index, normalizer in enumerate(self._normalizers):
-      normalizer.update = lambda seen, index=index: self._note(index, seen)
+    for normalizer in self._normalizers:
+      normalizer.update = functools.partial(self._note, normalizer)
     try:
       yield
     finally:
@@ -54,64 +45,49 @@ class RankAverages:
       for normalizer in self._normalizers:
         del normalizer.update
 
-  def reduce(self, own: Mapping[str, Mapping[str, float]], signal: str | None) -> tuple[Figures, str | None]:
+  def reduce(self, own: Figures, signal: str | None) -> tuple[Figures, str | None]:
     """Update the normalisers with the observations of all ranks, and average the figures of an iteration.
 
     Args:
-      own: Figures of this process by kind and name; other processes may have other names.
+      own: Figures of this process; other processes may have other tags.
       signal: Signal that this process received.
 
     Returns:
       The mean of each figure over the processes that have it, and a signal that one of them received.
     """
     if self._ranks.world_size == 1:
-      return {kind: dict(figures) for kind, figures in own.items()}, signal
-    mine = {(kind, name): value for kind, figures in own.items() for name, value in figures.items()}
-    moments = [self._moments[index].flatten() for index in sorted(self._moments)]
+      return own, signal
+    if signal is not None:
+      own = own | {signal: 1.0}
+    moments = [part.flatten() for part in self._moments.values()]
     while True:
-      is_new = not mine.keys() <= set(self._names)
-      columns = [(mine[name], 1.0) if name in mine else (0.0, 0.0) for name in self._names]
-      head = [
-        float(is_new),
-        *(float(name == signal) for name in SIGNALS),
-        *(value for pair in columns for value in pair),
-      ]
-      numbers = torch.cat((torch.tensor(head, dtype=torch.float64, device=self._device), *moments))
-      self._sum(numbers)
-      values = numbers[: len(head)].tolist()
-      if not values[0]:
+      is_new = not own.keys() <= set(self._tags)
+      totals = [own.get(tag, 0.0) for tag in self._tags]
+      counts = [float(tag in own) for tag in self._tags]
+      head = torch.tensor([is_new, *totals, *counts], dtype=torch.float64, device=self._device)
+      summed = torch.cat((head, *moments))
+      self._ranks.sum(summed)
+      is_incomplete, *figures = summed[: len(head)].tolist()
+      if not is_incomplete:
         break
-      # Once, in the first iteration and when a log has a new name.
-      self._names = list(dict.fromkeys(name for names in self._ranks.gather(list(mine)) for name in names))
-    start = len(head)
-    for index in sorted(self._moments):
-      shape = self._moments.pop(index).shape
-      _learn(self._normalizers[index], numbers[start : start + shape.numel()].view(shape))
-      start += shape.numel()
-    received, figures = values[1 : 1 + len(SIGNALS)], values[1 + len(SIGNALS) :]
-    means: Figures = {kind: {} for kind in own}
-    for (kind, name), total, count in zip(self._names, figures[::2], figures[1::2], strict=True):
-      if count:
-        means[kind][name] = total / count
-    return means, next((name for name, count in zip(SIGNALS, received, strict=True) if count), None)
+      # Once, in the first iteration and when a log has a new tag.
+      self._tags = list(dict.fromkeys(tag for tags in self._ranks.gather(list(own)) for tag in tags))
+    parts = summed[len(head) :].split([len(part) for part in moments])
+    for (normalizer, shaped), part in zip(self._moments.items(), parts, strict=True):
+      _learn(normalizer, part.view_as(shaped))
+    self._moments.clear()
+    count = len(self._tags)
+    found = zip(self._tags, figures[:count], figures[count:], strict=True)
+    means = {tag: total / times for tag, total, times in found if times}
+    return means, next((name for name in SIGNALS if means.pop(name, None)), None)
 
-  def _sum(self, numbers: torch.Tensor) -> None:
-    """Sum numbers over the ranks in place."""
-    try:
-      distributed.all_reduce(numbers)
-    except RuntimeError as error:
-      reason = printable((str(error).splitlines() or [""])[0], 200)
-      raise MjlabError(f"rank {self._ranks.rank}: another process of the run has ended or hangs ({reason})") from error
-
-  def _note(self, index: int, seen: torch.Tensor) -> None:
+  def _note(self, normalizer: Any, seen: torch.Tensor) -> None:
     """Keep the moments of this rank's observations about the mean so far, (3, dim), for `reduce`."""
-    normalizer = self._normalizers[index]
-    if not normalizer.training or (normalizer.until is not None and int(normalizer.count) >= normalizer.until):
-      return
-    offset = seen - dict(normalizer.named_buffers())["_mean"]
-    total = offset.sum(0, dtype=torch.float64)
-    square = offset.square_().sum(0, dtype=torch.float64)
-    self._moments[index] = torch.stack((torch.full_like(total, len(seen)), total, square))
+    if normalizer.training:
+      offset = seen - dict(normalizer.named_buffers())["_mean"]
+      total = offset.sum(0, dtype=torch.float64)
+      square = offset.square_().sum(0, dtype=torch.float64)
+      self._moments[normalizer] = torch.stack((torch.full_like(total, len(seen)), total, square))
 
 
 def _learn(normalizer: Any, moments: torch.Tensor) -> None:

@@ -15,7 +15,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import torch
 from mjlab_core import printable
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import ConfigError, MjlabError
 from torch import distributed
 from torch.distributed.rendezvous import rendezvous
 
@@ -117,6 +117,20 @@ class Ranks:
     values: list[Any] = [None] * self.world_size
     distributed.all_gather_object(values, value)
     return values
+
+  def sum(self, numbers: torch.Tensor) -> None:
+    """Sum numbers over all processes in place.
+
+    Raises:
+      MjlabError: Another process has ended or hangs.
+    """
+    if self.world_size == 1:
+      return
+    try:
+      distributed.all_reduce(numbers)
+    except RuntimeError as error:
+      reason = printable((str(error).splitlines() or [""])[0], 200)
+      raise MjlabError(f"rank {self.rank}: another process of the run has ended or hangs ({reason})") from error
 
   def collect(self, value: T) -> list[T]:
     """Return the values of all processes on the first one, and an empty list elsewhere; every process must call it."""

@@ -32,6 +32,9 @@ from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.teachers import single_networks
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
+# Tags of figures that are checked and not logged.
+_WEIGHTS = "Weights/"
+
 
 class MjlabOnPolicyRunner(OnPolicyRunner):
   """rsl-rl's runner with its own training loop.
@@ -84,9 +87,10 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self.alg.compile(cfg.torch_compile_mode)
     if self.console.is_verbose:
       self.console.say(chatter.getvalue().rstrip())
-    self._averages = RankAverages(self.alg, self.networks, self.ranks, torch.device(device))
+    self._torch_device = torch.device(device)
+    self._averages = RankAverages(self.networks, self.ranks, self._torch_device)
     self.statistics = EpisodeStatistics(env.num_envs, device)
-    self._process = ProcessState(env.unwrapped, self.statistics, single_networks(self.networks), torch.device(device))
+    self._process = ProcessState(env.unwrapped, self.statistics, single_networks(self.networks), self._torch_device)
     self.stopped_by: str | None = None
     """Name of the signal that ended the last `learn` early; None if it ran to its end."""
     self.is_world_state_restored = False
@@ -96,10 +100,11 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self.after_step: Callable[[], None] | None = None
     """Function called after every step of a rollout, for viewers."""
     self.patience = Patience()
-    self._torch_device = torch.device(device)
     self._elapsed = 0.0
     self._total_steps = 0
     self._last_saved: Path | None = None
+    self._updating = 0.0
+    """Time of updates within the last rollout [s]."""
 
   def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
     """Run more iterations.
@@ -126,17 +131,18 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       started, before = time.perf_counter(), self._elapsed
       for iteration in range(start, end):
         with self._emergency_checkpoint():
-          obs, own, collect, learn = self._iterate(obs)
+          obs, own = self._iterate(obs)
+          # Ranks agree on the signal, so that they stop together.
+          figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
         self.current_learning_iteration = iteration + 1
+        self.patience.begin()
         running = time.perf_counter() - started
         self._elapsed = before + running
-        report = self._report(iteration, start, end, collect, learn, running)
-        # Ranks agree on the signal, so that they stop together.
-        with self._emergency_checkpoint():
-          figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
-        self.patience.begin()
-        self._show(report, figures, logs)
-        self._check_finite(report, figures["loss"] | figures["check"])
+        report = self._report(figures, end, eta=running / (iteration + 1 - start) * (end - iteration - 1))
+        for log in logs:
+          log.write(report)
+        self.console.show(report)
+        self._check_finite(report, figures)
         # Read once: a later signal waits for the next iteration, which saves before it stops.
         is_end = iteration + 1 == end
         self.stopped_by = None if is_end else received
@@ -146,28 +152,38 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         if is_last:
           break
 
-  def _iterate(self, obs: TensorDict) -> tuple[TensorDict, Figures, float, float]:
-    """Return the last observations of a rollout and an update, figures of this process, and the times of both [s]."""
+  def _iterate(self, obs: TensorDict) -> tuple[TensorDict, Figures]:
+    """Return the last observations of a rollout and an update, and the figures of this process."""
     began = time.perf_counter()
     obs = self._collect(obs)
-    if self._torch_device.type == "cuda":
-      torch.cuda.synchronize(self._torch_device)
     collected = time.perf_counter()
     losses = self._update(obs)
-    means, action_std = self._fetch_statistics()
-    own = {"loss": losses, "check": {"mean_std": action_std} | largest_weights(self.networks)}
-    own["log"] = self.env.drain_log()
-    own["episode"] = {} if means is None else {"reward": means[0], "length": means[1]}
-    return obs, own, collected - began, time.perf_counter() - collected
+    std = float(self.alg.get_policy().output_std.detach().float().mean())
+    weights = largest_weights(self.networks)
+    updated = time.perf_counter()
+    figures = {f"Loss/{name}": value for name, value in losses.items()} | {"Policy/mean_std": std}
+    figures |= {f"{_WEIGHTS}{name}": value for name, value in weights.items()}
+    updating = min(collected - began, self._updating)
+    figures["Perf/collection_time"] = collected - began - updating
+    figures["Perf/learning_time"] = updated - collected + updating
+    figures |= zip(("Train/mean_reward", "Train/mean_episode_length"), self.statistics.means(), strict=False)
+    log = self.env.drain_log()
+    return obs, figures | {name if "/" in name else f"Episode/{name}": value for name, value in log.items()}
 
-  def _show(self, report: IterationReport, figures: Figures, logs: Sequence[ScalarLog]) -> None:
-    """Add the figures of all processes to a report, and hand it to the logs and the console."""
-    if ended := figures["episode"]:
-      report.mean_reward, report.mean_episode_length = ended["reward"], ended["length"]
-    report.add_scalars(figures["loss"], figures["check"]["mean_std"], figures["log"])
-    for log in logs:
-      log.write(report)
-    self.console.show(report)
+  def _report(self, figures: Figures, end: int, eta: float) -> IterationReport:
+    """Return the report of an iteration with the figures of all processes."""
+    steps = self.agent_cfg.num_steps_per_env * self.env.num_envs * self.ranks.world_size
+    self._total_steps += steps
+    seconds = figures["Perf/collection_time"] + figures["Perf/learning_time"]
+    scalars = {tag: value for tag, value in figures.items() if not tag.startswith(_WEIGHTS)}
+    return IterationReport(
+      iteration=self.current_learning_iteration - 1,
+      end=end,
+      total_steps=self._total_steps,
+      elapsed=self._elapsed,
+      eta=eta,
+      scalars=scalars | {"Perf/total_fps": steps / seconds},
+    )
 
   def _save_with_logs(self, logs: Sequence[ScalarLog]) -> None:
     # The disk of the first process, for which the others wait, may be slow.
@@ -196,8 +212,9 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
           self.console.say(f"{type(error).__name__} in a step or update; saved {path}, which --resume takes")
       raise
 
-  def _check_finite(self, report: IterationReport, values: Mapping[str, float]) -> None:
-    if broken := [name for name, value in values.items() if not math.isfinite(value)]:
+  def _check_finite(self, report: IterationReport, figures: Figures) -> None:
+    learned = {tag: value for tag, value in figures.items() if tag.startswith(("Loss/", "Policy/", _WEIGHTS))}
+    if broken := [tag.partition("/")[2] for tag, value in learned.items() if not math.isfinite(value)]:
       last = f"; the last checkpoint is {self._last_saved}" if self._last_saved else ""
       what = f"iteration {report.iteration + 1}: {', '.join(broken)} not finite"
       raise DivergedError(f"{what}, so the state is not saved{last}. {report.cause_of_divergence()}")
@@ -338,56 +355,41 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._total_steps = state["total_steps"]
 
   def _collect(self, obs: TensorDict) -> TensorDict:
-    # Not inference mode: the environment could not write later to tensors that it makes there.
     # On a CPU physics has its own threads.
     threads = 1 if self._torch_device.type == "cpu" else torch.get_num_threads()
-    with torch.no_grad(), set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
+    with set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
       for _ in range(self.agent_cfg.num_steps_per_env):
-        actions = self.alg.act(obs)
-        obs, rewards, dones, extras = self.env.step(actions)
-        self.alg.process_env_step(obs, rewards, dones, extras)
+        obs, rewards, dones = self._step(obs)
         self.statistics.add(rewards, dones)
         if self.after_step is not None:
           self.after_step()
         self.patience.progress()
+    if self._torch_device.type == "cuda":
+      torch.cuda.synchronize(self._torch_device)
     return obs
+
+  # Not inference mode: the environment could not write later to tensors that it makes there.
+  @torch.no_grad()
+  def _step(self, obs: TensorDict) -> tuple[TensorDict, torch.Tensor, torch.Tensor]:
+    """Make one step of all worlds for the learner; return observations, rewards and dones."""
+    obs, rewards, dones, extras = self.env.step(self.alg.act(obs))
+    self.alg.process_env_step(obs, rewards, dones, extras)
+    return obs, rewards, dones
 
   def _update(self, obs: TensorDict) -> dict[str, float]:
     with torch.no_grad():
       self.alg.compute_returns(obs)
-    get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
-    # For the update alone: rotations and rewards of the environment need full float32.
-    precision = self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get()
     held = actor_held(self.alg) if self._is_warming_up else contextlib.nullcontext()
-    with held, set_for_now(get, set_to, precision), self._averages.replacing():
+    with held, self._update_precision(), self._averages.replacing():
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
+
+  def _update_precision(self) -> contextlib.AbstractContextManager[None]:
+    """Set the precision of matrix products on a GPU while entered; the environment needs full float32."""
+    get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
+    return set_for_now(get, set_to, self.agent_cfg.matmul_precision if self._torch_device.type == "cuda" else get())
 
   @property
   def _is_warming_up(self) -> bool:
     cfg = self.agent_cfg
     return isinstance(cfg, RslRlOnPolicyRunnerCfg) and self.current_learning_iteration < cfg.critic_warmup
-
-  def _fetch_statistics(self) -> tuple[tuple[float, float] | None, float]:
-    """Return ((mean return, mean length), mean action std) in one transfer, which waits for the update."""
-    std = self.alg.get_policy().output_std.detach().float().mean()
-    values = torch.cat((self.statistics.packed(), std.view(1))).tolist()
-    return EpisodeStatistics.unpack(values[:-1]), values[-1]
-
-  def _report(
-    self, iteration: int, start: int, end: int, collect: float, learn: float, running: float
-  ) -> IterationReport:
-    steps = self.agent_cfg.num_steps_per_env * self.env.num_envs * self.ranks.world_size
-    self._total_steps += steps
-    return IterationReport(
-      iteration=iteration,
-      end=end,
-      total_steps=self._total_steps,
-      steps_per_second=steps / (collect + learn),
-      collect_time=collect,
-      learn_time=learn,
-      elapsed=self._elapsed,
-      eta=running / (iteration + 1 - start) * (end - iteration - 1),
-      mean_reward=None,
-      mean_episode_length=None,
-    )

@@ -4,10 +4,9 @@ import contextlib
 import csv
 import io
 import math
-import os
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Generator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,36 +25,27 @@ class IterationReport:
   """Iterations in all."""
   total_steps: int
   """Environment steps since the start of the run, all worlds together."""
-  steps_per_second: float
-  """Environment steps of all worlds per second of this iteration."""
-  collect_time: float
-  """Time of the rollout [s]."""
-  learn_time: float
-  """Time of the update [s]."""
   elapsed: float
   """Training time since the start of the run, resumes included [s]."""
   eta: float
   """Expected time to the last iteration [s]."""
-  mean_reward: float | None
-  """Mean return of the last 100 finished episodes; None before the first."""
-  mean_episode_length: float | None
-  """Mean length of the last 100 finished episodes [steps]; None before the first."""
-  scalars: dict[str, float] = field(default_factory=dict)
-  """Every logged value by its tag, those above included."""
+  scalars: dict[str, float]
+  """Logged values by rsl-rl's tags."""
 
-  def add_scalars(self, losses: Mapping[str, float], action_std: float, env_log: Mapping[str, float]) -> None:
-    """Fill `scalars` with all values under rsl-rl's tags."""
-    self.scalars |= {f"Loss/{name}": value for name, value in losses.items()}
-    self.scalars |= {
-      "Policy/mean_std": action_std,
-      "Perf/total_fps": self.steps_per_second,
-      "Perf/collection_time": self.collect_time,
-      "Perf/learning_time": self.learn_time,
-    }
-    if self.mean_reward is not None and self.mean_episode_length is not None:
-      self.scalars["Train/mean_reward"] = self.mean_reward
-      self.scalars["Train/mean_episode_length"] = self.mean_episode_length
-    self.scalars |= {name if "/" in name else f"Episode/{name}": value for name, value in env_log.items()}
+  @property
+  def steps_per_second(self) -> float:
+    """Environment steps of all worlds per second of this iteration."""
+    return self.scalars["Perf/total_fps"]
+
+  @property
+  def mean_reward(self) -> float | None:
+    """Mean return of the last 100 finished episodes; None before the first."""
+    return self.scalars.get("Train/mean_reward")
+
+  @property
+  def mean_episode_length(self) -> float | None:
+    """Mean length of the last 100 finished episodes [steps]; None before the first."""
+    return self.scalars.get("Train/mean_episode_length")
 
   def cause_of_divergence(self) -> str:
     """Return the likely cause of losses or weights that are not finite, from the values of this iteration."""
@@ -111,11 +101,9 @@ class CsvLog(ScalarLog):
       self._widen(missing)
     text = io.StringIO()
     csv.DictWriter(text, self._columns, restval="", lineterminator="\n").writerow(row)
-    handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-      os.write(handle, text.getvalue().encode())
-    finally:
-      os.close(handle)
+    # Unbuffered: one write for the whole row.
+    with self._path.open("ab", buffering=0) as file:
+      file.write(text.getvalue().encode())
 
   def _widen(self, columns: list[str]) -> None:
     rows: list[dict[str, str]] = []

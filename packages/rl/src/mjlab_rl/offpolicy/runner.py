@@ -17,9 +17,7 @@ from mjlab_rl import checkpoint
 from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
 from mjlab_rl.offpolicy.returns import reset_to
-from mjlab_rl.process_state import set_for_now
 from mjlab_rl.runner import MjlabOnPolicyRunner
-from mjlab_rl.scalar_log import IterationReport
 
 REPLAY_NAME = "replay.pt"
 _MAX_BYTES = 128 * 2**30
@@ -79,21 +77,16 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     super().learn(num_learning_iterations, init_at_random_ep_len)
 
   def _collect(self, obs: TensorDict) -> TensorDict:
-    algorithm, is_cpu = self.algorithm, self._torch_device.type == "cpu"
-    # On a CPU physics has its own threads, and small tensors need no more than one.
-    threads = 1 if is_cpu else torch.get_num_threads()
-    get, set_to = torch.get_float32_matmul_precision, torch.set_float32_matmul_precision
-    precision = get() if is_cpu else self.agent_cfg.matmul_precision
-    with set_for_now(torch.get_num_threads, torch.set_num_threads, threads):
-      for _ in range(self.agent_cfg.num_steps_per_env):
-        obs, rewards, dones = algorithm.collect(self.env, obs)
-        self.statistics.add(rewards, dones)
-        if self.after_step is not None:
-          self.after_step()
-        with set_for_now(get, set_to, precision):
-          self._time(algorithm.update)
-        self.patience.progress()
+    self._spans.clear()
+    obs = super()._collect(obs)
+    self._updating = sum(span() for span in self._spans)
     return obs
+
+  def _step(self, obs: TensorDict) -> tuple[TensorDict, torch.Tensor, torch.Tensor]:
+    obs, rewards, dones = self.algorithm.collect(self.env, obs)
+    with self._update_precision():
+      self._time(self.algorithm.update)
+    return obs, rewards, dones
 
   def _time(self, update: Callable[[], None]) -> None:
     """Call a function, and keep how its time [s] is read once the device has been waited for."""
@@ -108,13 +101,6 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     update()
     events[1].record()
     self._spans.append(lambda: events[0].elapsed_time(events[1]) / 1e3)
-
-  def _report(
-    self, iteration: int, start: int, end: int, collect: float, learn: float, running: float
-  ) -> IterationReport:
-    updates = min(collect, sum(span() for span in self._spans))
-    self._spans.clear()
-    return super()._report(iteration, start, end, collect - updates, learn + updates, running)
 
   def _update(self, obs: TensorDict) -> dict[str, float]:
     del obs
