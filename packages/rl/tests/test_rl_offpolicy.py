@@ -13,7 +13,7 @@ from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import CheckpointPolicy, OffPolicyRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg, train, with_agent
 from mjlab_rl.offpolicy import PRESETS
 from mjlab_rl.offpolicy.networks import Normalizer, TanhGaussian, renormalize, stack
-from mjlab_rl.offpolicy.replay import Reflection
+from mjlab_rl.offpolicy.replay import Reflection, Transitions
 from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, project
 from mjlab_rl.offpolicy.runner import REPLAY_NAME, MjlabOffPolicyRunner
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -48,7 +48,7 @@ def test_the_projection_of_a_distribution_is_that_of_a_slow_reference() -> None:
 
 def test_noise_stays_for_the_lengths_of_a_zeta_distribution() -> None:
   torch.manual_seed(0)
-  noise = RepeatedNoise(2000, 1, 4)
+  noise = RepeatedNoise(2000, 1, 4, "cpu")
   history = torch.stack([noise.next()[:, 0].clone() for _ in range(60)])
   lengths = []
   for world in history.T.numpy():
@@ -58,7 +58,7 @@ def test_noise_stays_for_the_lengths_of_a_zeta_distribution() -> None:
   expected = 1.0 / np.arange(1, 5) ** 2
   np.testing.assert_allclose(share, expected / expected.sum(), atol=0.01)
   assert abs(history.std() - 1.0) < 0.02
-  once = RepeatedNoise(50, 2, 1)
+  once = RepeatedNoise(50, 2, 1, "cpu")
   before = once.next().clone()
   assert (once.next() != before).all()
 
@@ -125,10 +125,13 @@ def test_unit_layers_keep_the_norm_of_their_weights() -> None:
 
 def test_a_reflection_appends_mirror_images() -> None:
   mirrors = {"a": ((1, 0), (1.0, -1.0)), "b": ((0,), (-1.0,)), "action": ((1, 0), (-1.0, -1.0))}
-  reflection = Reflection(mirrors, ("a", "b"), "cpu")
-  obs = torch.tensor([[1.0, 2.0, 3.0]])
-  assert reflection.obs(obs).tolist() == [[1.0, 2.0, 3.0], [2.0, -1.0, -3.0]]
-  assert reflection.action(torch.tensor([[4.0, 5.0]])).tolist() == [[4.0, 5.0], [-5.0, -4.0]]
+  seen = torch.tensor([[1.0, 2.0, 3.0]])
+  one = Transitions(seen, torch.tensor([[4.0, 5.0]]), torch.tensor([6.0]), torch.tensor([7.0]), 2.0 * seen)
+  both = Reflection(mirrors, ("a", "b"), "cpu")(one)
+  assert both.obs.tolist() == [[1.0, 2.0, 3.0], [2.0, -1.0, -3.0]]
+  assert torch.equal(both.next_obs, 2.0 * both.obs)
+  assert both.action.tolist() == [[4.0, 5.0], [-5.0, -4.0]]
+  assert (both.reward.tolist(), both.discount.tolist()) == ([6.0, 6.0], [7.0, 7.0])
 
 
 def agent_of(preset: str, **algorithm: Any) -> OffPolicyRunnerCfg:

@@ -129,28 +129,25 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       self.console.live(),
     ):
       started, before = time.perf_counter(), self._elapsed
-      for iteration in range(start, end):
+      while self.current_learning_iteration < end and self.stopped_by is None:
         with self._emergency_checkpoint():
           obs, own = self._iterate(obs)
           # Ranks agree on the signal, so that they stop together.
           figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
-        self.current_learning_iteration = iteration + 1
+        self.current_learning_iteration = done = self.current_learning_iteration + 1
         self.patience.begin()
         running = time.perf_counter() - started
         self._elapsed = before + running
-        report = self._report(figures, end, eta=running / (iteration + 1 - start) * (end - iteration - 1))
+        report = self._report(figures, end, eta=running / (done - start) * (end - done))
         for log in logs:
           log.write(report)
         self.console.show(report)
         self._check_finite(report, figures)
         # Read once: a later signal waits for the next iteration, which saves before it stops.
-        is_end = iteration + 1 == end
-        self.stopped_by = None if is_end else received
-        is_last = is_end or self.stopped_by is not None
-        if self.log_dir is not None and (is_last or (iteration + 1) % self.agent_cfg.save_interval == 0):
+        self.stopped_by = received if done < end else None
+        is_last = done == end or self.stopped_by is not None
+        if self.log_dir is not None and (is_last or done % self.agent_cfg.save_interval == 0):
           self._save_with_logs(logs)
-        if is_last:
-          break
 
   def _iterate(self, obs: TensorDict) -> tuple[TensorDict, Figures]:
     """Return the last observations of a rollout and an update, and the figures of this process."""

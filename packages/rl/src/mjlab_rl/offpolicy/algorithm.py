@@ -3,11 +3,13 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import torch
 from mjlab_core.errors import ConfigError
-from rsl_rl.utils import resolve_callable
+from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 from torch import distributed
 from torch.nn import BatchNorm1d
@@ -15,7 +17,7 @@ from torch.nn import BatchNorm1d
 from mjlab_rl.offpolicy.config import SacCfg
 from mjlab_rl.offpolicy.networks import Actor, Critic
 from mjlab_rl.offpolicy.replay import Reflection, Replay, Transitions
-from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, reset_to
+from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale
 from mjlab_rl.recording import Recorded
 
 
@@ -57,7 +59,7 @@ class OffPolicyAlgorithm(ABC):
     self._critic_columns = [columns[name] for name in critic.obs_groups]
     self.actor.squash.bound.copy_(action_bounds(env.unwrapped, env.num_actions, cfg))
     self.replay = Replay(env.num_envs, cfg.replay_steps, ends[-1], env.num_actions, device, is_half=cfg.replay_half)
-    self.noise = RepeatedNoise(env.num_envs, env.num_actions, cfg.noise_repetition).to(device)
+    self.noise = RepeatedNoise(env.num_envs, env.num_actions, cfg.noise_repetition, device)
     self.scale = ReturnScale(env.num_envs, cfg.gamma, cfg.value_limit).to(device) if cfg.return_scaling else None
     self.reflection: Reflection | None = None
     if cfg.symmetry is not None:
@@ -68,7 +70,6 @@ class OffPolicyAlgorithm(ABC):
     """Steps of all worlds so far, on which the step size depends."""
     self._due = 0.0
     self._lr = torch.tensor(cfg.learning_rate, device=device)
-    self.optimizer = self._make_optimizer()
     # Collectives of several processes stay outside of recordings.
     is_eager = not cfg.capture or distributed.is_initialized()
     self._recorded_round = Recorded(self.round, self.device, is_eager=is_eager)
@@ -78,11 +79,13 @@ class OffPolicyAlgorithm(ABC):
   def construct_algorithm(cls, obs: TensorDict, env: Any, cfg: dict[str, Any], device: str) -> "OffPolicyAlgorithm":
     """Build networks and algorithm; rsl-rl's name for it."""
     algorithm: SacCfg = cfg["algorithm"]["cfg"]
-    extra = {"num_actions": env.num_actions, "num_atoms": algorithm.num_atoms, "value_limit": algorithm.value_limit}
-    actor, critic = (_network(obs, cfg, name) for name in ("actor", "critic"))
+    actor_class, options = resolve_class(cfg["actor"])
+    actor: Any = actor_class(obs, cfg["obs_groups"], "actor", env.num_actions, **options)
+    critic_class, options = resolve_class(cfg["critic"])
+    options |= {"num_actions": env.num_actions, "num_atoms": algorithm.num_atoms, "value_limit": algorithm.value_limit}
+    critic: Any = critic_class(obs, cfg["obs_groups"], "critic", **options)
     groups = {name: obs[name].shape[-1] for part in cfg["obs_groups"].values() for name in part}
-    total = cfg["num_steps_per_env"] * cfg["max_iterations"]
-    return cls(actor(env.num_actions), critic(**extra), groups, env, algorithm, total, device)
+    return cls(actor, critic, groups, env, algorithm, cfg["num_steps_per_env"] * cfg["max_iterations"], device)
 
   # The parts of a subclass.
 
@@ -157,12 +160,9 @@ class OffPolicyAlgorithm(ABC):
   def sample(self) -> Transitions:
     """Draw a batch, with mirror images after it, and rewards in the scale of the critic."""
     batch = self.replay.sample(self.cfg.batch_size, self.cfg.n_step, self.cfg.gamma)
-    reward = batch.reward if self.scale is None else batch.reward / self.scale.divisor()
-    obs, next_obs, action, discount = batch.obs, batch.next_obs, batch.action, batch.discount
-    if self.reflection is not None:
-      obs, next_obs, action = self.reflection.obs(obs), self.reflection.obs(next_obs), self.reflection.action(action)
-      reward, discount = reward.repeat(2), discount.repeat(2)
-    return Transitions(obs=obs, action=action, reward=reward, discount=discount, next_obs=next_obs)
+    if self.scale is not None:
+      batch = replace(batch, reward=batch.reward / self.scale.divisor())
+    return batch if self.reflection is None else self.reflection(batch)
 
   def of_actor(self, obs: torch.Tensor) -> torch.Tensor:
     """Return the columns of observations that the policy sees."""
@@ -183,10 +183,11 @@ class OffPolicyAlgorithm(ABC):
     for parameter in parameters:
       parameter.grad = None
 
-  def _make_optimizer(self) -> torch.optim.AdamW:
-    is_cuda = self.device.type == "cuda"
+  @cached_property
+  def optimizer(self) -> torch.optim.AdamW:
+    """Optimiser of the subclass's `parameter_groups`."""
     options: dict[str, Any] = {"lr": self._lr, "betas": self.cfg.betas, "weight_decay": self.cfg.weight_decay}
-    return torch.optim.AdamW(self.parameter_groups(), fused=True, capturable=is_cuda, **options)
+    return torch.optim.AdamW(self.parameter_groups(), fused=True, capturable=self.device.type == "cuda", **options)
 
   def set_learning_rate(self) -> None:
     """Set the step size for the steps done so far."""
@@ -199,15 +200,15 @@ class OffPolicyAlgorithm(ABC):
   # State; the names are those of rsl-rl's algorithms.
 
   @property
-  def parts_of_worlds(self) -> dict[str, torch.nn.Module]:
-    """Parts of `modules` with state for each world, named in their `of_worlds`."""
-    return {name: part for name, part in self.modules.items() if hasattr(part, "of_worlds")}
+  def worlds(self) -> dict[str, torch.Tensor]:
+    """State of each world, which is saved with the replay memory."""
+    running = {} if self.scale is None else {"running": self.scale.running}
+    return {"noise": self.noise.noise, "left": self.noise.left, **running}
 
   @property
   def modules(self) -> dict[str, torch.nn.Module]:
     """Parts with state besides actor and critic."""
-    parts: dict[str, torch.nn.Module | None] = {"noise": self.noise, "scale": self.scale}
-    return {name: part for name, part in parts.items() if part is not None}
+    return {} if self.scale is None else {"scale": self.scale}
 
   def state_dict(self) -> dict[str, Any]:
     """Return the state without the replay memory."""
@@ -219,12 +220,12 @@ class OffPolicyAlgorithm(ABC):
     }
 
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
-    """Restore a `state_dict`; parts for each world stay new if their number differs."""
+    """Restore a `state_dict`."""
     self.rounds_done, self._due = int(state["rounds_done"]), float(state["due"])
     self.steps_done = int(state["steps_done"])
     self.set_learning_rate()
     for name, part in self.modules.items():
-      reset_to(part, state["modules"][name])
+      part.load_state_dict(state["modules"][name])
 
   def save(self) -> dict[str, Any]:
     """Return the state of networks, optimiser and algorithm."""
@@ -242,14 +243,12 @@ class OffPolicyAlgorithm(ABC):
       if wanted.get(name):
         getattr(self, name).load_state_dict(state[f"{name}_state_dict"], strict=strict)
     if wanted.get("optimizer"):
-      saved = state["optimizer_state_dict"]
-      ours = self.optimizer.param_groups[0]
-      # What depends on the device is that of this run, and the step size stays a tensor that a recording reads.
-      kept = {name: ours[name] for name in ("fused", "capturable", "lr")}
-      groups = [group | {"fused": kept["fused"], "capturable": kept["capturable"]} for group in saved["param_groups"]]
-      self.optimizer.load_state_dict({**saved, "param_groups": groups})
+      # Settings are those of this run.
+      groups = self.optimizer.state_dict()["param_groups"]
+      self.optimizer.load_state_dict({**state["optimizer_state_dict"], "param_groups": groups})
       for group in self.optimizer.param_groups:
-        group.update(kept)
+        # Loading copies the tensor that a recording reads.
+        group["lr"] = self._lr
       self.load_state_dict(state["algorithm_state_dict"])
     self._recorded_round.clear()
     return bool(wanted.get("iteration"))
@@ -270,11 +269,10 @@ class OffPolicyAlgorithm(ABC):
     """Do nothing: a GPU records the updates as a graph."""
 
   def broadcast_parameters(self) -> None:
-    """Give all processes the networks of the first; each keeps the state of its own worlds."""
+    """Give all processes the networks of the first."""
     for module in (self.actor, self.critic, *self.modules.values()):
-      for name, value in module.state_dict().items():
-        if name not in getattr(module, "of_worlds", ()):
-          distributed.broadcast(value, src=0)
+      for value in module.state_dict().values():
+        distributed.broadcast(value, src=0)
 
 
 def averaged(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:
@@ -303,10 +301,3 @@ def action_bounds(env: Any, num_actions: int, cfg: SacCfg) -> torch.Tensor:
 
 def _take(obs: torch.Tensor, columns: Sequence[slice]) -> torch.Tensor:
   return obs[:, columns[0]] if len(columns) == 1 else torch.cat([obs[:, part] for part in columns], -1)
-
-
-def _network(obs: TensorDict, cfg: dict[str, Any], name: str) -> Any:
-  """Return the constructor of a network without its last arguments."""
-  options = dict(cfg[name])
-  kind: Any = resolve_callable(options.pop("class_name"))
-  return lambda *args, **extra: kind(obs, cfg["obs_groups"], name, *args, **extra, **options)

@@ -103,9 +103,11 @@ class TanhGaussian(Distribution):
 class _Model(MLPModel):
   """rsl-rl's model whose normaliser is `Normalizer`."""
 
-  def __init__(self, *args: Any, **options: Any) -> None:
+  def __init__(self, *args: Any, layers: Layers, **options: Any) -> None:
     # The parent's hidden layers are replaced; they are built as small as possible.
     super().__init__(*args, hidden_dims=(1,), **options)
+    self.is_unit = layers == "unit"
+    """True if batches are normalised, and weights after each step."""
     if self.obs_normalization:
       self.obs_normalizer = Normalizer(self.obs_dim)
 
@@ -119,9 +121,9 @@ class Actor(_Model):
   """Policy with a bounded Gaussian; `output` takes the observations of its groups side by side."""
 
   def __init__(self, *args: Any, layers: Layers, hidden_dims: Any, activation: str, **options: Any) -> None:
-    super().__init__(*args, activation=activation, **options)
+    super().__init__(*args, activation=activation, layers=layers, **options)
     rows, columns = self.squash.input_dim
-    inner = stack(layers, self.obs_dim, hidden_dims, rows * columns, activation, zero_output=layers != "unit")
+    inner = stack(layers, self.obs_dim, hidden_dims, rows * columns, activation, zero_output=not self.is_unit)
     self.mlp: nn.Module = nn.Sequential(inner, nn.Unflatten(-1, (rows, columns)))
 
   @property
@@ -178,7 +180,7 @@ class Critic(_Model):
     activation: str,
     **options: Any,
   ) -> None:
-    super().__init__(*args, num_atoms, activation=activation, **options)
+    super().__init__(*args, num_atoms, activation=activation, layers=layers, **options)
     width = self.obs_dim + num_actions
     nets = [stack(layers, width, hidden_dims, num_atoms, activation, zero_output=False) for _ in range(2)]
     self.mlp: nn.Module = nn.ModuleList(nets)

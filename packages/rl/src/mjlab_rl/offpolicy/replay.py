@@ -190,7 +190,7 @@ Mirror = tuple[Sequence[int], Sequence[float]]
 
 
 class Reflection:
-  """Mirror images of observations, all groups side by side, and of actions.
+  """Mirror images of transitions.
 
   Args:
     mirrors: Mirror by observation group, and "action".
@@ -205,14 +205,21 @@ class Reflection:
       start = len(columns)
       columns += [start + column for column in mirrors[group][0]]
       signs += mirrors[group][1]
-    self._obs = (torch.tensor(columns, device=device), torch.tensor(signs, device=device))
-    action = mirrors["action"]
-    self._action = (torch.tensor(list(action[0]), device=device), torch.tensor(list(action[1]), device=device))
+    self._obs, self._action = (
+      [torch.tensor(part, device=device) for part in mirror] for mirror in ((columns, signs), mirrors["action"])
+    )
 
-  def obs(self, obs: torch.Tensor) -> torch.Tensor:
-    """Return observations and after them their mirror images, (2 batch, width)."""
-    return torch.cat((obs, obs[:, self._obs[0]] * self._obs[1]))
+  def __call__(self, batch: Transitions) -> Transitions:
+    """Return transitions and after them their mirror images, (2 batch, ...)."""
 
-  def action(self, action: torch.Tensor) -> torch.Tensor:
-    """Return actions and after them their mirror images, (2 batch, num_actions)."""
-    return torch.cat((action, action[:, self._action[0]] * self._action[1]))
+    def both(values: torch.Tensor, mirror: Sequence[torch.Tensor]) -> torch.Tensor:
+      columns, signs = mirror
+      return torch.cat((values, values[:, columns] * signs))
+
+    return Transitions(
+      obs=both(batch.obs, self._obs),
+      action=both(batch.action, self._action),
+      reward=batch.reward.repeat(2),
+      discount=batch.discount.repeat(2),
+      next_obs=both(batch.next_obs, self._obs),
+    )

@@ -1,7 +1,5 @@
 """Returns and noise of off-policy learning: projection of distributions, scale of returns, repeated noise."""
 
-from typing import Any
-
 import torch
 from torch import distributed, nn
 
@@ -41,14 +39,12 @@ class ReturnScale(nn.Module):
     value_limit: End of the support.
   """
 
-  of_worlds = ("running",)
-
   def __init__(self, num_envs: int, gamma: float, value_limit: float) -> None:
     super().__init__()
     self.statistics = Normalizer(1)
     self.running: torch.Tensor
     self.largest: torch.Tensor
-    self.register_buffer("running", torch.zeros(num_envs))
+    self.register_buffer("running", torch.zeros(num_envs), persistent=False)
     self.register_buffer("largest", torch.zeros(()))
     self._gamma, self._limit = gamma, value_limit
 
@@ -66,7 +62,7 @@ class ReturnScale(nn.Module):
     return torch.maximum(self.statistics.std.view(()), self.largest / self._limit).clamp(min=1e-4)
 
 
-class RepeatedNoise(nn.Module):
+class RepeatedNoise:
   """Standard normal noise of each world that stays for a random number of steps (FlashSAC, arXiv:2604.04539).
 
   Numbers k up to `most` have probabilities proportional to 1 / k^2.
@@ -75,19 +71,15 @@ class RepeatedNoise(nn.Module):
     num_envs: Number of worlds.
     num_actions: Number of actions.
     most: Largest number of steps; 1: new noise in every step.
+    device: Device of the noise.
   """
 
-  of_worlds = ("noise", "left")
-
-  def __init__(self, num_envs: int, num_actions: int, most: int) -> None:
-    super().__init__()
+  def __init__(self, num_envs: int, num_actions: int, most: int, device: torch.device | str) -> None:
     weights = 1.0 / torch.arange(1, most + 1).double().square()
-    self._cumulative: torch.Tensor
-    self.noise: torch.Tensor
-    self.left: torch.Tensor
-    self.register_buffer("_cumulative", (weights.cumsum(0) / weights.sum()).float(), persistent=False)
-    self.register_buffer("noise", torch.zeros(num_envs, num_actions))
-    self.register_buffer("left", torch.zeros(num_envs, dtype=torch.int64))
+    self._cumulative = (weights.cumsum(0) / weights.sum()).float().to(device)
+    self.noise = torch.zeros(num_envs, num_actions, device=device)
+    self.left = torch.zeros(num_envs, dtype=torch.int64, device=device)
+    """Steps for which the noise stays."""
 
   def next(self) -> torch.Tensor:
     """Return the noise of the next step, (num_envs, num_actions)."""
@@ -97,9 +89,3 @@ class RepeatedNoise(nn.Module):
     self.noise.copy_(torch.where(is_over[:, None], torch.randn_like(self.noise), self.noise))
     self.left.copy_(torch.where(is_over, drawn, self.left) - 1)
     return self.noise
-
-
-def reset_to(module: nn.Module, state: Any) -> None:
-  """Restore a module in place, without parts for each world if their number differs."""
-  own = module.state_dict()
-  module.load_state_dict({name: v if v.shape == own[name].shape else own[name] for name, v in state.items()})

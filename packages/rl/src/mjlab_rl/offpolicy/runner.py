@@ -16,7 +16,6 @@ from tensordict import TensorDict
 from mjlab_rl import checkpoint
 from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
-from mjlab_rl.offpolicy.returns import reset_to
 from mjlab_rl.runner import MjlabOnPolicyRunner
 
 REPLAY_NAME = "replay.pt"
@@ -46,8 +45,7 @@ class _ReplayFile(Struct):
   format: Literal[1]
   checkpoint: str
   replay: _Rows
-  worlds: dict[str, dict[str, torch.Tensor]] = {}
-  """State for each world of this process, which the checkpoint has of the first process alone."""
+  worlds: dict[str, torch.Tensor]
 
 
 class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
@@ -115,7 +113,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     if self.agent_cfg.save_replay:
       file = Path(path)
       state = {"format": 1, "checkpoint": file.name, "replay": self.algorithm.replay.state_dict()}
-      state["worlds"] = {name: part.state_dict() for name, part in self.algorithm.parts_of_worlds.items()}
+      state["worlds"] = self.algorithm.worlds
       checkpoint.write_checkpoint(file.parent / self._replay_name, state)
 
   @property
@@ -136,14 +134,9 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     if state is None:
       raise FileError(f"checkpoint {path}: it is not of an off-policy run; --init-from takes its policy alone")
     msgspec.convert(state, _State, dec_hook=checkpoint.as_tensor)
-    problems = []
     for name, part in self.algorithm.modules.items():
-      own = part.state_dict()
-      theirs = dict(state["modules"].get(name, {}))
-      # Parts for each world are new if there are others.
-      theirs |= {key: own[key] for key in theirs if key in own and name in self.algorithm.parts_of_worlds}
-      problems += checkpoint.network_problems(name, theirs, own)
-    checkpoint.refuse(f"checkpoint {path}", problems)
+      problems = checkpoint.network_problems(name, state["modules"].get(name, {}), part.state_dict())
+      checkpoint.refuse(f"checkpoint {path}", problems)
 
   def _load_replay(self, checkpoint_path: Path) -> bool:
     """Restore the replay memory if the one of this checkpoint is there and fits; return True then."""
@@ -160,7 +153,6 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
         self.console.say(f"{path} does not fit and is not loaded: {problem}.")
         return False
       self.algorithm.replay.load_state_dict(found["replay"])
-      for name, part in self.algorithm.parts_of_worlds.items():
-        if worlds := found.get("worlds", {}).get(name):
-          reset_to(part, worlds)
+      for name, value in self.algorithm.worlds.items():
+        value.copy_(found["worlds"][name])
     return True

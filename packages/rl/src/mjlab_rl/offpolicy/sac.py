@@ -20,19 +20,17 @@ _FIGURES = ("critic_loss", "policy_loss", "temperature", "entropy", "value")
 class Sac(OffPolicyAlgorithm):
   """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905); `SacCfg` names the options and their sources."""
 
-  def __init__(self, actor: Any, critic: Any, groups: Any, env: Any, cfg: Any, total_steps: int, device: Any) -> None:
-    self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(cfg.temperature), device=device))
-    self.target = copy.deepcopy(critic).to(device).requires_grad_(False)
+  def __init__(self, *args: Any) -> None:
+    super().__init__(*args)
+    self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(self.cfg.temperature), device=self.device))
+    self.target = copy.deepcopy(self.critic).requires_grad_(False)
     # One normaliser: the statistics of a copy would stay those of the start.
-    self.target.obs_normalizer = critic.obs_normalizer
-    self._figures = {name: torch.zeros((), device=device) for name in _FIGURES}
-    super().__init__(actor, critic, groups, env, cfg, total_steps, device)
+    self.target.obs_normalizer = self.critic.obs_normalizer
+    self._figures = {name: torch.zeros((), device=self.device) for name in _FIGURES}
     self._actor_parameters = list(self.actor.parameters())
     self._critic_parameters: list[torch.Tensor] = list(self.critic.parameters())
     self._target_parameters: list[torch.Tensor] = list(self.target.parameters())
-    self._follow = get_ema_multi_avg_fn(1.0 - cfg.tau)
-    # Networks of unit layers normalise batches, and their weights after each step.
-    self._is_unit = {name: _has_batch_norm(net) for name, net in (("actor", self.actor), ("critic", self.critic))}
+    self._follow = get_ema_multi_avg_fn(1.0 - self.cfg.tau)
 
   def parameter_groups(self) -> list[dict[str, Any]]:
     return [
@@ -58,34 +56,26 @@ class Sac(OffPolicyAlgorithm):
 
   def _update_critic(self, batch: Transitions) -> None:
     obs, next_obs = self.of_critic(batch.obs), self.of_critic(batch.next_obs)
-    is_unit = self._is_unit["critic"]
-    both, actions = next_obs, batch.action
+    is_unit = self.critic.is_unit
     with self._autocast():
       with torch.no_grad():
         self.actor.eval()
         self.target.train(is_unit)
         output = self.actor.output(self.of_actor(batch.next_obs))
         next_action, log_prob = self.actor.squash.sample_with_log_prob(output)
+        present, later = (obs, batch.action), (next_obs, next_action)
         if is_unit:
           # Batches of the same kind for all normalisations (CrossQ, arXiv:1902.05605).
-          both, actions = torch.cat((obs, next_obs)), torch.cat((batch.action, next_action))
-          logits = self.target.logits(both, actions)[:, len(obs) :]
-        else:
-          logits = self.target.logits(next_obs, next_action)
-        distribution = logits.softmax(-1)
+          present = later = (torch.cat((obs, next_obs)), torch.cat((batch.action, next_action)))
+        distribution = self.target.logits(*later)[:, -len(obs) :].softmax(-1)
         if self.cfg.combine == "min":
           least = (distribution @ self.target.support).argmin(0)
-          distribution = distribution.gather(0, least[None, :, None].expand_as(distribution[:1])).expand_as(
-            distribution
-          )
+          distribution = distribution.take_along_dim(least[None, :, None], 0).expand_as(distribution)
         entropy = -self.log_temperature.exp() * log_prob
         values = batch.reward[:, None] + batch.discount[:, None] * (self.target.support + entropy[:, None])
         goal = project(distribution, values.expand_as(distribution), self.target.support)
       self.critic.train(is_unit)
-      if is_unit:
-        predicted = self.critic.logits(both, actions)[:, : len(obs)]
-      else:
-        predicted = self.critic.logits(obs, batch.action)
+      predicted = self.critic.logits(*present)[:, : len(obs)]
       loss = -(goal * functional.log_softmax(predicted, -1)).sum(-1).mean(-1).sum()
     self.step(loss, self._critic_parameters)
     if is_unit:
@@ -96,16 +86,15 @@ class Sac(OffPolicyAlgorithm):
     self._figures["critic_loss"].copy_(loss.detach())
 
   def _update_policy(self, batch: Transitions) -> None:
-    is_unit = self._is_unit["actor"]
-    seen = self.of_actor(batch.obs)
+    is_unit = self.actor.is_unit
+    seen = inputs = self.of_actor(batch.obs)
+    if is_unit:
+      inputs = torch.cat((seen, self.of_actor(batch.next_obs)))
     with self._autocast():
       self.actor.train(is_unit)
       self.critic.eval()
-      if is_unit:
-        output = self.actor.output(torch.cat((seen, self.of_actor(batch.next_obs))))[: len(seen)]
-      else:
-        output = self.actor.output(seen)
-      action, log_prob = self.actor.squash.sample_with_log_prob(output)
+      output = self.actor.output(inputs)
+      action, log_prob = self.actor.squash.sample_with_log_prob(output[: len(seen)])
       values = self.critic.values(self.critic.logits(self.of_critic(batch.obs), action))
       value = values.amin(0) if self.cfg.combine == "min" else values.mean(0)
       loss = (self.log_temperature.detach().exp() * log_prob - value).mean()
@@ -133,7 +122,3 @@ class Sac(OffPolicyAlgorithm):
   def load_state_dict(self, state: Mapping[str, Any]) -> None:
     super().load_state_dict(state)
     self.log_temperature.data.copy_(state["log_temperature"])
-
-
-def _has_batch_norm(network: torch.nn.Module) -> bool:
-  return any(isinstance(module, torch.nn.BatchNorm1d) for module in network.modules())
