@@ -12,16 +12,14 @@ from mjlab_dr import pseudo_inertia
 from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, TerminationTermCfg
 from mjlab_velocity import VelocityEvaluation, go1_flat_env
-from mjlab_velocity.evaluation import push_by_level
-from mjlab_velocity.measures import (
+from mjlab_velocity.evaluation import (
   action_change_squared,
-  landing_force,
   landings,
-  linear_error_squared,
   mechanical_power,
+  push_by_level,
   torque_squared,
-  turning_error_squared,
 )
+from mjlab_velocity.mdp.rewards import landing_force, linear_error_squared, turning_error_squared
 
 GRID = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5))
 PUSHES = (0.0, 0.75, 1.5)

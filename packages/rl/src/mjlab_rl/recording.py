@@ -20,7 +20,8 @@ class Recorded:
 
   def __init__(self, function: Callable[[], None], device: torch.device, *, is_eager: bool = False) -> None:
     self._function = function
-    self._is_eager = is_eager or device.type != "cuda"
+    # One stream for all calls: autograd's nodes, which may outlive a call, belong to the stream that made them.
+    self._stream = None if is_eager or device.type != "cuda" else torch.cuda.Stream(device)
     self.clear()
 
   def clear(self) -> None:
@@ -29,20 +30,20 @@ class Recorded:
     self._eager_calls = 0
 
   def __call__(self) -> None:
-    if self._is_eager:
+    if self._stream is None:
       self._function()
     elif self._graph is not None:
       self._graph.replay()
     elif self._eager_calls < _WARM_UP:
       self._eager_calls += 1
-      stream, current = torch.cuda.Stream(), torch.cuda.current_stream()
-      stream.wait_stream(current)
-      with torch.cuda.stream(stream):
+      current = torch.cuda.current_stream()
+      self._stream.wait_stream(current)
+      with torch.cuda.stream(self._stream):
         self._function()
-      current.wait_stream(stream)
+      current.wait_stream(self._stream)
     else:
       self._graph = torch.cuda.CUDAGraph()
       # Other threads, such as those of viewers and of NCCL, may use the device meanwhile.
-      with torch.cuda.graph(self._graph, stream=torch.cuda.Stream(), capture_error_mode="thread_local"):
+      with torch.cuda.graph(self._graph, stream=self._stream, capture_error_mode="thread_local"):
         self._function()
       self._graph.replay()

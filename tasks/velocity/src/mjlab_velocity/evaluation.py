@@ -11,18 +11,9 @@ from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 
-from mjlab_velocity.levels import set_level
+from mjlab_velocity.levels import in_turn, set_level
 from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
-from mjlab_velocity.measures import (
-  action_change_squared,
-  horizontal_speed,
-  landing_force,
-  landings,
-  linear_error_squared,
-  mechanical_power,
-  torque_squared,
-  turning_error_squared,
-)
+from mjlab_velocity.mdp.rewards import landed, landing_force, linear_error_squared, turning_error_squared
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -51,7 +42,6 @@ class CommandGridCfg(UniformVelocityCommandCfg):
   """Velocity command that is fixed for each world, from a list in turn."""
 
   grid: tuple[Command, ...]
-  resampling_time_range: tuple[float, float] | None = None
 
   def build(self, env: Any) -> "CommandGrid":
     return CommandGrid(self, env)
@@ -62,8 +52,7 @@ class CommandGrid(UniformVelocityCommand):
 
   def __init__(self, cfg: CommandGridCfg, env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    grid = torch.tensor(cfg.grid, device=self.device)
-    self._grid = grid[torch.arange(self.num_envs, device=self.device) % len(cfg.grid)]
+    self._grid = in_turn(torch.tensor(cfg.grid, device=self.device), self.num_envs)
 
   def resample(self, mask: torch.Tensor) -> None:
     where_(self._drawn, mask, self._grid)
@@ -81,9 +70,7 @@ class push_by_level(ManagerTermBase):
 
   def __init__(self, env: "ManagerBasedRlEnv", *, levels: tuple[float, ...], block: int, entity: str = "robot") -> None:
     super().__init__(env)
-    sizes = torch.tensor(levels, device=env.device, dtype=env.sim.dtype)
-    world = torch.arange(env.num_envs, device=env.device)
-    self._size = sizes[(world // block) % len(sizes)]
+    self._size = in_turn(torch.tensor(levels, device=env.device, dtype=env.sim.dtype), env.num_envs, block)
     self._entity = entity
 
   def __call__(self, mask: torch.Tensor) -> None:
@@ -174,10 +161,11 @@ class VelocityEvaluation:
     return [("command", [_said(value) for value in self.grid]), ("push", pushes), *levels]
 
   def _groups(self, num_envs: int) -> dict[str, torch.Tensor]:
-    world, block = torch.arange(num_envs), 1
     axes: list[dict[str, torch.Tensor]] = []
+    block = 1
     for _, labels in self._axes():
-      axes.append({label: (world // block) % len(labels) == i for i, label in enumerate(labels)})
+      place = in_turn(torch.arange(len(labels)), num_envs, block)
+      axes.append({label: place == i for i, label in enumerate(labels)})
       block *= len(labels)
     groups = {label: mask for axis in axes for label, mask in axis.items()}
     # Pairs of conditions; those with commands alone are many, and the same for each.
@@ -195,9 +183,8 @@ class VelocityEvaluation:
       seed=self.seed,
       progress=progress,
     )
-    command = torch.arange(env.num_envs) % len(self.grid)
     groups = self._groups(env.num_envs)
-    wanted = torch.tensor(self.grid, dtype=torch.float64)[command, :2].norm(dim=-1)
+    wanted = in_turn(torch.tensor(self.grid, dtype=torch.float64)[:, :2].norm(dim=-1), env.num_envs)
     entity = env.scene[self.entity]
     # Masses may be randomised.
     mass = env.sim.model.body_subtreemass[:, entity.indexing.root_body].double().cpu()
@@ -235,3 +222,30 @@ class VelocityEvaluation:
 def _said(command: Command) -> str:
   parts = [f"{name} {value:+g}" for name, value in zip(("vx", "vy", "wz"), command, strict=True) if value]
   return " ".join(parts) or "stand"
+
+
+def mechanical_power(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+  """Return the sum over joints of |torque x velocity|, (num_envs,) [W]."""
+  data = env.scene[entity].data
+  return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
+
+
+def horizontal_speed(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+  """Return the horizontal speed of the root, (num_envs,) [m/s]."""
+  return torch.linalg.vector_norm(env.scene[entity].data.root_link_lin_vel_w[:, :2], dim=-1)
+
+
+def torque_squared(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+  """Return the mean over joints of the squared torque, (num_envs,) [N^2 m^2]."""
+  return env.scene[entity].data.qfrc_actuator.square().mean(-1)
+
+
+def action_change_squared(env: "ManagerBasedRlEnv") -> torch.Tensor:
+  """Return the mean over actions of their squared change in this step, (num_envs,)."""
+  actions = env.action_manager
+  return (actions.action - actions.prev_action).square().mean(-1)
+
+
+def landings(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
+  """Return the number of feet that just landed, (num_envs,)."""
+  return landed(env, sensor).sum(-1, dtype=torch.float32)

@@ -1,21 +1,16 @@
 """Velocity tasks of the Unitree G1 on flat and rough ground."""
 
-from collections.abc import Callable
-
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg
-from mjlab_rl import RslRlBaseRunnerCfg, TaskCfg
-from mjlab_rl.offpolicy import fastsac
 from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
-from mjlab_velocity.evaluation import VelocityEvaluation
-from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, agent, flat_env, play_flat
-from mjlab_velocity.rough import play_rough, rough_env, self_collision
-from mjlab_velocity.sim_to_real import blind
+from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, flat_env
+from mjlab_velocity.rough import rough_env, self_collision
 from mjlab_velocity.symmetry import left_right
+from mjlab_velocity.tasks import RobotTasks
 
 # Allowed deviation of joints from the default pose [rad]
 STD_STANDING = {".*": 0.05}
@@ -50,77 +45,48 @@ STD_RUNNING = {
 }
 
 
-def _robot() -> LeggedRobot:
-  return LeggedRobot(
-    entity=g1,
-    action_scale=G1_ACTION_SCALE,
-    torso="torso_link",
-    feet=("left_foot", "right_foot"),
-    foot_contact=ContactMatch(
-      mode="subtree", pattern=("left_ankle_roll_link", "right_ankle_roll_link"), entity="robot", preserve_order=True
-    ),
-    foot_rays=RingPatternCfg(radius=0.03, num_samples=6),
-    foot_friction=(geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True),),
-    start_height=(0.01, 0.05),
-    std_standing=STD_STANDING,
-    std_walking=STD_WALKING,
-    std_running=STD_RUNNING,
-    weights={"body_ang_vel": -0.05, "angular_momentum": -0.02},
-    sim=SimulationCfg(
-      timestep=PHYSICS_DT,
-      cone="pyramidal",
-      impratio=1.0,
-      iterations=10,
-      ls_iterations=20,
-      ccd_iterations=50,
-    ),
-  )
-
-
-def g1_flat() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the task of a G1 that follows velocity commands on a plane."""
-  return _task(g1_flat_env(), play_flat)
-
-
-def g1_flat_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the flat task for a G1 that has only encoders and an IMU: `blind`."""
-  return blind(g1_flat())
-
-
-def g1_flat_env() -> ManagerBasedRlEnvCfg:
-  """Return the training environment on a plane."""
-  return _with_self_collision(flat_env(_robot()))
-
-
-def g1_rough() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the task of a G1 that follows velocity commands over stairs, slopes and rough ground."""
-  return _task(g1_rough_env(), play_rough)
-
-
-def g1_rough_blind() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the rough task for a G1 that has only encoders and an IMU: `blind`."""
-  return blind(g1_rough())
-
-
-def g1_rough_env() -> ManagerBasedRlEnvCfg:
-  """Return the training environment on rough ground."""
-  return _with_self_collision(rough_env(_robot(), scan_body="pelvis"))
-
-
-def _task(
-  env: ManagerBasedRlEnvCfg, play: Callable[[ManagerBasedRlEnvCfg], ManagerBasedRlEnvCfg]
-) -> TaskCfg[ManagerBasedRlEnvCfg]:
-  ppo = agent("g1_velocity", 30_000)
-  mirrored = fastsac(ppo)
-  # With their mirror images 8192.
-  mirrored.algorithm.symmetry, mirrored.algorithm.batch_size = left_right, 4096
-  # With one reward, most seeds learn to stand on flat ground and stay there (docs/benchmarks/learners_cuda.md).
-  mirrored.algorithm.n_step = 3
-  agents: dict[str, RslRlBaseRunnerCfg] = {"fastsac": mirrored}
-  return TaskCfg(env=env, play=play, agent=ppo, agents=agents, evaluator=VelocityEvaluation())
+_ROBOT = LeggedRobot(
+  entity=g1,
+  action_scale=G1_ACTION_SCALE,
+  torso="torso_link",
+  feet=("left_foot", "right_foot"),
+  foot_contact=ContactMatch(
+    mode="subtree", pattern=("left_ankle_roll_link", "right_ankle_roll_link"), entity="robot", preserve_order=True
+  ),
+  foot_rays=RingPatternCfg(radius=0.03, num_samples=6),
+  foot_friction=(geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True),),
+  start_height=(0.01, 0.05),
+  std_standing=STD_STANDING,
+  std_walking=STD_WALKING,
+  std_running=STD_RUNNING,
+  weights={"body_ang_vel": -0.05, "angular_momentum": -0.02},
+  sim=SimulationCfg(
+    timestep=PHYSICS_DT, cone="pyramidal", impratio=1.0, iterations=10, ls_iterations=20, ccd_iterations=50
+  ),
+)
 
 
 def _with_self_collision(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   cfg.scene.sensors["self_collision"] = self_collision("pelvis")
   cfg.rewards["self_collisions"] = RewardTermCfg(mdp.contact_count, weight=-1.0, params={"sensor": "self_collision"})
   return cfg
+
+
+def g1_flat_env() -> ManagerBasedRlEnvCfg:
+  """Return the training environment on a plane."""
+  return _with_self_collision(flat_env(_ROBOT))
+
+
+def g1_rough_env() -> ManagerBasedRlEnvCfg:
+  """Return the training environment on rough ground."""
+  return _with_self_collision(rough_env(_ROBOT, scan_body="pelvis"))
+
+
+G1 = RobotTasks(
+  experiment_name="g1_velocity",
+  max_iterations=30_000,
+  flat_env=g1_flat_env,
+  rough_env=g1_rough_env,
+  symmetry=left_right,
+)
+g1_flat, g1_flat_blind, g1_rough, g1_rough_blind = G1.flat, G1.flat_blind, G1.rough, G1.rough_blind

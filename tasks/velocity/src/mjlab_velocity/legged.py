@@ -4,7 +4,6 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 from mjlab_dr import FieldRandomizer, body_com_offset, encoder_bias
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -26,8 +25,6 @@ from mjlab_sim import SimulationCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_velocity import mdp as velocity
-
-T = TypeVar("T")
 
 FRICTION_AXES = ("slide", "spin", "roll")
 """Names of the axes of friction in MuJoCo's order."""
@@ -59,12 +56,8 @@ PUSH = {
   "yaw": (-0.78, 0.78),
 }
 
-# Noise of the actor's observations
-NOISE_LIN_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
-NOISE_ANG_VEL = UniformNoiseCfg(n_min=-0.2, n_max=0.2)
-NOISE_GRAVITY = UniformNoiseCfg(n_min=-0.05, n_max=0.05)
-NOISE_JOINT_POS = UniformNoiseCfg(n_min=-0.01, n_max=0.01)
-NOISE_JOINT_VEL = UniformNoiseCfg(n_min=-1.5, n_max=1.5)
+# Largest noise of the actor's observations
+NOISE = {"base_lin_vel": 0.5, "base_ang_vel": 0.2, "projected_gravity": 0.05, "joint_pos": 0.01, "joint_vel": 1.5}
 
 
 @dataclass(kw_only=True)
@@ -124,17 +117,8 @@ def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:
     },
     metrics={"mean_action_acc": MetricsTermCfg(mdp.mean_action_acc)},
   )
-  # Copied term by term, so that a change of one term changes no other term and no constant of this module.
-  cfg.actions, cfg.events = _apart(cfg.actions), _apart(cfg.events)
-  cfg.curriculum, cfg.rewards = _apart(cfg.curriculum), _apart(cfg.rewards)
-  for group in cfg.observations.values():
-    if group is not None:
-      group.terms = _apart(group.terms)
-  return cfg
-
-
-def _apart(terms: dict[str, T]) -> dict[str, T]:
-  return {name: copy.deepcopy(term) for name, term in terms.items()}
+  # A change of the copy changes no constant of a module.
+  return copy.deepcopy(cfg)
 
 
 def _sensors(robot: LeggedRobot) -> dict[str, SensorCfg]:
@@ -155,22 +139,19 @@ def _sensors(robot: LeggedRobot) -> dict[str, SensorCfg]:
 
 
 def _actor() -> ObservationGroupCfg:
-  return ObservationGroupCfg(
-    corrupt=True,
-    terms={
-      "base_lin_vel": ObservationTermCfg(
-        mdp.builtin_sensor, noise=NOISE_LIN_VEL, params={"sensor": "robot/imu_lin_vel"}
-      ),
-      "base_ang_vel": ObservationTermCfg(
-        mdp.builtin_sensor, noise=NOISE_ANG_VEL, params={"sensor": "robot/imu_ang_vel"}
-      ),
-      "projected_gravity": ObservationTermCfg(mdp.projected_gravity, noise=NOISE_GRAVITY),
-      "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=NOISE_JOINT_POS, params={"biased": True}),
-      "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=NOISE_JOINT_VEL),
-      "actions": ObservationTermCfg(mdp.last_action),
-      "command": ObservationTermCfg(mdp.generated_commands, params={"command": "twist"}),
-    },
-  )
+  terms: dict[str, ObservationTermCfg] = {
+    "base_lin_vel": ObservationTermCfg(mdp.builtin_sensor, params={"sensor": "robot/imu_lin_vel"}),
+    "base_ang_vel": ObservationTermCfg(mdp.builtin_sensor, params={"sensor": "robot/imu_ang_vel"}),
+    "projected_gravity": ObservationTermCfg(mdp.projected_gravity),
+    "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, params={"biased": True}),
+    "joint_vel": ObservationTermCfg(mdp.joint_vel_rel),
+    "actions": ObservationTermCfg(mdp.last_action),
+    "command": ObservationTermCfg(mdp.generated_commands, params={"command": "twist"}),
+  }
+  for name, most in NOISE.items():
+    terms[name].noise = UniformNoiseCfg(n_min=-most, n_max=most)
+  # Rough ground has a scan.
+  return ObservationGroupCfg(corrupt=True, terms={**terms, "height_scan": None})
 
 
 def _critic() -> ObservationGroupCfg:
@@ -191,7 +172,7 @@ def _rewards(robot: LeggedRobot) -> dict[str, RewardTermCfg | None]:
   feet = SceneEntityCfg("robot", site_names=robot.feet, preserve_order=True)
   torso = SceneEntityCfg("robot", body_names=robot.torso)
   contact, heights = "feet_ground_contact", "foot_height_scan"
-  rewards: dict[str, RewardTermCfg | None] = {
+  rewards = {
     "track_linear_velocity": RewardTermCfg(
       velocity.track_linear_velocity, weight=2.0, params={"command": "twist", "std": math.sqrt(0.25)}
     ),
@@ -230,18 +211,16 @@ def _rewards(robot: LeggedRobot) -> dict[str, RewardTermCfg | None]:
     "soft_landing": RewardTermCfg(velocity.soft_landing, weight=-1e-5, params={**gait, "sensor": contact}),
   }
   for name, weight in robot.weights.items():
-    term = rewards[name]
-    assert term is not None
-    term.weight = weight
-  return rewards
+    rewards[name].weight = weight
+  # Terms share no part, so that a change of one changes no other.
+  return {name: copy.deepcopy(term) for name, term in rewards.items()}
 
 
 def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
   start = {"x": (-0.5, 0.5), "y": (-0.5, 0.5), "z": robot.start_height, "yaw": (-math.pi, math.pi)}
   com = body_com_offset(robot.torso, {"x": (-0.025, 0.025), "y": (-0.025, 0.025), "z": (-0.03, 0.03)})
   # Each world draws one value for all its feet.
-  axes = zip(FRICTION_AXES, robot.foot_friction, strict=False)
-  friction = {f"foot_friction_{axis}": randomizer for axis, randomizer in axes}
+  friction = zip(FRICTION_AXES, robot.foot_friction, strict=False)
   return {
     "reset_base": EventTermCfg(mdp.reset_root_state_uniform, mode="reset", params={"pose_range": start}),
     "reset_robot_joints": EventTermCfg(
@@ -252,7 +231,7 @@ def _events(robot: LeggedRobot) -> dict[str, EventTermCfg | None]:
     "push_robot": EventTermCfg(
       mdp.push_by_setting_velocity, mode="interval", interval_range_s=(1.0, 3.0), params={"velocity_range": PUSH}
     ),
-    **{name: mdp.randomize_at_startup(randomizer) for name, randomizer in friction.items()},
+    **{f"foot_friction_{axis}": mdp.randomize_at_startup(randomizer) for axis, randomizer in friction},
     "encoder_bias": mdp.randomize_at_startup(encoder_bias(".*", (-0.015, 0.015))),
     "base_com": mdp.randomize_at_startup(com),
   }

@@ -11,9 +11,14 @@ from mjlab_dr.distributions import SampleFunction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 
 
+def in_turn(values: torch.Tensor, num_envs: int, block: int = 1) -> torch.Tensor:
+  """Return the value of each world: world i has values[(i // block) mod len(values)]."""
+  return values[torch.arange(num_envs, device=values.device) // block % len(values)]
+
+
 @dataclass(frozen=True)
 class ByWorld(Categorical):
-  """Values that worlds take in turn: world i has values[(i // block) mod len(values)], in every draw."""
+  """Values that worlds take `in_turn` in every draw."""
 
   block: int = 1
 
@@ -22,9 +27,8 @@ class ByWorld(Categorical):
     table = torch.tensor(self.values, device=device, dtype=dtype)
 
     def sample(shape: Any, *, generator: Any, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
-      del generator, dtype
-      world = torch.arange(shape[0], device=device)
-      values = table[(world // self.block) % len(self.values)]
+      del generator, device, dtype
+      values = in_turn(table, shape[0], self.block)
       return values.reshape(-1, *(1,) * (len(shape) - 1)).expand(*shape)
 
     return sample

@@ -1,17 +1,20 @@
-"""Velocity tasks of four-legged robots whose bodies and geoms are named as those of the Go1."""
+"""Velocity tasks of the Unitree Go1 and Go2, whose bodies and geoms have the same names."""
 
 from collections.abc import Callable
+from functools import partial
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg, TerminationTermCfg
+from mjlab_robots import GO1_ACTION_SCALE, GO2_ACTION_SCALE, go1, go2
 from mjlab_scene import EntityCfg
-from mjlab_sensors import ContactMatch, ContactSensorCfg, RingPatternCfg
+from mjlab_sensors import ContactMatch, RingPatternCfg
 from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot
+from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, flat_env
 from mjlab_velocity.rough import ground_contact, rough_env, self_collision
+from mjlab_velocity.tasks import RobotTasks
 
 FEET = ("FR", "FL", "RR", "RL")
 _FOOT_GEOMS = ".*_foot_collision"
@@ -21,10 +24,10 @@ STD_STANDING = {".*_(hip|thigh)_joint": 0.05, ".*_calf_joint": 0.1}
 STD_MOVING = {".*_(hip|thigh)_joint": 0.3, ".*_calf_joint": 0.6}
 
 
-def quadruped(
+def _quadruped(
   entity: Callable[[], EntityCfg], action_scale: dict[str, float], torso: str, start_height: tuple[float, float]
 ) -> LeggedRobot:
-  """Return what the velocity tasks know of a robot.
+  """Return the numbers of a robot.
 
   Args:
     entity: Function that returns the entity.
@@ -51,25 +54,19 @@ def quadruped(
     std_walking=STD_MOVING,
     std_running=STD_MOVING,
     sim=SimulationCfg(
-      timestep=PHYSICS_DT,
-      cone="elliptic",
-      impratio=10.0,
-      iterations=10,
-      ls_iterations=20,
-      ccd_iterations=50,
+      timestep=PHYSICS_DT, cone="elliptic", impratio=10.0, iterations=10, ls_iterations=20, ccd_iterations=50
     ),
   )
 
 
-def quadruped_rough_env(robot: LeggedRobot, trunk_geoms: str) -> ManagerBasedRlEnvCfg:
-  """Return the training environment on rough ground; `trunk_geoms` is the pattern of what must not touch it."""
+def _rough_env(robot: LeggedRobot, *, trunk_geoms: str) -> ManagerBasedRlEnvCfg:
+  """Return the training environment on rough ground; geoms that match `trunk_geoms` must not touch it."""
   cfg = rough_env(robot, scan_body=robot.torso)
-  cfg.scene.sensors |= {
-    "self_collision": self_collision(robot.torso),
-    "thigh_ground_touch": _touch(".*_thigh_collision.*"),
-    "shank_ground_touch": _touch(".*_calf_collision.*"),
-    "trunk_ground_touch": _touch(trunk_geoms),
-  }
+  touched = {"thigh": ".*_thigh_collision.*", "shank": ".*_calf_collision.*", "trunk": trunk_geoms}
+  for part, geoms in touched.items():
+    sensor = ground_contact(ContactMatch(mode="geom", pattern=geoms, entity="robot"))
+    cfg.scene.sensors[f"{part}_ground_touch"] = sensor
+  cfg.scene.sensors["self_collision"] = self_collision(robot.torso)
   cfg.rewards["upright"] = RewardTermCfg(
     velocity.upright_on_terrain, weight=1.0, params={"std": 0.2**0.5, "sensor": "terrain_scan"}
   )
@@ -85,5 +82,22 @@ def quadruped_rough_env(robot: LeggedRobot, trunk_geoms: str) -> ManagerBasedRlE
   return cfg
 
 
-def _touch(geoms: str) -> ContactSensorCfg:
-  return ground_contact(ContactMatch(mode="geom", pattern=geoms, entity="robot"))
+# Feet begin 1 to 5 cm above the ground: the default pose of the Go1 reaches 16.5 mm below z = 0, the Go2's 18.4 mm.
+_GO1 = _quadruped(go1, GO1_ACTION_SCALE, "trunk", start_height=(0.0265, 0.0665))
+_GO2 = _quadruped(go2, GO2_ACTION_SCALE, "base", start_height=(0.0284, 0.0684))
+GO1 = RobotTasks(
+  experiment_name="go1_velocity",
+  max_iterations=10_000,
+  flat_env=partial(flat_env, _GO1),
+  rough_env=partial(_rough_env, _GO1, trunk_geoms="(trunk|head)_collision"),
+)
+GO2 = RobotTasks(
+  experiment_name="go2_velocity",
+  max_iterations=10_000,
+  flat_env=partial(flat_env, _GO2),
+  rough_env=partial(_rough_env, _GO2, trunk_geoms="(trunk|head|lidar)_collision"),
+)
+go1_flat, go1_flat_blind, go1_flat_env = GO1.flat, GO1.flat_blind, GO1.flat_env
+go1_rough, go1_rough_blind, go1_rough_env = GO1.rough, GO1.rough_blind, GO1.rough_env
+go2_flat, go2_flat_blind, go2_flat_env = GO2.flat, GO2.flat_blind, GO2.flat_env
+go2_rough, go2_rough_blind, go2_rough_env = GO2.rough, GO2.rough_blind, GO2.rough_env

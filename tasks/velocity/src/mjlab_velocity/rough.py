@@ -66,13 +66,9 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
   for name, noise in (("actor", SCAN_NOISE), ("critic", None)):
     group = cfg.observations[name]
     assert group is not None
-    scan = ObservationTermCfg(
+    group.terms["height_scan"] = ObservationTermCfg(
       mdp.height_scan, noise=copy.copy(noise), scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
     )
-    # After the command, the last of the actor's other terms.
-    before = list(group.terms).index("command") + 1
-    terms = list(group.terms.items())
-    group.terms = dict([*terms[:before], ("height_scan", scan), *terms[before:]])
   cfg.terminations["out_of_terrain_bounds"] = TerminationTermCfg(velocity.out_of_terrain_bounds, time_out=True)
   cfg.curriculum["terrain_levels"] = CurriculumTermCfg(velocity.terrain_levels, params={"command": "twist"})
   return cfg

@@ -6,7 +6,7 @@ Go1 measures linear velocities 7 cm beside this plane, so their mirror image is 
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -34,24 +34,24 @@ def left_right(env: "ManagerBasedRlEnv") -> dict[str, Mirror]:
     ConfigError: The mirror image of a term is not known; the message names it.
   """
   action: Any = env.action_manager.get_term("joint_pos")
-  joints: Mirror = _joints(env, env.scene["robot"].joint_names)
-  actions: Mirror = _joints(env, action.target_names)
+  joints, actions = (_joints(env, names) for names in (env.scene["robot"].joint_names, action.target_names))
   sensors: dict[str, Any] = env.cfg.scene.sensors
   scanned, touched = sensors["foot_height_scan"].frames.pattern, sensors["feet_ground_contact"].primary.pattern
-  known: dict[str, Callable[[], Mirror]] = {
-    "base_lin_vel": lambda: _signed(_VECTOR),
-    "projected_gravity": lambda: _signed(_VECTOR),
-    "base_ang_vel": lambda: _signed(_ROTATION),
-    "command": lambda: _signed((1.0, -1.0, -1.0)),
-    "joint_pos": lambda: joints,
-    "joint_vel": lambda: joints,
-    "actions": lambda: actions,
-    "height_scan": lambda: _grid(torch.as_tensor(sensors["terrain_scan"].pattern.rays()[0])),
-    "foot_height": lambda: _swapped(scanned, (1.0,)),
-    "foot_air_time": lambda: _swapped(touched, (1.0,)),
-    "foot_contact": lambda: _swapped(touched, (1.0,)),
-    "foot_contact_forces": lambda: _swapped(touched, _VECTOR),
+  known: dict[str, Mirror] = {
+    "base_lin_vel": _signed(_VECTOR),
+    "projected_gravity": _signed(_VECTOR),
+    "base_ang_vel": _signed(_ROTATION),
+    "command": _signed((1.0, -1.0, -1.0)),
+    "joint_pos": joints,
+    "joint_vel": joints,
+    "actions": actions,
+    "foot_height": _swapped(scanned, (1.0,)),
+    "foot_air_time": _swapped(touched, (1.0,)),
+    "foot_contact": _swapped(touched, (1.0,)),
+    "foot_contact_forces": _swapped(touched, _VECTOR),
   }
+  if "terrain_scan" in sensors:
+    known["height_scan"] = _grid(torch.as_tensor(sensors["terrain_scan"].pattern.rays()[0]))
   mirrors: dict[str, Mirror] = {"action": actions}
   for group in env.observation_manager.active_groups:
     columns: list[int] = []
@@ -59,7 +59,7 @@ def left_right(env: "ManagerBasedRlEnv") -> dict[str, Mirror]:
     for term in env.observation_manager.layout(group):
       if term.name not in known:
         raise ConfigError(f"symmetry: the mirror image of observation '{group}/{term.name}' is not known")
-      one, flips = known[term.name]()
+      one, flips = known[term.name]
       width = term.columns.stop - term.columns.start
       if width % len(one):
         raise ConfigError(f"symmetry: observation '{group}/{term.name}' has {width} columns, not {len(one)}")

@@ -19,18 +19,29 @@ def track_linear_velocity(
   env: "ManagerBasedRlEnv", *, command: str, std: float, asset: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
   """Return exp(-(|v_xy - u_xy|^2 + v_z^2) / std^2), root velocity in the root frame, (num_envs,)."""
-  velocity = env.scene[asset.name].data.root_link_lin_vel_b
-  error = (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
-  return torch.exp((error + velocity[:, 2].square()) / -(std**2))
+  error = linear_error_squared(env, command=command, entity=asset.name)
+  return torch.exp((error + env.scene[asset.name].data.root_link_lin_vel_b[:, 2].square()) / -(std**2))
 
 
 def track_angular_velocity(
   env: "ManagerBasedRlEnv", *, command: str, std: float, asset: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
   """Return exp(-((w_z - u_z)^2 + |w_xy|^2) / std^2), root angular velocity in the root frame, (num_envs,)."""
-  velocity = env.scene[asset.name].data.root_link_ang_vel_b
-  error = (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
-  return torch.exp((error + velocity[:, :2].square().sum(-1)) / -(std**2))
+  error = turning_error_squared(env, command=command, entity=asset.name)
+  tumbling = env.scene[asset.name].data.root_link_ang_vel_b[:, :2].square().sum(-1)
+  return torch.exp((error + tumbling) / -(std**2))
+
+
+def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+  """Return |v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
+  velocity = env.scene[entity].data.root_link_lin_vel_b
+  return (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
+
+
+def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+  """Return (w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
+  velocity = env.scene[entity].data.root_link_ang_vel_b
+  return (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
 
 
 class upright(ManagerTermBase):
@@ -148,12 +159,17 @@ def feet_slip(
 
 
 def soft_landing(env: "ManagerBasedRlEnv", *, sensor: str, command: str, threshold: float) -> torch.Tensor:
+  """Return `landing_force`, (num_envs,) [N]."""
+  return landing_force(env, sensor=sensor) * _moves(env, command, threshold)
+
+
+def landing_force(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
   """Return the net contact force of feet that just landed, summed over feet, (num_envs,) [N].
 
   The drop at the start of an episode does not count.
   """
   force = torch.linalg.vector_norm(env.scene[sensor].data.force, dim=-1)
-  return (force * landed(env, sensor)).sum(-1) * _moves(env, command, threshold)
+  return (force * landed(env, sensor)).sum(-1)
 
 
 def landed(env: "ManagerBasedRlEnv", sensor: str) -> torch.Tensor:
