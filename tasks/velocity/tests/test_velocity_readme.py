@@ -118,7 +118,7 @@ def test_the_table_of_observations_is_that_of_the_tasks(envs: dict[str, ManagerB
 def test_scales_and_postures_are_those_of_the_tasks(robot: str, envs: dict[str, ManagerBasedRlEnv]) -> None:
   env = envs[COLUMNS[f"{robot} flat"]]
   term: Any = env.action_manager.get_term("joint_pos")
-  joints = term.joint_names
+  joints = term.target_names
 
   def by_joint(rows: list[dict[str, str]], column: str) -> list[float]:
     patterns = [(p, float(row[column])) for row in rows if row["robot"] == robot for p in names(row["joints"])]
