@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Hashable, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Mapping, Sequence
+from itertools import accumulate
 from typing import Protocol
 
-import numpy as np
 import torch
 from mjlab_core import MjlabError, ModelFields, as_slice, normalize, quat_from_euler_xyz, quat_mul, where_
 from torch import Tensor
 
-from mjlab_dr.binding import Component, bind, bind_columns, result_problems, with_ids
-from mjlab_dr.catalogue import FIELDS
+from mjlab_dr.binding import (
+  Component,
+  components_of,
+  idle_numbers,
+  matched,
+  result_problems,
+  with_effect,
+  with_ids,
+)
+from mjlab_dr.catalogue import FIELDS, needs_constants
 from mjlab_dr.distributions import Distribution, joint_sampler
 from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
@@ -79,48 +87,57 @@ class RandomizeField:
     upon: Container[tuple[str, int]] = (),
     owner: str = "",
   ) -> None:
-    self.cfg, self.needs_constants = cfg, cfg.needs_constants
+    self.cfg, self.needs_constants = cfg, needs_constants(cfg.field)
     self._form, self._sim, self._generator = FIELDS[cfg.field].form, sim, generator
-    self._tensor = target if isinstance(target, Tensor) else None
     self._quantity = None if isinstance(target, Tensor) else target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
+    model, idle = sim.mj_model, set[tuple[int, int]]()
     if self._quantity is None:
-      binding = bind(cfg, sim.mj_model, names, ids, is_target=target is not None, owner=owner)
+      elements = matched(cfg, model, names, ids, owner)
     else:
-      binding = bind_columns(cfg.field, [(name, i) for i, name in enumerate(self._quantity.names)])
-    self.element_names, self.components = binding.elements, binding.components
-    distributions = with_ids(cfg, sim.mj_model, owner, prefix)
+      elements = [(name, i) for i, name in enumerate(self._quantity.names)]
+    if target is None:
+      elements = with_effect(cfg, model, elements, owner)
+      idle = idle_numbers(cfg, model, elements, owner) if self._form == "plain" else idle
+    self.element_names = tuple(name for name, _ in elements)
+    """Names of the elements that it changes."""
+    self.components = components_of(cfg, model, elements, idle)
+    """All numbers that it writes, in the order of its fields."""
+    distributions = with_ids(cfg, model, owner, prefix)
     self.distributions = dict(zip(cfg.values, distributions, strict=True))
     """Distribution of each axis, with the ids of this model in place of names."""
     self._strength: Tensor | None = None
-    self._find_columns(upon)
-    for problem in result_problems(cfg, binding, self.default.double().cpu().numpy(), sim.mj_model):
+    self._find_columns(target, upon)
+    for problem in result_problems(cfg, self.components, self.default.double().cpu().numpy(), model):
       raise MjlabError(f"{owner}: {problem}")
     self._prepare_draws(distributions)
 
-  def _find_columns(self, upon: Container[tuple[str, int]]) -> None:
+  def _find_columns(self, target: Tensor | Quantity | None, upon: Container[tuple[str, int]]) -> None:
     """Find the columns of each field that are written, and of the one that moves along; expand fields of the model."""
-    fields = list(dict.fromkeys(component.field for component in self.components))
+    sim, fields = self._sim, list(dict.fromkeys(component.field for component in self.components))
     follower = FIELDS[self.cfg.field].moves_with
-    if self._tensor is None and self._quantity is None:
-      self._sim.expand_model_fields((*fields, follower) if follower else fields)
+    if target is None:
+      sim.expand_model_fields((*fields, follower) if follower else fields)
 
     def columns(field: str, components: Sequence[Component]) -> _Columns:
-      default, of_each = self._field_default(field), [component.columns for component in components]
-      return _Columns(field, of_each, default, self._sim.num_envs, upon)
+      def rows() -> Tensor:
+        # Looked up each time: another expansion may have replaced the array. A view, never a copy.
+        return (target if isinstance(target, Tensor) else getattr(sim.model, field)).view(sim.num_envs, -1)
 
-    self._writes = [columns(name, [c for c in self.components if c.field == name]) for name in fields]
+      default = torch.zeros_like(target[:1]) if isinstance(target, Tensor) else sim.default_field(field)
+      flat = [column for component in components for column in component.columns]
+      is_written = [(field, column) in upon for column in flat]
+      return _Columns(rows, flat, default.view(len(default), -1), sim.num_envs, is_written)
+
+    self._writes: list[Quantity | _Columns]
+    if self._quantity is None:
+      self._writes = [columns(name, [c for c in self.components if c.field == name]) for name in fields]
+    else:
+      self._writes = [self._quantity]
     self._follower = columns(follower, self.components) if follower else None
-
-  def _field_default(self, name: str) -> Tensor:
-    """Return the values of a field to start from, a flat row for each world, or one for all."""
-    if self._quantity is not None:
-      return self._quantity.default
-    if self._tensor is not None:
-      return torch.zeros_like(self._tensor[:1]).flatten(1)
-    # A view, through which later values of each world are seen.
-    default = self._sim.default_field(name)
-    return default.view(len(default), -1)
+    ends = list(accumulate(len(component.columns) for component in self.components))
+    self._first = torch.tensor([0, *ends[:-1]], device=sim.device)
+    """Index of the first column of each component among all that are written."""
 
   def _prepare_draws(self, distributions: Sequence[Distribution]) -> None:
     """Make the sampler, and the way from its draws to axes and columns."""
@@ -146,9 +163,9 @@ class RandomizeField:
   @property
   def default(self) -> Tensor:
     """Value of each of `components` to start from, (1 or num_envs, number of components)."""
-    parts = [write.default[:, write.first] for write in self._writes]
+    parts = [write.default for write in self._writes]
     worlds = max(len(part) for part in parts)
-    return torch.cat([part.expand(worlds, -1) for part in parts], -1)
+    return torch.cat([part.expand(worlds, -1) for part in parts], -1)[:, self._first]
 
   @property
   def strength(self) -> Tensor:
@@ -176,20 +193,16 @@ class RandomizeField:
       return
     results = self._results(draw)
     if self._follower is not None:
-      led, flat = self._writes[0], self._flat(self._follower.field)
-      self._follower.store(flat, mask, self._follower.start(flat) + (results[0] - led.start(self._flat(led.field))))
-    if self._quantity is not None:
-      self._quantity.write(results[0], mask)
-    else:
-      for write, value in zip(self._writes, results, strict=True):
-        write.store(self._flat(write.field), mask, value)
+      moved = results[0] - self._start(self._writes[0])
+      self._follower.write(self._follower.start() + moved, mask)
+    for write, value in zip(self._writes, results, strict=True):
+      write.write(value, mask)
     if recompute and self.needs_constants:
       self._sim.recompute_constants(mask)
 
   def values(self) -> Tensor:
     """Return the present values, (num_envs, number of `components`), in new memory."""
-    parts = [self._flat(write.field).index_select(1, write.all)[:, write.first] for write in self._writes]
-    return torch.cat([part.to(self._dtype) for part in parts], -1)
+    return torch.cat([write.values() for write in self._writes], -1).to(self._dtype)[:, self._first]
 
   def written(self) -> dict[tuple[str, int], str]:
     """Return the element of every number that it writes, by field and column."""
@@ -205,53 +218,39 @@ class RandomizeField:
     kind = FIELDS[self.cfg.field].kind
     return {key: f"{key[0]} of {kind} '{element}'" for key, element in self.written().items()}
 
-  def _flat(self, name: str) -> Tensor:
-    # Looked up each time: another expansion may have replaced the array. A view, never a copy.
-    if self._quantity is not None:
-      return self._quantity.values()
-    tensor = getattr(self._sim.model, name) if self._tensor is None else self._tensor
-    return tensor.view(self._sim.num_envs, -1)
+  def _start(self, write: Quantity | _Columns) -> Tensor:
+    return write.start() if isinstance(write, _Columns) else write.default
 
   def _results(self, draw: Tensor) -> list[Tensor]:
     """Return the values to write to each field, in the order of its columns."""
-    starts = [write.start(self._flat(write.field)) for write in self._writes]
-    if self._form == "plain":
-      default = starts[0]
-      draw = draw.reshape(draw.shape[0], -1)
+    starts = [self._start(write) for write in self._writes]
+    if self._form in ("plain", "servo"):
+      draw = draw.flatten(1)
       draw = draw if self._sources is None else draw.index_select(1, self._sources)
-      if self.cfg.operation == "add":
-        draw = default + draw
-      elif self.cfg.operation == "scale":
-        draw = default * draw
-      return [draw if self._strength is None else torch.lerp(default.expand_as(draw), draw, self._strength)]
+      value = self._combined(starts[0], draw)
+      return [value] if self._form == "plain" else [value, -value]
+    by_element = [start.unflatten(1, (len(self.element_names), -1)) for start in starts]
+    default = by_element[0]
     if self._form in ("direction", "intrinsics"):
-      default = starts[0].unflatten(1, (len(self.element_names), -1))
-      vector = self._combined(draw, default)
+      neutral = {"absolute": default, "add": 0.0, "scale": 1.0}[self.cfg.operation]
+      vector = self._combined(default, self._on_all_axes(draw, neutral))
       if self._form == "direction":
         return [normalize(vector).flatten(1)]
       return [vector.flatten(1), torch.rad2deg(2.0 * torch.atan(self._half_heights / vector[..., 1]))]
-    if self._form == "servo":
-      kp = self._combined(draw, starts[0].unsqueeze(-1)).squeeze(-1)
-      return [kp, -kp]
-    draw = draw if self._strength is None else draw * self._strength
+    draw = self._on_all_axes(draw if self._strength is None else draw * self._strength, 0.0)
     if self._form == "rotation":
-      default = starts[0].unflatten(1, (-1, 4))
-      angles = self._on_all_axes(draw, 0.0)
-      turn = quat_from_euler_xyz(*angles.unbind(-1))
+      turn = quat_from_euler_xyz(*draw.unbind(-1))
       return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
-    mass, com, inertia, quat = (start.unflatten(1, (len(self.element_names), -1)) for start in starts)
-    parameters = self._on_all_axes(draw, 0.0)
-    return [x.flatten(1) for x in perturb_inertia(mass.squeeze(-1), com, inertia, quat, parameters)]
+    mass, com, inertia, quat = by_element
+    return [x.flatten(1) for x in perturb_inertia(mass.squeeze(-1), com, inertia, quat, draw)]
 
-  def _combined(self, draw: Tensor, default: Tensor) -> Tensor:
-    """Return draws on the axes that are drawn and the default on the others, (num_envs, elements, all axes)."""
-    if self.cfg.operation == "absolute":
-      value = self._on_all_axes(draw, default)
-    elif self.cfg.operation == "add":
-      value = default + self._on_all_axes(draw, 0.0)
-    else:
-      value = default * self._on_all_axes(draw, 1.0)
-    return value if self._strength is None else torch.lerp(default.expand_as(value), value, self._strength)
+  def _combined(self, default: Tensor, draw: Tensor) -> Tensor:
+    """Return the default changed by a draw as the operation says, as far as the strength goes."""
+    if self.cfg.operation == "add":
+      draw = default + draw
+    elif self.cfg.operation == "scale":
+      draw = default * draw
+    return draw if self._strength is None else torch.lerp(default.expand_as(draw), draw, self._strength)
 
   def _on_all_axes(self, draw: Tensor, otherwise: Tensor | float) -> Tensor:
     """Return draws on the axes that are drawn, and `otherwise` on the others, (num_envs, elements, all axes)."""
@@ -263,52 +262,55 @@ class RandomizeField:
 
 
 class _Columns:
-  """Columns of one field, in flat rows of worlds."""
+  """Columns of one field, in flat rows of worlds.
+
+  Args:
+    rows: function that returns the present rows, (num_envs, ...), a view.
+    columns: the columns, with repetitions where several belong to one component.
+    default: rows to start from, (1 or num_envs, ...).
+    num_envs: number of worlds.
+    is_written: True for the columns that an earlier randomiser writes.
+  """
 
   def __init__(
     self,
-    field: str,
-    columns: Sequence[tuple[int, ...]],
+    rows: Callable[[], Tensor],
+    columns: Sequence[int],
     default: Tensor,
     num_envs: int,
-    upon: Container[tuple[str, int]],
+    is_written: Sequence[bool],
   ) -> None:
-    self.field = field
-    device = default.device
-    flat = [column for group in columns for column in group]
-    self.all = torch.tensor(flat, device=device)
-    """Every column, with repetitions where several belong to one component."""
-    starts = np.cumsum([0, *(len(group) for group in columns)])[:-1]
-    self.first = torch.tensor(starts, device=device)
-    """Index in `all` of the first column of each component."""
-    self._slice = as_slice(flat, spaced=True)
-    written = [(field, column) in upon for column in flat]
-    # Columns that another randomiser has written before.
-    self._is_written = torch.tensor(written, device=device) if any(written) else None
+    self._rows, self._default_rows = rows, default
+    self._all = torch.tensor(columns, device=default.device)
+    self._slice = as_slice(columns, spaced=True)
+    self._is_written = torch.tensor(is_written, device=default.device) if any(is_written) else None
     # Values per world change when a state of other worlds is loaded, so they are looked up every time.
-    self._rows = default
-    self._constant = None if len(default) == num_envs else default.index_select(1, self.all)
+    self._constant = None if len(default) == num_envs else default.index_select(1, self._all)
 
   @property
   def default(self) -> Tensor:
-    """Values of `all` to start from, (1 or num_envs, number of columns)."""
+    """Values to start from, (1 or num_envs, number of columns)."""
     if self._constant is not None:
       return self._constant
-    return self._rows.index_select(1, self.all) if self._slice is None else self._rows[:, self._slice]
+    rows = self._default_rows
+    return rows.index_select(1, self._all) if self._slice is None else rows[:, self._slice]
 
-  def start(self, flat: Tensor) -> Tensor:
-    """Return the values to start from, (1 or num_envs, number of columns), of the field's rows `flat`."""
-    if self._is_written is None:
-      return self.default
-    return torch.where(self._is_written, flat.index_select(1, self.all), self.default)
+  def start(self) -> Tensor:
+    """Return the default, or the result of an earlier randomiser, (1 or num_envs, number of columns)."""
+    return self.default if self._is_written is None else torch.where(self._is_written, self.values(), self.default)
 
-  def store(self, flat: Tensor, mask: Tensor, value: Tensor) -> None:
+  def values(self) -> Tensor:
+    """Return the present values, (num_envs, number of columns), in new memory."""
+    return self._rows().index_select(1, self._all)
+
+  def write(self, values: Tensor, mask: Tensor) -> None:
     """Write (num_envs, number of columns) into the masked rows."""
+    rows = self._rows()
     if self._slice is not None:
-      where_(flat[:, self._slice], mask, value)
+      where_(rows[:, self._slice], mask, values)
     else:
-      value = value.to(flat.dtype)
-      flat.index_copy_(1, self.all, torch.where(mask[:, None], value, flat.index_select(1, self.all)))
+      written = torch.where(mask[:, None], values.to(rows.dtype), self.values())
+      rows.index_copy_(1, self._all, written)
 
 
 def apply_all(terms: Sequence[RandomizeField], sim: ModelFields, mask: Tensor) -> None:

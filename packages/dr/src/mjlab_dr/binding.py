@@ -9,15 +9,18 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mjlab_core import Limits, MjlabError, UnknownNameError, match_names, unknown
+from mjlab_core import MjlabError, UnknownNameError, match_names, unknown
 
-from mjlab_dr.catalogue import FIELDS
+from mjlab_dr.catalogue import FIELDS, written_fields
 from mjlab_dr.distributions import Categorical, Distribution
-from mjlab_dr.effect import idle_elements, idle_on_axis
-from mjlab_dr.fields import Field, count, element_names, rows
+from mjlab_dr.effect import SIMPLE, idle
+from mjlab_dr.fields import count, element_names, rows
 from mjlab_dr.randomizers import FieldRandomizer
 
-_COMPONENTS = {"rotation": ("w", "x", "y", "z")}
+Elements = list[tuple[str, int]]
+"""Names of elements, and their ids in the model or columns in a quantity outside of it."""
+Spans = dict[str, tuple[float, float]]
+"""Lowest and highest value by axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,157 +41,103 @@ class Component:
   """Index of its draw, element by element and axis by axis; -1 if it follows from several."""
 
 
-@dataclass(frozen=True)
-class Binding:
-  """Elements and numbers of a model that a randomiser writes."""
-
-  elements: tuple[str, ...]
-  """Names of the elements that it changes."""
-  components: tuple[Component, ...]
-  """All that it writes, in the order of its fields."""
-
-
-def bind(
-  cfg: FieldRandomizer,
-  model: mujoco.MjModel,
-  names: Sequence[str] | None,
-  ids: Sequence[int] | None,
-  *,
-  is_target: bool,
-  owner: str,
-) -> Binding:
-  """Resolve a randomiser in a model.
+def matched(
+  cfg: FieldRandomizer, model: mujoco.MjModel, names: Sequence[str] | None, ids: Sequence[int] | None, owner: str
+) -> Elements:
+  """Return the elements that the pattern of a randomiser matches.
 
   Args:
     cfg: the randomiser.
     model: the compiled model.
     names: names that the pattern is matched against; None is all of the model.
-    ids: the element of the model, or the column of the target, behind each of `names`.
-    is_target: True if a tensor outside the model is written.
+    ids: the id behind each of `names`; None counts from 0.
     owner: name of the owner in messages.
 
   Raises:
-    MjlabError: nothing matches, or nothing that matches has an effect.
+    MjlabError: nothing matches.
   """
-  field = FIELDS[cfg.field]
-  in_model = not is_target or names is None
+  kind = FIELDS[cfg.field].kind
   if names is None:
-    ids = range(1 if field.kind == "body" else 0, count(model, field.kind))
-    names = element_names(model, field.kind)[ids.start :]
+    # The world is no body that moves.
+    ids = range(1 if kind == "body" else 0, count(model, kind))
+    names = element_names(model, kind)[ids.start :]
   ids = range(len(names)) if ids is None else ids
-  picked, _ = match_names(cfg.pattern, names, what=field.kind, owner=owner)
-  elements = [(names[i], int(ids[i])) for i in picked]
-  if in_model:
-    elements = _with_effect(cfg, model, elements, owner)
-  if is_target:
-    return bind_columns(cfg.field, elements)
-  if field.form == "servo":
-    components = _servo(elements)
-  elif field.form != "plain":
-    components = _whole(cfg.field, field, model, elements)
-  else:
-    components = _single(cfg, field, model, elements, owner)
-  return Binding(tuple(name for name, _ in elements), tuple(components))
+  return [(names[i], int(ids[i])) for i in match_names(cfg.pattern, names, what=kind, owner=owner)[0]]
 
 
-def bind_columns(field: str, elements: Sequence[tuple[str, int]]) -> Binding:
-  """Return the binding of a quantity outside the model, with one column for each element, by name and column."""
-  components = [
-    Component(field=field, element=name, axis="", row=i, columns=(i,), source=source)
-    for source, (name, i) in enumerate(elements)
-  ]
-  return Binding(tuple(name for name, _ in elements), tuple(components))
+def with_effect(cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, owner: str) -> Elements:
+  """Return the elements of which a change has an effect.
 
-
-def _with_effect(
-  cfg: FieldRandomizer, model: mujoco.MjModel, elements: list[tuple[str, int]], owner: str
-) -> list[tuple[str, int]]:
-  """Return the elements, by name and id, of which a change has an effect; each pattern must match one of them."""
-  simple = {i: body for _, i in elements if (body := simple_body(cfg, model, i)) is not None}
-  reasons = idle_elements(model, cfg.field, [i for _, i in elements if i not in simple])
-  idle = {i: f"{body} {SIMPLE}" for i, body in simple.items()}
-  for name, i in elements:
-    if i in reasons:
-      idle[i] = f"a change of {FIELDS[cfg.field].kind} {name!r} would do nothing, for it {reasons[i]}."
-  for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
-    matched = [i for name, i in elements if re.fullmatch(pattern, name)]
-    if all(i in idle for i in matched):
-      raise UnknownNameError(f"{owner}: {idle[matched[0]]}{_others(matched, pattern)}")
-  if simple:
-    bodies = ", ".join(dict.fromkeys(simple.values()))
-    warnings.warn(f"{owner}: left out, because {bodies} {SIMPLE}", stacklevel=5)
-  return [(name, i) for name, i in elements if i not in idle]
-
-
-SIMPLE = (
-  "was compiled as simple: MuJoCo keeps its inertia matrix diagonal, whatever this field says. Scenes of mjlab compile "
-  'no body so; elsewhere set simple="false" on it before compiling (`MjSpec.body(name).simple = False`).'
-)
-
-
-def simple_body(cfg: FieldRandomizer, model: mujoco.MjModel, i: int) -> str | None:
-  """Return the body of element `i` if it was compiled as simple and the draw would not leave it so; None otherwise.
-
-  The compiler finds bodies whose part of the inertia matrix is diagonal and constant, and both engines store no more
-  than the diagonal of it. It stays diagonal while the centre of mass is the origin of the body, the principal axes are
-  its axes, and its several degrees of freedom act along these and through the origin.
+  Raises:
+    MjlabError: a pattern matches no such element.
   """
-  form = FIELDS[cfg.field].form
-  if cfg.field in ("jnt_pos", "jnt_axis"):
-    body = int(model.jnt_bodyid[i])
-    # The matrix of a single degree of freedom is its diagonal.
-    stays = model.body_dofnum[body] == 1
-  else:
-    body = i
-    # What scales or stretches a body moves no centre of mass that is the origin.
-    drawn = {FIELDS[cfg.field].axes[axis] for axis in cfg.values}
-    stays = cfg.field not in ("body_ipos", "body_iquat") and form != "pseudo_inertia"
-    stays = stays or (form == "pseudo_inertia" and drawn <= {"alpha", "d1", "d2", "d3"})
-  if stays or FIELDS[cfg.field].kind not in ("body", "joint") or not model.body_simple[body]:
-    return None
-  return f"body {element_names(model, 'body')[body]!r}"
+  field, ids = FIELDS[cfg.field], [i for _, i in elements]
+  reasons = idle(model, cfg.field, ids)
+  if field.form != "plain":
+    # The numbers of an element follow from all axes that are drawn.
+    for axis in cfg.values:
+      reasons = idle(model, cfg.field, ids, axis) | reasons
+  for pattern in cfg.patterns:
+    found = [(name, i) for name, i in elements if re.fullmatch(pattern, name)]
+    if all(i in reasons for _, i in found):
+      name, first = found[0]
+      what = f"a change of {field.kind} {name!r} would do nothing, for it {reasons[first]}."
+      raise UnknownNameError(f"{owner}: {what}{_others(found, pattern)}")
+  if simple := [name for name, i in elements if SIMPLE in reasons.get(i, "")]:
+    warnings.warn(f"{owner}: {', '.join(map(repr, simple))} left out: {SIMPLE}", stacklevel=4)
+  return [(name, i) for name, i in elements if i not in reasons]
 
 
-def _single(
-  cfg: FieldRandomizer, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]], owner: str
-) -> list[Component]:
-  """Return a component for every axis of every element that has an effect."""
-  axes, ids = list(cfg.values), [i for _, i in elements]
-  idle = {axis: idle_on_axis(model, cfg.field, ids, axis) for axis in axes}
-  dead = [axis for axis in axes if len(idle[axis]) == len(ids)]
+def idle_numbers(cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, owner: str) -> set[tuple[int, int]]:
+  """Return the numbers of which a change has no effect, by id of the element and axis.
+
+  Raises:
+    MjlabError: a chosen axis, or every axis, has no effect in any element.
+  """
+  field, axes, ids = FIELDS[cfg.field], list(cfg.values), [i for _, i in elements]
+  reasons = {axis: idle(model, cfg.field, ids, axis) for axis in axes}
+  dead = [axis for axis in axes if len(reasons[axis]) == len(ids)]
   if dead and (not cfg.every_axis or len(dead) == len(axes)):
     what = f"{'' if cfg.every_axis else f'{field.axes[dead[0]]} of '}{field.kind} {elements[0][0]!r}"
-    raise MjlabError(f"{owner}: a change of {what} would do nothing, for it {idle[dead[0]][ids[0]]}.")
-  components: list[Component] = []
-  for e, (name, i) in enumerate(elements):
-    at = rows(model, field, i)
-    for j, axis in enumerate(axes):
-      if i not in idle[axis]:
-        where, source = tuple(row * field.width + axis for row in at), e * len(axes) + j
-        components.append(
-          Component(field=cfg.field, element=name, axis=field.axes[axis], row=at[0], columns=where, source=source)
-        )
-  return components
+    raise MjlabError(f"{owner}: a change of {what} would do nothing, for it {reasons[dead[0]][ids[0]]}.")
+  return {(i, axis) for axis in axes for i in reasons[axis]}
 
 
-def _servo(elements: list[tuple[str, int]]) -> list[Component]:
-  """Return gain and feedback of position actuators."""
-  return [
-    Component(field=written, element=element, axis="kp", row=i, columns=(i * FIELDS[written].width + k,), source=e)
-    for written, k in (("actuator_gainprm", 0), ("actuator_biasprm", 1))
+def components_of(
+  cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, idle_numbers: set[tuple[int, int]]
+) -> tuple[Component, ...]:
+  """Return all numbers that a randomiser writes, in the order of its fields; those without effect are left out."""
+  field = FIELDS[cfg.field]
+  # Column in a row, name, and place among the draws of an element, of the numbers that are written in each field.
+  numbers: dict[str, list[tuple[int, str, int | None]]]
+  if field.form == "plain":
+    numbers = {cfg.field: [(axis, field.axes[axis], place) for place, axis in enumerate(cfg.values)]}
+  elif field.form == "servo":
+    numbers = {"actuator_gainprm": [(0, "kp", 0)], "actuator_biasprm": [(1, "kp", 0)]}
+  else:
+    numbers = {
+      name: [(k, axis, None) for k, axis in enumerate(_number_names(name))] for name in written_fields(cfg.field)
+    }
+  return tuple(
+    Component(
+      field=name,
+      element=element,
+      axis=axis,
+      row=at[0],
+      columns=tuple(row * FIELDS[name].width + column for row in at),
+      source=-1 if place is None else e * len(cfg.values) + place,
+    )
+    for name, of_field in numbers.items()
     for e, (element, i) in enumerate(elements)
-  ]
+    for at in [rows(model, field, i)]
+    for column, axis, place in of_field
+    if (i, column) not in idle_numbers
+  )
 
 
-def _whole(name: str, field: Field, model: mujoco.MjModel, elements: list[tuple[str, int]]) -> list[Component]:
-  """Return all components of every element, which are written together."""
-  return [
-    Component(field=written, element=element, axis=axis, row=i, columns=(i * len(axes) + k,), source=-1)
-    for written in field.fields or (name,)
-    for axes in [_COMPONENTS.get(FIELDS[written].form, FIELDS[written].axes)]
-    for element, i in elements
-    for k, axis in enumerate(axes)
-  ]
+def _number_names(name: str) -> tuple[str, ...]:
+  """Return the names of the numbers of one element of a field."""
+  return ("w", "x", "y", "z") if FIELDS[name].form == "rotation" else FIELDS[name].axes
 
 
 def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: str) -> list[Distribution]:
@@ -198,8 +147,6 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
     MjlabError: a name that does not exist, or a number that is no id.
   """
   field = FIELDS[cfg.field]
-  if not field.integer:
-    return list(cfg.values.values())
   known = element_names(model, field.names) if field.names else []
 
   def find(name: str) -> int:
@@ -210,53 +157,50 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
 
   out: list[Distribution] = []
   for distribution in cfg.values.values():
-    assert isinstance(distribution, Categorical)
-    chosen = distribution.named(find)
-    limits = Limits(ge=0, le=len(known) - 1) if field.names else Limits()
-    if any(value != int(value) for value in chosen.values) or limits.problem(chosen.values):
-      raise MjlabError(
-        f"{owner}: {chosen.values} must be whole numbers{f' below {len(known)}' if field.names else ''}."
-      )
-    out.append(chosen)
+    if isinstance(distribution, Categorical) and field.integer:
+      distribution = distribution.named(find)
+      lo, hi = distribution.support()
+      if any(x != int(x) for x in distribution.values) or (field.names and not 0 <= lo <= hi < len(known)):
+        limit = f" below {len(known)}" if field.names else ""
+        raise MjlabError(f"{owner}: {distribution.values} must be whole numbers{limit}.")
+    out.append(distribution)
   return out
 
 
 def result_problems(
-  cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel
+  cfg: FieldRandomizer, components: Sequence[Component], defaults: np.ndarray, model: mujoco.MjModel
 ) -> Iterator[str]:
   """Yield why a possible result is not physical, with the element, the result, and the admissible values.
 
   `defaults` has a row for each world, or one for all, and a number for each component.
   """
   field = FIELDS[cfg.field]
+  drawn = [(c, column) for c, column in zip(components, defaults.T, strict=True) if c.field == cfg.shown_in]
   if cfg.operation == "scale":
-    yield from _zero_multiples(cfg, binding, defaults)
-  if field.form == "direction" and cfg.operation == "absolute":
-    yield from _zero_lengths(cfg, binding, defaults)
+    yield from _zero_multiples(cfg, drawn)
   if field.form in ("plain", "servo") and not field.integer:
-    yield from _unphysical(cfg, binding, defaults, model)
+    yield from _unphysical(cfg, drawn, model)
 
 
-def _unphysical(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, model: mujoco.MjModel) -> Iterator[str]:
+def _unphysical(
+  cfg: FieldRandomizer, drawn: list[tuple[Component, np.ndarray]], model: mujoco.MjModel
+) -> Iterator[str]:
   """Yield results outside of the bounds of their axis, or impossible beside those of other axes."""
   field, distributions = FIELDS[cfg.field], list(cfg.values.values())
-  # Lowest and highest of each axis of each element, drawn or not.
-  spans: dict[str, Spans] = {}
-  for i, component in enumerate(binding.components):
-    if component.field != cfg.shown_in:
-      continue
+  spans: dict[tuple[str, int], Spans] = {}
+  for component, start in drawn:
     minimum, maximum = field.bounds(field.axes.index(component.axis))
     # Worlds without the element have it out of bounds, so that nothing meets it.
-    start = defaults[defaults[:, i] >= minimum, i]
+    start = start[start >= minimum, None]
     if not len(start):
       continue
-    lo, hi = distributions[component.source % len(distributions)].support()
+    results = np.array(distributions[component.source % len(distributions)].support())
     if cfg.operation == "add":
-      lo, hi = start.min() + lo, start.max() + hi
+      results = start + results
     elif cfg.operation == "scale":
-      products = np.outer((start.min(), start.max()), (lo, hi))
-      lo, hi = products.min(), products.max()
-    spans.setdefault(component.element, {})[component.axis] = float(lo), float(hi)
+      results = start * results
+    lo, hi = float(results.min()), float(results.max())
+    spans.setdefault((component.element, component.row), {})[component.axis] = lo, hi
     # A scaled zero stays one, as compiled.
     is_kept = cfg.operation == "scale" and start.min() == 0.0
     what = f"{field.kind} {component.element!r} may get {component.axis or cfg.field}"
@@ -266,11 +210,10 @@ def _unphysical(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray, mo
       yield f"{what} {hi:g}, above the physical maximum {maximum:g}."
   if not (field.ordered or cfg.field in ("body_inertia", "actuator_delay") or "timeconst" in field.axes):
     return
-  row_of = {component.element: component.row for component in binding.components}
-  for element, span in spans.items():
-    compiled = np.asarray(getattr(model, cfg.field)).reshape(-1, field.width)[row_of[element]].tolist()
+  for (element, row), span in spans.items():
+    compiled = getattr(model, cfg.field).reshape(-1, field.width)[row].tolist()
     both = {axis: (x, x) for axis, x in zip(field.axes, compiled, strict=True)} | span
-    for problem in _impossible_together(cfg, both, model, row_of[element]):
+    for problem in _impossible_together(cfg, both, model, row):
       yield f"{field.kind} {element!r} may get {problem}"
 
 
@@ -299,39 +242,20 @@ def _impossible_together(cfg: FieldRandomizer, spans: Spans, model: mujoco.MjMod
       yield f"a delay of {delay:g} s, but its buffer was compiled for {longest:g} s. Raise its nsample."
 
 
-def _zero_multiples(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray) -> Iterator[str]:
+def _zero_multiples(cfg: FieldRandomizer, drawn: list[tuple[Component, np.ndarray]]) -> Iterator[str]:
   """Yield patterns, and axes given by themselves, of which all defaults to be multiplied are zero."""
   field = FIELDS[cfg.field]
-  is_zero = (defaults == 0.0).all(0)
-  drawn = [field.axes[axis] for axis in cfg.values]
-  groups = [drawn] if cfg.every_axis else [[axis] for axis in drawn]
-  for pattern in [cfg.pattern] if isinstance(cfg.pattern, str) else cfg.pattern:
-    matched = [name for name in binding.elements if re.fullmatch(pattern, name)]
-    for axes in groups:
-      zeros = [
-        zero
-        for component, zero in zip(binding.components, is_zero, strict=True)
-        if component.field == cfg.shown_in and component.axis in axes and component.element in matched
-      ]
-      if zeros and all(zeros):
-        which = "" if cfg.every_axis else axes[0]
-        what = f"{which} of {field.kind} {matched[0]!r}".removeprefix(" of ")
-        yield f"a change of {what} would do nothing, for it is zero, as is every multiple.{_others(matched, pattern)}"
+  axes = [field.axes[axis] for axis in cfg.values]
+  for pattern in cfg.patterns:
+    found = [(c, start) for c, start in drawn if re.fullmatch(pattern, c.element)]
+    names = list(dict.fromkeys(c.element for c, _ in found))
+    for group in [axes] if cfg.every_axis else [[axis] for axis in axes]:
+      starts = [start for c, start in found if c.axis in group]
+      if starts and not np.any(starts):
+        which = "" if cfg.every_axis or not group[0] else f"{group[0]} of "
+        what = f"{which}{field.kind} {names[0]!r}"
+        yield f"a change of {what} would do nothing, for it is zero, as is every multiple.{_others(names, pattern)}"
 
 
-def _others(matched: Sequence[object], pattern: str) -> str:
-  return f" Nor would one of the {len(matched) - 1} others that match {pattern!r}." if len(matched) > 1 else ""
-
-
-def _zero_lengths(cfg: FieldRandomizer, binding: Binding, defaults: np.ndarray) -> Iterator[str]:
-  """Yield elements whose direction becomes zero for every draw."""
-  field = FIELDS[cfg.field]
-  is_zero = {field.axes[axis]: not any(values.support()) for axis, values in cfg.values.items()}
-  for name in binding.elements:
-    columns = [i for i, component in enumerate(binding.components) if component.element == name]
-    if all(is_zero.get(binding.components[i].axis, not defaults[:, i].any()) for i in columns):
-      yield f"{field.kind} {name!r} may get {cfg.field} of length zero."
-
-
-Spans = dict[str, tuple[float, float]]
-"""Lowest and highest value by axis."""
+def _others(found: Sequence[object], pattern: str) -> str:
+  return f" Nor would one of the {len(found) - 1} others that match {pattern!r}." if len(found) > 1 else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from operator import attrgetter
 
 import mujoco
 import numpy as np
@@ -46,26 +47,35 @@ _USUAL = {
 """Usual reason why MuJoCo does not read a field, to follow "it"."""
 
 
-def idle_elements(model: mujoco.MjModel, name: str, ids: Sequence[int]) -> dict[int, str]:
-  """Return the elements in which a change of the field `name` has no effect, with the reason to follow "it"."""
-  field = FIELDS[name]
-  found = {i: reason for i in ids if (reason := _element_reason(model, name, i))}
-  if (field.kind in _PROBED and field.in_model and name not in _UNPROBED) or name == "geom_size":
-    axes = range(field.width)
+SIMPLE = (
+  "compiled as simple: MuJoCo keeps its inertia matrix diagonal, whatever this field says. Scenes of mjlab compile no "
+  'body so; elsewhere set simple="false" on it before compiling (`MjSpec.body(name).simple = False`)'
+)
+"""Reason of a body with several degrees of freedom that the compiler found to be independent.
+
+Both engines store no more than the diagonal of its part of the inertia matrix. It stays diagonal while the centre of
+mass is the origin of the body, the principal axes are its axes, and its degrees of freedom act along these and through
+the origin.
+"""
+
+
+def idle(model: mujoco.MjModel, name: str, ids: Sequence[int], axis: int | None = None) -> dict[int, str]:
+  """Return the elements in which a change of a field has no effect, with the reason to follow "it".
+
+  With an `axis`, those among them where a change of this axis has none, though one of others may have.
+  """
+  field, found = FIELDS[name], dict[int, str]()
+  for i in ids:
+    if reason := _element_reason(model, name, i) if axis is None else _axis_reason(model, name, i, axis):
+      found[i] = reason
+  is_probed = field.kind in _PROBED and field.in_model and name not in _UNPROBED
+  if name in _PROBED_AXES or (is_probed and axis is None):
+    axes = range(field.width) if axis is None else (axis,)
     places = {
-      i: [(row, axis) for row in rows(model, field, i) for axis in axes]
+      i: [(row, column) for row in rows(model, field, i) for column in axes]
       for i in ids
-      if i not in found and not any(_axis_reason(model, name, i, axis) for axis in axes)
+      if i not in found and not any(_axis_reason(model, name, i, column) for column in axes)
     }
-    found |= dict.fromkeys(_Probe(model, name).idle(places), _reason(name))
-  return found
-
-
-def idle_on_axis(model: mujoco.MjModel, name: str, ids: Sequence[int], axis: int) -> dict[int, str]:
-  """Return the elements in which a change of one axis of a field has no effect, among those in which others have."""
-  found = {i: reason for i in ids if (reason := _axis_reason(model, name, i, axis))}
-  if name in _PROBED_AXES:
-    places = {i: [(row, axis) for row in rows(model, FIELDS[name], i)] for i in ids if i not in found}
     found |= dict.fromkeys(_Probe(model, name).idle(places), _reason(name))
   return found
 
@@ -77,6 +87,13 @@ def _reason(name: str) -> str:
 def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
   """Return why a change of an element has no effect where a step of MuJoCo cannot tell; "" if there is no reason."""
   field = FIELDS[name]
+  if name in ("body_ipos", "body_iquat") and model.body_simple[i]:
+    return f"was {SIMPLE}"
+  if name in ("jnt_pos", "jnt_axis"):
+    body = int(model.jnt_bodyid[i])
+    # The matrix of a single degree of freedom is its diagonal.
+    if model.body_simple[body] and model.body_dofnum[body] > 1:
+      return f"moves body {model.body(body).name!r}, which was {SIMPLE}"
   if name == "opt.wind" and not (model.opt.density or model.opt.viscosity):
     return "needs a density or a viscosity of the medium"
   if name in ("qpos0", "qpos_spring", "encoder_bias") and model.jnt_type[i] not in _SCALAR_JOINTS:
@@ -105,7 +122,7 @@ def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
   if len(touched) and (model.geom_priority[touched] > model.geom_priority[i]).all():
     return "has a lower priority than all that it can touch"
   if not field.from_zero:
-    value = np.asarray(getattr(model.opt, name[4:]) if field.kind == "option" else getattr(model, name))
+    value = np.atleast_1d(attrgetter(name)(model))
     if not (value if field.kind == "option" else value[list(rows(model, field, i))]).any():
       return "was compiled as zero, and engines leave out what is off"
   return ""
@@ -117,6 +134,9 @@ def _axis_reason(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
     condim = _condim(model, i) if name == "geom_friction" else int(model.pair_dim[i])
     if condim < (needed := _CONDIM[name][axis]):
       return f"needs condim {needed}, which none of its contacts has: it is {condim}"
+  # Factors and stretches leave the centre of mass and the principal axes as they are.
+  if name == "pseudo_inertia" and axis > 3 and model.body_simple[i]:
+    return f"was {SIMPLE}"
   if name == "mat_texid" and model.mat_texid[i, axis] < 0:
     return "was compiled without a texture for it"
   if (name, axis) in _MOTOR_STATES and model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_DCMOTOR):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypedDict, Unpack, get_args
 
 from mjlab_core import ConfigError, MjlabError, check_name, unknown
 
-from mjlab_dr.catalogue import FIELDS, needs_constants
+from mjlab_dr.catalogue import FIELDS, written_fields
 from mjlab_dr.distributions import (
   Categorical,
   Distribution,
@@ -122,9 +122,14 @@ class FieldRandomizer:
     return f"{self.field} {self.pattern!r}"
 
   @property
+  def patterns(self) -> tuple[str, ...]:
+    """All patterns."""
+    return (self.pattern,) if isinstance(self.pattern, str) else self.pattern
+
+  @property
   def shown_in(self) -> str:
     """Field in which a draw can be read as it was made."""
-    return (FIELDS[self.field].fields or (self.field,))[0]
+    return written_fields(self.field)[0]
 
   @property
   def composes(self) -> bool:
@@ -138,11 +143,6 @@ class FieldRandomizer:
     return bounds <= {-math.inf, math.inf, *((0.0,) if self.operation == "scale" else ())} and (
       self.operation != "absolute"
     )
-
-  @property
-  def needs_constants(self) -> bool:
-    """True if derived fields must be recomputed after it was applied."""
-    return needs_constants(self.field)
 
 
 def randomize_field(
@@ -185,9 +185,9 @@ def randomize_field(
     axes = (axes,) if isinstance(axes, int | str) else axes
     pairs = [(axis, values) for axis in (range(len(names)) if axes is None else axes)]
   by_axis: dict[int, Distribution] = {}
-  for given, value in pairs:
-    axis = _axis(given, names, label)
-    by_axis[axis] = as_distribution(value, _BY_NAME[distribution])
+  for axis, value in pairs:
+    number = axis if isinstance(axis, int) else names.index(check_name("axis", axis, names, label))
+    by_axis[number] = as_distribution(value, _BY_NAME[distribution])
   return FieldRandomizer(
     field=field,
     pattern=pattern,
@@ -199,10 +199,13 @@ def randomize_field(
   )
 
 
-def _axis(axis: int | str, names: tuple[str, ...], label: str) -> int:
-  if isinstance(axis, int):
-    return axis
-  return names.index(check_name("axis", axis, names, label))
+class DrawOptions(TypedDict, total=False):
+  """Options of `randomize_field` that its shorthands take too."""
+
+  operation: Operation | None
+  distribution: DistributionName
+  shared: bool
+  isotropic: bool
 
 
 def geom_friction(
@@ -210,9 +213,7 @@ def geom_friction(
   values: Values | ByAxis,
   *,
   axes: int | str | Sequence[int | str] | None = None,
-  operation: Operation = "absolute",
-  distribution: DistributionName = "uniform",
-  shared: bool = False,
+  **options: Unpack[DrawOptions],
 ) -> FieldRandomizer:
   """Return a randomiser of the friction of geoms: sliding [1] by default, or also torsional and rolling [m].
 
@@ -220,35 +221,22 @@ def geom_friction(
   """
   if axes is None and not isinstance(values, Mapping):
     axes = (0,)
-  return randomize_field(
-    "geom_friction", pattern, values, axes=axes, operation=operation, distribution=distribution, shared=shared
-  )
+  return randomize_field("geom_friction", pattern, values, axes=axes, **options)
 
 
-def body_mass(
-  pattern: str | Sequence[str],
-  values: Values,
-  *,
-  operation: Operation = "absolute",
-  distribution: DistributionName = "uniform",
-  shared: bool = False,
-) -> FieldRandomizer:
-  """Return a randomiser of the mass of bodies [kg]; inertia stays, which `pseudo_inertia` changes along."""
-  return randomize_field("body_mass", pattern, values, operation=operation, distribution=distribution, shared=shared)
+def body_mass(pattern: str | Sequence[str], values: Values, **options: Unpack[DrawOptions]) -> FieldRandomizer:
+  """Return a randomiser of the mass of bodies [kg]. Inertia stays; `pseudo_inertia` changes both."""
+  return randomize_field("body_mass", pattern, values, **options)
 
 
 def body_com_offset(
-  pattern: str | Sequence[str],
-  values: Values | ByAxis,
-  *,
-  distribution: DistributionName = "uniform",
-  shared: bool = False,
+  pattern: str | Sequence[str], values: Values | ByAxis, **options: Unpack[DrawOptions]
 ) -> FieldRandomizer:
   """Return a randomiser that shifts the centre of mass of bodies in the body frame, axes x, y, z [m].
 
   Mass, and inertia about the centre of mass, stay as they are.
   """
-  return randomize_field("body_ipos", pattern, values, distribution=distribution, shared=shared)
+  return randomize_field("body_ipos", pattern, values, **options)
 
 
 def pseudo_inertia(
@@ -259,8 +247,7 @@ def pseudo_inertia(
   d: Values | None = None,
   s: Values | None = None,
   t: Values | None = None,
-  distribution: DistributionName = "uniform",
-  shared: bool = False,
+  **options: Unpack[DrawOptions],
 ) -> FieldRandomizer:
   """Return a randomiser of mass, centre of mass and inertia of bodies, always physical; see `perturb_inertia`.
 
@@ -271,25 +258,17 @@ def pseudo_inertia(
     d: stretch of each body axis by e^d, about the body's origin.
     s: shear of each plane.
     t: shift of the centre of mass along each body axis [m].
-    distribution: how pairs are read.
-    shared: one draw for all bodies of a world.
+    options: `distribution`, as pairs are read, and `shared`, True for one draw for all bodies of a world.
 
   Raises:
     MjlabError: nothing is given, or an impossible range.
   """
   around = None if scale is None else Uniform(-scale, scale)
   groups = {"alpha": alpha or around, "d": d or around, "s": s or around, "t": t}
-  numbers = {"alpha": ("",), "d": ("1", "2", "3"), "s": ("12", "13", "23"), "t": ("1", "2", "3")}
-  values = {name + i: value for name, value in groups.items() if value is not None for i in numbers[name]}
-  return randomize_field("pseudo_inertia", pattern, values, distribution=distribution, shared=shared)
+  values = {axis: value for axis in FIELDS["pseudo_inertia"].axes if (value := groups[axis.rstrip("123")]) is not None}
+  return randomize_field("pseudo_inertia", pattern, values, **options)
 
 
-def encoder_bias(
-  pattern: str | Sequence[str],
-  values: Values,
-  *,
-  distribution: DistributionName = "uniform",
-  shared: bool = False,
-) -> FieldRandomizer:
+def encoder_bias(pattern: str | Sequence[str], values: Values, **options: Unpack[DrawOptions]) -> FieldRandomizer:
   """Return a randomiser of the encoder error of joints with one coordinate, reading minus truth [rad or m]."""
-  return randomize_field("encoder_bias", pattern, values, distribution=distribution, shared=shared)
+  return randomize_field("encoder_bias", pattern, values, **options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from types import MappingProxyType, SimpleNamespace
 from typing import overload
 
@@ -14,7 +15,6 @@ import torch
 from mjlab_core import MjlabError, PositiveCount, check_name, check_value, draw_seed, make_generator
 from mjlab_core.model_fields import followers
 from mjlab_core.tables import table
-from numpy.typing import NDArray
 from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField, apply_all
@@ -39,69 +39,6 @@ class Change:
   """Value that was drawn."""
 
 
-class Randomization:
-  """Randomised state of one plain model, with its defaults."""
-
-  def __init__(self, model: mujoco.MjModel, randomizers: Sequence[FieldRandomizer], seed: int) -> None:
-    self.model, self.seed = model, seed
-    """The model that is written, and the seed last used."""
-    self._fields = _BatchedFields(copy.copy(model), 1, torch.device("cpu"), torch.float64)
-    self._generator = make_generator("cpu", seed)
-    self._terms = _bind(randomizers, self._fields, self._generator)
-    # MuJoCo derives this number at compile time only, unless the author gave it.
-    mean = model.dof_M0.mean() if model.nv else model.stat.meaninertia
-    self._follow_inertia = bool(np.isclose(model.stat.meaninertia, mean, rtol=1e-9))
-    self.resample(seed)
-
-  def resample(self, seed: int | None = None) -> None:
-    """Draw everything again from the defaults: from a seed, or from the running stream of random numbers."""
-    if seed is not None:
-      self.seed = seed
-      self._generator.manual_seed(seed)
-    apply_all(self._terms, self._fields, torch.ones(1, dtype=torch.bool))
-    self._write({name: tensor[0].numpy() for name, tensor in vars(self._fields.model).items()})
-
-  def restore(self) -> None:
-    """Restore the compiled values of the model."""
-    self._write({name: self._fields.default_field(name)[0].numpy() for name in vars(self._fields.model)})
-
-  def values(self, field: str) -> NDArray[np.float64]:
-    """Return a randomised field as last drawn, all elements, also one that MjModel does not have."""
-    return getattr(self._fields.model, field)[0].numpy().copy()
-
-  def written(self) -> dict[tuple[str, int], str]:
-    """Return the element of every randomised number, by field and place in the flat array."""
-    return {key: element for term in self._terms for key, element in term.written().items()}
-
-  def changes(self) -> list[Change]:
-    """Return all numbers that were written, each once, in the order of the randomisers."""
-    out: list[Change] = []
-    seen: set[tuple[str, tuple[int, ...]]] = set()
-    for term in self._terms:
-      after, before = term.values()[0].tolist(), term.default[0].tolist()
-      for component, old, new in zip(term.components, before, after, strict=True):
-        if (component.field, component.columns) in seen:
-          continue
-        seen.add((component.field, component.columns))
-        where = {"field": component.field, "element": component.element, "axis": component.axis}
-        out.append(Change(**where, before=float(old), after=float(new)))
-    return out
-
-  def report(self) -> str:
-    """Return a table of the changes, with values before and after."""
-    rows = [(c.field, c.element, c.axis, f"{c.before:.6g}", f"{c.after:.6g}") for c in self.changes()]
-    return table(("field", "element", "axis", "before", "after"), rows)
-
-  def _write(self, fields: dict[str, np.ndarray]) -> None:
-    for name, value in fields.items():
-      if name in self._fields.written:
-        _put(self.model, name, value)
-    if any(term.needs_constants for term in self._terms):
-      mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
-      if self._follow_inertia and self.model.nv:
-        self.model.stat.meaninertia = self.model.dof_M0.mean()
-
-
 class RandomizedTensors(dict[str, Tensor]):
   """Randomised and derived fields of many worlds by their MjModel name, (num_worlds, ...), in fixed memory."""
 
@@ -117,6 +54,54 @@ class RandomizedTensors(dict[str, Tensor]):
       self._generator.manual_seed(seed)
     everyone = torch.ones(self._fields.num_envs, dtype=torch.bool, device=self._fields.device)
     apply_all(self._terms, self._fields, everyone if mask is None else mask)
+
+
+class Randomization:
+  """Randomised state of one plain model, with its defaults."""
+
+  def __init__(self, model: mujoco.MjModel, randomizers: Sequence[FieldRandomizer], seed: int) -> None:
+    self.model, self.seed = model, seed
+    """The model that is written, and the seed last used."""
+    self._fields = _BatchedFields(copy.copy(model), 1, torch.device("cpu"), torch.float64)
+    self._tensors = RandomizedTensors(randomizers, self._fields, seed)
+    self._terms = self._tensors._terms
+    # MuJoCo derives this number at compile time only, unless the author gave it.
+    mean = model.dof_M0.mean() if model.nv else model.stat.meaninertia
+    self._follow_inertia = bool(np.isclose(model.stat.meaninertia, mean, rtol=1e-9))
+    self._write(self._tensors)
+
+  def resample(self, seed: int | None = None) -> None:
+    """Draw everything again from the defaults: from a seed, or from the running stream of random numbers."""
+    self.seed = self.seed if seed is None else seed
+    self._tensors.resample(seed=seed)
+    self._write(self._tensors)
+
+  def restore(self) -> None:
+    """Restore the compiled values of the model."""
+    self._write({name: self._fields.default_field(name) for name in self._fields.written})
+
+  def changes(self) -> list[Change]:
+    """Return all numbers that were written, each once, in the order of the randomisers."""
+    found: dict[tuple[str, tuple[int, ...]], Change] = {}
+    for term in self._terms:
+      after, before = term.values()[0].tolist(), term.default[0].tolist()
+      for c, old, new in zip(term.components, before, after, strict=True):
+        change = Change(field=c.field, element=c.element, axis=c.axis, before=float(old), after=float(new))
+        found.setdefault((c.field, c.columns), change)
+    return list(found.values())
+
+  def report(self) -> str:
+    """Return a table of the changes, with values before and after."""
+    rows = [(c.field, c.element, c.axis, f"{c.before:.6g}", f"{c.after:.6g}") for c in self.changes()]
+    return table(("field", "element", "axis", "before", "after"), rows)
+
+  def _write(self, tensors: Mapping[str, Tensor]) -> None:
+    for name in self._fields.written:
+      _put(self.model, name, tensors[name][0].numpy())
+    if any(term.needs_constants for term in self._terms):
+      mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+      if self._follow_inertia and self.model.nv:
+        self.model.stat.meaninertia = self.model.dof_M0.mean()
 
 
 @overload
@@ -198,13 +183,9 @@ def _bind(
   terms: list[RandomizeField] = []
   writer: dict[tuple[str, int], FieldRandomizer] = {}
   for cfg in randomizers:
-    target = None
     if FIELDS[cfg.field].kind == "target":
       raise MjlabError(f"{cfg.label}: it belongs to actuator models, which a model alone does not have.")
-    if not FIELDS[cfg.field].in_model:
-      fields.expand_model_fields((cfg.field,))
-      target = getattr(fields.model, cfg.field)
-    term = RandomizeField(cfg, fields, generator=generator, target=target, upon=writer)
+    term = RandomizeField(cfg, fields, generator=generator, upon=writer)
     for key, element in term.written().items():
       if key in writer and not cfg.composes:
         kind = FIELDS[cfg.field].kind
@@ -217,17 +198,9 @@ def _bind(
   return terms
 
 
-def _get(model: mujoco.MjModel, name: str) -> np.ndarray:
-  return np.asarray(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name))
-
-
 def _put(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
-  if not name.startswith("opt."):
-    getattr(model, name)[:] = value
-  elif value.ndim:
-    getattr(model.opt, name[4:])[:] = value
-  else:
-    setattr(model.opt, name[4:], float(value))
+  owner, _, attribute = name.rpartition(".")
+  setattr(model.opt if owner else model, attribute, value)
 
 
 class _BatchedFields:
@@ -251,13 +224,13 @@ class _BatchedFields:
     """Return the compiled value, (1, ...); zero for a field that MjModel does not have."""
     if name in FIELDS and not FIELDS[name].in_model:
       return torch.zeros(1, count(self.mj_model, FIELDS[name].kind), device=self.device, dtype=self.dtype)
-    value = torch.tensor(_get(self.mj_model, name), device=self.device)
+    value = torch.tensor(np.asarray(attrgetter(name)(self.mj_model)), device=self.device)
     return (value.to(self.dtype) if value.is_floating_point() else value).unsqueeze(0)
 
   def expand_model_fields(self, names: Iterable[str]) -> None:
     """Give these fields, and those that derive from them, one value per world."""
     for name in names:
-      if name not in FIELDS or FIELDS[name].in_model:
+      if FIELDS[name].in_model:
         self.written[name] = None
       for field in (name, *followers(name)):
         default = self.default_field(field)

@@ -66,7 +66,7 @@ class randomize(ManagerTermBase):
       for (name, element), description in self.field.claims.items()
     }
     """Descriptions of the numbers that it writes; the event manager refuses a second writer."""
-    self.needs_constants = randomizer.needs_constants
+    self.needs_constants = self.field.needs_constants
 
   @property
   def strength(self) -> torch.Tensor:
