@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 from mjlab_core import make_generator, matrix_from_quat, normalize, quat_error_magnitude
-from mjlab_dr import inertia_perturbation, perturb_inertia, pseudo_inertia, pseudo_inertia_matrix, randomize
+from mjlab_dr import inertia_perturbation, perturb_inertia, pseudo_inertia, randomize
+from mjlab_dr.inertia import second_moments
 from torch import Tensor
 
 torch.set_num_threads(1)
@@ -53,6 +54,13 @@ def upper(p: Tensor) -> Tensor:
   one, zero = torch.ones_like(alpha), torch.zeros_like(alpha)
   rows = [d1.exp(), s12, s13, t1, zero, d2.exp(), s23, t2, zero, zero, d3.exp(), t3, zero, zero, zero, one]
   return alpha.exp()[:, None, None] * torch.stack(rows, -1).unflatten(-1, (4, 4))
+
+
+def pseudo_inertia_matrix(mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor) -> Tensor:
+  """J of inertial parameters, (..., 4, 4), in float64: positive definite if and only if they are physical."""
+  m, c = mass.double()[..., None, None], com.double().unsqueeze(-1)
+  top = torch.cat((second_moments(inertia, quat) + m * c @ c.mT, m * c), -1)
+  return torch.cat((top, torch.cat((m * c.mT, m), -1)), -2)
 
 
 def tensor(inertia: Tensor, quat: Tensor) -> Tensor:

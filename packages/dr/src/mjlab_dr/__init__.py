@@ -10,12 +10,10 @@ from mjlab_dr.distributions import (
   Gaussian,
   LogUniform,
   Uniform,
-  as_distribution,
-  check_distribution,
 )
 from mjlab_dr.draws import agreement, drawn_values
 from mjlab_dr.fields import Field, Operation, element_names
-from mjlab_dr.inertia import inertia_perturbation, perturb_inertia, pseudo_inertia_matrix
+from mjlab_dr.inertia import inertia_perturbation, perturb_inertia
 from mjlab_dr.randomizers import (
   FieldRandomizer,
   body_com_offset,
@@ -47,10 +45,8 @@ __all__ = [
   "Uniform",
   "agreement",
   "apply_all",
-  "as_distribution",
   "body_com_offset",
   "body_mass",
-  "check_distribution",
   "drawn_values",
   "element_names",
   "encoder_bias",
@@ -60,7 +56,6 @@ __all__ = [
   "needs_constants",
   "perturb_inertia",
   "pseudo_inertia",
-  "pseudo_inertia_matrix",
   "randomize",
   "randomize_field",
 ]

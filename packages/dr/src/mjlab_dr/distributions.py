@@ -47,27 +47,10 @@ class Distribution(Protocol):
     """Return the smallest and largest value that may be drawn."""
     ...
 
-  def sample(
-    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
-  ) -> Tensor:
-    """Return independent draws of this shape, without a host sync, from the same amount of randomness every time."""
+  @property
+  def sample(self) -> SampleFunction:
+    """Method that draws."""
     ...
-
-
-@dataclass(frozen=True)
-class _Parametric:
-  """A dataclass of numbers whose draw is a function of them in their order."""
-
-  _draw: ClassVar[Callable[..., Tensor]]
-
-  def parameters(self) -> tuple[float, ...]:
-    return tuple(getattr(self, f.name) for f in fields(self))
-
-  def sample(
-    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
-  ) -> Tensor:
-    """Return independent draws of this shape."""
-    return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
 
 
 @dataclass(frozen=True)
@@ -86,7 +69,23 @@ class _Bounded:
 
 
 @dataclass(frozen=True)
-class Uniform(_Parametric, _Bounded):
+class _Parametric(_Bounded):
+  """A distribution of numbers whose draw is a function of them in their order."""
+
+  _draw: ClassVar[Callable[..., Tensor]]
+
+  def parameters(self) -> tuple[float, ...]:
+    return tuple(getattr(self, f.name) for f in fields(self))
+
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """Return independent draws of this shape."""
+    return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
+
+
+@dataclass(frozen=True)
+class Uniform(_Parametric):
   """Every value of [lo, hi] equally likely."""
 
   lo: Finite
@@ -95,7 +94,7 @@ class Uniform(_Parametric, _Bounded):
 
 
 @dataclass(frozen=True)
-class LogUniform(_Parametric, _Bounded):
+class LogUniform(_Parametric):
   """Every ratio within [lo, hi] equally likely; for quantities that range over orders of magnitude."""
 
   lo: Positive
@@ -104,7 +103,7 @@ class LogUniform(_Parametric, _Bounded):
 
 
 @dataclass(frozen=True)
-class Gaussian(_Parametric, _Bounded):
+class Gaussian(_Parametric):
   """Normal with this mean and standard deviation, conditioned on [lo, hi]."""
 
   mean: Finite

@@ -94,7 +94,7 @@ def inertia_perturbation(
 
   The inverse of `perturb_inertia`. NaN unless both have mass and volume: for a planar body there is no one answer.
   """
-  before, after = _second_moments(inertia, quat), _second_moments(to_inertia, to_quat)
+  before, after = second_moments(inertia, quat), second_moments(to_inertia, to_quat)
   ratio = to_mass.double() / mass.double()
   # A S A^T = S' / e^(2 alpha), with upper triangular factors on both sides.
   a = torch.linalg.solve_triangular(
@@ -103,13 +103,6 @@ def inertia_perturbation(
   moved = to_com.double() - (a @ com.double().unsqueeze(-1)).squeeze(-1)
   shear = torch.stack([a[..., i, j] for i, j in _UPPER], -1)
   return torch.cat((0.5 * ratio.log().unsqueeze(-1), a.diagonal(dim1=-2, dim2=-1).log(), shear, moved), -1)
-
-
-def pseudo_inertia_matrix(mass: Tensor, com: Tensor, inertia: Tensor, quat: Tensor) -> Tensor:
-  """Return J of inertial parameters, (..., 4, 4), in float64: positive definite if and only if they are physical."""
-  m, c = mass.double()[..., None, None], com.double().unsqueeze(-1)
-  top = torch.cat((_second_moments(inertia, quat) + m * c @ c.mT, m * c), -1)
-  return torch.cat((top, torch.cat((m * c.mT, m), -1)), -2)
 
 
 def _has_kernel(device: torch.device) -> bool:
@@ -126,7 +119,7 @@ def rounded_moments(inertia: Tensor) -> Tensor:
   return rounded.minimum(torch.where(limit > others, limit.nextafter(torch.zeros_like(limit)), limit))
 
 
-def _second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
+def second_moments(inertia: Tensor, quat: Tensor) -> Tensor:
   """Return tr(I)/2 - I about the centre of mass in the body frame, (..., 3, 3)."""
   inertia, axes = inertia.double(), matrix_from_quat(quat.double())
   return (axes * (0.5 * inertia.sum(-1, keepdim=True) - inertia).unsqueeze(-2)) @ axes.mT

@@ -13,9 +13,8 @@ from torch import Tensor
 def diagonalize(matrix: wp.mat33d, sweeps: int):
   """Run `mjlab_dr.inertia.diagonalize` on one matrix."""
   m = wp.mat33d(matrix)
-  q = wp.vec4d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
+  turn = wp.quat_identity(dtype=wp.float64)
   one = wp.float64(1.0)
-  two = wp.float64(2.0)
   half = wp.float64(0.5)
   for _sweep in range(sweeps):
     for back in range(3):
@@ -23,36 +22,26 @@ def diagonalize(matrix: wp.mat33d, sweeps: int):
       i = (axis + 1) % 3
       j = (axis + 2) % 3
       gap = m[i, i] - m[j, j]
-      entry = m[i, j]
-      length = wp.sqrt(gap * gap + two * two * entry * entry)
+      twice = m[i, j] + m[i, j]
+      length = wp.sqrt(gap * gap + twice * twice)
       reach = gap + wp.where(gap < wp.float64(0.0), -length, length)
       tangent = wp.float64(0.0)
       if reach != wp.float64(0.0):
-        tangent = two * entry / reach
+        tangent = twice / reach
       cosine = one / wp.sqrt(tangent * tangent + one)
       sine = tangent * cosine
-      m[i, i] = m[i, i] + tangent * entry
-      m[j, j] = m[j, j] - tangent * entry
-      # The entries of the axis' row, each a mixture of both.
-      first = cosine * m[axis, i] + sine * m[axis, j]
-      second = cosine * m[axis, j] - sine * m[axis, i]
-      m[axis, i] = first
-      m[i, axis] = first
-      m[axis, j] = second
-      m[j, axis] = second
-      m[i, j] = wp.float64(0.0)
-      m[j, i] = wp.float64(0.0)
+      # Cosine and sine of half the angle.
       c = wp.sqrt(half + half * cosine)
-      s = half * sine / c
-      w = q[0]
-      a = q[1 + axis]
-      q[0] = w * c - a * s
-      q[1 + axis] = a * c + w * s
-      b = q[1 + i]
-      d = q[1 + j]
-      q[1 + i] = b * c + d * s
-      q[1 + j] = d * c - b * s
-  return wp.get_diag(m), q
+      rotation = wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), c)
+      rotation[axis] = half * sine / c
+      turn = turn * rotation
+      r = wp.identity(n=3, dtype=wp.float64)
+      r[i, i] = cosine
+      r[j, j] = cosine
+      r[i, j] = -sine
+      r[j, i] = sine
+      m = wp.transpose(r) * m * r
+  return wp.get_diag(m), turn
 
 
 @wp.func
@@ -97,6 +86,7 @@ def kernel(real: type) -> wp.Kernel:
     w = wp.float64(quat[i, j, 0])
     v = vector(quat, i, j, 1)
     cross = wp.skew(v)
+    # As `matrix_from_quat`, also where rounding to float32 has changed the length.
     axes = unit + two * (w * cross + cross * cross)
     given = vector(inertia, i, j, 0)
     half_trace = (given[0] + given[1] + given[2]) / two
@@ -110,15 +100,13 @@ def kernel(real: type) -> wp.Kernel:
     if is_scaled:
       result = gain * given
 
-    u = wp.vec3d(turn[1], turn[2], turn[3])
-    w_out = w * turn[0] - wp.dot(v, u)
-    v_out = w * u + turn[0] * v + wp.cross(v, u)
+    turned = wp.quatd(v[0], v[1], v[2], w) * turn
     mass_out[i, j] = real(gain * wp.float64(mass[i, j]))
-    quat_out[i, j, 0] = real(w_out)
+    quat_out[i, j, 0] = real(turned[3])
     for k in range(3):
       com_out[i, j, k] = real(moved[k])
       inertia_out[i, j, k] = real(result[k])
-      quat_out[i, j, 1 + k] = real(v_out[k])
+      quat_out[i, j, 1 + k] = real(turned[k])
     if wp.static(real == wp.float32) and not (is_scaled and gain == one):
       # As in `rounded_moments`.
       stored = vector(inertia_out, i, j, 0)
