@@ -18,12 +18,12 @@ _TEXTURES = ("user", "rgb", "occlusion", "roughness", "metallic", "normal", "opa
 
 def _solref(kind: Kind, **more) -> Field:
   note = "both positive, or both negative: then -stiffness and -damping"
-  return Field(kind=kind, axes=("timeconst", "dampratio"), unit="s, 1", note=note, **more)
+  return Field(kind, axes=("timeconst", "dampratio"), unit="s, 1", note=note, **more)
 
 
 def _solimp(kind: Kind, **more) -> Field:
   return Field(
-    kind=kind,
+    kind,
     axes=("dmin", "dmax", "width", "midpoint", "power"),
     unit="1, 1, m or rad, 1, 1",
     minimum=(0.0001, 0.0001, 0.0, 0.0001, 1.0),
@@ -33,64 +33,64 @@ def _solimp(kind: Kind, **more) -> Field:
 
 
 def _at_least_zero(kind: Kind, unit: str, **more) -> Field:
-  return Field(kind=kind, unit=unit, minimum=(0.0,), **more)
+  return Field(kind, unit, minimum=(0.0,), **more)
 
 
 def _share(kind: Kind, axes: tuple[str, ...] = ("",), **more) -> Field:
-  return Field(kind=kind, axes=axes, minimum=(0.0,), maximum=(1.0,), **more)
+  return Field(kind, axes=axes, minimum=(0.0,), maximum=(1.0,), **more)
 
 
 def _position(kind: Kind, **more) -> Field:
-  return Field(kind=kind, axes=_XYZ, unit="m", operation="add", **more)
+  return Field(kind, axes=_XYZ, unit="m", operation="add", **more)
 
 
 def _rotation(kind: Kind, **more) -> Field:
-  return Field(kind=kind, axes=_ANGLES, unit="rad", form="rotation", operation="add", **more)
+  return Field(kind, axes=_ANGLES, unit="rad", form="rotation", operation="add", **more)
 
 
 def _range(kind: Kind, unit: str, **more) -> Field:
-  return Field(kind=kind, axes=("lower", "upper"), unit=unit, ordered=True, **more)
+  return Field(kind, axes=("lower", "upper"), unit=unit, ordered=True, **more)
 
 
 def _choice(kind: Kind, axes: tuple[str, ...] = ("",), **more) -> Field:
-  return Field(kind=kind, axes=axes, integer=True, **more)
+  return Field(kind, axes=axes, integer=True, **more)
+
+
+def _flag(kind: Kind) -> Field:
+  return _choice(kind, minimum=(0.0,), maximum=(1.0,))
 
 
 def _parameter(unit: str, **more) -> Field:
-  return Field(kind="target", unit=unit, minimum=(0.0,), operation="scale", in_model=False, **more)
+  return Field("target", unit, minimum=(0.0,), operation="scale", in_model=False, **more)
 
 
 FIELDS: dict[str, Field] = {
   # Options
-  "opt.timestep": Field(
-    kind="option", unit="s", minimum=(0.0,), positive=True, note="environments go on counting in the compiled one"
-  ),
-  "opt.gravity": Field(kind="option", axes=_XYZ, unit="m/s^2", note="world frame"),
-  "opt.wind": Field(kind="option", axes=_XYZ, unit="m/s", note="world frame; needs a density or viscosity"),
+  "opt.timestep": _at_least_zero("option", "s", positive=True, note="environments go on counting in the compiled one"),
+  "opt.gravity": Field("option", "m/s^2", axes=_XYZ, note="world frame"),
+  "opt.wind": Field("option", "m/s", axes=_XYZ, note="world frame; needs a density or viscosity"),
   "opt.density": _at_least_zero("option", "kg/m^3", from_zero=False),
   "opt.viscosity": _at_least_zero("option", "Pa s", from_zero=False),
-  "opt.magnetic": Field(kind="option", axes=_XYZ, unit="T", note="world frame; what magnetometers see"),
+  "opt.magnetic": Field("option", "T", axes=_XYZ, note="world frame; what magnetometers see"),
   # Bodies
-  "body_mass": Field(
-    kind="body",
-    unit="kg",
-    minimum=(0.0,),
+  "body_mass": _at_least_zero(
+    "body",
+    "kg",
     positive=True,
     note="inertia stays as it is; `pseudo_inertia` changes both as one",
   ),
-  "body_inertia": Field(
-    kind="body",
+  "body_inertia": _at_least_zero(
+    "body",
+    "kg m^2",
     axes=("I1", "I2", "I3"),
-    unit="kg m^2",
-    minimum=(0.0,),
     note="principal moments, none above the sum of the other two",
   ),
   "body_ipos": _position("body", note="centre of mass in the body frame; not of simple bodies"),
   "body_iquat": _rotation("body", note="principal axes of inertia; not of simple bodies"),
   "pseudo_inertia": Field(
-    kind="body",
+    "body",
+    "1, 1, 1, 1, 1, 1, 1, m, m, m",
     axes=("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3"),
-    unit="1, 1, 1, 1, 1, 1, 1, m, m, m",
     form="pseudo_inertia",
     operation="add",
     fields=("body_mass", "body_ipos", "body_inertia", "body_iquat"),
@@ -98,26 +98,26 @@ FIELDS: dict[str, Field] = {
   ),
   "body_pos": _position("body", note="of bodies whose pose is no state"),
   "body_quat": _rotation("body", note="of bodies whose pose is no state"),
-  "body_gravcomp": Field(kind="body", from_zero=False, note="1 makes it float"),
+  "body_gravcomp": Field("body", from_zero=False, note="1 makes it float"),
   # Joints
   "qpos0": Field(
-    kind="joint",
-    unit="rad or m",
+    "joint",
+    "rad or m",
     at="qpos",
     operation="add",
     moves_with="qpos_spring",
     note="what the joint reads where the model was drawn, joints of one coordinate; its spring moves along",
   ),
   "qpos_spring": Field(
-    kind="joint",
-    unit="rad or m",
+    "joint",
+    "rad or m",
     at="qpos",
     operation="add",
     note="where the spring is at rest, joints of one coordinate",
   ),
   "jnt_pos": _position("joint", note="anchor in the body frame; not of simple bodies with several degrees of freedom"),
   "jnt_axis": Field(
-    kind="joint",
+    "joint",
     axes=_XYZ,
     form="direction",
     operation="add",
@@ -128,26 +128,27 @@ FIELDS: dict[str, Field] = {
   "jnt_solref": _solref("joint"),
   "jnt_solimp": _solimp("joint"),
   "jnt_stiffness": _at_least_zero("joint", "N m/rad or N/m"),
-  "jnt_stiffnesspoly": Field(kind="joint", axes=_POLY, unit="N m/rad^2 or N/m^2, N m/rad^3 or N/m^3"),
+  "jnt_stiffnesspoly": Field(
+    "joint",
+    "N m/rad^2 or N/m^2, N m/rad^3 or N/m^3",
+    axes=_POLY,
+  ),
   "jnt_springyield": _at_least_zero("joint", "N m or N", from_zero=False),
   "jnt_actfrcrange": _range("joint", "N m or N", note="of all actuators of a joint together"),
   "dof_damping": _at_least_zero("joint", "N m s/rad or N s/m", at="dof"),
-  "dof_dampingpoly": Field(
-    kind="joint", axes=_POLY, unit="N m s^2/rad^2 or N s^2/m^2, N m s^3/rad^3 or N s^3/m^3", at="dof"
-  ),
+  "dof_dampingpoly": Field("joint", "N m s^2/rad^2 or N s^2/m^2, N m s^3/rad^3 or N s^3/m^3", axes=_POLY, at="dof"),
   "dof_armature": _at_least_zero("joint", "kg m^2 or kg", at="dof"),
   "dof_frictionloss": _at_least_zero("joint", "N m or N", at="dof"),
   "dof_solref": _solref("joint", at="dof"),
   "dof_solimp": _solimp("joint", at="dof"),
   # Geoms
-  "geom_friction": Field(
-    kind="geom", axes=("sliding", "torsional", "rolling"), unit="1, m, m", minimum=(0.0,), note="see `geom_friction`"
+  "geom_friction": _at_least_zero(
+    "geom", "1, m, m", axes=("sliding", "torsional", "rolling"), note="see `geom_friction`"
   ),
-  "geom_size": Field(
-    kind="geom",
+  "geom_size": _at_least_zero(
+    "geom",
+    "m",
     axes=("size1", "size2", "size3"),
-    unit="m",
-    minimum=(0.0,),
     positive=True,
     operation="scale",
     note="spheres 1, capsules and cylinders 2, boxes and ellipsoids 3; mass and inertia stay",
@@ -159,9 +160,7 @@ FIELDS: dict[str, Field] = {
   "geom_solmix": _at_least_zero("geom", "1"),
   "geom_margin": _at_least_zero("geom", "m"),
   "geom_gap": _at_least_zero("geom", "m"),
-  "geom_surfacevel": Field(
-    kind="geom", axes=(*_XYZ, *_ANGLES), unit="m/s, m/s, m/s, rad/s, rad/s, rad/s", from_zero=False
-  ),
+  "geom_surfacevel": Field("geom", "m/s, m/s, m/s, rad/s, rad/s, rad/s", axes=(*_XYZ, *_ANGLES), from_zero=False),
   "geom_adhesion": _at_least_zero("geom", "N", from_zero=False),
   "geom_rgba": _share("geom", _RGBA, note="takes the place of a material's colour"),
   "geom_matid": _choice("geom", names="material"),
@@ -170,13 +169,11 @@ FIELDS: dict[str, Field] = {
   "site_quat": _rotation("site"),
   "cam_pos": _position("camera"),
   "cam_quat": _rotation("camera"),
-  "cam_fovy": Field(
-    kind="camera", unit="deg", minimum=(0.0,), maximum=(180.0,), positive=True, note="of cameras without a sensor size"
-  ),
+  "cam_fovy": _at_least_zero("camera", "deg", maximum=(180.0,), positive=True, note="of cameras without a sensor size"),
   "cam_intrinsic": Field(
-    kind="camera",
+    "camera",
+    "m",
     axes=("fx", "fy", "cx", "cy"),
-    unit="m",
     minimum=(0.0, 0.0, -math.inf, -math.inf),
     positive=True,
     form="intrinsics",
@@ -185,11 +182,11 @@ FIELDS: dict[str, Field] = {
     note="of cameras with a sensor size; their field of view follows",
   ),
   "light_pos": _position("light"),
-  "light_dir": Field(kind="light", axes=_XYZ, form="direction", operation="add"),
-  "light_active": _choice("light", minimum=(0.0,), maximum=(1.0,)),
-  "light_castshadow": _choice("light", minimum=(0.0,), maximum=(1.0,)),
+  "light_dir": Field("light", axes=_XYZ, form="direction", operation="add"),
+  "light_active": _flag("light"),
+  "light_castshadow": _flag("light"),
   "light_attenuation": _at_least_zero("light", "1, 1/m, 1/m^2", axes=("constant", "linear", "quadratic")),
-  "light_cutoff": Field(kind="light", unit="deg", minimum=(0.0,), maximum=(180.0,), note="of spot lights"),
+  "light_cutoff": _at_least_zero("light", "deg", maximum=(180.0,), note="of spot lights"),
   "light_exponent": _at_least_zero("light", "1", note="of spot lights"),
   "light_ambient": _at_least_zero("light", "1", axes=_RGBA[:3]),
   "light_diffuse": _at_least_zero("light", "1", axes=_RGBA[:3]),
@@ -200,14 +197,13 @@ FIELDS: dict[str, Field] = {
   "mat_specular": _share("material"),
   "mat_shininess": _share("material"),
   "mat_texid": _choice("material", _TEXTURES, names="texture"),
-  "mat_texuniform": _choice("material", minimum=(0.0,), maximum=(1.0,)),
-  "mat_texrepeat": Field(kind="material", axes=("u", "v"), minimum=(0.0,), positive=True),
+  "mat_texuniform": _flag("material"),
+  "mat_texrepeat": _at_least_zero("material", "1", axes=("u", "v"), positive=True),
   # Contact pairs
-  "pair_friction": Field(
-    kind="pair",
+  "pair_friction": _at_least_zero(
+    "pair",
+    "1, 1, m, m, m",
     axes=("sliding1", "sliding2", "torsional", "rolling1", "rolling2"),
-    unit="1, 1, m, m, m",
-    minimum=(0.0,),
   ),
   "pair_solref": _solref("pair"),
   "pair_solreffriction": _solref("pair", from_zero=False),
@@ -217,7 +213,7 @@ FIELDS: dict[str, Field] = {
   "pair_adhesion": _at_least_zero("pair", "N", from_zero=False),
   # Equalities
   "eq_data": Field(
-    kind="equality",
+    "equality",
     axes=tuple(str(i) for i in range(12)),
     note="connect 0-2, weld 0-2 anchor and 10 torque scale, joint and tendon 0-4 polynomial",
   ),
@@ -232,55 +228,53 @@ FIELDS: dict[str, Field] = {
   "tendon_solimp_fri": _solimp("tendon"),
   "tendon_actfrcrange": _range("tendon", "N", note="of all actuators of a tendon together"),
   "tendon_stiffness": _at_least_zero("tendon", "N/m", from_zero=False),
-  "tendon_stiffnesspoly": Field(kind="tendon", axes=_POLY, unit="N/m^2, N/m^3", from_zero=False),
+  "tendon_stiffnesspoly": Field("tendon", "N/m^2, N/m^3", axes=_POLY, from_zero=False),
   "tendon_damping": _at_least_zero("tendon", "N s/m", from_zero=False),
-  "tendon_dampingpoly": Field(kind="tendon", axes=_POLY, unit="N s^2/m^2, N s^3/m^3", from_zero=False),
+  "tendon_dampingpoly": Field("tendon", "N s^2/m^2, N s^3/m^3", axes=_POLY, from_zero=False),
   "tendon_armature": _at_least_zero("tendon", "kg", from_zero=False),
   "tendon_frictionloss": _at_least_zero("tendon", "N", from_zero=False),
   "tendon_lengthspring": _range("tendon", "m or rad", note="slack between the two"),
   "tendon_springyield": _at_least_zero("tendon", "N", from_zero=False),
   # MuJoCo's own actuators
-  "actuator_kp": Field(
-    kind="actuator",
+  "actuator_kp": _at_least_zero(
+    "actuator",
+    "N m/rad or N/m",
     axes=("kp",),
-    unit="N m/rad or N/m",
-    minimum=(0.0,),
     form="servo",
     fields=("actuator_gainprm", "actuator_biasprm"),
     operation="scale",
     note="of position actuators",
   ),
   "actuator_gainprm": Field(
-    kind="actuator",
+    "actuator",
     axes=_TEN,
     note="0 is kp of a position actuator, which reads -kp in biasprm 1: `actuator_kp` is both",
   ),
-  "actuator_biasprm": Field(kind="actuator", axes=_TEN, note="1 is -kp, 2 is -kd of a position actuator"),
-  "actuator_dynprm": Field(kind="actuator", axes=_TEN, note="0 is the time constant of a filter [s]"),
+  "actuator_biasprm": Field("actuator", axes=_TEN, note="1 is -kp, 2 is -kd of a position actuator"),
+  "actuator_dynprm": Field("actuator", axes=_TEN, note="0 is the time constant of a filter [s]"),
   "actuator_forcerange": _range("actuator", "N or N m"),
   "actuator_ctrlrange": _range("actuator", "of the control", at="ctrl"),
   "actuator_actrange": _range("actuator", "of the activation"),
   "actuator_lengthrange": _range("actuator", "m or rad", at="out", note="of muscles"),
   "actuator_gear": Field(
-    kind="actuator",
+    "actuator",
     axes=_TEN[:6],
     at="out",
     operation="scale",
     note="0 alone at joints and tendons",
   ),
-  "actuator_cranklength": Field(
-    kind="actuator",
-    unit="m",
-    minimum=(0.0,),
+  "actuator_cranklength": _at_least_zero(
+    "actuator",
+    "m",
     positive=True,
     note="of slider-cranks",
   ),
   "actuator_armature": _at_least_zero("actuator", "kg m^2 or kg", from_zero=False),
   "actuator_damping": _at_least_zero("actuator", "N m s/rad or N s/m", from_zero=False),
-  "actuator_dampingpoly": Field(kind="actuator", axes=_POLY, from_zero=False),
+  "actuator_dampingpoly": Field("actuator", axes=_POLY, from_zero=False),
   "actuator_delay": _at_least_zero("actuator", "s", note="up to what its buffer of samples holds"),
   # Outside of MjModel
-  "encoder_bias": Field(kind="joint", unit="rad or m", in_model=False, note="reading minus truth"),
+  "encoder_bias": Field("joint", "rad or m", in_model=False, note="reading minus truth"),
   # Of actuator models, for each joint, tendon or site that they drive
   "stiffness": _parameter("N m/rad or N/m"),
   "damping": _parameter("N m s/rad or N s/m"),

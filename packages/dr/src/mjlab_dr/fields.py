@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 import mujoco
@@ -28,18 +28,20 @@ Operation = Literal["absolute", "add", "scale"]
 Form = Literal["plain", "direction", "rotation", "intrinsics", "servo", "pseudo_inertia"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Field:
   """One randomisable field."""
 
   kind: Kind
   """Kind of its elements: patterns select among the names of this kind."""
 
-  axes: tuple[str, ...] = ("",)
-  """Names of the numbers drawn for one element; a single empty name for a scalar."""
-
   unit: str = "1"
   """Unit of every axis, one for all or separated by commas."""
+
+  _: KW_ONLY
+
+  axes: tuple[str, ...] = ("",)
+  """Names of the numbers drawn for one element; a single empty name for a scalar."""
 
   minimum: tuple[float, ...] = (-math.inf,)
   """Smallest admissible value, one for all axes or one each."""
