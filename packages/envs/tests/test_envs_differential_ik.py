@@ -134,10 +134,10 @@ def rotation_to(goal: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def test_the_jacobian_of_every_kind_of_frame_is_mujocos(make: Make, engine: str, kind: str, name: str) -> None:
   env, term = reaching(make, engine=engine, frame_type=kind, frame_name=name)
   tolerance = 1e-12 if engine == "native" else 2e-6
-  pos, quat = term.frame_pose()
+  pos, quat, jacobians = term._believed()
   for world in range(env.num_envs):
     xpos, xmat, jacobian = frame_in_mujoco(env, in_mujoco(env, world), kind, name)
-    np.testing.assert_allclose(term.jacobian()[world].numpy(), jacobian, atol=tolerance)
+    np.testing.assert_allclose(jacobians[world].numpy(), jacobian, atol=tolerance)
     np.testing.assert_allclose(pos[world].numpy(), xpos, atol=tolerance)
     assert np.abs(rotation_to(quat[world].double().numpy(), xmat)).max() < 10 * tolerance
 

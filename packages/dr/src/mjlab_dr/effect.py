@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from itertools import product
 from operator import attrgetter
 
 import mujoco
@@ -71,12 +72,12 @@ def idle(model: mujoco.MjModel, name: str, ids: Sequence[int], axis: int | None 
   is_probed = field.kind in _PROBED and field.in_model and name not in _UNPROBED
   if name in _PROBED_AXES or (is_probed and axis is None):
     axes = range(field.width) if axis is None else (axis,)
-    places = {
-      i: [(row, column) for row in rows(model, field, i) for column in axes]
-      for i in ids
-      if i not in found and not any(_axis_reason(model, name, i, column) for column in axes)
-    }
-    found |= dict.fromkeys(_Probe(model, name).idle(places), _reason(name))
+    probe = _Probe(model, name)
+    for i in ids:
+      if i in found or any(_axis_reason(model, name, i, column) for column in axes):
+        continue
+      if not probe.reads(list(product(rows(model, field, i), axes))):
+        found[i] = _reason(name)
   return found
 
 
@@ -198,16 +199,7 @@ class _Probe:
     self._derive()
     self._before = [self._outputs(state) for state in self._states]
 
-  def idle(self, elements: dict[int, list[Place]]) -> list[int]:
-    """Return the elements of whose numbers, listed by element, a change has no effect."""
-    if not self._change([place for places in elements.values() for place in places]):
-      return list(elements)
-    if len(elements) == 1:
-      return []
-    items, half = list(elements.items()), len(elements) // 2
-    return self.idle(dict(items[:half])) + self.idle(dict(items[half:]))
-
-  def _change(self, places: list[Place]) -> bool:
+  def reads(self, places: Sequence[Place]) -> bool:
     """Return True if other values in these places have an effect; the old ones are put back."""
     field = FIELDS[self._name]
     array = getattr(self._model, self._name).reshape(-1, field.width)

@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 import torch
-from mjlab_envs.mdp.readings import joint_positions, selected
+from mjlab_envs.mdp.readings import joints, selected
 from mjlab_managers import ManagerTermBase, SceneEntityCfg, TermSource, sourced
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ _GAUSSIAN = math.sqrt(-2.0 * math.log(_AT_MARGIN))
 
 
 def _angle_source(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
-  reading = joint_positions(env, asset.name)
+  reading = joints(env, asset.name, "position")
   angle = selected(asset.joint_pos_ids, torch.zeros(1, len(reading.columns)))
   return TermSource(readings=(reading,), compute=lambda q: torch.cat([torch.cos(angle(q)), torch.sin(angle(q))], -1))
 

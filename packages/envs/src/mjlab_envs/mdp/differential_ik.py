@@ -107,8 +107,7 @@ class DifferentialIKAction(DrivenTargets):
     if len(found) > 1:
       raise MjlabError(f"{self._owner}: frame_name '{cfg.frame_name}' must match one {cfg.frame_type}, matches {names}")
     frame = int(ix.ids[cfg.frame_type][found[0]])
-    owner = {"body": range(model.nbody), "site": model.site_bodyid, "geom": model.geom_bodyid}[cfg.frame_type]
-    return frame, int(owner[frame])
+    return frame, frame if cfg.frame_type == "body" else int(getattr(model, f"{cfg.frame_type}_bodyid")[frame])
 
   def _moving_dofs(self, cfg: DifferentialIKActionCfg) -> list[int]:
     """Return the degrees of freedom of the driven joints; each joint must move the frame."""
@@ -171,36 +170,29 @@ class DifferentialIKAction(DrivenTargets):
 
   def frame_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
     """Return position (num_envs, 3) [m] and orientation (num_envs, 4) of the frame in the world, by the encoders."""
-    pos, quat, _ = self._believed()
-    return pos, quat
-
-  def jacobian(self) -> torch.Tensor:
-    """Return the Jacobian of the frame for the driven joints, linear rows first, world axes, (num_envs, 6, joints).
-
-    As `mj_jac`, from MuJoCo's motion axes: those are given about the centre of mass of the kinematic tree.
-    """
-    return self._jacobian(self._pose()[0])
+    return self._believed()[:2]
 
   def _believed(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the pose of the frame by the encoders, and its Jacobian for the driven joints, (num_envs, 6, joints).
+
+    The Jacobian has linear rows first, along world axes, as `mj_jac`. MuJoCo's motion axes are given about the centre
+    of mass of the kinematic tree.
+    """
     pos, quat = self._pose()
-    jacobian = self._jacobian(pos)
+    axes = select(self._sim.data.cdof, self._dofs)
+    spin, slide = axes[..., :3], axes[..., 3:]
+    arm = (pos - self._sim.data.subtree_com[:, self._tree]).unsqueeze(1)
+    jacobian = torch.cat((slide + torch.linalg.cross(spin, arm.expand_as(spin)), spin), dim=-1).mT
     shift = (jacobian @ self._entity.data.encoder_bias[:, self._q].unsqueeze(-1)).squeeze(-1)
     return pos + shift[:, :3], quat_box_plus(quat, shift[:, 3:]), jacobian
 
   def _pose(self) -> tuple[torch.Tensor, torch.Tensor]:
-    data, model, frame = self._sim.data, self._sim.model, self._frame
+    kind, data, frame = self.cfg.frame_type, self._sim.data, self._frame
     quat = data.xquat[:, self._body]
-    if self.cfg.frame_type == "body":
+    if kind == "body":
       return data.xpos[:, frame], quat
-    if self.cfg.frame_type == "site":
-      return data.site_xpos[:, frame], quat_mul(quat, model.site_quat[:, frame])
-    return data.geom_xpos[:, frame], quat_mul(quat, model.geom_quat[:, frame])
-
-  def _jacobian(self, point: torch.Tensor) -> torch.Tensor:
-    axes = select(self._sim.data.cdof, self._dofs)
-    spin, slide = axes[..., :3], axes[..., 3:]
-    arm = (point - self._sim.data.subtree_com[:, self._tree]).unsqueeze(1)
-    return torch.cat((slide + torch.linalg.cross(spin, arm.expand_as(spin)), spin), dim=-1).mT
+    in_body = getattr(self._sim.model, f"{kind}_quat")[:, frame]
+    return getattr(data, f"{kind}_xpos")[:, frame], quat_mul(quat, in_body)
 
   def solve(self) -> torch.Tensor:
     """Return dq towards the goal from the present state, (num_envs, joints) [rad, m]."""

@@ -11,7 +11,7 @@ from mjlab_core import Bounds, as_index, match_names, match_values_full
 from mjlab_managers import ActionTargets, ActionTerm, ActionTermCfg, Reading
 from mjlab_scene import Quantity
 
-from mjlab_envs.mdp.readings import joint_positions, selected
+from mjlab_envs.mdp.readings import joints, selected
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -127,5 +127,5 @@ class DrivenTargets(ActionTerm):
 
   def _position_reading(self) -> tuple[Reading, Callable[[torch.Tensor], torch.Tensor]]:
     """Return the reading of joint positions, and the computation that takes those of the driven joints."""
-    reading = joint_positions(self.env, self.cfg.entity)
+    reading = joints(self.env, self.cfg.entity, "position")
     return reading, selected(self._ids, torch.zeros(1, len(reading.columns)))

@@ -1,5 +1,6 @@
 """Events that any task can use: resets and pushes."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 import torch
@@ -44,14 +45,13 @@ class reset_root_state_uniform(ManagerTermBase):
   def __call__(self, mask: torch.Tensor) -> None:
     env, entity = self.env, self._entity
     default = entity.data.default_root_state
-    draw = {"generator": env.rng, "device": env.device, "dtype": env.sim.dtype}
-    offset = uniform(self._pose_lo, self._pose_hi, (env.num_envs, 6), **draw)
+    offset = drawn(env, self._pose_lo, self._pose_hi, 6)
     position = default[:, :3] + offset[:, :3] + self.origins()
     orientation = quat_mul(default[:, 3:7], quat_from_euler_xyz(offset[:, 3], offset[:, 4], offset[:, 5]))
     if entity.is_fixed_base:
       entity.write_root_pose(torch.cat([position, orientation], -1), mask)
       return
-    velocity = default[:, 7:] + uniform(self._vel_lo, self._vel_hi, (env.num_envs, 6), **draw)
+    velocity = default[:, 7:] + drawn(env, self._vel_lo, self._vel_hi, 6)
     entity.write_root_state(torch.cat([position, orientation, velocity], -1), mask)
 
   def origins(self) -> torch.Tensor:
@@ -83,12 +83,11 @@ class reset_joints_by_offset(ManagerTermBase):
   def __call__(self, mask: torch.Tensor) -> None:
     env, entity = self.env, self._entity
     data, ids, v_ids = entity.data, self._asset.joint_pos_ids, self._asset.joint_vel_ids
-    draw = {"generator": env.rng, "device": env.device, "dtype": env.sim.dtype}
     position = data.default_joint_pos[:, ids]
-    shape = (env.num_envs, position.shape[1])
+    count = position.shape[1]
     limits = data.soft_joint_pos_limits[:, ids]
-    position = (position + uniform(*self._position_range, shape, **draw)).clamp(limits[..., 0], limits[..., 1])
-    velocity = data.default_joint_vel[:, v_ids] + uniform(*self._velocity_range, shape, **draw)
+    position = (position + drawn(env, *self._position_range, count)).clamp(limits[..., 0], limits[..., 1])
+    velocity = data.default_joint_vel[:, v_ids] + drawn(env, *self._velocity_range, count)
     entity.write_joint_state(position, velocity, mask=mask, joint_ids=self._joints)
 
 
@@ -111,22 +110,26 @@ class push_by_setting_velocity(ManagerTermBase):
 
   def __call__(self, mask: torch.Tensor) -> None:
     env, entity = self.env, self._entity
-    twist = uniform(self._lo, self._hi, (env.num_envs, 6), generator=env.rng, device=env.device, dtype=env.sim.dtype)
-    data = entity.data
+    twist, data = drawn(env, self._lo, self._hi, 6), entity.data
     spin = quat_apply(data.root_link_quat_w, data.root_link_ang_vel_b)
     entity.write_root_velocity(torch.cat([data.root_link_lin_vel_w, spin], -1) + twist, mask)
 
 
+def drawn(env: "ManagerBasedEnv", lo: torch.Tensor | float, hi: torch.Tensor | float, *shape: int) -> torch.Tensor:
+  """Return uniform draws from [lo, hi], (num_envs, *shape)."""
+  return uniform(lo, hi, (env.num_envs, *shape), generator=env.rng, device=env.device, dtype=env.sim.dtype)
+
+
 def axis_bounds(
-  ranges: dict[str, Range] | None, name: str, env: "ManagerBasedEnv"
+  ranges: dict[str, Range] | None, name: str, env: "ManagerBasedEnv", axes: Sequence[str] = _AXES
 ) -> tuple[torch.Tensor, torch.Tensor]:
-  """Return lower and upper bounds (1, 6) of ranges by axis; axes left out are (0, 0).
+  """Return lower and upper bounds, (1, number of axes), of ranges by axis; axes left out are (0, 0).
 
   Raises:
     UnknownNameError: an axis does not exist.
   """
   ranges = ranges or {}
   for axis in ranges:
-    check_name("axis", axis, _AXES, name)
-  bounds = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in _AXES], device=env.device, dtype=env.sim.dtype)
+    check_name("axis", axis, axes, name)
+  bounds = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in axes], device=env.device, dtype=env.sim.dtype)
   return bounds[None, :, 0], bounds[None, :, 1]

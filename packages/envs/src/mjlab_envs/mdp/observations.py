@@ -9,7 +9,7 @@ from mjlab_core import MjlabError, quat_conjugate, quat_mul, require, rotvec_fro
 from mjlab_managers import ManagerTermBase, Reading, SceneEntityCfg, TermSource, sourced
 from mjlab_sensors import BuiltinSensor, ImuSensor
 
-from mjlab_envs.mdp.readings import image_of, joint_positions, joint_velocities, of_root, selected, sensor_reading
+from mjlab_envs.mdp.readings import image_of, joints, of_root, selected, sensor_reading
 
 if TYPE_CHECKING:
   from mjlab_sensors import CameraSensor, RayCastSensor
@@ -35,12 +35,12 @@ def _joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool, asset: SceneEntity
   if ball := [name for name in env.scene[asset.name].wide_joints if name in cast("tuple[str, ...]", asset.joint_names)]:
     raise MjlabError(f"joint_pos_rel of ball joint '{ball[0]}' has no reading of an encoder, so it cannot be exported")
   default = env.scene[asset.name].data.default_joint_pos[:1]
-  return TermSource(readings=(joint_positions(env, asset.name),), compute=selected(asset.joint_pos_ids, default))
+  return TermSource(readings=(joints(env, asset.name, "position"),), compute=selected(asset.joint_pos_ids, default))
 
 
 def _joint_vel_rel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
   default = env.scene[asset.name].data.default_joint_vel[:1]
-  return TermSource(readings=(joint_velocities(env, asset.name),), compute=selected(asset.joint_vel_ids, default))
+  return TermSource(readings=(joints(env, asset.name, "velocity"),), compute=selected(asset.joint_vel_ids, default))
 
 
 def _last_action(env: "ManagerBasedRlEnv", *, term: str | None) -> TermSource:
@@ -216,27 +216,6 @@ def camera_depth(
   """
   depth = _drawn(env, sensor, "depth")
   return depth.clamp(max=max_depth).masked_fill_(depth < 0.0, max_depth if miss_value is None else miss_value)
-
-
-class camera_mask(ManagerTermBase):
-  """Return 1 where a camera sensor sees a selected geom of the entity and 0 elsewhere, (num_envs, 1, height, width)."""
-
-  env: "ManagerBasedRlEnv"
-
-  def __init__(self, env: "ManagerBasedRlEnv", *, sensor: str, asset: SceneEntityCfg) -> None:
-    super().__init__(env)
-    self._sensor = sensor
-    model, prefix = env.sim.mj_model, env.scene[asset.name].prefix
-    # A resolved selection holds the selected names.
-    names = cast("tuple[str, ...]", asset.geom_names)
-    # Pixels that see nothing have number -1: the last entry.
-    self._is_selected = torch.zeros(model.ngeom + 1, device=env.device)
-    self._is_selected[[model.geom(prefix + name).id for name in names]] = 1.0
-
-  def __call__(self) -> torch.Tensor:
-    number, kind = _drawn(self.env, self._sensor, "segmentation").split(1, dim=1)
-    number = number.masked_fill(kind != mujoco.mjtObj.mjOBJ_GEOM.value, -1)
-    return self._is_selected[number.long()]
 
 
 def _drawn(env: "ManagerBasedRlEnv", sensor: str, kind: str) -> torch.Tensor:

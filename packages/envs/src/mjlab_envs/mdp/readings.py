@@ -20,26 +20,18 @@ _NAMES = {
 }
 
 
-def joint_positions(env: "ManagerBasedRlEnv", entity: str) -> Reading:
-  """Return the reading of all joint positions of an entity, as its encoders give them."""
+def joints(env: "ManagerBasedRlEnv", entity: str, quantity: Literal["position", "velocity"]) -> Reading:
+  """Return the reading of all joint positions of an entity, as its encoders give them, or of all joint velocities."""
   robot = env.scene[entity]
-  return _joints(robot, entity, "position", "rad, m", lambda: robot.data.joint_pos_biased)
-
-
-def joint_velocities(env: "ManagerBasedRlEnv", entity: str) -> Reading:
-  """Return the reading of all joint velocities of an entity."""
-  robot = env.scene[entity]
-  return _joints(robot, entity, "velocity", "rad/s, m/s", lambda: robot.data.joint_vel)
-
-
-def _joints(robot: Any, entity: str, quantity: str, unit: str, read: Callable[[], torch.Tensor]) -> Reading:
   names = tuple(robot.joint_names)
+  attribute, unit = {"position": ("joint_pos_biased", "rad, m"), "velocity": ("joint_vel", "rad/s, m/s")}[quantity]
+  is_scalar = getattr(robot.data, attribute).shape[1] == len(names)
   return Reading(
     name=f"joint/{quantity}" if entity == "robot" else f"{entity}/joint/{quantity}",
-    read=read,
+    read=lambda: getattr(robot.data, attribute),
     unit=unit,
     columns=names,
-    origin={"quantity": f"joint_{quantity}", "name": robot.prefix} if read().shape[1] == len(names) else None,
+    origin={"quantity": f"joint_{quantity}", "name": robot.prefix} if is_scalar else None,
   )
 
 

@@ -3,8 +3,10 @@
 from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
-from mjlab_core import DebugDraw, Limits, NonNegativeRange, Range, check_name, fill_, quat_apply, uniform, where_
+from mjlab_core import DebugDraw, Limits, NonNegativeRange, Range, fill_, quat_apply, uniform, where_
 from mjlab_managers import ManagerTermBase, SceneEntityCfg
+
+from mjlab_envs.mdp.events import axis_bounds, drawn
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -45,19 +47,17 @@ class apply_external_force_torque(ManagerTermBase):
     self._entity, self._bodies = env.scene[asset.name], asset.body_ids
     # A resolved selection holds the selected names.
     self._count = len(cast("tuple[str, ...]", asset.body_names))
-    bounds = [_bounds(force_range, "force_range"), _bounds(torque_range, "torque_range")]
-    # Force and torque, lowest and highest: (2, 2, 1, 1, 3).
-    self._bounds = torch.tensor(bounds, device=env.device, dtype=env.sim.dtype)[:, :, None, None]
+    # Lowest and highest force and torque, (1, 2, 1, 3).
+    bounds = [_bounds(force_range, "force_range", env), _bounds(torque_range, "torque_range", env)]
+    self._lo, self._hi = (torch.stack(ends, 1).unsqueeze(2) for ends in zip(*bounds, strict=True))
 
   def __call__(self, mask: torch.Tensor) -> None:
-    force, torque = self._draw()
+    force, torque = self._draw().unbind(1)
     self._entity.write_external_wrench(force, torque, self._bodies, mask)
 
   def _draw(self) -> torch.Tensor:
-    """Return forces and torques of all bodies, (2, num_envs, bodies, 3)."""
-    env, (lo, hi) = self.env, self._bounds.unbind(1)
-    shape = (2, env.num_envs, self._count, 3)
-    return uniform(lo, hi, shape, generator=env.rng, device=env.device, dtype=env.sim.dtype)
+    """Return forces and torques of all bodies, (num_envs, 2, bodies, 3)."""
+    return drawn(self.env, self._lo, self._hi, 2, self._count, 3)
 
 
 class apply_body_impulse(apply_external_force_torque):
@@ -106,7 +106,7 @@ class apply_body_impulse(apply_external_force_torque):
     ends = turns & self.active
     self.active.logical_xor_(turns)
     where_(self._time_left, turns, self._draw_time(self.active))
-    where_(self._wrench, turns & self.active, self._draw().movedim(0, 1))
+    where_(self._wrench, turns & self.active, self._draw())
     fill_(self._wrench, ends, 0.0)
     force, torque = self._wrench.unbind(1)
     writes = turns
@@ -138,15 +138,7 @@ class apply_body_impulse(apply_external_force_torque):
     draw.arrows(start, start + _METRES_PER_NEWTON * force, (0.9, 0.3, 0.6, 1.0), 0.012)
 
 
-def _bounds(components: Components, name: str) -> list[list[float]]:
-  """Return the lowest and the highest values of x, y and z.
-
-  Raises:
-    UnknownNameError: a component does not exist.
-  """
-  if not isinstance(components, dict):
-    components = dict.fromkeys("xyz", components)
-  for axis in components:
-    check_name("component", axis, "xyz", name)
-  ranges = [components.get(axis, (0.0, 0.0)) for axis in "xyz"]
-  return [[float(lo) for lo, _ in ranges], [float(hi) for _, hi in ranges]]
+def _bounds(components: Components, name: str, env: "ManagerBasedRlEnv") -> tuple[torch.Tensor, torch.Tensor]:
+  """Return the lowest and the highest values of x, y and z, (1, 3)."""
+  by_axis = components if isinstance(components, dict) else dict.fromkeys("xyz", components)
+  return axis_bounds(by_axis, name, env, "xyz")
