@@ -13,7 +13,6 @@ from torch import Tensor
 from mjlab_dr.binding import (
   Component,
   components_of,
-  idle_numbers,
   matched,
   result_problems,
   with_effect,
@@ -89,16 +88,16 @@ class RandomizeField:
   ) -> None:
     self.cfg, self.needs_constants = cfg, needs_constants(cfg.field)
     self._form, self._sim, self._generator = FIELDS[cfg.field].form, sim, generator
+    self._target = target
     self._quantity = None if isinstance(target, Tensor) else target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
-    model, idle = sim.mj_model, set[tuple[int, int]]()
+    model = sim.mj_model
     if self._quantity is None:
       elements = matched(cfg, model, names, ids, owner)
     else:
       elements = [(name, i) for i, name in enumerate(self._quantity.names)]
-    if target is None:
-      elements = with_effect(cfg, model, elements, owner)
-      idle = idle_numbers(cfg, model, elements, owner) if self._form == "plain" else idle
+    defaults = self._default_rows(cfg.shown_in).cpu().numpy()
+    elements, idle = with_effect(cfg, model, elements, defaults, upon, in_model=target is None, owner=owner)
     self.element_names = tuple(name for name, _ in elements)
     """Names of the elements that it changes."""
     self.components = components_of(cfg, model, elements, idle)
@@ -107,14 +106,14 @@ class RandomizeField:
     self.distributions = dict(zip(cfg.values, distributions, strict=True))
     """Distribution of each axis, with the ids of this model in place of names."""
     self._strength: Tensor | None = None
-    self._find_columns(target, upon)
+    self._find_columns(upon)
     for problem in result_problems(cfg, self.components, self.default.double().cpu().numpy(), model):
       raise MjlabError(f"{owner}: {problem}")
     self._prepare_draws(distributions)
 
-  def _find_columns(self, target: Tensor | Quantity | None, upon: Container[tuple[str, int]]) -> None:
+  def _find_columns(self, upon: Container[tuple[str, int]]) -> None:
     """Find the columns of each field that are written, and of the one that moves along; expand fields of the model."""
-    sim, fields = self._sim, list(dict.fromkeys(component.field for component in self.components))
+    sim, target, fields = self._sim, self._target, list(dict.fromkeys(component.field for component in self.components))
     follower = FIELDS[self.cfg.field].moves_with
     if target is None:
       sim.expand_model_fields((*fields, follower) if follower else fields)
@@ -124,10 +123,9 @@ class RandomizeField:
         # Looked up each time: another expansion may have replaced the array. A view, never a copy.
         return (target if isinstance(target, Tensor) else getattr(sim.model, field)).view(sim.num_envs, -1)
 
-      default = torch.zeros_like(target[:1]) if isinstance(target, Tensor) else sim.default_field(field)
       flat = [column for component in components for column in component.columns]
       is_written = [(field, column) in upon for column in flat]
-      return _Columns(rows, flat, default.view(len(default), -1), sim.num_envs, is_written)
+      return _Columns(rows, flat, self._default_rows(field), sim.num_envs, is_written)
 
     self._writes: list[Quantity | _Columns]
     if self._quantity is None:
@@ -138,6 +136,15 @@ class RandomizeField:
     ends = list(accumulate(len(component.columns) for component in self.components))
     self._first = torch.tensor([0, *ends[:-1]], device=sim.device)
     """Index of the first column of each component among all that are written."""
+
+  def _default_rows(self, field: str) -> Tensor:
+    """Return the values of a field to start from, (1 or num_envs, number of columns)."""
+    if self._quantity is not None:
+      return self._quantity.default
+    # A view, through which later values of each world are seen.
+    target = self._target
+    default = torch.zeros_like(target[:1]) if isinstance(target, Tensor) else self._sim.default_field(field)
+    return default.view(len(default), -1)
 
   def _prepare_draws(self, distributions: Sequence[Distribution]) -> None:
     """Make the sampler, and the way from its draws to axes and columns."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -65,46 +66,62 @@ def matched(
   return [(names[i], int(ids[i])) for i in match_names(cfg.pattern, names, what=kind, owner=owner)[0]]
 
 
-def with_effect(cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, owner: str) -> Elements:
-  """Return the elements of which a change has an effect.
+def with_effect(
+  cfg: FieldRandomizer,
+  model: mujoco.MjModel,
+  elements: Elements,
+  defaults: np.ndarray,
+  upon: Container[tuple[str, int]],
+  *,
+  in_model: bool,
+  owner: str,
+) -> tuple[Elements, Container[tuple[int, int]]]:
+  """Return the elements of which a change has an effect, and the numbers, by id and axis, of which it has none.
+
+  Args:
+    cfg: the randomiser.
+    model: the compiled model.
+    elements: the elements that its pattern matches.
+    defaults: values of the field to start from, (1 or num_envs, number of columns).
+    upon: fields and columns that an earlier randomiser writes.
+    in_model: True if MjModel has the field.
+    owner: name of the owner in messages.
 
   Raises:
-    MjlabError: a pattern matches no such element.
-  """
-  field, ids = FIELDS[cfg.field], [i for _, i in elements]
-  reasons = idle(model, cfg.field, ids)
-  if field.form != "plain":
-    # The numbers of an element follow from all axes that are drawn.
-    for axis in cfg.values:
-      reasons = idle(model, cfg.field, ids, axis) | reasons
-  for pattern in cfg.patterns:
-    found = [(name, i) for name, i in elements if re.fullmatch(pattern, name)]
-    if all(i in reasons for _, i in found):
-      name, first = found[0]
-      what = f"a change of {field.kind} {name!r} would do nothing, for it {reasons[first]}."
-      raise UnknownNameError(f"{owner}: {what}{_others(found, pattern)}")
-  if simple := [name for name, i in elements if SIMPLE in reasons.get(i, "")]:
-    warnings.warn(f"{owner}: {', '.join(map(repr, simple))} left out: {SIMPLE}", stacklevel=4)
-  return [(name, i) for name, i in elements if i not in reasons]
-
-
-def idle_numbers(cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, owner: str) -> set[tuple[int, int]]:
-  """Return the numbers of which a change has no effect, by id of the element and axis.
-
-  Raises:
-    MjlabError: a chosen axis, or every axis, has no effect in any element.
+    MjlabError: a change of a chosen axis, or of every axis, has no effect in all elements that a pattern matches.
   """
   field, axes, ids = FIELDS[cfg.field], list(cfg.values), [i for _, i in elements]
-  reasons = {axis: idle(model, cfg.field, ids, axis) for axis in axes}
-  dead = [axis for axis in axes if len(reasons[axis]) == len(ids)]
-  if dead and (not cfg.every_axis or len(dead) == len(axes)):
-    what = f"{'' if cfg.every_axis else f'{field.axes[dead[0]]} of '}{field.kind} {elements[0][0]!r}"
-    raise MjlabError(f"{owner}: a change of {what} would do nothing, for it {reasons[dead[0]][ids[0]]}.")
-  return {(i, axis) for axis in axes for i in reasons[axis]}
+  reasons: dict[tuple[int, int], str] = {}
+  if in_model:
+    whole = idle(model, cfg.field, ids)
+    live = [i for i in ids if i not in whole]
+    for axis in axes:
+      found = whole | idle(model, cfg.field, live, axis)
+      reasons |= {(i, axis): reason for i, reason in found.items()}
+  if cfg.operation == "scale":
+    for i, axis in product(ids, axes):
+      columns = [row * field.width + axis for row in rows(model, field, i)]
+      is_written = any((cfg.shown_in, column) in upon for column in columns)
+      if not (is_written or defaults[:, columns].any()):
+        reasons.setdefault((i, axis), "is zero, as is every multiple")
+  for pattern in cfg.patterns:
+    matches = [(name, i) for name, i in elements if re.fullmatch(pattern, name)]
+    for group in [axes] if cfg.every_axis else [[axis] for axis in axes]:
+      if matches and all(number in reasons for number in product([i for _, i in matches], group)):
+        (name, i), axis = matches[0], group[0]
+        which = f"{field.axes[axis]} of " if field.axes[axis] and not cfg.every_axis else ""
+        what = f"a change of {which}{field.kind} {name!r} would do nothing, for it {reasons[i, axis]}."
+        others = f" Nor would one of the {len(matches) - 1} others that match {pattern!r}." if len(matches) > 1 else ""
+        raise UnknownNameError(f"{owner}: {what}{others}")
+  if simple := {name for name, i in elements for axis in axes if SIMPLE in reasons.get((i, axis), "")}:
+    warnings.warn(f"{owner}: {', '.join(map(repr, sorted(simple)))} left out: {SIMPLE}", stacklevel=4)
+  # The inertia of a body is written as a whole.
+  is_out = any if field.form == "pseudo_inertia" else all
+  return [(name, i) for name, i in elements if not is_out((i, axis) in reasons for axis in axes)], reasons
 
 
 def components_of(
-  cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, idle_numbers: set[tuple[int, int]]
+  cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, idle_numbers: Container[tuple[int, int]]
 ) -> tuple[Component, ...]:
   """Return all numbers that a randomiser writes, in the order of its fields; those without effect are left out."""
   field = FIELDS[cfg.field]
@@ -131,7 +148,7 @@ def components_of(
     for e, (element, i) in enumerate(elements)
     for at in [rows(model, field, i)]
     for column, axis, place in of_field
-    if (i, column) not in idle_numbers
+    if field.form != "plain" or (i, column) not in idle_numbers
   )
 
 
@@ -170,25 +187,17 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
 def result_problems(
   cfg: FieldRandomizer, components: Sequence[Component], defaults: np.ndarray, model: mujoco.MjModel
 ) -> Iterator[str]:
-  """Yield why a possible result is not physical, with the element, the result, and the admissible values.
+  """Yield results outside of the bounds of their axis, or impossible beside those of other axes.
 
   `defaults` has a row for each world, or one for all, and a number for each component.
   """
-  field = FIELDS[cfg.field]
-  drawn = [(c, column) for c, column in zip(components, defaults.T, strict=True) if c.field == cfg.shown_in]
-  if cfg.operation == "scale":
-    yield from _zero_multiples(cfg, drawn)
-  if field.form in ("plain", "servo") and not field.integer:
-    yield from _unphysical(cfg, drawn, model)
-
-
-def _unphysical(
-  cfg: FieldRandomizer, drawn: list[tuple[Component, np.ndarray]], model: mujoco.MjModel
-) -> Iterator[str]:
-  """Yield results outside of the bounds of their axis, or impossible beside those of other axes."""
   field, distributions = FIELDS[cfg.field], list(cfg.values.values())
+  if field.form not in ("plain", "servo") or field.integer:
+    return
   spans: dict[tuple[str, int], Spans] = {}
-  for component, start in drawn:
+  for component, start in zip(components, defaults.T, strict=True):
+    if component.field != cfg.shown_in:
+      continue
     minimum, maximum = field.bounds(field.axes.index(component.axis))
     # Worlds without the element have it out of bounds, so that nothing meets it.
     start = start[start >= minimum, None]
@@ -240,22 +249,3 @@ def _impossible_together(cfg: FieldRandomizer, spans: Spans, model: mujoco.MjMod
     longest, delay = float(model.actuator_history[row, 0]) * model.opt.timestep, spans[""][1]
     if delay > longest * (1.0 + 1e-9):
       yield f"a delay of {delay:g} s, but its buffer was compiled for {longest:g} s. Raise its nsample."
-
-
-def _zero_multiples(cfg: FieldRandomizer, drawn: list[tuple[Component, np.ndarray]]) -> Iterator[str]:
-  """Yield patterns, and axes given by themselves, of which all defaults to be multiplied are zero."""
-  field = FIELDS[cfg.field]
-  axes = [field.axes[axis] for axis in cfg.values]
-  for pattern in cfg.patterns:
-    found = [(c, start) for c, start in drawn if re.fullmatch(pattern, c.element)]
-    names = list(dict.fromkeys(c.element for c, _ in found))
-    for group in [axes] if cfg.every_axis else [[axis] for axis in axes]:
-      starts = [start for c, start in found if c.axis in group]
-      if starts and not np.any(starts):
-        which = "" if cfg.every_axis or not group[0] else f"{group[0]} of "
-        what = f"{which}{field.kind} {names[0]!r}"
-        yield f"a change of {what} would do nothing, for it is zero, as is every multiple.{_others(names, pattern)}"
-
-
-def _others(found: Sequence[object], pattern: str) -> str:
-  return f" Nor would one of the {len(found) - 1} others that match {pattern!r}." if len(found) > 1 else ""
