@@ -164,7 +164,7 @@ def puck() -> mujoco.MjSpec:
 def test_a_simple_body_of_a_foreign_model_is_refused_by_name_in_a_simulation(engine: Literal["native", "warp"]) -> None:
   sim = Simulation(2, puck(), SimulationCfg(engine=engine, integrator=None, num_threads=1), "cpu")
   for field in ("jnt_pos", "jnt_axis", "body_ipos"):
-    with pytest.raises(ValueError, match="body 'puck', which was compiled as simple"):
+    with pytest.raises(ValueError, match=r"body 'puck'.* was compiled as simple"):
       RandomizeField(randomize_field(field, ".*", (0.1, 0.3)), sim)
   sim.close()
 
