@@ -7,7 +7,7 @@ import numpy as np
 from mjlab_core import check_name
 from mjlab_core.model_fields import FOLLOWERS, PER_WORLD, ROUTE_FOLLOWERS, SOURCES
 
-__all__ = ["CONSTANTS", "KINEMATIC_STATE", "PER_WORLD", "SOURCES", "STATE", "closure", "put"]
+__all__ = ["CONSTANTS", "KINEMATIC_STATE", "PER_WORLD", "SOURCES", "STATE", "closure", "owner_of", "put"]
 
 KINEMATIC_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat", "eq_active", "plastic")
 """State fields from which position- and velocity-derived quantities follow, constraints and passive forces included."""
@@ -54,10 +54,15 @@ def _has_routes(model: mujoco.MjModel) -> bool:
   )
 
 
-def put(data: mujoco.MjData, name: str, value: np.ndarray) -> None:
-  """Write one world's value of a field of `STATE`, in whatever shape an engine has it."""
-  target: Any = getattr(data, name)
+def owner_of(model: Any, name: str) -> tuple[Any, str]:
+  """Return the object that has a field of a model as an attribute, and the attribute: `opt.<name>` is an option."""
+  return (model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else (model, name)
+
+
+def put(owner: Any, name: str, value: np.ndarray) -> None:
+  """Write one world's value of a field of an `MjData`, `MjModel` or `MjOption`, in whatever shape an engine has it."""
+  target = getattr(owner, name)
   if np.ndim(target):
     target[:] = value.reshape(np.shape(target))
   else:
-    setattr(data, name, float(value))
+    setattr(owner, name, float(value))

@@ -15,7 +15,6 @@ from mjlab_core import Limits, PositiveCount, check_value
 from numpy.typing import NDArray
 
 _Geom = mujoco.mjtGeom
-_FLAT_FACES = (_Geom.mjGEOM_BOX, _Geom.mjGEOM_MESH, _Geom.mjGEOM_HFIELD)
 
 # Corners of a cube from -1 to 1, x fastest, and its faces seen counter-clockwise from outside.
 _CORNERS = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], dtype=np.float64)
@@ -69,8 +68,8 @@ class RayTargets:
   """Owner that each geom is excluded with, (ngeom,): its body, or the root of its kinematic tree."""
   exclude: NDArray[np.int32]
   """The owner whose geoms each ray passes through, -1 for none, (num_rays,)."""
-  fixed: Geoms
-  """Geoms with flat faces that never move and that all rays see."""
+  ground: Geoms
+  """Geoms that never move and that all rays see."""
   others: Geoms
   """All other geoms that some ray sees."""
 
@@ -110,14 +109,14 @@ def find_targets(
   excluded = np.isin(owner, exclude)
   if (exclude == exclude[0]).all():
     seen &= ~excluded
-  flat = fixed_geoms(model) & np.isin(model.geom_type, _FLAT_FACES) & ~excluded
+  ground = fixed_geoms(model) & ~excluded
   return RayTargets(
     geomgroup=groups,
     bodyexclude=body_of_ray,
     owner=owner,
     exclude=exclude,
-    fixed=np.flatnonzero(seen & flat).astype(np.int32),
-    others=np.flatnonzero(seen & ~flat).astype(np.int32),
+    ground=np.flatnonzero(seen & ground).astype(np.int32),
+    others=np.flatnonzero(seen & ~ground).astype(np.int32),
   )
 
 
@@ -158,6 +157,12 @@ def _surface(model: mujoco.MjModel, geom: int) -> Mesh:
   return mesh_surface(model, data) if kind == _Geom.mjGEOM_MESH else hfield_surface(model, data)
 
 
+def heights_of(model: mujoco.MjModel, hfield: int) -> NDArray[np.float32]:
+  """Return the heights of a height field, (rows, columns), from 0 to 1."""
+  rows, columns, first = model.hfield_nrow[hfield], model.hfield_ncol[hfield], model.hfield_adr[hfield]
+  return model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+
+
 def mesh_surface(model: mujoco.MjModel, mesh: int) -> Mesh:
   """Surface of a mesh in the frame of its geoms."""
   first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -166,14 +171,11 @@ def mesh_surface(model: mujoco.MjModel, mesh: int) -> Mesh:
 
 
 def hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
-  """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it."""
-  rows, columns, first = model.hfield_nrow[hfield], model.hfield_ncol[hfield], model.hfield_adr[hfield]
-  heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
-  return _height_field(heights.astype(np.float64), model.hfield_size[hfield])
+  """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it.
 
-
-def _height_field(heights: NDArray[np.float64], size: NDArray[np.float64]) -> Mesh:
-  """Return the surface of a height field and of the box it stands on, whose top is seen from inside of the field."""
+  It includes the box that the field stands on, whose top is seen from inside of the field.
+  """
+  heights, size = heights_of(model, hfield).astype(np.float64), model.hfield_size[hfield]
   rows, columns = heights.shape
   box = _CORNERS * (size[0], size[1], size[3] / 2) - (0.0, 0.0, size[3] / 2)
   if rows < 2 or columns < 2:

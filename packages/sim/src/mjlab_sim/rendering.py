@@ -13,16 +13,6 @@ DataType = Literal["rgb", "depth", "distance", "segmentation"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
-  """Look of a scene. Views of one look share the tree in which their geoms are found."""
-
-  geomgroup: GeomGroups
-  """True for each of the six geom groups that is seen, None for all."""
-  textures: bool
-  shadows: bool
-
-
-@dataclass(frozen=True, kw_only=True)
 class View:
   """One image of every world."""
 
@@ -30,20 +20,28 @@ class View:
   width: PositiveCount
   height: PositiveCount
   data_types: tuple[DataType, ...]
-  look: Look
+  geomgroup: GeomGroups
+  """True for each of the six geom groups that is seen, None for all."""
+  textures: bool
+  shadows: bool
+
+  @property
+  def look(self) -> tuple[GeomGroups, bool, bool]:
+    """Look of the scene. Views of one look share the tree in which their geoms are found."""
+    return self.geomgroup, self.textures, self.shadows
 
 
 @dataclass(kw_only=True)
 class Images:
   """Images that a renderer drew last, the top row first; None for those not asked for. The tensors are its own."""
 
-  rgb: torch.Tensor | None
+  rgb: torch.Tensor | None = None
   """Colours, uint8, (num_envs, 3, height, width)."""
-  depth: torch.Tensor | None
+  depth: torch.Tensor | None = None
   """Distance along the optical axis, float32, -1 where nothing is seen, (num_envs, 1, height, width) [m]."""
-  distance: torch.Tensor | None
+  distance: torch.Tensor | None = None
   """Distance along the ray of the pixel, float32, -1 where nothing is seen, (num_envs, 1, height, width) [m]."""
-  segmentation: torch.Tensor | None
+  segmentation: torch.Tensor | None = None
   """Number and type (`mjtObj`) of the object that is seen, int32, -1 and -1 for none, (num_envs, 2, height, width)."""
 
 

@@ -13,7 +13,7 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.engine import Closed, Engine
 from mjlab_sim.freshness import DataView, Freshness, ModelView
 from mjlab_sim.rays import as_groups, find_targets
-from mjlab_sim.rendering import DataType, Look, View
+from mjlab_sim.rendering import DataType, View
 from mjlab_sim.sensing import FixedGeometry, RayCaster, Renderer
 from mjlab_sim.step_graph import Recordings, StepGraph
 from mjlab_sim.world_fields import WorldFields
@@ -272,8 +272,15 @@ class Simulation:
     Raises:
       MjlabError: an argument that does not fit the model, or a model that MuJoCo Warp cannot draw.
     """
-    look = Look(geomgroup=as_groups(geomgroup), textures=textures, shadows=shadows)
-    view = View(camera=camera, width=width, height=height, data_types=tuple(data_types), look=look)
+    view = View(
+      camera=camera,
+      width=width,
+      height=height,
+      data_types=tuple(data_types),
+      geomgroup=as_groups(geomgroup),
+      textures=textures,
+      shadows=shadows,
+    )
     check_fields(view, "renderer")
     check_value("renderer: camera", camera, Annotated[int, Limits(le=self.mj_model.ncam - 1)])
     renderer = Renderer(self._fresh, self._engine.renderer(view))

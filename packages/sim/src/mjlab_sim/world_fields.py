@@ -6,7 +6,7 @@ import mujoco
 import torch
 from mjlab_core.state import refuse_state
 
-from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure
+from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure, owner_of
 from mjlab_sim.freshness import Freshness, ModelView
 from mjlab_sim.tensors import plain
 
@@ -51,8 +51,7 @@ class WorldFields:
     if name in self._defaults:
       return self._defaults[name]
     view = self._view[name]
-    owner = self._mj_model.opt if name.startswith("opt.") else self._mj_model
-    value = torch.as_tensor(getattr(owner, name.removeprefix("opt.")), dtype=view.dtype, device=self._device)
+    value = torch.as_tensor(getattr(*owner_of(self._mj_model, name)), dtype=view.dtype, device=self._device)
     return value.reshape(1, *view.shape[1:]).clone()
 
   def rebase_default(self, name: str) -> None:
@@ -110,7 +109,7 @@ class WorldFields:
     for name, value in state["default"].items():
       self._defaults[name].copy_(value)
     self.load_model(state)
-    self._fresh.note_write()
+    self._fresh.note_write(model=True)
     return not SOURCES.isdisjoint(state["shared"] | state["model"])
 
   def load_model(self, state: State) -> None:

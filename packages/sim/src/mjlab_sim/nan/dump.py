@@ -10,13 +10,12 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 from mjlab_core import AtomicWrite, FileError, MjlabError, reading
 
-from mjlab_sim.fields import put
+from mjlab_sim.fields import owner_of, put
 
 FORMAT = "mjlab NaN dump 1"
 
@@ -99,7 +98,7 @@ class DivergedWorld:
         bad = np.flatnonzero(~(np.abs(here[name]) <= _BOUND))
         if len(bad):
           index = int(bad[0])
-          element = _element(self._dump.model, name, index, here[name].shape)
+          element = _element(self._dump.model, name, index)
           value = float(here[name].flat[index])
           return Culprit(field=name, index=index, element=element, value=value, step=step)
     raise MjlabError(f"world {self.index} of this dump has no value that is not finite")
@@ -194,12 +193,7 @@ class NanDump:
     model = copy.copy(self.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     for name, value in world.model_fields.items():
-      owner: Any = model.opt if name.startswith("opt.") else model
-      target = name.removeprefix("opt.")
-      if np.ndim(getattr(owner, target)):
-        getattr(owner, target)[:] = value.reshape(getattr(owner, target).shape)
-      else:
-        setattr(owner, target, float(value))
+      put(*owner_of(model, name), value)
     recomputed = copy.copy(model)
     mujoco.mj_setConst(recomputed, mujoco.MjData(recomputed))
     # The one derived constant that engines do not show per world: it follows where the others were recomputed.
@@ -239,23 +233,21 @@ def _quiet() -> Generator[None, None, None]:
     mujoco.set_mju_user_warning(before)
 
 
-def _element(model: mujoco.MjModel, field: str, index: int, shape: tuple[int, ...]) -> str:
+def _element(model: mujoco.MjModel, field: str, index: int) -> str:
   """Return the element that a number of a field belongs to, by name where it has one."""
-  if field in ("qvel", "qacc", "qacc_warmstart", "qfrc_applied"):
-    kind, number = mujoco.mjtObj.mjOBJ_JOINT, int(model.dof_jntid[index])
-  elif field == "qpos":
-    kind, number = mujoco.mjtObj.mjOBJ_JOINT, int(np.searchsorted(model.jnt_qposadr, index, side="right")) - 1
-  elif field == "act":
-    starts = np.where(model.actuator_actadr < 0, np.iinfo(np.int32).max, model.actuator_actadr)
-    kind, number = mujoco.mjtObj.mjOBJ_ACTUATOR, int(np.flatnonzero(starts <= index)[-1])
-  elif field == "ctrl":
-    kind, number = mujoco.mjtObj.mjOBJ_ACTUATOR, index
-  elif field == "xfrc_applied":
-    kind, number = mujoco.mjtObj.mjOBJ_BODY, index // shape[-1]
-  elif field in ("mocap_pos", "mocap_quat"):
-    kind, number = mujoco.mjtObj.mjOBJ_BODY, int(np.flatnonzero(model.body_mocapid == index // shape[-1])[0])
-  else:
+  mocap = np.flatnonzero(model.body_mocapid >= 0)
+  owners = {
+    **dict.fromkeys(("qvel", "qacc", "qacc_warmstart", "qfrc_applied"), ("joint", model.dof_jntid)),
+    "qpos": ("joint", np.repeat(np.arange(model.njnt), np.diff([*model.jnt_qposadr, model.nq]))),
+    "act": ("actuator", np.repeat(np.arange(model.nu), model.actuator_actnum)),
+    "ctrl": ("actuator", np.arange(model.nu)),
+    "xfrc_applied": ("body", np.repeat(np.arange(model.nbody), 6)),
+    "mocap_pos": ("body", np.repeat(mocap, 3)),
+    "mocap_quat": ("body", np.repeat(mocap, 4)),
+  }
+  if field not in owners:
     return f"entry {index}"
-  word = kind.name.removeprefix("mjOBJ_").lower()
-  name = mujoco.mj_id2name(model, kind, number)
-  return f"{word} '{name}'" if name else f"{word} {number}"
+  kind, elements = owners[field]
+  number = int(elements[index])
+  name = getattr(model, kind)(number).name
+  return f"{kind} '{name}'" if name else f"{kind} {number}"

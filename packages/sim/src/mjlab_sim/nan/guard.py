@@ -2,7 +2,6 @@
 
 import copy
 import json
-import math
 from collections import deque
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from mjlab_sim.config import NanGuardCfg
 from mjlab_sim.fields import STATE
 from mjlab_sim.nan.dump import FORMAT, NanDump, write_dump
 from mjlab_sim.simulation import Simulation
+from mjlab_sim.tensors import plain
 
 
 class NanGuard:
@@ -32,37 +32,36 @@ class NanGuard:
   def __init__(self, sim: Simulation, decimation: int, cfg: NanGuardCfg) -> None:
     self._sim = sim
     self._cfg = copy.copy(cfg)
-    n, device, dtype = sim.num_envs, sim.device, sim.dtype
-    fields = {name: sim._engine.data_field(name).as_subclass(torch.Tensor) for name in STATE}
+    n, dtype, slots = sim.num_envs, sim.dtype, cfg.max_envs_to_dump
+    fields = {name: plain(sim._engine.data_field(name)) for name in STATE}
     fields = {name: field for name, field in fields.items() if field.numel()}
     self._layout = {name: tuple(field.shape[1:]) for name, field in fields.items()}
     # State stays in its memory, so that these views stay good.
     self._fields = [field.view(n, -1) for field in fields.values()]
-    width = sum(math.prod(shape) for shape in self._layout.values())
-    slots = cfg.max_envs_to_dump
-    steps = decimation * cfg.buffer_size
-    # A world that is not kept is written to the last slot, which is not read.
-    self._step = torch.zeros(decimation, n, width, dtype=dtype, device=device)
-    self._ring = torch.zeros(cfg.buffer_size, decimation, n, width, dtype=dtype, device=device)
+    width = sum(field.shape[1] for field in self._fields)
+    with sim.device:
+      self._step = torch.zeros(decimation, n, width, dtype=dtype)
+      self._ring = torch.zeros(cfg.buffer_size, decimation, n, width, dtype=dtype)
+      # A world that is not kept is written to the last slot, which is not read.
+      self._kept = torch.zeros(slots + 1, decimation * cfg.buffer_size, width, dtype=dtype)
+      self._last = torch.zeros(slots + 1, width + sim.mj_model.nv, dtype=dtype)
+      self._tags = torch.zeros(slots + 1, 2, dtype=torch.int64)
+      self._num_steps = torch.zeros(1, dtype=torch.int64)
+      self._num_kept = torch.zeros((), dtype=torch.int64)
+      self._diverged = torch.zeros(n, dtype=torch.bool)
+      # Worlds that diverged since the last report, however often.
+      self._since_report = torch.zeros(n, dtype=torch.bool)
+      self._order = torch.arange(cfg.buffer_size)
+      self._ranks = torch.arange(min(slots, n))
+      # Of many worlds the first by number are found.
+      self._priority = torch.arange(n, 0, -1)
     # Where the host may look which slot is due, a state goes straight to it, by numpy, which begins sooner than torch.
-    self._on_host = device.type == "cpu"
+    self._on_host = sim.device.type == "cpu"
     if self._on_host:
       self._host_fields = [field.numpy() for field in self._fields]
       # The slot that is due is the first.
       self._host_slots = deque(list(slot.numpy()) for slot in self._ring)
-    self._kept = torch.zeros(slots + 1, steps, width, dtype=dtype, device=device)
-    self._last = torch.zeros(slots + 1, width + sim.mj_model.nv, dtype=dtype, device=device)
-    self._tags = torch.zeros(slots + 1, 2, dtype=torch.int64, device=device)
     self._model: dict[str, torch.Tensor] = {}
-    self._num_steps = torch.zeros(1, dtype=torch.int64, device=device)
-    self._num_kept = torch.zeros((), dtype=torch.int64, device=device)
-    self._diverged = torch.zeros(n, dtype=torch.bool, device=device)
-    # Worlds that diverged since the last report, however often.
-    self._since_report = torch.zeros(n, dtype=torch.bool, device=device)
-    self._order = torch.arange(cfg.buffer_size, device=device)
-    self._ranks = torch.arange(min(slots, n), device=device)
-    # Of many worlds the first by number are found.
-    self._priority = torch.arange(n, 0, -1, device=device)
     self._num_reports = 0
 
   @property
@@ -102,12 +101,11 @@ class NanGuard:
     newest_last = (self._num_steps + self._order) % self._cfg.buffer_size
     history = self._ring[:, :, worlds][newest_last]
     self._kept.index_copy_(0, slots, history.flatten(0, 1).transpose(0, 1))
-    now = torch.empty_like(self._step[0])
-    self._pack(now)
+    now = self._pack()
     self._last.index_copy_(0, slots, torch.cat([now[worlds], self._sim.data.qacc[worlds]], dim=1))
     self._tags.index_copy_(0, slots, torch.stack([worlds, self._num_steps.expand_as(worlds)], dim=1))
     for name in self._sim.expanded_fields:
-      field = self._sim._engine.model_field(name).as_subclass(torch.Tensor)
+      field = plain(self._sim._engine.model_field(name))
       if name not in self._model:
         # A field may be expanded at any time, and the first step after that may run in inference mode.
         with torch.inference_mode(False):
@@ -150,8 +148,8 @@ class NanGuard:
       lines.append("worlds that diverge from now on are only counted (--env.sim.nan-guard.max-dumps)")
     return lines
 
-  def _pack(self, out: torch.Tensor) -> None:
-    torch.cat([field if field.dtype == out.dtype else field.to(out.dtype) for field in self._fields], dim=1, out=out)
+  def _pack(self, out: torch.Tensor | None = None) -> torch.Tensor:
+    return torch.cat([field.to(self._step.dtype) for field in self._fields], dim=1, out=out)
 
   def _contents(self, rows: range) -> dict[str, np.ndarray]:
     model = np.empty(mujoco.mj_sizeModel(self._sim.mj_model), dtype=np.uint8)

@@ -4,6 +4,7 @@ import copy
 import ctypes
 import functools
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -13,9 +14,9 @@ from mjlab_core import Contacts, MjlabError
 from mujoco import batch
 
 from mjlab_sim.config import SimulationCfg
-from mjlab_sim.fields import KINEMATIC_STATE, STATE
+from mjlab_sim.fields import KINEMATIC_STATE, STATE, owner_of
 from mjlab_sim.native.contacts import NativeContacts
-from mjlab_sim.native.rays import NativeRayCaster, ground_geoms, ground_model
+from mjlab_sim.native.rays import NativeRayCaster, ground_model
 from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of
@@ -60,6 +61,17 @@ def _shaped(array: np.ndarray, name: str) -> np.ndarray:
   return array
 
 
+@dataclass
+class _ModelField:
+  """Field of the model."""
+
+  tensor: TorchArray
+  version: int
+  """Version of the tensor when it was last looked at."""
+  rows: np.ndarray | None = None
+  """Values of all worlds then; None while worlds share the field."""
+
+
 class NativeEngine:
   """`mujoco.batch.Batch` behind the engine protocol."""
 
@@ -75,10 +87,7 @@ class NativeEngine:
     self._num_envs = num_envs
     self._batch = batch.Batch(model, num_envs, cfg.num_threads, persistent=True)
     self._data: dict[str, TorchArray] = {}
-    self._per_world: dict[str, TorchArray] = {}
-    # What these held when worlds were last computed, and the version that this was.
-    self._known: dict[str, tuple[np.ndarray, int]] = {}
-    self._shared: dict[str, tuple[TorchArray, int]] = {}
+    self._model_fields: dict[str, _ModelField] = {}
     self._grounds: dict[bytes, batch.Batch] = {}
     self._renderers: Renderers | None = None
     self._contacts: NativeContacts | None = None
@@ -86,7 +95,6 @@ class NativeEngine:
     self._kinematic = [self._batch.bind(name) for name in KINEMATIC_STATE]
     self._seen = [array.copy() for array in self._kinematic]
     self._stale = np.zeros(num_envs, dtype=bool)
-    self._warnings = self._count_warnings()
     self._overflowed = np.zeros((num_envs, len(_BUFFERS)), dtype=bool)
     self._is_reported = False
 
@@ -103,39 +111,32 @@ class NativeEngine:
     return self._data[name]
 
   def model_field(self, name: str) -> TorchArray:
-    if name in self._per_world:
-      return self._per_world[name]
-    if name not in self._shared:
-      source: Any = self._model.opt if name.startswith("opt.") else self._model
+    if name not in self._model_fields:
       rows = self._batch.expanded(name)
       # The batch derives constants for each world; while their sources are shared, all worlds have the same.
-      value = np.array(getattr(source, name.removeprefix("opt.")))[None] if rows is None else rows[:1].copy()
+      value = np.array(getattr(*owner_of(self._model, name)))[None] if rows is None else rows[:1].copy()
       field = TorchArray.over(lambda: torch.from_numpy(_shaped(value, name)))
-      self._shared[name] = (field, version_of(field))
-    return self._shared[name][0]
+      self._model_fields[name] = _ModelField(field, version_of(field))
+    return self._model_fields[name].tensor
 
   def expand(self, name: str) -> None:
     shared = self.model_field(name)
     rows = _shaped(self._batch.expand(name), name)
     field = TorchArray.over(lambda: torch.from_numpy(rows))
     field.copy_(shared)
-    self._shared.pop(name, None)
-    self._per_world[name] = field
-    self._known[name] = (rows.copy(), version_of(field))
+    self._model_fields[name] = _ModelField(field, version_of(field), rows.copy())
     # A write to the shared field may not have been seen.
     self._stale[:] = True
 
   def step(self) -> None:
-    self._push_shared()
     if self._contacts is not None:
       self._contacts.record()
     self._batch.step(stage=_VEL)
     self._remember()
 
   def forward(self, model_changed: bool) -> None:
-    self._push_shared()
     if model_changed:
-      self._find_changed_models()
+      self._take_model_writes()
     for array, seen in zip(self._kinematic, self._seen, strict=True):
       # NaN compares unequal to itself, so a world that holds one always counts as written.
       self._stale |= (array != seen).reshape(self._num_envs, -1).any(axis=1)
@@ -143,41 +144,40 @@ class NativeEngine:
       self._batch.forward(self._stale, stage=_VEL)
       self._remember()
 
-  def _find_changed_models(self) -> None:
-    """Mark worlds whose own fields were written: most resets are of few worlds, and so are their draws."""
-    for name, (seen, version) in self._known.items():
-      field = self._per_world[name]
-      if version_of(field) != version:
-        rows = field.numpy()
-        self._stale |= (rows != seen).reshape(self._num_envs, -1).any(axis=1)
-        np.copyto(seen, rows)
-        self._known[name] = (seen, version_of(field))
+  def _take_model_writes(self) -> None:
+    """Give the batch what was written to shared fields, and mark the worlds whose constants were written.
+
+    The batch runs on its own copy of the model, so that a write to a shared field reaches it as equal values for all
+    worlds. Most resets are of few worlds, and so are their draws.
+    """
+    for name, field in self._model_fields.items():
+      if version_of(field.tensor) == field.version:
+        continue
+      field.version = version_of(field.tensor)
+      now = field.tensor.numpy()
+      if field.rows is None:
+        _shaped(self._batch.expand(name), name)[:] = now
+        self._stale[:] = True
+      else:
+        self._stale |= (now != field.rows).reshape(self._num_envs, -1).any(axis=1)
+        np.copyto(field.rows, now)
 
   def _remember(self) -> None:
     for array, seen in zip(self._kinematic, self._seen, strict=True):
       np.copyto(seen, array)
     self._stale[:] = False
 
-  def _push_shared(self) -> None:
-    # The batch runs on its own copy of the model: a write to a shared field reaches it as equal values for all worlds.
-    for name, (field, version) in self._shared.items():
-      if version_of(field) != version:
-        _shaped(self._batch.expand(name), name)[:] = field.numpy()
-        self._shared[name] = (field, version_of(field))
-        self._stale[:] = True
-
   def reset(self, mask: torch.Tensor) -> None:
     worlds = mask.numpy()
     if worlds.any():
       self._count_overflow()
       self._batch.reset(worlds, stage=_NONE)
-      self._warnings[worlds] = 0
       self._stale |= worlds
       if self._contacts is not None:
         self._contacts.forget(worlds)
 
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
-    self._push_shared()
+    self._take_model_writes()
     worlds = None if mask is None else mask.numpy()
     if worlds is not None and not worlds.any():
       return
@@ -187,10 +187,10 @@ class NativeEngine:
       raise MjlabError(f"recompute_constants: {error}") from error
     self._stale |= True if worlds is None else worlds
     one = 0 if worlds is None else int(worlds.argmax())
-    for name, (field, _) in self._shared.items():
+    for name, field in self._model_fields.items():
       rows = self._batch.expanded(name)
-      if rows is not None:
-        field.numpy()[0] = _shaped(rows, name)[one]
+      if field.rows is None and rows is not None:
+        field.tensor.numpy()[0] = _shaped(rows, name)[one]
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
     ground = None if geomid else self._ground(targets)
@@ -198,7 +198,7 @@ class NativeEngine:
 
   def _ground(self, targets: RayTargets) -> batch.Batch | None:
     """Return the fixed geoms by themselves, where that is faster; casters that see the same ones share them."""
-    key = ground_geoms(self._model, targets)[0].tobytes()
+    key = targets.ground.tobytes()
     if key not in self._grounds:
       ground = ground_model(self._model, targets)
       if ground is None:
@@ -219,14 +219,9 @@ class NativeEngine:
       self._contacts = NativeContacts(self._batch)
     return self._contacts.of(world)
 
-  def _count_warnings(self) -> np.ndarray:
-    return self._batch.warning[:, list(_BUFFERS.values()), 1]
-
   def _count_overflow(self) -> None:
     # The batch counts warnings itself, but a reset forgets them.
-    warnings = self._count_warnings()
-    self._overflowed |= warnings > self._warnings
-    self._warnings = warnings
+    self._overflowed |= self._batch.warning[:, list(_BUFFERS.values()), 1] > 0
 
   @property
   def buffer_sizes(self) -> dict[str, int]:

@@ -6,7 +6,7 @@ import torch
 from mujoco import batch
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import Geoms, RayHits, RayTargets, fixed_geoms, triangulate
+from mjlab_sim.rays import RayHits, RayTargets, heights_of, triangulate
 
 # A ray takes as long for one mesh of any size as for about so many boxes, one after another.
 _MANY = 32
@@ -33,7 +33,7 @@ class NativeRayCaster:
     self._max_distance = max_distance
     self._bodyexclude, self._owner, self._exclude = targets.bodyexclude, targets.owner, targets.exclude
     self._groups = None if targets.geomgroup is None else np.array(targets.geomgroup, dtype=np.uint8)
-    self._others_move = bool(len(ground_geoms(worlds.model, targets)[1]))
+    self._others_move = len(targets.others) > 0
     shape = (worlds.nsim, len(targets.bodyexclude))
     self.origins = torch.zeros((*shape, 3), dtype=torch.float64)
     self.directions = torch.zeros((*shape, 3), dtype=torch.float64)
@@ -93,14 +93,6 @@ class NativeRayCaster:
     return (geomid >= 0) & (self._owner[geomid] == self._exclude)
 
 
-def ground_geoms(model: mujoco.MjModel, targets: RayTargets) -> tuple[Geoms, Geoms]:
-  """Geoms among `targets` that never move and that all rays see, and the rest."""
-  is_ground = fixed_geoms(model)[targets.others]
-  is_ground &= ~np.isin(targets.owner[targets.others], targets.exclude)
-  ground = np.concatenate((targets.fixed, targets.others[is_ground]))
-  return ground, targets.others[~is_ground]
-
-
 def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel | None:
   """Return a model of the ground in which boxes and meshes are one mesh; None if rays would gain nothing from it.
 
@@ -108,7 +100,7 @@ def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel |
   MuJoCo looks up the triangles of a mesh in a tree. Its vertices have single precision. Height fields stay as they
   are: as triangles they would take a gigabyte.
   """
-  ground, rest = ground_geoms(model, targets)
+  ground, rest = targets.ground, targets.others
   merged = ground[np.isin(model.geom_type[ground], (_Geom.mjGEOM_BOX, _Geom.mjGEOM_MESH))]
   # Rays tell moving geoms from others by their weld, so that what is neither ground nor moving would be lost.
   passed = np.isin(targets.owner, targets.exclude) & ~np.isin(model.geom_bodyid, targets.bodyexclude)
@@ -134,12 +126,12 @@ def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel |
     )
     if model.geom_type[geom] == _Geom.mjGEOM_HFIELD:
       field = model.geom_dataid[geom]
-      first, rows, columns = model.hfield_adr[field], model.hfield_nrow[field], model.hfield_ncol[field]
-      heights = model.hfield_data[first : first + rows * columns]
+      heights = heights_of(model, field)
+      rows, columns = heights.shape
       alone.hfieldname = f"field{geom}"
       size = model.hfield_size[field]
-      spec.add_hfield(name=alone.hfieldname, nrow=rows, ncol=columns, size=size, userdata=heights)
-      fields.append(heights)
+      spec.add_hfield(name=alone.hfieldname, nrow=rows, ncol=columns, size=size, userdata=heights.ravel())
+      fields.append(heights.ravel())
     else:
       alone.size = model.geom_size[geom]
   compiled = spec.compile()

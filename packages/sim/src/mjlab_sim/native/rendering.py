@@ -2,8 +2,6 @@
 
 import copy
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -12,10 +10,9 @@ import torch
 import warp as wp
 from mjlab_core import MjlabError
 from mujoco import batch
-from numpy.typing import NDArray
 
 from mjlab_sim.warp.launching import Stage
-from mjlab_sim.warp.rendering import POSES, Renderers
+from mjlab_sim.warp.rendering import Renderers
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -23,6 +20,9 @@ _DRAWN = """geom_dataid geom_matid geom_size geom_rgba cam_fovy cam_intrinsic li
 light_attenuation light_cutoff light_exponent light_ambient light_diffuse light_specular mat_texid mat_texuniform
 mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
 """Per-world fields of the model that an image depends on, beside those that it sees as poses."""
+
+_POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos")
+"""Fields of the data that MuJoCo Warp's renderer reads."""
 
 _OPTIONS = ("solver", "integrator", "jacobian", "disableflags", "enableflags")
 
@@ -50,14 +50,8 @@ def native_renderers(
       m = mjw.put_model(model)
     except (NotImplementedError, ValueError) as error:
       raise MjlabError(f"MuJoCo Warp, which draws images on a CPU too, cannot take this model: {error}") from error
-    kinds = {"xmat": wp.mat33}
-    d = SimpleNamespace(nworld=worlds)
-    copies: list[tuple[NDArray, NDArray]] = []
-    for name in POSES:
-      source = data_field(name)
-      array: Any = wp.zeros((worlds, source.shape[1]), dtype=kinds.get(name.split("_")[1], wp.vec3))
-      setattr(d, name, array)
-      copies.append((array.numpy(), source.numpy()))
+    d = mjw.make_data(model, nworld=worlds, nconmax=1, njmax=1)
+  copies = [(getattr(d, name).numpy(), data_field(name).numpy()) for name in _POSES]
 
   def refresh() -> None:
     for target, source in copies:

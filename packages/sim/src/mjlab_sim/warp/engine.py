@@ -1,8 +1,8 @@
 """MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
 
+import dataclasses
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -12,7 +12,7 @@ import warp as wp
 from mjlab_core import Contacts, MjlabError, where_
 
 from mjlab_sim.config import RK4_REFUSED, SimulationCfg
-from mjlab_sim.fields import CONSTANTS
+from mjlab_sim.fields import CONSTANTS, owner_of
 from mjlab_sim.rays import EngineRays, RayTargets
 from mjlab_sim.rendering import EngineImages, View
 from mjlab_sim.tensors import TorchArray, version_of, versions
@@ -68,6 +68,8 @@ class WarpEngine:
     with wp.ScopedDevice(self._wp_device):
       self._put(model, cfg)
       self._mask = wp.zeros(num_envs, dtype=wp.bool)
+      # Bodies of the model, none of them welded to the world.
+      self._no_weld = wp.ones(model.nbody, dtype=int)
       self._find_acceleration_sensors(model)
       self._overflow = Overflow(self._d, cfg)
       self._fused = choose_solver(self._m, self._d, cfg.solver_backend)
@@ -128,19 +130,15 @@ class WarpEngine:
       self._data_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
     return self._data_views[name]
 
-  def _owner(self, name: str) -> tuple[Any, str]:
-    return (self._m.opt, name.removeprefix("opt.")) if name.startswith("opt.") else (self._m, name)
-
   def model_field(self, name: str) -> TorchArray:
     if name not in self._model_views:
-      owner, attribute = self._owner(name)
-      array = getattr(owner, attribute)
+      array = getattr(*owner_of(self._m, name))
       self._model_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
     return self._model_views[name]
 
   def expand(self, name: str) -> None:
     self._expanded.add(name)
-    owner, attribute = self._owner(name)
+    owner, attribute = owner_of(self._m, name)
     shared = getattr(owner, attribute)
     if shared.shape[0] == self._num_envs:
       return
@@ -262,18 +260,7 @@ class WarpEngine:
 
   def _place(self) -> None:
     """Put every geom where its body is; MuJoCo Warp leaves those of bodies that never move where they were compiled."""
-    m, d = self._m, self._d
-    mjw.kinematics(m, d)
-    wp.launch(
-      kernels.place_fixed_geoms,
-      dim=(self._num_envs, m.ngeom),
-      inputs=[
-        *(m.body_weldid, m.body_rootid, m.body_mocapid, m.geom_bodyid, m.geom_pos, m.geom_quat),
-        *(d.xpos, d.xquat),
-      ],
-      outputs=[d.geom_xpos, d.geom_xmat],
-      device=self._wp_device,
-    )
+    mjw.kinematics(dataclasses.replace(self._m, body_weldid=self._no_weld), self._d)
 
   def overflow_report(self) -> list[str]:
     return self._overflow.report()

@@ -27,46 +27,6 @@ def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
     rows[world, column] = 0.0
 
 
-@wp.func
-def matrix_of(q: wp.quat) -> wp.mat33:
-  """Return the rotation matrix of a quaternion (w, x, y, z), which MuJoCo Warp keeps in this order."""
-  w, x, y, z = q[0], q[1], q[2], q[3]
-  return wp.mat33(
-    w * w + x * x - y * y - z * z,
-    2.0 * (x * y - w * z),
-    2.0 * (x * z + w * y),
-    2.0 * (x * y + w * z),
-    w * w - x * x + y * y - z * z,
-    2.0 * (y * z - w * x),
-    2.0 * (x * z - w * y),
-    2.0 * (y * z + w * x),
-    w * w - x * x - y * y + z * z,
-  )
-
-
-@wp.kernel(enable_backward=False)
-def place_fixed_geoms(
-  body_weldid: wp.array[int],
-  body_rootid: wp.array[int],
-  body_mocapid: wp.array[int],
-  geom_bodyid: wp.array[int],
-  geom_pos: wp.array2d[wp.vec3],
-  geom_quat: wp.array2d[wp.quat],
-  xpos: wp.array2d[wp.vec3],
-  xquat: wp.array2d[wp.quat],
-  geom_xpos: wp.array2d[wp.vec3],
-  geom_xmat: wp.array2d[wp.mat33],
-):
-  """Put the geoms of bodies that never move where their bodies are; `kinematics` leaves them out."""
-  world, geom = wp.tid()
-  body = geom_bodyid[geom]
-  if body_weldid[body] != 0 or body_mocapid[body_rootid[body]] >= 0:
-    return
-  rotation = matrix_of(xquat[world, body])
-  geom_xpos[world, geom] = xpos[world, body] + rotation * geom_pos[world % geom_pos.shape[0], geom]
-  geom_xmat[world, geom] = rotation * matrix_of(geom_quat[world % geom_quat.shape[0], geom])
-
-
 @wp.kernel(enable_backward=False)
 def count_overflow(
   overflow: wp.array[int],
@@ -167,24 +127,6 @@ def drop_far_hits(
     distance[world, ray] = -1.0
     geomid[world, ray] = -1
     normal[world, ray] = wp.vec3()
-
-
-@wp.kernel(enable_backward=False, module="unique")
-def aim_cameras(
-  is_due: wp.array[bool],
-  cam_xpos: wp.array2d[wp.vec3],
-  cam_xmat: wp.array2d[wp.mat33],
-  aimed_xpos: wp.array2d[wp.vec3],
-  aimed_xmat: wp.array2d[wp.mat33],
-):
-  """Write the poses of cameras; in worlds that are not due they are far below everything and look down."""
-  world, camera = wp.tid()
-  if is_due[world]:
-    aimed_xpos[world, camera] = cam_xpos[world, camera]
-    aimed_xmat[world, camera] = cam_xmat[world, camera]
-  else:
-    aimed_xpos[world, camera] = wp.vec3(0.0, 0.0, -1.0e9)
-    aimed_xmat[world, camera] = wp.identity(3, float)
 
 
 @wp.kernel(enable_backward=False, module="unique")

@@ -5,7 +5,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from mjlab_sim.warp import internals
-from mjlab_sim.warp.height_field_kernels import FAR, Prisms, Scene, margin_gap
+from mjlab_sim.warp.height_field_kernels import FAR, Prisms, Scene
 from mjlab_sim.warp.structs import with_arrays
 
 HFIELD_OVERFLOW = wp.constant(int(mjw.OverflowType.HFIELD))
@@ -49,8 +49,7 @@ def choose_contacts(s: Scene, prisms: Prisms, d: Written, overflow: wp.array[int
   if touching == 0:
     return
 
-  margin, gap = margin_gap(s, geoms, pair, world)
-  _geoms_again, _margin, _gap, condim, friction, solref, solreffriction, solimp, adhesion = internals.contact_params(
+  _geoms_again, margin, gap, condim, friction, solref, solreffriction, solimp, adhesion = internals.contact_params(
     s.geom_condim,
     s.geom_priority,
     s.geom_solmix,

@@ -16,6 +16,8 @@ from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.launching import Stage
 
+_FLAT_FACES = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
+
 
 class RayScene:
   """Trees of the geoms that the casters of one simulation see.
@@ -84,11 +86,13 @@ class WarpRayCaster:
     groups = targets.geomgroup
     self._groups: Any = [-1.0] * 6 if groups is None else [float(group) for group in groups]
     with wp.ScopedDevice(self._stage.device):
-      self._fixed, self._fixed_geom = scene.triangles(targets.fixed)
-      every = np.concatenate((targets.fixed, targets.others))
+      is_flat = np.isin(model.geom_type[targets.ground], _FLAT_FACES)
+      self._fixed, self._fixed_geom = scene.triangles(targets.ground[is_flat])
+      others = np.concatenate((targets.ground[~is_flat], targets.others))
+      every = np.concatenate((targets.ground, targets.others))
       self._meshes = scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, mesh_surface, every)
       self._hfields = scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, hfield_surface, every)
-      self._others: Any = wp.array(targets.others, dtype=wp.int32)
+      self._others: Any = wp.array(others, dtype=wp.int32)
       self._every: Any = wp.array(every, dtype=wp.int32)
       self._owner: Any = wp.array(targets.owner, dtype=wp.int32)
       self._exclude: Any = wp.array(targets.exclude, dtype=wp.int32)

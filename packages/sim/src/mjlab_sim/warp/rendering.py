@@ -1,8 +1,8 @@
 """MuJoCo Warp's batch renderer, for both engines: one ray a pixel, in all worlds at once."""
 
+import dataclasses
 import itertools
-from dataclasses import replace
-from types import SimpleNamespace
+from collections.abc import Hashable
 from typing import Any
 
 import mujoco
@@ -10,12 +10,17 @@ import mujoco_warp as mjw
 import torch
 import warp as wp
 
-from mjlab_sim.rendering import EngineImages, Images, Look, View
+from mjlab_sim.rendering import EngineImages, Images, View
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp.launching import Stage
 
-POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos")
-"""Fields of the data that MuJoCo Warp's renderer reads."""
+_IMAGES: dict[str, tuple[int, Any, int]] = {
+  "rgb": (3, wp.uint8, 0),
+  "depth": (1, wp.float32, -1),
+  "distance": (1, wp.float32, -1),
+  "segmentation": (2, wp.int32, -1),
+}
+"""Channels and type of the images of a kind, and their value before the first drawing."""
 _PER_VIEW = ("cam_res", "cam_id_map", "rgb_adr", "depth_adr", "seg_adr", "render_rgb", "render_depth", "render_seg")
 """Arrays of a render context that have one entry for each view."""
 
@@ -29,11 +34,11 @@ class Renderers:
 
   def __init__(self, stage: Stage) -> None:
     self._stage = stage
-    self._scenes: dict[Look, _Scene] = {}
+    self._scenes: dict[Hashable, _Scene] = {}
 
   def add(self, view: View) -> EngineImages:
     """Return images of a view, and the function that draws them."""
-    scene = self._scenes.setdefault(view.look, _Scene(self._stage, view.look))
+    scene = self._scenes.setdefault(view.look, _Scene(self._stage))
     renderer = WarpRenderer(self._stage, scene, view)
     return EngineImages(images=renderer.images, draw=renderer.draw)
 
@@ -46,8 +51,8 @@ class _Scene:
   name = ""
   """Another one whenever contexts are made: what was recorded with the old ones is not for them."""
 
-  def __init__(self, stage: Stage, look: Look) -> None:
-    self._stage, self._look = stage, look
+  def __init__(self, stage: Stage) -> None:
+    self._stage = stage
     self._views: list[View] = []
     self._contexts: list[Any] = []
     self._version = -1
@@ -71,7 +76,8 @@ class _Scene:
     return self._contexts[number]
 
   def _build(self) -> None:
-    views, groups = self._views, self._look.geomgroup
+    views = self._views
+    groups, textures, shadows = views[0].look
     wants = {kind: [kind in view.data_types for view in views] for kind in ("rgb", "segmentation")}
     wants["depth"] = ["depth" in view.data_types or "distance" in view.data_types for view in views]
     with wp.ScopedDevice(self._stage.device):
@@ -83,8 +89,8 @@ class _Scene:
         render_rgb=wants["rgb"],
         render_depth=wants["depth"],
         render_seg=wants["segmentation"],
-        use_textures=self._look.textures,
-        use_shadows=self._look.shadows,
+        use_textures=textures,
+        use_shadows=shadows,
         enabled_geom_groups=[group for group in range(mujoco.mjNGROUP) if groups is None or groups[group]],
         # Rays follow the field of view that a camera has now, in each world.
         use_precomputed_rays=False,
@@ -95,7 +101,7 @@ class _Scene:
     self._whole = whole
     self.name = f"scene {next(self._numbers)}"
     self._contexts = [
-      replace(
+      dataclasses.replace(
         whole,
         nrender=1,
         total_rays=view.width * view.height,
@@ -113,29 +119,23 @@ class WarpRenderer:
     self._number = scene.add(view)
     worlds, pixels = stage.num_envs, view.width * view.height
     with wp.ScopedDevice(stage.device):
-
-      def image(kind: str, channels: int, dtype: Any, value: int) -> Any:
-        return wp.full((worlds, channels, pixels if kind in view.data_types else 0), value, dtype=dtype)
-
-      self._rgb = image("rgb", 3, wp.uint8, 0)
-      self._depth = image("depth", 1, wp.float32, -1)
-      self._distance = image("distance", 1, wp.float32, -1)
-      self._segmentation = image("segmentation", 2, wp.int32, -1)
+      self._arrays: dict[str, Any] = {
+        kind: wp.full((worlds, channels, pixels if kind in view.data_types else 0), empty, dtype=dtype)
+        for kind, (channels, dtype, empty) in _IMAGES.items()
+      }
       self._is_due: Any = wp.ones(worlds, dtype=wp.bool)
-      # Poses of cameras in the worlds that are due. In the others they look away, which costs next to nothing.
-      self._cam_xpos: Any = wp.zeros((worlds, stage.model.ncam), dtype=wp.vec3)
-      self._cam_xmat: Any = wp.zeros((worlds, stage.model.ncam), dtype=wp.mat33)
     self._is_due_torch = wp.to_torch(self._is_due)
+    # Poses of cameras in the worlds that are due. In the others they are far below everything and look down, which
+    # costs next to nothing.
+    self._aimed = {name: wp.clone(getattr(stage.d, name)) for name in ("cam_xpos", "cam_xmat")}
+    self._away = {
+      "cam_xpos": torch.tensor([0.0, 0.0, -1e9], device=self._is_due_torch.device),
+      "cam_xmat": torch.eye(3, device=self._is_due_torch.device),
+    }
 
-    def tensor(array: Any) -> torch.Tensor | None:
-      return wp.to_torch(array).unflatten(2, (view.height, view.width)) if array.size else None
-
-    self.images = Images(
-      rgb=tensor(self._rgb),
-      depth=tensor(self._depth),
-      distance=tensor(self._distance),
-      segmentation=tensor(self._segmentation),
-    )
+    size = view.height, view.width
+    tensors = {kind: wp.to_torch(array).unflatten(2, size) for kind, array in self._arrays.items() if array.size}
+    self.images = Images(**tensors)
 
   def draw(self, version: int, mask: torch.Tensor | None) -> None:
     """Draw the worlds in a mask, all for None, as they are at a version of the simulation."""
@@ -149,20 +149,11 @@ class WarpRenderer:
       self._stage.run(name, lambda: self._draw(context, self._stage.d))
     else:
       self._is_due_torch.copy_(mask)
-      self._stage.run(f"{name} in part", lambda: self._draw_due(context))
-
-  def _draw_due(self, context: Any) -> None:
-    d = self._stage.d
-    wp.launch(
-      kernels.aim_cameras,
-      dim=self._cam_xpos.shape,
-      inputs=[self._is_due, d.cam_xpos, d.cam_xmat],
-      outputs=[self._cam_xpos, self._cam_xmat],
-      device=self._stage.device,
-    )
-    poses = {name: getattr(d, name) for name in POSES}
-    poses |= {"cam_xpos": self._cam_xpos, "cam_xmat": self._cam_xmat}
-    self._draw(context, SimpleNamespace(nworld=d.nworld, **poses))
+      for name, aimed in self._aimed.items():
+        pose = wp.to_torch(getattr(self._stage.d, name))
+        due = mask.view(-1, *[1] * (pose.ndim - 1))
+        wp.to_torch(aimed).copy_(torch.where(due, pose, self._away[name]))
+      self._stage.run(f"{name} in part", lambda: self._draw(context, dataclasses.replace(self._stage.d, **self._aimed)))
 
   def _draw(self, context: Any, d: Any) -> None:
     m, view = self._stage.m, self._view
@@ -177,6 +168,6 @@ class WarpRenderer:
         *(m.cam_projection, m.cam_fovy, m.cam_sensorsize, m.cam_intrinsic),
         *(view.camera, view.width, view.height, context.znear),
       ],
-      outputs=[self._rgb, self._depth, self._distance, self._segmentation],
+      outputs=list(self._arrays.values()),
       device=self._stage.device,
     )
