@@ -81,7 +81,7 @@ def test_mujoco_c_diverges_from_a_dumped_state_where_the_physics_do(
   replay = world.replay()
   assert capfd.readouterr() == ("", "")
   # The force is finite, and yet what went first.
-  assert (world.first.field, world.first.element) == ("qfrc_applied", "joint 0")
+  assert world.describe_first().startswith("qfrc_applied of joint 0 was ")
   assert replay.diverged_at is not None
   assert replay.diverged_at >= 4
 

@@ -30,6 +30,7 @@ REFUSALS = [
   ({"integrator": "rk5"}, "integrator 'rk5' does not exist"),
   ({"cone": "eliptic"}, "Nearest: elliptic"),
   ({"disableflags": ("contac",)}, "disableflags 'contac' does not exist. Nearest: contact"),
+  ({"disableflags": ("mjndisable",)}, "disableflags 'mjndisable' does not exist"),
   ({"enableflags": ("enrgy",)}, "enableflags 'enrgy' does not exist. Nearest: energy"),
 ]
 WARP_REFUSALS = [

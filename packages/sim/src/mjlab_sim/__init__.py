@@ -2,7 +2,7 @@
 
 from mjlab_sim.config import NanGuardCfg, SimulationCfg
 from mjlab_sim.fields import PER_WORLD
-from mjlab_sim.nan.dump import Culprit, DivergedWorld, NanDump, Replay
+from mjlab_sim.nan.dump import DivergedWorld, NanDump, Replay
 from mjlab_sim.nan.guard import NanGuard
 from mjlab_sim.rays import RayHits
 from mjlab_sim.rendering import DataType, Images
@@ -13,7 +13,6 @@ from mjlab_sim.tensors import TorchArray, version_of
 
 __all__ = [
   "PER_WORLD",
-  "Culprit",
   "DataType",
   "DivergedWorld",
   "Images",

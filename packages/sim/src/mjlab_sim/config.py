@@ -11,17 +11,17 @@ from mjlab_core import Config, ConfigError, Count, Finite, NonNegative, Positive
 EngineName = Literal["native", "warp"]
 
 _ENUMS = {
-  "integrator": ("mjINT_", mujoco.mjtIntegrator),
-  "cone": ("mjCONE_", mujoco.mjtCone),
-  "jacobian": ("mjJAC_", mujoco.mjtJacobian),
-  "solver": ("mjSOL_", mujoco.mjtSolver),
-  "disableflags": ("mjDSBL_", mujoco.mjtDisableBit),
-  "enableflags": ("mjENBL_", mujoco.mjtEnableBit),
+  "integrator": mujoco.mjtIntegrator,
+  "cone": mujoco.mjtCone,
+  "jacobian": mujoco.mjtJacobian,
+  "solver": mujoco.mjtSolver,
+  "disableflags": mujoco.mjtDisableBit,
+  "enableflags": mujoco.mjtEnableBit,
 }
 # Numbers of the options that are chosen by name.
 _CHOICES: dict[str, dict[str, int]] = {
-  option: {name.removeprefix(prefix).lower(): member.value for name, member in members.__members__.items()}
-  for option, (prefix, members) in _ENUMS.items()
+  option: {name.partition("_")[2].lower(): member.value for name, member in members.__members__.items() if "_" in name}
+  for option, members in _ENUMS.items()
 }
 _FLAGS = ("disableflags", "enableflags")
 

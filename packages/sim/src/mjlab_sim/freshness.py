@@ -34,8 +34,8 @@ class Freshness:
     self._state_version = versions(self._kinematic)
     self._model_changed = False
     self._model_version = 0
-    # Model fields that were asked for, and so may be written.
-    self._asked_for: dict[str, TorchArray] = {}
+    self.model_fields: dict[str, TorchArray] = {}
+    """Model fields that were asked for, and so may be written, by name."""
     self._watched: list[torch.Tensor] = []
     # Tensors of fields that were returned before their fields were expanded, with their version then.
     self._replaced: list[tuple[str, torch.Tensor, int]] = []
@@ -43,7 +43,7 @@ class Freshness:
   def close(self, closed: Engine) -> None:
     """Let go of the engine. Whatever is read from now on asks `closed`, which refuses it."""
     self.engine = closed
-    self._asked_for.clear()
+    self.model_fields.clear()
     self._watched.clear()
     self.note_write()
 
@@ -75,10 +75,10 @@ class Freshness:
     self._model_changed |= model
     self._state_version = -1
 
-  @property
-  def model_fields(self) -> dict[str, TorchArray]:
-    """Model fields that were asked for, by name."""
-    return self._asked_for
+  def state(self) -> dict[str, torch.Tensor]:
+    """Return the fields of `STATE` that are not empty, as plain tensors."""
+    fields = {name: plain(self.engine.data_field(name)) for name in STATE}
+    return {name: field for name, field in fields.items() if field.numel()}
 
   def data_field(self, name: str) -> TorchArray:
     """Return a field of MjData; KeyError if the engine has no such field."""
@@ -88,9 +88,9 @@ class Freshness:
 
   def model_field(self, name: str) -> TorchArray:
     """Return a per-world field of MjModel; KeyError if there is no such field."""
-    field = self._asked_for.get(name)
+    field = self.model_fields.get(name)
     if field is None:
-      field = self._asked_for[name] = self.engine.model_field(name)
+      field = self.model_fields[name] = self.engine.model_field(name)
       self._watched.append(plain(field))
       # Its memory may have been written before: only what comes now counts.
       self._model_version += version_of(field)
@@ -99,12 +99,12 @@ class Freshness:
   def expand(self, names: Iterable[str]) -> None:
     """Give model fields one value per world. Tensors that were handed out before are watched for writes."""
     for name in names:
-      if name in self._asked_for:
-        shared = plain(self._asked_for[name])
+      if name in self.model_fields:
+        shared = plain(self.model_fields[name])
         self._replaced.append((name, shared, version_of(shared)))
       self.engine.expand(name)
-    self._asked_for = {name: self.engine.model_field(name) for name in self._asked_for}
-    self._watched = [plain(field) for field in self._asked_for.values()]
+    self.model_fields = {name: self.engine.model_field(name) for name in self.model_fields}
+    self._watched = [plain(field) for field in self.model_fields.values()]
     self._watched += [shared for _, shared, _ in self._replaced]
     # A write to the shared field may not have been seen yet.
     self.note_write(model=True)

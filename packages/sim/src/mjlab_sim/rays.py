@@ -101,9 +101,8 @@ def find_targets(
   owner_of_body = model.body_rootid if exclude_trees else np.arange(model.nbody, dtype=np.int32)
   owner = owner_of_body[model.geom_bodyid]
   exclude = np.where(body_of_ray < 0, -1, owner_of_body[body_of_ray]).astype(np.int32)
-  matid = model.geom_matid
-  seen = np.where(matid < 0, model.geom_rgba[:, 3], 1.0) != 0.0
-  seen[matid >= 0] = model.mat_rgba[matid[matid >= 0], 3] != 0.0
+  of_material = np.append(model.mat_rgba[:, 3], 0.0)[model.geom_matid]
+  seen = np.where(model.geom_matid < 0, model.geom_rgba[:, 3], of_material) != 0.0
   if groups is not None:
     seen &= np.asarray(groups)[model.geom_group.clip(0, mujoco.mjNGROUP - 1)]
   excluded = np.isin(owner, exclude)
@@ -131,7 +130,7 @@ def fixed_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def triangulate(model: mujoco.MjModel, geoms: Geoms) -> tuple[Mesh, Geoms]:
-  """Surfaces of fixed geoms, just as `mj_ray` sees them.
+  """Surfaces of fixed geoms, one at least, just as `mj_ray` sees them.
 
   Returns:
     Vertices in the world (num_vertices, 3) [m] with triangles (num_triangles, 3), counter-clockwise from outside,
@@ -139,14 +138,13 @@ def triangulate(model: mujoco.MjModel, geoms: Geoms) -> tuple[Mesh, Geoms]:
   """
   data = mujoco.MjData(model)
   mujoco.mj_kinematics(model, data)
-  vertices, triangles, owners, start = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int32)], [], 0
+  vertices, triangles, start = [], [], 0
   for geom in geoms:
     points, faces = _surface(model, int(geom))
     vertices.append(points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
     triangles.append(faces + start)
-    owners.append(np.full(len(faces), geom))
     start += len(points)
-  owner = np.concatenate([np.zeros(0), *owners]).astype(np.int32)
+  owner = np.repeat(geoms, [len(faces) for faces in triangles])
   return (np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)), owner
 
 

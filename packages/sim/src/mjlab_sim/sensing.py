@@ -37,11 +37,8 @@ class Renderer:
 
   def __init__(self, fresh: Freshness, view: EngineImages) -> None:
     self._fresh, self._view = fresh, view
-
-  @property
-  def images(self) -> Images:
+    self.images = view.images
     """Images that were drawn last; black, and -1, before that."""
-    return self._view.images
 
   def render(self, mask: torch.Tensor | None = None) -> Images:
     """Draw the worlds in `mask`, bool (num_envs,), all by default; images of the others stay bit-identical.
@@ -54,7 +51,7 @@ class Renderer:
     self._fresh.refresh()
     self._fresh.num_sensed += 1
     self._view.draw(self._fresh.version, mask)
-    return self._view.images
+    return self.images
 
 
 class FixedGeometry:

@@ -62,7 +62,6 @@ class Simulation:
     self.model = ModelView(self._fresh)
     self._fields = WorldFields(self._fresh, self.mj_model, num_envs, self.device)
     self._recordings = Recordings(self._fresh, self._prepare)
-    self._grows = bool(self._engine.buffer_sizes) and "auto" in (self.cfg.nconmax, self.cfg.njmax)
     self._fixed_geometry: FixedGeometry | None = None
     self._keeps_contacts = False
 
@@ -71,7 +70,7 @@ class Simulation:
   def step(self) -> None:
     """Advance every world by one physics step under `data.ctrl`."""
     self._fresh.refresh()
-    if self._grows and not self._recordings.is_inside:
+    if not self._recordings.is_inside:
       self._make_room()
     self._engine.step()
     self._fresh.settle()
@@ -196,8 +195,7 @@ class Simulation:
 
   def keep_buffer_sizes(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
     """Give buffers at least the sizes that they had in a `state_dict`, also of another number of worlds."""
-    if self._grows:
-      self._make_room({name: int(size) for name, size in state.get("buffers", {}).items()})
+    self._make_room({name: int(size) for name, size in state.get("buffers", {}).items()})
 
   # Contacts, rays, images, overflow
 
@@ -315,8 +313,7 @@ class Simulation:
       self._fresh.refresh()
 
   def _prepare(self) -> None:
-    if self._grows:
-      self._make_room()
+    self._make_room()
     self.fixed_geoms_are_in_place()
 
   # Graphs

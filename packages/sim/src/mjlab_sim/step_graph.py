@@ -28,7 +28,7 @@ class Recordings:
     self.recorder: Recorder | None = None
     """The recording under way: operations are noted, not run."""
     self.is_replaying = False
-    self._graphs: list[StepGraph] = []
+    self.graphs: list[StepGraph] = []
 
   @property
   def is_inside(self) -> bool:
@@ -41,13 +41,9 @@ class Recordings:
       raise MjlabError(f"{change} inside a recorded step; do it before the first step")
     self.invalidate()
 
-  def add(self, graph: "StepGraph") -> None:
-    """Invalidate this graph with the others from now on."""
-    self._graphs.append(graph)
-
   def invalidate(self) -> None:
     """Have every graph recorded again before its next replay: memory or behaviour changed."""
-    for graph in self._graphs:
+    for graph in self.graphs:
       graph.invalidate()
 
   def interrupt(self, fn: Callable[[], object]) -> None:
@@ -88,7 +84,7 @@ class StepGraph:
     self._recorder: Recorder | None = None
     self.recorded = recorded
     """True if calls are replays of a recording."""
-    recordings.add(self)
+    recordings.graphs.append(self)
 
   def __call__(self) -> None:
     self._fresh.refresh()

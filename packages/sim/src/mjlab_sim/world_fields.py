@@ -6,7 +6,7 @@ import mujoco
 import torch
 from mjlab_core.state import refuse_state
 
-from mjlab_sim.fields import PER_WORLD, SOURCES, STATE, closure, owner_of
+from mjlab_sim.fields import PER_WORLD, SOURCES, closure, owner_of
 from mjlab_sim.freshness import Freshness, ModelView
 from mjlab_sim.tensors import plain
 
@@ -67,10 +67,9 @@ class WorldFields:
 
     Model fields that all worlds share are in it where they are not as compiled.
     """
-    data = {name: self._fresh.engine.data_field(name).detach().clone() for name in STATE}
     shared = closure(self._written_shared(), self._mj_model)
     return {
-      "data": {name: field for name, field in data.items() if field.numel()},
+      "data": {name: field.clone() for name, field in self._fresh.state().items()},
       "model": self._values(self.expanded),
       "shared": self._values(name for name in shared if name not in self.expanded),
       "default": {name: field.clone() for name, field in self._defaults.items()},
@@ -82,14 +81,17 @@ class WorldFields:
     refuse_state(
       f"saved state lacks '{kind}', it has: {', '.join(state)}" for kind in ("data", "model") if kind not in state
     )
-    engine, view = self._fresh.engine, self._view
-    data = {name: field for name in STATE if (field := engine.data_field(name)).numel()}
-    model = {name: view[name] for name in state["model"] if name in PER_WORLD}
-    model |= {name: engine.model_field(name) for name in self.expanded}
     as_compiled = {name: self.default(name) for name in self._written_shared() if name not in state["model"]}
     state["shared"] = as_compiled | state["shared"]
-    shared = {name: view[name] for name in state["shared"] if name in PER_WORLD and name not in self.expanded}
-    for kind, fields in (("data", data), ("model", model), ("shared", shared), ("default", self._defaults)):
+    own = PER_WORLD & {*state["model"], *self.expanded}
+    shared = PER_WORLD & {*state["shared"]} - {*self.expanded}
+    here: dict[str, Mapping[str, torch.Tensor]] = {
+      "data": self._fresh.state(),
+      "model": {name: self._view[name] for name in own},
+      "shared": {name: self._view[name] for name in shared},
+      "default": self._defaults,
+    }
+    for kind, fields in here.items():
       refuse_state(self._problems(kind, state[kind], fields))
     return state
 

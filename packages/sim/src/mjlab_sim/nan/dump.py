@@ -13,7 +13,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_core import AtomicWrite, FileError, MjlabError, reading
+from mjlab_core import AtomicWrite, FileError, reading
 
 from mjlab_sim.fields import owner_of, put
 
@@ -24,21 +24,6 @@ _INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 # What MuJoCo takes for a bad state (mjMAXVAL).
 _BOUND = 1e10
 _BAD = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-
-
-@dataclass(kw_only=True, frozen=True)
-class Culprit:
-  """The first number of a world that was not finite, or beyond all bounds."""
-
-  field: str
-  """Field of MjData."""
-  index: int
-  """Position in the field, flat."""
-  element: str
-  """Element it belongs to, such as "joint 'hip'"."""
-  value: float
-  step: int
-  """Physics step it was seen before; the number of stored steps where only the last one's result has it."""
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -89,29 +74,30 @@ class DivergedWorld:
     """Physics steps stored."""
     return len(self.states["time"])
 
-  @cached_property
-  def first(self) -> Culprit:
-    """The first number that was not finite or beyond 1e10; controls and forces come before the state they act on."""
-    for step in range(self.num_steps + 1):
-      here = {name: values[step] for name, values in self.states.items()} if step < self.num_steps else self.result
-      for name in sorted(here, key=lambda name: (name in _INTEGRATED, name == "qacc")):
-        bad = np.flatnonzero(~(np.abs(here[name]) <= _BOUND))
-        if len(bad):
-          index = int(bad[0])
-          element = _element(self._dump.model, name, index)
-          value = float(here[name].flat[index])
-          return Culprit(field=name, index=index, element=element, value=value, step=step)
-    raise MjlabError(f"world {self.index} of this dump has no value that is not finite")
-
   def describe_first(self) -> str:
-    """Return the first number that was not finite or beyond 1e10, in a sentence."""
-    first = self.first
-    said = f"{first.field} of {first.element} was {first.value:.3g} {self.when(first.step)}"
-    if first.step == self.num_steps:
+    """Return the first number that was not finite or beyond 1e10, in a sentence.
+
+    Controls and forces come before the state that they act on.
+    """
+    names = sorted(self.result, key=lambda name: (name in _INTEGRATED, name == "qacc"))
+    moments = [{name: values[step] for name, values in self.states.items()} for step in range(self.num_steps)]
+    found = (
+      (step, name, int(index))
+      for step, moment in enumerate([*moments, self.result])
+      for name in names
+      if name in moment
+      for index in np.flatnonzero(~(np.abs(moment[name]) <= _BOUND))
+    )
+    step, name, index = next(found, (None, "", 0))
+    if step is None:
+      return "no stored number is beyond 1e10"
+    value = [*moments, self.result][step][name].flat[index]
+    said = f"{name} of {_element(self._dump.model, name, index)} was {value:.3g} {self.when(step)}"
+    if step == self.num_steps:
       return said
-    if first.field not in _INTEGRATED:
+    if name not in _INTEGRATED:
       return f"{said}: it was written so"
-    if first.step % self._dump.decimation == 0:
+    if step % self._dump.decimation == 0:
       return f"{said}: an event, a reset or a command wrote it so, or the step before left it so"
     return said
 
@@ -136,7 +122,7 @@ class DivergedWorld:
           put(data, name, values[step])
       with _quiet():
         mujoco.mj_step(model, data)
-      finite = bool(np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all() and np.isfinite(data.qacc).all())
+      finite = bool(np.isfinite(np.concatenate((data.qpos, data.qvel, data.qacc))).all())
       after = self.states["qpos"][step + 1] if step + 1 < self.num_steps else self.result["qpos"]
       if finite and np.isfinite(after).all():
         error = max(error, float(np.abs(data.qpos - after).max()))

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from mjlab_sim.config import NanGuardCfg
-from mjlab_sim.fields import STATE
 from mjlab_sim.nan.dump import FORMAT, NanDump, write_dump
 from mjlab_sim.simulation import Simulation
 from mjlab_sim.tensors import plain
@@ -33,8 +32,7 @@ class NanGuard:
     self._sim = sim
     self._cfg = copy.copy(cfg)
     n, dtype, slots = sim.num_envs, sim.dtype, cfg.max_envs_to_dump
-    fields = {name: plain(sim._engine.data_field(name)) for name in STATE}
-    fields = {name: field for name, field in fields.items() if field.numel()}
+    fields = sim._fresh.state()
     self._layout = {name: tuple(field.shape[1:]) for name, field in fields.items()}
     # State stays in its memory, so that these views stay good.
     self._fields = [field.view(n, -1) for field in fields.values()]

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -65,14 +64,8 @@ def resize(model: mujoco.MjModel, d: mjw.Data, sizes: Mapping[str, int]) -> None
   """Give data buffers of other sizes, empty, in new memory. All other arrays stay where they are."""
   with wp.ScopedDevice(d.qpos.device):
     fresh = mjw.make_data(model, nworld=d.nworld, **sizes)
-  _take_resized(d, fresh)
-  _take_resized(d.contact, fresh.contact)
-  _take_resized(d.efc, fresh.efc)
-
-
-def _take_resized(owner: Any, fresh: Any) -> None:
-  for field in dataclasses.fields(owner):
-    now, new = getattr(owner, field.name), getattr(fresh, field.name)
-    resized = isinstance(now, wp.array) and isinstance(new, wp.array) and now.shape != new.shape
-    if resized or isinstance(now, int):
-      setattr(owner, field.name, new)
+  for owner, larger in ((d, fresh), (d.contact, fresh.contact), (d.efc, fresh.efc)):
+    for field in dataclasses.fields(owner):
+      now, new = getattr(owner, field.name), getattr(larger, field.name)
+      if isinstance(now, int) or (isinstance(now, wp.array) and now.shape != new.shape):
+        setattr(owner, field.name, new)

@@ -27,7 +27,7 @@ from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, Stage, check_capture
 from mjlab_sim.warp.overflow import Overflow
-from mjlab_sim.warp.rays import RayScene
+from mjlab_sim.warp.rays import RayScene, WarpRayCaster
 from mjlab_sim.warp.rendering import Renderers
 
 wp.config.log_level = wp.LOG_WARNING
@@ -45,7 +45,6 @@ class WarpEngine:
 
   def __init__(self, model: mujoco.MjModel, num_envs: int, cfg: SimulationCfg, device: torch.device) -> None:
     wp.init()
-    self._device = device
     self._wp_device = wp.device_from_torch(device)
     self._num_envs = num_envs
     self._mj_model = model
@@ -284,7 +283,7 @@ class WarpEngine:
     return True
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
-    return self._rays.caster(targets, max_distance, geomid=geomid)
+    return WarpRayCaster(self._rays, targets, max_distance, geomid=geomid)
 
   def renderer(self, view: View) -> EngineImages:
     return self._renderers.add(view)

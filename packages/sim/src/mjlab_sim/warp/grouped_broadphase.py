@@ -69,16 +69,19 @@ class GroupedBroadphase:
     rows = np.stack([keys[:, 1], keys[:, 2], np.cumsum(count) - count, count], 1)
     self.saved = len(geoms) - len(rows)
     """Threads per world that are fewer than pairs."""
-    pairs: Any = kernels.Pairs()
     with wp.ScopedDevice(self._device):
-      pairs.geoms = wp.array(geoms[order], dtype=wp.vec2i)
-      pairs.pairid = wp.array(pairid[order], dtype=wp.vec2i)
-      pairs.row = wp.array(rows.astype(np.int32), dtype=wp.vec4i)
-      pairs.first = wp.array(np.append(np.flatnonzero(begins), len(member)).astype(np.int32), dtype=int)
-      pairs.member = wp.array(member.astype(np.int32), dtype=int)
-      pairs.center = wp.zeros((d.nworld, begins.sum()), dtype=wp.vec3)
-      pairs.half = wp.zeros((d.nworld, begins.sum()), dtype=wp.vec3)
-    self._pairs = pairs
+      self._pairs = filled(
+        kernels.Pairs,
+        m,
+        d,
+        geoms=wp.array(geoms[order], dtype=wp.vec2i),
+        pairid=wp.array(pairid[order], dtype=wp.vec2i),
+        row=wp.array(rows.astype(np.int32), dtype=wp.vec4i),
+        first=wp.array(np.append(np.flatnonzero(begins), len(member)).astype(np.int32), dtype=int),
+        member=wp.array(member.astype(np.int32), dtype=int),
+        center=wp.zeros((d.nworld, begins.sum()), dtype=wp.vec3),
+        half=wp.zeros((d.nworld, begins.sum()), dtype=wp.vec3),
+      )
 
   def find_pairs(self, m: mjw.Model, d: mjw.Data, found: Any, awake_before: Any = None) -> None:
     """List the pairs of geoms that may touch, as MuJoCo Warp's `nxn_broadphase` does.

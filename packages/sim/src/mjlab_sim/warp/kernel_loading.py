@@ -31,6 +31,7 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
   The stages run once with launches that do nothing, to learn which kernels they need. Copies and fills do happen: the
   caller puts back what they change.
   """
+  device = wp.get_device(device)
   variants: _Variants = {}
   with _launching_nothing(variants):
     for stage in stages:
@@ -44,7 +45,7 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
   ):
     # What ends last is to begin first.
     modules = sorted(variants, key=_work, reverse=True)
-    if modules and not wp.get_device(device).is_cuda:
+    if modules and not device.is_cuda:
       # With the shortest, a CPU's compiler makes the headers that all others take.
       _load(modules[-1], list(variants[modules[-1]]), device)
     made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
@@ -54,7 +55,6 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
 
 def _digest(variants: _Variants, device: Any) -> str:
   """Return a name for the compiled kernels of `variants`."""
-  device = wp.get_device(device)
   hashes = sorted(module.get_module_hash(block_dim).hex() for module, dims in variants.items() for block_dim in dims)
   return hashlib.sha256(" ".join([str(device.arch) if device.is_cuda else "cpu", *hashes]).encode()).hexdigest()[:16]
 

@@ -120,21 +120,19 @@ class Overflow:
     """Return the lines that are new since the last call. Reads the device."""
     d, fits, seen = self._d, self._fits, self._seen.numpy()
     counted = self._per_setting(*(int(count) for count in self._most.numpy()))
-    rows = counted["njmax"]
-    worlds = {name: _count(seen, bits) for name, (bits, _) in _BUFFERS.items()}
-    # The buffers of convex collision, of sparse matrices and of sensors overflow without a count.
-    wanted = {name: max(counted[name], fits[name] + 1) for name, count in worlds.items() if count}
-    if "nconmax" in wanted and 2 * rows > fits["njmax"]:
+    wanted, needs = {}, []
+    for name, (bits, unit) in _BUFFERS.items():
+      if count := _count(seen, bits):
+        # The buffers of convex collision, of sparse matrices and of sensors overflow without a count.
+        wanted[name] = max(counted[name], fits[name] + 1)
+        most = f"up to {counted[name]}" if counted[name] > fits[name] else f"more than {fits[name]}"
+        needs.append(f"{count} of {d.nworld} worlds needed {most} {unit} ({name} is {fits[name]})")
+    if "nconmax" in wanted and 2 * counted["njmax"] > fits["njmax"]:
       # Contacts were dropped before their rows were counted.
-      wanted.setdefault("njmax", rows)
+      wanted.setdefault("njmax", counted["njmax"])
     lines, self._news = self._news, []
     if any(count > self._advised[name] for name, count in wanted.items()):
-      self._advised |= {name: max(self._advised[name], _round_up(2 * count)) for name, count in wanted.items()}
-      needs = []
-      for name, count in worlds.items():
-        if count:
-          most = f"up to {counted[name]}" if counted[name] > fits[name] else f"more than {fits[name]}"
-          needs.append(f"{count} of {d.nworld} worlds needed {most} {_BUFFERS[name][1]} ({name} is {fits[name]})")
+      self._advised |= {name: max(self._advised[name], -(-2 * count // 8) * 8) for name, count in wanted.items()}
       settings = " ".join(f"--env.sim.{name.replace('_', '-')} {self._advised[name]}" for name in wanted)
       lines.append(f"buffers overflowed and contacts were dropped: {'; '.join(needs)}. Set {settings}.")
     for bit, what in _LIMITS.items():
@@ -147,7 +145,3 @@ class Overflow:
 
 def _count(seen: np.ndarray, bits: int) -> int:
   return int(np.count_nonzero(seen & int(bits)))
-
-
-def _round_up(count: int) -> int:
-  return -(-count // 8) * 8

@@ -11,10 +11,11 @@ import warp as wp
 from mjlab_core import MjlabError
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import EngineRays, Geoms, Mesh, RayHits, RayTargets, hfield_surface, mesh_surface, triangulate
+from mjlab_sim.rays import Geoms, Mesh, RayHits, RayTargets, hfield_surface, mesh_surface, triangulate
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.launching import Stage
+from mjlab_sim.warp.structs import filled
 
 _FLAT_FACES = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
 
@@ -28,14 +29,8 @@ class RayScene:
 
   def __init__(self, stage: Stage) -> None:
     self.stage = stage
-    self._numbers = itertools.count()
     self._fixed: dict[bytes, tuple[wp.Mesh | None, Any]] = {}
     self._surfaces: dict[int, tuple[list[wp.Mesh], Any]] = {}
-
-  def caster(self, targets: RayTargets, max_distance: float, *, geomid: bool) -> EngineRays:
-    """Return rays that see `targets` up to `max_distance` [m]."""
-    # Graphs are kept by name, and a caster may be gone before its graph.
-    return WarpRayCaster(self, f"rays {next(self._numbers)}", targets, max_distance, geomid=geomid)
 
   def triangles(self, geoms: Geoms) -> tuple[wp.Mesh | None, Any]:
     """Return fixed geoms as one tree that all worlds share, None without any, and the geom of each triangle.
@@ -43,9 +38,11 @@ class RayScene:
     It is built once for the casters that see the same geoms.
     """
     key = geoms.tobytes()
+    if not len(geoms):
+      return None, wp.zeros(0, dtype=wp.int32)
     if key not in self._fixed:
       surface, owners = triangulate(self.stage.model, geoms)
-      self._fixed[key] = _tree(*surface) if len(geoms) else None, wp.array(owners, dtype=wp.int32)
+      self._fixed[key] = _tree(*surface), wp.array(owners, dtype=wp.int32)
     return self._fixed[key]
 
   def surfaces(self, kind: int, count: int, surface_of: Callable[[mujoco.MjModel, int], Mesh], geoms: Geoms) -> Any:
@@ -74,37 +71,42 @@ class WarpRayCaster:
   Where one of the fixed geoms is not where the compiled model has it, all geoms are searched one by one.
   """
 
-  def __init__(self, scene: RayScene, name: str, targets: RayTargets, max_distance: float, *, geomid: bool) -> None:
-    self._stage, self._name = scene.stage, name
+  # Graphs are kept by name, and a caster may be gone before its graph.
+  _numbers = itertools.count()
+
+  def __init__(self, scene: RayScene, targets: RayTargets, max_distance: float, *, geomid: bool) -> None:
+    self._stage, self._name = scene.stage, f"rays {next(self._numbers)}"
     model, shape = scene.stage.model, (scene.stage.num_envs, len(targets.exclude))
-    # Python's infinity would make Warp's comparisons with a miss ambiguous.
-    self._max_distance = min(max_distance, mujoco.mjMAXVAL)
     if not internals.IS_TESTED and (targets.exclude != targets.bodyexclude).any():
       raise MjlabError(
         f"exclude_trees needs mujoco-warp {internals.TESTED}, {mjw.__version__} is installed; exclude single bodies"
       )
     groups = targets.geomgroup
     self._groups: Any = [-1.0] * 6 if groups is None else [float(group) for group in groups]
+    is_flat = np.isin(model.geom_type[targets.ground], _FLAT_FACES)
+    every = np.concatenate((targets.ground, targets.others))
     with wp.ScopedDevice(self._stage.device):
-      is_flat = np.isin(model.geom_type[targets.ground], _FLAT_FACES)
-      self._fixed, self._fixed_geom = scene.triangles(targets.ground[is_flat])
-      others = np.concatenate((targets.ground[~is_flat], targets.others))
-      every = np.concatenate((targets.ground, targets.others))
-      self._meshes = scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, mesh_surface, every)
-      self._hfields = scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, hfield_surface, every)
-      self._others: Any = wp.array(others, dtype=wp.int32)
+      self._fixed, triangle_geom = scene.triangles(targets.ground[is_flat])
+      self._others: Any = wp.array(np.concatenate((targets.ground[~is_flat], targets.others)), dtype=wp.int32)
       self._every: Any = wp.array(every, dtype=wp.int32)
-      self._owner: Any = wp.array(targets.owner, dtype=wp.int32)
-      self._exclude: Any = wp.array(targets.exclude, dtype=wp.int32)
       self._bodyexclude: Any = wp.array(targets.bodyexclude, dtype=wp.int32)
-      self._origins: Any = wp.zeros(shape, dtype=wp.vec3)
-      self._directions: Any = wp.zeros(shape, dtype=wp.vec3)
-      distance, ids = wp.full(shape, -1.0, dtype=wp.float32), wp.full(shape, -1, dtype=wp.int32)
-      normal: Any = wp.zeros(shape, dtype=wp.vec3)
-    self._outputs: Any = [distance, ids, normal]
-    self.origins, self.directions = wp.to_torch(self._origins), wp.to_torch(self._directions)
-    found, geoms, normals = map(wp.to_torch, self._outputs)
-    self.hits = RayHits(distance=found, geomid=geoms if geomid else None, normal=normals)
+      self._rays: dict[str, Any] = {
+        "triangle_geom": triangle_geom,
+        "mesh_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, mesh_surface, every),
+        "hfield_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, hfield_surface, every),
+        "owner": wp.array(targets.owner, dtype=wp.int32),
+        "exclude": wp.array(targets.exclude, dtype=wp.int32),
+        # Python's infinity would make Warp's comparisons with a miss ambiguous.
+        "max_distance": min(max_distance, mujoco.mjMAXVAL),
+        "origins": wp.zeros(shape, dtype=wp.vec3),
+        "directions": wp.zeros(shape, dtype=wp.vec3),
+        "distance": wp.full(shape, -1.0, dtype=wp.float32),
+        "geomid": wp.full(shape, -1, dtype=wp.int32),
+        "normal": wp.zeros(shape, dtype=wp.vec3),
+      }
+    names = ("origins", "directions", "distance", "geomid", "normal")
+    self.origins, self.directions, distance, geoms, normal = (wp.to_torch(self._rays[name]) for name in names)
+    self.hits = RayHits(distance=distance, geomid=geoms if geomid else None, normal=normal)
 
   def cast(self, is_in_place: bool) -> None:
     if not internals.IS_TESTED:
@@ -115,22 +117,12 @@ class WarpRayCaster:
       self._stage.run(f"{self._name} one by one", lambda: self._search(None, self._every))
 
   def _search_public(self) -> None:
-    m, d = self._stage.m, self._stage.d
-    mjw.rays(m, d, self._origins, self._directions, self._groups, True, self._bodyexclude, *self._outputs)
-    wp.launch(kernels.drop_far_hits, dim=self._origins.shape, inputs=[self._max_distance, *self._outputs])
+    rays = self._rays
+    start, hits = (rays["origins"], rays["directions"]), [rays[name] for name in ("distance", "geomid", "normal")]
+    mjw.rays(self._stage.m, self._stage.d, *start, self._groups, True, self._bodyexclude, *hits)
+    wp.launch(kernels.drop_far_hits, dim=start[0].shape, inputs=[rays["max_distance"], *hits])
 
   def _search(self, fixed: wp.Mesh | None, others: Any) -> None:
-    m, d = self._stage.m, self._stage.d
-    wp.launch(
-      kernels.cast_rays,
-      dim=self._origins.shape,
-      inputs=[
-        wp.uint64(0 if fixed is None else fixed.id),
-        *(self._fixed_geom, others),
-        *(m.geom_type, m.geom_dataid, m.geom_size, d.geom_xpos, d.geom_xmat),
-        *(self._meshes, self._hfields, self._owner, self._exclude, self._max_distance),
-        *(self._origins, self._directions),
-      ],
-      outputs=self._outputs,
-      device=self._stage.device,
-    )
+    mesh = wp.uint64(0 if fixed is None else fixed.id)
+    rays = filled(kernels.Rays, self._stage.m, self._stage.d, mesh=mesh, others=others, **self._rays)
+    wp.launch(kernels.cast_rays, dim=rays.origins.shape, inputs=[rays], device=self._stage.device)

@@ -13,6 +13,7 @@ import warp as wp
 from mjlab_sim.rendering import EngineImages, Images, View
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp.launching import Stage
+from mjlab_sim.warp.structs import filled
 
 _IMAGES: dict[str, tuple[int, Any, int]] = {
   "rgb": (3, wp.uint8, 0),
@@ -158,16 +159,8 @@ class WarpRenderer:
   def _draw(self, context: Any, d: Any) -> None:
     m, view = self._stage.m, self._view
     mjw.render(m, d, context)
-    wp.launch(
-      kernels.unpack_images,
-      dim=(self._stage.num_envs, view.width * view.height),
-      inputs=[
-        self._is_due,
-        *(context.rgb_data, context.depth_data, context.seg_data),
-        *(context.rgb_adr, context.depth_adr, context.seg_adr),
-        *(m.cam_projection, m.cam_fovy, m.cam_sensorsize, m.cam_intrinsic),
-        *(view.camera, view.width, view.height, context.znear),
-      ],
-      outputs=list(self._arrays.values()),
-      device=self._stage.device,
-    )
+    names = ("rgb_data", "depth_data", "seg_data", "rgb_adr", "depth_adr", "seg_adr", "znear")
+    own = {name: getattr(context, name) for name in names} | self._arrays
+    own |= {"is_due": self._is_due, "camera": view.camera, "width": view.width, "height": view.height}
+    pictures, size = filled(kernels.Pictures, m, d, **own), (self._stage.num_envs, view.width * view.height)
+    wp.launch(kernels.unpack_images, dim=size, inputs=[pictures], device=self._stage.device)
