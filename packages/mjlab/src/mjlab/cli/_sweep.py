@@ -15,7 +15,7 @@ from mjlab_core.files import reading
 from mjlab_core.tables import table
 
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine
-from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, check, read_space
+from mjlab.cli._sweep_space import Range, Space, Sweep, Trial, check, read_space
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -119,33 +119,19 @@ def _of_configs(given: list[str]) -> list[str]:
 
 def report(trials: list[Trial], space: Space, folder: Path) -> str:
   """Write the results as trials.csv and trials.png; return them as a table, the best first."""
-  best = sorted(trials, key=lambda trial: -math.inf if math.isnan(trial.reward) else trial.reward, reverse=True)
-  names = list(space.values)
-  with AtomicWrite(folder / "trials.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-    writer = csv.writer(file)
-    writer.writerow(["trial", "reward", "iterations", "state", *names])
-    for trial in best:
-      values = [trial.values.get(name, "") for name in names]
-      writer.writerow([trial.name, trial.reward, trial.iterations, trial.state, *values])
-  short = [name.rpartition(".")[2] if _is_unique(name, names) else name for name in names]
-  rows = [
-    [t.name, f"{t.reward:.4g}", t.iterations, t.state, *(_shown(t.values.get(name, "")) for name in names)]
-    for t in best
-  ]
-  lines = [table(["trial", "reward", "iterations", "state", *short], rows), f"wrote {folder / 'trials.csv'}"]
   from mjlab.cli._plots import plot_trials
 
-  logarithmic = {name for name, domain in space.values.items() if isinstance(domain, Range) and domain.log}
-  columns = {key: [t.values.get(name, "") for t in best] for key, name in zip(short, names, strict=True)}
-  scales = {key for key, name in zip(short, names, strict=True) if name in logarithmic}
-  with AtomicWrite(folder / "trials.png") as temporary:
-    plot_trials(columns, [t.reward for t in best], scales, temporary)
-  return "\n".join((*lines, f"wrote {folder / 'trials.png'}"))
-
-
-def _is_unique(name: str, names: list[str]) -> bool:
-  return sum(other.rpartition(".")[2] == name.rpartition(".")[2] for other in names) == 1
-
-
-def _shown(value: Scalar) -> str:
-  return f"{value:.4g}" if isinstance(value, float) else str(value)
+  best = sorted(trials, key=lambda trial: -math.inf if math.isnan(trial.reward) else trial.reward, reverse=True)
+  head, names = ["trial", "reward", "iterations", "state"], list(space.values)
+  rows = [[t.name, t.reward, t.iterations, t.state, *(t.values.get(name, "") for name in names)] for t in best]
+  csv_file, picture = folder / "trials.csv", folder / "trials.png"
+  with AtomicWrite(csv_file) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    csv.writer(file).writerows([[*head, *names], *rows])
+  ends = [name.rpartition(".")[2] for name in names]
+  short = [end if ends.count(end) == 1 else name for end, name in zip(ends, names, strict=True)]
+  columns = dict(zip(short, list(zip(*rows, strict=True))[len(head) :], strict=True))
+  domains = zip(short, space.values.values(), strict=True)
+  logarithmic = {name for name, domain in domains if isinstance(domain, Range) and domain.log}
+  plot_trials(columns, [trial.reward for trial in best], logarithmic, picture)
+  shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows]
+  return f"{table([*head, *short], shown)}\nwrote {csv_file}\nwrote {picture}"
