@@ -1,17 +1,21 @@
 """Robot from a model file: read, reduced to the robot, every element named."""
 
+import math
+import re
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import mujoco
-from mjlab_core import MjlabError, printable
+from mjlab_core import MjlabError, UsageError, printable
 from mjlab_core.files import reading
+from mjlab_core.names import match_values
 from mjlab_scene import EntityCfg
 
 Base = Literal["file", "floating", "fixed"]
 
-_KINDS = {mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE}
+JOINT_KINDS = {mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE}
 
 
 @dataclass(kw_only=True)
@@ -28,11 +32,38 @@ class RobotModel:
   @property
   def joints(self) -> list[mujoco.MjsJoint]:
     """Hinges and slides, in the model's order."""
-    return [joint for joint in self.spec.joints if joint.type in _KINDS]
+    return [joint for joint in self.spec.joints if joint.type in JOINT_KINDS]
 
   def compiled(self) -> mujoco.MjModel:
-    """Compile a copy."""
-    return self.spec.copy().compile()
+    """Compile a copy with a plane as its first geom."""
+    spec = self.spec.copy()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 1.0])
+    return spec.compile()
+
+  def numbers(self, given: Sequence[str], flag: str, form: str, most: int = 1) -> dict[str, list[float]]:
+    """Return the numbers of joints that a flag gives as PATTERN=NUMBER,...
+
+    Args:
+      given: Words after the flag.
+      flag: Name of the flag.
+      form: Form of a word, for the message.
+      most: Largest number of numbers of a joint.
+
+    Raises:
+      UsageError: A word has another form.
+      UnknownNameError: A pattern matches no joint.
+    """
+    wanted: dict[str, list[float]] = {}
+    for text in given:
+      name, _, values = text.rpartition("=")
+      try:
+        wanted[name] = [float(value) for value in values.split(",")]
+      except ValueError:
+        wanted[name] = []
+      if not 1 <= len(wanted[name]) <= most or not all(map(math.isfinite, wanted[name])):
+        raise UsageError(f"{flag}: {text!r} must be {form}")
+    _, names, numbers = match_values(wanted, [joint.name for joint in self.joints], what="joint", owner=flag)
+    return dict(zip(names, numbers, strict=True))
 
 
 def read_robot_model(path: Path, base: Base) -> RobotModel:
@@ -58,12 +89,8 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
     model.spec = EntityCfg(spec_fn=lambda: spec).build("robot").spec
     model.compiled()
   except ValueError as error:
-    raise MjlabError(f"{path}: {_one_line(error).removeprefix('entity ')}") from error
+    raise MjlabError(f"{path}: {printable(' '.join(str(error).split())).removeprefix('entity ')}") from error
   return model
-
-
-def _one_line(error: BaseException) -> str:
-  return printable(" ".join(str(error).split()))
 
 
 def _keep_only_the_robot(model: RobotModel) -> None:
@@ -72,13 +99,11 @@ def _keep_only_the_robot(model: RobotModel) -> None:
   if len(roots) != 1:
     names = ", ".join(f"'{printable(body.name)}'" for body in roots[:8]) or "none"
     raise MjlabError(f"{model.source}: expected one body at the top level, the robot; there are: {names}")
-  ground = [*spec.worldbody.geoms, *spec.worldbody.lights, *spec.worldbody.cameras, *spec.lights]
   geoms = len(spec.worldbody.geoms)
-  for element in {id(element): element for element in ground}.values():
+  for element in [*spec.worldbody.geoms, *spec.worldbody.cameras, *spec.lights]:
     spec.delete(element)
   if geoms:
     model.notes.append(f"left out {geoms} geoms of the world, such as a floor")
-  spec.memory = -1
 
 
 def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
@@ -105,20 +130,17 @@ def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
 
 def last_links(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
   """Return the bodies with joints below which there are no joints, in the model's order."""
-
-  def below(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    found = [last for child in body.bodies for last in below(child)]
-    return found or ([body] if any(joint.type in _KINDS for joint in body.joints) else [])
-
-  return below(spec.worldbody)
+  jointed = [body for body in spec.bodies if any(joint.type in JOINT_KINDS for joint in body.joints)]
+  names = {body.name for body in jointed}
+  return [body for body in jointed if not any(below.name in names for below in body.find_all("body"))]
 
 
-def subtree(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-  """Return a body and all bodies below it."""
-  return [body, *(below for child in body.bodies for below in subtree(child))]
+def pattern(name: str) -> str:
+  """Return a pattern that matches a name only; a usual name is one itself."""
+  return name if re.fullmatch(r"[\w/ -]*", name) else re.escape(name)
 
 
-def without_actuators(spec: mujoco.MjSpec, names: set[str]) -> mujoco.MjSpec:
+def without_actuators(spec: mujoco.MjSpec, names: Set[str]) -> mujoco.MjSpec:
   """Return a copy without the named actuators and without keyframes."""
   made = spec.copy()
   for key in list(made.keys):

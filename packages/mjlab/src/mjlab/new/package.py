@@ -1,18 +1,24 @@
 """Packages from templates: files that are written whole into a folder that does not exist."""
 
+import dataclasses
 import json
 import keyword
 import re
 import sys
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
+from typing import TYPE_CHECKING
 
 from mjlab_core import AtomicWrite, UsageError, safe_name
 
-_WIDTH = 118
+if TYPE_CHECKING:
+  from _typeshed import DataclassInstance
+
+_WIDTH = 100
 
 
 def package_name(text: str) -> str:
@@ -51,33 +57,27 @@ def write_package(folder: Path, files: Mapping[str, str | bytes]) -> None:
       path.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def source(value: object, indent: int = 0, lead: int = 0) -> str:
-  """Return Python source of strings, numbers, tuples and dicts.
-
-  Args:
-    value: What to write.
-    indent: Column at which the statement begins.
-    lead: Columns before the value on its line.
-  """
-  if isinstance(value, str):
-    return json.dumps(value, ensure_ascii=False)
-  if isinstance(value, tuple | dict):
-    items = list(value.items()) if isinstance(value, dict) else list(value)
-    brackets = "{}" if isinstance(value, dict) else "()"
-    flat = ", ".join(_item(item, value, 0) for item in items)
-    comma = "," if isinstance(value, tuple) and len(items) == 1 else ""
-    if indent + lead + len(flat) + 2 <= _WIDTH:
-      return f"{brackets[0]}{flat}{comma}{brackets[1]}"
-    pad = " " * (indent + 2)
-    lines = "".join(f"{pad}{_item(item, value, indent + 2)},\n" for item in items)
-    return f"{brackets[0]}\n{lines}{' ' * indent}{brackets[1]}"
-  if isinstance(value, float):
-    return repr(float(f"{value:.6g}"))
-  return repr(value)
+def source(value: object) -> str:
+  """Return Python source of a string or number, or of a tuple or dict of them."""
+  if isinstance(value, tuple):
+    comma = "," if len(value) == 1 else ""
+    return _bracketed("(", [source(item) for item in value], f"{comma})")
+  if isinstance(value, dict):
+    return _bracketed("{", [f"{source(key)}: {source(item)}" for key, item in value.items()], "}")
+  return repr(float(f"{value:.6g}")) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
-def _item(item: object, of: object, indent: int) -> str:
-  if isinstance(of, dict):
-    key, value = item  # type: ignore
-    return f"{source(key)}: {source(value, indent)}"
-  return source(item, indent)
+def call_source(cfg: "DataclassInstance") -> str:
+  """Return Python source of a dataclass, with the fields that differ from their defaults."""
+  values = {field.name: (getattr(cfg, field.name), field.default) for field in dataclasses.fields(cfg)}
+  arguments = [f"{name}={source(value)}" for name, (value, default) in values.items() if value != default]
+  return _bracketed(f"{type(cfg).__name__}(", arguments, ")")
+
+
+def _bracketed(left: str, items: Sequence[str], right: str) -> str:
+  """Return items in one line, or in a line for each if they are long."""
+  flat = left + ", ".join(items) + right
+  if len(flat) <= _WIDTH and "\n" not in flat:
+    return flat
+  lines = textwrap.indent("".join(f"{item},\n" for item in items), "  ")
+  return f"{left}\n{lines}{right.lstrip(',')}"

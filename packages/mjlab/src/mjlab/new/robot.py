@@ -2,8 +2,8 @@
 
 import dataclasses
 import os
-import re
 import tempfile
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,12 +12,12 @@ import numpy as np
 from mjlab_core import MjlabError, RenderingError, printable
 from mjlab_scene.export import write_spec
 
-from mjlab.new.limbs import Foot, add_foot_sites, bend_legs, colliding, find_feet, find_torso, home_pose
-from mjlab.new.model_file import Base, RobotModel, read_robot_model, without_actuators
-from mjlab.new.package import filled, source
+from mjlab.new.limbs import Foot, bend_legs, colliding, find_feet, find_torso, home_pose
+from mjlab.new.model_file import Base, RobotModel, pattern, read_robot_model, without_actuators
+from mjlab.new.package import call_source, filled, source
 from mjlab.new.picture import robot_picture
 from mjlab.new.servos import Drives, read_drives
-from mjlab.new.settling import Attitude, Home, attitude, exclude_overlaps, settle
+from mjlab.new.settling import Home, exclude_overlaps, settle
 
 STIFFENING = (1.5, 2.25, 3.5, 5.0)
 """Factors on guessed stiffness that are tried until the robot stands."""
@@ -63,34 +63,32 @@ def read_robot(
     UsageError: A flag does not fit the robot.
   """
   robot = read_robot_model(path, base)
-  pose = home_pose(robot, home)
+  qpos = home_pose(robot, home)
   body = find_torso(robot, torso)
-  soles = find_feet(robot, pose, feet)
+  soles = find_feet(robot, qpos, feet)
   wheels = _wheels(robot, soles)
   drives = read_drives(robot, motors, wheels)
-  add_foot_sites(robot, pose, soles)
   if len(soles) > 1 and not home and not robot.spec.keys and not wheels:
-    pose = bend_legs(robot, pose, soles)
+    qpos = bend_legs(robot, qpos, soles)
     robot.notes.append("the file has no keyframe: the home pose is a guess with bent legs (--home changes it)")
-  for one, other in exclude_overlaps(robot.spec, pose):
+  for one, other in exclude_overlaps(robot, qpos):
     robot.notes.append(f"no contact between {printable(one)} and {printable(other)}, which overlap in the home pose")
   _add_motion_sensors(robot)
-  spec = without_actuators(robot.spec, set(drives.replaced))
-  drives, settled = _settled(spec, drives, pose, attitude(robot.spec))
-  _add_keyframe(spec, settled)
+  spec = without_actuators(robot.spec, drives.replaced)
+  drives, settled = _settled(spec, drives, qpos)
+  spec.add_key(name="home", qpos=np.round(settled.qpos, 5))
   return NewRobot(robot=robot, spec=spec, drives=drives, torso=body, feet=soles, home=settled)
 
 
-def _settled(spec: mujoco.MjSpec, drives: Drives, pose: dict[str, float], rot: Attitude) -> tuple[Drives, Home]:
+def _settled(spec: mujoco.MjSpec, drives: Drives, qpos: np.ndarray) -> tuple[Drives, Home]:
   """Return servos, stiffened where they are guessed until they bear the robot, and the pose it settles in."""
-  first = settle(spec, drives.configs(), pose, rot)
-  if first.stands or not any(servo.is_guess for servo in drives.servos):
-    return drives, first
-  for factor in STIFFENING:
-    stiffer = drives.stiffer(factor)
-    home = settle(spec, stiffer.configs(), pose, rot)
-    if home.stands:
-      return stiffer, home
+  first = settle(spec, drives.configs(), qpos)
+  if not first.stands and drives.guessed:
+    for factor in STIFFENING:
+      stiffer = drives.stiffer(factor)
+      home = settle(spec, stiffer.configs(), qpos)
+      if home.stands:
+        return stiffer, home
   return drives, first
 
 
@@ -102,20 +100,25 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
   except RenderingError as error:
     new.robot.notes.append(f"no picture: {printable(error, 200)}")
   facts = {"name": name, "distribution": name.replace("_", "-"), "source": new.robot.source}
-  feet, model = new.feet, new.spec.copy().compile()
-  kinds = sorted({type(cfg).__name__ for cfg in new.drives.configs()})
+  feet, drives, model = new.feet, new.drives, new.spec.copy().compile()
+  solid, configs = colliding(model), drives.configs()
+  values: dict[str, object] = {
+    "torso": new.torso,
+    "feet": tuple(foot.site for foot in feet),
+    "foot_bodies": tuple(foot.body for foot in feet),
+    "foot_geoms": tuple(pattern(name) for foot in feet for name in foot.geoms),
+    "action_scale": {pattern(joint): round(drives.action_scale(joint), 4) for joint in drives.servos},
+  }
   files[f"src/{name}/__init__.py"] = filled("robot/init.py.txt", **facts)
   files[f"src/{name}/robot.py"] = filled(
     "robot/robot.py.txt",
     **facts,
-    imports=", ".join(kinds),
-    torso=source(new.torso),
-    feet=source(tuple(foot.site for foot in feet), lead=7),
-    foot_bodies=source(tuple(foot.body for foot in feet), lead=14),
-    foot_geoms=source(tuple(_pattern(name) for foot in feet for name in foot.geoms), lead=13),
-    collision=_collision(model, colliding(model), {name for foot in feet for name in foot.geoms}),
-    actuators="".join(f"  {_actuator_source(cfg)},\n" for cfg in new.drives.configs()),
-    action_scale=source({_pattern(servo.joint): round(servo.action_scale, 4) for servo in new.drives.servos}, lead=15),
+    **{key: source(value) for key, value in values.items()},
+    collision=textwrap.indent(source(tuple(pattern(model.geom(i).name) for i in solid)), "  ").lstrip(),
+    imports=", ".join(sorted({type(cfg).__name__ for cfg in configs})),
+    # The friction of feet counts, unless the file says otherwise.
+    priority="{}" if model.geom_priority[solid].any() else "dict.fromkeys(FOOT_GEOMS, 1)",
+    actuators=textwrap.indent("".join(f"{call_source(cfg)},\n" for cfg in configs), "  "),
   )
   files[f"tests/test_{name}.py"] = filled("robot/test.py.txt", **facts, **_test(new))
   files["pyproject.toml"] = filled("robot/pyproject.toml.txt", **facts)
@@ -141,29 +144,18 @@ def _add_motion_sensors(robot: RobotModel) -> None:
   if not robot.is_floating:
     return
   spec, root = robot.spec, robot.spec.bodies[1]
-  taken = {sensor.name for sensor in spec.sensors}
-  site = next((site.name for site in spec.sites if site.name == "imu"), None)
-  if site is None:
+  if all(site.name != "imu" for site in spec.sites):
     root.add_site(name="imu")
-  kinds = {"imu_lin_vel": mujoco.mjtSensor.mjSENS_VELOCIMETER, "imu_ang_vel": mujoco.mjtSensor.mjSENS_GYRO}
-  for name, kind in kinds.items():
+  imu, body = (mujoco.mjtObj.mjOBJ_SITE, "imu"), (mujoco.mjtObj.mjOBJ_BODY, root.name)
+  wanted = {
+    "imu_lin_vel": (mujoco.mjtSensor.mjSENS_VELOCIMETER, *imu),
+    "imu_ang_vel": (mujoco.mjtSensor.mjSENS_GYRO, *imu),
+    "root_angmom": (mujoco.mjtSensor.mjSENS_SUBTREEANGMOM, *body),
+  }
+  taken = {sensor.name for sensor in spec.sensors}
+  for name, (kind, objtype, objname) in wanted.items():
     if name not in taken:
-      spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
-  if "root_angmom" not in taken:
-    kind = mujoco.mjtSensor.mjSENS_SUBTREEANGMOM
-    spec.add_sensor(name="root_angmom", type=kind, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=root.name)
-
-
-def _add_keyframe(spec: mujoco.MjSpec, home: Home) -> None:
-  model = spec.copy().compile()
-  qpos = model.qpos0.copy()
-  for i in range(model.njnt):
-    at, name = model.jnt_qposadr[i], model.joint(i).name
-    if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE:
-      qpos[at : at + 7] = home.root
-    elif name in home.joint_pos:
-      qpos[at] = home.joint_pos[name]
-  spec.add_key(name="home", qpos=np.round(qpos, 5))
+      spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)
 
 
 def _model_files(spec: mujoco.MjSpec) -> dict[str, bytes]:
@@ -177,45 +169,6 @@ def _model_files(spec: mujoco.MjSpec) -> dict[str, bytes]:
     return {
       path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(written.rglob("*")) if path.is_file()
     }
-
-
-def _pattern(name: str) -> str:
-  return name if re.fullmatch(r"[\w/ -]*", name) else re.escape(name)
-
-
-def _collision(model: mujoco.MjModel, geoms: list[int], soles: set[str]) -> str:
-  """Return the arguments of the collision set: what the file says, and feet whose friction counts."""
-  names = tuple(_pattern(model.geom(i).name) for i in geoms)
-  lines = [f"geom_names_expr={source(names, 2, 16)}"]
-  for field in ("contype", "conaffinity", "condim", "priority"):
-    values = {model.geom(i).name: int(getattr(model, f"geom_{field}")[i]) for i in geoms}
-    if field == "priority" and not any(values.values()):
-      # A dict leaves other geoms as the model has them.
-      lines.append("priority=dict.fromkeys(FOOT_GEOMS, 1)" if soles else "priority=0")
-      continue
-    is_one = len(set(values.values())) == 1
-    lines.append(f"{field}={next(iter(values.values())) if is_one else _by_value(values)}")
-  return "".join(f"  {line},\n" for line in lines)
-
-
-def _by_value(values: dict[str, int]) -> str:
-  return source({_pattern(name): value for name, value in values.items()}, 2, 12)
-
-
-def _actuator_source(cfg: object) -> str:
-  """Return the call that makes an actuator config, with the fields that differ from their defaults."""
-  fields = []
-  for field in dataclasses.fields(cfg):  # type: ignore
-    value = getattr(cfg, field.name)
-    if field.default is dataclasses.MISSING or value != field.default:
-      if field.name == "target_names_expr":
-        value = tuple(_pattern(re.sub(r"\\(.)", r"\1", name)) for name in value)
-      fields.append(f"{field.name}={source(value, 4, len(field.name) + 1)}")
-  flat = f"{type(cfg).__name__}({', '.join(fields)})"
-  if len(flat) <= 114 and "\n" not in flat:
-    return flat
-  lines = "".join(f"    {field},\n" for field in fields)
-  return f"{type(cfg).__name__}(\n{lines}  )"
 
 
 def _test(new: NewRobot) -> dict[str, str]:
