@@ -184,8 +184,9 @@ class StifferServoCfg(NativePositionActuatorCfg):
   """A user's own kind of servo."""
 
   def _numbers(self, target_names, *names):
-    numbers = super()._numbers(target_names, *names)
-    return numbers | {"stiffness": tuple(2.0 * kp for kp in numbers["stiffness"])}
+    rows = super()._numbers(target_names, *names)
+    factors = [2.0 if name == "stiffness" else 1.0 for name in names]
+    return [tuple(factor * value for factor, value in zip(factors, row, strict=True)) for row in rows]
 
 
 def test_a_subclass_of_a_native_config_is_one_too() -> None:

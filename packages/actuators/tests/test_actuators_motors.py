@@ -166,7 +166,7 @@ def test_motors_of_one_law_are_one_computation_and_braking_ones_another() -> Non
   _, actuators = build(ARM, one("b", saturation_effort=3.0), one("a"))
   (law,) = actuators.groups
   assert law.target_names == ("a", "b")
-  assert law._parameter("saturation_effort").tolist() == [[STALL, 3.0]]
+  assert law.expand("saturation_effort").tolist() == [[STALL, 3.0]]
   _, actuators = build(ARM, one("b", braking=True), one("a"))
   assert [law.target_names for law in actuators.groups] == [("b",), ("a",)]
 

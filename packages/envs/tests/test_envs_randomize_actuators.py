@@ -130,7 +130,7 @@ def stored(env: Any) -> dict[str, torch.Tensor]:
   fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "tendon_actfrcrange")
   found = {field: getattr(env.sim.model, field).clone() for field in fields}
   for law in env.scene["robot"].actuators.groups:
-    for name in law.group.parameters:
+    for name in law.group.parameter_names:
       found[f"{type(law).__name__}.{name}"] = getattr(law, name).clone()
   return found
 

@@ -1,6 +1,6 @@
 """Actuator models for batched MuJoCo: native servos, PD, motors, networks, wrapped MJCF, delay."""
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField, DelaySettings, fuse
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column, CommandField, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName
 from mjlab_actuators.actuator_set import ActuatorSet
@@ -29,7 +29,7 @@ from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
 from mjlab_actuators.native_general import NativeGeneralActuatorCfg
 from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
-from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of, targets_with_actuator
+from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of
 
 __all__ = [
   "UNITREE_ENVELOPES",
@@ -40,10 +40,10 @@ __all__ = [
   "ActuatorGroup",
   "ActuatorParameter",
   "ActuatorSet",
+  "Column",
   "CommandField",
   "DcMotor",
   "DcMotorActuatorCfg",
-  "DelaySettings",
   "EnvelopedPd",
   "EnvelopedPdActuatorCfg",
   "IdealPd",
@@ -77,5 +77,4 @@ __all__ = [
   "reflected_inertia_of_stages",
   "rotary_to_linear",
   "targets_of",
-  "targets_with_actuator",
 ]

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from mjlab_core import DelayBuffer, Stateful, check_name
@@ -35,83 +35,67 @@ class ActuatorCmd:
   """Measured velocity, (num_envs, n) [m/s or rad/s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DelaySettings:
-  """Delay of targets, in physics substeps."""
+class Column(NamedTuple):
+  """Target that an actuator model drives, before any tensor exists."""
 
-  min_lag: int = 0
-  max_lag: int = 0
-  hold_prob: float = 0.0
-  update_period: int = 0
+  target: Target
+  """Joint, tendon or site; it has two columns if two elements of a wrapped MJCF act on it."""
+  parameters: Mapping[str, float]
+  """Constants of the actuator model."""
+  ctrl: int = -1
+  """Index into the model's ctrl; -1 without a MuJoCo model."""
+  gear: float = 1.0
+  """Gear between target and ctrl, for targets that pass unchanged."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorGroup:
-  """Targets that one actuator model drives, before any tensor exists; `fuse` joins groups with equal `key`."""
+  """Columns that one actuator model computes; `fuse` joins groups with equal `key`."""
 
   actuator_model: type["Actuator"]
   """The runtime class."""
-  targets: tuple[Target, ...]
-  """One per column; a target appears twice when two elements of a wrapped MJCF act on one joint."""
   command_fields: tuple[CommandField, ...]
   """Targets that the actuator model reads; these, and never the measurements, are delayed."""
-  parameters: Mapping[str, tuple[float, ...]]
-  """Constants of the actuator model, one number per column each."""
-  delay: DelaySettings = DelaySettings()
-  ctrl_ids: tuple[int, ...] = ()
-  """Model ctrl index of each column; empty without a MuJoCo model."""
-  settings: Hashable = None
-  """Options of the actuator model that are not numbers per column."""
+  settings: Mapping[str, Hashable]
+  """Options of the actuator model that are the same for all columns."""
+  columns: tuple[Column, ...]
+  """Targets in their order."""
 
   @property
   def key(self) -> tuple[object, ...]:
     """Groups that agree in this are one computation."""
-    return (self.actuator_model, self.command_fields, self.delay, tuple(self.parameters), self.settings)
+    return (self.actuator_model, self.command_fields, tuple(self.settings.items()), self.parameter_names)
+
+  @property
+  def parameter_names(self) -> tuple[str, ...]:
+    """Names of the constants."""
+    return tuple(self.columns[0].parameters) if self.columns else ()
 
   @property
   def target_names(self) -> tuple[str, ...]:
     """Names of the targets."""
-    return tuple(target.name for target in self.targets)
-
-  def reordered(self, order: Sequence[int]) -> "ActuatorGroup":
-    """Return the same group with column i taken from column `order[i]`."""
-    return replace(
-      self,
-      targets=tuple(self.targets[i] for i in order),
-      parameters={name: tuple(values[i] for i in order) for name, values in self.parameters.items()},
-      ctrl_ids=tuple(self.ctrl_ids[i] for i in order) if self.ctrl_ids else (),
-    )
+    return tuple(column.target.name for column in self.columns)
 
 
 def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
-  """Return one group per actuator model, settings and delay; columns keep the order in which they are given.
+  """Return one group per actuator model and settings; columns keep the order in which they are given.
 
   This happens before tensors and delay buffers are made, so nothing is allocated twice and models with memory fuse too.
   """
   by_key: dict[tuple[object, ...], list[ActuatorGroup]] = {}
   for group in groups:
     by_key.setdefault(group.key, []).append(group)
-  fused = []
-  for members in by_key.values():
-    first = members[0]
-    fused.append(
-      replace(
-        first,
-        targets=tuple(target for group in members for target in group.targets),
-        parameters={
-          name: tuple(value for group in members for value in group.parameters[name]) for name in first.parameters
-        },
-        ctrl_ids=tuple(index for group in members for index in group.ctrl_ids),
-      )
-    )
-  return fused
+  return [
+    replace(members[0], columns=tuple(column for group in members for column in group.columns))
+    for members in by_key.values()
+  ]
 
 
 class Actuator(Stateful, ABC):
   """Actuator model: from targets and measurements to ctrl, for all worlds and all its targets at once.
 
-  Subclasses implement `compute` by the rules of the captured step: fixed memory, masks, no host reads. Their constants
-  arrive as attributes named like the parameters, shaped (1, n), or (num_envs, n) after `expand`.
+  Subclasses implement `compute` by the rules of the captured step: fixed memory, masks, no host reads. Their settings
+  and parameters arrive as attributes of the same names; parameters are (1, n), or (num_envs, n) after `expand`.
   """
 
   needs_feedback: ClassVar[bool] = True
@@ -122,6 +106,14 @@ class Actuator(Stateful, ABC):
 
   delay: DelayBuffer | None
   """Memory of delayed targets; None without delay."""
+  delay_min_lag: int
+  """Least lag of the targets [substeps]."""
+  delay_max_lag: int
+  """Greatest lag of the targets [substeps]."""
+  delay_hold_prob: float
+  """Probability that a due redraw keeps the old lag."""
+  delay_update_period: int
+  """Substeps between redraws of the lag."""
 
   def __init__(
     self,
@@ -132,27 +124,27 @@ class Actuator(Stateful, ABC):
     dtype: torch.dtype,
     generator: torch.Generator | None = None,
   ) -> None:
-    self.num_envs, self.device = num_envs, torch.device(device)
+    self.num_envs, self.device, self.dtype = num_envs, torch.device(device), dtype
     self.group = group
     self.target_names = group.target_names
     self._expanded: set[str] = set()
-    for name, values in group.parameters.items():
-      setattr(self, name, torch.tensor([values], device=device, dtype=dtype))
-    settings = group.delay
+    for name, setting in group.settings.items():
+      setattr(self, name, setting)
+    for name in group.parameter_names:
+      setattr(self, name, self.nominal(name))
     self.delay = None
-    if settings.max_lag > 0:
-      several = len(group.command_fields) > 1
-      width = len(group.target_names)
+    if self.delay_max_lag > 0:
+      fields, width = len(group.command_fields), len(group.columns)
       self.delay = DelayBuffer(
-        settings.min_lag,
-        settings.max_lag,
+        self.delay_min_lag,
+        self.delay_max_lag,
         num_envs,
-        (len(group.command_fields), width) if several else (width,),
+        (fields, width) if fields > 1 else (width,),
         device,
         dtype,
         generator,
-        hold_prob=settings.hold_prob,
-        update_period=settings.update_period,
+        hold_prob=self.delay_hold_prob,
+        update_period=self.delay_update_period,
       )
 
   @abstractmethod
@@ -177,12 +169,12 @@ class Actuator(Stateful, ABC):
     Raises:
       MjlabError: This actuator model has no such parameter.
     """
-    values = self._parameter(name)
+    self._check(name)
     if name not in self._expanded:
       self._expanded.add(name)
-      values = self.state_of(values.repeat(self.num_envs // values.shape[0], 1))
-      setattr(self, name, values)
-    return values
+      values: torch.Tensor = getattr(self, name)
+      setattr(self, name, self.state_of(values.repeat(self.num_envs // values.shape[0], 1)))
+    return getattr(self, name)
 
   def nominal(self, name: str) -> torch.Tensor:
     """Return the configured value of the parameter `name`, (1, n), whatever was written since.
@@ -190,11 +182,12 @@ class Actuator(Stateful, ABC):
     Raises:
       MjlabError: This actuator model has no such parameter.
     """
-    values = self._parameter(name)
-    return torch.tensor([self.group.parameters[name]], device=values.device, dtype=values.dtype)
+    self._check(name)
+    numbers = [column.parameters[name] for column in self.group.columns]
+    return torch.tensor([numbers], device=self.device, dtype=self.dtype)
 
-  def _parameter(self, name: str) -> torch.Tensor:
-    return getattr(self, check_name("parameter", name, self.group.parameters, type(self).__name__))
+  def _check(self, name: str) -> None:
+    check_name("parameter", name, self.group.parameter_names, type(self).__name__)
 
   def _stacked(self, cmd: ActuatorCmd) -> torch.Tensor:
     fields = [getattr(cmd, field) for field in self.group.command_fields]

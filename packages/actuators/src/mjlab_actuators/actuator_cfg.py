@@ -1,10 +1,9 @@
 """Base of all actuator configs: common fields, their checks, and the MuJoCo elements that a config adds."""
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, TypeVar
+from typing import Annotated, ClassVar
 
 import mujoco
 import torch
@@ -12,17 +11,16 @@ from mjlab_core import (
   Config,
   Count,
   Limits,
-  MjlabError,
   check_fields,
   check_name,
   match_names,
   match_values_full,
 )
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorGroup, CommandField, DelaySettings
-from mjlab_actuators.transmission import SiteGear, Target, Transmission, actuators_of, add_element, targets_of
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorGroup, Column, CommandField
+from mjlab_actuators.transmission import SiteGear, Target, Transmission, add_element, targets_of
 
-T = TypeVar("T")
+_DELAY_FIELDS = ("delay_min_lag", "delay_max_lag", "delay_hold_prob", "delay_update_period")
 
 PerTarget = float | Mapping[str, float]
 """One number for all targets, or numbers by pattern (full match; every target by exactly one pattern)."""
@@ -42,8 +40,12 @@ def is_zero(values: PerTarget) -> bool:
 
 
 @dataclass(kw_only=True)
-class ActuatorCfg(Config, ABC):
-  """Base of all actuator configs."""
+class ActuatorCfg(Config):
+  """Base of all actuator configs.
+
+  By default a MuJoCo motor without a range applies what the actuator model computes in torch, so a limit raised at run
+  time takes effect. A joint's own `actuatorfrcrange`, if the MJCF has one, still applies.
+  """
 
   target_names_expr: tuple[str, ...]
   """Patterns (full match) of names of joints, tendons or sites, as `transmission_type` says."""
@@ -82,6 +84,10 @@ class ActuatorCfg(Config, ABC):
   """Targets that the actuator model reads."""
   number_fields: ClassVar[tuple[str, ...]] = ()
   """Fields that are constants of the actuator model, one number per target each."""
+  setting_fields: ClassVar[tuple[str, ...]] = ()
+  """Fields that are options of the actuator model; configs that differ in one are not fused."""
+  of_mjcf: ClassVar[bool] = False
+  """True for actuators that the MJCF declares; the others are added to it."""
 
   def match(self, candidates: Sequence[str], owner: str = "") -> list[str]:
     """Return the names to drive among `candidates`, in their order.
@@ -91,7 +97,8 @@ class ActuatorCfg(Config, ABC):
       UnknownNameError: A pattern matches nothing, or two patterns match one name.
     """
     check_fields(self, type(self).__name__)
-    return match_names(self.target_names_expr, candidates, what=self.transmission_type, owner=owner)[1]
+    what = f"{self.transmission_type} with an MJCF actuator" if self.of_mjcf else self.transmission_type
+    return match_names(self.target_names_expr, candidates, what=what, owner=owner)[1]
 
   def edit_spec(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     """Write joint or tendon properties, and add one MuJoCo actuator per target, named like it.
@@ -143,36 +150,33 @@ class ActuatorCfg(Config, ABC):
     """Return True if the actuator model needs the position of its target."""
     return False
 
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the constants of the actuator model, one number per target each."""
-    return self._numbers(target_names, *self.number_fields) if self.number_fields else {}
+  def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
+    """Return the constants of the actuator model for each target."""
+    rows = self._numbers(target_names, *self.number_fields)
+    return [dict(zip(self.number_fields, row, strict=True)) for row in rows]
 
-  def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
-    """Return the groups that this config drives in a compiled model, with the ctrl index of each target.
+  @property
+  def ctrl_gear(self) -> float:
+    """Gear between targets and ctrl, for targets that pass unchanged."""
+    return 1.0
 
-    Raises:
-      MjlabError: The model has no actuator named like a target: `edit_spec` was not called before it was compiled.
+  @property
+  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
+    """Targets that each ctrl of an actuator takes."""
+    return (self.command_fields,)
+
+  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
+    """Return the groups of this config in a compiled model, one for each ctrl of an actuator.
+
+    Args:
+      model: The compiled model.
+      elements: Ids of the actuators of each target by name.
     """
-    elements = self.elements(model, target_names, prefix)
-    return [self._group(target_names, [int(model.actuator_ctrladr[index]) for index in elements])]
-
-  def elements(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[int]:
-    """Return the ids of the actuators that `edit_spec` added, one per target.
-
-    Raises:
-      MjlabError: The model has no such actuator: `edit_spec` was not called before it was compiled.
-    """
-    found = []
-    for name in target_names:
-      target = Target(self.transmission_type, name)
-      names = (prefix + name, f"{prefix}{name}_{self.transmission_type}")
-      ids = [index for index in actuators_of(model, target, prefix) if model.actuator(index).name in names]
-      if not ids:
-        raise MjlabError(
-          f"{type(self).__name__}: the model has no actuator {prefix + name!r}; call edit_spec before it is compiled"
-        )
-      found.append(ids[0])
-    return found
+    first = [int(model.actuator_ctrladr[index]) for (index,) in elements.values()]
+    return [
+      self._group(list(elements), [index + offset for index in first], fields)
+      for offset, fields in enumerate(self.ctrl_fields)
+    ]
 
   def build(
     self,
@@ -185,7 +189,7 @@ class ActuatorCfg(Config, ABC):
   ) -> Actuator:
     """Return the actuator model alone, for n = len(target_names) targets; `ActuatorSet` is for a whole model."""
     self.validate(target_names)
-    group = self._group(target_names, ())
+    group = self._group(target_names, [-1] * len(target_names), self.ctrl_fields[0])
     return self.actuator_model(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
 
   def velocity_limits(self, target_names: Sequence[str]) -> dict[Target, float]:
@@ -193,24 +197,9 @@ class ActuatorCfg(Config, ABC):
     limits = zip(target_names, self._by_target("velocity_limit", target_names, default=None), strict=True)
     return {Target(self.transmission_type, name): limit for name, limit in limits if limit is not None}
 
-  @property
-  def delay(self) -> DelaySettings:
-    """Delay of the targets."""
-    return DelaySettings(
-      min_lag=self.delay_min_lag,
-      max_lag=self.delay_max_lag,
-      hold_prob=self.delay_hold_prob,
-      update_period=self.delay_update_period,
-    )
-
-  @property
-  def settings(self) -> Hashable:
-    """Options of the actuator model that are not numbers per target; configs that differ in it are not fused."""
-    return None
-
-  @abstractmethod
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     """Add the MuJoCo actuators of this config."""
+    self._bare_elements(spec, target_names)
 
   def _bare_elements(
     self, spec: mujoco.MjSpec, target_names: Sequence[str], gear: float = 1.0
@@ -229,23 +218,27 @@ class ActuatorCfg(Config, ABC):
       for name, direction in zip(target_names, directions, strict=True)
     ]
 
-  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
+  def _group(
+    self, target_names: Sequence[str], ctrl: Sequence[int], command_fields: tuple[CommandField, ...]
+  ) -> ActuatorGroup:
+    rows = zip(target_names, self.parameters(target_names), ctrl, strict=True)
+    columns = [
+      Column(Target(self.transmission_type, name), numbers, index, self.ctrl_gear) for name, numbers, index in rows
+    ]
+    return self._group_of(columns, command_fields)
+
+  def _group_of(self, columns: Sequence[Column], command_fields: tuple[CommandField, ...]) -> ActuatorGroup:
     return ActuatorGroup(
       actuator_model=self.actuator_model,
-      targets=tuple(Target(self.transmission_type, name) for name in target_names),
-      command_fields=self.command_fields,
-      parameters=self.parameters(target_names),
-      delay=self.delay,
-      ctrl_ids=tuple(ctrl_ids),
-      settings=self.settings,
+      command_fields=command_fields,
+      settings={name: getattr(self, name) for name in (*_DELAY_FIELDS, *self.setting_fields)},
+      columns=tuple(columns),
     )
 
-  def _numbers(self, target_names: Sequence[str], *names: str) -> dict[str, tuple[float, ...]]:
+  def _numbers(self, target_names: Sequence[str], *names: str) -> list[tuple[float, ...]]:
     """Return the numbers of the fields `names` for each target; infinity where a limit is None."""
-    found = {name: self._by_target(name, target_names) for name in names}
-    return {
-      name: tuple(math.inf if value is None else float(value) for value in values) for name, values in found.items()
-    }
+    rows = zip(target_names, *(self._by_target(name, target_names) for name in names), strict=True)
+    return [tuple(math.inf if value is None else float(value) for value in values) for _, *values in rows]
 
   def _by_target(self, name: str, target_names: Sequence[str], **options: None) -> list:
     """Return the values of the field `name`, one per target."""

@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import mujoco
@@ -22,14 +21,8 @@ _DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm
 _PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)}
 
 
-@dataclass(frozen=True)
-class _Place:
-  """Number that is multiplied by the factor of one target: of an actuator model, or of a model field."""
-
-  owner: Actuator | None
-  name: str
-  column: int
-  target: int
+_Place = tuple[Actuator | None, str, int]
+"""Number of one target: of an actuator model, by parameter and column; or of a model field, by column of its rows."""
 
 
 class ActuatorParameter:
@@ -70,28 +63,23 @@ class ActuatorParameter:
     self.name, self.targets = name, _matched(actuators, patterns, transmission)
     self.names = tuple(target.name for target in self.targets)
     self._sim = sim
-    self._places: dict[tuple[Actuator | None, str], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
-    found: dict[tuple[Actuator | None, str], list[_Place]] = defaultdict(list)
+    self.claims = _claims(name, self.targets)
+    found: dict[tuple[Actuator | None, str], list[tuple[int, int]]] = defaultdict(list)
     nominal: list[float] = []
     for index, target in enumerate(self.targets):
-      value, places = _find(actuators, sim, name, target, index)
+      value, places = _find(actuators, sim.mj_model, name, target)
       nominal.append(value)
-      for place in places:
-        found[place.owner, place.name].append(place)
-    self.claims = _claims(name, self.targets)
-    self.claims |= {
-      (field, place.column): f"{field} of {_described(self.targets[place.target])}"
-      for (owner, field), places in found.items()
-      for place in places
-      if owner is None
-    }
+      for owner, field, column in places:
+        found[owner, field].append((column, index))
+        if owner is None:
+          self.claims[field, column] = f"{field} of {_described(target)}"
     sim.expand_model_fields([field for owner, field in found if owner is None])
-    for (owner, field), places in found.items():
-      columns = torch.tensor([place.column for place in places], device=sim.device)
+    self._places: dict[tuple[Actuator | None, str], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+    for (owner, field), pairs in found.items():
+      columns, of_target = torch.tensor(pairs, device=sim.device).unbind(1)
       default = sim.default_field(field) if owner is None else owner.nominal(field)
       if owner is not None:
         owner.expand(field)
-      of_target = torch.tensor([place.target for place in places], device=sim.device)
       self._places[owner, field] = (columns, of_target, default.reshape(1, -1).index_select(1, columns))
     dtype = next(iter(self._places.values()))[2].dtype
     self.default = torch.tensor([nominal], device=sim.device, dtype=dtype)
@@ -153,19 +141,20 @@ class ActuatorDelay:
       MjlabError: a target shares its delay with one that is not matched, or cannot have these lags [physics steps].
     """
     targets, (lo, hi), owner = _matched(actuators, patterns, transmission), lag_range, actuators.owner
-    models = [model for model in actuators.groups if not set(targets).isdisjoint(model.group.targets)]
-    for model in models:
-      settings, members = model.group.delay, model.group.targets
+    driven = [(model, [column.target for column in model.group.columns]) for model in actuators.groups]
+    models = [(model, members) for model, members in driven if not set(targets).isdisjoint(members)]
+    for model, members in models:
+      least, most = model.delay_min_lag, model.delay_max_lag
       if others := [target.name for target in members if target not in targets]:
         mine = next(target.name for target in members if target in targets)
         raise MjlabError(f"{owner}: '{mine}' shares its delay with {', '.join(others)}; name all of them, or none")
-      if not settings.min_lag <= lo <= hi <= settings.max_lag or settings.min_lag == settings.max_lag:
+      if not least <= lo <= hi <= most or least == most:
         raise MjlabError(
-          f"{owner}: lags in [{lo}, {hi}] for '{members[0].name}', whose config has delay_min_lag {settings.min_lag} "
-          f"and delay_max_lag {settings.max_lag}; widen those"
+          f"{owner}: lags in [{lo}, {hi}] for '{members[0].name}', whose config has delay_min_lag {least} "
+          f"and delay_max_lag {most}; widen those"
         )
-    self._delays = [model.delay for model in models if model.delay is not None]
-    self.names = tuple(", ".join(model.target_names) for model in models)
+    self._delays = [model.delay for model, _ in models if model.delay is not None]
+    self.names = tuple(", ".join(model.target_names) for model, _ in models)
     self.claims = _claims("delay", targets)
     device = self._delays[0].device
     self.default = torch.full((1, len(self._delays)), -1.0, device=device)
@@ -197,30 +186,29 @@ def _claims(name: str, targets: Iterable[Target]) -> dict[tuple[str, Hashable], 
   return {(name, target): f"{name} of {_described(target)}" for target in targets}
 
 
-def _find(
-  actuators: ActuatorSet, sim: ModelFields, name: str, target: Target, index: int
-) -> tuple[float, list[_Place]]:
+def _find(actuators: ActuatorSet, model: mujoco.MjModel, name: str, target: Target) -> tuple[float, list[_Place]]:
   """Return the configured value of a parameter of one target, and all places that hold it."""
   owner = f"{actuators.owner}: {name} of {target.transmission} {target.name!r}".removeprefix(": ")
-  value, places, elements = 0.0, [], set()
-  for model in actuators.groups:
-    for column, other in enumerate(model.group.targets):
-      if other != target:
+  found: list[tuple[float, _Place]] = []
+  elements: set[int] = set()
+  for actuator in actuators.groups:
+    fields = actuator.effort_limits if name == "effort_limit" else (name,)
+    for index, column in enumerate(actuator.group.columns):
+      if column.target != target:
         continue
-      element = _element_of(sim.mj_model, model.group.ctrl_ids[column])
-      fields = model.effort_limits if name == "effort_limit" else (name,)
-      values = {field: model.group.parameters[field][column] for field in fields if field in model.group.parameters}
-      numbers = [(number, _Place(model, field, column, index)) for field, number in values.items()]
-      if isinstance(model, PassThrough) and element not in elements:
-        numbers += _in_model(sim.mj_model, name, element, index)
+      numbers = column.parameters
+      found += [(numbers[field], (actuator, field, index)) for field in fields if field in numbers]
+      element = _element_of(model, column.ctrl)
+      if isinstance(actuator, PassThrough) and element not in elements:
+        found += _in_model(model, name, element)
       elements.add(element)
-      places += [place for _, place in numbers]
-      value = value or next((number for number, _ in numbers if number != 0.0), 0.0)
+  value = next((number for number, _ in found if number != 0.0), 0.0)
   if value in (0.0, float("inf")):
-    why = "its actuator has none" if not places else "it is zero" if value == 0.0 else "it was not given"
+    why = "its actuator has none" if not found else "it is zero" if value == 0.0 else "it was not given"
     raise MjlabError(f"{owner}: {why}, so that scaling it changes nothing")
+  places = [place for _, place in found]
   if name == "effort_limit":
-    places += _shared_limits(sim.mj_model, target, elements, index, owner)
+    places += _shared_limits(model, target, next(iter(elements)), owner)
   return value, places
 
 
@@ -229,7 +217,7 @@ def _element_of(model: mujoco.MjModel, ctrl: int) -> int:
   return int((model.actuator_ctrladr <= ctrl).nonzero()[0][-1])
 
 
-def _in_model(model: mujoco.MjModel, name: str, element: int, index: int) -> list[tuple[float, _Place]]:
+def _in_model(model: mujoco.MjModel, name: str, element: int) -> list[tuple[float, _Place]]:
   """Return values and places of a parameter of an actuator that MuJoCo computes; none if it has no such parameter."""
   fields: list[tuple[str, int]] = []
   kind, bias = mujoco.mjtGain(model.actuator_gaintype[element]), mujoco.mjtBias(model.actuator_biastype[element])
@@ -247,22 +235,20 @@ def _in_model(model: mujoco.MjModel, name: str, element: int, index: int) -> lis
   found = []
   for field, column in fields:
     table = getattr(model, field)
-    found.append((abs(float(table[element, column])), _Place(None, field, element * table.shape[1] + column, index)))
+    found.append((abs(float(table[element, column])), (None, field, element * table.shape[1] + column)))
   return found
 
 
-def _shared_limits(model: mujoco.MjModel, target: Target, elements: set[int], index: int, owner: str) -> list[_Place]:
+def _shared_limits(model: mujoco.MjModel, target: Target, element: int, owner: str) -> list[_Place]:
   """Return the places of the limit on all actuators of a joint or tendon together, if it has one."""
   if target.transmission == "site":
     return []
-  row = int(model.actuator_trnid[next(iter(elements)), 0])
-  field = "jnt_actfrcrange" if target.transmission == "joint" else "tendon_actfrcrange"
-  limited = model.jnt_actfrclimited if target.transmission == "joint" else model.tendon_actfrclimited
-  if not limited[row]:
+  row, prefix = int(model.actuator_trnid[element, 0]), "jnt" if target.transmission == "joint" else "tendon"
+  if not getattr(model, f"{prefix}_actfrclimited")[row]:
     return []
-  same = (model.actuator_trntype == model.actuator_trntype[next(iter(elements))]) & (model.actuator_trnid[:, 0] == row)
-  if int(same.sum()) > 1:
+  same = (model.actuator_trntype == model.actuator_trntype[element]) & (model.actuator_trnid[:, 0] == row)
+  if same.sum() > 1:
     raise MjlabError(
-      f"{owner}: {int(same.sum())} actuators share its actuatorfrcrange, so that one of them cannot be scaled alone"
+      f"{owner}: {same.sum()} actuators share its actuatorfrcrange, so that one of them cannot be scaled alone"
     )
-  return [_Place(None, field, 2 * row + side, index) for side in range(2)]
+  return [(None, f"{prefix}_actfrcrange", 2 * row + side) for side in range(2)]

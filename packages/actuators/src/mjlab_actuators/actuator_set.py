@@ -1,18 +1,19 @@
 """All actuators of one entity: from targets to the entity's part of ctrl, once a substep."""
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import torch
-from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_slice
+from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_index, as_slice, select
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, fuse
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
-from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, acts_on, actuators_of, targets_of
-from mjlab_actuators.xml import XmlActuatorCfg, targets_with_actuator
+from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, targets_of, targets_of_actuators
 
 _Names = dict[Transmission, list[str]]
 
@@ -64,10 +65,7 @@ class ActuatorSet(Stateful):
       MjlabError: A number is impossible, or a target is driven twice.
     """
     names = self._candidates(spec, target_names)
-    actuated: _Names = {
-      kind: [name for name in names[kind] if any(acts_on(element, Target(kind, name)) for element in spec.actuators)]
-      for kind in TRANSMISSIONS
-    }
+    actuated = set(targets_of_actuators(spec))
     for cfg in self.cfgs:
       cfg.edit_spec(spec, self._match(cfg, names, actuated))
 
@@ -103,8 +101,9 @@ class ActuatorSet(Stateful):
     """
     self.num_envs = num_envs
     names = self._candidates(model, target_names, prefix)
-    groups = self._groups(model, names, prefix)
-    self._lay_out(model, names, groups, prefix)
+    of_actuator = targets_of_actuators(model, prefix)
+    groups = self._groups(model, names, of_actuator, prefix)
+    self._lay_out(model, names, groups, of_actuator)
     self._place_ctrl(ctrl, device=device, dtype=dtype)
     self._routes = [
       self._route(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator) for group in fuse(groups)
@@ -114,7 +113,9 @@ class ActuatorSet(Stateful):
     self.needs_feedback = any(actuator.needs_feedback for actuator in self.groups)
     return self
 
-  def _lay_out(self, model: mujoco.MjModel, names: _Names, groups: Sequence[ActuatorGroup], prefix: str) -> None:
+  def _lay_out(
+    self, model: mujoco.MjModel, names: _Names, groups: Sequence[ActuatorGroup], of_actuator: Sequence[Target | None]
+  ) -> None:
     """Order the targets, which are the columns of targets and measurements, and the controls."""
     target_of = _target_of_ctrl(groups, self.owner)
     driven = set(target_of.values())
@@ -127,20 +128,22 @@ class ActuatorSet(Stateful):
     self.ctrl_ids = tuple(sorted(target_of))
     self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
     # The MJCF's own elements come first, and none of them needs a measurement.
-    last = [actuators_of(model, Target("site", name), prefix)[-1] for name in self._driven["site"]]
-    self.site_outputs = tuple(model.actuator_outadr[last].tolist())
+    last = {target: index for index, target in enumerate(of_actuator)}
+    self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self._driven["site"])
 
   def _route(self, group: ActuatorGroup, **options: Any) -> "_Route":
     """Return an actuator model of one fused group, with the path of its columns into ctrl."""
-    columns = [self.targets.index(target) for target in group.targets]
-    # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
-    # columns are plain slices when they keep the order of the targets.
-    place = group.ctrl_ids if issubclass(group.actuator_model, PassThrough) else columns
-    order = sorted(range(len(columns)), key=place.__getitem__)
-    group = group.reordered(order)
-    actuator = group.actuator_model(group, **options)
-    places = [self.ctrl_ids.index(index) for index in group.ctrl_ids]
-    return _Route(actuator, [columns[i] for i in order], places, len(self.targets), self.ctrl)
+
+    def place(column: Column) -> int:
+      # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
+      # columns are plain slices when they keep the order of the targets.
+      return column.ctrl if issubclass(group.actuator_model, PassThrough) else self.targets.index(column.target)
+
+    columns = tuple(sorted(group.columns, key=place))
+    actuator = group.actuator_model(replace(group, columns=columns), **options)
+    sources = [self.targets.index(column.target) for column in columns]
+    places = [self.ctrl_ids.index(column.ctrl) for column in columns]
+    return _Route(actuator, sources, places, len(self.targets), self.ctrl)
 
   def compute(
     self,
@@ -203,12 +206,12 @@ class ActuatorSet(Stateful):
       names["joint"] = list(joints)
     return names
 
-  def _match(self, cfg: ActuatorCfg, names: _Names, actuated: _Names) -> list[str]:
-    """Return the names that `cfg` drives; `actuated` are the names that have an actuator in the MJCF."""
+  def _match(self, cfg: ActuatorCfg, names: _Names, actuated: set[Target | None]) -> list[str]:
+    """Return the names that `cfg` drives; `actuated` are the targets that have an actuator in the MJCF."""
     candidates = names.get(cfg.transmission_type, [])
+    if cfg.of_mjcf:
+      candidates = [name for name in candidates if Target(cfg.transmission_type, name) in actuated]
     try:
-      if isinstance(cfg, XmlActuatorCfg):
-        return cfg.match(candidates, self.owner, actuated.get(cfg.transmission_type))
       return cfg.match(candidates, self.owner)
     except UnknownNameError as error:
       if isinstance(error.__cause__, re.error):
@@ -220,23 +223,27 @@ class ActuatorSet(Stateful):
           raise UnknownNameError(f"{error} There is a {kind} {meant[0]!r}: transmission_type={kind!r}?") from error
       raise
 
-  def _groups(self, model: mujoco.MjModel, names: _Names, prefix: str) -> list[ActuatorGroup]:
-    added: dict[int, list[str]] = {}
-    for place, cfg in enumerate(self.cfgs):
-      if not isinstance(cfg, XmlActuatorCfg):
-        added[place] = self._match(cfg, names, names)
+  def _groups(
+    self, model: mujoco.MjModel, names: _Names, of_actuator: Sequence[Target | None], prefix: str
+  ) -> list[ActuatorGroup]:
+    """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
+    own: dict[Target, int] = {}
+    for cfg in self.cfgs:
+      for name in () if cfg.of_mjcf else self._match(cfg, names, set()):
+        target = Target(cfg.transmission_type, name)
+        own[target] = _added_element(model, of_actuator, target, prefix, type(cfg).__name__)
     # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
-    own = {index for place, matched in added.items() for index in self.cfgs[place].elements(model, matched, prefix)}
-    actuated: _Names = {kind: targets_with_actuator(model, kind, prefix, without=own) for kind in TRANSMISSIONS}
+    of_mjcf: dict[Target | None, list[int]] = defaultdict(list)
+    for index, target in enumerate(of_actuator):
+      if index not in own.values():
+        of_mjcf[target].append(index)
     groups: list[ActuatorGroup] = []
     self.velocity_limits = {}
-    for place, cfg in enumerate(self.cfgs):
-      if isinstance(cfg, XmlActuatorCfg):
-        added[place] = self._match(cfg, names, actuated)
-        groups += cfg.groups(model, added[place], prefix, without=own)
-      else:
-        groups += cfg.groups(model, added[place], prefix)
-      self.velocity_limits |= cfg.velocity_limits(added[place])
+    for cfg in self.cfgs:
+      matched = self._match(cfg, names, set(of_mjcf))
+      targets = [Target(cfg.transmission_type, name) for name in matched]
+      groups += cfg.groups(model, {of.name: of_mjcf[of] if cfg.of_mjcf else [own[of]] for of in targets})
+      self.velocity_limits |= cfg.velocity_limits(matched)
     return groups
 
   def _place_ctrl(self, ctrl: torch.Tensor | None, *, device: torch.device | str, dtype: torch.dtype) -> None:
@@ -254,22 +261,21 @@ class _Route:
   """Path of one fused actuator model from the columns of targets into ctrl."""
 
   def __init__(
-    self, actuator: Actuator, columns: Sequence[int], places: Sequence[int], num_targets: int, ctrl: torch.Tensor
+    self, actuator: Actuator, columns: list[int], places: list[int], num_targets: int, ctrl: torch.Tensor
   ) -> None:
     self.actuator = actuator
-    self._all = list(columns) == list(range(num_targets))
-    self._slice = as_slice(columns)
-    self._index = torch.tensor(columns, device=ctrl.device)
-    place = as_slice(places)
+    self._columns = None if columns == list(range(num_targets)) else as_index(columns, ctrl.device)
     self._ctrl = ctrl
+    place = as_slice(places)
     self._into = ctrl[:, place] if place is not None else None
     self._places = torch.tensor(places, device=ctrl.device)
-    is_plain = isinstance(actuator, PassThrough) and not actuator.is_geared and actuator.delay is None
+    is_plain = type(actuator) is PassThrough and not actuator.is_geared and actuator.delay is None
     self._fields = actuator.group.command_fields
     self.gather: tuple[int, torch.Tensor, torch.Tensor] | None = None
     """For targets that go to ctrl as they are: the index in `COMMAND_FIELDS`, their columns, and where they go."""
-    if is_plain and self._into is not None and not self._all:
-      self.gather = (COMMAND_FIELDS.index(self._fields[0]), self._index, self._into)
+    if is_plain and self._into is not None and self._columns is not None:
+      index = torch.tensor(columns, device=ctrl.device)
+      self.gather = (COMMAND_FIELDS.index(self._fields[0]), index, self._into)
 
   def run(self, cmd: ActuatorCmd) -> None:
     value = self.actuator.compute(self._select(cmd))
@@ -284,29 +290,37 @@ class _Route:
 
   def _select(self, cmd: ActuatorCmd) -> ActuatorCmd:
     """Return the columns of this actuator model; fields that it does not read are handed over whole."""
-    if self._all:
+    columns = self._columns
+    if columns is None:
       return cmd
     fields = (*self._fields, "position", "velocity") if self.actuator.needs_feedback else self._fields
-    selected = ActuatorCmd(cmd.position_target, cmd.velocity_target, cmd.effort_target, cmd.position, cmd.velocity)
-    if self._slice is not None:
-      for field in fields:
-        setattr(selected, field, getattr(cmd, field)[:, self._slice])
-    elif len(fields) == 1:
-      setattr(selected, fields[0], getattr(cmd, fields[0]).index_select(1, self._index))
+    read = [getattr(cmd, field) for field in fields]
+    if isinstance(columns, slice) or len(read) == 1:
+      selected = [select(value, columns) for value in read]
     else:
-      gathered = torch.stack([getattr(cmd, field) for field in fields]).index_select(2, self._index)
-      for field, value in zip(fields, gathered.unbind(0), strict=True):
-        setattr(selected, field, value)
-    return selected
+      selected = torch.stack(read).index_select(2, columns).unbind(0)
+    return replace(cmd, **dict(zip(fields, selected, strict=True)))
+
+
+def _added_element(
+  model: mujoco.MjModel, of_actuator: Sequence[Target | None], target: Target, prefix: str, owner: str
+) -> int:
+  """Return the id of the actuator that `ActuatorCfg.edit_spec` added for `target`."""
+  names = (prefix + target.name, f"{prefix}{target.name}_{target.transmission}")
+  for index, of in enumerate(of_actuator):
+    if of == target and model.actuator(index).name in names:
+      return index
+  raise MjlabError(f"{owner}: the model has no actuator {names[0]!r}; call edit_spec before it is compiled")
 
 
 def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, Target]:
   target_of: dict[int, Target] = {}
   for group in groups:
-    for index, target in zip(group.ctrl_ids, group.targets, strict=True):
-      if index in target_of:
+    for column in group.columns:
+      target, ctrl = column.target, column.ctrl
+      if ctrl in target_of:
         raise MjlabError(
           f"{owner + ': ' if owner else ''}{target.transmission} {target.name!r} is driven by two actuator configs"
         )
-      target_of[index] = target
+      target_of[ctrl] = target
   return target_of

@@ -1,6 +1,5 @@
 """PD behind a DC motor, whose effort falls with speed."""
 
-from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -62,6 +61,8 @@ class DcMotor(Pd):
   """No-load speed, (1, n) or (num_envs, n) [m/s or rad/s]."""
   effort_limit: torch.Tensor
   """Largest effort of the drive, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
+  braking: bool
+  """True if the motor is forced to brake beyond its no-load speed."""
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the effort within the bounds of the motor."""
@@ -71,7 +72,7 @@ class DcMotor(Pd):
       saturation_effort=self.saturation_effort,
       velocity_limit=self.velocity_limit,
       effort_limit=self.effort_limit,
-      braking=bool(self.group.settings),
+      braking=self.braking,
     )
 
 
@@ -91,8 +92,4 @@ class DcMotorActuatorCfg(PdActuatorCfg):
 
   actuator_model = DcMotor
   number_fields = ("stiffness", "damping", "saturation_effort", "velocity_limit", "effort_limit")
-
-  @property
-  def settings(self) -> Hashable:
-    """`braking`."""
-    return self.braking
+  setting_fields = ("braking",)

@@ -96,9 +96,8 @@ class EnvelopedPdActuatorCfg(PdActuatorCfg):
           f"{no_load}, and motoring_effort {motoring} above 0 and at most braking_effort {braking}"
         )
 
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gains and the numbers of the envelopes."""
-    envelopes = self._by_target("envelope", target_names)
-    return super().parameters(target_names) | {
-      name: tuple(float(getattr(envelope, name)) for envelope in envelopes) for name in TorqueSpeedEnvelope._fields
-    }
+  def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
+    """Return the gains and the numbers of the envelope for each target."""
+    envelopes: list[TorqueSpeedEnvelope] = self._by_target("envelope", target_names)
+    rows = zip(super().parameters(target_names), envelopes, strict=True)
+    return [gains | envelope._asdict() for gains, envelope in rows]

@@ -2,11 +2,9 @@
 
 import math
 from abc import ABC
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import mujoco
 import torch
 
 from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup
@@ -40,7 +38,7 @@ class IdealPd(Pd):
 
   def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
     super().__init__(group, **memory)
-    self._clamps = not all(math.isinf(limit) for limit in group.parameters["effort_limit"])
+    self._clamps = not all(math.isinf(column.parameters["effort_limit"]) for column in group.columns)
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the clamped effort."""
@@ -56,19 +54,7 @@ class IdealPd(Pd):
 
 
 @dataclass(kw_only=True)
-class TorqueActuatorCfg(ActuatorCfg):
-  """Base of all actuator models that torch computes and a MuJoCo motor applies.
-
-  Limits are in the actuator model alone: the motor underneath has no range, so a limit raised at run time takes effect
-  (a joint's own `actuatorfrcrange`, where the MJCF has one, still applies).
-  """
-
-  def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    self._bare_elements(spec, target_names)
-
-
-@dataclass(kw_only=True)
-class PdActuatorCfg(TorqueActuatorCfg):
+class PdActuatorCfg(ActuatorCfg):
   """Base of PD control computed in torch.
 
   The integrator cannot see the derivatives of the effort: keep kd below about 2 J / timestep, or take the native servo.

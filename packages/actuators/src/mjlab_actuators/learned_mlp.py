@@ -4,7 +4,7 @@ After J. Hwangbo et al., "Learning agile and dynamic motor skills for legged rob
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -14,35 +14,14 @@ import torch
 from mjlab_core import HistoryBuffer, Limits, MjlabError, PositiveCount
 
 from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField
-from mjlab_actuators.actuator_cfg import EffortLimit, PerTarget
+from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, PerTarget
 from mjlab_actuators.dc_motor import clip_to_dc_motor
-from mjlab_actuators.ideal_pd import TorqueActuatorCfg
 from mjlab_actuators.network_file import Activation, load_network
 
 InputOrder = Literal["pos_vel", "vel_pos"]
 """Order of the columns: position errors before velocities, or after."""
 Scale = Annotated[float, Limits(nonzero=True)]
 """Finite factor other than 0."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MlpSettings:
-  """Network of an actuator model, and its inputs."""
-
-  network_file: Path
-  activation: Activation
-  history_length: int
-  position_scale: float
-  velocity_scale: float
-  effort_scale: float
-  input_order: InputOrder
-  braking: bool
-
-  def load(self, device: torch.device | str = "cpu") -> torch.nn.Module:
-    """Return the network, checked to be as wide as its history."""
-    return load_network(
-      self.network_file, num_inputs=2 * self.history_length, activation=self.activation, device=device
-    )
 
 
 class LearnedMlp(Actuator):
@@ -62,28 +41,29 @@ class LearnedMlp(Actuator):
   velocity_limit: torch.Tensor
   """No-load speed, (1, n) or (num_envs, n) [m/s or rad/s]; only with a configured motor."""
 
-  def __init__(
-    self,
-    group: ActuatorGroup,
-    *,
-    dtype: torch.dtype,
-    **memory: Any,
-  ) -> None:
-    super().__init__(group, dtype=dtype, **memory)
-    num_envs, device = self.num_envs, self.device
-    settings = group.settings
-    assert isinstance(settings, MlpSettings)
-    self._settings, self._dtype = settings, dtype
-    self._shape = (num_envs, len(group.target_names))
-    self._clips = "saturation_effort" in group.parameters
-    # Networks are stored in single precision; so is what they are fed with.
-    self.history = HistoryBuffer(settings.history_length, num_envs, (2, self._shape[1]), device, torch.float32)
-    scales = (settings.position_scale, settings.velocity_scale)
-    self._position_first = settings.input_order == "pos_vel"
-    self._scale = torch.tensor(scales if self._position_first else scales[::-1], device=device, dtype=dtype)[:, None]
-    self.network = settings.load(device)
+  network_file: str | Path
+  activation: Activation
+  history_length: int
+  position_scale: float
+  velocity_scale: float
+  effort_scale: float
+  input_order: InputOrder
+  braking: bool
+
+  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
+    super().__init__(group, **memory)
+    num_envs, device, num_inputs = self.num_envs, self.device, 2 * self.history_length
+    self._shape = (num_envs, len(group.columns))
+    self._clips = "saturation_effort" in group.parameter_names
+    # Networks are stored in single precision, and so are their inputs.
+    self.history = HistoryBuffer(self.history_length, num_envs, (2, self._shape[1]), device, torch.float32)
+    scales = (self.position_scale, self.velocity_scale)
+    self._position_first = self.input_order == "pos_vel"
+    scales = scales if self._position_first else scales[::-1]
+    self._scale = torch.tensor(scales, device=device, dtype=self.dtype)[:, None]
+    self.network = load_network(self.network_file, num_inputs=num_inputs, activation=self.activation, device=device)
     # TorchScript compiles during its first calls, which must not happen while a step is recorded.
-    rows = torch.zeros(num_envs * self._shape[1], 2 * settings.history_length, device=device)
+    rows = torch.zeros(num_envs * self._shape[1], num_inputs, device=device)
     for _ in range(3):
       self.network(rows)
 
@@ -95,7 +75,7 @@ class LearnedMlp(Actuator):
     self.history.append(torch.stack(pair, dim=1).mul_(self._scale))
     # (worlds, time, 2, joints), oldest first -> rows of (world, joint), columns of (2, time), newest first.
     rows = self.history.read().flip(1).permute(0, 3, 2, 1).reshape(-1, 2 * self.history.length)
-    effort = self.network(rows).view(self._shape).to(self._dtype) * self._settings.effort_scale
+    effort = self.network(rows).view(self._shape).to(self.dtype) * self.effort_scale
     if not self._clips:
       return torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
     return clip_to_dc_motor(
@@ -104,7 +84,7 @@ class LearnedMlp(Actuator):
       saturation_effort=self.saturation_effort,
       velocity_limit=self.velocity_limit,
       effort_limit=self.effort_limit,
-      braking=self._settings.braking,
+      braking=self.braking,
     )
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
@@ -114,7 +94,7 @@ class LearnedMlp(Actuator):
 
 
 @dataclass(kw_only=True)
-class LearnedMlpActuatorCfg(TorqueActuatorCfg):
+class LearnedMlpActuatorCfg(ActuatorCfg):
   """A network that gives the effort of each joint from the recent past of its position error and velocity.
 
   Its history is sampled in every physics substep: the network must have been trained at that period, which is checked
@@ -149,20 +129,16 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
 
   actuator_model = LearnedMlp
-
-  @property
-  def settings(self) -> MlpSettings:
-    """Network and inputs."""
-    return MlpSettings(
-      network_file=Path(self.network_file).resolve(),
-      activation=self.activation,
-      history_length=self.history_length,
-      position_scale=float(self.position_scale),
-      velocity_scale=float(self.velocity_scale),
-      effort_scale=float(self.effort_scale),
-      input_order=self.input_order,
-      braking=self.braking,
-    )
+  setting_fields = (
+    "network_file",
+    "activation",
+    "history_length",
+    "position_scale",
+    "velocity_scale",
+    "effort_scale",
+    "input_order",
+    "braking",
+  )
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
     """Yield what is wrong with fields that keep their own constraints, and with the network."""
@@ -171,14 +147,14 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
       if getattr(self, other) is None:
         yield from self._given((given,), f"{other} is not; the torque-speed line needs both")
     try:
-      self.settings.load()
+      load_network(self.network_file, num_inputs=2 * self.history_length, activation=self.activation)
     except ValueError as error:
       yield str(error)
 
   def _reads_position(self) -> bool:
     return True
 
-  def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
+  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
     """Return the groups of this config, if the network was trained at the timestep of the model."""
     timestep = model.opt.timestep
     if self.sample_period is not None and not math.isclose(self.sample_period, timestep, rel_tol=1e-6):
@@ -186,9 +162,11 @@ class LearnedMlpActuatorCfg(TorqueActuatorCfg):
         f"{type(self).__name__}: the network was trained on samples every {self.sample_period} s, "
         f"the model has a timestep of {timestep} s"
       )
-    return super().groups(model, target_names, prefix)
+    return super().groups(model, elements)
 
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the limits, and the torque-speed line if one is configured."""
-    line = () if self.saturation_effort is None else ("saturation_effort", "velocity_limit")
-    return self._numbers(target_names, "effort_limit", *line)
+  def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
+    """Return the limit, and the torque-speed line if one is configured, for each target."""
+    names = (
+      ("effort_limit",) if self.saturation_effort is None else ("effort_limit", "saturation_effort", "velocity_limit")
+    )
+    return [dict(zip(names, row, strict=True)) for row in self._numbers(target_names, *names)]

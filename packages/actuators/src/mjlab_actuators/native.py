@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, CommandField
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, CommandField
 from mjlab_actuators.actuator_cfg import (
   ActuatorCfg,
   EffortLimit,
@@ -25,12 +25,14 @@ class PassThrough(Actuator):
   needs_feedback = False
 
   gear: torch.Tensor
-  """Transmission length per position of the joint, (1, n); only where it is not 1."""
+  """Transmission length per position of the joint, (1, n)."""
 
-  @property
-  def is_geared(self) -> bool:
+  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
+    super().__init__(group, **memory)
+    gears = [column.gear for column in group.columns]
+    self.gear = torch.tensor([gears], device=self.device, dtype=self.dtype)
+    self.is_geared = any(gear != 1.0 for gear in gears)
     """True if ctrl is another number than the target."""
-    return "gear" in self.group.parameters
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the target, as the actuator of MuJoCo takes it."""
@@ -55,9 +57,10 @@ class GearedActuatorCfg(NativeActuatorCfg):
   gear: Gear = 1.0
   """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
 
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return the gear, unless it is 1."""
-    return {} if self.gear == 1.0 else {"gear": (self.gear,) * len(target_names)}
+  @property
+  def ctrl_gear(self) -> float:
+    """The gear."""
+    return self.gear
 
 
 @dataclass(kw_only=True)
@@ -81,11 +84,10 @@ class NativePositionActuatorCfg(NativeActuatorCfg):
     return not is_zero(self.stiffness)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    numbers = self._numbers(target_names, "stiffness", "damping", "effort_limit")
     elements = self._bare_elements(spec, target_names)
-    for name, element, kp, kd, limit in zip(target_names, elements, *numbers.values(), strict=True):
+    numbers = self._numbers(target_names, "stiffness", "damping", "effort_limit")
+    for name, element, (kp, kd, limit) in zip(target_names, elements, numbers, strict=True):
       element.set_to_position(kp=kp, kv=kd)
-      element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
       limit_force(element, limit)
       low, high = range_of(spec, Target(self.transmission_type, name))
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
@@ -106,7 +108,7 @@ class NativeVelocityActuatorCfg(NativeActuatorCfg):
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     numbers = self._numbers(target_names, "damping", "effort_limit")
-    for element, kd, limit in zip(self._bare_elements(spec, target_names), *numbers.values(), strict=True):
+    for element, (kd, limit) in zip(self._bare_elements(spec, target_names), numbers, strict=True):
       element.set_to_velocity(kv=kd)
       limit_force(element, limit)
 
@@ -121,8 +123,8 @@ class NativeMotorActuatorCfg(GearedActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    (limits,) = self._numbers(target_names, "effort_limit").values()
-    for element, limit in zip(self._bare_elements(spec, target_names, self.gear), limits, strict=True):
+    elements = self._bare_elements(spec, target_names, self.gear)
+    for element, (limit,) in zip(elements, self._numbers(target_names, "effort_limit"), strict=True):
       limit_force(element, limit)
       element.ctrlrange = element.forcerange
 
@@ -134,11 +136,6 @@ class NativePd(PassThrough):
   """kp, (1, n) or (num_envs, n) [N/m or N m/rad]; the servo in MuJoCo has the same."""
   damping: torch.Tensor
   """kd, (1, n) or (num_envs, n) [N s/m or N m s/rad]; the servo in MuJoCo has the same."""
-
-  @property
-  def is_geared(self) -> bool:
-    """True: ctrl is another number than the position target."""
-    return True
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the position target that gives the effort of all three targets."""

@@ -2,26 +2,27 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import mujoco
 from mjlab_core import Limits, NonNegative, Positive
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, ActuatorGroup, CommandField
-from mjlab_actuators.actuator_cfg import EffortLimit
-from mjlab_actuators.native import GearedActuatorCfg
+from mjlab_actuators.actuator import COMMAND_FIELDS, CommandField
+from mjlab_actuators.actuator_cfg import EffortLimit, Gear
+from mjlab_actuators.native import NativeActuatorCfg
 from mjlab_actuators.transmission import limit_force
 
-_BITS: dict[CommandField, mujoco.mjtCtrlInput] = {
+INPUTS: dict[CommandField, mujoco.mjtCtrlInput] = {
   "position_target": mujoco.mjtCtrlInput.mjINPUT_POS,
   "velocity_target": mujoco.mjtCtrlInput.mjINPUT_VEL,
   "effort_target": mujoco.mjtCtrlInput.mjINPUT_FF,
 }
+"""Inputs of MuJoCo's controllers by target, in the order in which MuJoCo lays them out in ctrl."""
 
 
 @dataclass(kw_only=True)
-class NativeDcMotorActuatorCfg(GearedActuatorCfg):
+class NativeDcMotorActuatorCfg(NativeActuatorCfg):
   """MuJoCo's DC motor: force = K (V - K w) / R, with w the speed of the motor, gear times that of the target.
 
   With `inputs="voltage"`, V is the effort target in volts. Otherwise a controller inside MuJoCo asks for the force
@@ -30,6 +31,8 @@ class NativeDcMotorActuatorCfg(GearedActuatorCfg):
   of every other actuator; the other constants are those of the motor: either K and R, or `nominal`.
   """
 
+  gear: Gear = 1.0
+  """Reduction between motor and target; volts pass unchanged, and a controller has the gear inside."""
   torque_constant: Positive | None = None
   """K, which is the back-EMF constant too [N m/A = V s/rad]."""
   resistance: Positive | None = None
@@ -87,31 +90,15 @@ class NativeDcMotorActuatorCfg(GearedActuatorCfg):
     return self.stiffness > 0.0
 
   @property
-  def _fields(self) -> tuple[CommandField, ...]:
-    """Return the targets that are handed over, in the order of MuJoCo's inputs."""
-    if self.inputs == "voltage":
-      return ("effort_target",)
-    return tuple(field for field in COMMAND_FIELDS if field in self.inputs)
-
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return nothing: the gear of a controller is inside it, and volts have none."""
-    return {}
-
-  def groups(self, model: mujoco.MjModel, target_names: Sequence[str], prefix: str = "") -> list[ActuatorGroup]:
-    """Return one group per target: a motor with several has as many neighbouring inputs in ctrl."""
-    (first,) = super().groups(model, target_names, prefix)
-    return [
-      replace(first, command_fields=(field,), ctrl_ids=tuple(index + offset for index in first.ctrl_ids))
-      for offset, field in enumerate(self._fields)
-    ]
-
-  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
-    return replace(super()._group(target_names, ctrl_ids), command_fields=self._fields[:1])
+  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
+    """Targets that are handed over, in the order of MuJoCo's inputs."""
+    fields = ("effort_target",) if self.inputs == "voltage" else self.inputs
+    return tuple((field,) for field in COMMAND_FIELDS if field in fields)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     volts = self.voltage_limit or 0.0
     controlled = self.inputs != "voltage"
-    bits = [_BITS[field] for field in self._fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
+    bits = [INPUTS[field] for (field,) in self.ctrl_fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
     # A motor with a controller is written as it is felt at the joint, so that its inputs are the joint's.
     turn = math.copysign(1.0, self.gear) if controlled else 1.0
     ratio = abs(self.gear) if controlled else 1.0
@@ -120,7 +107,7 @@ class NativeDcMotorActuatorCfg(GearedActuatorCfg):
     amplitude, periods, phase = self.cogging or (0.0, 0.0, 0.0)
     bristle_stiffness, bristle_damping, coulomb, static, stribeck = self.lugre or (0.0,) * 5
     elements = self._bare_elements(spec, target_names, 1.0 if controlled else self.gear)
-    for element, limit in zip(elements, *self._numbers(target_names, "effort_limit").values(), strict=True):
+    for element, (limit,) in zip(elements, self._numbers(target_names, "effort_limit"), strict=True):
       element.set_to_dcmotor(
         motorconst=[constant, constant],
         resistance=self.resistance or 0.0,

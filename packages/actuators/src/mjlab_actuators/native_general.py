@@ -1,13 +1,13 @@
 """MuJoCo's general actuator: gain, bias and activation as written."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import mujoco
 from mjlab_core import Ascending, Limits
 
-from mjlab_actuators.actuator import ActuatorGroup, CommandField
+from mjlab_actuators.actuator import CommandField
 from mjlab_actuators.native import GearedActuatorCfg
 
 Dynamics = Literal["none", "integrator", "filter", "filterexact"]
@@ -66,8 +66,10 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
     kinds = ((self.gain_type, self.gain_prm), (self.bias_type, self.bias_prm))
     return any(kind == "affine" and _padded(numbers)[1] != 0.0 for kind, numbers in kinds)
 
-  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
-    return replace(super()._group(target_names, ctrl_ids), command_fields=(self.command_field,))
+  @property
+  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
+    """The target that is handed over."""
+    return ((self.command_field,),)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     limited = mujoco.mjtLimited.mjLIMITED_TRUE

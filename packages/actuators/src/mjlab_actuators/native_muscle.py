@@ -8,13 +8,13 @@ import mujoco
 from mjlab_core import Ascending, Limits, MjlabError, NonNegative, Positive
 
 from mjlab_actuators.actuator import CommandField
-from mjlab_actuators.actuator_cfg import PerTarget
-from mjlab_actuators.native import GearedActuatorCfg
+from mjlab_actuators.actuator_cfg import Gear, PerTarget
+from mjlab_actuators.native import NativeActuatorCfg
 from mjlab_actuators.transmission import Target, range_of
 
 
 @dataclass(kw_only=True)
-class NativeMuscleActuatorCfg(GearedActuatorCfg):
+class NativeMuscleActuatorCfg(NativeActuatorCfg):
   """MuJoCo's muscle, u = effort target, clamped to [0, 1].
 
   force = -F0 (FL(l) FV(v) act + FP(l)): the muscle pulls, so its sense is against a positive gear. The activation act
@@ -22,6 +22,8 @@ class NativeMuscleActuatorCfg(GearedActuatorCfg):
   documentation, "Muscles". Length l is in units of the optimal fibre length: `length_range` is mapped to `range`.
   """
 
+  gear: Gear = 1.0
+  """Transmission length per position; a negative gear reverses the pull. Activations pass unchanged."""
   length_range: Annotated[tuple[float, float] | None, Ascending(strict=True)] = None
   """Least and greatest length of the transmission, that is gear times joint position [m or rad]; None takes the range
   of the joint or tendon, which must then be limited."""
@@ -30,7 +32,7 @@ class NativeMuscleActuatorCfg(GearedActuatorCfg):
   scale: Positive = 200.0
   """Strength of a muscle without `force`."""
   time_constants: Annotated[tuple[float, float], Limits(gt=0)] = (0.01, 0.04)
-  """Of activation and deactivation [s]."""
+  """Time constants of activation and deactivation [s]."""
   smoothing: NonNegative = 0.0
   """Width of the blend between the two time constants."""
   range: Annotated[tuple[float, float], Ascending(strict=True)] = (0.75, 1.05)
@@ -54,22 +56,17 @@ class NativeMuscleActuatorCfg(GearedActuatorCfg):
     if not self.lmin < self.lmax:
       yield f"lmin {self.lmin} must be below lmax {self.lmax}"
 
-  def parameters(self, target_names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Return nothing: activations pass unchanged."""
-    return {}
-
   def _reads_position(self) -> bool:
     return True
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    forces = [-1.0 if force is None else float(force) for force in self._by_target("force", target_names)]
     elements = self._bare_elements(spec, target_names, self.gear)
-    for name, element, force in zip(target_names, elements, forces, strict=True):
+    for name, element, force in zip(target_names, elements, self._by_target("force", target_names), strict=True):
       element.set_to_muscle(
         timeconst=list(self.time_constants),
         tausmooth=self.smoothing,
         range=list(self.range),
-        force=force,
+        force=-1.0 if force is None else force,
         scale=self.scale,
         lmin=self.lmin,
         lmax=self.lmax,

@@ -4,7 +4,6 @@ import math
 from typing import Literal, NamedTuple, get_args
 
 import mujoco
-import numpy as np
 from mjlab_core import MjlabError
 from mjlab_core.model_fields import element_names
 
@@ -16,10 +15,11 @@ TRANSMISSIONS: tuple[Transmission, ...] = get_args(Transmission)
 SiteGear = tuple[float, float, float, float, float, float]
 """Direction of the wrench of a unit force, in the frame of the site or of its `refsite`: force [1], torque [m]."""
 
-_TRN: dict[Transmission, tuple[mujoco.mjtTrn, ...]] = {
-  "joint": (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-  "tendon": (mujoco.mjtTrn.mjTRN_TENDON,),
-  "site": (mujoco.mjtTrn.mjTRN_SITE,),
+_KINDS: dict[mujoco.mjtTrn, Transmission] = {
+  mujoco.mjtTrn.mjTRN_JOINT: "joint",
+  mujoco.mjtTrn.mjTRN_JOINTINPARENT: "joint",
+  mujoco.mjtTrn.mjTRN_TENDON: "tendon",
+  mujoco.mjtTrn.mjTRN_SITE: "site",
 }
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -50,17 +50,20 @@ def targets_of(
   return [name.removeprefix(prefix) for name in names if name and name.startswith(prefix)]
 
 
-def actuators_of(model: mujoco.MjModel, target: Target, prefix: str = "") -> list[int]:
-  """Return the ids of the actuators of a compiled model that act on `target`, in the model's order."""
-  kind = getattr(mujoco.mjtObj, f"mjOBJ_{target.transmission.upper()}")
-  index = mujoco.mj_name2id(model, kind, prefix + target.name)
-  acting = np.isin(model.actuator_trntype, [int(kind) for kind in _TRN[target.transmission]])
-  return np.flatnonzero(acting & (model.actuator_trnid[:, 0] == index)).tolist() if index >= 0 else []
-
-
-def acts_on(element: mujoco.MjsActuator, target: Target) -> bool:
-  """Return True if an actuator of a spec acts on `target`."""
-  return element.trntype in _TRN[target.transmission] and element.target == target.name
+def targets_of_actuators(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[Target | None]:
+  """Return the target of each actuator, prefix removed; None for other transmissions, and for names without prefix."""
+  if isinstance(source, mujoco.MjSpec):
+    found = [(element.trntype, element.target) for element in source.actuators]
+  else:
+    names = {trntype: element_names(source, kind) for trntype, kind in _KINDS.items()}
+    rows = zip(map(mujoco.mjtTrn, source.actuator_trntype), source.actuator_trnid[:, 0].tolist(), strict=True)
+    found = [(trntype, names[trntype][index] if trntype in names else "") for trntype, index in rows]
+  return [
+    Target(_KINDS[trntype], name.removeprefix(prefix))
+    if trntype in _KINDS and name and name.startswith(prefix)
+    else None
+    for trntype, name in found
+  ]
 
 
 def range_of(spec: mujoco.MjSpec, target: Target) -> tuple[float, float]:
@@ -86,33 +89,22 @@ def add_element(
   Raises:
     MjlabError: The target has an actuator of that name already.
   """
+  taken = {element.name: of for element, of in zip(spec.actuators, targets_of_actuators(spec), strict=True)}
   name = target.name
-  taken = {element.name: element for element in spec.actuators}
-  if name in taken and not acts_on(taken[name], target):
+  if taken.get(name, target) != target:
     name = f"{name}_{target.transmission}"
   if name in taken:
     raise MjlabError(
       f"{owner}: {target.transmission} {target.name!r} already has an actuator of that name; drive each "
       f"{target.transmission} by one config (XmlActuatorCfg keeps the MJCF's own actuator)"
     )
-  element = spec.add_actuator(name=name, target=target.name, trntype=_TRN[target.transmission][0])
+  trntype = next(trntype for trntype, kind in _KINDS.items() if kind == target.transmission)
+  # Default classes of the MJCF must not change an actuator that a config describes.
+  element = spec.add_actuator(mujoco.MjSpec().default, name=name, target=target.name, trntype=trntype, gear=gear)
   element.set_to_motor()
-  element.dyntype = mujoco.mjtDyn.mjDYN_NONE
-  element.gear = gear
+  element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
   if refsite is not None:
     element.refsite = refsite
-  element.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.ctrlrange = [0.0, 0.0]
-  element.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.forcerange = [0.0, 0.0]
-  element.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
-  element.actrange = [0.0, 0.0]
-  element.inheritrange = 0.0
-  # MuJoCo can delay, damp and add inertia in the actuator itself; here those belong to the config's own fields.
-  element.delay = 0.0
-  element.nsample = 0
-  element.armature = 0.0
-  element.damping = [0.0, 0.0, 0.0]
   return element
 
 

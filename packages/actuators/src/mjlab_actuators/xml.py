@@ -1,24 +1,17 @@
 """Actuators that the MJCF declares itself, kept exactly as they are written."""
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import mujoco
-from mjlab_core import MjlabError, check_fields, match_names, require
+from mjlab_core import MjlabError
 
-from mjlab_actuators.actuator import ActuatorGroup, CommandField
+from mjlab_actuators.actuator import ActuatorGroup, Column, CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
-from mjlab_actuators.transmission import Target, Transmission, actuators_of, targets_of
-
-# The order in which MuJoCo lays out the inputs of an actuator with several.
-_INPUTS: tuple[tuple[mujoco.mjtCtrlInput, CommandField], ...] = (
-  (mujoco.mjtCtrlInput.mjINPUT_POS, "position_target"),
-  (mujoco.mjtCtrlInput.mjINPUT_VEL, "velocity_target"),
-  (mujoco.mjtCtrlInput.mjINPUT_FF, "effort_target"),
-  (mujoco.mjtCtrlInput.mjINPUT_VOLTAGE, "effort_target"),
-)
+from mjlab_actuators.native_dc_motor import INPUTS
+from mjlab_actuators.transmission import Target
 
 
 @dataclass(kw_only=True)
@@ -34,15 +27,8 @@ class XmlActuatorCfg(ActuatorCfg):
   command_field: CommandField | None = None
   """Target to hand over, for all; None reads it from each actuator."""
 
+  of_mjcf = True
   actuator_model = PassThrough
-
-  def match(self, candidates: Sequence[str], owner: str = "", actuated: Sequence[str] | None = None) -> list[str]:
-    """Return the names to drive among `candidates`; with `actuated`, only names with an actuator can match."""
-    if actuated is not None:
-      candidates = [name for name in candidates if name in actuated]
-    check_fields(self, type(self).__name__)
-    what = f"{self.transmission_type} with an MJCF actuator"
-    return match_names(self.target_names_expr, candidates, what=what, owner=owner)[1]
 
   def _site_problems(self, target_names: Sequence[str]) -> Iterator[str]:
     yield from self._given(("site_gear", "refsite"), "the MJCF has it already")
@@ -50,53 +36,26 @@ class XmlActuatorCfg(ActuatorCfg):
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     pass
 
-  def _group(self, target_names: Sequence[str], ctrl_ids: Sequence[int]) -> ActuatorGroup:
-    missing = "XmlActuatorCfg: without a model, command_field must name the target to hand over"
-    field = require(self.command_field, str, missing)
-    return replace(super()._group(target_names, ctrl_ids), command_fields=(field,))
-
-  def groups(
-    self,
-    model: mujoco.MjModel,
-    target_names: Sequence[str],
-    prefix: str = "",
-    without: Collection[int] = (),
-  ) -> list[ActuatorGroup]:
-    """Return one group per kind of target among these actuators, except those with an id in `without`.
+  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
+    """Return one group per kind of target among these actuators.
 
     Raises:
-      MjlabError: A target has no actuator, the kind of target of one is unknown and `command_field` is not given, or
-        two on one site would get the same target for different wrenches.
+      MjlabError: The kind of target of an actuator is unknown and `command_field` is not given, or two on one site
+        would get the same target for different wrenches.
     """
-    found: dict[CommandField, tuple[list[Target], list[int], list[float]]] = {}
-    for name in target_names:
+    found: dict[CommandField, list[Column]] = defaultdict(list)
+    for name, ids in elements.items():
       target = Target(self.transmission_type, name)
-      elements = [index for index in actuators_of(model, target, prefix) if index not in without]
-      if not elements:
-        raise MjlabError(f"XmlActuatorCfg: {target.transmission} {prefix + name!r} has no actuator in the MJCF")
-      for element in elements:
+      for element in ids:
         first = int(model.actuator_ctrladr[element])
-        for offset, field in enumerate(self._fields(model, element)):
-          targets, ids, gears = found.setdefault(field, ([], [], []))
-          if target.transmission == "site" and target in targets:
+        for ctrl, field in enumerate(self._fields(model, element), first):
+          if target.transmission == "site" and any(column.target == target for column in found[field]):
             raise MjlabError(
-              f"XmlActuatorCfg: site {prefix + name!r} has one {field}, but several actuators that take one; give each "
-              "a site of its own, or leave the site out and write its ctrl"
+              f"XmlActuatorCfg: site {name!r} has one {field}, but several actuators that take one; give each a "
+              "separate site, or leave the site out and write its ctrl"
             )
-          targets.append(target)
-          ids.append(first + offset)
-          gears.append(_gear(model, element))
-    return [
-      ActuatorGroup(
-        actuator_model=PassThrough,
-        targets=tuple(targets),
-        command_fields=(field,),
-        parameters={} if all(gear == 1.0 for gear in gears) else {"gear": tuple(gears)},
-        delay=self.delay,
-        ctrl_ids=tuple(ids),
-      )
-      for field, (targets, ids, gears) in found.items()
-    ]
+          found[field].append(Column(target, {}, ctrl, _gear(model, element)))
+    return [self._group_of(columns, (field,)) for field, columns in found.items()]
 
   def _fields(self, model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
     width = int(model.actuator_ctrlnum[actuator])
@@ -110,25 +69,22 @@ class XmlActuatorCfg(ActuatorCfg):
     return fields
 
 
-def command_fields_of(source: mujoco.MjModel | mujoco.MjsActuator, actuator: int = 0) -> tuple[CommandField, ...]:
-  """Return the targets that an actuator of a compiled model, or of a spec, takes: one per input, empty if unknown.
+def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
+  """Return the targets that an actuator of a compiled model takes: one per input, empty if unknown.
 
   The bias shows the kind of actuator: a position servo subtracts its own gain times the length, a velocity servo its
   own gain times the velocity. The voltage of a DC motor is its effort target.
   """
-
-  def number(name: str) -> Any:
-    return (
-      getattr(source, name) if isinstance(source, mujoco.MjsActuator) else getattr(source, f"actuator_{name}")[actuator]
-    )
-
-  kind, bias = mujoco.mjtGain(int(number("gaintype"))), mujoco.mjtBias(int(number("biastype")))
-  dynamics = mujoco.mjtDyn(int(number("dyntype")))
-  gain = float(number("gainprm")[0])
-  on_length, on_velocity = (float(value) for value in number("biasprm")[1:3])
+  kind, bias = mujoco.mjtGain(model.actuator_gaintype[actuator]), mujoco.mjtBias(model.actuator_biastype[actuator])
+  dynamics = mujoco.mjtDyn(model.actuator_dyntype[actuator])
+  gain = model.actuator_gainprm[actuator, 0]
+  on_length, on_velocity = model.actuator_biasprm[actuator, 1:3]
   if kind in (mujoco.mjtGain.mjGAIN_PID, mujoco.mjtGain.mjGAIN_DCMOTOR):
-    spec = int(number("ctrlspec"))
-    return tuple(field for bit, field in _INPUTS if spec & int(bit))
+    bits = int(model.actuator_ctrlspec[actuator])
+    fields: list[CommandField] = [field for field, bit in INPUTS.items() if bits & int(bit)]
+    if bits & int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE):
+      fields.append("effort_target")
+    return tuple(fields)
   if kind == mujoco.mjtGain.mjGAIN_MUSCLE:
     return ("effort_target",)
   if kind != mujoco.mjtGain.mjGAIN_FIXED:
@@ -155,14 +111,3 @@ def _gear(model: mujoco.MjModel, actuator: int) -> float:
   at_site = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_SITE)
   gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
   return 1.0 if is_voltage or at_site or kind == mujoco.mjtGain.mjGAIN_MUSCLE or gear == 0.0 else gear
-
-
-def targets_with_actuator(
-  model: mujoco.MjModel, transmission: Transmission, prefix: str = "", without: Collection[int] = ()
-) -> list[str]:
-  """Return the names that an actuator drives whose id is not in `without`, prefix removed, in model order."""
-  return [
-    name
-    for name in targets_of(model, transmission, prefix)
-    if any(index not in without for index in actuators_of(model, Target(transmission, name), prefix))
-  ]
