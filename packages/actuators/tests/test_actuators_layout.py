@@ -51,16 +51,15 @@ def expected(kind: str, joint: str) -> float:
 @pytest.mark.parametrize("kinds", list(itertools.permutations(["position", "velocity", "motor", "pd"])))
 @pytest.mark.parametrize("lag", [0, 2])
 def test_each_ctrl_gets_the_set_point_of_its_own_joint(kinds: tuple[str, ...], lag: int) -> None:
-  for order in (JOINTS, ("c", "a", "d", "b")):
-    assignment = dict(zip(("b", "d", "a", "c"), kinds, strict=True))
-    cfgs = [cfg_for(kind, joint, lag=lag) for joint, kind in assignment.items()]
-    ctrl = torch.full((2, 4), -1.0, dtype=torch.float64)
-    model, actuators = build(CHAIN, *cfgs, target_names=order, num_envs=2, ctrl=ctrl)
-    actuators.compute(*identifiable(order))
-    for joint, kind in assignment.items():
-      index = model.actuator(joint).id
-      assert model.actuator_trnid[index, 0] == model.joint(joint).id
-      assert ctrl[:, index].tolist() == [expected(kind, joint)] * 2, (joint, kind)
+  assignment = dict(zip(("b", "d", "a", "c"), kinds, strict=True))
+  cfgs = [cfg_for(kind, joint, lag=lag) for joint, kind in assignment.items()]
+  ctrl = torch.full((2, 4), -1.0, dtype=torch.float64)
+  model, actuators = build(CHAIN, *cfgs, num_envs=2, ctrl=ctrl)
+  actuators.compute(*identifiable(JOINTS))
+  for joint, kind in assignment.items():
+    index = model.actuator(joint).id
+    assert model.actuator_trnid[index, 0] == model.joint(joint).id
+    assert ctrl[:, index].tolist() == [expected(kind, joint)] * 2, (joint, kind)
 
 
 @pytest.mark.parametrize("kind", ["position", "velocity", "motor", "pd"])
@@ -103,7 +102,7 @@ WRAPPED = """
 
 def wrap(own: str, *cfgs: ActuatorCfg, **options: Any) -> tuple[mujoco.MjModel, ActuatorSet]:
   """A chain with the actuators above and these."""
-  return build(chain(*JOINTS, actuators=WRAPPED + own), *cfgs, target_names=JOINTS, num_envs=2, **options)
+  return build(chain(*JOINTS, actuators=WRAPPED + own), *cfgs, num_envs=2, **options)
 
 
 def test_wrapped_actuators_take_the_set_point_that_their_law_asks_for() -> None:
@@ -149,7 +148,7 @@ def test_a_prefix_and_other_entities_in_the_model_change_nothing() -> None:
   parent = mujoco.MjSpec.from_string(chain("other", actuators='<motor name="first" joint="other"/>'))
   parent.attach(spec, prefix="robot/", frame=parent.worldbody.add_frame())
   model = parent.compile()
-  actuators.build(model, target_names=JOINTS, num_envs=2, device="cpu", dtype=torch.float64, prefix="robot/")
+  actuators.build(model, num_envs=2, device="cpu", dtype=torch.float64, prefix="robot/")
   names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, i) for i in actuators.ctrl_ids]
   assert names == ["robot/spin", "robot/hold", "robot/also_hold", "robot/c"]
   wanted = [command(1, "b"), command(0, "a"), command(0, "b"), expected("pd", "c")]

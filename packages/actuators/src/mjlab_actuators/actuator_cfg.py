@@ -18,7 +18,7 @@ from mjlab_core import (
 )
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorGroup, Column, CommandField
-from mjlab_actuators.transmission import SiteGear, Target, Transmission, add_element, targets_of
+from mjlab_actuators.transmission import SiteGear, Target, Transmission, add_element
 
 _DELAY_FIELDS = ("delay_min_lag", "delay_max_lag", "delay_hold_prob", "delay_update_period")
 
@@ -109,7 +109,7 @@ class ActuatorCfg(Config):
     """
     self.validate(target_names)
     if self.refsite is not None:
-      check_name("refsite", self.refsite, targets_of(spec, "site"), type(self).__name__)
+      check_name("refsite", self.refsite, [site.name for site in spec.sites], type(self).__name__)
     element_of = spec.joint if self.transmission_type == "joint" else spec.tendon
     for name in ("armature", "frictionloss", "viscous_damping"):
       for target, value in zip(target_names, self._by_target(name, target_names, default=None), strict=True):

@@ -4,27 +4,24 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import torch
 from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_index, as_slice, select
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column, fuse
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, fuse
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
-from mjlab_actuators.transmission import TRANSMISSIONS, Target, Transmission, targets_of, targets_of_actuators
-
-_Names = dict[Transmission, list[str]]
+from mjlab_actuators.transmission import Target, Transmission, targets_of, targets_of_actuators
 
 
 class ActuatorSet(Stateful):
   """Actuators of an entity, built, fused and run together.
 
-  `edit_spec` before the model is compiled, `build` after, then `compute` in every substep and `reset` for worlds that
-  start anew. Targets and measurements have one column per driven element: the entity's joints, in the order given to
-  `build`, then the tendons and then the sites that are driven, in the model's order. Where each command goes in ctrl is
-  a map made at build by name, so the order of MuJoCo's elements, of the configs and of the joints may all differ.
+  Call `edit_spec` before the model is compiled and `build` after; then `compute` in every substep, and `reset` for
+  worlds that restart. Targets and measurements have one column per element, in the model's order: all hinges and
+  slides, then the tendons, then the sites that are driven. The place of each command in ctrl is found by name at build,
+  so the orders of MuJoCo's elements and of the configs do not matter.
 
   Attributes, after `build`:
     groups: The actuator models, one per class, settings and delay.
@@ -53,27 +50,24 @@ class ActuatorSet(Stateful):
     self.cfgs = tuple(cfgs)
     self.owner = owner
 
-  def edit_spec(self, spec: mujoco.MjSpec, target_names: Sequence[str] | None = None) -> None:
+  def edit_spec(self, spec: mujoco.MjSpec) -> None:
     """Add the configured MuJoCo actuators and joint properties, after the actuators that the MJCF declares.
 
     Args:
       spec: The entity alone, its names without prefix.
-      target_names: Joints that patterns may match; None for all hinges and slides.
 
     Raises:
-      UnknownNameError: A pattern matches nothing of its kind; the message says so where it fits another kind.
+      UnknownNameError: A pattern matches nothing of its kind; the message names another kind that it matches.
       MjlabError: A number is impossible, or a target is driven twice.
     """
-    names = self._candidates(spec, target_names)
-    actuated = set(targets_of_actuators(spec))
+    targets, actuated = targets_of(spec), set(targets_of_actuators(spec))
     for cfg in self.cfgs:
-      cfg.edit_spec(spec, self._match(cfg, names, actuated))
+      cfg.edit_spec(spec, self._match(cfg, targets, actuated))
 
   def build(
     self,
     model: mujoco.MjModel,
     *,
-    target_names: Sequence[str] | None = None,
     num_envs: int,
     device: torch.device | str,
     dtype: torch.dtype,
@@ -85,7 +79,6 @@ class ActuatorSet(Stateful):
 
     Args:
       model: The compiled model, of this entity alone or of a whole scene.
-      target_names: Joints of the first columns, without prefix; None for all hinges and slides.
       num_envs: Number of worlds.
       device: Device of targets and ctrl.
       dtype: Type of targets and ctrl.
@@ -100,50 +93,29 @@ class ActuatorSet(Stateful):
       MjlabError: An actuator is missing in the model, or is driven by two configs.
     """
     self.num_envs = num_envs
-    names = self._candidates(model, target_names, prefix)
-    of_actuator = targets_of_actuators(model, prefix)
-    groups = self._groups(model, names, of_actuator, prefix)
-    self._lay_out(model, names, groups, of_actuator)
-    self._place_ctrl(ctrl, device=device, dtype=dtype)
-    self._routes = [
-      self._route(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator) for group in fuse(groups)
-    ]
-    self.groups = tuple(route.actuator for route in self._routes)
-    self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(self.groups)})
-    self.needs_feedback = any(actuator.needs_feedback for actuator in self.groups)
-    return self
-
-  def _lay_out(
-    self, model: mujoco.MjModel, names: _Names, groups: Sequence[ActuatorGroup], of_actuator: Sequence[Target | None]
-  ) -> None:
-    """Order the targets, which are the columns of targets and measurements, and the controls."""
+    targets, of_actuator = targets_of(model, prefix), targets_of_actuators(model, prefix)
+    groups = self._groups(model, targets, of_actuator, prefix)
     target_of = _target_of_ctrl(groups, self.owner)
-    driven = set(target_of.values())
-    columns = [Target(kind, name) for kind in TRANSMISSIONS for name in names[kind]]
-    self.targets = tuple(target for target in columns if target.transmission == "joint" or target in driven)
-    self._driven = {
-      kind: tuple(target.name for target in self.targets if target in driven and target.transmission == kind)
-      for kind in TRANSMISSIONS
-    }
+    self._driven = set(target_of.values())
+    self.targets = tuple(target for target in targets if target.transmission == "joint" or target in self._driven)
     self.ctrl_ids = tuple(sorted(target_of))
     self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
     # The MJCF's own elements come first, and none of them needs a measurement.
     last = {target: index for index, target in enumerate(of_actuator)}
-    self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self._driven["site"])
-
-  def _route(self, group: ActuatorGroup, **options: Any) -> "_Route":
-    """Return an actuator model of one fused group, with the path of its columns into ctrl."""
-
-    def place(column: Column) -> int:
-      # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
-      # columns are plain slices when they keep the order of the targets.
-      return column.ctrl if issubclass(group.actuator_model, PassThrough) else self.targets.index(column.target)
-
-    columns = tuple(sorted(group.columns, key=place))
-    actuator = group.actuator_model(replace(group, columns=columns), **options)
-    sources = [self.targets.index(column.target) for column in columns]
-    places = [self.ctrl_ids.index(column.ctrl) for column in columns]
-    return _Route(actuator, sources, places, len(self.targets), self.ctrl)
+    self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self.driven("site"))
+    place = as_slice(self.ctrl_ids)
+    self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
+    if ctrl is not None and place is not None:
+      self.ctrl = ctrl[:, place]
+    else:
+      self.ctrl = torch.zeros(num_envs, len(self.ctrl_ids), device=device, dtype=dtype)
+      if ctrl is not None:
+        self._scatter = (ctrl, torch.tensor(self.ctrl_ids, device=device))
+    self._routes = [_Route(group, self.targets, self.ctrl_ids, self.ctrl, generator) for group in fuse(groups)]
+    self.groups = tuple(route.actuator for route in self._routes)
+    self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(self.groups)})
+    self.needs_feedback = any(actuator.needs_feedback for actuator in self.groups)
+    return self
 
   def compute(
     self,
@@ -195,41 +167,32 @@ class ActuatorSet(Stateful):
 
   def driven(self, transmission: Transmission) -> tuple[str, ...]:
     """Return the names of the joints, tendons or sites that an actuator drives, in the order of their columns."""
-    return self._driven[transmission]
+    return tuple(
+      target.name for target in self.targets if target in self._driven and target.transmission == transmission
+    )
 
-  def _candidates(
-    self, source: mujoco.MjSpec | mujoco.MjModel, joints: Sequence[str] | None, prefix: str = ""
-  ) -> _Names:
-    """Return the names that patterns may match, by kind."""
-    names: _Names = {kind: targets_of(source, kind, prefix) for kind in TRANSMISSIONS}
-    if joints is not None:
-      names["joint"] = list(joints)
-    return names
-
-  def _match(self, cfg: ActuatorCfg, names: _Names, actuated: set[Target | None]) -> list[str]:
+  def _match(self, cfg: ActuatorCfg, targets: Sequence[Target], actuated: set[Target | None]) -> list[str]:
     """Return the names that `cfg` drives; `actuated` are the targets that have an actuator in the MJCF."""
-    candidates = names.get(cfg.transmission_type, [])
-    if cfg.of_mjcf:
-      candidates = [name for name in candidates if Target(cfg.transmission_type, name) in actuated]
+    kind = cfg.transmission_type
+    names = [of.name for of in targets if of.transmission == kind and (of in actuated or not cfg.of_mjcf)]
     try:
-      return cfg.match(candidates, self.owner)
+      return cfg.match(names, self.owner)
     except UnknownNameError as error:
       if isinstance(error.__cause__, re.error):
         raise
-      lost = [p for p in cfg.target_names_expr if not any(re.fullmatch(p, name) for name in candidates)]
-      for kind in TRANSMISSIONS:
-        meant = [name for name in names[kind] if any(re.fullmatch(p, name) for p in lost)]
-        if kind != cfg.transmission_type and meant:
-          raise UnknownNameError(f"{error} There is a {kind} {meant[0]!r}: transmission_type={kind!r}?") from error
+      lost = [pattern for pattern in cfg.target_names_expr if not any(re.fullmatch(pattern, name) for name in names)]
+      for other, name in targets:
+        if other != kind and any(re.fullmatch(pattern, name) for pattern in lost):
+          raise UnknownNameError(f"{error} There is a {other} {name!r}: transmission_type={other!r}?") from error
       raise
 
   def _groups(
-    self, model: mujoco.MjModel, names: _Names, of_actuator: Sequence[Target | None], prefix: str
+    self, model: mujoco.MjModel, targets: Sequence[Target], of_actuator: Sequence[Target | None], prefix: str
   ) -> list[ActuatorGroup]:
     """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
     own: dict[Target, int] = {}
     for cfg in self.cfgs:
-      for name in () if cfg.of_mjcf else self._match(cfg, names, set()):
+      for name in () if cfg.of_mjcf else self._match(cfg, targets, set()):
         target = Target(cfg.transmission_type, name)
         own[target] = _added_element(model, of_actuator, target, prefix, type(cfg).__name__)
     # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
@@ -240,42 +203,47 @@ class ActuatorSet(Stateful):
     groups: list[ActuatorGroup] = []
     self.velocity_limits = {}
     for cfg in self.cfgs:
-      matched = self._match(cfg, names, set(of_mjcf))
-      targets = [Target(cfg.transmission_type, name) for name in matched]
-      groups += cfg.groups(model, {of.name: of_mjcf[of] if cfg.of_mjcf else [own[of]] for of in targets})
+      matched = self._match(cfg, targets, set(of_mjcf))
+      driven = [Target(cfg.transmission_type, name) for name in matched]
+      groups += cfg.groups(model, {of.name: of_mjcf[of] if cfg.of_mjcf else [own[of]] for of in driven})
       self.velocity_limits |= cfg.velocity_limits(matched)
     return groups
-
-  def _place_ctrl(self, ctrl: torch.Tensor | None, *, device: torch.device | str, dtype: torch.dtype) -> None:
-    width = len(self.ctrl_ids)
-    self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
-    if ctrl is not None and width and self.ctrl_ids[-1] - self.ctrl_ids[0] == width - 1:
-      self.ctrl = ctrl[:, self.ctrl_ids[0] : self.ctrl_ids[-1] + 1]
-      return
-    self.ctrl = torch.zeros(self.num_envs, width, device=device, dtype=dtype)
-    if ctrl is not None and width:
-      self._scatter = (ctrl, torch.tensor(self.ctrl_ids, device=device))
 
 
 class _Route:
   """Path of one fused actuator model from the columns of targets into ctrl."""
 
   def __init__(
-    self, actuator: Actuator, columns: list[int], places: list[int], num_targets: int, ctrl: torch.Tensor
+    self,
+    group: ActuatorGroup,
+    targets: Sequence[Target],
+    ctrl_ids: Sequence[int],
+    ctrl: torch.Tensor,
+    generator: torch.Generator | None,
   ) -> None:
-    self.actuator = actuator
-    self._columns = None if columns == list(range(num_targets)) else as_index(columns, ctrl.device)
-    self._ctrl = ctrl
-    place = as_slice(places)
-    self._into = ctrl[:, place] if place is not None else None
-    self._places = torch.tensor(places, device=ctrl.device)
-    is_plain = type(actuator) is PassThrough and not actuator.is_geared and actuator.delay is None
-    self._fields = actuator.group.command_fields
+    source = {target: index for index, target in enumerate(targets)}
+    passes = issubclass(group.actuator_model, PassThrough)
+    # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
+    # columns are plain slices when they keep the order of the targets.
+    columns = tuple(sorted(group.columns, key=lambda column: column.ctrl if passes else source[column.target]))
+    self.actuator = group.actuator_model(
+      replace(group, columns=columns),
+      num_envs=len(ctrl),
+      device=ctrl.device,
+      dtype=ctrl.dtype,
+      generator=generator,
+    )
+    sources = [source[column.target] for column in columns]
+    places = [ctrl_ids.index(column.ctrl) for column in columns]
+    self._columns = None if sources == list(range(len(targets))) else as_index(sources, ctrl.device)
+    self._ctrl, self._places, place = ctrl, torch.tensor(places, device=ctrl.device), as_slice(places)
+    self._into = None if place is None else ctrl[:, place]
+    self._fields = group.command_fields
     self.gather: tuple[int, torch.Tensor, torch.Tensor] | None = None
     """For targets that go to ctrl as they are: the index in `COMMAND_FIELDS`, their columns, and where they go."""
+    is_plain = type(self.actuator) is PassThrough and not self.actuator.is_geared and self.actuator.delay is None
     if is_plain and self._into is not None and self._columns is not None:
-      index = torch.tensor(columns, device=ctrl.device)
-      self.gather = (COMMAND_FIELDS.index(self._fields[0]), index, self._into)
+      self.gather = (COMMAND_FIELDS.index(self._fields[0]), torch.tensor(sources, device=ctrl.device), self._into)
 
   def run(self, cmd: ActuatorCmd) -> None:
     value = self.actuator.compute(self._select(cmd))

@@ -32,38 +32,32 @@ class Target(NamedTuple):
   """Without the prefix that a scene puts before it."""
 
 
-def targets_of(
-  source: mujoco.MjSpec | mujoco.MjModel, transmission: Transmission = "joint", prefix: str = ""
-) -> list[str]:
-  """Return the names of all hinges and slides, tendons, or sites, prefix removed, in the source's order."""
+def targets_of(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[Target]:
+  """Return all hinges and slides, then tendons, then sites, prefix removed, in the source's order."""
   if isinstance(source, mujoco.MjSpec):
-    elements = {"joint": source.joints, "tendon": source.tendons, "site": source.sites}[transmission]
-    names = [
-      element.name for element in elements if not isinstance(element, mujoco.MjsJoint) or element.type in _SCALAR
-    ]
+    joints = [joint.name for joint in source.joints if joint.type in _SCALAR]
+    tendons, sites = ([element.name for element in of] for of in (source.tendons, source.sites))
   else:
-    names = [
-      name
-      for index, name in enumerate(element_names(source, transmission))
-      if transmission != "joint" or mujoco.mjtJoint(source.jnt_type[index]) in _SCALAR
-    ]
-  return [name.removeprefix(prefix) for name in names if name and name.startswith(prefix)]
+    types = map(mujoco.mjtJoint, source.jnt_type)
+    joints = [name for name, kind in zip(element_names(source, "joint"), types, strict=True) if kind in _SCALAR]
+    tendons, sites = element_names(source, "tendon"), element_names(source, "site")
+  names = zip(TRANSMISSIONS, (joints, tendons, sites), strict=True)
+  found = [_local(kind, name, prefix) for kind, of_kind in names for name in of_kind]
+  return [target for target in found if target is not None]
 
 
 def targets_of_actuators(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[Target | None]:
   """Return the target of each actuator, prefix removed; None for other transmissions, and for names without prefix."""
   if isinstance(source, mujoco.MjSpec):
-    found = [(element.trntype, element.target) for element in source.actuators]
-  else:
-    names = {trntype: element_names(source, kind) for trntype, kind in _KINDS.items()}
-    rows = zip(map(mujoco.mjtTrn, source.actuator_trntype), source.actuator_trnid[:, 0].tolist(), strict=True)
-    found = [(trntype, names[trntype][index] if trntype in names else "") for trntype, index in rows]
-  return [
-    Target(_KINDS[trntype], name.removeprefix(prefix))
-    if trntype in _KINDS and name and name.startswith(prefix)
-    else None
-    for trntype, name in found
-  ]
+    return [_local(_KINDS.get(element.trntype), element.target, prefix) for element in source.actuators]
+  names = {kind: element_names(source, kind) for kind in TRANSMISSIONS}
+  kinds: list[Transmission | None] = [_KINDS.get(mujoco.mjtTrn(trntype)) for trntype in source.actuator_trntype]
+  ids = source.actuator_trnid[:, 0].tolist()
+  return [_local(kind, names[kind][i] if kind else "", prefix) for kind, i in zip(kinds, ids, strict=True)]
+
+
+def _local(kind: Transmission | None, name: str, prefix: str) -> Target | None:
+  return Target(kind, name.removeprefix(prefix)) if kind and name and name.startswith(prefix) else None
 
 
 def range_of(spec: mujoco.MjSpec, target: Target) -> tuple[float, float]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-from mjlab_actuators import ActuatorSet, Transmission
-from mjlab_core import Stateful, as_index, fill_, select, where_
+from mjlab_actuators import ActuatorSet, Target, Transmission
+from mjlab_core import Index, Stateful, as_index, fill_, select, where_
 
 from mjlab_scene.indexing import EntityIndexing
 from mjlab_scene.initial_state import InitialState
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 Quantity = Literal["position", "velocity", "effort"]
 """Kind of target; the position of a tendon is its length."""
+
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 
 class Actuation(Stateful):
@@ -43,17 +46,21 @@ class Actuation(Stateful):
     rng: torch.Generator | None,
   ) -> None:
     self.num_envs, self.device = sim.num_envs, sim.device
-    self._actuators, self._sim = actuators, sim
+    self.actuators, self._sim = actuators, sim
     names = indexing.names
-    self._widths = {kind: len(names[kind]) for kind in ("tendon", "site")}
-    self._num_q, self._num_v = (sum(map(len, of)) for of in (indexing.q_of_joint, indexing.v_of_joint))
-    others = sum(self._widths.values())
-    self.position = self.state((self._num_q + others,), dtype=sim.dtype)
+    num_q, num_v = (sum(map(len, of)) for of in (indexing.q_of_joint, indexing.v_of_joint))
+    others = [len(names["tendon"]), len(names["site"])]
+    self.position = self.state((num_q + sum(others),), dtype=sim.dtype)
     """Position targets, (num_envs, num_joint_pos + num_tendons + num_sites) [rad or m]."""
-    self.velocity = self.state((self._num_v + others,), dtype=sim.dtype)
+    self.velocity = self.state((num_v + sum(others),), dtype=sim.dtype)
     """Velocity targets, (num_envs, num_joint_vel + num_tendons + num_sites) [rad/s or m/s]."""
-    self.effort = self.state((self._num_v + others,), dtype=sim.dtype)
+    self.effort = self.state((num_v + sum(others),), dtype=sim.dtype)
     """Effort targets, (num_envs, num_joint_vel + num_tendons + num_sites) [N m or N]."""
+    self.views: dict[tuple[Transmission, Quantity], torch.Tensor] = {}
+    """Columns of one kind in the targets of one quantity."""
+    for quantity, joints in zip(QUANTITIES, (num_q, num_v, num_v), strict=True):
+      parts = getattr(self, quantity).split([joints, *others], dim=1)
+      self.views |= {(kind, quantity): part for kind, part in zip(get_args(Transmission), parts, strict=True)}
     if actuators is not None:
       self._build(actuators, indexing, prefix, rng)
     start = [x for name in names["joint"] for x in initial.joint_pos[name]]
@@ -65,13 +72,10 @@ class Actuation(Stateful):
     self.position.copy_(self._default)
 
   def _build(self, actuators: ActuatorSet, indexing: EntityIndexing, prefix: str, rng: torch.Generator | None) -> None:
-    """Build the actuator models, and find what they read: scalar joints, then the tendons and sites they drive."""
+    """Build the actuator models, and find what they read: hinges and slides, then the tendons and sites they drive."""
     sim, names = self._sim, indexing.names
-    # Actuators do not know ball joints.
-    scalar = [joint for joint, columns in enumerate(indexing.q_of_joint) if len(columns) == 1]
     actuators.build(
       sim.mj_model,
-      target_names=[names["joint"][joint] for joint in scalar],
       num_envs=sim.num_envs,
       device=sim.device,
       dtype=sim.dtype,
@@ -79,18 +83,20 @@ class Actuation(Stateful):
       prefix=prefix,
       ctrl=sim.data.ctrl,
     )
+    targets = actuators.targets
+    joints = [target for target in targets if target.transmission == "joint"]
+    self._drives_others = len(joints) < len(targets)
+
+    def index(of_joint: Sequence[range], chosen: Sequence[Target]) -> Index:
+      """Return the columns of targets where joints have these columns, and tendons and sites follow."""
+      others = [Target(kind, name) for kind in ("tendon", "site") for name in names[kind]]
+      columns = {of: start for start, of in enumerate(others, sum(map(len, of_joint)))}
+      columns |= {Target("joint", name): own[0] for name, own in zip(names["joint"], of_joint, strict=True)}
+      return as_index([columns[target] for target in chosen], sim.device)
+
+    self._q_targets, self._v_targets = index(indexing.q_of_joint, targets), index(indexing.v_of_joint, targets)
+    self._q, self._v = index(indexing.qpos_of_joint, joints), index(indexing.qvel_of_joint, joints)
     tendons = [names["tendon"].index(name) for name in actuators.driven("tendon")]
-    sites = [names["site"].index(name) for name in actuators.driven("site")]
-    self._drives_others = bool(tendons or sites)
-    others = [*tendons, *(len(names["tendon"]) + site for site in sites)]
-
-    def columns(of_joint: tuple[range, ...], width: int) -> list[int]:
-      return [*(of_joint[joint][0] for joint in scalar), *(width + other for other in others)]
-
-    self._q_targets = as_index(columns(indexing.q_of_joint, self._num_q), sim.device)
-    self._v_targets = as_index(columns(indexing.v_of_joint, self._num_v), sim.device)
-    self._q = as_index([indexing.qpos_of_joint[joint][0] for joint in scalar], sim.device)
-    self._v = as_index([indexing.qvel_of_joint[joint][0] for joint in scalar], sim.device)
     self._tendons = as_index(indexing.ids["tendon"][tendons], sim.device)
     self._outputs = as_index(actuators.site_outputs, sim.device)
     views = isinstance(self._q_targets, slice) and isinstance(self._v_targets, slice)
@@ -98,33 +104,19 @@ class Actuation(Stateful):
     # Servos inside MuJoCo: the same targets always give the same controls.
     self._holds = not actuators.needs_feedback and all(model.delay is None for model in actuators.groups)
 
-  def view(self, kind: Transmission, quantity: Quantity) -> torch.Tensor:
-    """Return the columns of one kind in the targets of one quantity, a view."""
-    targets, joints = (self.position, self._num_q) if quantity == "position" else (getattr(self, quantity), self._num_v)
-    if kind == "joint":
-      return targets[:, :joints]
-    start = joints + (self._widths["tendon"] if kind == "site" else 0)
-    return targets[:, start : start + self._widths[kind]]
-
-  @property
-  def joint_vel_limits(self) -> dict[str, float]:
-    """Top speeds of joints by name, of those whose actuator states one [rad/s or m/s]."""
-    limits = {} if self._actuators is None else self._actuators.velocity_limits
-    return {target.name: limit for target, limit in limits.items() if target.transmission == "joint"}
-
   def reset(self, mask: torch.Tensor) -> None:
     """Reset targets of masked worlds (num_envs,) to the initial state, at rest, and delays with them."""
     where_(self.position, mask, self._default)
     fill_(self.velocity, mask, 0.0)
     fill_(self.effort, mask, 0.0)
-    if self._actuators is not None:
-      self._actuators.reset(mask, *(self._target_views or self._gather_targets()))
+    if self.actuators is not None:
+      self.actuators.reset(mask, *(self._target_views or self._gather_targets()))
     # The simulation's reset clears controls.
     self._written.clear()
 
   def write_ctrl(self) -> None:
     """Turn targets into controls; to be called exactly once before each substep."""
-    if self._actuators is None:
+    if self.actuators is None:
       return
     if self._holds:
       # Within a decimation there is nothing to write twice. The first substep of a recording writes whatever was
@@ -136,7 +128,7 @@ class Actuation(Stateful):
       self._written[:] = written
     targets = self._target_views or self._gather_targets()
     measured = targets[:2] if self._holds else self._measurements()
-    self._actuators.compute(*targets, *measured)
+    self.actuators.compute(*targets, *measured)
 
   def _gather_targets(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     v = self._v_targets

@@ -25,7 +25,7 @@ from mjlab_scene.collision import CollisionCfg
 from mjlab_scene.edits import SpecEdit
 from mjlab_scene.entity_data import EntityData
 from mjlab_scene.entity_spec import EntitySpec
-from mjlab_scene.indexing import ColumnView, EntityIndexing, Selection, WritePlaces, fitting, index_entity
+from mjlab_scene.indexing import Columns, ColumnView, EntityIndexing, Selection, fitting, index_entity
 from mjlab_scene.initial_state import InitialStateCfg
 from mjlab_scene.overlay import Overlay, read_overlay
 
@@ -142,7 +142,7 @@ class Entity(EntitySpec, Stateful):
     self.data = EntityData(
       sim, ix, self.initial_state, self.actuation, self._soft_joint_pos_limit_factor, self.overlay.encoder_bias
     )
-    self._writes = self._write_places()
+    self._writes = self._write_columns()
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
 
   def __getattr__(self, name: str) -> Any:
@@ -210,28 +210,28 @@ class Entity(EntitySpec, Stateful):
     """
     pose = self._checked("write_root_pose", pose, 7)
     if self.is_floating:
-      self._writes.view("write_root_pose").write(pose, mask)
+      self._writes["write_root_pose"].view().write(pose, mask)
     else:
-      self._writes.view("write_root_pose, position").write(pose[:, :3], mask)
-      self._writes.view("write_root_pose, orientation").write(pose[:, 3:], mask)
+      self._writes["write_root_pose, position"].view().write(pose[:, :3], mask)
+      self._writes["write_root_pose, orientation"].view().write(pose[:, 3:], mask)
 
   def write_root_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._writes.view("write_root_velocity")
+    view = self._writes["write_root_velocity"].view()
     velocity = view.checked(velocity)
     angular = quat_apply_inverse(self.data.root_link_quat_w, velocity[:, 3:])
     view.write(torch.cat((velocity[:, :3].expand_as(angular), angular), dim=-1), mask)
 
   def write_root_velocity_b(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], link frame, (num_envs, 6)."""
-    view = self._writes.view("write_root_velocity_b")
+    view = self._writes["write_root_velocity_b"].view()
     velocity = view.checked(velocity)
     linear = quat_apply(self.data.root_link_quat_w, velocity[:, :3])
     view.write(torch.cat((linear, velocity[:, 3:].expand_as(linear)), dim=-1), mask)
 
   def write_root_com_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
     """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._writes.view("write_root_com_velocity")
+    view = self._writes["write_root_com_velocity"].view()
     velocity = view.checked(velocity)
     quat = self.data.root_link_quat_w
     arm = quat_apply(quat, self.sim.model.body_ipos[:, self.indexing.root_body])
@@ -255,13 +255,13 @@ class Entity(EntitySpec, Stateful):
     self, position: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
   ) -> None:
     """Set joint positions, (num_envs, k) [rad or m]; a ball joint takes four columns, a quaternion, normalised."""
-    self._writes.view("write_joint_position", joint_ids).write(position, mask)
+    self._writes["write_joint_position"].view(joint_ids).write(position, mask)
 
   def write_joint_velocity(
     self, velocity: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
   ) -> None:
     """Set joint velocities, (num_envs, k) [rad/s or m/s]; a ball joint takes three columns."""
-    self._writes.view("write_joint_velocity", joint_ids).write(velocity, mask)
+    self._writes["write_joint_velocity"].view(joint_ids).write(velocity, mask)
 
   # Targets
 
@@ -273,61 +273,61 @@ class Entity(EntitySpec, Stateful):
       quantity: "position" (the length of a tendon), "velocity" or "effort".
       ids: Elements of that kind.
     """
-    return self._writes.view(_TARGETS[kind, quantity], ids)
+    return self._writes[_TARGETS[kind, quantity]].view(ids)
 
   def set_joint_position_target(
     self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set position targets of joints, (num_envs, k) [rad or m]."""
-    self._writes.view("set_joint_position_target", joint_ids).write(target, mask)
+    self._writes["set_joint_position_target"].view(joint_ids).write(target, mask)
 
   def set_joint_velocity_target(
     self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
-    self._writes.view("set_joint_velocity_target", joint_ids).write(target, mask)
+    self._writes["set_joint_velocity_target"].view(joint_ids).write(target, mask)
 
   def set_joint_effort_target(
     self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set effort targets of joints, (num_envs, k) [N m or N]."""
-    self._writes.view("set_joint_effort_target", joint_ids).write(target, mask)
+    self._writes["set_joint_effort_target"].view(joint_ids).write(target, mask)
 
   def set_tendon_len_target(
     self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set length targets of tendons, (num_envs, k) [m or rad]."""
-    self._writes.view("set_tendon_len_target", tendon_ids).write(target, mask)
+    self._writes["set_tendon_len_target"].view(tendon_ids).write(target, mask)
 
   def set_tendon_vel_target(
     self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
-    self._writes.view("set_tendon_vel_target", tendon_ids).write(target, mask)
+    self._writes["set_tendon_vel_target"].view(tendon_ids).write(target, mask)
 
   def set_tendon_effort_target(
     self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set effort targets along tendons, (num_envs, k) [N or N m]."""
-    self._writes.view("set_tendon_effort_target", tendon_ids).write(target, mask)
+    self._writes["set_tendon_effort_target"].view(tendon_ids).write(target, mask)
 
   def set_site_pos_target(
     self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set position targets of sites from their reference site along their gear, (num_envs, k) [m or rad]."""
-    self._writes.view("set_site_pos_target", site_ids).write(target, mask)
+    self._writes["set_site_pos_target"].view(site_ids).write(target, mask)
 
   def set_site_vel_target(
     self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
-    self._writes.view("set_site_vel_target", site_ids).write(target, mask)
+    self._writes["set_site_vel_target"].view(site_ids).write(target, mask)
 
   def set_site_effort_target(
     self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
   ) -> None:
     """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
-    self._writes.view("set_site_effort_target", site_ids).write(target, mask)
+    self._writes["set_site_effort_target"].view(site_ids).write(target, mask)
 
   # Forces and controls
 
@@ -343,7 +343,7 @@ class Entity(EntitySpec, Stateful):
     They act in every substep until they are overwritten or the world is reset.
     """
     on_force, on_torque = (
-      self._writes.view(f"write_external_wrench, {part}", body_ids) for part in ("forces", "torques")
+      self._writes[f"write_external_wrench, {part}"].view(body_ids) for part in ("forces", "torques")
     )
     forces, torques = on_force.checked(forces), on_torque.checked(torques)
     on_force.write(forces, mask)
@@ -354,37 +354,44 @@ class Entity(EntitySpec, Stateful):
 
     For actuators without an actuator config; those with one are written again in the next substep.
     """
-    self._writes.view("set_ctrl").write(ctrl, mask)
+    self._writes["set_ctrl"].view().write(ctrl, mask)
 
   # Columns
 
-  def _write_places(self) -> WritePlaces:
+  def _write_columns(self) -> dict[str, Columns]:
+    """Return the columns that each method writes."""
     sim, ix = self.sim, self.indexing
-    places = WritePlaces(self.owner)
+    out: dict[str, Columns] = {}
+
+    def add(
+      method: str, tensor: torch.Tensor, columns: Sequence[range], lack: str = "", *, quaternions: bool = False
+    ) -> None:
+      out[method] = Columns(f"{self.owner}: {method}", tensor, columns, lack, quaternions)
+
     if ix.root_q is not None:
       position, quat = range(ix.root_q.start, ix.root_q.start + 3), range(ix.root_q.start + 3, ix.root_q.stop)
-      places.add("write_root_pose", sim.data.qpos, (position, quat), quaternions=True)
+      add("write_root_pose", sim.data.qpos, (position, quat), quaternions=True)
     elif ix.mocap is not None:
-      places.add("write_root_pose, position", sim.data.mocap_pos[:, ix.mocap], (range(3),))
-      places.add("write_root_pose, orientation", sim.data.mocap_quat[:, ix.mocap], (range(4),), quaternions=True)
+      add("write_root_pose, position", sim.data.mocap_pos[:, ix.mocap], (range(3),))
+      add("write_root_pose, orientation", sim.data.mocap_quat[:, ix.mocap], (range(4),), quaternions=True)
     velocity = () if ix.root_v is None else (range(ix.root_v.start, ix.root_v.stop),)
     for method in ("write_root_velocity", "write_root_velocity_b", "write_root_com_velocity"):
-      places.add(method, sim.data.qvel, velocity, "its base does not float, so it has no velocity to set")
-    places.add("write_joint_position", sim.data.qpos, ix.qpos_of_joint, "it has no joints", quaternions=True)
-    places.add("write_joint_velocity", sim.data.qvel, ix.qvel_of_joint, "it has no joints")
+      add(method, sim.data.qvel, velocity, "its base does not float, so it has no velocity to set")
+    add("write_joint_position", sim.data.qpos, ix.qpos_of_joint, "it has no joints", quaternions=True)
+    add("write_joint_velocity", sim.data.qvel, ix.qvel_of_joint, "it has no joints")
     bodies = [range(i, i + 1) for i in ix.ids["body"].tolist()]
-    places.add("write_external_wrench, forces", sim.data.xfrc_applied[..., :3], bodies)
-    places.add("write_external_wrench, torques", sim.data.xfrc_applied[..., 3:], bodies)
-    places.add("set_ctrl", sim.data.ctrl, ix.ctrl_of_actuator, "it has no actuators")
+    add("write_external_wrench, forces", sim.data.xfrc_applied[..., :3], bodies)
+    add("write_external_wrench, torques", sim.data.xfrc_applied[..., 3:], bodies)
+    add("set_ctrl", sim.data.ctrl, ix.ctrl_of_actuator, "it has no actuators")
     for (kind, quantity), method in _TARGETS.items():
-      targets = self.actuation.view(kind, quantity)
+      targets = self.actuation.views[kind, quantity]
       if kind == "joint":
-        places.add(method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, "it has no joints")
+        add(method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, "it has no joints")
       else:
         driven = self.actuators is not None and self.actuators.driven(kind)
         columns = [range(i, i + 1) for i in range(targets.shape[1])] if driven else []
-        places.add(method, targets, columns, f"no actuator config drives a {kind} of it")
-    return places
+        add(method, targets, columns, f"no actuator config drives a {kind} of it")
+    return out
 
   def _checked(self, method: str, value: torch.Tensor, columns: int) -> torch.Tensor:
     return fitting(value, (self.num_envs, columns), self.sim.dtype, f"{self.owner}: {method}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 import torch
-from mjlab_actuators import Transmission
+from mjlab_actuators import Target
 from mjlab_core import Index, Stateful, as_index, select
 
 from mjlab_scene.actuation import Actuation
@@ -185,11 +185,10 @@ class EntityData(Stateful):
     self._geoms = Frames(sim, indexing, "geom", "geom_xpos", "geom_quat")
     self._sites = Frames(sim, indexing, "site", "site_xpos", "site_quat")
 
-    names: dict[Transmission, str] = {"joint": "pos", "tendon": "len", "site": "pos"}
-    for kind, position in names.items():
-      setattr(self, f"{kind}_{position}_target", actuation.view(kind, "position"))
-      setattr(self, f"{kind}_vel_target", actuation.view(kind, "velocity"))
-      setattr(self, f"{kind}_effort_target", actuation.view(kind, "effort"))
+    for (kind, quantity), targets in actuation.views.items():
+      position = "len" if kind == "tendon" else "pos"
+      short = {"position": position, "velocity": "vel", "effort": "effort"}[quantity]
+      setattr(self, f"{kind}_{short}_target", targets)
 
     def constant(row: Sequence[float]) -> torch.Tensor:
       return torch.tensor([row], dtype=sim.dtype, device=sim.device)
@@ -199,8 +198,10 @@ class EntityData(Stateful):
     self.default_root_state = constant([*initial.root_pose, *velocity])
     self.default_joint_pos = constant([x for name in joints for x in initial.joint_pos[name]])
     self.default_joint_vel = constant([x for name in joints for x in initial.joint_vel[name]])
-    limits = actuation.joint_vel_limits
-    self.joint_vel_limits = constant([limits.get(name, np.inf) for name in joints for _ in initial.joint_vel[name]])
+    limits = {} if actuation.actuators is None else actuation.actuators.velocity_limits
+    self.joint_vel_limits = constant(
+      [limits.get(Target("joint", name), np.inf) for name in joints for _ in initial.joint_vel[name]]
+    )
     self.forward_vec_b = constant([1.0, 0.0, 0.0])
     bias = constant([encoder_bias.get(name, 0.0) for name in joints for _ in initial.joint_pos[name]])
     self.encoder_bias = self.state((bias.shape[1],), fill=bias, dtype=sim.dtype)

@@ -1,7 +1,7 @@
 """Places of an entity's elements in the compiled model, and of its state in the simulation's arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import mujoco
@@ -186,53 +186,36 @@ def fitting(value: torch.Tensor, shape: tuple[int, ...], dtype: torch.dtype, own
   return value.to(dtype)
 
 
-@dataclass(frozen=True)
-class _Place:
+@dataclass
+class Columns:
+  """Columns of a tensor that a method of an entity writes."""
+
+  owner: str
+  """Entity and method, the beginning of error messages."""
   tensor: torch.Tensor
+  """Shape (num_envs, n, ...); its memory stays where it is."""
   columns: Sequence[range]
-  lack: str
-  quaternions: bool
+  """Columns of each element."""
+  lack: str = ""
+  """Error if the entity has no such element."""
+  quaternions: bool = False
+  """True if four columns of an element are a quaternion, to be normalised."""
+  views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = field(default_factory=dict)
+  """Views by selection. A kept selection keeps the id of a CUDA tensor from being given to another tensor."""
 
-
-class WritePlaces:
-  """Tensors and columns that each method of an entity writes.
-
-  Args:
-    owner: The entity as messages name it.
-  """
-
-  def __init__(self, owner: str) -> None:
-    self._owner = owner
-    self._places: dict[str, _Place] = {}
-    self._views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = {}
-
-  def add(
-    self, method: str, tensor: torch.Tensor, columns: Sequence[range], lack: str = "", *, quaternions: bool = False
-  ) -> None:
-    """Let `method` write `tensor`, (num_envs, n, ...); `lack` is the error where an entity has no `columns`."""
-    self._places[method] = _Place(tensor, columns, lack, quaternions)
-
-  def view(self, method: str, ids: Selection = None) -> ColumnView:
-    """Return what `method` writes of the elements `ids`. Each selection is resolved once, when it is first used.
+  def view(self, ids: Selection = None) -> ColumnView:
+    """Return a view of the elements `ids`. Each selection is resolved once, when it is first used.
 
     Raises:
-      MjlabError: The entity has nothing that `method` writes, or an id is out of range.
+      MjlabError: The entity has no such element, or an id is out of range.
     """
-    key = (method, *_selection_key(ids))
-    found = self._views.get(key)
-    if found is None:
-      place, owner = self._places[method], f"{self._owner}: {method}"
-      if not place.columns:
-        raise MjlabError(f"{owner}: {place.lack}")
-      columns = [place.columns[i] for i in _chosen_ids(ids, len(place.columns), owner)]
-      view = ColumnView(place.tensor, columns, owner, quaternions=place.quaternions)
-      # Keeping the selection keeps the id of a CUDA tensor from being given to another tensor.
-      found = self._views[key] = (ids, view)
-    return found[1]
-
-  def __len__(self) -> int:
-    """Return the number of selections resolved so far."""
-    return len(self._views)
+    key = _selection_key(ids)
+    if key not in self.views:
+      if not self.columns:
+        raise MjlabError(f"{self.owner}: {self.lack}")
+      columns = [self.columns[i] for i in _chosen_ids(ids, len(self.columns), self.owner)]
+      self.views[key] = (ids, ColumnView(self.tensor, columns, self.owner, quaternions=self.quaternions))
+    return self.views[key][1]
 
 
 def _unit_quaternion(quaternion: torch.Tensor) -> torch.Tensor:
