@@ -25,7 +25,7 @@ from mjlab_scene.collision import CollisionCfg
 from mjlab_scene.edits import SpecEdit
 from mjlab_scene.entity_data import EntityData
 from mjlab_scene.entity_spec import EntitySpec
-from mjlab_scene.indexing import Columns, ColumnView, EntityIndexing, Selection, fitting, index_entity
+from mjlab_scene.indexing import Columns, ColumnView, EntityIndexing, Mask, Selection, fitting, index_entity
 from mjlab_scene.initial_state import InitialStateCfg
 from mjlab_scene.overlay import Overlay, read_overlay
 
@@ -43,6 +43,9 @@ _TARGETS: dict[tuple[Transmission, Quantity], str] = {
   ("site", "velocity"): "set_site_vel_target",
   ("site", "effort"): "set_site_effort_target",
 }
+_NORMALISED = ("write_joint_position", "write_root_pose", "write_root_pose, orientation")
+"""Writes whose elements of four columns are quaternions, to be normalised."""
+_NO_JOINTS = "it has no joints"
 
 
 @dataclass(kw_only=True)
@@ -175,7 +178,7 @@ class Entity(EntitySpec, Stateful):
     """Turn targets into controls; to be called exactly once before each substep."""
     self.actuation.write_ctrl()
 
-  def write_default_root_state(self, origins: torch.Tensor | None = None, mask: torch.Tensor | None = None) -> None:
+  def write_default_root_state(self, origins: torch.Tensor | None = None, mask: Mask = None) -> None:
     """Put the root of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
     state = self.data.default_root_state
     if origins is not None:
@@ -183,7 +186,7 @@ class Entity(EntitySpec, Stateful):
       state = torch.cat((placed, state[:, 3:].expand(placed.shape[0], -1)), dim=-1)
     self.write_root_state(state, mask)
 
-  def write_default_state(self, origins: torch.Tensor | None = None, mask: torch.Tensor | None = None) -> None:
+  def write_default_state(self, origins: torch.Tensor | None = None, mask: Mask = None) -> None:
     """Put the root and the joints of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
     self.write_default_root_state(origins, mask)
     if self.is_articulated:
@@ -191,7 +194,7 @@ class Entity(EntitySpec, Stateful):
 
   # Root
 
-  def write_root_state(self, state: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write_root_state(self, state: torch.Tensor, mask: Mask = None) -> None:
     """Set pose and velocity of a floating base, (num_envs, 13), or the pose of any other, (num_envs, 7).
 
     Position [m], quaternion, linear velocity of the link's origin [m/s] and angular velocity [rad/s], world frame.
@@ -203,33 +206,33 @@ class Entity(EntitySpec, Stateful):
     self.write_root_pose(state[:, :7], mask)
     self.write_root_velocity(state[:, 7:], mask)
 
-  def write_root_pose(self, pose: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write_root_pose(self, pose: torch.Tensor, mask: Mask = None) -> None:
     """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised.
 
     That of a base that does not float is the pose of its mocap body.
     """
     pose = self._checked("write_root_pose", pose, 7)
     if self.is_floating:
-      self._writes["write_root_pose"].view().write(pose, mask)
+      self._write("write_root_pose", pose, mask)
     else:
-      self._writes["write_root_pose, position"].view().write(pose[:, :3], mask)
-      self._writes["write_root_pose, orientation"].view().write(pose[:, 3:], mask)
+      self._write("write_root_pose, position", pose[:, :3], mask)
+      self._write("write_root_pose, orientation", pose[:, 3:], mask)
 
-  def write_root_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write_root_velocity(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
     view = self._writes["write_root_velocity"].view()
     velocity = view.checked(velocity)
     angular = quat_apply_inverse(self.data.root_link_quat_w, velocity[:, 3:])
     view.write(torch.cat((velocity[:, :3].expand_as(angular), angular), dim=-1), mask)
 
-  def write_root_velocity_b(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write_root_velocity_b(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], link frame, (num_envs, 6)."""
     view = self._writes["write_root_velocity_b"].view()
     velocity = view.checked(velocity)
     linear = quat_apply(self.data.root_link_quat_w, velocity[:, :3])
     view.write(torch.cat((linear, velocity[:, 3:].expand_as(linear)), dim=-1), mask)
 
-  def write_root_com_velocity(self, velocity: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write_root_com_velocity(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
     view = self._writes["write_root_com_velocity"].view()
     velocity = view.checked(velocity)
@@ -244,24 +247,20 @@ class Entity(EntitySpec, Stateful):
     self,
     position: torch.Tensor,
     velocity: torch.Tensor,
-    mask: torch.Tensor | None = None,
+    mask: Mask = None,
     joint_ids: Selection = None,
   ) -> None:
     """Set positions (num_envs, k) [rad or m] and velocities (num_envs, k) [rad/s or m/s] of joints."""
     self.write_joint_position(position, mask, joint_ids)
     self.write_joint_velocity(velocity, mask, joint_ids)
 
-  def write_joint_position(
-    self, position: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
-  ) -> None:
+  def write_joint_position(self, position: torch.Tensor, mask: Mask = None, joint_ids: Selection = None) -> None:
     """Set joint positions, (num_envs, k) [rad or m]; a ball joint takes four columns, a quaternion, normalised."""
-    self._writes["write_joint_position"].view(joint_ids).write(position, mask)
+    self._write("write_joint_position", position, mask, joint_ids)
 
-  def write_joint_velocity(
-    self, velocity: torch.Tensor, mask: torch.Tensor | None = None, joint_ids: Selection = None
-  ) -> None:
+  def write_joint_velocity(self, velocity: torch.Tensor, mask: Mask = None, joint_ids: Selection = None) -> None:
     """Set joint velocities, (num_envs, k) [rad/s or m/s]; a ball joint takes three columns."""
-    self._writes["write_joint_velocity"].view(joint_ids).write(velocity, mask)
+    self._write("write_joint_velocity", velocity, mask, joint_ids)
 
   # Targets
 
@@ -275,59 +274,41 @@ class Entity(EntitySpec, Stateful):
     """
     return self._writes[_TARGETS[kind, quantity]].view(ids)
 
-  def set_joint_position_target(
-    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_joint_position_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set position targets of joints, (num_envs, k) [rad or m]."""
-    self._writes["set_joint_position_target"].view(joint_ids).write(target, mask)
+    self._write("set_joint_position_target", target, mask, joint_ids)
 
-  def set_joint_velocity_target(
-    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
-    self._writes["set_joint_velocity_target"].view(joint_ids).write(target, mask)
+    self._write("set_joint_velocity_target", target, mask, joint_ids)
 
-  def set_joint_effort_target(
-    self, target: torch.Tensor, joint_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets of joints, (num_envs, k) [N m or N]."""
-    self._writes["set_joint_effort_target"].view(joint_ids).write(target, mask)
+    self._write("set_joint_effort_target", target, mask, joint_ids)
 
-  def set_tendon_len_target(
-    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_tendon_len_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set length targets of tendons, (num_envs, k) [m or rad]."""
-    self._writes["set_tendon_len_target"].view(tendon_ids).write(target, mask)
+    self._write("set_tendon_len_target", target, mask, tendon_ids)
 
-  def set_tendon_vel_target(
-    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_tendon_vel_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
-    self._writes["set_tendon_vel_target"].view(tendon_ids).write(target, mask)
+    self._write("set_tendon_vel_target", target, mask, tendon_ids)
 
-  def set_tendon_effort_target(
-    self, target: torch.Tensor, tendon_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_tendon_effort_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets along tendons, (num_envs, k) [N or N m]."""
-    self._writes["set_tendon_effort_target"].view(tendon_ids).write(target, mask)
+    self._write("set_tendon_effort_target", target, mask, tendon_ids)
 
-  def set_site_pos_target(
-    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_site_pos_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set position targets of sites from their reference site along their gear, (num_envs, k) [m or rad]."""
-    self._writes["set_site_pos_target"].view(site_ids).write(target, mask)
+    self._write("set_site_pos_target", target, mask, site_ids)
 
-  def set_site_vel_target(
-    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_site_vel_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
-    self._writes["set_site_vel_target"].view(site_ids).write(target, mask)
+    self._write("set_site_vel_target", target, mask, site_ids)
 
-  def set_site_effort_target(
-    self, target: torch.Tensor, site_ids: Selection = None, mask: torch.Tensor | None = None
-  ) -> None:
+  def set_site_effort_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
-    self._writes["set_site_effort_target"].view(site_ids).write(target, mask)
+    self._write("set_site_effort_target", target, mask, site_ids)
 
   # Forces and controls
 
@@ -336,7 +317,7 @@ class Entity(EntitySpec, Stateful):
     forces: torch.Tensor,
     torques: torch.Tensor,
     body_ids: Selection = None,
-    mask: torch.Tensor | None = None,
+    mask: Mask = None,
   ) -> None:
     """Apply forces [N] and torques [N m] to bodies at their centres of mass, world frame, (num_envs, k, 3) each.
 
@@ -349,49 +330,51 @@ class Entity(EntitySpec, Stateful):
     on_force.write(forces, mask)
     on_torque.write(torques, mask)
 
-  def set_ctrl(self, ctrl: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def set_ctrl(self, ctrl: torch.Tensor, mask: Mask = None) -> None:
     """Set the controls of all actuators of the entity, (num_envs, num_ctrl), in the model's order.
 
     For actuators without an actuator config; those with one are written again in the next substep.
     """
-    self._writes["set_ctrl"].view().write(ctrl, mask)
+    self._write("set_ctrl", ctrl, mask)
 
   # Columns
 
+  def _write(self, method: str, value: torch.Tensor, mask: Mask, ids: Selection = None) -> None:
+    self._writes[method].view(ids).write(value, mask)
+
   def _write_columns(self) -> dict[str, Columns]:
     """Return the columns that each method writes."""
-    sim, ix = self.sim, self.indexing
-    out: dict[str, Columns] = {}
-
-    def add(
-      method: str, tensor: torch.Tensor, columns: Sequence[range], lack: str = "", *, quaternions: bool = False
-    ) -> None:
-      out[method] = Columns(f"{self.owner}: {method}", tensor, columns, lack, quaternions)
-
+    data, ix = self.sim.data, self.indexing
+    bodies = [range(i, i + 1) for i in ix.ids["body"].tolist()]
+    # Method, tensor, columns of each element, and the error if there are none.
+    rows: list[tuple[str, torch.Tensor, Sequence[range], str]] = [
+      ("write_joint_position", data.qpos, ix.qpos_of_joint, _NO_JOINTS),
+      ("write_joint_velocity", data.qvel, ix.qvel_of_joint, _NO_JOINTS),
+      ("write_external_wrench, forces", data.xfrc_applied[..., :3], bodies, ""),
+      ("write_external_wrench, torques", data.xfrc_applied[..., 3:], bodies, ""),
+      ("set_ctrl", data.ctrl, ix.ctrl_of_actuator, "it has no actuators"),
+    ]
     if ix.root_q is not None:
-      position, quat = range(ix.root_q.start, ix.root_q.start + 3), range(ix.root_q.start + 3, ix.root_q.stop)
-      add("write_root_pose", sim.data.qpos, (position, quat), quaternions=True)
+      start = ix.root_q.start
+      rows.append(("write_root_pose", data.qpos, (range(start, start + 3), range(start + 3, start + 7)), ""))
     elif ix.mocap is not None:
-      add("write_root_pose, position", sim.data.mocap_pos[:, ix.mocap], (range(3),))
-      add("write_root_pose, orientation", sim.data.mocap_quat[:, ix.mocap], (range(4),), quaternions=True)
+      rows.append(("write_root_pose, position", data.mocap_pos[:, ix.mocap], (range(3),), ""))
+      rows.append(("write_root_pose, orientation", data.mocap_quat[:, ix.mocap], (range(4),), ""))
     velocity = () if ix.root_v is None else (range(ix.root_v.start, ix.root_v.stop),)
     for method in ("write_root_velocity", "write_root_velocity_b", "write_root_com_velocity"):
-      add(method, sim.data.qvel, velocity, "its base does not float, so it has no velocity to set")
-    add("write_joint_position", sim.data.qpos, ix.qpos_of_joint, "it has no joints", quaternions=True)
-    add("write_joint_velocity", sim.data.qvel, ix.qvel_of_joint, "it has no joints")
-    bodies = [range(i, i + 1) for i in ix.ids["body"].tolist()]
-    add("write_external_wrench, forces", sim.data.xfrc_applied[..., :3], bodies)
-    add("write_external_wrench, torques", sim.data.xfrc_applied[..., 3:], bodies)
-    add("set_ctrl", sim.data.ctrl, ix.ctrl_of_actuator, "it has no actuators")
+      rows.append((method, data.qvel, velocity, "its base does not float, so it has no velocity to set"))
     for (kind, quantity), method in _TARGETS.items():
       targets = self.actuation.views[kind, quantity]
       if kind == "joint":
-        add(method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, "it has no joints")
+        rows.append((method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, _NO_JOINTS))
       else:
         driven = self.actuators is not None and self.actuators.driven(kind)
         columns = [range(i, i + 1) for i in range(targets.shape[1])] if driven else []
-        add(method, targets, columns, f"no actuator config drives a {kind} of it")
-    return out
+        rows.append((method, targets, columns, f"no actuator config drives a {kind} of it"))
+    return {
+      method: Columns(f"{self.owner}: {method}", tensor, columns, lack, method in _NORMALISED)
+      for method, tensor, columns, lack in rows
+    }
 
   def _checked(self, method: str, value: torch.Tensor, columns: int) -> torch.Tensor:
     return fitting(value, (self.num_envs, columns), self.sim.dtype, f"{self.owner}: {method}")

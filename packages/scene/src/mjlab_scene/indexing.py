@@ -15,6 +15,9 @@ from mjlab_scene.entity_spec import KINDS
 Selection = slice | torch.Tensor | Sequence[int] | None
 """Elements of one kind of an entity: all (None), a slice, an int64 tensor or a list of entity-local ids."""
 
+Mask = torch.Tensor | None
+"""Worlds to write, bool (num_envs,); None for all."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EntityIndexing:
@@ -144,7 +147,7 @@ class ColumnView:
     self._quaternions = [slice(p.start, p.stop) for p in places if len(p) == 4] if quaternions else []
     self._shape = (tensor.shape[0], sum(map(len, columns)), *tensor.shape[2:])
 
-  def write(self, value: torch.Tensor, mask: torch.Tensor | None = None) -> None:
+  def write(self, value: torch.Tensor, mask: Mask = None) -> None:
     """Write `value` into the chosen columns.
 
     Args:
@@ -196,9 +199,9 @@ class Columns:
   """Shape (num_envs, n, ...); its memory stays where it is."""
   columns: Sequence[range]
   """Columns of each element."""
-  lack: str = ""
+  lack: str
   """Error if the entity has no such element."""
-  quaternions: bool = False
+  quaternions: bool
   """True if four columns of an element are a quaternion, to be normalised."""
   views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = field(default_factory=dict)
   """Views by selection. A kept selection keeps the id of a CUDA tensor from being given to another tensor."""
