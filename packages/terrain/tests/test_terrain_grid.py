@@ -30,6 +30,7 @@ from mjlab_terrain import (
   all_types,
 )
 from mjlab_terrain.assembly import merge_boxes
+from mjlab_terrain.solids import box_between
 from terrain_ground import Ground
 
 
@@ -219,7 +220,10 @@ def test_merging_keeps_the_volume_and_kinds_apart() -> None:
   low = np.stack((0.1 * i, 0.2 * j, np.zeros(i.shape)), -1, dtype=np.float64)
   high = np.stack((0.1 * (i + 1), 0.2 * (j + 1), top), -1, dtype=np.float64)
   kind = rng.integers(2, size=i.shape)
-  merged_low, merged_high, merged_kind = merge_boxes(low, high, kind)
+  order = rng.permutation(len(kind))
+  merged = merge_boxes([(box_between(low[k], high[k]), int(kind[k])) for k in order])
+  merged_low, merged_high = (np.array([getattr(box, end) for box, _ in merged]) for end in ("low", "high"))
+  merged_kind = np.array([kind for _, kind in merged])
   assert len(merged_low) < len(low)
   for which in (0, 1):
     before, after = (
@@ -234,6 +238,12 @@ def test_merging_keeps_the_volume_and_kinds_apart() -> None:
   inside = ((merged_low[:, None] <= centers) & (centers <= merged_high[:, None])).all(-1)
   assert (inside.sum(0) == 1).all()
   np.testing.assert_array_equal(merged_kind[inside.argmax(0)], kind)
+
+
+def test_merging_keeps_a_box_that_ends_where_a_shorter_one_does() -> None:
+  long, short = box_between((0, 0, 0), (2, 1, 1)), box_between((1, 0, 0), (2, 1, 1))
+  for boxes in ([(long, 0), (short, 0)], [(short, 0), (long, 0)]):
+    assert max(box.high[0] - box.low[0] for box, _ in merge_boxes(boxes)) == 2.0
 
 
 def test_colors_show_height_type_or_neither() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mjlab_terrain import FlatCfg, HeightMapCfg, PyramidStairsCfg, TerrainGridCfg, all_types
-from mjlab_terrain.colors import coloring_of, picture_of
+from mjlab_terrain.colors import as_pixels, color_of, picture_of
 from mjlab_terrain.presets import apply_settings
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.view.picture import plot
@@ -75,7 +75,7 @@ def test_every_setting_of_a_type_has_a_control_of_its_kind() -> None:
 
 def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
   cfg = TerrainGridCfg(types={"up": PyramidStairsCfg(), "flat": FlatCfg()}, rows=2, border_width=0.0)
-  vertices, faces, colors = triangles(cfg.tiles(), coloring_of(cfg.color))
+  vertices, faces, colors = triangles(cfg.tiles(), cfg.color)
   assert vertices.shape == colors.shape
   assert vertices[:, 2].max() == pytest.approx(1.2)
   a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -86,9 +86,10 @@ def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
 
 def test_the_picture_of_a_height_field_is_a_png_with_its_colors() -> None:
   image = pytest.importorskip("PIL.Image")
-  pixels = np.random.default_rng(0).integers(256, size=(5, 7, 3), dtype=np.uint8)
-  field = HeightField(center=np.zeros(3), half=(0.5, 0.5), bottom=-1.0, heights=np.zeros((5, 7)))
-  read = np.asarray(image.open(io.BytesIO(picture_of(field, lambda kind, z: pixels / 255.0, 0))))
+  heights = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
+  field = HeightField(center=np.zeros(3), half=(0.5, 0.5), bottom=-3.0, heights=heights)
+  read = np.asarray(image.open(io.BytesIO(picture_of(field, "height", 0))))
+  pixels = as_pixels(color_of("height", 0, heights))
   # First line at the far end of y, x to the right.
   np.testing.assert_array_equal(read, pixels.transpose(1, 0, 2)[::-1])
 

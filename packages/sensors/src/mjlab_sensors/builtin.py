@@ -182,12 +182,10 @@ class BuiltinSensor(Sensor[torch.Tensor]):
       sensor.intprm[0] = sum(1 << _RAY_FIELDS.index(name) for name in cfg.ray_data)
     elif cfg.enclosed:
       sensor.intprm[0] = 1
-    if cfg.obj is not None:
-      sensor.objtype = getattr(mujoco.mjtObj, f"mjOBJ_{cfg.obj.type.upper()}")
-      sensor.objname = cfg.obj.resolve(spec, entities, self.label)
-    if cfg.ref is not None:
-      sensor.reftype = getattr(mujoco.mjtObj, f"mjOBJ_{cfg.ref.type.upper()}")
-      sensor.refname = cfg.ref.resolve(spec, entities, self.label)
+    for side, ref in (("obj", cfg.obj), ("ref", cfg.ref)):
+      if ref is not None:
+        setattr(sensor, f"{side}type", getattr(mujoco.mjtObj, f"mjOBJ_{ref.type.upper()}"))
+        setattr(sensor, f"{side}name", ref.resolve(spec, entities, self.label))
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)

@@ -23,7 +23,7 @@ from mjlab_sim import DataType
 from mjlab_sensors._elements import names_of
 from mjlab_sensors.frames import FrameSet
 from mjlab_sensors.pinhole import physical_intrinsics, resolution_of, resolution_problems
-from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
+from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg, group_mask
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -137,42 +137,39 @@ class CameraSensor(Sensor[CameraData]):
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
     cfg, cameras = self.cfg, names_of(spec, "camera")
-    if cfg.camera is not None:
-      check_name("camera", cfg.camera, cameras, self.label)
+    if cfg.camera is None:
+      body = "world" if cfg.body is None else check_name("body", cfg.body, names_of(spec, "body"), self.label)
+      parent, fields = spec.body(body), {"pos": cfg.pos, "quat": cfg.quat}
+      if cfg.orthographic:
+        fields["proj"] = _ORTHOGRAPHIC
+    else:
+      like = spec.camera(check_name("camera", cfg.camera, cameras, self.label))
       if not self.width:
-        resolution = spec.camera(cfg.camera).resolution
-        self.width, self.height = resolution_of(self.label, cfg.camera, resolution)
+        self.width, self.height = resolution_of(self.label, cfg.camera, like.resolution)
       if cfg.fovy is None:
         return
+      parent = like.parent
+      fields = {field: getattr(like, field) for field in ("pos", "quat", "alt", "mode", "targetbody", "proj")}
     if self.name in cameras:
       raise MjlabError(f"{self.label}: the scene already has this camera; set camera={self.name!r}, or another name")
-    if cfg.camera is not None:
-      like = spec.camera(cfg.camera)
-      copied = {field: getattr(like, field) for field in ("pos", "quat", "mode", "targetbody", "proj")}
-      twin = like.parent.add_camera(name=self.name, resolution=(self.width, self.height), **copied)
-      twin.alt, twin.fovy = like.alt, cfg.fovy
-      return
-    body = "world" if cfg.body is None else check_name("body", cfg.body, names_of(spec, "body"), self.label)
-    camera = spec.body(body).add_camera(
-      name=self.name, pos=cfg.pos, quat=cfg.quat, resolution=(self.width, self.height)
-    )
+    camera = parent.add_camera(name=self.name)
+    for field, value in fields.items():
+      setattr(camera, field, value)
+    camera.resolution = self.width, self.height
     if cfg.fovy is not None:
       camera.fovy = cfg.fovy
-    if cfg.orthographic:
-      camera.proj = _ORTHOGRAPHIC
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self.cfg
     self._frame = FrameSet(sim, "camera", (self.camera_name,))
     self._camera = mujoco.mj_name2id(sim.mj_model, mujoco.mjtObj.mjOBJ_CAMERA, self.camera_name)
-    groups = cfg.geom_groups
     self._renderer = sim.make_renderer(
       self._camera,
       self.width,
       self.height,
       cfg.data_types,
-      geomgroup=None if groups is None else [group in groups for group in range(mujoco.mjNGROUP)],
+      geomgroup=group_mask(cfg.geom_groups),
       textures=cfg.use_textures,
       shadows=cfg.use_shadows,
     )

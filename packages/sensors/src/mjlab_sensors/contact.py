@@ -145,23 +145,16 @@ class ContactSensor(Sensor[ContactData]):
     self._columns = [field for field in _WIDTHS if field in needed]
 
   @property
-  def num_primaries(self) -> int:
-    """Number of elements whose contacts are reported."""
-    return len(self.primary_names)
-
-  @property
   def contact_shape(self) -> tuple[int, int, int]:
     """Numbering of contacts: (num_primaries, num_secondaries, num_slots); one secondary if all elements count."""
-    return self.num_primaries, max(1, len(self.secondary_names)), self.cfg.num_slots
+    return len(self.primary_names), max(1, len(self.secondary_names)), self.cfg.num_slots
 
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
     cfg = self.cfg
-    if cfg.history_length != "decimation":
-      self.history_length = cfg.history_length
-    elif self.decimation is None:
+    history_length = self.decimation if cfg.history_length == "decimation" else cfg.history_length
+    if history_length is None:
       raise MjlabError(f"{self.label}: history_length='decimation' needs an environment; give a number without one")
-    else:
-      self.history_length = self.decimation
+    self.history_length = history_length
     self.primary_names = cfg.primary.names_in(spec, entities, cfg.primary.mode, f"{self.label}: primary")
     if cfg.secondary is not None:
       self.secondary_names = cfg.secondary.names_in(spec, entities, cfg.secondary.mode, f"{self.label}: secondary")
@@ -169,20 +162,18 @@ class ContactSensor(Sensor[ContactData]):
     for name, primary, secondary in self._natives():
       sensor = add_sensor(spec, self.label, name, type=mujoco.mjtSensor.mjSENS_CONTACT)
       sensor.objtype, sensor.objname = _OBJECTS[cfg.primary.mode], primary
-      if cfg.secondary is not None and secondary is not None:
+      if cfg.secondary is not None:
         sensor.reftype, sensor.refname = _OBJECTS[cfg.secondary.mode], secondary
       sensor.intprm[:3] = [content, get_args(ContactReduce).index(cfg.reduce), cfg.num_slots]
 
-  def _natives(self) -> list[tuple[str, str, str | None]]:
-    """Return the native sensors in the order of the contacts: their name, the primary and the secondary."""
-    if not self.secondary_names:
-      return [(f"{self.name}:{primary}", primary, None) for primary in self.primary_names]
-    pairs = product(self.primary_names, self.secondary_names)
-    return [(f"{self.name}:{primary}:{secondary}", primary, secondary) for primary, secondary in pairs]
+  def _natives(self) -> list[tuple[str, str, str]]:
+    """Return the native sensors in the order of the contacts: their name, the primary and the secondary, "" for all."""
+    pairs = product(self.primary_names, self.secondary_names or ("",))
+    return [(":".join(filter(None, (self.name, *pair))), *pair) for pair in pairs]
 
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
-    cfg, num_envs, num_primaries = self.cfg, sim.num_envs, self.num_primaries
+    cfg, num_envs, num_primaries = self.cfg, sim.num_envs, len(self.primary_names)
     num_contacts = prod(self.contact_shape)
     blocks = [sensordata_columns(sim, name) for name, *_ in self._natives()]
     slots = sim.data.sensordata[:, blocks[0].start : blocks[-1].stop].unflatten(1, (num_contacts, -1))

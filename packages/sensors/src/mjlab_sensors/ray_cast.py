@@ -61,16 +61,10 @@ class RayCastSensor(RaySensor[RayCastData]):
 
   cfg: RayCastSensorCfg
 
-  @property
-  def num_rays(self) -> int:
-    """Number of rays of all frames of a world."""
-    return self.num_frames * self.rays_per_frame
-
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
-    shape = (sim.num_envs, self.num_rays)
-    self._hit_pos = torch.zeros((*shape, 3), dtype=sim.dtype, device=sim.device)
-    self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
+    self._hit_pos = torch.zeros_like(self._caster.origins)
+    self._valid = torch.zeros(self._hit_pos.shape[:2], dtype=torch.bool, device=sim.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """Draw the frames and every hit."""

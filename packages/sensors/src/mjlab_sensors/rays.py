@@ -12,7 +12,7 @@ from mjlab_core import Limits, NonNegative
 
 from mjlab_sensors.frames import FrameMatch, FrameSet
 from mjlab_sensors.patterns import GridPatternCfg, RayPatternCfg
-from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg
+from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg, group_mask
 
 if TYPE_CHECKING:
   from mjlab_sim import RayHits, Simulation
@@ -82,10 +82,9 @@ class RaySensor(Sensor[T]):
     self._points_down = straight_down and cfg.alignment != "base"
     self._turns_directions = cfg.alignment == "base" or (cfg.alignment == "yaw" and bool(directions[:, :2].any()))
     self._excluded = frames.body_ids if cfg.exclude_parent_body or cfg.exclude_own_tree else []
-    groups = cfg.geom_groups
     self._caster = sim.make_ray_caster(
       self.num_frames * self.rays_per_frame,
-      geomgroup=None if groups is None else [group in groups for group in range(mujoco.mjNGROUP)],
+      geomgroup=group_mask(cfg.geom_groups),
       bodyexclude=[body for body in self._excluded for _ in range(self.rays_per_frame)] or -1,
       exclude_trees=cfg.exclude_own_tree,
       max_distance=cfg.max_distance + cfg.start_height,

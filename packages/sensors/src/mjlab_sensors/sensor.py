@@ -172,6 +172,11 @@ class Sensor(Stateful, ABC, Generic[T]):
     """Compute the reading; all derived quantities of the simulation are current."""
 
 
+def group_mask(groups: tuple[int, ...] | None) -> list[bool] | None:
+  """Return a mask of MuJoCo's geom groups; None for all."""
+  return None if groups is None else [group in groups for group in range(mujoco.mjNGROUP)]
+
+
 def sensordata_columns(sim: Simulation, name: str) -> slice:
   """Return the columns of the native sensor `name` in `sim.data.sensordata`; KeyError if the model has none."""
   sensor = sim.mj_model.sensor(name)

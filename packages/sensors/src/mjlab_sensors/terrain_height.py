@@ -49,7 +49,7 @@ class TerrainHeightData:
 
   heights: torch.Tensor
   """Height of each frame above the ground, 0 inside the ground and `max_distance` where no ray hits any,
-  (num_envs, num_frames) [m]; of each ray, (num_envs, num_frames, num_rays), without reduction."""
+  (num_envs, num_frames) [m]; of each ray, (num_envs, num_frames, rays_per_frame), without reduction."""
   valid: torch.Tensor
   """True where any ray of the frame hit ground, or the ray itself without reduction, bool, shaped as `heights`."""
 
@@ -63,19 +63,16 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
 
   cfg: TerrainHeightSensorCfg
 
-  @property
-  def num_rays(self) -> int:
-    """Number of rays of each frame."""
-    return self.rays_per_frame
-
   def initialize(self, sim: Simulation, entities: Mapping[str, Any]) -> None:
     super().initialize(sim, entities)
     cfg = self.cfg
     self._plane = self._plane_height() if self._points_down else None
-    shape = (sim.num_envs, self.num_frames, self.num_rays)[: 3 if cfg.reduction == "none" else 2]
-    self._heights = torch.zeros(shape, dtype=sim.dtype, device=sim.device)
+    shape = (sim.num_envs, self.num_frames, self.rays_per_frame)[: 3 if cfg.reduction == "none" else 2]
+    self._reduced = TerrainHeightData(
+      heights=torch.zeros(shape, dtype=sim.dtype, device=sim.device),
+      valid=torch.zeros(shape, dtype=torch.bool, device=sim.device),
+    )
     self._unseen = torch.tensor(cfg.max_distance, dtype=sim.dtype, device=sim.device)
-    self._valid = torch.zeros(shape, dtype=torch.bool, device=sim.device)
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """Draw the height of each frame as a line down to the ground; without reduction, to the highest ground."""
@@ -91,40 +88,43 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData]):
 
   def _read(self) -> TerrainHeightData:
     if self._plane is not None and self.sim.fixed_geoms_are_in_place():
-      return self._read_above_plane(self._plane)
-    cfg = self.cfg
-    hits, caster = self._cast(), self._caster
+      self._read_above(self._plane)
+    else:
+      self._read_rays()
+    return self._reduced
+
+  def _read_rays(self) -> None:
+    hits, caster, out = self._cast(), self._caster, self._reduced
     hit_height = torch.addcmul(caster.origins[..., 2], hits.distance, caster.directions[..., 2])
     seen, height, from_inside = (
-      values.unflatten(1, (self.num_frames, self.num_rays))
+      values.unflatten(1, (self.num_frames, self.rays_per_frame))
       for values in (hits.distance >= 0.0, hit_height, self._leaves_inside(hits.normal))
     )
     heights = (self._frames.heights[..., None] - height).clamp_(min=0.0).masked_fill_(from_inside, 0.0)
     heights = torch.where(seen, heights, self._unseen)
-    if cfg.reduction == "none":
-      self._valid.copy_(seen)
-      self._heights.copy_(heights)
-      return TerrainHeightData(heights=self._heights, valid=self._valid)
-    torch.any(seen, dim=-1, out=self._valid)
-    if cfg.reduction == "min":
+    reduction = self.cfg.reduction
+    if reduction == "none":
+      out.valid.copy_(seen)
+      out.heights.copy_(heights)
+      return
+    torch.any(seen, dim=-1, out=out.valid)
+    if reduction == "min":
       # A ray without a hit reads the largest height, so it never wins over one with a hit.
-      torch.amin(heights, dim=-1, out=self._heights)
-      return TerrainHeightData(heights=self._heights, valid=self._valid)
+      torch.amin(heights, dim=-1, out=out.heights)
+      return
     heights = heights * seen
-    if cfg.reduction == "max":
-      torch.amax(heights, dim=-1, out=self._heights)
+    if reduction == "max":
+      torch.amax(heights, dim=-1, out=out.heights)
     else:
-      torch.div(heights.sum(dim=-1), seen.sum(dim=-1).clamp_(min=1), out=self._heights)
-    torch.where(self._valid, self._heights, self._unseen, out=self._heights)
-    return TerrainHeightData(heights=self._heights, valid=self._valid)
+      torch.div(heights.sum(dim=-1), seen.sum(dim=-1).clamp_(min=1), out=out.heights)
+    torch.where(out.valid, out.heights, self._unseen, out=out.heights)
 
-  def _read_above_plane(self, plane: float) -> TerrainHeightData:
-    above = self._frames.heights - plane
+  def _read_above(self, plane: float) -> None:
+    above, out = self._frames.heights - plane, self._reduced
     if self.cfg.reduction == "none":
-      above = above[..., None].expand_as(self._heights)
-    torch.le(above, self.cfg.max_distance, out=self._valid)
-    torch.clamp(above, 0.0, self.cfg.max_distance, out=self._heights)
-    return TerrainHeightData(heights=self._heights, valid=self._valid)
+      above = above[..., None].expand_as(out.heights)
+    torch.le(above, self.cfg.max_distance, out=out.valid)
+    torch.clamp(above, 0.0, self.cfg.max_distance, out=out.heights)
 
   def _plane_height(self) -> float | None:
     """Return the world height of the ground if it is one fixed, infinite, horizontal plane [m]; else None."""

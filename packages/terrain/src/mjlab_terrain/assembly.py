@@ -8,20 +8,66 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from mjlab_terrain.colors import Coloring, picture_of
-from mjlab_terrain.solids import GROUND_DEPTH, Box, Floats, HeightField, Solid
+from mjlab_terrain.colors import GroundColor, color_of, picture_of
+from mjlab_terrain.solids import GROUND_DEPTH, Box, HeightField, Solid, box_between
+from mjlab_terrain.terrain import Terrain
 from mjlab_terrain.tile import Tile
 
 FRICTION = (1.0, 0.005, 0.0001)
 """Sliding, torsional and rolling friction of ground by default [1, m, m]."""
 
 
-def height_range(tiles: Sequence[Tile]) -> tuple[float, float]:
-  """Return the lowest and highest point of the surface, with the ground around the tiles at 0 [m]."""
+def add_tiles(
+  spec: mujoco.MjSpec,
+  name: str,
+  tiles: Sequence[Tile],
+  border: Sequence[Solid] = (),
+  *,
+  color: GroundColor = "height",
+  friction: tuple[float, float, float] = FRICTION,
+  light: bool = True,
+  **described: Any,
+) -> Terrain:
+  """Add a static body with all tiles to the world of `spec`.
+
+  Args:
+    spec: Model to add to.
+    name: Name of the body.
+    tiles: Tiles of a whole grid, row by row.
+    border: Ground around them.
+    color: Meaning of the color.
+    friction: Friction of all geoms.
+    light: True adds a light.
+    described: Fields of the terrain that do not follow from its tiles.
+
+  Raises:
+    ValueError: the model already has a body or a geom of a name that is needed; it is unchanged.
+  """
+  solids = gather(tiles, border)
+  names = tuple(f"{name}_{index}" for index in range(len(solids)))
+  body = new_body(spec, name, names)
+  for geom_name, (solid, kind) in zip(names, solids, strict=True):
+    if isinstance(solid, HeightField):
+      _add_material(spec, geom_name, picture_of(solid, color, kind))
+      look: dict[str, Any] = {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
+    else:
+      look = {"rgba": (*color_of(color, kind, np.array(solid.center[2])), 1.0)}
+    add_geom(body, geom_name, friction, **_shape(spec, geom_name, solid), **look)
+  if light:
+    add_light(body, height=10.0, direction=(0.3, 0.2, -1.0))
+  rows, columns = np.add(tiles[-1].place, 1)
   highest = max(float(solid.high[2]) for tile in tiles for solid in tile.solids)
-  return min(0.0, *(tile.lowest_points[0] for tile in tiles)), max(0.0, highest)
+  return Terrain(
+    name=name,
+    geom_names=names,
+    tile_size=tiles[0].size,
+    origins=np.reshape([tile.origin for tile in tiles], (rows, columns, 3)),
+    difficulty=np.reshape([tile.difficulty for tile in tiles], (rows, columns)),
+    tile_types=np.reshape([tile.kind for tile in tiles], (rows, columns)),
+    height_range=(min(0.0, *(tile.lowest_points[0] for tile in tiles)), max(0.0, highest)),
+    **described,
+  )
 
 
 def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[tuple[Solid, int]]:
@@ -38,42 +84,26 @@ def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[tuple[So
       solids.append((lowered.moved(tile.center), tile.kind))
   plain = [(solid, kind) for solid, kind in solids if isinstance(solid, Box) and solid.is_plain]
   others = [(solid, kind) for solid, kind in solids if not (isinstance(solid, Box) and solid.is_plain)]
-  if not plain:
-    return others
-  low, high = (np.array([getattr(box, end) for box, _ in plain]) for end in ("low", "high"))
-  low, high, kinds = merge_boxes(low, high, np.array([kind for _, kind in plain]))
-  center, half = np.column_stack((0.5 * (low + high)[:, :2], high[:, 2])), 0.5 * (high - low)[:, :2]
-  merged = [Box(center=c, half=tuple(h), bottom=float(z)) for c, h, z in zip(center, half, low[:, 2], strict=True)]
-  return [*zip(merged, kinds.tolist(), strict=True), *others]
+  return [*merge_boxes(plain), *others]
 
 
 def _deepened(solid: Solid, bottom: float) -> Solid:
   return replace(solid, bottom=min(solid.bottom, bottom))
 
 
-def merge_boxes(low: Floats, high: Floats, kind: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
-  """Join upright boxes of one kind that share a whole side and the same top and bottom, first along x, then along y.
-
-  Args:
-    low: Lowest corner of each box, (n, 3) [m].
-    high: Highest corner of each box, (n, 3) [m].
-    kind: Boxes of different kinds stay apart, (n,).
-
-  Returns:
-    The same three for the boxes that remain; together they fill the same space.
-  """
+def merge_boxes(boxes: Sequence[tuple[Box, int]]) -> list[tuple[Box, int]]:
+  """Join plain boxes of one type that share a whole side and the same top and bottom, first along x, then along y."""
   for axis in (0, 1):
-    # Corners of neighbouring tiles agree but for rounding.
-    ends = np.round(np.column_stack((low, high)) * 1e6).astype(np.int64)
-    start, end = ends[:, axis], ends[:, 3 + axis]
-    keys = np.column_stack((ends[:, [1 - axis, 4 - axis, 2, 5]], kind))
-    order = np.lexsort((start, *keys.T))
-    joins = (keys[order][1:] == keys[order][:-1]).all(1) & (start[order][1:] == end[order][:-1])
-    first, last = order[np.append(True, ~joins)], order[np.append(~joins, True)]
-    merged = high[first]
-    merged[:, axis] = high[last, axis]
-    low, high, kind = low[first], merged, kind[first]
-  return low, high, kind
+    merged: dict[tuple[int, ...], tuple[Box, int]] = {}
+    for box, kind in sorted(boxes, key=lambda item: item[0].low[axis]):
+      # Corners of neighbouring tiles agree but for rounding.
+      low, high = ([round(1e6 * at) for at in corner.tolist()] for corner in (box.low, box.high))
+      start, end = low.pop(axis), high.pop(axis)
+      # A key has the end of a box, for the box that starts there.
+      before, _ = merged.pop((start, kind, *low, *high), (box, kind))
+      merged.setdefault((end, kind, *low, *high), (box_between(before.low, box.high), kind))
+    boxes = list(merged.values())
+  return list(boxes)
 
 
 def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoco.MjsBody:
@@ -94,34 +124,6 @@ def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoc
 def add_geom(body: mujoco.MjsBody, name: str, friction: tuple[float, float, float], **fields: Any) -> None:
   """Add a geom of group 0 that collides with everything, whatever the defaults of the model are."""
   body.add_geom(name=name, friction=friction, condim=3, contype=1, conaffinity=1, group=0, mass=0.0, **fields)
-
-
-def add_body(
-  spec: mujoco.MjSpec,
-  name: str,
-  solids: Sequence[tuple[Solid, int]],
-  coloring: Coloring,
-  *,
-  friction: tuple[float, float, float] = FRICTION,
-  light: bool = True,
-) -> tuple[str, ...]:
-  """Add a static body with a geom for each solid, and return the names of the geoms.
-
-  Raises:
-    ValueError: the model already has a body or a geom of a name that is needed; it is unchanged.
-  """
-  names = tuple(f"{name}_{index}" for index in range(len(solids)))
-  body = new_body(spec, name, names)
-  for geom_name, (solid, kind) in zip(names, solids, strict=True):
-    if isinstance(solid, HeightField):
-      _add_material(spec, geom_name, picture_of(solid, coloring, kind))
-      look: dict[str, Any] = {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
-    else:
-      look = {"rgba": (*coloring(kind, solid.center[2]), 1.0)}
-    add_geom(body, geom_name, friction, **_shape(spec, geom_name, solid), **look)
-  if light:
-    add_light(body, height=10.0, direction=(0.3, 0.2, -1.0))
-  return names
 
 
 def add_light(body: mujoco.MjsBody, *, height: float, direction: tuple[float, float, float]) -> None:

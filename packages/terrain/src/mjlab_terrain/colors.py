@@ -5,7 +5,6 @@ from __future__ import annotations
 import colorsys
 import struct
 import zlib
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -15,8 +14,6 @@ from mjlab_terrain.solids import Floats, HeightField
 
 Rgb = tuple[float, float, float]
 GroundColor = Literal["height", "type"] | Rgb
-Coloring = Callable[[int, Floats], Floats]
-"""Color of ground of a type, given by its index, at heights (...) [m]: (..., 3) in [0, 1]."""
 
 # Largest edge of a picture [pixels].
 _PICTURE = 96
@@ -33,35 +30,29 @@ _GRADIENT: tuple[tuple[float, Rgb], ...] = (
 )
 
 
-def coloring_of(color: GroundColor) -> Coloring:
-  """Return the coloring by height, by type, or in one color."""
+def color_of(color: GroundColor, kind: int, z: Floats) -> Floats:
+  """Return the color of ground of a type, given by its index, at heights (...) [m]: (..., 3) in [0, 1]."""
   if color == "height":
-    return lambda kind, z: _by_height(z)
+    at, colors = zip(*_GRADIENT, strict=True)
+    return np.stack([np.interp(z, at, channel) for channel in np.transpose(colors)], axis=-1)
   if color == "type":
-    return _by_type
-  one = np.array(color, dtype=np.float64)
-  return lambda kind, z: np.broadcast_to(one, (*np.shape(z), 3))
+    # Multiples of the golden ratio spread hues evenly, however many types there are. Higher ground is lighter.
+    shade = np.clip(1.0 + 0.35 * np.asarray(z), 0.45, 1.6)
+    return np.clip(shade[..., None] * colorsys.hsv_to_rgb(0.6 + 0.618 * kind, 0.4, 0.75), 0.0, 1.0)
+  return np.broadcast_to(np.array(color, dtype=np.float64), (*np.shape(z), 3))
 
 
-def _by_height(z: Floats) -> Floats:
-  at, colors = zip(*_GRADIENT, strict=True)
-  return np.stack([np.interp(z, at, channel) for channel in np.transpose(colors)], axis=-1)
+def as_pixels(colors: Floats) -> NDArray[np.uint8]:
+  """Return colors in [0, 255]."""
+  return np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
 
 
-def _by_type(index: int, z: Floats) -> Floats:
-  """Return the color of a type, darker below the rim and lighter above it."""
-  # Multiples of the golden ratio spread hues evenly, however many types there are.
-  color = colorsys.hsv_to_rgb(0.6 + 0.618 * index, 0.4, 0.75)
-  shade = np.clip(1.0 + 0.35 * np.asarray(z, dtype=np.float64), 0.45, 1.6)
-  return np.clip(np.array(color) * shade[..., None], 0.0, 1.0)
-
-
-def picture_of(field: HeightField, coloring: Coloring, kind: int) -> bytes:
+def picture_of(field: HeightField, color: GroundColor, kind: int) -> bytes:
   """Return a PNG file with the colors of a height field of this type, seen from above with x to the right."""
   rows = [np.linspace(0, n - 1, min(n, _PICTURE)).round().astype(np.int64) for n in field.heights.shape]
-  colors = coloring(kind, field.center[2] + field.heights[np.ix_(*rows)])
+  colors = color_of(color, kind, field.center[2] + field.heights[np.ix_(*rows)])
   # The first row of a picture is at the far end of y.
-  return _png(np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8).transpose(1, 0, 2)[::-1])
+  return _png(as_pixels(colors).transpose(1, 0, 2)[::-1])
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

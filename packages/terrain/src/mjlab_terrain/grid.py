@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjlab_terrain.assembly import FRICTION, add_body, gather, height_range
+from mjlab_terrain.assembly import FRICTION, add_tiles
 from mjlab_terrain.checked_fields import check_fields, choice, drawn, number, refuse
-from mjlab_terrain.colors import GroundColor, coloring_of
+from mjlab_terrain.colors import GroundColor
 from mjlab_terrain.patches import FlatPatchCfg
 from mjlab_terrain.presets import walking_types
 from mjlab_terrain.solids import GROUND_DEPTH, MIN_THICKNESS, Solid
@@ -78,28 +78,26 @@ class TerrainGridCfg:
         `spec` is unchanged.
     """
     tiles = self.tiles()
-    shape = tiles[-1].place[0] + 1, tiles[-1].place[1] + 1
-    solids, color = gather(tiles, self._border(shape)), coloring_of(self.color)
-    names = add_body(spec, self.name, solids, color, friction=self.friction, light=self.light)
-    kinds = np.array([tile.kind for tile in tiles]).reshape(shape)
-    column_shares = np.full(shape[1], 1.0 / shape[1])
-    if self.layout == "curriculum":
-      column_shares = (self._shares() / np.bincount(kinds[0]))[kinds[0]]
+    rows, columns = np.add(tiles[-1].place, 1)
+    # Types of the columns of a curriculum.
+    kinds = np.array([tile.kind for tile in tiles[:columns]])
+    is_curriculum = self.layout == "curriculum"
+    shares = (self._shares() / np.bincount(kinds))[kinds] if is_curriculum else np.full(columns, 1.0 / columns)
     patches = {}
     for k, (name, cfg) in enumerate(self.flat_patches.items()):
       found = [tile.center + cfg.find(tile, tile_rng(self.seed, *tile.place, _PATCHES, k)) for tile in tiles]
-      patches[name] = np.reshape(found, (*shape, cfg.count, 3))
-    return Terrain(
-      name=self.name,
-      geom_names=names,
-      tile_size=self.tile_size,
-      origins=np.reshape([tile.origin for tile in tiles], (*shape, 3)),
-      difficulty=np.reshape([tile.difficulty for tile in tiles], shape),
+      patches[name] = np.reshape(found, (rows, columns, cfg.count, 3))
+    return add_tiles(
+      spec,
+      self.name,
+      tiles,
+      self._border(rows, columns),
+      color=self.color,
+      friction=self.friction,
+      light=self.light,
       type_names=tuple(self._used()),
-      tile_types=kinds,
-      column_shares=column_shares,
+      column_shares=shares,
       flat_patches=patches,
-      height_range=height_range(tiles),
     )
 
   def tiles(self) -> list[Tile]:
@@ -165,9 +163,9 @@ class TerrainGridCfg:
     difficulty = np.linspace(low, high, self.rows)
     return np.tile(columns, (self.rows, 1)), np.repeat(difficulty[:, None], len(columns), axis=1)
 
-  def _border(self, shape: tuple[int, int]) -> list[Solid]:
-    """Return the level ground around a grid of this many rows and columns."""
-    x, y = np.multiply(shape, self.tile_size) + 2.0 * self.border_width
+  def _border(self, rows: int, columns: int) -> list[Solid]:
+    """Return the level ground around the tiles."""
+    x, y = np.multiply((rows, columns), self.tile_size) + 2.0 * self.border_width
     around = Tile((x, y), 0.0, tile_rng(self.seed, _LAYOUT))
     around.ring(0.0, self.border_width, (-GROUND_DEPTH, 0.0))
     return around.solids

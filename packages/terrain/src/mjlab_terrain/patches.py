@@ -63,14 +63,15 @@ class FlatPatchCfg:
     spacing = min(a[1] - a[0] for a in axes)
     highest, lowest = (over_disc(z, self.radius, spacing, reduce) for reduce in (np.maximum, np.minimum))
     difference = highest - lowest
-    allowed = np.ones(z.shape, dtype=bool)
-    for axis, (at, limits, extent) in enumerate(zip(axes, (self.x_range, self.y_range), tile.size, strict=True)):
+    inside = []
+    for at, (low, high), extent in zip(axes, (self.x_range, self.y_range), tile.size, strict=True):
       reach = 0.5 * extent - self.radius
-      low, high = max(-reach, limits[0]), min(reach, limits[1])
-      inside = (low - 1e-9 <= at) & (at <= high + 1e-9)
+      low, high = max(-reach, low), min(reach, high)
+      there = (low - 1e-9 <= at) & (at <= high + 1e-9)
       # A range between two points of the grid takes the nearer one.
-      inside[np.argmin(np.abs(at - 0.5 * (low + high)))] |= not inside.any()
-      allowed &= inside[:, None] if axis == 0 else inside[None, :]
+      there[np.argmin(np.abs(at - 0.5 * (low + high)))] |= not there.any()
+      inside.append(there)
+    allowed = np.logical_and.outer(*inside)
     good = allowed & (difference <= self.max_height_difference) & (self.z_range[0] <= z) & (z <= self.z_range[1])
     found = np.argwhere(good)
     if len(found):

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 MIN_THICKNESS = 0.05
 """Least extent of a geom in any direction [m]; contact solvers lose thinner ones."""
@@ -37,7 +37,7 @@ class SolidBase(ABC):
   bottom: float
   """Height of its bottom [m]."""
 
-  @property
+  @cached_property
   def reach(self) -> Floats:
     """Half of its extent along x and y of the tile, (2,) [m]."""
     return np.array(self.half)
@@ -98,13 +98,13 @@ class Box(SolidBase):
     rise = float(np.dot(np.abs(self.slope), self.half))
     return -rise, rise
 
-  @property
+  @cached_property
   def axes(self) -> Floats:
     """Its own x and y axes as columns, in the frame of its tile, (2, 2)."""
     cos, sin = np.cos(self.yaw), np.sin(self.yaw)
     return np.array(((cos, -sin), (sin, cos)))
 
-  @property
+  @cached_property
   def reach(self) -> Floats:
     return np.abs(self.axes) @ self.half
 
@@ -122,6 +122,13 @@ class Box(SolidBase):
     along, across = cos * x + sin * y, cos * y - sin * x
     inside = (np.abs(along) <= self.half[0] + EDGE) & (np.abs(across) <= self.half[1] + EDGE)
     return np.where(inside, self.center[2] + self.slope[0] * along + self.slope[1] * across, -np.inf)
+
+
+def box_between(low: ArrayLike, high: ArrayLike, *, slope: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Box:
+  """Return a box between two corners, (3,) [m]; the highest gives the height of the middle of its top."""
+  (x, y, bottom), (far_x, far_y, top) = np.asarray(low).tolist(), np.asarray(high).tolist()
+  center, half = np.array((0.5 * (x + far_x), 0.5 * (y + far_y), top)), (0.5 * (far_x - x), 0.5 * (far_y - y))
+  return Box(center=center, half=half, bottom=bottom, slope=slope, yaw=yaw)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

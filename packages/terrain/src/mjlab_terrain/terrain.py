@@ -48,11 +48,7 @@ class Terrain:
 
   def columns_of(self, num: int) -> NDArray[np.int64]:
     """Return the column of each of `num` worlds, (num,): every column has its share, spread evenly over the worlds."""
-    counts = apportion(self.column_shares, num)
-    column = np.repeat(np.arange(len(counts)), counts)
-    # The k-th world of a column with n worlds stands at (k + 1/2) / n of the sequence.
-    place = np.concatenate([(np.arange(n) + 0.5) / n for n in counts if n])
-    return column[np.lexsort((column, place))]
+    return self._places_of(num)[1]
 
   def env_origins(self, num: int, spacing: float) -> NDArray[np.float64]:
     """Return the origins of `num` worlds on the surface, world frame, (num, 3) [m].
@@ -61,13 +57,17 @@ class Terrain:
     """
     if math.isinf(self.tile_size[0]):
       return grid_origins(num, spacing)
-    column = self.columns_of(num)
-    rows, columns, _ = self.origins.shape
-    nth_of_column = np.empty(num, dtype=np.int64)
-    for c in range(columns):
-      there = column == c
-      nth_of_column[there] = np.arange(there.sum())
-    return self.origins[nth_of_column % rows, column]
+    nth, column = self._places_of(num)
+    return self.origins[nth % len(self.origins), column]
+
+  def _places_of(self, num: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of each world among those of its column, and its column, both (num,)."""
+    counts = apportion(self.column_shares, num)
+    column = np.repeat(np.arange(len(counts)), counts)
+    nth = np.concatenate([np.arange(n) for n in counts])
+    # The k-th world of a column with n worlds stands at (k + 1/2) / n of the sequence.
+    order = np.lexsort((column, (nth + 0.5) / counts[column]))
+    return nth[order], column[order]
 
 
 def apportion(shares: NDArray[np.float64], num: int) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Box, Floats, HeightField, Interval, Solid
+from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Floats, HeightField, Interval, Solid, box_between
 from mjlab_terrain.surface import lowest_points, over_disc, surface
 
 
@@ -89,9 +89,8 @@ class Tile:
       slope: Rise of the top along x and y [1].
       yaw: Angle by which the box is turned about its middle [rad].
     """
-    center = np.array((0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), z[1]))
-    half = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
-    self.add(Box(center=center, half=half, bottom=z[0], slope=slope, yaw=yaw))
+    low, high = zip(x, y, z, strict=True)
+    self.add(box_between(low, high, slope=slope, yaw=yaw))
 
   def block(self, border: float, z: Interval) -> None:
     """Add a box that leaves a border of this width free [m]."""

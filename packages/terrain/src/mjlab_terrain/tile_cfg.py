@@ -9,9 +9,8 @@ from typing import NoReturn
 import mujoco
 import numpy as np
 
-from mjlab_terrain.assembly import add_body, gather, height_range
+from mjlab_terrain.assembly import add_tiles
 from mjlab_terrain.checked_fields import check_fields, number, refuse, rule_of
-from mjlab_terrain.colors import coloring_of
 from mjlab_terrain.solids import MIN_THICKNESS
 from mjlab_terrain.terrain import Terrain
 from mjlab_terrain.tile import Tile
@@ -80,15 +79,7 @@ class TileCfg(ABC):
     size = tile_size or self.natural_size()
     self.check("tile", size)
     tile = self.built("tile", Tile(size, difficulty, tile_rng(seed, 0, 0)))
-    return Terrain(
-      name=name,
-      geom_names=add_body(spec, name, gather([tile]), coloring_of("height")),
-      tile_size=size,
-      origins=tile.origin[None, None],
-      difficulty=np.array([[difficulty]]),
-      type_names=("tile",),
-      height_range=height_range([tile]),
-    )
+    return add_tiles(spec, name, [tile], type_names=("tile",))
 
 
 @dataclass(kw_only=True)

@@ -105,8 +105,6 @@ class RandomBoxesCfg(BorderedTileCfg):
   """Angle about the vertical [deg]."""
   platform: float = number(1.0)
   """Edge of the square in the middle that stays free [m]."""
-  border: float = number(0.25)
-  """Width of the rim that stays free [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)

@@ -31,12 +31,11 @@ class HeightMapCfg(BorderedTileCfg):
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)
     try:
-      shape = self._heights().shape
-      good = len(shape) == 2 and min(shape) >= 2 and np.isfinite(self._heights()).all()
+      heights = self._heights()
     except (OSError, ValueError, TypeError, ImportError) as error:
       self.refuse(name, f"the height map {source_name(self.source)} cannot be read: {error}")
-    if not good:
-      self.refuse(name, f"a height map must be (nx, ny), at least (2, 2), and finite; got {shape}")
+    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
+      self.refuse(name, f"a height map must be (nx, ny), at least (2, 2), and finite; got {heights.shape}")
 
   def _heights(self) -> Floats:
     if isinstance(self.source, str | Path):

@@ -186,14 +186,12 @@ def perlin(x: Floats, y: Floats, rng: np.random.Generator) -> Floats:
   """
   (i, u), (j, v) = [(np.floor(p - p[0]).astype(np.int64), (p - p[0]) % 1.0) for p in (x, y)]
   angle = rng.uniform(0.0, 2.0 * np.pi, (i[-1] + 2, j[-1] + 2))
-  gradient = np.stack((np.cos(angle), np.sin(angle)), -1)
-  u, v = u[:, None], v[None, :]
-
-  def corner(di: int, dj: int) -> Floats:
-    g = gradient[i[:, None] + di, j[None, :] + dj]
-    return g[..., 0] * (u - di) + g[..., 1] * (v - dj)
-
+  i, u = i[:, None], u[:, None]
+  # Weights of the far corner of a cell, along x and y.
   s, t = (f**3 * (f * (6.0 * f - 15.0) + 10.0) for f in (u, v))
-  near = corner(0, 0) + s * (corner(1, 0) - corner(0, 0))
-  far = corner(0, 1) + s * (corner(1, 1) - corner(0, 1))
-  return near + t * (far - near)
+  noise = np.zeros_like(u + v)
+  for di, dj in np.ndindex(2, 2):
+    corner = angle[i + di, j + dj]
+    slope = np.cos(corner) * (u - di) + np.sin(corner) * (v - dj)
+    noise += (s if di else 1.0 - s) * (t if dj else 1.0 - t) * slope
+  return noise

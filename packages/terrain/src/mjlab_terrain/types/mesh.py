@@ -41,7 +41,7 @@ class MeshCfg(TileCfg):
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)
-    extent = np.ptp(self._checked_mesh(name)[0], axis=0)[:2]
+    extent = np.ptp(self._mesh(name)[0], axis=0)[:2]
     if (extent > np.array(size) + 1e-6).any():
       scale = self.scale * np.floor(1e3 * np.min(np.array(size) / extent)) / 1e3
       self.refuse(
@@ -51,35 +51,31 @@ class MeshCfg(TileCfg):
       )
 
   def natural_size(self) -> tuple[float, float]:
-    x, y, _ = np.ptp(self._checked_mesh("terrain")[0], axis=0)
+    x, y, _ = np.ptp(self._mesh("tile")[0], axis=0)
     return float(x), float(y)
 
-  def _checked_mesh(self, name: str) -> tuple[Floats, NDArray[np.int64]]:
+  def _mesh(self, name: str) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices, centred and scaled, (n, 3) [m], and triangles, (m, 3); `name` is the type's in messages."""
     try:
-      return self._mesh()
+      if isinstance(self.source, str | Path):
+        path = Path(self.source)
+        source = _read_mesh(path, path.stat().st_mtime_ns)
+      else:
+        source = self.source
+      vertices, faces = np.array(source[0], dtype=np.float64) * self.scale, np.asarray(source[1], dtype=np.int64)
+      if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not len(faces):
+        raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
+      # Vertices that no triangle uses do not count.
+      used, faces = np.unique(faces, return_inverse=True)
+      vertices = vertices[used]
     except Exception as error:  # Readers of many formats fail in many ways.
       self.refuse(name, f"the mesh {source_name(self.source)} cannot be read: {error}")
-
-  def _mesh(self) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices, centred and scaled, (n, 3) [m], and triangles, (m, 3)."""
-    if isinstance(self.source, str | Path):
-      path = Path(self.source)
-      vertices, faces = _read_mesh(path, path.stat().st_mtime_ns)
-    else:
-      vertices, faces = (np.asarray(part) for part in self.source)
-    vertices, faces = np.array(vertices, dtype=np.float64) * self.scale, np.asarray(faces, dtype=np.int64)
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not len(faces):
-      raise ValueError(f"vertices must be (n, 3) and triangles (m, 3), got {vertices.shape} and {faces.shape}")
-    # Vertices that no triangle uses do not count.
-    used, faces = np.unique(faces, return_inverse=True)
-    vertices, faces = vertices[used], faces.reshape(-1, 3)
     vertices[:, :2] -= 0.5 * (vertices.min(0) + vertices.max(0))[:2]
-    return vertices, faces
+    return vertices, faces.reshape(-1, 3)
 
   def build(self, tile: Tile) -> None:
-    vertices, faces = self._mesh()
     x, y = tile.grid(self.resolution)
-    z = seen_from_above(vertices, faces, x.ravel(), y.ravel())
+    z = seen_from_above(*self._mesh("tile"), x.ravel(), y.ravel())
     tile.heights(np.where(np.isfinite(z), z, self.floor) * tile.scaled(self.height))
 
 
@@ -97,26 +93,24 @@ def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
 def seen_from_above(vertices: Floats, faces: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
   """Return the height of the highest triangle at the points of a regular grid, (nx, ny) [m]; -inf without one."""
   top = np.full((len(x), len(y)), -np.inf)
-  dx, dy = x[1] - x[0], y[1] - y[0]
-  a, b, c = (vertices[faces[:, k]] for k in range(3))
-  area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-  corners = np.stack((a, b, c))
-  low = np.ceil((corners.min(0)[:, :2] - (x[0], y[0])) / (dx, dy) - 1e-6).astype(np.int64)
-  high = np.floor((corners.max(0)[:, :2] - (x[0], y[0])) / (dx, dy) + 1e-6).astype(np.int64)
-  low, high = np.maximum(low, 0), np.minimum(high, (len(x) - 1, len(y) - 1))
-  counts = np.prod(np.maximum(high - low + 1, 0), axis=1)
+  start, step = np.array((x[0], y[0])), np.array((x[1] - x[0], y[1] - y[0]))
+  corners = vertices[faces]
   # A vertical triangle is seen from the side only; its edges belong to its neighbours.
-  seen = np.flatnonzero((counts > 0) & (np.abs(area) > 1e-12))
+  corners = corners[np.abs(np.linalg.det((corners[:, 1:] - corners[:, :1])[..., :2])) > 1e-12]
+  sides = corners[:, 1:] - corners[:, :1]
+  inverse = np.linalg.inv(sides[..., :2])
+  low = np.ceil((corners.min(1)[:, :2] - start) / step - 1e-6).astype(np.int64).clip(0)
+  high = np.floor((corners.max(1)[:, :2] - start) / step + 1e-6).astype(np.int64).clip(max=np.array(top.shape) - 1)
+  widths = np.maximum(high - low + 1, 0)
+  counts = widths.prod(1)
   # Every candidate, a triangle and a point in its bounding box, is one element; a few million at a time.
-  for chunk in np.array_split(seen, max(int(counts[seen].sum() // 2_000_000), 1)):
+  for chunk in np.array_split(np.arange(len(corners)), max(int(counts.sum() // 2_000_000), 1)):
     t = np.repeat(chunk, counts[chunk])
     nth = np.arange(len(t)) - np.repeat(np.cumsum(counts[chunk]) - counts[chunk], counts[chunk])
-    width = (high - low + 1)[t, 1]
-    i, j = low[t, 0] + nth // width, low[t, 1] + nth % width
-    px, py = x[i], y[j]
-    u = ((px - a[t, 0]) * (c[t, 1] - a[t, 1]) - (c[t, 0] - a[t, 0]) * (py - a[t, 1])) / area[t]
-    v = ((b[t, 0] - a[t, 0]) * (py - a[t, 1]) - (px - a[t, 0]) * (b[t, 1] - a[t, 1])) / area[t]
-    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
-    z = a[t, 2] + u * (b[t, 2] - a[t, 2]) + v * (c[t, 2] - a[t, 2])
-    np.maximum.at(top, (i[inside], j[inside]), z[inside])
+    point = low[t] + np.column_stack(np.divmod(nth, widths[t, 1]))
+    # Coordinates of the point along both sides of the triangle.
+    along = ((start + point * step - corners[t, 0, :2])[:, None] @ inverse[t])[:, 0]
+    inside = (along.min(1) >= -1e-9) & (along.sum(1) <= 1.0 + 1e-9)
+    z = corners[t, 0, 2] + (along * sides[t, :, 2]).sum(1)
+    np.maximum.at(top, tuple(point[inside].T), z[inside])
   return top

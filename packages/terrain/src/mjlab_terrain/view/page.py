@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from mjlab_terrain.checked_fields import rule_of
-from mjlab_terrain.colors import coloring_of
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.presets import all_types, walking_types
 from mjlab_terrain.tile_cfg import TileCfg
@@ -22,7 +21,7 @@ from mjlab_terrain.view.triangles import triangles
 trimesh: Any = import_module("trimesh")
 viser: Any = import_module("viser")
 
-_GIVEN, _WALKING, _ALL = "as given", "walking", "all"
+_GIVEN = "as given"
 
 
 class Page:
@@ -34,7 +33,9 @@ class Page:
     gui.configure_theme(control_width="large", show_share_button=False)
     # Beside the terrain, not over it.
     gui.main_panel.dock_right()
-    self._choice = gui.add_dropdown("Terrain", (_GIVEN, _WALKING, _ALL, *all_types()), initial_value=_GIVEN)
+    self._sets = {_GIVEN: cfg.types, "walking": walking_types(), "all": all_types()}
+    self._sets |= {name: {name: single} for name, single in all_types().items()}
+    self._choice = gui.add_dropdown("Terrain", tuple(self._sets), initial_value=_GIVEN)
     color = "type" if cfg.color == "type" else "height"
     # Controls of fields of the grid, by name.
     self._controls: dict[str, Any] = {
@@ -57,10 +58,7 @@ class Page:
 
   def _choose(self) -> None:
     """Take over the chosen types, with controls for the settings of a single one."""
-    name = self._choice.value
-    sets: dict[str, dict[str, TileCfg]] = {_GIVEN: self._given.types, _WALKING: walking_types(), _ALL: all_types()}
-    types = sets[name] if name in sets else {name: all_types()[name]}
-    self._types = {key: dataclasses.replace(cfg) for key, cfg in types.items()}
+    self._types = {name: dataclasses.replace(cfg) for name, cfg in self._sets[self._choice.value].items()}
     for control in self._settings.values():
       control.remove()
     self._settings.clear()
@@ -74,12 +72,8 @@ class Page:
 
   def _add_control(self, cfg: TileCfg, setting: dataclasses.Field[Any]) -> None:
     """Add a control for a setting, but not for a share, a file, or a number that is None."""
-    gui, value, rule, label = (
-      self._server.gui,
-      getattr(cfg, setting.name),
-      rule_of(setting),
-      setting.name.replace("_", " "),
-    )
+    gui, label = self._server.gui, setting.name.replace("_", " ")
+    value, rule = getattr(cfg, setting.name), rule_of(setting)
     if isinstance(value, bool):
       control = gui.add_checkbox(label, value)
     elif setting.name == "share" or value is None or not rule:
@@ -108,7 +102,7 @@ class Page:
     except ValueError as error:
       self._status.content = f"**Cannot be built.** {error}"
       return
-    vertices, faces, colors = triangles(tiles, coloring_of(cfg.color))
+    vertices, faces, colors = triangles(tiles, cfg.color)
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
     origins = np.array([tile.origin for tile in tiles])
     scene, red = self._server.scene, np.tile((210, 40, 60), (len(tiles), 1))

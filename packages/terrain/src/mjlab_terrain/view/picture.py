@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjlab_terrain.colors import coloring_of
+from mjlab_terrain.colors import as_pixels, color_of
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.surface import surface
+from mjlab_terrain.terrain import Terrain
 from mjlab_terrain.tile import Tile
 
 Pixels = NDArray[np.uint8]
@@ -44,20 +46,24 @@ def render(
   Raises:
     Exception: there is no OpenGL; the kind of the exception depends on the system.
   """
-  model, extent = _stage(cfg, size)
+  spec = mujoco.MjSpec()
+  terrain = replace(cfg, light=False).add_to(spec)
+  extent = np.multiply(terrain.difficulty.shape, cfg.tile_size) + 2.0 * cfg.border_width
+  _light(spec, 0.6 * math.hypot(*extent))
+  width, height = spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+  model = spec.compile()
   data = mujoco.MjData(model)
   mujoco.mj_forward(model, data)
   camera = mujoco.MjvCamera()
   camera.azimuth, camera.elevation = azimuth, elevation
-  camera.distance = _distance(extent, size[0] / size[1], math.radians(azimuth), math.radians(elevation))
+  camera.distance = _distance(extent, width / height, math.radians(azimuth), math.radians(elevation))
   camera.lookat[:] = (0.0, 0.0, -0.035 * camera.distance)
-  width, height = size
   font = mujoco.mjtFontScale.mjFONTSCALE_200
   _load_triton()
   with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 1000, font_scale=font) as renderer:
     renderer.update_scene(data, camera)
     if names:
-      _add_names(renderer.scene, cfg)
+      _add_names(renderer.scene, terrain)
     return renderer.render()
 
 
@@ -67,43 +73,42 @@ def _load_triton() -> None:
     importlib.import_module("triton._C.libtriton")
 
 
-def _add_names(scene: mujoco.MjvScene, cfg: TerrainGridCfg) -> None:
-  types = [name.replace("_", " ") for name in cfg.types]
-  for tile in cfg.tiles()[: scene.maxgeom - scene.ngeom]:
-    label = scene.geoms[scene.ngeom]
-    place = tile.origin + np.array([0.0, 0.0, 0.4])
-    mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, np.zeros(3), place, np.eye(3).ravel(), np.ones(4))
-    label.label = types[tile.kind]
+def _add_names(scene: mujoco.MjvScene, terrain: Terrain) -> None:
+  label, turn, white = mujoco.mjtGeom.mjGEOM_LABEL, np.eye(3).ravel(), np.ones(4)
+  names = [terrain.type_names[kind].replace("_", " ") for kind in terrain.tile_types.ravel()]
+  places = terrain.origins.reshape(-1, 3) + np.array([0.0, 0.0, 0.4])
+  for name, place in list(zip(names, places, strict=True))[: scene.maxgeom - scene.ngeom]:
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, label, np.zeros(3), place, turn, white)
+    geom.label = name
     scene.ngeom += 1
 
 
-def _stage(cfg: TerrainGridCfg, size: tuple[int, int]) -> tuple[mujoco.MjModel, tuple[float, float]]:
-  """Return the terrain in two lights, of which the first casts shadows, and its extent along x and y [m]."""
-  spec = mujoco.MjSpec()
-  terrain = cfg.add_to(spec)
-  for light in list(spec.lights):
-    spec.delete(light)
-  rows, columns = terrain.difficulty.shape
-  extent = (
-    rows * cfg.tile_size[0] + 2.0 * cfg.border_width,
-    columns * cfg.tile_size[1] + 2.0 * cfg.border_width,
-  )
-  reach = 0.6 * math.hypot(*extent)
+def _light(spec: mujoco.MjSpec, reach: float) -> None:
+  """Put a terrain that reaches this far [m] under a pale sky, in two lights of which the first casts shadows."""
+  paper = np.array(PAPER) / 255.0
   spec.add_texture(
     name="sky",
     type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
     builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-    rgb1=np.array(PAPER) / 255.0,
-    rgb2=np.array(PAPER) / 255.0,
+    rgb1=paper,
+    rgb2=paper,
     width=8,
     height=48,
   )
-  sun, main, fill = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, np.array([-0.4, 0.3, -1.0]), np.array([0.7, -0.2, -0.6])
-  # Shadows are sharpest when the light stands over what casts them.
-  spec.worldbody.add_light(type=sun, pos=-reach * main, dir=main, diffuse=(0.62, 0.6, 0.56), specular=(0, 0, 0))
-  spec.worldbody.add_light(
-    type=sun, pos=-reach * fill, dir=fill, castshadow=False, diffuse=(0.16, 0.18, 0.2), specular=(0, 0, 0)
-  )
+  for direction, diffuse, shadow in (
+    (np.array([-0.4, 0.3, -1.0]), (0.62, 0.6, 0.56), True),
+    (np.array([0.7, -0.2, -0.6]), (0.16, 0.18, 0.2), False),
+  ):
+    spec.worldbody.add_light(
+      type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+      # Shadows are sharpest when the light stands over what casts them.
+      pos=-reach * direction,
+      dir=direction,
+      castshadow=shadow,
+      diffuse=diffuse,
+      specular=(0, 0, 0),
+    )
   spec.visual.headlight.ambient = (0.38, 0.38, 0.4)
   spec.visual.headlight.diffuse = (0.1, 0.1, 0.1)
   spec.visual.headlight.specular = (0, 0, 0)
@@ -112,16 +117,13 @@ def _stage(cfg: TerrainGridCfg, size: tuple[int, int]) -> tuple[mujoco.MjModel, 
   spec.visual.map.shadowclip = 1.0
   # No farther than needed: the depth of shadows shares the range.
   spec.visual.map.znear, spec.visual.map.zfar = 0.1, 10.0
-  spec.visual.global_.offwidth, spec.visual.global_.offheight = size
   spec.visual.global_.fovy = _FOVY
-  return spec.compile(), extent
 
 
-def _distance(extent: tuple[float, float], aspect: float, azimuth: float, elevation: float) -> float:
+def _distance(extent: NDArray[np.float64], aspect: float, azimuth: float, elevation: float) -> float:
   """Return the distance of a camera that sees all of the ground from the middle of it [m]."""
-  x, y = 0.5 * extent[0], 0.5 * extent[1]
-  across = abs(math.sin(azimuth)) * x + abs(math.cos(azimuth)) * y
-  along = abs(math.cos(azimuth)) * x + abs(math.sin(azimuth)) * y
+  cos, sin = abs(math.cos(azimuth)), abs(math.sin(azimuth))
+  across, along = 0.5 * np.array(((sin, cos), (cos, sin))) @ extent
   slope = math.tan(math.radians(0.5 * _FOVY))
   needed = max(across / aspect, along * abs(math.sin(elevation)) + 1.0) / slope
   return 1.12 * needed + 0.8 * along * math.cos(elevation)
@@ -139,16 +141,15 @@ def plot(cfg: TerrainGridCfg, size: tuple[int, int], *, names: bool = False) -> 
   x, y = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(cfg.tile_size, shape, strict=True))
   heights = np.zeros(grid * shape)
   colors = np.zeros((*heights.shape, 3))
-  coloring = coloring_of(cfg.color)
   for tile in tiles:
     row, column = tile.place * shape
     here = slice(row, row + shape[0]), slice(column, column + shape[1])
     heights[here] = surface(tile.solids, x, y)
-    colors[here] = coloring(tile.kind, heights[here])
+    colors[here] = color_of(cfg.color, tile.kind, heights[here])
   # Light from the upper left, as on a map.
   slope = np.gradient(heights, x[1] - x[0], y[1] - y[0])
   shade = np.clip(1.0 - 0.35 * (slope[0] + slope[1]) / np.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), 0.3, 1.3)
-  pixels = np.round(255.0 * np.clip(colors * shade[..., None], 0.0, 1.0)).astype(np.uint8)[::-1, ::-1]
+  pixels = as_pixels(colors * shade[..., None])[::-1, ::-1]
   return _with_names(pixels, list(cfg.types), tiles) if names else pixels
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjlab_terrain.assembly import gather
-from mjlab_terrain.colors import Coloring
+from mjlab_terrain.colors import GroundColor, as_pixels, color_of
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.tile import Tile
 
@@ -23,7 +23,7 @@ _SIDES = np.array(
 
 
 def triangles(
-  tiles: Sequence[Tile], coloring: Coloring
+  tiles: Sequence[Tile], color: GroundColor
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
   """Return vertices (n, 3) [m] in the world frame, triangles (m, 3), and colors of vertices (n, 3) in [0, 255]."""
   vertices, faces, colors = [], [], []
@@ -36,13 +36,12 @@ def triangles(
       near = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
       cells = np.stack((near, near + ny, near + ny + 1), -1), np.stack((near, near + ny + 1, near + 1), -1)
       faces.append(np.concatenate(cells) + count)
-      colors.append(coloring(kind, points[:, 2]))
+      colors.append(color_of(color, kind, points[:, 2]))
     else:
       # Vertices are not shared between sides, so that edges stay sharp.
       points = solid.corners[_SIDES].reshape(-1, 3)
       faces.append(np.arange(36).reshape(-1, 3) + count)
-      colors.append(coloring(kind, np.full(36, solid.center[2])))
+      colors.append(color_of(color, kind, np.full(36, solid.center[2])))
     vertices.append(points)
     count += len(points)
-  rgb = np.round(255.0 * np.clip(np.concatenate(colors), 0.0, 1.0)).astype(np.uint8)
-  return np.concatenate(vertices), np.concatenate(faces), rgb
+  return np.concatenate(vertices), np.concatenate(faces), as_pixels(np.concatenate(colors))
