@@ -12,7 +12,6 @@ import pytest
 import torch
 import warp as wp
 from mjlab_sim import Simulation
-from mjlab_sim.warp import kernel_loading
 from mjlab_sim.warp.kernel_loading import load_kernels
 from sim_world import scatter
 
@@ -68,7 +67,7 @@ def test_kernels_that_wait_for_solvers_are_compiled_first_and_then_those_with_mo
 ) -> None:
   counter = wp.zeros(1, dtype=wp.int32, device="cpu")
   order: list[wp.Module] = []
-  monkeypatch.setattr(kernel_loading, "_load", lambda module, block_dims, device: order.append(module))
+  monkeypatch.setattr(wp.Module, "load", lambda module, device, block_dim=None: order.append(module))
   monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0}, raising=False)
   kernels: tuple[Any, ...] = (_increment, _count_twice, _sum)
   short, long, tiled = (kernel.module for kernel in kernels)

@@ -5,9 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from mjlab_core import check_name
-from mjlab_core.model_fields import FOLLOWERS, PER_WORLD, ROUTE_FOLLOWERS, SOURCES
-
-__all__ = ["CONSTANTS", "KINEMATIC_STATE", "PER_WORLD", "SOURCES", "STATE", "closure", "owner_of", "put"]
+from mjlab_core.model_fields import FOLLOWERS, PER_WORLD, ROUTE_FOLLOWERS
 
 KINEMATIC_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat", "eq_active", "plastic")
 """State fields from which position- and velocity-derived quantities follow, constraints and passive forces included."""
@@ -48,10 +46,8 @@ def closure(names: list[str], model: mujoco.MjModel) -> list[str]:
 
 
 def _has_routes(model: mujoco.MjModel) -> bool:
-  kinds = (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)
-  return bool(np.isin(model.actuator_trntype, [int(kind) for kind in kinds]).any()) or bool(
-    (model.wrap_type != int(mujoco.mjtWrap.mjWRAP_JOINT)).any()
-  )
+  acts_at_sites = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK))
+  return bool(acts_at_sites.any() or (model.wrap_type != mujoco.mjtWrap.mjWRAP_JOINT).any())
 
 
 def owner_of(model: Any, name: str) -> tuple[Any, str]:

@@ -4,9 +4,10 @@ from collections.abc import Iterable
 
 import torch
 from mjlab_core import MjlabError, unknown
+from mjlab_core.model_fields import PER_WORLD
 
 from mjlab_sim.engine import Engine
-from mjlab_sim.fields import KINEMATIC_STATE, PER_WORLD, STATE
+from mjlab_sim.fields import KINEMATIC_STATE, STATE
 from mjlab_sim.tensors import TorchArray, plain, version_of, versions
 
 _DATA_FIELDS = (
@@ -31,6 +32,7 @@ class Freshness:
     self.num_sensed = 0
     """Casts of rays and drawings of images so far."""
     self._kinematic = [plain(engine.data_field(name)) for name in KINEMATIC_STATE]
+    self.num_envs = len(self._kinematic[0])
     self._state_version = versions(self._kinematic)
     self._model_changed = False
     self._model_version = 0
@@ -49,9 +51,8 @@ class Freshness:
 
   def check_mask(self, mask: torch.Tensor, what: str) -> None:
     """Raise MjlabError unless `mask` is bool, (num_envs,)."""
-    num_envs = len(self._kinematic[0])
-    if mask.shape != (num_envs,) or mask.dtype != torch.bool:
-      raise MjlabError(f"{what}: mask must be bool of shape ({num_envs},), got {mask.dtype} {tuple(mask.shape)}")
+    if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
+      raise MjlabError(f"{what}: mask must be bool of shape ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}")
 
   def refresh(self) -> None:
     """Recompute derived quantities if state or a model field was written since."""

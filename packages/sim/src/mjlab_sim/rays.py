@@ -149,10 +149,19 @@ def triangulate(model: mujoco.MjModel, geoms: Geoms) -> tuple[Mesh, Geoms]:
 
 
 def _surface(model: mujoco.MjModel, geom: int) -> Mesh:
-  kind, data = model.geom_type[geom], model.geom_dataid[geom]
+  kind = model.geom_type[geom]
   if kind == _Geom.mjGEOM_BOX:
     return _CORNERS * model.geom_size[geom], _FACES
-  return mesh_surface(model, data) if kind == _Geom.mjGEOM_MESH else hfield_surface(model, data)
+  return asset_surface(model, kind, model.geom_dataid[geom])
+
+
+def asset_surface(model: mujoco.MjModel, kind: int, number: int) -> Mesh:
+  """Surface of a mesh or a height field in the frame of its geoms."""
+  if kind == _Geom.mjGEOM_HFIELD:
+    return _hfield_surface(model, number)
+  first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
+  face, faces = model.mesh_faceadr[number], model.mesh_facenum[number]
+  return model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
 
 
 def heights_of(model: mujoco.MjModel, hfield: int) -> NDArray[np.float32]:
@@ -161,14 +170,7 @@ def heights_of(model: mujoco.MjModel, hfield: int) -> NDArray[np.float32]:
   return model.hfield_data[first : first + rows * columns].reshape(rows, columns)
 
 
-def mesh_surface(model: mujoco.MjModel, mesh: int) -> Mesh:
-  """Surface of a mesh in the frame of its geoms."""
-  first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-  face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-  return model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
-
-
-def hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
+def _hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
   """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it.
 
   It includes the box that the field stands on, whose top is seen from inside of the field.

@@ -87,11 +87,10 @@ class FixedGeometry:
 
     Written fields are read once, but not inside a recording: there they are not trusted.
     """
-    is_recording = self._recordings.recorder is not None
     fields = {name: self._fresh.engine.model_field(name) for name in self._compiled}
     version = versions(fields.values())
     if version != self._version:
-      if is_recording:
+      if self._recordings.recorder is not None:
         return False
       self._version = version
       before = self._is_in_place

@@ -1,8 +1,7 @@
 """Many worlds of one model, stepped together, as PyTorch tensors."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any
 
 import mujoco
@@ -60,7 +59,7 @@ class Simulation:
     self._fresh = Freshness(self._engine)
     self.data = DataView(self._fresh)
     self.model = ModelView(self._fresh)
-    self._fields = WorldFields(self._fresh, self.mj_model, num_envs, self.device)
+    self._fields = WorldFields(self._fresh, self.mj_model)
     self._recordings = Recordings(self._fresh, self._prepare)
     self._fixed_geometry: FixedGeometry | None = None
     self._keeps_contacts = False
@@ -195,7 +194,7 @@ class Simulation:
 
   def keep_buffer_sizes(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
     """Give buffers at least the sizes that they had in a `state_dict`, also of another number of worlds."""
-    self._make_room({name: int(size) for name, size in state.get("buffers", {}).items()})
+    self._make_room(**{name: int(size) for name, size in state.get("buffers", {}).items()})
 
   # Contacts, rays, images, overflow
 
@@ -305,7 +304,7 @@ class Simulation:
     """Room for contacts (`nconmax`) and constraint rows (`njmax`) of each world now; empty on the native engine."""
     return self._engine.buffer_sizes
 
-  def _make_room(self, at_least: Mapping[str, int] = MappingProxyType({})) -> None:
+  def _make_room(self, **at_least: int) -> None:
     if self._engine.make_room(at_least):
       self._recordings.invalidate()
       # Contacts and constraints of the present state are computed again, in the new memory.

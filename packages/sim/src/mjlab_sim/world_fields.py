@@ -4,9 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import mujoco
 import torch
+from mjlab_core.model_fields import PER_WORLD, SOURCES
 from mjlab_core.state import refuse_state
 
-from mjlab_sim.fields import PER_WORLD, SOURCES, closure, owner_of
+from mjlab_sim.fields import closure, owner_of
 from mjlab_sim.freshness import Freshness, ModelView
 from mjlab_sim.tensors import plain
 
@@ -19,13 +20,10 @@ class WorldFields:
   Args:
     fresh: The worlds.
     model: The compiled model.
-    num_envs: Number of worlds.
-    device: Their device.
   """
 
-  def __init__(self, fresh: Freshness, model: mujoco.MjModel, num_envs: int, device: torch.device) -> None:
+  def __init__(self, fresh: Freshness, model: mujoco.MjModel) -> None:
     self._fresh, self._mj_model = fresh, model
-    self._num_envs, self._device = num_envs, device
     self._view = ModelView(fresh)
     self.expanded: dict[str, None] = {}
     """Fields with one value per world, in the order in which they were expanded."""
@@ -51,16 +49,13 @@ class WorldFields:
     if name in self._defaults:
       return self._defaults[name]
     view = self._view[name]
-    value = torch.as_tensor(getattr(*owner_of(self._mj_model, name)), dtype=view.dtype, device=self._device)
+    value = torch.as_tensor(getattr(*owner_of(self._mj_model, name)), dtype=view.dtype, device=view.device)
     return value.reshape(1, *view.shape[1:]).clone()
 
   def rebase_default(self, name: str) -> None:
     """Make the present values of an expanded field the default of each world."""
     now = self._view[name].detach()
-    if name in self._defaults:
-      self._defaults[name].copy_(now)
-    else:
-      self._defaults[name] = now.clone()
+    self._defaults.setdefault(name, torch.empty_like(now)).copy_(now)
 
   def state_dict(self) -> State:
     """Return all that the next step depends on, as fresh tensors.
@@ -100,7 +95,7 @@ class WorldFields:
     if differing := sorted(saved.keys() ^ here.keys()):
       yield f"saved {kind} fields are not those here; they differ by {', '.join(differing)}"
     for name, value in saved.items():
-      shape = (1 if kind == "shared" else self._num_envs, *here[name].shape[1:])
+      shape = (1 if kind == "shared" else self._fresh.num_envs, *here[name].shape[1:])
       if shape != value.shape:
         yield f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}"
 

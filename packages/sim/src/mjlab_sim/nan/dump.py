@@ -4,9 +4,9 @@ import contextlib
 import copy
 import itertools
 import json
+import math
 import os
 import zipfile
-from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -56,13 +56,12 @@ class DivergedWorld:
     fields = dump.split(dump.contents["states"][row])
     time = fields["time"].reshape(-1, decimation)[:, 0]
     # What is from before the run began has no state at all; what is from before a reset has a later time.
-    begins = [0, *(k for k in range(1, len(time)) if time[k] <= time[k - 1])]
-    first = max(begins[-1], len(time) - self.env_step) * decimation
+    begins = np.flatnonzero(np.diff(time) <= 0) + 1
+    first = max(begins.max(initial=0), len(time) - self.env_step) * decimation
     self.states = {name: values[first:] for name, values in fields.items()}
     """Fields of MjData before each physics step, (steps, ...)."""
     last = dump.contents["last"][row]
-    nv = dump.model.nv
-    self.result = {**{k: v[0] for k, v in dump.split(last[None, : len(last) - nv]).items()}, "qacc": last[-nv:]}
+    self.result = dump.split(last) | {"qacc": last[-dump.model.nv :]}
     """Fields of MjData after the last physics step."""
     self.model_fields = {
       name.removeprefix("model/"): values[row] for name, values in dump.contents.items() if name.startswith("model/")
@@ -120,7 +119,10 @@ class DivergedWorld:
         # Events may write the state between environment steps; within one it is MuJoCo C's own.
         if name not in _INTEGRATED or (begins and np.isfinite(values[step]).all()):
           put(data, name, values[step])
-      with _quiet():
+      with contextlib.ExitStack() as stack:
+        # MuJoCo reports by print and by a file in the working folder that a world diverged, which is known here.
+        stack.callback(mujoco.set_mju_user_warning, mujoco.get_mju_user_warning())
+        mujoco.set_mju_user_warning(lambda _: None)
         mujoco.mj_step(model, data)
       finite = bool(np.isfinite(np.concatenate((data.qpos, data.qvel, data.qacc))).all())
       after = self.states["qpos"][step + 1] if step + 1 < self.num_steps else self.result["qpos"]
@@ -144,7 +146,6 @@ class NanDump:
     about = json.loads(str(contents["about"]))
     self.engine: str = about["engine"]
     """Engine that diverged."""
-    self.mujoco_version: str = about["mujoco"]
     self.decimation: int = about["decimation"]
     """Physics steps per environment step."""
     self._layout: dict[str, tuple[int, ...]] = {name: tuple(shape) for name, shape in about["layout"].items()}
@@ -188,12 +189,12 @@ class NanDump:
     return model
 
   def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Packed states, (n, width), as fields, (n, ...)."""
+    """Return packed states, (..., width), as fields; numbers behind them are left out."""
     fields, start = {}, 0
     for name, shape in self._layout.items():
-      width = int(np.prod(shape))
-      fields[name] = rows[:, start : start + width].reshape(len(rows), *shape)
-      start += width
+      end = start + math.prod(shape)
+      fields[name] = rows[..., start:end].reshape((*rows.shape[:-1], *shape))
+      start = end
     return fields
 
 
@@ -206,17 +207,6 @@ def write_dump(folder: Path, contents: dict[str, np.ndarray]) -> Path:
   with AtomicWrite(path) as temporary:
     np.savez_compressed(temporary, allow_pickle=False, **contents)
   return path
-
-
-@contextlib.contextmanager
-def _quiet() -> Generator[None, None, None]:
-  """MuJoCo says by print and by a file in the working folder that a world diverged, which is known here."""
-  before = mujoco.get_mju_user_warning()
-  mujoco.set_mju_user_warning(lambda _: None)
-  try:
-    yield
-  finally:
-    mujoco.set_mju_user_warning(before)
 
 
 def _element(model: mujoco.MjModel, field: str, index: int) -> str:

@@ -127,8 +127,7 @@ class NanGuard:
     if not total or self._num_reports == self._cfg.max_dumps:
       return []
     self._num_reports += 1
-    rows = range(min(total, len(self._kept) - 1))
-    contents = self._contents(rows)
+    contents = self._contents(min(total, len(self._kept) - 1))
     worlds = NanDump(contents).worlds
     lines = [f"world {world.index} diverged: {world.describe_first()}" for world in worlds]
     if more := num_worlds - len({world.index for world in worlds}):
@@ -149,7 +148,7 @@ class NanGuard:
   def _pack(self, out: torch.Tensor | None = None) -> torch.Tensor:
     return torch.cat([field.to(self._step.dtype) for field in self._fields], dim=1, out=out)
 
-  def _contents(self, rows: range) -> dict[str, np.ndarray]:
+  def _contents(self, count: int) -> dict[str, np.ndarray]:
     model = np.empty(mujoco.mj_sizeModel(self._sim.mj_model), dtype=np.uint8)
     mujoco.mj_saveModel(self._sim.mj_model, None, model)
     about = {
@@ -159,12 +158,11 @@ class NanGuard:
       "decimation": len(self._step),
       "layout": self._layout,
     }
-    kept = slice(0, len(rows))
     return {
       "about": np.array(json.dumps(about)),
       "mjb": model,
-      "worlds": self._tags[kept].cpu().numpy(),
-      "states": self._kept[kept].cpu().numpy(),
-      "last": self._last[kept].cpu().numpy(),
-      **{f"model/{name}": field[kept].cpu().numpy() for name, field in self._model.items()},
+      "worlds": self._tags[:count].cpu().numpy(),
+      "states": self._kept[:count].cpu().numpy(),
+      "last": self._last[:count].cpu().numpy(),
+      **{f"model/{name}": field[:count].cpu().numpy() for name, field in self._model.items()},
     }

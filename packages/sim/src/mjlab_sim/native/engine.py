@@ -179,8 +179,6 @@ class NativeEngine:
   def recompute_constants(self, mask: torch.Tensor | None) -> None:
     self._take_model_writes()
     worlds = None if mask is None else mask.numpy()
-    if worlds is not None and not worlds.any():
-      return
     try:
       self._batch.set_const(worlds)
     except batch.SimulationError as error:

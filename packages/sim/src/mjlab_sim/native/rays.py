@@ -31,9 +31,8 @@ class NativeRayCaster:
   ) -> None:
     self._worlds, self._ground = worlds, ground
     self._max_distance = max_distance
-    self._bodyexclude, self._owner, self._exclude = targets.bodyexclude, targets.owner, targets.exclude
+    self._targets = targets
     self._groups = None if targets.geomgroup is None else np.array(targets.geomgroup, dtype=np.uint8)
-    self._others_move = len(targets.others) > 0
     shape = (worlds.nsim, len(targets.bodyexclude))
     self.origins = torch.zeros((*shape, 3), dtype=torch.float64)
     self.directions = torch.zeros((*shape, 3), dtype=torch.float64)
@@ -49,7 +48,7 @@ class NativeRayCaster:
       distance, geomid, normal = self._against_all(*rays, flg_static=True)
     else:
       distance, geomid, normal = self._ground.ray(*rays, normal=True)
-      if self._others_move:
+      if len(self._targets.others):
         moving, _, moving_normal = self._against_all(*rays, flg_static=False)
         nearer = (moving >= 0.0) & ((moving < distance) | (distance < 0.0))
         distance = np.where(nearer, moving, distance)
@@ -66,7 +65,7 @@ class NativeRayCaster:
     self, origins: NDArray[np.float64], directions: NDArray[np.float64], *, flg_static: bool
   ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
     distance, geomid, normal = self._worlds.ray(
-      origins, directions, self._groups, flg_static, self._bodyexclude, normal=True
+      origins, directions, self._groups, flg_static, self._targets.bodyexclude, normal=True
     )
     # MuJoCo's rays pass through one body. To pass through more, those that hit them go on behind what they hit.
     own = self._hits_own(geomid)
@@ -78,7 +77,7 @@ class NativeRayCaster:
         directions[worlds],
         self._groups,
         flg_static,
-        self._bodyexclude,
+        self._targets.bodyexclude,
         ids=worlds,
         normal=True,
       )
@@ -90,7 +89,7 @@ class NativeRayCaster:
     return distance, geomid, normal
 
   def _hits_own(self, geomid: NDArray[np.int32]) -> NDArray[np.bool_]:
-    return (geomid >= 0) & (self._owner[geomid] == self._exclude)
+    return (geomid >= 0) & (self._targets.owner[geomid] == self._targets.exclude)
 
 
 def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel | None:

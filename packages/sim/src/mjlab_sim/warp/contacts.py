@@ -23,19 +23,18 @@ class WarpContacts:
     self._m, self._d = m, d
     self._count: Any = wp.zeros_like(d.nacon)
     self._has_stepped: Any = wp.zeros(d.nworld, dtype=bool, device=d.nacon.device)
-    self._kept: dict[str, torch.Tensor] = {}
+    self._arrays: dict[str, Any] = {}
     self.resize()
 
   def resize(self) -> None:
     """Follow the sizes of the data, which have grown; kept contacts stay."""
-    before, d = self._kept, self._d
+    before, d = self._arrays, self._d
     with wp.ScopedDevice(d.nacon.device):
       self._ids: Any = wp.array(np.arange(d.naconmax), dtype=wp.int32)
-      self._arrays: dict[str, Any] = {name: wp.zeros_like(getattr(d.contact, name)) for name in self._NAMES}
+      self._arrays = {name: wp.zeros_like(getattr(d.contact, name)) for name in self._NAMES}
       self._arrays["wrench"] = wp.zeros(d.naconmax, dtype=wp.spatial_vector)
-    self._kept = {name: wp.to_torch(array) for name, array in self._arrays.items()}
-    for name, rows in before.items():
-      self._kept[name][: len(rows)] = rows
+    for name, array in before.items():
+      wp.copy(self._arrays[name], array)
 
   def record(self) -> None:
     """Keep the contacts whose forces have just been solved for."""
@@ -51,9 +50,9 @@ class WarpContacts:
 
   def of(self, world: int) -> Contacts[torch.Tensor]:
     """Return the contacts of a world. Reads the device."""
-    kept = self._kept
+    kept = {name: wp.to_torch(array) for name, array in self._arrays.items()}
     found = (kept["worldid"] == world) & (kept["efc_address"][:, 0] >= 0)
-    found[int(self._count.numpy()[0]) :] = False
+    found[int(wp.to_torch(self._count)[0]) :] = False
     rows = (found & wp.to_torch(self._has_stepped)[world]).nonzero().squeeze(1)
     geom, dist, pos, frame, wrench = (kept[name][rows] for name in ("geom", "dist", "pos", "frame", "wrench"))
     found = torch.ones_like(rows, dtype=torch.bool)

@@ -38,6 +38,10 @@ _ACCELERATION_STAGE = """actuator_force qfrc_actuator qfrc_smooth qfrc_constrain
 cfrc_ext""".split()
 
 
+def _tensor(array: wp.array) -> TorchArray:
+  return TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
+
+
 class WarpEngine:
   """MuJoCo Warp behind the engine protocol."""
 
@@ -81,7 +85,7 @@ class WarpEngine:
     stage = Stage(model, num_envs, self._m, self._d, self._wp_device, self._run)
     self._rays, self._renderers = RayScene(stage), Renderers(stage)
     self._load_kernels()
-    self._run("forward", self._forward)
+    self.forward(model_changed=False)
 
   def _put(self, model: mujoco.MjModel, cfg: SimulationCfg) -> None:
     """Make MuJoCo Warp's model and data, with the options and buffer sizes of `cfg`."""
@@ -126,13 +130,12 @@ class WarpEngine:
       array = getattr(self._d, name, None)
       if not isinstance(array, wp.array) or array.shape[0] != self._num_envs:
         raise KeyError(name)
-      self._data_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
+      self._data_views[name] = _tensor(array)
     return self._data_views[name]
 
   def model_field(self, name: str) -> TorchArray:
     if name not in self._model_views:
-      array = getattr(*owner_of(self._m, name))
-      self._model_views[name] = TorchArray.over(lambda: wp.to_torch(array, requires_grad=False))
+      self._model_views[name] = _tensor(getattr(*owner_of(self._m, name)))
     return self._model_views[name]
 
   def expand(self, name: str) -> None:
@@ -143,7 +146,7 @@ class WarpEngine:
       return
     with wp.ScopedDevice(self._wp_device):
       rows = wp.zeros((self._num_envs, *shared.shape[1:]), dtype=shared.dtype)
-    view = TorchArray.over(lambda: wp.to_torch(rows, requires_grad=False))
+    view = _tensor(rows)
     view.copy_(self.model_field(name))
     setattr(owner, attribute, rows)
     self._model_views[name] = view
@@ -156,10 +159,8 @@ class WarpEngine:
 
   def forward(self, model_changed: bool) -> None:
     # Every world is recomputed; one that nothing wrote to gets the values it had.
-    if model_changed and self._has_moved():
-      self._run("forward with places", self._forward_with_places)
-    else:
-      self._run("forward", self._forward)
+    places = model_changed and self._has_moved()
+    self._run(f"forward {places}", lambda: self._forward(places))
 
   def reset(self, mask: torch.Tensor) -> None:
     self._mask_torch.copy_(mask)
@@ -210,7 +211,9 @@ class WarpEngine:
       self._contacts.record()
     self._forward()
 
-  def _forward(self) -> None:
+  def _forward(self, places: bool = False) -> None:
+    if places:
+      self._place()
     # step1 clears all of sensordata and fills in only what follows from positions and velocities. The rest belongs
     # to the substep just done: it is put aside and written back.
     if self._has_acceleration_sensors:
@@ -223,7 +226,6 @@ class WarpEngine:
         dim=self._saved_sensors.shape,
         inputs=[self._saved_sensors, self._is_acceleration],
         outputs=[self._d.sensordata],
-        device=self._wp_device,
       )
 
   def _ours(self) -> AbstractContextManager[None]:
@@ -239,9 +241,9 @@ class WarpEngine:
     for name in _ACCELERATION_STAGE:
       array = getattr(self._d, name)
       if array.size:
-        shape, device = (self._num_envs, array.strides[0] // 4), self._wp_device
-        flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, device=device, copy=False)
-        wp.launch(kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat], device=device)
+        shape = self._num_envs, array.strides[0] // 4
+        flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, copy=False)
+        wp.launch(kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat])
 
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
@@ -252,10 +254,6 @@ class WarpEngine:
     mjw.set_const(self._m, self._d, groups=bits, restore=False)
     if is_ours:
       self._inverse_weights.compute(self._mask)
-
-  def _forward_with_places(self) -> None:
-    self._place()
-    self._forward()
 
   def _place(self) -> None:
     """Put every geom where its body is; MuJoCo Warp leaves those of bodies that never move where they were compiled."""

@@ -129,4 +129,4 @@ class FusedNewton:
     )
     for kernel, blocks in zip(self.kernels, (d.nworld, self._blocks), strict=False):
       dim, inputs = (blocks, self._threads), [problem, d.nworld, blocks]
-      wp.launch(kernel, dim=dim, inputs=inputs, device=d.qacc.device, block_dim=self._threads)
+      wp.launch(kernel, dim=dim, inputs=inputs, block_dim=self._threads)

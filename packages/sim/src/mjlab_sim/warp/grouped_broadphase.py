@@ -48,7 +48,6 @@ class GroupedBroadphase:
   """
 
   def __init__(self, model: mujoco.MjModel, m: mjw.Model, d: mjw.Data, *, members: int = 16) -> None:
-    self._device: Any = d.qpos.device
     geoms, pairid = m.nxn_geom_pair_filtered.numpy(), m.nxn_pairid_filtered.numpy()
     stays = model.body_dofnum[model.body_weldid[model.geom_bodyid]] == 0
     fixed = np.where(stays[geoms[:, 0]], geoms[:, 0], geoms[:, 1])
@@ -69,7 +68,7 @@ class GroupedBroadphase:
     rows = np.stack([keys[:, 1], keys[:, 2], np.cumsum(count) - count, count], 1)
     self.saved = len(geoms) - len(rows)
     """Threads per world that are fewer than pairs."""
-    with wp.ScopedDevice(self._device):
+    with wp.ScopedDevice(d.qpos.device):
       self._pairs = filled(
         kernels.Pairs,
         m,
@@ -93,11 +92,9 @@ class GroupedBroadphase:
       awake_before: Not used, since no body sleeps.
     """
     geoms = filled(kernels.Geoms, m, d)
-    self._launch(kernels.bound_groups, self._pairs.center.shape, geoms, self._pairs)
+    wp.launch(kernels.bound_groups, dim=self._pairs.center.shape, inputs=[geoms, self._pairs])
     varying = (m.geom_aabb, m.geom_rbound, m.geom_margin, m.geom_gap, m.pair_margin, m.pair_gap)
     kernel = kernels.make_find_pairs(int(m.opt.broadphase_filter), *(array.shape[0] for array in varying))
     lists = d.ncollision, found.collision_pair, found.collision_pairid, found.collision_worldid
-    self._launch(kernel, (d.nworld, self._pairs.row.shape[0]), geoms, self._pairs, d.naconmax, *lists)
-
-  def _launch(self, kernel: Any, threads: tuple[int, ...], *inputs: Any) -> None:
-    wp.launch(kernel, dim=threads, inputs=inputs, device=self._device)
+    dim = d.nworld, self._pairs.row.shape[0]
+    wp.launch(kernel, dim=dim, inputs=[geoms, self._pairs, d.naconmax, *lists])

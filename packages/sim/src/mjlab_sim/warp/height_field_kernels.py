@@ -87,11 +87,8 @@ def _prism(s: Scene, field: int, row: int, place: int, margin: float):
   prism = _mat63()
   for i in range(3):
     corner = _corner(s, field, row, place - 2 + i)
-    for j in range(2):
-      prism[i, j] = corner[j]
-      prism[i + 3, j] = corner[j]
-    prism[i, 2] = -s.hfield_size[field][3]
-    prism[i + 3, 2] = corner[2] + margin
+    prism[i] = wp.vec3(corner[0], corner[1], -s.hfield_size[field][3])
+    prism[i + 3] = wp.vec3(corner[0], corner[1], corner[2] + margin)
   return prism
 
 
@@ -144,10 +141,8 @@ def margin_gap(s: Scene, geoms: wp.vec2i, pair: int, world: int):
 @wp.func
 def _is_clear(prism: _mat63, geom: Any, kind: int, clear: float):
   """Return True if a geom is above the plane of a prism's top, by more than `clear`."""
-  a = wp.vec3(prism[3, 0], prism[3, 1], prism[3, 2])
-  b = wp.vec3(prism[4, 0], prism[4, 1], prism[4, 2])
-  c = wp.vec3(prism[5, 0], prism[5, 1], prism[5, 2])
-  normal = wp.normalize(wp.cross(b - a, c - a))
+  a = prism[3]
+  normal = wp.normalize(wp.cross(prism[4] - a, prism[5] - a))
   if normal[2] < 0.0:
     normal = -normal
   lowest = internals.support(geom, kind, -normal)

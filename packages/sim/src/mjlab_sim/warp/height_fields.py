@@ -26,13 +26,12 @@ _EPA_FACES, _EPA_HORIZON = 5, 24
 
 def height_field_collisions(m: mjw.Model, d: mjw.Data) -> "HeightFields | None":
   """Return the collisions of a model with its height fields; None if it has none, or MuJoCo Warp is another one."""
-  kinds = [kind for kind in _KINDS if internals.IS_TESTED and _pairs(m, kind)]
+  if not internals.IS_TESTED:
+    return None
+  counts = m.geom_pair_type_count
+  index = {kind: internals.upper_trid_index(len(mjw.GeomType), int(kernels.HFIELD), int(kind)) for kind in _KINDS}
+  kinds = [kind for kind in _KINDS if counts[index[kind]]]
   return HeightFields(m, d, kinds) if kinds else None
-
-
-def _pairs(m: mjw.Model, kind: int) -> int:
-  index = internals.upper_trid_index(len(mjw.GeomType), int(kernels.HFIELD), int(kind))
-  return int(m.geom_pair_type_count[index])
 
 
 class HeightFields:
@@ -74,19 +73,14 @@ class HeightFields:
       pairs: Pairs of geoms that may touch.
       types: Types of geoms whose pairs are to be collided.
     """
-    self._collide(m, d, pairs)
-    internals.convex_narrowphase(m, d, pairs, [pair for pair in types if kernels.HFIELD not in pair])
-
-  def _collide(self, m: mjw.Model, d: mjw.Data, pairs: Any) -> None:
     if d.naconmax != self._naconmax:
       self._build(d)
     own = {name: getattr(pairs, name) for name in ("collision_pair", "collision_pairid", "collision_worldid")}
     scene = filled(kernels.Scene, m, d, **own)
     self._prisms.count.zero_()
-    self._launch(kernels.find_prisms, d.naconmax, scene, self._prisms, d.overflow)
+    given = scene, self._prisms
+    wp.launch(kernels.find_prisms, dim=d.naconmax, inputs=[*given, d.overflow])
     for kernel in self._kernels:
-      self._launch(kernel, self._threads, scene, self._prisms, self._memory, self._threads, d.overflow)
-    self._launch(choose_contacts, d.naconmax, scene, self._prisms, filled(Written, m, d), d.overflow)
-
-  def _launch(self, kernel: Any, threads: int, *inputs: Any) -> None:
-    wp.launch(kernel, dim=threads, inputs=inputs, device=self._device)
+      wp.launch(kernel, dim=self._threads, inputs=[*given, self._memory, self._threads, d.overflow])
+    wp.launch(choose_contacts, dim=d.naconmax, inputs=[*given, filled(Written, m, d), d.overflow])
+    internals.convex_narrowphase(m, d, pairs, [pair for pair in types if kernels.HFIELD not in pair])

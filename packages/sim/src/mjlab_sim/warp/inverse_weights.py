@@ -58,7 +58,9 @@ class InverseWeights:
     m, d = self._m, self._d
     mjw.crb(m, d)
     internals.tendon_armature(m, d)
-    self._transmit()
+    # Moments of the actuators at qpos0, without the contacts that adhesion averages over, as in MuJoCo.
+    wp.launch(kernels.rest, dim=d.qpos.shape, inputs=[m.qpos0], outputs=[self._qpos0])
+    mjw.transmission(m, dataclasses.replace(d, qpos=self._qpos0, nacon=self._no_contacts))
     worlds = filled(kernels.Worlds, m, d, mask=mask, **self._own)
     wp.launch_tiled(kernels.invert_inertia, dim=d.nworld, inputs=[worlds], block_dim=_BLOCK)
     for kernel, field in (
@@ -68,9 +70,3 @@ class InverseWeights:
       (kernels.accelerate, m.actuator_acc0),
     ):
       wp.launch(kernel, dim=field.shape, inputs=[worlds])
-
-  def _transmit(self) -> None:
-    """Moments of the actuators at qpos0, without the contacts that adhesion averages over, as in MuJoCo."""
-    m, d = self._m, self._d
-    wp.launch(kernels.rest, dim=d.qpos.shape, inputs=[m.qpos0], outputs=[self._qpos0])
-    mjw.transmission(m, dataclasses.replace(d, qpos=self._qpos0, nacon=self._no_contacts))

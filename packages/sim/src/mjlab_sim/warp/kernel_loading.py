@@ -45,12 +45,16 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
   ):
     # What ends last is to begin first.
     modules = sorted(variants, key=_work, reverse=True)
+
+    def load(module: Any) -> None:
+      # A module notes the block size that it loads for, so that two of one module take turns.
+      for block_dim in variants[module]:
+        module.load(device, block_dim)
+
     if modules and not device.is_cuda:
       # With the shortest, a CPU's compiler makes the headers that all others take.
-      _load(modules[-1], list(variants[modules[-1]]), device)
-    made = [pool.submit(_load, module, list(variants[module]), device) for module in modules]
-    for future in made:
-      future.result()
+      load(modules[-1])
+    list(pool.map(load, modules))
 
 
 def _digest(variants: _Variants, device: Any) -> str:
@@ -88,12 +92,6 @@ def _work(module: Any) -> tuple[bool, int]:
   """Grows with the time that a module takes: modules with tiles wait for solvers, in others code counts."""
   sources = [kernel.adj.source for kernel in module.kernels.values()]
   return any("tile_" in source for source in sources), sum(map(len, sources))
-
-
-def _load(module: Any, block_dims: list[int | None], device: Any) -> None:
-  # A module notes the block size that it loads for, so that two of one module take turns.
-  for block_dim in block_dims:
-    module.load(device, block_dim)
 
 
 @contextmanager

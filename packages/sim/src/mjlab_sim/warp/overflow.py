@@ -62,7 +62,6 @@ class Overflow:
       dim=d.nworld,
       inputs=[d.overflow, d.nefc, d.nacon, d.ncollision],
       outputs=[self._seen, self._most],
-      device=d.qpos.device,
     )
 
   @property

@@ -1,7 +1,6 @@
 """Rays on a GPU: a tree of triangles for what never moves, and all other geoms one by one."""
 
 import itertools
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -11,7 +10,7 @@ import warp as wp
 from mjlab_core import MjlabError
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import Geoms, Mesh, RayHits, RayTargets, hfield_surface, mesh_surface, triangulate
+from mjlab_sim.rays import Geoms, RayHits, RayTargets, asset_surface, triangulate
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.launching import Stage
@@ -45,7 +44,7 @@ class RayScene:
       self._fixed[key] = _tree(*surface), wp.array(owners, dtype=wp.int32)
     return self._fixed[key]
 
-  def surfaces(self, kind: int, count: int, surface_of: Callable[[mujoco.MjModel, int], Mesh], geoms: Geoms) -> Any:
+  def surfaces(self, kind: int, count: int, geoms: Geoms) -> Any:
     """Return handles of all meshes or height fields, each a tree in its geoms' own frame, (count,).
 
     They are for geoms that move, or that were moved. A geom may have another mesh in some worlds, so rays that see one
@@ -54,7 +53,7 @@ class RayScene:
     if not (self.stage.model.geom_type[geoms] == kind).any():
       return wp.zeros(count, dtype=wp.uint64)
     if kind not in self._surfaces:
-      trees = [_tree(*surface_of(self.stage.model, number)) for number in range(count)]
+      trees = [_tree(*asset_surface(self.stage.model, kind, number)) for number in range(count)]
       self._surfaces[kind] = trees, wp.array([tree.id for tree in trees], dtype=wp.uint64)
     return self._surfaces[kind][1]
 
@@ -92,8 +91,8 @@ class WarpRayCaster:
       self._bodyexclude: Any = wp.array(targets.bodyexclude, dtype=wp.int32)
       self._rays: dict[str, Any] = {
         "triangle_geom": triangle_geom,
-        "mesh_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, mesh_surface, every),
-        "hfield_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, hfield_surface, every),
+        "mesh_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, every),
+        "hfield_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, every),
         "owner": wp.array(targets.owner, dtype=wp.int32),
         "exclude": wp.array(targets.exclude, dtype=wp.int32),
         # Python's infinity would make Warp's comparisons with a miss ambiguous.
@@ -125,4 +124,4 @@ class WarpRayCaster:
   def _search(self, fixed: wp.Mesh | None, others: Any) -> None:
     mesh = wp.uint64(0 if fixed is None else fixed.id)
     rays = filled(kernels.Rays, self._stage.m, self._stage.d, mesh=mesh, others=others, **self._rays)
-    wp.launch(kernels.cast_rays, dim=rays.origins.shape, inputs=[rays], device=self._stage.device)
+    wp.launch(kernels.cast_rays, dim=rays.origins.shape, inputs=[rays])

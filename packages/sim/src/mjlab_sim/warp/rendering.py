@@ -79,17 +79,15 @@ class _Scene:
   def _build(self) -> None:
     views = self._views
     groups, textures, shadows = views[0].look
-    wants = {kind: [kind in view.data_types for view in views] for kind in ("rgb", "segmentation")}
-    wants["depth"] = ["depth" in view.data_types or "distance" in view.data_types for view in views]
     with wp.ScopedDevice(self._stage.device):
       whole = mjw.create_render_context(
         self._stage.model,
         nworld=self._stage.num_envs,
         cam_res=[(view.width, view.height) for view in views],
         cam_active=[view.camera for view in views],
-        render_rgb=wants["rgb"],
-        render_depth=wants["depth"],
-        render_seg=wants["segmentation"],
+        render_rgb=["rgb" in view.data_types for view in views],
+        render_depth=["depth" in view.data_types or "distance" in view.data_types for view in views],
+        render_seg=["segmentation" in view.data_types for view in views],
         use_textures=textures,
         use_shadows=shadows,
         enabled_geom_groups=[group for group in range(mujoco.mjNGROUP) if groups is None or groups[group]],
@@ -133,7 +131,6 @@ class WarpRenderer:
       "cam_xpos": torch.tensor([0.0, 0.0, -1e9], device=self._is_due_torch.device),
       "cam_xmat": torch.eye(3, device=self._is_due_torch.device),
     }
-
     size = view.height, view.width
     tensors = {kind: wp.to_torch(array).unflatten(2, size) for kind, array in self._arrays.items() if array.size}
     self.images = Images(**tensors)
@@ -150,10 +147,10 @@ class WarpRenderer:
       self._stage.run(name, lambda: self._draw(context, self._stage.d))
     else:
       self._is_due_torch.copy_(mask)
-      for name, aimed in self._aimed.items():
-        pose = wp.to_torch(getattr(self._stage.d, name))
+      for field, aimed in self._aimed.items():
+        pose = wp.to_torch(getattr(self._stage.d, field))
         due = mask.view(-1, *[1] * (pose.ndim - 1))
-        wp.to_torch(aimed).copy_(torch.where(due, pose, self._away[name]))
+        wp.to_torch(aimed).copy_(torch.where(due, pose, self._away[field]))
       self._stage.run(f"{name} in part", lambda: self._draw(context, dataclasses.replace(self._stage.d, **self._aimed)))
 
   def _draw(self, context: Any, d: Any) -> None:
@@ -163,4 +160,4 @@ class WarpRenderer:
     own = {name: getattr(context, name) for name in names} | self._arrays
     own |= {"is_due": self._is_due, "camera": view.camera, "width": view.width, "height": view.height}
     pictures, size = filled(kernels.Pictures, m, d, **own), (self._stage.num_envs, view.width * view.height)
-    wp.launch(kernels.unpack_images, dim=size, inputs=[pictures], device=self._stage.device)
+    wp.launch(kernels.unpack_images, dim=size, inputs=[pictures])
