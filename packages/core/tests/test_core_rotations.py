@@ -62,7 +62,6 @@ def test_the_product_is_associative_with_identity_and_inverses(shape: tuple[int,
   close(core.quat_mul(a, one), a, dtype)
   close(core.quat_mul(one, a), a, dtype)
   close(core.quat_mul(a, core.quat_conjugate(a)), one.expand(a.shape), dtype)
-  close(core.quat_mul(2.0 * a, core.quat_inverse(2.0 * a)), one.expand(a.shape), dtype)
 
 
 def test_applying_a_product_applies_both_and_the_inverse_undoes(shape: tuple[int, ...], dtype: torch.dtype) -> None:
@@ -167,15 +166,14 @@ def test_yaw_is_the_heading_of_the_x_axis(dtype: torch.dtype) -> None:
   close(core.quat_yaw(a)[:, 1:3], torch.zeros(100, 2), dtype)
 
 
-def test_box_minus_is_in_the_parent_frame_and_integration_in_the_body_frame(dtype: torch.dtype) -> None:
+def test_box_minus_is_in_the_parent_frame(dtype: torch.dtype) -> None:
   a, b, _ = draw((20,), dtype)
   w = vectors((20,), dtype)
   world = core.quat_box_minus(a, b)
   body = core.quat_apply_inverse(b, world)
-  same_rotation(core.quat_integrate(b, body, 1.0), a, dtype, 5)
-  same_rotation(core.quat_integrate(b, w, torch.full((20,), 0.3, dtype=dtype)), core.quat_integrate(b, w, 0.3), dtype)
-  oracle = scipy(b) * Rotation.from_rotvec(0.3 * w.double().numpy())
-  same_rotation(core.quat_integrate(b, w, 0.3), from_scipy(oracle, dtype), dtype, 3)
+  same_rotation(core.quat_mul(b, core.quat_from_rotvec(body)), a, dtype, 5)
+  oracle = Rotation.from_rotvec(0.3 * w.double().numpy()) * scipy(b)
+  same_rotation(core.quat_box_plus(b, 0.3 * w), from_scipy(oracle, dtype), dtype, 3)
 
 
 def test_wrapping_keeps_small_angles_bit_identical_and_ends_in_range(dtype: torch.dtype) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from mjlab_core.errors import ConfigError
+from mjlab_core.errors import ConfigError, MjlabError
 from mjlab_managers import (
   EventManager,
   EventTermCfg,
@@ -89,7 +89,7 @@ class TestSelection:
     cfg = SceneEntityCfg("robot", joint_names=".*_knee")
     cfg.resolve(env.scene, env.device)
     assert cfg == KNEES
-    with pytest.raises(RuntimeError, match="not resolved"):
+    with pytest.raises(MjlabError, match="not resolved"):
       cfg.joint_ids  # noqa: B018
 
 

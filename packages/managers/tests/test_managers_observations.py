@@ -223,9 +223,9 @@ class TestTime:
   def test_between_steps_nothing_advances(self, env):
     manager = one(env, history_length=3, delay_min_lag=1, delay_max_lag=2)
     manager.compute()
-    before = tensor(manager.get()["g"])
+    before = tensor(manager.buffers["g"])
     env.values += 1
-    assert torch.equal(tensor(manager.get()["g"]), before)
+    assert torch.equal(tensor(manager.buffers["g"]), before)
 
   def test_buffers_stay_in_their_memory(self, env):
     manager = one(env, history_length=3)
@@ -256,7 +256,7 @@ class TestTime:
 
 
 def tensor_address(manager: ObservationManager) -> int:
-  observation = manager.get()["g"]
+  observation = manager.buffers["g"]
   assert isinstance(observation, torch.Tensor)
   return observation.data_ptr()
 

@@ -217,7 +217,7 @@ class Step:
       "reward": self.rewards.reward.clone(),
       "dones": self.terminations.dones.clone(),
       "values": self.env.values.clone(),
-      **{name: value.clone() for name, value in self.observations.get().items()},  # type: ignore
+      **{name: value.clone() for name, value in self.observations.buffers.items()},  # type: ignore
     }
 
   def snapshot(self) -> dict[str, Any]:

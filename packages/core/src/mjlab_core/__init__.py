@@ -70,8 +70,6 @@ if TYPE_CHECKING:
     quat_from_euler_xyz,
     quat_from_matrix,
     quat_from_rotvec,
-    quat_integrate,
-    quat_inverse,
     quat_mul,
     quat_slerp,
     quat_unique,
@@ -79,8 +77,6 @@ if TYPE_CHECKING:
     random_quat,
     rotvec_from_quat,
     subtract_frames,
-    transform_points,
-    velocity_at,
     wrap_to_pi,
   )
   from mjlab_core.sampling import (
@@ -160,8 +156,6 @@ __all__ = [
   "quat_from_euler_xyz",
   "quat_from_matrix",
   "quat_from_rotvec",
-  "quat_integrate",
-  "quat_inverse",
   "quat_mul",
   "quat_slerp",
   "quat_unique",
@@ -176,11 +170,9 @@ __all__ = [
   "seed_everything",
   "select",
   "subtract_frames",
-  "transform_points",
   "truncated_normal",
   "uniform",
   "unknown",
-  "velocity_at",
   "where_",
   "wrap_to_pi",
 ]
@@ -202,9 +194,9 @@ __getattr__, __dir__ = lazy_exports(
     ".model_fields": "ModelFields",
     ".names": "check_name match_names match_values match_values_full nearest unknown",
     ".rotations": (
-      "combine_frames heading subtract_frames transform_points velocity_at cross euler_xyz_from_quat "
+      "combine_frames heading subtract_frames cross euler_xyz_from_quat "
       "matrix_from_quat normalize quat_apply quat_apply_inverse quat_box_minus quat_box_plus quat_conjugate "
-      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec quat_integrate quat_inverse "
+      "quat_error_magnitude quat_from_euler_xyz quat_from_matrix quat_from_rotvec "
       "quat_mul quat_slerp quat_unique quat_yaw random_quat rotvec_from_quat wrap_to_pi"
     ),
     ".sampling": ("call_where draw_seed gaussian log_uniform make_generator seed_everything truncated_normal uniform"),

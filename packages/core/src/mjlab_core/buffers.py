@@ -167,10 +167,6 @@ class DelayBuffer(_Ring):
     self._write(x)
     return self._at(torch.maximum(self._tick - self._lag, self._born))
 
-  def read(self) -> Tensor:
-    """Return the delayed frame of the last push, (num_envs, *shape); time does not pass."""
-    return self._at(torch.minimum(torch.maximum(self._tick - self._lag, self._born), self._tick))
-
   def reset(self, mask: Tensor) -> None:
     """Forget the frames of the worlds in `mask`, bool (num_envs,), and draw their lags; the others are unchanged."""
     super().reset(mask)

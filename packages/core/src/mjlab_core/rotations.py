@@ -48,11 +48,6 @@ def quat_conjugate(q: Tensor) -> Tensor:
   return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
 
 
-def quat_inverse(q: Tensor) -> Tensor:
-  """Return the multiplicative inverse, (..., 4), also for quaternions that are not unit."""
-  return quat_conjugate(q) / q.square().sum(-1, keepdim=True)
-
-
 def quat_apply(q: Tensor, v: Tensor) -> Tensor:
   """Rotate `v` by `q`, (..., 3): takes coordinates in the rotated frame to coordinates in the parent frame."""
   axis = q[..., 1:]
@@ -165,16 +160,6 @@ def quat_slerp(a: Tensor, b: Tensor, t: Tensor | float) -> Tensor:
   return quat_box_plus(a, t * quat_box_minus(b, a))
 
 
-def quat_integrate(q: Tensor, angular_velocity: Tensor, dt: Tensor | float) -> Tensor:
-  """Turn `q` for `dt` [s] at a constant angular velocity in the body frame (MuJoCo's qvel), (..., 4).
-
-  `angular_velocity` is (..., 3) [rad/s]. For a velocity in the world frame use `quat_box_plus(q, velocity * dt)`.
-  """
-  if isinstance(dt, Tensor):
-    dt = dt.unsqueeze(-1)
-  return normalize(quat_mul(q, quat_from_rotvec(angular_velocity * dt)))
-
-
 def random_quat(
   shape: int | Sequence[int],
   *,
@@ -187,11 +172,6 @@ def random_quat(
   return normalize(torch.randn(*shape, 4, generator=generator, device=device, dtype=dtype))
 
 
-def transform_points(points: Tensor, pos: Tensor, quat: Tensor) -> Tensor:
-  """Return points (..., P, 3) of a frame in its parent's coordinates, (..., P, 3) [m]."""
-  return pos.unsqueeze(-2) + quat_apply(quat.unsqueeze(-2), points)
-
-
 def combine_frames(pos_ab: Tensor, quat_ab: Tensor, pos_bc: Tensor, quat_bc: Tensor) -> tuple[Tensor, Tensor]:
   """Return the pose of c in a from the poses of b in a and of c in b: position (..., 3) and quaternion (..., 4)."""
   return pos_ab + quat_apply(quat_ab, pos_bc), quat_mul(quat_ab, quat_bc)
@@ -200,14 +180,6 @@ def combine_frames(pos_ab: Tensor, quat_ab: Tensor, pos_bc: Tensor, quat_bc: Ten
 def subtract_frames(pos_wa: Tensor, quat_wa: Tensor, pos_wb: Tensor, quat_wb: Tensor) -> tuple[Tensor, Tensor]:
   """Return the pose of b in a from the poses of both in a third frame: position (..., 3) and quaternion (..., 4)."""
   return quat_apply_inverse(quat_wa, pos_wb - pos_wa), quat_mul(quat_conjugate(quat_wa), quat_wb)
-
-
-def velocity_at(linear: Tensor, angular: Tensor, offset: Tensor) -> Tensor:
-  """Return the velocity of a rigid body's point at `offset` from the point that moves with `linear`, (..., 3) [m/s].
-
-  All three (..., 3) in one frame: `linear` [m/s], `angular` [rad/s], `offset` [m].
-  """
-  return linear + cross(angular, offset)
 
 
 def heading(quat: Tensor) -> Tensor:

@@ -151,7 +151,7 @@ class ManagerBasedEnv:
 
   def get_observations(self) -> Observations:
     """Return the present observations by group, as fresh tensors. Repeated calls change nothing."""
-    return cloned(self.observation_manager.get())
+    return cloned(self.observation_manager.buffers)
 
   def state_dict(self) -> dict[str, Any]:
     """Return the state that the next step depends on, as fresh tensors."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Set
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import torch
 from mjlab_core import Config, fill_
 from mjlab_core.tables import table
 
+from mjlab_managers.binding import call_named, named
 from mjlab_managers.deployment import ActionTargets
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBase
@@ -117,33 +119,28 @@ class ActionManager(ManagerBase[ActionTermCfg]):
 
   def term_slices(self) -> dict[str, slice]:
     """Return the columns of each term in the action."""
-    slices, start = {}, 0
-    for name, width in zip(self._terms, self.action_term_dim, strict=True):
-      slices[name] = slice(start, start + width)
-      start += width
-    return slices
+    ends = itertools.accumulate(self.action_term_dim)
+    widths = zip(self._terms, self.action_term_dim, ends, strict=True)
+    return {name: slice(end - width, end) for name, width, end in widths}
 
   def process_action(self, action: torch.Tensor) -> None:
     """Take the policy's output, (N, total_action_dim). NaN and infinite entries become 0."""
     newest, previous, oldest = self._frames
-    if not self._terms:
-      return
     oldest.copy_(previous)
     previous.copy_(newest)
     action = action.to(torch.float32)
     torch.nan_to_num(action, nan=0.0, posinf=0.0, neginf=0.0, out=newest)
     self._nonfinite.add_((newest != action).sum())
     for name, term in self._terms.items():
-      try:  # without the calls of a context manager, in every step
+      try:  # without further calls, in every step
         term.process_actions(term._raw_action)
       except Exception as error:
-        raise self._named(name, error) from error
+        raise named(self.label, name, error) from error
 
   def apply_action(self) -> None:
     """Write the targets of every term. Call it before every physics substep."""
     for name, term in self._applied.items():
-      with self._naming(name):
-        term.apply_actions()
+      call_named(self.label, name, term.apply_actions)
 
   def _rehearse(self, term: ActionTerm) -> None:
     with self._trial(term):

@@ -15,7 +15,7 @@ from mjlab_core import ConfigError, MjlabError, check_name, field_problems, requ
 from mjlab_core.config import lock
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.parameters import Scalar, Signature, fits_scalar, write_scalar
+from mjlab_managers.parameters import Signature, is_number
 from mjlab_managers.scene_entity import resolve_entities
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.watch import Watch, only_declared
@@ -58,16 +58,13 @@ class Term:
     self.given: dict[str, Any] = {}
     """Parameters, defaults included, with resolved entities."""
     self._values: dict[str, Any] = {}
-    self._scalars: dict[str, Scalar] = {}
+    self._scalars: dict[str, torch.Tensor] = {}
     self.func: Any = cfg.func
     """The function, or the instance of the class."""
     self._build(self._resolved({**self._signature.defaults, **params}))
 
   def __call__(self, *args: Any) -> Any:
-    try:
-      return self._call(*args)
-    except Exception as error:
-      raise MjlabError(f"{self.owner}: term '{self.name}': {type(error).__name__}: {error}") from error
+    return call_named(self.owner, self.name, self._call, *args)
 
   def _call(self, *args: Any) -> Any:
     if self._kind is not None:
@@ -106,9 +103,9 @@ class Term:
     if problems := list(self._signature.problems(params, complete=False)):
       raise ConfigError(*problems)
     changed = {name: value for name, value in self._resolved(params).items() if not same(value, self.given.get(name))}
-    if all(name in self._scalars and fits_scalar(self._scalars[name], value) for name, value in changed.items()):
+    if all(name in self._scalars and _is_scalar(value) for name, value in changed.items()):
       for name, value in changed.items():
-        write_scalar(self._scalars[name], value)
+        self._scalars[name].fill_(value)
       self._show({**self.given, **changed})
       return None
     attributes = [(obj, dict(vars(obj))) for obj in (self, self.func) if obj is self or self._kind is not None]
@@ -137,9 +134,8 @@ class Term:
     Raises:
       MjlabError: no such parameter, or the term reads it only in `__init__`.
     """
-    scalar = self._scalars.get(check_name("parameter", name, self.given))
-    fixed = f"parameter '{name}' is not read again in every step, or is no number; set_params changes it between steps."
-    return require(scalar, torch.Tensor, fixed)
+    fixed = f"parameter '{name}' is not read again in every step, or is not a number; use set_params between steps."
+    return require(self._scalars.get(check_name("parameter", name, self.given)), torch.Tensor, fixed)
 
   def _resolved(self, params: Mapping[str, Any]) -> dict[str, Any]:
     values = {}
@@ -169,7 +165,7 @@ class Term:
     self._scalars = {name: scalar for name, scalar in scalars.items() if name not in used}
     self._show(given)
 
-  def _make(self, values: dict[str, Any], scalars: dict[str, Scalar]) -> set[str]:
+  def _make(self, values: dict[str, Any], scalars: dict[str, torch.Tensor]) -> set[str]:
     """Run `__init__`, on the same object if there is one, and return the names of the scalars that it used."""
     term = self._kind.__new__(self._kind) if self.func is self._kind else self.func
     vars(term).clear()
@@ -190,6 +186,20 @@ class Term:
 def call_terms(terms: Sequence[Term]) -> list[torch.Tensor]:
   """Return the values of terms, one after the other."""
   return [term() for term in terms]
+
+
+def call_named(owner: str, name: str, function: Callable[..., Any], *args: Any) -> Any:
+  """Call a function of a term in the step, and add the names of manager and term to its errors."""
+  try:
+    return function(*args)
+  except Exception as error:
+    raise named(owner, name, error) from error
+
+
+def named(owner: str, name: str, error: Exception) -> MjlabError:
+  """Return an error with the names of manager and term."""
+  kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
+  return MjlabError(f"{owner}: term '{name}': {kind}{error}")
 
 
 @contextmanager
@@ -282,6 +292,10 @@ def _class_problem(kind: Any, base: type, *, masked: bool) -> str:
     f"    def __init__(self, env, *, ...): super().__init__(env); ...\n{called}"
     "    def reset(self, mask): ...  # mask: bool (num_envs,); only where refilling its declared state is not enough"
   )
+
+
+def _is_scalar(value: Any) -> bool:
+  return is_number(value) or (isinstance(value, torch.Tensor) and value.dim() == 0)
 
 
 def _names(method: Callable[..., Any]) -> list[str]:

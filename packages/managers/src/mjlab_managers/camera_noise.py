@@ -9,6 +9,7 @@ from typing import Annotated
 import torch
 from mjlab_core import Limits, NonNegativeRange, PositiveCount, Range, as_slice, check_fields, where_
 
+from mjlab_managers.env import ManagerEnv
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
 
 
@@ -45,16 +46,14 @@ class CameraNoiseCfg(NoiseModelCfg):
   hole_size: PositiveCount = 3
   """Edge length of the square holes [pixel]."""
 
-  def build(
-    self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
-  ) -> CameraNoise:
+  def build(self, shape: tuple[int, ...], env: ManagerEnv) -> CameraNoise:
     """Return the noise for images of one shape (channels, height, width).
 
     Raises:
       ValueError: the shape is not that of an image, a channel does not exist, channels are not adjacent, a range needs
         a channel that is not given, or a range is invalid.
     """
-    return CameraNoise(self, shape, num_envs, device, generator)
+    return CameraNoise(self, shape, env)
 
 
 _RANGES = ("gain", "gamma", "bias", "color_std", "depth_std", "disparity_step", "hole_share")
@@ -65,37 +64,28 @@ _SMALLEST = 1e-6
 class CameraNoise(NoiseModel):
   """Noise of one camera, built by `CameraNoiseCfg`."""
 
-  def __init__(
-    self,
-    cfg: CameraNoiseCfg,
-    shape: tuple[int, ...],
-    num_envs: int,
-    device: torch.device | str,
-    generator: torch.Generator,
-  ) -> None:
+  def __init__(self, cfg: CameraNoiseCfg, shape: tuple[int, ...], env: ManagerEnv) -> None:
+    super().__init__(env)
     if len(shape) != 3:
       raise ValueError(f"CameraNoiseCfg: needs images (channels, height, width), not {shape}.")
     check_fields(cfg, "CameraNoiseCfg")
     bounds = {name: getattr(cfg, name) for name in _RANGES}
     self._color, self._lost = _neighbours("color", cfg.color, shape[0]), _neighbours("lost", cfg.lost, shape[0])
-    depth = () if cfg.depth is None else (cfg.depth,)
-    self._depth = _neighbours("depth", depth, shape[0])
-    active = {name for name, bound in bounds.items() if tuple(bound) != _IDLE.get(name, (0.0, 0.0))}
-    for name in sorted(active):
+    self._depth = _neighbours("depth", () if cfg.depth is None else (cfg.depth,), shape[0])
+    self._active = {name for name, bound in bounds.items() if tuple(bound) != _IDLE.get(name, (0.0, 0.0))}
+    for name in sorted(self._active):
       channels = "color" if name in _RANGES[:4] else "depth"
       if getattr(self, f"_{channels}") is None:
-        raise ValueError(f"CameraNoiseCfg: {name} changes nothing, for no channel is named as {channels}.")
-    self._active = active
-    self.num_envs, self.device = num_envs, torch.device(device)
-    self._generator, self._size = generator, cfg.hole_size
-    lo, hi = (torch.tensor([list(end)], device=device) for end in zip(*bounds.values(), strict=True))
-    self._base, self._width = lo, hi - lo
+        raise ValueError(f"CameraNoiseCfg: {name} needs {channels}, which names no channel.")
+    self._hole_size = cfg.hole_size
+    self._bounds = torch.tensor([list(bounds.values())], device=env.device).unbind(-1)
     self._drawn = self.state((len(_RANGES),))
-    self.reset(torch.ones(num_envs, dtype=torch.bool, device=device))
+    self.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
 
   def reset(self, mask: torch.Tensor) -> None:
-    u = torch.rand(self._drawn.shape, generator=self._generator, device=self._drawn.device)
-    where_(self._drawn, mask, torch.addcmul(self._base, u, self._width))
+    lo, hi = self._bounds
+    u = torch.rand(self._drawn.shape, generator=self.rng, device=self.device)
+    where_(self._drawn, mask, torch.lerp(lo, hi, u))
 
   def apply_(self, x: torch.Tensor) -> None:
     gain, gamma, bias, color_std, *of_depth = self._drawn[:, :, None, None, None].unbind(1)
@@ -126,9 +116,9 @@ class CameraNoise(NoiseModel):
 
   def _holes(self, like: torch.Tensor) -> torch.Tensor:
     """Return uniform numbers in the shape of `like`, constant within squares, on a grid shifted in each world."""
-    size, (n, _, height, width) = self._size, like.shape
+    size, (n, _, height, width) = self._hole_size, like.shape
     rows, columns = (pixels // size + 2 for pixels in (height, width))
-    u = torch.rand(n, rows * columns + 2, generator=self._generator, device=like.device)
+    u = torch.rand(n, rows * columns + 2, generator=self.rng, device=like.device)
     shift = (u[:, -2:] * size).long()
     row = (torch.arange(height, device=like.device) + shift[:, :1]) // size
     column = (torch.arange(width, device=like.device) + shift[:, 1:]) // size
@@ -136,7 +126,7 @@ class CameraNoise(NoiseModel):
     return u.gather(1, index.flatten(1)).view(n, 1, height, width)
 
   def _normal(self, like: torch.Tensor) -> torch.Tensor:
-    return torch.randn(like.shape, generator=self._generator, device=like.device)
+    return torch.randn(like.shape, generator=self.rng, device=like.device)
 
 
 def _neighbours(name: str, channels: Sequence[int], count: int) -> slice | None:

@@ -11,7 +11,7 @@ import torch
 from mjlab_core import Config, NonNegativeRange, call_where, fill_, uniform, where_
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import placed
+from mjlab_managers.binding import call_named, placed
 from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBase
@@ -123,6 +123,14 @@ class CommandTerm(ManagerTermBase, ABC):
     if values is not None:
       numbers[world] = torch.tensor(values, dtype=numbers.dtype, device=self.device)
 
+  def _advance(self, moving: torch.Tensor, dt: float) -> None:
+    """Let time pass in the worlds of `moving`, bool (N,)."""
+    self.update_metrics()
+    if self.cfg.resampling_time_range is not None:
+      self.time_left.sub_(moving.double(), alpha=dt)
+      call_where((self.time_left <= _DUE) & moving, self._renew, self.env.rng)
+    self.update()
+
   def _renew(self, mask: torch.Tensor) -> None:
     if self.cfg.resampling_time_range is not None:
       lo, hi = self.cfg.resampling_time_range
@@ -196,14 +204,8 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       return
     self.fresh = self._none if fresh is None else fresh
     moving = ~self.fresh
-    passed = moving.double()
     for name, term in self._terms.items():
-      with self._naming(name):
-        term.update_metrics()
-        if term.cfg.resampling_time_range is not None:
-          term.time_left.sub_(passed, alpha=dt)
-          call_where((term.time_left <= _DUE) & moving, term._renew, self.env.rng)
-        term.update()
+      call_named(self.label, name, term._advance, moving, dt)
 
   def reset(self, mask: torch.Tensor) -> None:
     """Log the metrics of the worlds in `mask`, bool (N,), set them to zero, and draw new commands there."""
@@ -221,16 +223,15 @@ class CommandManager(ManagerBase[CommandTermCfg]):
       if term.metrics:
         fill_(term._metric_values, mask, 0.0)
       term.command_counter.masked_fill_(mask, 0)
-      with self._naming(name):
-        term._renew(mask)
+      call_named(self.label, name, term._renew, mask)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Metrics/<command>/<metric>`, means over the episodes that ended, and the `log_values` of terms."""
     names, values = self._log.tensors()
     own: dict[str, torch.Tensor] = {}
     for name, term in self._terms.items():
-      with self._naming(name):
-        own |= {f"Metrics/{name}/{key}": value for key, value in term.log_values().items()}
+      values_of_term = call_named(self.label, name, term.log_values)
+      own |= {f"Metrics/{name}/{key}": value for key, value in values_of_term.items()}
     if not own:
       return names, values
     return [*names, *own], torch.cat((values, torch.stack([value.double() for value in own.values()])))

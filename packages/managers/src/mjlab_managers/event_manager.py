@@ -63,9 +63,8 @@ class EventManager(ManagerBase[EventTermCfg]):
     self._timed = [term.name for term in self._modes["interval"]]
     is_global = torch.tensor([[self._cfgs[name].is_global_time for name in self._timed]], dtype=torch.bool)
     self._global = is_global.to(self.device) if is_global.any() else None
-    ranges = [self._cfgs[name].interval_range_s for name in self._timed]
-    self._lo = torch.tensor([[lo for lo, _ in ranges]], dtype=torch.float64, device=self.device)
-    self._span = torch.tensor([[hi - lo for lo, hi in ranges]], dtype=torch.float64, device=self.device)
+    ranges = torch.tensor([self._cfgs[name].interval_range_s for name in self._timed], dtype=torch.float64)
+    self._lo, self._hi = ranges.view(1, -1, 2).to(self.device).unbind(2)
     self._time_left = self.state_of(self._draw())
 
     self._gated = [term.name for term in self._modes["reset"] if self._cfgs[term.name].min_step_count_between_reset > 0]
@@ -109,8 +108,8 @@ class EventManager(ManagerBase[EventTermCfg]):
   def _draw(self) -> torch.Tensor:
     """Draw the times of all timers, (N, K); a global one has the same time in all worlds."""
     shape = (self.num_envs, len(self._timed))
-    draw = torch.rand(shape, generator=self.env.rng, device=self.device, dtype=self._lo.dtype)
-    times = torch.addcmul(self._lo, draw, self._span)
+    u = torch.rand(shape, generator=self.env.rng, device=self.device, dtype=self._lo.dtype)
+    times = torch.lerp(self._lo, self._hi, u)
     return times if self._global is None else torch.where(self._global, times[:1], times)
 
   def apply(self, mode: EventMode, mask: torch.Tensor | None = None) -> None:

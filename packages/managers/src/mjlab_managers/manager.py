@@ -12,7 +12,7 @@ from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownN
 from mjlab_core.config import lock
 from mjlab_core.errors import as_consequence, is_consequence
 
-from mjlab_managers.binding import Term, call_terms, cfg_problems, described, placed
+from mjlab_managers.binding import Term, call_named, call_terms, cfg_problems, described, placed
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.watch import only_declared
@@ -142,8 +142,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
       UnknownNameError: no such term.
       MjlabError: no such parameter, or the term does not read it in every step.
     """
-    with self._naming(name):
-      return self._with_params(name).scalar(parameter)
+    return call_named(self.label, name, self._with_params(name).scalar, parameter)
 
   def describe(self) -> str:
     """Return a table of the terms."""
@@ -187,8 +186,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def reset(self, mask: torch.Tensor) -> None:
     """End the episodes of the worlds in `mask`, bool (N,): log their statistics and reset their state."""
     for name, term in self._stateful_terms.items():
-      with self._naming(name):
-        term.reset(mask)
+      call_named(self.label, name, term.reset, mask)
 
   def sync(self) -> None:
     """Read changes of live fields, on the host before each step, and request a new recording if needed."""
@@ -266,18 +264,6 @@ class ManagerBase(Stateful, Generic[CfgT]):
       return table[name]
     error = UnknownNameError(unknown("term", name, list(table), owner=self.label))
     raise as_consequence(error) if name in self._broken else error
-
-  @contextmanager
-  def _naming(self, name: str) -> Generator[None]:
-    """Add the names of manager and term to an error."""
-    try:
-      yield
-    except Exception as error:
-      raise self._named(name, error) from error
-
-  def _named(self, name: str, error: Exception) -> MjlabError:
-    kind = "" if isinstance(error, MjlabError) else f"{type(error).__name__}: "
-    return MjlabError(f"{self.label}: term '{name}': {kind}{error}")
 
   @contextmanager
   def _noting(self, name: str, kind: str = "term") -> Generator[None]:

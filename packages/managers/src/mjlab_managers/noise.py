@@ -6,10 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from mjlab_core import Config, ConfigError, Limits, Range, Stateful, check_fields, check_value, require, where_
+
+from mjlab_managers.binding import described
+from mjlab_managers.env import ManagerEnv
 
 Operation = Literal["add", "scale", "abs"]
 PerDim = Annotated[float | tuple[float, ...], Limits()]
@@ -20,19 +23,15 @@ PerDim = Annotated[float | tuple[float, ...], Limits()]
 class NoiseCfg(Config, ABC):
   """Base of noise configs.
 
-  The noise of a component is n = base + u width + z std, with u uniform in [0, 1] and z standard normal.
+  The noise of a component is uniform in [low, high], plus normal noise of standard deviation std.
   """
 
   operation: Operation = "add"
-  """Result for a value x: `add` gives x + n, `scale` gives x * n, `abs` gives n."""
+  """Result for a value x and noise n: `add` gives x + n, `scale` gives x * n, `abs` gives n."""
 
   @abstractmethod
-  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    """Return base, width and std.
-
-    Raises:
-      ConfigError: the config is wrong.
-    """
+  def distribution(self) -> tuple[PerDim, PerDim, PerDim]:
+    """Return low, high and std."""
 
 
 @dataclass(kw_only=True)
@@ -41,8 +40,8 @@ class ConstantNoiseCfg(NoiseCfg):
 
   bias: PerDim = 0.0
 
-  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    return self.bias, 0.0, 0.0
+  def distribution(self) -> tuple[PerDim, PerDim, PerDim]:
+    return self.bias, self.bias, 0.0
 
 
 @dataclass(kw_only=True)
@@ -52,12 +51,8 @@ class UniformNoiseCfg(NoiseCfg):
   n_min: PerDim = -1.0
   n_max: PerDim = 1.0
 
-  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    length = max(len(value) if isinstance(value, tuple | list) else 1 for value in (self.n_min, self.n_max))
-    lows, highs = (_spread(value, length, "UniformNoiseCfg") for value in (self.n_min, self.n_max))
-    for pair in zip(lows, highs, strict=True):
-      check_value("UniformNoiseCfg: (n_min, n_max)", pair, Range)
-    return lows, tuple(hi - lo for lo, hi in zip(lows, highs, strict=True)), 0.0
+  def distribution(self) -> tuple[PerDim, PerDim, PerDim]:
+    return self.n_min, self.n_max, 0.0
 
 
 @dataclass(kw_only=True)
@@ -67,12 +62,15 @@ class GaussianNoiseCfg(NoiseCfg):
   mean: PerDim = 0.0
   std: Annotated[PerDim, Limits(ge=0)] = 1.0
 
-  def affine(self) -> tuple[PerDim, PerDim, PerDim]:
-    return self.mean, 0.0, self.std
+  def distribution(self) -> tuple[PerDim, PerDim, PerDim]:
+    return self.mean, self.mean, self.std
 
 
 class NoiseModel(Stateful, ABC):
   """Noise for one shape of term with state for each episode, built by a `NoiseModelCfg`."""
+
+  def __init__(self, env: ManagerEnv) -> None:
+    self.num_envs, self.device, self.rng = env.num_envs, env.device, env.rng
 
   @abstractmethod
   def reset(self, mask: torch.Tensor) -> None:
@@ -88,10 +86,8 @@ class NoiseModelCfg(Config, ABC):
   """Base of configs of custom noise, such as noise of images."""
 
   @abstractmethod
-  def build(
-    self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
-  ) -> NoiseModel:
-    """Return the noise for a term of this shape. It draws from `generator` and keeps its state on `device`.
+  def build(self, shape: tuple[int, ...], env: ManagerEnv) -> NoiseModel:
+    """Return the noise for a term of this shape.
 
     Raises:
       ValueError: the config is wrong, or does not fit the term.
@@ -108,37 +104,27 @@ class NoiseModelWithAdditiveBiasCfg(NoiseModelCfg):
   sample_bias_per_component: bool = True
   """True: one draw for each component of the term; False: the draw of the first one for all."""
 
-  def build(
-    self, shape: tuple[int, ...], num_envs: int, device: torch.device | str, generator: torch.Generator
-  ) -> NoiseModel:
-    return _AdditiveBias(self, math.prod(shape), num_envs, device, generator)
+  def build(self, shape: tuple[int, ...], env: ManagerEnv) -> NoiseModel:
+    return _AdditiveBias(self, math.prod(shape), env)
 
 
 class _AdditiveBias(NoiseModel):
-  def __init__(
-    self,
-    cfg: NoiseModelWithAdditiveBiasCfg,
-    width: int,
-    num_envs: int,
-    device: torch.device | str,
-    generator: torch.Generator,
-  ) -> None:
+  def __init__(self, cfg: NoiseModelWithAdditiveBiasCfg, width: int, env: ManagerEnv) -> None:
+    super().__init__(env)
     check_fields(cfg, "NoiseModelWithAdditiveBiasCfg")
-    self.num_envs, self.device = num_envs, torch.device(device)
-    self._generator, self._per_component = generator, cfg.sample_bias_per_component
-    whole = slice(0, width)
-    self._bias_noise = FusedNoise([(whole, cfg.bias_noise_cfg)], device)
-    self._noise = FusedNoise([(whole, cfg.noise_cfg)], device) if cfg.noise_cfg is not None else None
-    self._bias = self.state_of(torch.zeros(num_envs, width, device=device))
-    self.reset(torch.ones(num_envs, dtype=torch.bool, device=device))
+    self._per_component, whole = cfg.sample_bias_per_component, slice(0, width)
+    self._bias_noise = FusedNoise([(whole, cfg.bias_noise_cfg)], env)
+    self._noise = FusedNoise([(whole, cfg.noise_cfg)], env) if cfg.noise_cfg is not None else None
+    self._bias = self.state_of(torch.zeros(env.num_envs, width, device=env.device))
+    self.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
 
   def reset(self, mask: torch.Tensor) -> None:
-    bias = self._bias_noise.sample(self.num_envs, self._generator)
+    bias = self._bias_noise.sample()
     where_(self._bias, mask, bias if self._per_component else bias[:, :1])
 
   def apply_(self, x: torch.Tensor) -> None:
     if self._noise is not None:
-      self._noise.apply_(x.flatten(1), self._generator)
+      self._noise.apply_(x.flatten(1))
     x.add_(self._bias.view_as(x))
 
 
@@ -147,44 +133,46 @@ class FusedNoise:
 
   Args:
     parts: columns and noise of each noisy term.
-    device: device of the columns.
+    env: the environment.
 
   Raises:
     ConfigError: a config is wrong, or does not fit its columns.
   """
 
-  def __init__(self, parts: Sequence[tuple[slice, NoiseCfg]], device: torch.device | str) -> None:
+  def __init__(self, parts: Sequence[tuple[slice, NoiseCfg]], env: ManagerEnv) -> None:
     self._columns = slice(min(where.start for where, _ in parts), max(where.stop for where, _ in parts))
-    self._width, self._device = self._columns.stop - self._columns.start, device
-    vectors = torch.zeros(5, 1, self._width)
+    width = self._columns.stop - self._columns.start
+    self._space: dict[str, Any] = {"size": (env.num_envs, width), "device": env.device, "generator": env.rng}
+    low, high, std = torch.zeros(3, 1, width)
+    scales, replaces = torch.zeros(2, 1, width, dtype=torch.bool)
     for where, cfg in parts:
-      require(cfg, NoiseCfg, f"expected a NoiseCfg or a NoiseModelCfg, got {type(cfg).__name__} {cfg!r}.")
-      owner = type(cfg).__name__
+      require(cfg, NoiseCfg, f"expected a NoiseCfg or a NoiseModelCfg, got {described(cfg)}.")
+      owner, length = type(cfg).__name__, where.stop - where.start
       check_fields(cfg, owner)
+      lows, highs, stds = (_spread(value, length, owner) for value in cfg.distribution())
+      for bounds in zip(lows, highs, strict=True):
+        check_value(f"{owner}: bounds", bounds, Range)
       own = slice(where.start - self._columns.start, where.stop - self._columns.start)
-      values = (*cfg.affine(), float(cfg.operation == "scale"), float(cfg.operation == "abs"))
-      for vector, value in zip(vectors, values, strict=True):
-        vector[0, own] = torch.tensor(_spread(value, where.stop - where.start, owner))
-    base, *others = vectors
-    self._base = base.to(device)
+      low[0, own], high[0, own], std[0, own] = map(torch.tensor, (lows, highs, stds))
+      scales[0, own], replaces[0, own] = cfg.operation == "scale", cfg.operation == "abs"
+    self._low = low.to(env.device)
     # Vectors of zeros need no operation.
-    self._uniform, self._std, scales, replaces = (vector.to(device) if vector.any() else None for vector in others)
-    self._scales, self._replaces = (None if mask is None else mask > 0.0 for mask in (scales, replaces))
+    self._span, self._std, self._scales, self._replaces = (
+      vector.to(env.device) if vector.any() else None for vector in (high - low, std, scales, replaces)
+    )
 
-  def sample(self, num_envs: int, generator: torch.Generator) -> torch.Tensor:
+  def sample(self) -> torch.Tensor:
     """Return noise of the columns from the first to the last noisy one, (num_envs, W), or (1, W) if it is constant."""
-    shape = (num_envs, self._width)
-    noise = self._base
-    if self._uniform is not None:
-      noise = torch.addcmul(noise, torch.rand(shape, generator=generator, device=self._device), self._uniform)
+    noise = self._low
+    if self._span is not None:
+      noise = torch.addcmul(noise, torch.rand(**self._space), self._span)
     if self._std is not None:
-      noise = torch.addcmul(noise, torch.randn(shape, generator=generator, device=self._device), self._std)
+      noise = torch.addcmul(noise, torch.randn(**self._space), self._std)
     return noise
 
-  def apply_(self, frame: torch.Tensor, generator: torch.Generator) -> None:
+  def apply_(self, frame: torch.Tensor) -> None:
     """Apply the noise to `frame`, float32 (num_envs, all columns), in place."""
-    x = frame[:, self._columns]
-    noise = self.sample(frame.shape[0], generator)
+    x, noise = frame[:, self._columns], self.sample()
     if self._scales is None and self._replaces is None:
       x.add_(noise)
       return

@@ -109,17 +109,18 @@ class ObservationManager(ManagerBase[Any]):
     )
 
   def _make(self) -> None:
-    for slot in self._slots.values():
-      group = self._groups[slot.group]
-      if group.concatenate_terms and len(slot.shape) > 1 and len(self._group_slots(slot.group)) > 1:
-        self._problems.append(
-          f"term '{slot.path}': shape {slot.shape} cannot be concatenated; flatten it, or set concatenate_terms=False "
-          f"on group '{slot.group}'."
-        )
-    for name, group in self._groups.items():
-      terms = {slot.name: slot.cfg for slot in self._group_slots(name)}
-      vars(group)["terms"] = lock(terms, f"{self.label}: the terms of group '{name}' are fixed at build.")
     slots = list(self._slots.values())
+    self._by_group = {name: [slot for slot in slots if slot.group == name] for name in self._groups}
+    for name, group in self._groups.items():
+      members = self._by_group[name]
+      terms = {slot.name: slot.cfg for slot in members}
+      vars(group)["terms"] = lock(terms, f"{self.label}: the terms of group '{name}' are fixed at build.")
+      self._problems += [
+        f"term '{slot.path}': shape {slot.shape} cannot be concatenated; flatten it, or set concatenate_terms=False on "
+        f"group '{name}'."
+        for slot in members
+        if group.concatenate_terms and len(slot.shape) > 1 and len(members) > 1
+      ]
     self._frame = torch.zeros(self.num_envs, slots[-1].frame.stop if slots else 0, device=self.device)
     self._clean = torch.zeros_like(self._frame)
     self._out = self.state((slots[-1].out.stop if slots else 0,))
@@ -127,7 +128,7 @@ class ObservationManager(ManagerBase[Any]):
     self._process(None)
     self._memory = Memory(slots, self.env)
     self._share()
-    self.buffers: dict[str, Observation] = {group: self._view(group, self._out) for group in self.active_groups}
+    self.buffers: dict[str, Observation] = self._views(self._out)
     """Observation of each group, float32 (N, D) or a dict of terms; always the same memory."""
 
   def _process(self, before: Processing | None) -> None:
@@ -145,24 +146,30 @@ class ObservationManager(ManagerBase[Any]):
       self._evaluated[path] = next(twins, slot.term)
     self._distinct = list(dict.fromkeys(self._evaluated.values()))
 
-  def _view(self, group: str, memory: torch.Tensor) -> Observation:
-    slots = self._group_slots(group)
-    if not self._groups[group].concatenate_terms:
-      return {slot.name: memory[:, slot.out].unflatten(1, slot.shape) for slot in slots}
-    columns = memory[:, slots[0].out.start : slots[-1].out.stop]
-    return columns.unflatten(1, slots[0].shape) if len(slots) == 1 else columns
+  def _views(self, memory: torch.Tensor) -> dict[str, Observation]:
+    """Return the observation of each group in a memory of all columns."""
+    views: dict[str, Observation] = {}
+    for group, slots in self._by_group.items():
+      terms = {slot.name: memory[:, slot.out].unflatten(1, slot.shape) for slot in slots}
+      if not self._groups[group].concatenate_terms:
+        views[group] = terms
+      elif len(slots) == 1:
+        views[group] = terms[slots[0].name]
+      elif slots:
+        views[group] = memory[:, slots[0].out.start : slots[-1].out.stop]
+    return views
 
   # Interface for users.
 
   @property
   def active_groups(self) -> list[str]:
     """Names of the groups in order."""
-    return list(dict.fromkeys(slot.group for slot in self._slots.values()))
+    return list(self._by_group)
 
   @property
   def active_terms(self) -> dict[str, list[str]]:
     """Names of the terms of each group in order."""
-    return {group: [slot.name for slot in self._group_slots(group)] for group in self.active_groups}
+    return {group: [slot.name for slot in slots] for group, slots in self._by_group.items()}
 
   @property
   def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
@@ -175,12 +182,11 @@ class ObservationManager(ManagerBase[Any]):
   @property
   def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
     """Shapes of the terms of one world by group."""
-    return {group: [slot.shape for slot in self._group_slots(group)] for group in self.active_groups}
+    return {group: [slot.shape for slot in slots] for group, slots in self._by_group.items()}
 
   def layout(self, group: str) -> list[TermLayout]:
     """Return the columns and the processing of each term of a group."""
-    self._lookup({name: name for name in self.active_groups}, group)
-    slots = self._group_slots(group)
+    slots = self._lookup(self._by_group, group)
     start = slots[0].out.start
     return [
       TermLayout(
@@ -236,10 +242,6 @@ class ObservationManager(ManagerBase[Any]):
     if self._distinct != before:
       self.env.request_recapture(f"{self.label}: '{name}' has other parameters than its equals in other groups")
 
-  def get(self) -> dict[str, Observation]:
-    """Return the observations of the last `compute`."""
-    return self.buffers
-
   # Interface for the environment.
 
   def compute(self, fresh: torch.Tensor | None = None, advance: torch.Tensor | None = None) -> dict[str, Observation]:
@@ -272,7 +274,7 @@ class ObservationManager(ManagerBase[Any]):
   @cached_property
   def terminal_buffers(self) -> dict[str, Observation]:
     """Last observations of ended episodes by group, written by `keep_terminal`; always the same memory."""
-    return {group: self._view(group, self._terminal) for group in self.active_groups}
+    return self._views(self._terminal)
 
   def keep_terminal(self, mask: torch.Tensor) -> None:
     """Write the observations of the worlds in `mask`, bool (N,), to `terminal_buffers`.
@@ -281,11 +283,10 @@ class ObservationManager(ManagerBase[Any]):
     """
     if not self._slots:
       return
-    state, counts = self.state_dict(), self._processing.nonfinite.clone()
+    state = self.state_dict()
     self.compute()
     where_(self._terminal, mask, self._out)
     self.restore(state)
-    self._processing.nonfinite.copy_(counts)
 
   def nan_warnings(self, log: Mapping[str, float]) -> list[str]:
     """Return one line for each term with NaN or infinite entries in `log`, of groups with nan_policy "warn"."""
@@ -350,9 +351,6 @@ class ObservationManager(ManagerBase[Any]):
       rows.append((slot.group, slot.name, slot.shape, noise, *optional, lag, slot.history_length or ""))
     columns = ("group", "term", "shape", "noise", "clip", "scale", "delay", "history")
     return table(columns, rows, title="Observations")
-
-  def _group_slots(self, group: str) -> list[Slot]:
-    return [slot for slot in self._slots.values() if slot.group == group]
 
 
 def _group_problems(cfg: Any) -> list[str]:

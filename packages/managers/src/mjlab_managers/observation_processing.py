@@ -68,7 +68,8 @@ class Processing(Stateful):
     self._env, self._slots = env, slots
     self._options = [option for slot in slots for option in slot.options()]
     width = slots[-1].frame.stop if slots else 0
-    self.nonfinite = torch.zeros(width, dtype=torch.int64, device=self.device) if before is None else before.nonfinite
+    counts = torch.zeros(width, dtype=torch.int64, device=self.device) if before is None else before.nonfinite
+    self.nonfinite = self.state_of(counts, shared=True)
     """NaN or infinite entries per column since `clear_log`, int64 (W,)."""
     lo, hi = torch.full((1, width), -math.inf), torch.full((1, width), math.inf)
     scale = torch.ones(1, width)
@@ -94,11 +95,10 @@ class Processing(Stateful):
     if problems:
       raise ConfigError(*problems)
     self._strict = [slot for slot in slots if slot.group_cfg.nan_policy == "error"]
-    self._noise = FusedNoise(noises, self.device) if noises else None
+    self._noise = FusedNoise(noises, env) if noises else None
     clips = bool(torch.isfinite(lo).any() or torch.isfinite(hi).any())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
-    self._checks = bool(checked.any())
     self._checked = None if checked.all() else checked.to(self.device)
 
   def _add_noise(self, slot: Slot, noises: list[tuple[slice, NoiseCfg]], before: Processing | None) -> None:
@@ -108,12 +108,12 @@ class Processing(Stateful):
     if not isinstance(noise, NoiseModelCfg):
       noises.append((slot.frame, noise))
       # The noise of all terms is made together; here it is checked.
-      FusedNoise(noises[-1:], "cpu")
+      FusedNoise(noises[-1:], self._env)
       return
     if before is not None and before._modelled.get(slot.path, (None,))[0] is noise:
       self._models[slot.path] = before._models[slot.path]
     else:
-      self._models[slot.path] = noise.build(slot.frame_shape, self.num_envs, self.device, self._env.rng)
+      self._models[slot.path] = noise.build(slot.frame_shape, self._env)
     self._modelled[slot.path] = noise, slot
 
   def is_current(self) -> bool:
@@ -132,16 +132,13 @@ class Processing(Stateful):
     Entries are counted in the worlds of `advance`, bool (N,); None for all worlds.
     """
     if self._noise is not None:
-      self._noise.apply_(frame, self._env.rng)
+      self._noise.apply_(frame)
     for path, (_, slot) in self._modelled.items():
       self._models[path].apply_(frame[:, slot.frame].unflatten(1, slot.frame_shape))
     if self._lo is not None:
       torch.clamp(frame, self._lo, self._hi, out=frame)
     if self._scale is not None:
       frame.mul_(self._scale)
-    if not self._checks:
-      clean.copy_(frame)
-      return
     if self._strict:
       self._env.run_eagerly(
         lambda: self._raise_nonfinite(frame, advance), name="observation check (nan_policy='error')"

@@ -6,16 +6,13 @@ import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from numbers import Real
 from typing import Any
 
 import torch
 from mjlab_core import unknown
 from mjlab_core.constraints import named_problem, resolved_hints
-
-Scalar = torch.Tensor | tuple[torch.Tensor, ...]
-"""Number, or tuple of numbers, as 0-d float64 tensors on the device."""
 
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -44,46 +41,27 @@ class Signature:
     for name, value in given.items():
       if name not in self.names and not self._takes_any_name:
         yield unknown("parameter", name, self.names)
-      elif not _has_tensors(value) and (wrong := named_problem(f"parameter '{name}'", value, self._hints.get(name))):
+      elif isinstance(value, torch.Tensor):
+        # A number on the device, which cannot be checked on the host.
+        continue
+      elif wrong := named_problem(f"parameter '{name}'", value, self._hints.get(name)):
         yield f"{wrong}."
     missing = [name for name in self.names if complete and name not in {**self.defaults, **given}]
     if missing:
       yield f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}."
 
-  def scalars(self, given: Mapping[str, Any], device: torch.device) -> dict[str, Scalar]:
-    """Return the parameters annotated `float` or `tuple[float, ...]` as new scalars."""
-    found: dict[str, Scalar] = {}
-    for name, value in given.items():
-      hints = _alternatives(self._hints.get(name))
-      takes_tuple = any(typing.get_origin(hint) is tuple and float in typing.get_args(hint) for hint in hints)
-      if float in hints and _is_number(value):
-        found[name] = _scalar(value, device)
-      elif takes_tuple and isinstance(value, tuple | list) and value and all(map(_is_number, value)):
-        found[name] = tuple(_scalar(number, device) for number in value)
-    return found
+  def scalars(self, given: Mapping[str, Any], device: torch.device) -> dict[str, torch.Tensor]:
+    """Return the numbers among the parameters annotated `float` as new 0-d float64 tensors."""
+    return {
+      name: torch.tensor(float(value), dtype=torch.float64, device=device)
+      for name, value in given.items()
+      if is_number(value) and float in _alternatives(self._hints.get(name))
+    }
 
 
-def fits_scalar(scalar: Scalar, value: Any) -> bool:
-  """Return True for a number or 0-d tensor, or a tuple of as many as the scalar holds."""
-  pairs = _pairs(scalar, value)
-  return bool(pairs) and all(_is_number(new) or (isinstance(new, torch.Tensor) and new.dim() == 0) for _, new in pairs)
-
-
-def write_scalar(scalar: Scalar, value: Any) -> None:
-  """Write a value that fits into a scalar, in place."""
-  for tensor, new in _pairs(scalar, value):
-    tensor.fill_(new)
-
-
-def _pairs(scalar: Scalar, value: Any) -> list[tuple[torch.Tensor, Any]]:
-  if isinstance(scalar, torch.Tensor):
-    return [(scalar, value)]
-  same_length = isinstance(value, Sequence) and len(value) == len(scalar)
-  return list(zip(scalar, value, strict=True)) if same_length else []
-
-
-def _scalar(value: Any, device: torch.device) -> torch.Tensor:
-  return torch.tensor(float(value), dtype=torch.float64, device=device)
+def is_number(value: Any) -> bool:
+  """Return True for a number that is not a bool."""
+  return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _parameters(func: Any) -> list[inspect.Parameter]:
@@ -114,12 +92,3 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
   if origin in (typing.Union, types.UnionType):
     return tuple(part for arg in args for part in _alternatives(arg))
   return (hint,)
-
-
-def _has_tensors(value: Any) -> bool:
-  """Return True for a scalar on the device, or a sequence with one, which cannot be checked on the host."""
-  return any(isinstance(part, torch.Tensor) for part in (value if isinstance(value, list | tuple) else (value,)))
-
-
-def _is_number(value: Any) -> bool:
-  return isinstance(value, Real) and not isinstance(value, bool)

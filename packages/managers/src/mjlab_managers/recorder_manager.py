@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term, placed
+from mjlab_managers.binding import Term, call_named, placed
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 
@@ -93,8 +93,7 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
 
     def call() -> None:
       for name in names:
-        with self._naming(name):
-          getattr(self._terms[name].func, hook)(*args)
+        call_named(self.label, name, getattr(self._terms[name].func, hook), *args)
 
     self.env.run_eagerly(call, name=f"recorders {', '.join(names)} ({hook})")
 

@@ -50,8 +50,7 @@ class SceneEntityCfg(Config):
   preserve_order: bool = False
   """True: order of the patterns; False: order of the model."""
 
-  _ids: ClassVar[dict[str, Index] | None] = None
-  _wide: ClassVar[str | None] = None
+  _ids: ClassVar[dict[str, Index | str] | None] = None
 
   joint_ids = _indices("joint")
   """Selected joints, (num_selected,); not columns where some joints of an entity with a ball joint are selected."""
@@ -87,7 +86,8 @@ class SceneEntityCfg(Config):
       raise as_consequence(error) if self.name in getattr(scene, "missing", ()) else error
     entity = scene[self.name]
     resolved = copy.copy(self)
-    ids: dict[str, Index] = {}
+    # A text is the reason why there are no ids.
+    ids: dict[str, Any] = {}
     for kind in KINDS:
       names = getattr(entity, f"{kind}_names", None)
       selection = getattr(self, f"{kind}_names")
@@ -99,33 +99,29 @@ class SceneEntityCfg(Config):
         ids["joint_pos"] = ids["joint_vel"] = ids[kind]
         if (wide := getattr(entity, "wide_joints", ())) and ids[kind] != slice(None):
           ids["joint_pos"], ids["joint_vel"] = (as_index(columns, device) for columns in entity.joint_columns(picked))
-          vars(resolved)["_wide"] = wide[0]
+          ids["joint"] = (
+            f"joint '{wide[0]}' has several columns, so ids of some joints would select wrong ones; use joint_pos_ids "
+            "for positions and joint_vel_ids for velocities."
+          )
       setattr(resolved, f"{kind}_names", tuple(names[i] for i in picked))
     # Not a field: what a user writes, saves and compares has no ids.
     vars(resolved)["_ids"] = ids
     return resolved
 
   def _index(self, kind: str) -> Index:
-    if self._ids is None:
-      raise RuntimeError(
-        f"SceneEntityCfg({self.name!r}).{kind}_ids: not resolved. Pass it to a term through `params` (also nested in "
-        "lists, dicts and dataclasses) or as a default argument, or call `resolve(scene, device)`."
-      )
-    if kind == "joint" and self._wide is not None:
-      raise MjlabError(
-        f"SceneEntityCfg({self.name!r}).joint_ids: joint '{self._wide}' has several columns, so ids of some joints "
-        "would select wrong ones; use joint_pos_ids for positions and joint_vel_ids for velocities."
-      )
-    return self._ids[kind]
+    unresolved = (
+      "not resolved. Pass it to a term through `params` (also nested in lists, dicts and dataclasses) or as a default "
+      "argument, or call `resolve(scene, device)`."
+    )
+    index = unresolved if self._ids is None else self._ids[kind]
+    if isinstance(index, str):
+      raise MjlabError(f"SceneEntityCfg({self.name!r}).{kind}_ids: {index}")
+    return index
 
 
 def _select(selection: Any, names: tuple[str, ...], kind: str, owner: str, preserve_order: bool) -> list[int]:
   if selection is None:
     return list(range(len(names)))
-  if isinstance(selection, torch.Tensor):
-    selection = selection.tolist()
-  if isinstance(selection, slice):
-    selection = list(range(*selection.indices(len(names))))
   items: list[Any] = [selection] if isinstance(selection, str | int) else list(selection)
   if items and all(isinstance(item, str) for item in items):
     return match_names(items, names, what=kind, owner=owner, preserve_order=preserve_order)[0]

@@ -16,8 +16,6 @@ from torch.fx.node import map_aggregate
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from mjlab_managers.parameters import Scalar
-
 
 class Watch(TorchFunctionMode):
   """Context that notes the use of scalars and reads of tensors on the host.
@@ -26,14 +24,10 @@ class Watch(TorchFunctionMode):
   recorded step cannot read tensors on the host.
   """
 
-  def __init__(self, scalars: Mapping[str, Scalar] | None = None) -> None:
+  def __init__(self, scalars: Mapping[str, torch.Tensor] | None = None) -> None:
     super().__init__()
     self.used: set[str] = set()
-    self._name_of = {
-      id(tensor): name
-      for name, scalar in (scalars or {}).items()
-      for tensor in (scalar if isinstance(scalar, tuple) else (scalar,))
-    }
+    self._name_of = {id(scalar): name for name, scalar in (scalars or {}).items()}
     self._calls_host = False
     self._inner = _HostReads()
 
