@@ -136,7 +136,7 @@ def test_a_command_without_times_is_drawn_at_resets_only(make_env):
   assert manager.get_term("twist").command_counter.eq(1).all()
   manager.reset(everybody)
   assert not torch.equal(manager.get_command("twist"), first)
-  assert "the reset" in manager.describe()
+  assert "resampling_time_range" in manager.describe()
 
 
 class Steerable(Uniform):
@@ -166,7 +166,7 @@ def test_what_is_given_by_hand_holds_in_its_world_and_is_no_part_of_a_step_befor
   term.update()
   assert term.command[2].tolist() != [0.5, 0.25, -1.0]
   term.steer(0, [0.0, 0.0, 0.0])
-  assert env.recaptures == ["command 'twist' is given by hand"]
+  assert env.recaptures == ["command 'twist' is steered"]
   assert set(term.state_dict()) == {"time_left", "command_counter", "_command", "age"}
   with pytest.raises(ValueError, match=r"steered by forward \[m/s\], left \[m/s\], turn \[rad/s\]; got 2 numbers"):
     term.steer(0, [1.0, 2.0])

@@ -1,7 +1,7 @@
 """Ring buffers over time with one row per world: a window of past frames, and a delay line.
 
-Both work inside a recorded step: fixed memory, no host reads. Each world has its own clock. A read never looks behind
-the first frame after a reset, so that frame fills a young window.
+Both work inside a recorded step: fixed memory, no host reads. Each world has its own clock. The first frame after a
+reset stands for all frames before it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class _Ring(Stateful):
     self.device, self.dtype = torch.device(device), dtype
     self._frames = self.state((length, *self.shape), dtype=dtype)
     self._worlds = torch.arange(num_envs, device=device)
-    # Tick of the newest frame, and tick of the first one since the reset: tick + 1 means that there is none.
+    # Tick of the newest frame, and of the first one since the reset. The latter is tick + 1 before the first frame.
     self._tick = self.state(dtype=torch.int64)
     self._born = self.state(dtype=torch.int64, fill=1)
 

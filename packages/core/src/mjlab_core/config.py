@@ -21,7 +21,7 @@ FORMER_FIELDS: dict[str, dict[str, str]] = {
     "transmission_type": "each transmission has its own class: JointPositionActionCfg, TendonLengthActionCfg, ...",
   },
   "ActuatorCfg": {
-    "delay_per_env_phase": "worlds always change their delay at times of their own",
+    "delay_per_env_phase": "worlds always change their delay at separate times",
     "joint_names_expr": "target_names_expr",
   },
   "CameraSensorCfg": {
@@ -62,7 +62,7 @@ FORMER_FIELDS: dict[str, dict[str, str]] = {
     "ray_alignment": "alignment",
     "viz": "drawings have fixed colours and sizes",
   },
-  "RingPatternCfg": {"rings": "one ring: radius and num_samples; a RayPatternCfg of your own may hold several"},
+  "RingPatternCfg": {"rings": "one ring: radius and num_samples; a custom RayPatternCfg may have several"},
   "RslRlBaseRunnerCfg": {
     "load_checkpoint": "mjlab train --resume",
     "load_run": "mjlab train --resume",

@@ -22,7 +22,7 @@ import builtins
 import math
 import sys
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
@@ -66,7 +66,7 @@ class Limits:
     if self.nonzero and any(number == 0 for number in numbers):
       return "not be zero"
     inside = all(self.ge <= number <= self.le for number in numbers)
-    # An infinite bound is no bound.
+    # An infinite bound allows infinity.
     above = self.gt == -math.inf or all(number > self.gt for number in numbers)
     below = self.lt == math.inf or all(number < self.lt for number in numbers)
     return "" if inside and above and below else self._words
@@ -147,7 +147,7 @@ Bounds = Annotated[tuple[float, float], Limits(finite=False), Ascending()]
 def check_fields(cfg: Any, owner: str, others: Iterable[str] = ()) -> None:
   """Raise ConfigError with the fields of a dataclass that break their annotations; messages begin with `owner`.
 
-  Without any, `others` are the problems; it may be a generator that relies on the annotations.
+  If there are none, `others` are the problems. It may be a generator that relies on the annotations.
   """
   if problems := field_problems(cfg) or list(others):
     raise ConfigError(*(f"{owner}: {problem}" for problem in problems))
@@ -157,7 +157,7 @@ def require(value: object, kind: type[T], otherwise: str) -> T:
   """Return a value that must be of this type.
 
   Raises:
-    ConfigError: It is of another, or None; the message is `otherwise`.
+    ConfigError: The value has another type; the message is `otherwise`.
   """
   if not isinstance(value, kind):
     raise ConfigError(otherwise)
@@ -171,7 +171,7 @@ def field_problem(value: Any, hint: Any) -> str:
 
 
 def named_problem(name: str, value: Any, hint: Any) -> str:
-  """Return `field_problem` behind the value's name, for a misspelt choice with the nearest ones; else empty."""
+  """Return `field_problem` with the value's name, and with the nearest choices of a misspelt one; empty if valid."""
   problem = field_problem(value, hint)
   return problem and (_names_close(name, value, hint) or f"{name} {problem}")
 
@@ -183,7 +183,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
 
 def field_problems(cfg: Any) -> list[str]:
-  """Return one line for each field of a dataclass whose value breaks a constraint, without the name of the config."""
+  """Return one line for each field of a dataclass that breaks a constraint, without the name of the config."""
   hints = field_hints(type(cfg))
   names = [field.name for field in fields(cfg) if field.name in hints]
   return [problem for name in names if (problem := named_problem(name, getattr(cfg, name), hints[name]))]
@@ -216,14 +216,13 @@ def _broken_rule(value: Any, hint: Any) -> str:
   """Return the rule of an annotation that a value breaks, to follow "must"; empty if it keeps all."""
   origin, args = get_origin(hint), get_args(hint)
   if origin is Annotated:
-    checks: list[Callable[[Any], str]] = [lambda value: _broken_rule(value, args[0])]
-    checks += [rule.problem for rule in args[1:] if isinstance(rule, Limits | Ascending | Items)]
-    return next((broken for check in checks if (broken := check(value))), "")
+    rules = [rule for rule in args[1:] if isinstance(rule, Limits | Ascending | Items)]
+    return _broken_rule(value, args[0]) or _first(rule.problem(value) for rule in rules)
   if origin in (Union, types.UnionType):
     broken = {_broken_rule(value, arg): arg for arg in args if arg is not type(None) or value is None}
     if "" in broken:
       return ""
-    # A part for values of this type says best what is wrong.
+    # A part for values of this type explains the mistake best.
     return " or ".join([rule for rule, arg in broken.items() if _is_for(value, rule, arg)] or broken)
   if origin is Literal:
     return "" if value in args else f"be {' or '.join(map(repr, args))}"
@@ -232,7 +231,7 @@ def _broken_rule(value: Any, hint: Any) -> str:
   if isinstance(origin, type) and issubclass(origin, Mapping):
     if not isinstance(value, Mapping):
       return "be a mapping"
-    return next((broken for element in value.values() if (broken := _broken_rule(element, args[1]))), "")
+    return _first(_broken_rule(element, args[1]) for element in value.values())
   kind, rule = _TYPES.get(hint, (object, "")) if isinstance(hint, type) else (object, "")
   is_wrong = not isinstance(value, kind) or (hint in (int, float) and isinstance(value, bool))
   return rule if is_wrong else ""
@@ -251,7 +250,12 @@ def _broken_by_elements(value: Any, hints: tuple[Any, ...]) -> str:
     hints = hints[:1] * len(value)
   if len(value) != len(hints):
     return f"have {len(hints)} elements"
-  return next((broken for pair in zip(value, hints, strict=True) if (broken := _broken_rule(*pair))), "")
+  return _first(_broken_rule(*pair) for pair in zip(value, hints, strict=True))
+
+
+def _first(rules: Iterable[str]) -> str:
+  """Return the first broken rule; empty if none is broken."""
+  return next(filter(None, rules), "")
 
 
 def _names_close(name: str, value: Any, hint: Any) -> str:

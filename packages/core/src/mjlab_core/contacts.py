@@ -34,7 +34,7 @@ class Contacts(Generic[Array]):
 
 
 def host_contacts(model: Any, data: Any) -> Contacts[np.ndarray]:
-  """Return the contacts of an `MjData` whose constraint forces are solved for.
+  """Return the contacts of an `MjData` with solved constraint forces.
 
   Forces are those of `mj_contactForce`, bit for bit, for all contacts at once.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class MjlabError(ValueError):
-  """Base of all errors about what a user gave: a config, a name, a file, a value."""
+  """Base of all errors in the input of a user: a config, a name, a file, a value."""
 
 
 class UnknownNameError(MjlabError, KeyError):
@@ -53,7 +53,7 @@ def is_consequence(error: BaseException | None) -> bool:
 
 
 class FileError(MjlabError):
-  """File from a user that cannot be read; the message gives its path and what it lacks."""
+  """File that cannot be read; the message gives its path and the reason."""
 
 
 class DivergedError(MjlabError):

@@ -103,7 +103,7 @@ def remove_leftovers(folder: str | os.PathLike[str]) -> list[Path]:
 
 @contextlib.contextmanager
 def reading(what: str, path: str | os.PathLike[str], max_bytes: int | None = None) -> Generator[Path]:
-  """Turn any failure while a user's file is read into one line with the file's name.
+  """Turn a failure to read a file into an error of one line with the file's name.
 
   Args:
     what: Kind of the file, such as "checkpoint".
@@ -111,7 +111,7 @@ def reading(what: str, path: str | os.PathLike[str], max_bytes: int | None = Non
     max_bytes: Largest size that is read.
 
   Raises:
-    FileError: There is no such file, it is too large, or the code inside failed on it.
+    FileError: The file does not exist, is too large, or made the code inside fail.
   """
   prefix = f"{what} {printable(path, 300)}"
   try:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 Index = slice | Tensor
-"""A slice, or an int64 tensor on the device of what it indexes."""
+"""A slice, or an int64 tensor on the device of the indexed tensor."""
 
 
 def as_slice(ids: Iterable[int], *, spaced: bool = False) -> slice | None:

@@ -29,7 +29,7 @@ FOLLOWERS: dict[str, tuple[str, ...]] = {
   **dict.fromkeys(("actuator_gear", "actuator_cranklength"), (*_INVERSE, "actuator_length0")),
   **dict.fromkeys(("cam_pos", "cam_quat"), _CAMERA),
   **dict.fromkeys(("light_pos", "light_dir"), _LIGHT),
-  # What the author gave is kept, and the rest of it follows.
+  # Values from the author of the model are kept, and the others follow.
   "eq_data": ("eq_data",),
   "geom_size": ("geom_aabb", "geom_rbound"),
 }
@@ -38,7 +38,7 @@ FOLLOWERS: dict[str, tuple[str, ...]] = {
 ROUTE_FOLLOWERS: dict[str, tuple[str, ...]] = dict.fromkeys(
   ("geom_pos", "geom_quat", "geom_size", "site_pos", "site_quat"), (*_LENGTH, *_INVERSE)
 )
-"""Fields that follow besides where tendons run through sites or around geoms, or actuators act at sites."""
+"""Further fields that follow if tendons run through sites or around geoms, or actuators act at sites."""
 
 FLAGGED = frozenset(
   """
@@ -47,10 +47,10 @@ FLAGGED = frozenset(
   actuator_dampingpoly
   """.split()
 )
-"""Fields that `mj_setConst` reads for flags and bounds of its own, so that it must run after a change of them."""
+"""Fields that `mj_setConst` reads for internal flags and bounds, so that it must run after they change."""
 
 SOURCES = frozenset((*FOLLOWERS, *ROUTE_FOLLOWERS, *FLAGGED))
-"""Fields after whose change `mj_setConst` must run."""
+"""Fields that require `mj_setConst` after a change."""
 
 PER_WORLD = frozenset(
   """
@@ -126,7 +126,7 @@ def num_elements(model: Any, kind: str) -> int:
 
 
 def element_names(model: Any, kind: str) -> list[str]:
-  """Return the names of all elements of a kind in an `MjModel`, in its order; empty where there is none."""
+  """Return the names of all elements of a kind in an `MjModel`, in its order."""
   element = getattr(model, kind)
   return [element(i).name for i in range(num_elements(model, kind))]
 

@@ -142,7 +142,7 @@ def _prefix(owner: str) -> str:
 
 
 def _offer(name: str, candidates: Sequence[str]) -> str:
-  # Quantifiers and anchors say nothing about the name meant; what is left of a pattern often does.
+  # Without quantifiers and anchors, a pattern often resembles the intended name.
   close = nearest(re.sub(r"[\\^$.*+?()\[\]{}|]+", "", name) or name, candidates)
   return (f"Nearest: {', '.join(close)}. " if close else "") + _all(candidates)
 

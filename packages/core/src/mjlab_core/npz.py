@@ -1,4 +1,4 @@
-"""Arrays of `.npz` files from strangers: sizes are known before data is unpacked, and only wanted arrays are."""
+"""Arrays of untrusted `.npz` files: sizes are checked first, and only requested arrays are unpacked."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Draws from distributions, whole batches at a time and without a host sync, and seeds.
 
-Bounds are numbers or tensors that broadcast against `shape`. The amount of randomness consumed depends on `shape`
-alone, so that what a world draws does not depend on which worlds are asked for.
+Bounds are numbers or tensors that broadcast against `shape`. The number of random numbers depends on `shape` alone, so
+the draws of a world do not depend on the selection of other worlds.
 """
 
 from __future__ import annotations
@@ -93,9 +93,8 @@ def truncated_normal(
 def call_where(mask: Tensor, fn: Callable[[Tensor], object], generator: torch.Generator) -> None:
   """Call `fn(mask)`, which changes and draws numbers for the worlds in `mask` only, bool (num_envs,).
 
-  A GPU would have to wait for the mask, so the call is always made there. On a CPU an empty mask skips it. So that
-  this changes no number, `fn` draws there from a stream of its own, which `generator` seeds with one draw: what is
-  drawn afterwards does not depend on the call.
+  A GPU would have to wait for the mask, so the call is always made there. On a CPU an empty mask skips it. `fn` draws
+  there from a separate stream, which `generator` seeds with one draw, so later draws do not depend on the call.
   """
   if mask.device.type != "cpu":
     fn(mask)

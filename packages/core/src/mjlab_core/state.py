@@ -217,7 +217,7 @@ def _registry(owner: Stateful) -> _Registry:
 
 
 def _register(owner: Stateful, registry: _Registry, name: str, value: Any) -> None:
-  """Note what an assignment means for the state of `owner`."""
+  """Register an assigned tensor or child as state of `owner`."""
   made = registry.made.pop(id(value), None)
   if made is not None:
     registry.tensors[name] = made

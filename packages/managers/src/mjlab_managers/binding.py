@@ -123,7 +123,7 @@ class Term:
       undo()
       raise
     if self._kind is not None:
-      # Another parameter may mean another shape, and then the state begins again.
+      # Another parameter may change a shape. Then the state begins with its initial values.
       with suppress(MjlabError):
         self.func.load_state_dict(state)
     return undo
@@ -157,7 +157,7 @@ class Term:
       except MjlabError:
         if not scalars:
           raise
-        # It may need Python numbers; if not, the error is the same again.
+        # It may need Python numbers. Otherwise the second try gives the same error.
         self._takes_scalars = False
         self._build(given)
         return

@@ -1,4 +1,4 @@
-"""Commands: targets that the policy shall follow, drawn at resets and in intervals."""
+"""Commands: targets for the policy, drawn at resets and in intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 from mjlab_core import Config, NonNegativeRange, call_where, fill_, uniform, where_
-from mjlab_core.tables import table
 
 from mjlab_managers.binding import call_named, placed
 from mjlab_managers.deployment import Reading, TermSource
@@ -66,7 +65,7 @@ class CommandTerm(ManagerTermBase, ABC):
     self.command_counter = self.state_of(torch.zeros(self.num_envs, dtype=torch.int64, device=self.device))
     """Draws since the reset, int64 (N,)."""
     self.by_hand: tuple[torch.Tensor, torch.Tensor] | None = None
-    """Mask of the steered worlds, bool (N,), and their numbers, (N, len(axes)); None before the first `steer`."""
+    """Mask of the steered worlds, bool (N,), and their numbers, (N, len(axes)); None until the first `steer`."""
 
   @property
   @abstractmethod
@@ -117,7 +116,7 @@ class CommandTerm(ManagerTermBase, ABC):
     if self.by_hand is None:
       numbers = torch.zeros(self.num_envs, len(axes), dtype=self.command.dtype, device=self.device)
       self.by_hand = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device), numbers
-      self.env.request_recapture(f"command '{self.name}' is given by hand")
+      self.env.request_recapture(f"command '{self.name}' is steered")
     steered, numbers = self.by_hand
     steered[world] = values is not None
     if values is not None:
@@ -247,11 +246,3 @@ class CommandManager(ManagerBase[CommandTermCfg]):
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     return [(name, term.command[env_idx].flatten().tolist()) for name, term in self._terms.items()]
-
-  def describe(self) -> str:
-    rows = []
-    for name, term in self._terms.items():
-      times = term.cfg.resampling_time_range
-      after = "the reset" if times is None else "{} to {} s".format(*times)
-      rows.append((name, type(term).__name__, tuple(term.command.shape[1:]), after))
-    return table(("term", "type", "shape", "resampled after"), rows, title="Commands")

@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 from mjlab_core import MjlabError
-from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, described
 from mjlab_managers.env import ManagerEnv
@@ -99,9 +98,6 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     del env_idx
     names, values = self.log_tensors()
     return [(name.removeprefix("Curriculum/"), [value]) for name, value in zip(names, values.tolist(), strict=True)]
-
-  def describe(self) -> str:
-    return table(("term",), [(name,) for name in self._terms], title="Curricula")
 
 
 def _entries(term: Term, state: Any) -> dict[str, torch.Tensor]:

@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 
 import torch
 from mjlab_core import Count, NonNegativeRange, call_where, where_
-from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, attribute_of
 from mjlab_managers.manager import ManagerBase
@@ -117,8 +116,8 @@ class EventManager(ManagerBase[EventTermCfg]):
 
     Args:
       mode: mode of the terms.
-      mask: worlds to act on, bool (N,); None for all worlds. In mode reset these are the worlds whose episode begins,
-        in mode interval those in which one step of time passed. A global timer always advances, and fires in all
+      mask: worlds to act on, bool (N,); None for all worlds. Mode reset takes the worlds that begin an
+        episode, and mode interval those that advanced by one step. A global timer always advances, and fires in all
         worlds.
     """
     terms = self._modes[mode]
@@ -174,14 +173,3 @@ class EventManager(ManagerBase[EventTermCfg]):
       own = mask if self._global is None else mask[:, None] & ~self._global
       where_(self._time_left, own, self._draw())
     super().reset(mask)
-
-  def describe(self) -> str:
-    rows = []
-    for mode, terms in self._modes.items():
-      for term in terms:
-        cfg = self._cfgs[term.name]
-        when = "every {} to {} s".format(*cfg.interval_range_s) if cfg.interval_range_s else ""
-        when += ", one timer for all worlds" if cfg.is_global_time else ""
-        when += f"at most every {cfg.min_step_count_between_reset} steps" if cfg.min_step_count_between_reset else ""
-        rows.append((mode, term.name, when))
-    return table(("mode", "term", "when"), rows, title="Events")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, ClassVar, Generic, TypeVar
@@ -11,6 +12,7 @@ import torch
 from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownNameError, require, unknown
 from mjlab_core.config import lock
 from mjlab_core.errors import as_consequence, is_consequence
+from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, call_named, call_terms, cfg_problems, described, placed
 from mjlab_managers.env import ManagerEnv
@@ -145,8 +147,13 @@ class ManagerBase(Stateful, Generic[CfgT]):
     return call_named(self.label, name, self._with_params(name).scalar, parameter)
 
   def describe(self) -> str:
-    """Return a table of the terms."""
-    return ""
+    """Return a table of the terms and their configs."""
+    fields = [field.name for field in dataclasses.fields(self.cfg_type) if field.name not in ("func", "params")]
+    rows = []
+    for name, cfg in self._cfgs.items():
+      kind = getattr(cfg, "func", self._terms[name])
+      rows.append((name, getattr(kind, "__name__", type(kind).__name__), *(getattr(cfg, field) for field in fields)))
+    return table(("term", "type", *fields), rows, title=self.label)
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
     """Return name and current values of each term in one world, for viewers. It reads from the device."""
@@ -242,10 +249,10 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _locked(self, name: str, cfg: Any, live: frozenset[str]) -> Any:
     """Return a read-only copy of a config."""
-    ways = [f"set_params('{name}', ...) changes its parameters"] if isinstance(cfg, ManagerTermBaseCfg) else []
-    ways += [f"these fields may be assigned: {', '.join(sorted(live))}"] if live else []
-    advice = f"{self.label}: '{name}' is built, and its config is read-only"
-    cfg = lock(cfg, "; ".join([advice, *ways]) + ".", live)
+    way = (
+      f"change its parameters by set_params('{name}', name=value), or assign: {', '.join(sorted(live)) or 'nothing'}"
+    )
+    cfg = lock(cfg, f"{self.label}: '{name}' is built, and its config is read-only; {way}.", live)
     self._live.append((cfg, live))
     return cfg
 
@@ -304,7 +311,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
       yield
 
   def _tried(self, term: Term, *worlds: torch.Tensor) -> Any:
-    """Return the value of a trial call, whose writes to state are undone."""
+    """Return the value of a trial call, and undo its writes to state."""
     with self._undone(term.func):
       value = term.try_call(*worlds)
       if isinstance(term.func, ManagerTermBase) and not self.masked:

@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import torch
 from mjlab_core import fill_, where_
-from mjlab_core.tables import table
 
 from mjlab_managers.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
@@ -51,7 +50,8 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     self._episode = self.state((len(self._names),), fill=self._initial)
     self._steps = self.state(dtype=torch.int64)
     self._substep_sums = self.state((len(self._substep_columns),))
-    self._lay_out(self._names, "metrics", "Episode_Metrics")
+    self._lay_out("metrics", "Episode_Metrics")
+    self._shown = self._values
 
   def compute_substep(self) -> None:
     """Evaluate the per-substep metrics. Call it after every physics substep."""
@@ -87,11 +87,10 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     Raises:
       UnknownNameError: no such term; the message lists the nearest names.
     """
-    columns = {name: column for column, name in enumerate(self._names)}
-    return self._values[:, self._lookup(columns, name)]
+    return self._values[:, self._column(name)]
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Log the metrics of the worlds in `mask`, bool (N,), whose episode had a step, and reset them there."""
+    """Log the metrics of the worlds in `mask`, bool (N,), that had a step, and reset them there."""
     if not self._terms:
       return
     episode = self._episode
@@ -113,11 +112,3 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     A value is NaN if there was no such episode or no replaced value.
     """
     return super().log_tensors()
-
-  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = dict(zip(self._names, self._values[env_idx].tolist(), strict=True))
-    return [(name, [values[name]]) for name in self._cfgs]
-
-  def describe(self) -> str:
-    rows = [(name, cfg.reduce, "every substep" if cfg.per_substep else "") for name, cfg in self._cfgs.items()]
-    return table(("term", "reduce", "evaluated"), rows, title="Metrics")

@@ -304,7 +304,7 @@ class ObservationManager(ManagerBase[Any]):
     return [raw[term] for term in self._evaluated.values()]
 
   def _observe(self, term: Term, advance: torch.Tensor) -> torch.Tensor:
-    """Return the value of a term, whose state advances in the worlds of `advance` only."""
+    """Return the value of a term. Its state advances in the worlds of `advance` only."""
     func: Any = term.func
     before = func.state_dict() if isinstance(func, Stateful) else None
     value = term()

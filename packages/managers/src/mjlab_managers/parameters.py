@@ -55,7 +55,7 @@ class Signature:
     return {
       name: torch.tensor(float(value), dtype=torch.float64, device=device)
       for name, value in given.items()
-      if is_number(value) and float in _alternatives(self._hints.get(name))
+      if is_number(value) and _allows_float(self._hints.get(name))
     }
 
 
@@ -84,11 +84,7 @@ def _namespace(func: Any) -> dict[str, Any]:
   return getattr(inspect.unwrap(func), "__globals__", {})
 
 
-def _alternatives(hint: Any) -> tuple[Any, ...]:
-  """Return the types of a union, without their constraints."""
-  origin, args = typing.get_origin(hint), typing.get_args(hint)
-  if origin is typing.Annotated:
-    return _alternatives(args[0])
-  if origin in (typing.Union, types.UnionType):
-    return tuple(part for arg in args for part in _alternatives(arg))
-  return (hint,)
+def _allows_float(hint: Any) -> bool:
+  if typing.get_origin(hint) in (typing.Annotated, typing.Union, types.UnionType):
+    return any(map(_allows_float, typing.get_args(hint)))
+  return hint is float

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, call_named, placed
 from mjlab_managers.manager import ManagerBase
@@ -96,10 +95,6 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
         call_named(self.label, name, getattr(self._terms[name].func, hook), *args)
 
     self.env.run_eagerly(call, name=f"recorders {', '.join(names)} ({hook})")
-
-  def describe(self) -> str:
-    rows = [(name, type(term.func).__name__) for name, term in self._terms.items()]
-    return table(("term", "type"), rows, title="Recorders")
 
 
 def _twin(term: RecorderTerm) -> RecorderTerm:

@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 from mjlab_core import Finite, check_value, fill_
-from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.term import ManagerTermBaseCfg
@@ -54,15 +53,16 @@ class RewardManager(VectorManager[RewardTermCfg]):
     self._host_weights = self._read_host_weights()
     weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
     self._weights = self.state_of(weights, shared=True)
-    # Terms whose weight is set on the device; the host cannot know when it is 0.
+    # Terms with a weight that is set on the device. The host cannot know if it is 0.
     self._on_device: set[str] = set()
     self._active = self._read_active()
 
     self.reward = self.state()
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
-    self._lay_out(self.active_terms, "reward", "Episode_Reward")
-    self._weighted = torch.zeros_like(self._values)
+    self._names = self.active_terms
+    self._lay_out("reward", "Episode_Reward")
+    self._shown = self._weighted = torch.zeros_like(self._values)
     self._episode_sums = self.state((len(self._terms),))
 
   @property
@@ -80,7 +80,7 @@ class RewardManager(VectorManager[RewardTermCfg]):
 
     After this call the term is always evaluated. The config of the term does not show such writes.
     """
-    index = self._lookup({name: index for index, name in enumerate(self._terms)}, name)
+    index = self._column(name)
     self._on_device.add(name)
     self._update_activity()
     return self._weights[0, index]
@@ -151,9 +151,3 @@ class RewardManager(VectorManager[RewardTermCfg]):
     names, values = super().log_tensors()
     values[: len(self._terms)] /= self.env.max_episode_length_s or 1.0
     return names, values
-
-  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    return [(name, [value]) for name, value in zip(self._terms, self._weighted[env_idx].tolist(), strict=True)]
-
-  def describe(self) -> str:
-    return table(("term", "weight"), [(name, cfg.weight) for name, cfg in self._cfgs.items()], title="Rewards")

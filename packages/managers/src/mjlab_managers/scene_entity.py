@@ -33,10 +33,10 @@ def _indices(kind: str) -> Any:
 class SceneEntityCfg(Config):
   """Entity of the scene, and the elements of it that a term uses.
 
-  A config that a user writes is unresolved. Managers pass a resolved copy to terms. In this copy, `<kind>_ids` are
+  The config of a user is unresolved. Managers pass a resolved copy to terms. In this copy, `<kind>_ids` are
   indices into the arrays of the entity, and `<kind>_names` is a tuple of the selected names in the same order. Terms
-  index joint positions by `joint_pos_ids` and joint velocities by `joint_vel_ids`, which are right beside a ball joint
-  too, whose position has four columns and whose velocity three.
+  index joint positions by `joint_pos_ids` and joint velocities by `joint_vel_ids`, also for entities with a ball joint,
+  which has four columns of position and three of velocity.
   """
 
   name: str
@@ -53,7 +53,7 @@ class SceneEntityCfg(Config):
   _ids: ClassVar[dict[str, Index | str] | None] = None
 
   joint_ids = _indices("joint")
-  """Selected joints, (num_selected,); not columns where some joints of an entity with a ball joint are selected."""
+  """Selected joints, (num_selected,); refused for some joints of an entity with a ball joint."""
   joint_pos_ids = _indices("joint_pos")
   """Columns of the selected joints in positions, targets and limits."""
   joint_vel_ids = _indices("joint_vel")
@@ -104,7 +104,7 @@ class SceneEntityCfg(Config):
             "for positions and joint_vel_ids for velocities."
           )
       setattr(resolved, f"{kind}_names", tuple(names[i] for i in picked))
-    # Not a field: what a user writes, saves and compares has no ids.
+    # Not a field: ids are not saved or compared.
     vars(resolved)["_ids"] = ids
     return resolved
 
@@ -134,25 +134,23 @@ def resolve_entities(value: Any, env: ManagerEnv) -> Any:
   """Return `value` with every SceneEntityCfg in it resolved. A container is copied only if a value in it changed."""
   if isinstance(value, SceneEntityCfg):
     return value if value.resolved else value.resolve(env.scene, env.device)
+  parts: dict[Any, Any]
   if isinstance(value, dict):
-    items = {key: resolve_entities(item, env) for key, item in value.items()}
-    return value if all(items[key] is value[key] for key in items) else items
+    parts = value
+  elif isinstance(value, list | tuple):
+    parts = dict(enumerate(value))
+  elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+    parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+  else:
+    return value
+  resolved = {key: resolve_entities(part, env) for key, part in parts.items()}
+  if all(resolved[key] is part for key, part in parts.items()):
+    return value
+  if isinstance(value, dict):
+    return resolved
   if isinstance(value, list | tuple):
-    parts = [resolve_entities(item, env) for item in value]
-    if all(a is b for a, b in zip(parts, value, strict=True)):
-      return value
-    return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
-  if dataclasses.is_dataclass(value) and not isinstance(value, type):
-    changed = {}
-    for item in dataclasses.fields(value):
-      old = getattr(value, item.name)
-      new = resolve_entities(old, env)
-      if new is not old:
-        changed[item.name] = new
-    if not changed:
-      return value
-    twin = copy.copy(value)
-    for name, new in changed.items():
-      object.__setattr__(twin, name, new)
-    return twin
-  return value
+    return type(value)(*resolved.values()) if hasattr(value, "_fields") else type(value)(resolved.values())
+  twin = copy.copy(value)
+  for name, part in resolved.items():
+    object.__setattr__(twin, name, part)
+  return twin

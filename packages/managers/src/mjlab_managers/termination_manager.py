@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 import torch
-from mjlab_core.tables import table
 
 from mjlab_managers.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
@@ -35,6 +34,7 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
     self.dones = self.state(dtype=torch.bool)
     """Worlds that ended in the last `compute`, bool (N,)."""
     self._masks = self.state((len(self._terms),), dtype=torch.bool)
+    self._shown = self._masks
     self._counts = torch.zeros(len(self._terms), dtype=torch.int64, device=self.device)
     self._order()
 
@@ -49,8 +49,7 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
 
   def get_term(self, name: str) -> torch.Tensor:
     """Return the value of a term in the last `compute`, bool (N,)."""
-    columns = {name: column for column, name in enumerate(self._names)}
-    return self._masks[:, self._lookup(columns, name)]
+    return self._masks[:, self._column(name)]
 
   @property
   def step_terms(self) -> tuple[list[str], torch.Tensor]:
@@ -83,11 +82,3 @@ class TerminationManager(VectorManager[TerminationTermCfg]):
 
   def clear_log(self) -> None:
     self._counts.zero_()
-
-  def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = dict(zip(self._names, self._masks[env_idx].tolist(), strict=True))
-    return [(name, [float(values[name])]) for name in self._terms]
-
-  def describe(self) -> str:
-    rows = [(name, "time out" if cfg.time_out else "termination") for name, cfg in self._cfgs.items()]
-    return table(("term", "kind"), rows, title="Terminations")

@@ -1,7 +1,7 @@
 """Observation of a trial call: use of scalars, reads on the host, and writes to undeclared memory.
 
 The module needs private names of torch that have no public form. `TorchDispatchMode` sees operations inside of torch,
-and `Tensor._version` counts the writes to a tensor. A test fails if a version of torch lacks them.
+and `Tensor._version` counts the writes to a tensor. A test fails if a version of torch does not have them.
 """
 
 from __future__ import annotations
