@@ -37,7 +37,7 @@ class ManagerBase(Stateful, Generic[CfgT]):
     ConfigError: a config is wrong; one line per mistake, with manager and term.
   """
 
-  cfg_type: ClassVar[type]
+  cfg_type: ClassVar[Any]
   live_fields: ClassVar[frozenset[str]] = frozenset()
   """Fields of a term config that may be assigned after build."""
   term_base: ClassVar[type] = ManagerTermBase
