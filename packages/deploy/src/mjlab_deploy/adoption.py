@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,11 @@ import numpy as np
 
 from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import MAX_BYTES, Bundle, write_description
-from mjlab_deploy.description import Command, Description, Input, Joint, Memory, Motion, Origin, Robot, Target, Timing
+from mjlab_deploy.description import Command, Description, Input, Joint, Motion, Origin, Robot, Target, Timing
 from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
 from mjlab_deploy.model_readings import actuators_of
 from mjlab_deploy.network_graph import NetworkGraph
-from mjlab_deploy.network_metadata import numbers, read_joints, read_observations, words
+from mjlab_deploy.network_metadata import NetworkMetadata, read_metadata
 from mjlab_deploy.onnx_graph import OnnxGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
 from mjlab_deploy.scene import write_scene
@@ -51,17 +51,12 @@ def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundl
   data = read_limited(policy, MAX_BYTES["policy.onnx"])
   network = OnnxGraph(data)
   check_known("input of the network", "obs", network.inputs)
-  metadata = network.metadata
-  if "joint_names" not in metadata and (beside := find_deploy_yaml(policy)):
-    metadata = read_deploy_yaml(beside)
-    rate = rate or 1.0 / float(metadata["step_dt"])
-  rate = rate or 50.0
+  beside = None if "joint_names" in network.metadata else find_deploy_yaml(policy)
   follows_clip = "time_step" in network.inputs and "joint_pos" in network.outputs
-  joints = read_joints(metadata)
-  names = tuple(joint.name for joint in joints)
-  scale = tuple(numbers(metadata, "action_scale", len(joints)))
-  observations = read_observations(metadata, len(joints), follows_clip=follows_clip)
-  graph = NetworkGraph(network, joints, scale, observations)
+  metadata = read_metadata(network.metadata, follows_clip=follows_clip) if beside is None else read_deploy_yaml(beside)
+  rate = rate or metadata.rate or 50.0
+  joints, names = metadata.joints, tuple(joint.name for joint in metadata.joints)
+  graph = NetworkGraph(network, joints, metadata.action_scale, metadata.observations)
   spec = _scene(model, joints)
   (folder / "policy.onnx").write_bytes(data)
   if not write_scene(spec, folder):
@@ -73,13 +68,13 @@ def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundl
     task=policy.stem,
     robot=robot,
     timing=_timing(compiled.opt.timestep, rate),
-    inputs=tuple(Input(name=name, shape=shape, origin=_origin(name, root)) for name, shape in graph.readings.items()),
-    memories=tuple(Memory(input=name, output=f"{name}/next", shape=shape) for name, shape in graph.memories.items()),
+    inputs=tuple(Input(name=name, shape=shape[1:], origin=_origin(name, root)) for name, shape in graph.inputs.items()),
+    memories=(),
     targets=(Target(name="target/position", quantity="position", joints=names),),
-    observations=observations,
+    observations=metadata.observations,
     action_names=names,
-    action_scale=scale,
-    commands=(Command(input="command/velocity", ranges=_VELOCITY),) if "command/velocity" in graph.readings else (),
+    action_scale=metadata.action_scale,
+    commands=(Command(input="command/velocity", ranges=_VELOCITY),) if "command/velocity" in graph.inputs else (),
     motion=_write_motion(network, metadata, folder, rate) if follows_clip else None,
     has_scene=True,
   )
@@ -164,10 +159,9 @@ def _origin(name: str, root: str) -> Origin | None:
   return Origin(quantity=quantity, name=f"{_ROBOT}/{body[0]}" if body else root, object_type="body")
 
 
-def _write_motion(network: OnnxGraph, metadata: Mapping[str, str], folder: Path, rate: float) -> Motion:
+def _write_motion(network: OnnxGraph, metadata: NetworkMetadata, folder: Path, rate: float) -> Motion:
   """Write the clip that a network shows frame by frame; its last frame is repeated for all later steps."""
-  anchor, bodies = metadata.get("anchor_body_name", ""), words(metadata, "body_names")
-  check_known("anchor_body_name of the metadata", anchor, bodies)
+  anchor = metadata.bodies.index(metadata.anchor)
   zeros = network.zeros(*network.inputs)
 
   def shown(step: int) -> dict[str, np.ndarray]:
@@ -187,9 +181,9 @@ def _write_motion(network: OnnxGraph, metadata: Mapping[str, str], folder: Path,
   rows = {
     "joint_position": [frame["joint_pos"][0] for frame in frames],
     "joint_velocity": [frame["joint_vel"][0] for frame in frames],
-    "anchor_position": [frame["body_pos_w"][0, bodies.index(anchor)] for frame in frames],
-    "anchor_orientation": [frame["body_quat_w"][0, bodies.index(anchor)] for frame in frames],
+    "anchor_position": [frame["body_pos_w"][0, anchor] for frame in frames],
+    "anchor_orientation": [frame["body_quat_w"][0, anchor] for frame in frames],
   }
   write_arrays(folder / "motion.npz", {name: np.array(values, np.float64) for name, values in rows.items()})
-  names = tuple(words(metadata, "joint_names"))
-  return Motion(rate=rate, num_frames=len(frames), joint_names=names, anchor_body=anchor)
+  names = tuple(joint.name for joint in metadata.joints)
+  return Motion(rate=rate, num_frames=len(frames), joint_names=names, anchor_body=metadata.anchor)

@@ -91,13 +91,12 @@ class _View:
     )
     area = mujoco.MjrRect(0, 0, width, height)
     scene, colours, buffer = self._scene, np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
-    for number in range(0 if self._is_depth else scene.nlight):
-      light = scene.lights[number]
-      light.ambient, light.diffuse, light.specular = (
-        np.asarray(value) / _DARKER for value in (light.ambient, light.diffuse, light.specular)
-      )
-    for number in range(0 if self._is_depth else scene.ngeom):
-      scene.geoms[number].emission /= _DARKER
+    if not self._is_depth:
+      for light in scene.lights[: scene.nlight]:
+        for values in (light.ambient, light.diffuse, light.specular):
+          values /= _DARKER
+      for geom in scene.geoms[: scene.ngeom]:
+        geom.emission /= _DARKER
     mujoco.mjr_render(area, scene, self._context)
     mujoco.mjr_readPixels(colours, buffer, area, self._context)
     if not self._is_depth:

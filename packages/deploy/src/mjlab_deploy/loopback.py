@@ -15,6 +15,10 @@ from mjlab_deploy.model_readings import Readings, actuators_of, joint_id
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotIO, RobotState
 
 MessageT = TypeVar("MessageT")
+RATE = 500.0
+"""Messages per second [Hz]."""
+_NOISE = 1e-5
+"""Standard deviation of the noise of all measurements [their units]."""
 
 
 class LoopbackRobot(RobotIO):
@@ -26,11 +30,9 @@ class LoopbackRobot(RobotIO):
 
   Args:
     bundle: The bundle.
-    rate: Messages per second [Hz].
     delay: Messages that each direction is late.
     loss: Probability that a message is lost, in each direction.
     watchdog: Time without a command after which drives damp [s].
-    noise: Standard deviation of the noise of all measurements [their units].
     seed: Seed of losses and noise.
   """
 
@@ -38,18 +40,16 @@ class LoopbackRobot(RobotIO):
     self,
     bundle: Bundle,
     *,
-    rate: float = 500.0,
     delay: int = 0,
     loss: float = 0.0,
     watchdog: float = 0.016,
-    noise: float = 1e-5,
     seed: int = 0,
   ) -> None:
     self._loop = ClosedLoop(bundle)
     self.model, self.data = self._loop.model, self._loop.data
     self.description: Description = bundle.description
-    self.rate, self.delay, self.loss, self.watchdog, self.noise = rate, delay, loss, watchdog, noise
-    self.model.opt.timestep = 1.0 / rate
+    self.rate, self.delay, self.loss, self.watchdog = RATE, delay, loss, watchdog
+    self.model.opt.timestep = 1.0 / RATE
     self._rng = np.random.default_rng(seed)
     measured = ("joint/position", "joint/velocity", "imu/gyro", "imu/projected_gravity")
     self._extra = [item.name for item in self._loop.sensors.inputs if item.name not in measured]
@@ -164,7 +164,7 @@ class LoopbackRobot(RobotIO):
       self._newest = replace(arrived, readings=arrived.readings | self._images)
 
   def _measured(self, values: np.ndarray) -> np.ndarray:
-    return values + self._rng.normal(0.0, self.noise, values.shape)
+    return values + self._rng.normal(0.0, _NOISE, values.shape)
 
   def _draw(self) -> Readings:
     """Return the images that are due and not lost."""

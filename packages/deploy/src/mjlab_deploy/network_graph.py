@@ -3,6 +3,7 @@
 Observations are assembled here, in NumPy, as the description of the bundle says.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -18,7 +19,7 @@ _SIX = (0, 1, 3, 4, 6, 7)
 
 
 class NetworkGraph:
-  """A network as a graph from readings to joint targets.
+  """A network as a graph from readings to joint targets, which keeps its memory itself.
 
   Args:
     network: The network.
@@ -41,60 +42,47 @@ class NetworkGraph:
     self._default, self._scale = np.array([joint.default_position for joint in joints]), np.array(action_scale)
     if (width := sum(item.shape[0] for item in observations)) != network.inputs["obs"][-1]:
       raise DeployError(f"its observation_names give {width} numbers, the network takes {network.inputs['obs'][-1]}")
-    count = len(joints)
-    self.readings: Shapes = {
-      name: (reading_width(name, count),) for item in observations for name in item.sources if name != "last_action"
-    }
+    names = [name for item in observations for name in item.sources if name != "last_action"]
+    self.inputs: Shapes = {name: (1, reading_width(name, len(joints))) for name in names}
     """Shapes of the readings by name."""
-    self.memories: Shapes = {"memory/last_action": (1, count), "memory/time_step": (1, 1)}
-    """Shapes of the memories by name."""
-    for item in observations:
-      if item.history_length > 1:
-        self.memories[_history(item)] = (1, item.history_length, item.shape[0] // item.history_length)
-    self.memories |= {f"memory/{name}": value.shape for name, value in network.zeros(*network.states).items()}
-    with reading("the network cannot be run", Exception):
-      self.run({name: np.zeros(shape, np.float32) for name, shape in self.inputs.items()})
-
-  @property
-  def inputs(self) -> Shapes:
-    """Shapes of the inputs by name."""
-    readings = {name: (1, *shape) for name, shape in self.readings.items()}
-    return readings | self.memories | {"episode_start": (1, 1)}
-
-  @property
-  def outputs(self) -> list[str]:
+    self.outputs = ["target/position", "action", f"observation/{GROUP}"]
     """Names of the outputs."""
-    return ["target/position", "action", f"observation/{GROUP}", *(f"{name}/next" for name in self.memories)]
+    self.reset()
+    with reading("the network cannot be run", Exception):
+      self.run({name: np.zeros(shape) for name, shape in self.inputs.items()})
+    self.reset()
+
+  def reset(self) -> None:
+    """Begin an episode: forget everything."""
+    self._last_action, self._time_step = np.zeros(len(self._default)), 0
+    self._states = self._network.zeros(*self._network.states)
+    self._past: dict[str, deque[np.ndarray]] = {}
 
   def run(self, feed: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return all outputs by name."""
-    following: dict[str, np.ndarray] = {}
-    parts = [self._observe(item, feed, following) for item in self._observations]
-    observation = np.concatenate(parts, axis=1).astype(np.float32)
-    given = {"obs": observation} | {name: feed[f"memory/{name}"] for name in self._network.states}
+    observation = np.concatenate([self._observe(item, feed) for item in self._observations])[None].astype(np.float32)
+    given = {"obs": observation, **self._states}
     if "time_step" in self._network.inputs:
-      given["time_step"] = feed["memory/time_step"]
+      given["time_step"] = np.array([[self._time_step]])
     values = self._network.run(given)
     action = values[self._network.action].astype(np.float32).reshape(1, -1)
-    following |= {f"memory/{name}": values[output] for name, output in self._network.states.items()}
-    following |= {"memory/last_action": action, "memory/time_step": feed["memory/time_step"] + np.float32(1.0)}
+    self._states = {name: values[output] for name, output in self._network.states.items()}
+    self._last_action, self._time_step = action[0], self._time_step + 1
     target = (self._default + self._scale * action).astype(np.float32)
-    found = {"target/position": target, "action": action, f"observation/{GROUP}": observation}
-    return found | {f"{name}/next": value for name, value in following.items()}
+    return dict(zip(self.outputs, (target, action, observation), strict=True))
 
-  def _observe(self, item: Observation, feed: Mapping[str, np.ndarray], following: dict[str, np.ndarray]) -> np.ndarray:
-    sources = [feed[f"memory/{name}" if name == "last_action" else name][0] for name in item.sources]
+  def _observe(self, item: Observation, feed: Mapping[str, np.ndarray]) -> np.ndarray:
+    sources = [self._last_action if name == "last_action" else feed[name][0] for name in item.sources]
     frame = self._compute(item.name, sources)
     if item.clip is not None:
       frame = np.clip(frame, *item.clip)
-    frame = frame[None] * (1.0 if item.scale is None else np.array(item.scale))
+    frame = frame * (1.0 if item.scale is None else np.array(item.scale))
     if item.history_length < 2:
       return frame
-    past = np.concatenate((feed[_history(item)][0, 1:], frame))
-    if feed["episode_start"][0, 0]:
-      past = np.repeat(frame, item.history_length, axis=0)
-    following[_history(item)] = past[None].astype(np.float32)
-    return past.reshape(1, -1)
+    # At the start of an episode the past is filled with the present.
+    past = self._past.setdefault(item.name, deque([frame] * item.history_length, maxlen=item.history_length))
+    past.append(frame)
+    return np.concatenate(past)
 
   def _compute(self, name: str, sources: list[np.ndarray]) -> np.ndarray:
     if name.startswith("joint_pos"):
@@ -104,11 +92,6 @@ class NetworkGraph:
     if name == "motion_anchor_ori_b":
       return (_matrix(sources[1]).T @ _matrix(sources[0])).ravel()[list(_SIX)]
     return np.concatenate(sources)
-
-
-def _history(item: Observation) -> str:
-  """Return the name of the memory of an observation."""
-  return f"memory/history/{GROUP}/{item.name}"
 
 
 def _matrix(quat: np.ndarray) -> np.ndarray:

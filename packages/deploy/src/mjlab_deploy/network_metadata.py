@@ -1,7 +1,9 @@
 """Metadata of the networks of others, as mjlab 1.x and BeyondMimic write it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from mjlab_deploy.description import Joint, Observation
 from mjlab_deploy.errors import DeployError, check_known
@@ -30,39 +32,76 @@ _SOURCES_WITH_CLIP = _SOURCES | {
 _WIDTHS = {"motion_anchor_pos_b": 3, "motion_anchor_ori_b": 6}
 
 
-def read_joints(metadata: Mapping[str, str]) -> tuple[Joint, ...]:
-  """Return the joints of a network with their gains and default positions.
+@dataclass(frozen=True, kw_only=True)
+class NetworkMetadata:
+  """Robot and observations of a network."""
 
-  Raises:
-    DeployError: A value is missing or malformed; the message names it.
-  """
-  names = words(metadata, "joint_names")
-  rows = [numbers(metadata, key, len(names)) for key in ("default_joint_pos", "joint_stiffness", "joint_damping")]
-  return tuple(
-    Joint(name=name, default_position=default, is_driven=True, stiffness=kp, damping=kd)
-    for name, default, kp, kd in zip(names, *rows, strict=True)
-  )
+  joints: tuple[Joint, ...]
+  action_scale: tuple[float, ...]
+  observations: tuple[Observation, ...]
+  rate: float | None = None
+  """Rate of the policy [Hz]; None: not known."""
+  bodies: tuple[str, ...] = ()
+  """Bodies of the clip."""
+  anchor: str = ""
+  """Body of the clip that is aligned with the robot."""
 
 
-def read_observations(metadata: Mapping[str, str], num_joints: int, *, follows_clip: bool) -> tuple[Observation, ...]:
-  """Return the observations of a network in the order of its input.
+def read_metadata(metadata: Mapping[str, str], *, follows_clip: bool) -> NetworkMetadata:
+  """Return the metadata of an ONNX file.
 
   Raises:
     DeployError: A value is missing or malformed, or an observation is not known; the message names it.
   """
-  known, anchor = _SOURCES_WITH_CLIP if follows_clip else _SOURCES, metadata.get("anchor_body_name", "")
-  names = words(metadata, "observation_names")
+  names, bodies, anchor = _words(metadata, "joint_names"), [], metadata.get("anchor_body_name", "")
+  if follows_clip:
+    bodies = _words(metadata, "body_names")
+    check_known("anchor_body_name of the metadata", anchor, bodies)
+  default, stiffness, damping, scale = (
+    _numbers(metadata, key, len(names))
+    for key in ("default_joint_pos", "joint_stiffness", "joint_damping", "action_scale")
+  )
+  terms = _words(metadata, "observation_names")
   settings = []
   for key, separator in (("scale", ";"), ("clip", ";"), ("history_length", ",")):
     parts = metadata.get(f"observation_terms_{key}", "").split(separator)
-    parts = parts if len(parts) == len(names) else [""] * len(names)
+    parts = parts if len(parts) == len(terms) else [""] * len(terms)
     settings.append([_parsed(f"observation_terms_{key}", part) for part in parts])
+  return NetworkMetadata(
+    joints=driven_joints(names, default, stiffness, damping),
+    action_scale=tuple(scale),
+    observations=observations(zip(terms, *settings, strict=True), len(names), anchor if follows_clip else None),
+    bodies=tuple(bodies),
+    anchor=anchor,
+  )
+
+
+def driven_joints(*columns: Iterable[Any]) -> tuple[Joint, ...]:
+  """Return joints for their names, default positions, kp and kd."""
+  return tuple(
+    Joint(name=name, default_position=default, is_driven=True, stiffness=kp, damping=kd)
+    for name, default, kp, kd in zip(*columns, strict=True)
+  )
+
+
+def observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | None = None) -> tuple[Observation, ...]:
+  """Return the observations of a network in the order of its input.
+
+  Args:
+    rows: Name, scale, clip and history length of each; empty lists where there is none.
+    num_joints: Number of joints.
+    anchor: Body of the clip that the policy follows; None without a clip.
+
+  Raises:
+    DeployError: An observation is not known, or its clip has not two numbers.
+  """
+  known = _SOURCES if anchor is None else _SOURCES_WITH_CLIP
   found, start = [], 0
-  for name, scale, clip, history in zip(names, *settings, strict=True):
+  for name, scale, clip, history in rows:
     check_known("observation of the network", name, known)
     if len(clip) not in (0, 2):
-      raise DeployError(f"metadata 'observation_terms_clip' of '{name}' has {len(clip)} numbers")
-    sources = tuple(source.replace("BODY", anchor) for source in known[name])
+      raise DeployError(f"clip of observation '{name}' has {len(clip)} numbers")
+    sources = tuple(source.replace("BODY", anchor or "") for source in known[name])
     frames = max(1, int(sum(history)))
     width = frames * _WIDTHS.get(name, sum(reading_width(source, num_joints) for source in sources))
     found.append(
@@ -81,12 +120,7 @@ def read_observations(metadata: Mapping[str, str], num_joints: int, *, follows_c
   return tuple(found)
 
 
-def words(metadata: Mapping[str, str], key: str) -> list[str]:
-  """Return a list of the metadata.
-
-  Raises:
-    DeployError: It is missing.
-  """
+def _words(metadata: Mapping[str, str], key: str) -> list[str]:
   check_known("metadata of the network", key, metadata)
   return [word.strip() for word in metadata[key].split(",")]
 
@@ -98,13 +132,8 @@ def reading_width(name: str, num_joints: int) -> int:
   return 4 if name.endswith("orientation") else 3
 
 
-def numbers(metadata: Mapping[str, str], key: str, count: int) -> list[float]:
-  """Return one number for each of `count` joints.
-
-  Raises:
-    DeployError: They are missing or malformed; the message names the key.
-  """
-  values = _parsed(key, ",".join(words(metadata, key)))
+def _numbers(metadata: Mapping[str, str], key: str, count: int) -> list[float]:
+  values = _parsed(key, ",".join(_words(metadata, key)))
   if len(values) not in (1, count):
     raise DeployError(f"metadata '{key}' has {len(values)} numbers for {count} joints")
   return values if len(values) == count else values * count

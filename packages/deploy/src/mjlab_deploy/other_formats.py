@@ -43,18 +43,18 @@ def onnx_metadata(description: Description) -> dict[str, str]:
   metadata = {
     "run_path": str(description.training.get("checkpoint", "")),
     "joint_names": ",".join(joint.name for joint in joints),
-    "joint_stiffness": csv(joint.stiffness or 0.0 for joint in joints),
-    "joint_damping": csv(joint.damping or 0.0 for joint in joints),
-    "default_joint_pos": csv(joint.default_position for joint in joints),
+    "joint_stiffness": _csv(joint.stiffness or 0.0 for joint in joints),
+    "joint_damping": _csv(joint.damping or 0.0 for joint in joints),
+    "default_joint_pos": _csv(joint.default_position for joint in joints),
     "command_names": ",".join(names),
     "observation_names": ",".join(term.name for term in terms),
-    "observation_terms_scale": ";".join(csv(_scales(term)) for term in terms),
-    "observation_terms_history_length": csv(float(term.history_length) for term in terms),
-    "observation_terms_flatten_history_dim": csv(float(len(term.shape) == 1) for term in terms),
-    "observation_terms_clip": ";".join("None" if term.clip is None else csv(term.clip) for term in terms),
+    "observation_terms_scale": ";".join(_csv(_scales(term)) for term in terms),
+    "observation_terms_history_length": _csv(float(term.history_length) for term in terms),
+    "observation_terms_flatten_history_dim": _csv(float(len(term.shape) == 1) for term in terms),
+    "observation_terms_clip": ";".join("None" if term.clip is None else _csv(term.clip) for term in terms),
   }
   if description.action_scale is not None:
-    metadata["action_scale"] = csv(description.action_scale)
+    metadata["action_scale"] = _csv(description.action_scale)
   if description.motion is not None:
     metadata["anchor_body_name"] = description.motion.anchor_body
   return metadata
@@ -78,7 +78,7 @@ def unitree_deploy_yaml(description: Description) -> str:
   at_motor = [robot.joints[names.index(name)] for name in motors]
   offsets = {joint.name: joint.default_position for joint in robot.joints}
   lines = [
-    f"joint_ids_map: [{', '.join(str(motors.index(name)) for name in names)}]",
+    f"joint_ids_map: {[motors.index(name) for name in names]}",
     f"step_dt: {description.timing.control_dt!r}",
     f"stiffness: {_list(joint.stiffness or 0.0 for joint in at_motor)}",
     f"damping: {_list(joint.damping or 0.0 for joint in at_motor)}",
@@ -98,7 +98,7 @@ def unitree_deploy_yaml(description: Description) -> str:
     "    joint_names: ['.*']",
     f"    scale: {_list(description.action_scale)}",
     f"    offset: {_list(offsets[name] for name in driven)}",
-    f"    joint_ids: {'null' if driven == names else '[' + ', '.join(str(names.index(n)) for n in driven) + ']'}",
+    f"    joint_ids: {'null' if driven == names else [names.index(name) for name in driven]}",
     "observations:",
   ]
   for term in description.observations:
@@ -118,16 +118,15 @@ def unitree_deploy_yaml(description: Description) -> str:
 
 def _scales(term: Observation) -> list[float]:
   """Return the scale of each component of one frame."""
-  width = term.shape[0] // max(term.history_length, 1) if len(term.shape) == 1 else 1
   if isinstance(term.scale, tuple):
     return list(term.scale)
-  return [1.0 if term.scale is None else float(term.scale)] * width
+  width = term.shape[0] // max(term.history_length, 1) if len(term.shape) == 1 else 1
+  return [1.0 if term.scale is None else term.scale] * width
 
 
-def csv(values: Iterable[float]) -> str:
-  """Return numbers in full precision, joined by commas."""
+def _csv(values: Iterable[float]) -> str:
   return ",".join(repr(float(value)) for value in values)
 
 
 def _list(values: Iterable[float]) -> str:
-  return "[" + ", ".join(repr(float(value)) for value in values) + "]"
+  return str([float(value) for value in values])

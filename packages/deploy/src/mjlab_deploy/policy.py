@@ -48,7 +48,7 @@ class Policy:
       robot, scale = self.description.robot, self.description.action_scale or ()
       with reading("policy.onnx", LookupError):
         graph = NetworkGraph(graph, robot.joints, scale, self.description.observations)
-    self._run, given = graph.run, graph.inputs
+    self._graph, given = graph, graph.inputs
     wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
     wanted |= {item.input: item.shape for item in self.description.memories}
     self._has_start = EPISODE_START in given
@@ -69,6 +69,8 @@ class Policy:
     """Begin an episode: forget everything."""
     self._memory = {item.input: np.zeros(item.shape, np.float32) for item in self.description.memories}
     self._is_first = True
+    if isinstance(self._graph, NetworkGraph):
+      self._graph.reset()
 
   def replace_last_action(self, action: np.ndarray) -> None:
     """Take another action, (actions,), as the last one, if the policy remembers one."""
@@ -90,7 +92,7 @@ class Policy:
       feed[item.name] = value.reshape(1, *item.shape)
     if self._has_start:
       feed[EPISODE_START] = np.full((1, 1), float(self._is_first), np.float32)
-    values = self._run(feed)
+    values = self._graph.run(feed)
     self._memory = {item.input: values[item.output] for item in self.description.memories}
     self._is_first = False
     prefix = "observation/"

@@ -65,21 +65,18 @@ def plot_joints(path: Path, joints: Sequence[str], rows: Mapping[str, np.ndarray
   lines = -(-len(joints) // count)
   figure = matplotlib.Figure(figsize=(3.2 * count, 1.0 + 1.9 * lines), layout="constrained")
   axes = figure.subplots(lines, count, sharex=True, squeeze=False).ravel()
-  time, is_policy = rows["time"], rows["is_policy"] > 0
-  for i, axis in enumerate(axes):
-    if i >= len(joints):
-      axis.axis("off")
-      continue
-    axis.plot(time, rows["target"][:, i], color="tab:orange", linewidth=1.0, label="target")
-    axis.plot(time, rows["position"][:, i], color="tab:blue", linewidth=1.0, label="position")
-    if is_policy.any():
-      axis.axvline(float(time[is_policy][0]), color="0.6", linewidth=0.8, linestyle=":")
-    axis.set_title(joints[i], fontsize=8)
-    axis.tick_params(labelsize=7)
+  time, starts = rows["time"], np.flatnonzero(rows["is_policy"] > 0)
+  for axis in axes[len(joints) :]:
+    axis.axis("off")
+  for axis, name, target, position in zip(axes, joints, rows["target"].T, rows["position"].T, strict=False):
+    axis.plot(time, target, color="tab:orange", linewidth=1.0, label="target")
+    axis.plot(time, position, color="tab:blue", linewidth=1.0, label="position")
+    for start in time[starts[:1]]:
+      axis.axvline(start, color="0.6", linewidth=0.8, linestyle=":")
+    axis.set_title(name, fontsize=8)
+    axis.tick_params(labelsize=7, labelbottom=True)
     axis.grid(alpha=0.3)
-  for axis in axes[max(0, len(joints) - count) : len(joints)]:
-    axis.set_xlabel("time [s]", fontsize=8)
-    axis.tick_params(labelbottom=True)
+  figure.supxlabel("time [s]", fontsize=8)
   handles, labels = axes[0].get_legend_handles_labels()
   figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=8)
   figure.suptitle("Joints [rad, m]; the policy begins at the dotted line", x=0.01, ha="left", fontsize=9)

@@ -88,7 +88,7 @@ class Runner:
     if missing := [joint.name for joint in robot.joints if joint.is_driven and joint.stiffness is None]:
       yield f"the bundle has no stiffness of joint '{missing[0]}'"
     known = {*_MEASURED, *info.readings, *(item.input for item in self.description.commands)}
-    known |= {item.name for item in self.description.inputs if item.name.startswith("motion/") and self.motion}
+    known |= set(self.motion.readings()) if self.motion is not None else set()
     if unknown := [item.name for item in self.description.inputs if item.name not in known]:
       yield f"the robot does not supply {', '.join(unknown)}; train a policy without it"
 

@@ -11,7 +11,7 @@ from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
 from mjlab_deploy.gamepad import connected_gamepad
-from mjlab_deploy.loopback import LoopbackRobot
+from mjlab_deploy.loopback import RATE, LoopbackRobot
 from mjlab_deploy.run_log import plot_joints, write_mcap
 from mjlab_deploy.runner import Runner
 from mjlab_deploy.safety import SafetyLimits
@@ -31,7 +31,6 @@ class SimulatedRun:
     latency: Delay of messages in each direction [s].
     pushes: Push a floating robot now and then.
     command: Values of the first command.
-    seed: Seed of pushes and noise.
 
   Raises:
     DeployError: The policy cannot be run, or takes no such command.
@@ -44,10 +43,8 @@ class SimulatedRun:
     latency: float = 0.0,
     pushes: bool = False,
     command: Sequence[float] = (),
-    seed: int = 0,
   ) -> None:
-    rate = 500.0
-    self.robot = LoopbackRobot(bundle, rate=rate, delay=round(latency * rate), seed=seed)
+    self.robot = LoopbackRobot(bundle, delay=round(latency * RATE))
     # A message is `latency` old when it arrives.
     limits = SafetyLimits(stale_after=SafetyLimits().stale_after + 2.0 * latency)
     self.robot.watchdog += 2.0 * latency
@@ -58,7 +55,7 @@ class SimulatedRun:
         raise DeployError(f"the policy's command has {len(values)} numbers, got {len(command)}")
       values[:] = command
     self._pushes, self._next_push = pushes and bundle.description.robot.is_floating, _STAND_TIME + _PUSH_EVERY
-    self._rng = np.random.default_rng(seed)
+    self._rng = np.random.default_rng(0)
     self._rows: list[dict[str, np.ndarray]] = []
 
   def advance(self) -> None:

@@ -103,15 +103,13 @@ def _run_beside(bundle: Bundle, golden: Arrays, engine: str, report: Report) -> 
     loop.start(golden["state/qpos"][0].astype(float), golden["state/qvel"][0].astype(float))
   drift, fallen, columns = 0.0, None, loop.sensors.qpos
   for step in range(end):
-    error = float(np.abs(loop.data.qpos[columns] - golden["state/qpos"][step][columns]).max(initial=0.0))
     if step < STEPS:
-      drift = max(drift, error)
-    recorded = _inputs(bundle, golden, step)
+      error = np.abs(loop.data.qpos[columns] - golden["state/qpos"][step][columns])
+      drift = max(drift, float(error.max(initial=0.0)))
     if not np.isfinite(loop.data.qpos).all() or (bundle.description.robot.is_floating and loop.tilt > FALLEN):
       fallen = step
       break
-    result = policy.step(recorded | loop.readings())
-    loop.step(result.targets)
+    loop.step(policy.step(_inputs(bundle, golden, step) | loop.readings()).targets)
   steps = min(STEPS, end)
   line = f"closed loop: joint positions within {drift:.1e} of the training's for {steps} steps (allowed {DRIFT:.0e})"
   if drift > DRIFT and engine == "native":

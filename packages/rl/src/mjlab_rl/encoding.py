@@ -12,13 +12,11 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
-import msgspec
 from mjlab_core import printable
 from mjlab_core.errors import ConfigError, FileError
 from mjlab_core.names import check_name
-from msgspec import Meta
 
 from mjlab_rl.field_types import field_problems
 from mjlab_rl.references import reference, resolve, resolve_enum
@@ -26,15 +24,7 @@ from mjlab_rl.references import reference, resolve, resolve_enum
 # JSON data: None, booleans, numbers, strings, lists and dictionaries of them.
 Json: TypeAlias = Any
 
-_KINDS: dict[str, Any] = {
-  "$float": float,
-  "$path": Path,
-  "$slice": slice,
-  "$range": range,
-  "$tuple": tuple,
-  "$set": set,
-  "$frozenset": frozenset,
-}
+_DTYPES = "bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split()
 # Paths for output are never taken from a file.
 _OUTPUT_FIELDS = ("output_dir",)
 
@@ -115,37 +105,6 @@ def _encode_foreign(value: Any, where: str) -> Json:
   raise ConfigError(f"{where}: a {kind.__module__}.{kind.__qualname__} cannot be written to the run manifest; {remedy}")
 
 
-_Dtype = Literal[
-  "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float16", "float32", "float64"
-]
-_Shape = list[Annotated[int, Meta(ge=0)]]
-_Fields = dict[str, Any]
-_Index = int | None
-# Shape of each tagged value: type of its body, then the other keys with their types.
-_SCHEMA: dict[str, tuple[Any, dict[str, Any]]] = {
-  "$float": (Literal["nan", "inf", "-inf"], {}),
-  "$tuple": (list[Any], {}),
-  "$set": (list[Any], {}),
-  "$frozenset": (list[Any], {}),
-  "$dict": (list[tuple[Any, Any]], {}),
-  "$slice": (tuple[_Index, _Index, _Index], {}),
-  "$range": (tuple[int, int, int], {}),
-  "$path": (str, {}),
-  "$ref": (str, {}),
-  "$enum": (str, {"name": str}),
-  "$type": (str, {"fields": _Fields}),
-  "$partial": (_Fields, {"args": list[Any], "keywords": _Fields}),
-  "$array": (Any, {"dtype": _Dtype, "shape": _Shape}),
-  "$scalar": (Any, {"dtype": _Dtype, "shape": _Shape}),
-}
-_NODES = {
-  tag: msgspec.defstruct(
-    tag[1:].title(), [("body", body), *keys.items()], forbid_unknown_fields=True, rename={"body": tag}
-  )
-  for tag, (body, keys) in _SCHEMA.items()
-}
-
-
 def decode(data: Json, where: str = "config") -> Any:
   """Rebuild what `encode` wrote.
 
@@ -155,50 +114,58 @@ def decode(data: Json, where: str = "config") -> Any:
   Raises:
     FileError: The data has another form, names something outside trusted packages, or a class has no such field.
   """
-  if isinstance(data, list):
-    return [decode(item, f"{where}[{i}]") for i, item in enumerate(data)]
-  if not isinstance(data, dict):
-    return data
-  tag = next((key for key in data if key.startswith("$")), None)
-  if tag is None:
-    return {key: decode(item, f"{where}.{key}") for key, item in data.items()}
   try:
-    node: Any = msgspec.convert(data, _NODES[check_name("tag", printable(tag, 60), _NODES)])
-    return _value(tag, node, where)
+    return _value(data, where)
   except FileError:
     raise
-  except (msgspec.ValidationError, TypeError, ValueError, OverflowError) as error:
-    raise FileError(f"{where}: {printable(tag, 60)}: {printable(error, 300)}") from error
+  except (TypeError, ValueError, OverflowError) as error:
+    raise FileError(f"{where}: {printable(next(iter(data)), 60)}: {printable(error, 300)}") from error
 
 
-def _value(tag: str, node: Any, where: str) -> Any:
-  """Rebuild one tagged value."""
-  body = node.body
-  match tag:
-    case "$float" | "$path":
-      return _KINDS[tag](body)
-    case "$slice" | "$range":
-      return _KINDS[tag](*body)
-    case "$tuple" | "$set" | "$frozenset":
-      return _KINDS[tag](decode(item, f"{where}[{i}]") for i, item in enumerate(body))
-    case "$dict":
-      return {decode(key, where): decode(item, f"{where}[{printable(key, 60)}]") for key, item in body}
-    case "$ref":
-      return resolve(body, where)
-    case "$enum":
-      return resolve_enum(body, node.name, where)
-    case "$partial":
-      if body.keys() != {"$ref"}:
-        raise FileError(f"{where}: a partial needs the name of a function")
-      args, keywords = decode(node.args, f"{where}.args"), decode(node.keywords, where)
-      return functools.partial(resolve(body["$ref"], where), *args, **keywords)
-    case "$type":
-      return construct(resolve(body, where), node.fields, f"{where}.")
-    case _:
-      import numpy as np
+def _value(data: Json, where: str) -> Any:
+  match data:
+    case list():
+      return [decode(item, f"{where}[{i}]") for i, item in enumerate(data)]
+    case {"$float": "nan" | "inf" | "-inf" as text}:
+      return float(text)
+    case {"$tuple": list(items)}:
+      return tuple(decode(items, where))
+    case {"$set": list(items)}:
+      return set(decode(items, where))
+    case {"$frozenset": list(items)}:
+      return frozenset(decode(items, where))
+    case {"$dict": list(items)}:
+      return {decode(key, where): decode(item, f"{where}[{printable(key, 60)}]") for key, item in items}
+    case {"$slice": [start, stop, step]}:
+      return slice(start, stop, step)
+    case {"$range": [start, stop, step]}:
+      return range(start, stop, step)
+    case {"$path": path}:
+      return Path(path)
+    case {"$ref": name}:
+      return resolve(name, where)
+    case {"$enum": name, "name": str(member)}:
+      return resolve_enum(name, member, where)
+    case {"$type": name, "fields": dict(fields)}:
+      return construct(resolve(name, where), fields, f"{where}.")
+    case {"$partial": {"$ref": name}, "args": [*args], "keywords": dict(keywords)}:
+      return functools.partial(resolve(name, where), *decode(args, f"{where}.args"), **decode(keywords, where))
+    case {"$array": items, "dtype": dtype, "shape": list(shape)} if dtype in _DTYPES:
+      return _array(decode(items, where), dtype).reshape(shape)
+    case {"$scalar": item, "dtype": dtype} if dtype in _DTYPES:
+      return _array(decode(item, where), dtype)[()]
+    case dict():
+      for key in data:
+        if key.startswith("$"):
+          raise ValueError("unknown or malformed value")
+      return {key: decode(item, f"{where}.{key}") for key, item in data.items()}
+  return data
 
-      array = np.array(decode(body, where), dtype=node.dtype).reshape(node.shape)
-      return array if tag == "$array" else array[()]
+
+def _array(data: Any, dtype: str) -> Any:
+  import numpy as np
+
+  return np.array(data, dtype=dtype)
 
 
 def construct(kind: Any, data: dict[str, Json], prefix: str) -> Any:

@@ -145,7 +145,7 @@ class Interval:
   """Episodes."""
 
 
-def bootstrap(values: torch.Tensor, *, seed: int = 0) -> Interval:
+def bootstrap(values: torch.Tensor) -> Interval:
   """Return the mean of (n,) numbers with its 95 % percentile interval by the bootstrap (Efron, 1979), without NaNs."""
   from scipy import stats
 
@@ -153,7 +153,7 @@ def bootstrap(values: torch.Tensor, *, seed: int = 0) -> Interval:
   mean = low = high = float(kept.mean()) if len(kept) else math.nan
   if len(kept) > 1:
     low, high = stats.bootstrap(
-      (kept,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="percentile", rng=seed
+      (kept,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="percentile", rng=0
     ).confidence_interval
   return Interval(mean=mean, low=float(low), high=float(high), count=len(kept))
 

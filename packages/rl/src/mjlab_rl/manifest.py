@@ -186,17 +186,8 @@ def _is_learner_class(found: Any) -> bool:
   )
 
 
-def task_of(directory: Path) -> str | None:
-  """Return the task id of a run; None if its manifest is missing or cannot be read."""
-  return _entry(directory, "task")
-
-
-def launch_of(directory: Path) -> str | None:
-  """Return the id of the launch that started a run; None if its manifest is missing or cannot be read."""
-  return _entry(directory, "launch")
-
-
-def _entry(directory: Path, name: str) -> str | None:
+def manifest_entry(directory: Path, name: str) -> str | None:
+  """Return a text of a run's manifest, such as its task; None if the manifest is missing or cannot be read."""
   try:
     with reading("manifest", directory / MANIFEST_NAME, _MAX_BYTES) as path:
       value = msgspec.json.decode(path.read_bytes(), type=dict[str, Any]).get(name)

@@ -1,10 +1,9 @@
 """Constraints of the dictionaries in a network's configuration, which rsl-rl does not check."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
-from mjlab_core.constraints import Limits, Positive, field_problems
+from mjlab_core.constraints import Limits, Positive, field_hints, named_problem
 
 Activation = Literal[
   "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
@@ -12,33 +11,31 @@ Activation = Literal[
 Sizes = Annotated[int | tuple[int, ...], Limits(ge=1)]
 
 
-@dataclass
-class DistributionEntries:
+class DistributionEntries(TypedDict, total=False):
   """Constraints of `distribution_cfg`; other entries are free."""
 
-  init_std: Positive = 1.0
+  init_std: Positive
 
 
-@dataclass
-class EncoderEntries:
+class EncoderEntries(TypedDict, total=False):
   """Constraints of `cnn_cfg`; other entries are free. rsl-rl takes an unknown padding for none."""
 
-  output_channels: Annotated[tuple[int, ...], Limits(ge=1)] = ()
-  kernel_size: Sizes = 1
-  stride: Sizes = 1
-  dilation: Sizes = 1
-  padding: Literal["none", "zeros", "reflect", "replicate", "circular"] = "none"
-  norm: Literal["none", "batch", "layer"] | tuple[Literal["none", "batch", "layer"], ...] = "none"
-  activation: Activation = "elu"
-  global_pool: Literal["none", "max", "avg"] = "none"
-  temperature: Positive = 1.0
+  output_channels: Annotated[tuple[int, ...], Limits(ge=1)]
+  kernel_size: Sizes
+  stride: Sizes
+  dilation: Sizes
+  padding: Literal["none", "zeros", "reflect", "replicate", "circular"]
+  norm: Literal["none", "batch", "layer"] | tuple[Literal["none", "batch", "layer"], ...]
+  activation: Activation
+  global_pool: Literal["none", "max", "avg"]
+  temperature: Positive
 
 
 def entry_problems(schema: type[Any], entries: dict[str, Any], where: str) -> Iterator[str]:
   """Yield a line for each entry of a dictionary that breaks the constraint of its field in `schema`."""
-  names = {field.name for field in fields(schema)}
-  checked = schema(**{name: value for name, value in entries.items() if name in names})
-  yield from (f"{where}.{problem}" for problem in field_problems(checked))
+  for name, hint in field_hints(schema).items():
+    if name in entries and (problem := named_problem(name, entries[name], hint)):
+      yield f"{where}.{problem}"
 
 
 def encoder_problems(encoder: dict[str, Any], where: str) -> Iterator[str]:

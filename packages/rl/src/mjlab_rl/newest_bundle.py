@@ -25,32 +25,31 @@ class NewestBundle:
     agent: Configuration of the learner.
     task: Task id.
     network: Returns the policy's network.
-    console: Where it is said, once, that a policy cannot be exported.
+    console: Says once if the policy cannot be exported.
   """
 
   def __init__(
     self, env: Any, agent: RslRlBaseRunnerCfg, task: str, network: Callable[[], Any], console: Console
   ) -> None:
-    self._parts, self._is_refused = (env, agent, task), False
+    self._parts, self._network, self._console = (env, agent, task), network, console
+    self._interval = agent.save_interval
     self._writer: BundleWriter | None = None
-    self._interval, self._network, self._console = agent.save_interval, network, console
-    self._is_written = False
+    self._is_refused = False
 
   def __call__(self, checkpoint: Path) -> None:
     """Write the bundle for a checkpoint that was just saved, model_N.pt."""
     iterations = int(checkpoint.stem.rpartition("_")[2])
-    if self._is_refused or (iterations % self._interval and not self._is_written):
+    if self._is_refused or (self._writer is None and iterations % self._interval):
       return
-    training = {"checkpoint": checkpoint.name, "iterations": iterations}
     try:
       if self._writer is None:
         # Imported here, because the exporter is heavy.
         from mjlab_rl.policy_bundle import BundleWriter
 
         self._writer = BundleWriter(*self._parts)
+      training = {"checkpoint": checkpoint.name, "iterations": iterations}
       with torch.random.fork_rng(devices=[]):
         self._writer.write(checkpoint.parent / "bundle", self._network(), training=training)
-      self._is_written = True
     except Exception as error:
       # A policy that cannot be exported can still be trained.
       self._is_refused = True

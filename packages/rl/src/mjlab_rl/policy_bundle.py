@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -39,8 +38,6 @@ from mjlab_rl.policy_graph import LAST_ACTION, GraphAction, GraphTerm, PolicyGra
 
 GOLDEN_STEPS = 500
 """Steps of the record in a bundle."""
-# Models of actuators that MuJoCo, or a drive of a robot, computes from a position target.
-_ACTUATOR_MODELS = {"NativePositionActuatorCfg": "position_servo"}
 
 
 class BundleWriter:
@@ -95,8 +92,10 @@ class BundleWriter:
         write_arrays(made / "golden.npz", golden)
       if picture is not None:
         (made / "picture.png").write_bytes(picture)
-      description = replace(
-        describe_policy(self._env, graph, self._task),
+      description = describe_policy(
+        self._env,
+        graph,
+        self._task,
         has_scene=has_scene,
         motion=motion,
         golden=None if golden is None else Golden(steps=len(golden["action"]), engine=str(self._env.sim.engine)),
@@ -120,8 +119,8 @@ class BundleWriter:
     return bool(self._scene)
 
 
-def describe_policy(env: Any, graph: PolicyGraph, task: str) -> Description:
-  """Return the contents of `bundle.json` for a policy in its environment."""
+def describe_policy(env: Any, graph: PolicyGraph, task: str, **parts: Any) -> Description:
+  """Return the contents of `bundle.json` for a policy in its environment; `parts` are further fields."""
   entities = {action.term.cfg.entity for action in graph.actions}
   if len(entities) != 1:
     raise MjlabError(f"the actions drive {len(entities)} entities; a bundle is of one robot")
@@ -148,9 +147,10 @@ def describe_policy(env: Any, graph: PolicyGraph, task: str) -> Description:
     observations=tuple(_observation(env, term) for term in graph.terms),
     action_names=tuple(name for action in graph.actions for name in _column_names(action)),
     action_scale=_scale(graph.actions),
-    commands=tuple(_commands(env, graph)),
+    commands=_commands(env, graph),
     created=datetime.now().astimezone().isoformat(timespec="seconds"),
     versions=dict(package_versions()),
+    **parts,
   )
 
 
@@ -191,14 +191,15 @@ def _robot(env: Any, name: str, driven: set[str]) -> Robot:
       )
     )
   actuators = entity.cfg.articulation.actuators if entity.cfg.articulation is not None else ()
-  kinds = {_ACTUATOR_MODELS.get(type(cfg).__name__, "other") for cfg in actuators}
+  # MuJoCo, or a drive of a robot, computes this model from a position target.
+  is_servo = {type(cfg).__name__ for cfg in actuators} == {"NativePositionActuatorCfg"}
   delays = [(cfg.delay_min_lag, cfg.delay_max_lag) for cfg in actuators] or [(0, 0)]
   return Robot(
     name=name,
     joints=tuple(joints),
     root_body=entity.root_body_name,
     is_floating=entity.is_floating,
-    actuator_model="position_servo" if kinds == {"position_servo"} else "other",
+    actuator_model="position_servo" if is_servo else "other",
     delay_range=(min(low for low, _ in delays), max(high for _, high in delays)),
   )
 
@@ -231,18 +232,17 @@ def _observation(env: Any, term: GraphTerm) -> Observation:
   )
 
 
-def _commands(env: Any, graph: PolicyGraph) -> list[Command]:
-  found = []
+def _commands(env: Any, graph: PolicyGraph) -> tuple[Command, ...]:
+  """Return the commands that are readings of the graph, with the ranges of those that have axes."""
+  known: dict[str, Command] = {}
   for name in env.command_manager.active_terms:
     term = env.command_manager.get_term(name)
-    names = [reading.name for reading in term.source().readings]
-    if len(names) == 1 and names[0] in graph.readings and names[0].startswith("command/"):
-      found.append(
-        Command(input=names[0], name=name, ranges={axis: (float(low), float(high)) for axis, low, high in term.axes})
-      )
-  listed = {command.input for command in found}
-  others = [name for name in graph.readings if name.startswith("command/") and name not in listed]
-  return [*found, *(Command(input=name, ranges={}) for name in others)]
+    sources = [reading.name for reading in term.source().readings]
+    if len(sources) == 1 and sources[0].startswith("command/"):
+      ranges = {axis: (float(low), float(high)) for axis, low, high in term.axes}
+      known[sources[0]] = Command(input=sources[0], name=name, ranges=ranges)
+  inputs = [name for name in graph.readings if name.startswith("command/")]
+  return tuple(known.get(name, Command(input=name, ranges={})) for name in inputs)
 
 
 def _write_motion(env: Any, folder: Path) -> Motion | None:

@@ -233,16 +233,16 @@ def export_onnx(
   return model
 
 
-def refresh_weights(model: Any, network: Mapping[str, torch.Tensor], prefix: str = "network.") -> bool:
+def refresh_weights(model: Any, network: Mapping[str, torch.Tensor]) -> bool:
   """Write a network's present parameters into an exported model; return False if the model lacks one of them.
 
-  The variance of a normaliser is not missed: the network uses its root, a parameter of its own.
+  The variance of a normaliser is not needed: the network uses its root, a separate parameter.
   """
   from onnx import numpy_helper
 
   constants = {constant.name: constant for constant in model.graph.initializer}
   values = {
-    prefix + name: value
+    f"network.{name}": value
     for name, value in network.items()
     if value.is_floating_point() and not name.endswith("normalizer._var")
   }

@@ -8,7 +8,7 @@ from pathlib import Path
 from mjlab_core.errors import UnknownNameError
 from mjlab_core.files import remove_leftovers, safe_name
 
-from mjlab_rl.manifest import launch_of, task_of
+from mjlab_rl.manifest import manifest_entry
 
 _RUN = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:\.(\d+))?.*")
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
@@ -57,14 +57,13 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
     UnknownNameError: Nothing fits.
   """
   folder = log_root / safe_name(experiment)
-  runs = sorted((path for path in folder.iterdir() if path.is_dir()), key=_age, reverse=True) if folder.is_dir() else []
   if run == "latest":
-    trained = [directory for directory in runs if checkpoints(directory)]
-    for directory in trained:
-      if task is None or task_of(directory) in (task, None):
-        return checkpoints(directory)[-1]
+    trained = _trained_runs(folder)
+    for directory, newest in trained.items():
+      if task is None or manifest_entry(directory, "task") in (task, None):
+        return newest
     of_task = "" if task is None else f" of {task}"
-    instead = f"; {trained[0].name} is of another task, and must be given by name" if trained else ""
+    instead = f"; {next(iter(trained)).name} is of another task, and must be given by name" if trained else ""
     raise UnknownNameError(f"no run{of_task} with a checkpoint in {folder}{instead}")
   for candidate in (Path(run), folder / run):
     if candidate.is_file():
@@ -72,21 +71,27 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
     if candidate.is_dir():
       if found := checkpoints(candidate):
         return found[-1]
-      inside = sorted((path for path in candidate.iterdir() if path.is_dir() and checkpoints(path)), key=_age)
-      newest = f"; the newest run in it that has one is {inside[-1]}" if inside else ""
+      inside = next(iter(_trained_runs(candidate)), None)
+      newest = "" if inside is None else f"; the newest run in it that has one is {inside}"
       raise UnknownNameError(f"run {candidate} has no checkpoint{newest}")
-  names = ", ".join(path.name for path in runs[:5]) or "none"
+  names = ", ".join(path.name for path in _runs(folder)[:5]) or "none"
   raise UnknownNameError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
 
 
 def find_launch(launch: str, *, log_root: Path, experiment: str) -> Path | None:
   """Return the newest checkpoint of the runs of one launch, which `torchrun` has restarted; None without one."""
-  folder = log_root / safe_name(experiment)
-  for directory in sorted((path for path in folder.glob("*") if path.is_dir()), key=_age, reverse=True):
-    found = checkpoints(directory)
-    if found and launch_of(directory) == launch:
-      return found[-1]
-  return None
+  runs = _trained_runs(log_root / safe_name(experiment))
+  return next((newest for run, newest in runs.items() if manifest_entry(run, "launch") == launch), None)
+
+
+def _runs(folder: Path) -> list[Path]:
+  """Return the folders in a folder, the newest run first."""
+  return sorted((path for path in folder.glob("*") if path.is_dir()), key=_age, reverse=True)
+
+
+def _trained_runs(folder: Path) -> dict[Path, Path]:
+  """Return the newest checkpoint of each run in a folder that has one, the newest run first."""
+  return {run: found[-1] for run in _runs(folder) if (found := checkpoints(run))}
 
 
 def _age(directory: Path) -> tuple[str, int]:

@@ -1,6 +1,6 @@
 """Several teachers of one student, each responsible for some of the worlds."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -81,12 +81,8 @@ class Teachers(nn.ModuleList):
 
 def single_networks(networks: Mapping[str, nn.Module]) -> dict[str, nn.Module]:
   """Return networks by name, each of several teachers as one, such as "teacher 0"."""
-
-  def named() -> Iterator[tuple[str, nn.Module]]:
-    for name, network in networks.items():
-      if isinstance(network, Teachers):
-        yield from ((f"{name} {number}", part) for number, part in enumerate(network))
-      else:
-        yield name, network
-
-  return dict(named())
+  found: dict[str, nn.Module] = {}
+  for name, network in networks.items():
+    parts = enumerate(network) if isinstance(network, Teachers) else ()
+    found |= {f"{name} {number}": part for number, part in parts} or {name: network}
+  return found

@@ -174,16 +174,16 @@ def _encoded(value: object) -> Any:
 
 def _bare(data: Json) -> Json:
   """Return encoded data without tags, so that a path into it reads like a flag."""
-  if isinstance(data, list):
-    return [_bare(item) for item in data]
-  if not isinstance(data, dict):
-    return data
-  if "$type" in data:
-    fields = {key: _bare(value) for key, value in data["fields"].items() if not _is_corruption(key)}
-    return {"type": data["$type"], **fields}
-  if set(data) in ({"$tuple"}, {"$ref"}):
-    return _bare(next(iter(data.values())))
-  return {key: _bare(value) for key, value in data.items()}
+  match data:
+    case list():
+      return [_bare(item) for item in data]
+    case {"$tuple": inner} | {"$ref": inner}:
+      return _bare(inner)
+    case {"$type": kind, "fields": fields}:
+      return {"type": kind} | {name: _bare(value) for name, value in fields.items() if not _is_corruption(name)}
+    case dict():
+      return {key: _bare(value) for key, value in data.items()}
+  return data
 
 
 def _is_corruption(field: str) -> bool:
@@ -200,8 +200,11 @@ def _differences(trained: Json, now: Json, where: str) -> Iterator[str]:
 
 
 def _shown(value: Json) -> str:
-  if value is None:
-    return "not there"
-  if isinstance(value, list):
-    return ", ".join(map(_shown, value))
-  return value.get("type", ", ".join(value)) if isinstance(value, dict) else str(value)
+  match value:
+    case None:
+      return "not there"
+    case list():
+      return ", ".join(map(_shown, value))
+    case dict():
+      return value.get("type", ", ".join(value))
+  return str(value)
