@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 
 from mjlab_deploy.bundle import Bundle
-from mjlab_deploy.description import Joint
-from mjlab_deploy.errors import DeployError, reading
+from mjlab_deploy.errors import DeployError, check_known, reading
 from mjlab_deploy.model_readings import ModelReadings, Readings, actuators_of, joint_id
 from mjlab_deploy.scene import load_scene
 
@@ -28,27 +27,30 @@ class ClosedLoop:
     self.model.opt.timestep = self.description.timing.physics_dt
     self.data = mujoco.MjData(self.model)
     self.sensors = ModelReadings(self.model, self.description)
-    self._servos: list[tuple[str, int, int, float]] = []
-    self._drives: list[tuple[str, int, int, int, int, Joint]] = []
-    by_name = {joint.name: joint for joint in self.description.robot.joints}
-    with reading("targets: joint of the robot", KeyError):
-      targets = [(t, column, by_name[name]) for t in self.description.targets for column, name in enumerate(t.joints)]
-    for target, column, joint in targets:
-      model, number = self.model, joint_id(self.model, f"{self.description.robot.name}/{joint.name}")
-      with reading(f"joint '{joint.name}' needs one actuator in scene.xml", ValueError):
-        (actuator,) = actuators_of(model, number)
-      is_servo, is_effort = (
-        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE,
-        target.quantity == "effort",
-      )
-      gear = float(model.actuator_gear[actuator, 0])
-      if is_servo or is_effort:
-        self._servos.append((target.name, column, actuator, 1.0 / gear if is_effort else gear))
-      elif target.quantity == "velocity" or joint.stiffness is None or joint.damping is None:
-        raise DeployError(f"joint '{joint.name}': its actuator model is not one that MuJoCo computes")
-      else:
-        q, v = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
-        self._drives.append((target.name, column, actuator, q, v, joint))
+    robot, model = self.description.robot, self.model
+    self._columns = [(target.name, i) for target in self.description.targets for i in range(len(target.joints))]
+    joints, self._actuators, factors = [], [], []
+    for target in self.description.targets:
+      for name in target.joints:
+        check_known("targets: joint of the robot", name, robot.joint_names)
+        joint = robot.joints[robot.joint_names.index(name)]
+        with reading(f"joint '{name}' needs one actuator in scene.xml", ValueError):
+          (actuator,) = actuators_of(model, joint_id(model, f"{robot.name}/{name}"))
+        gear, factor = float(model.actuator_gear[actuator, 0]), 0.0
+        if target.quantity == "effort":
+          factor = 1.0 / gear
+        elif model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
+          factor = gear
+        elif target.quantity == "velocity" or joint.stiffness is None or joint.damping is None:
+          raise DeployError(f"joint '{name}': its actuator model is not one that MuJoCo computes")
+        joints.append(robot.joint_names.index(name))
+        self._actuators.append(actuator)
+        factors.append(factor)
+    self._qpos, self._qvel, self._factor = self.sensors.qpos[joints], self.sensors.qvel[joints], np.array(factors)
+    # Servos that MuJoCo does not compute.
+    is_own = self._factor == 0.0
+    self._kp, self._kd = (robot.values(gain)[joints] * is_own for gain in ("stiffness", "damping"))
+    self._limit = robot.values("effort_limit", np.inf)[joints]
 
   def start(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
     """Put the scene into a state."""
@@ -58,7 +60,7 @@ class ClosedLoop:
 
   def readings(self) -> Readings:
     """Return the readings of the present state."""
-    # After a step positions are new and all that follows from them is old.
+    # After a step only qpos and qvel are up to date.
     mujoco.mj_fwdPosition(self.model, self.data)
     mujoco.mj_sensorPos(self.model, self.data)
     mujoco.mj_fwdVelocity(self.model, self.data)
@@ -67,16 +69,10 @@ class ClosedLoop:
 
   def step(self, targets: Mapping[str, np.ndarray]) -> None:
     """Apply targets for one period of the policy."""
-    data = self.data
+    data, wanted = self.data, np.array([targets[name][column] for name, column in self._columns], dtype=float)
     for _ in range(self.description.timing.decimation):
-      for output, column, actuator, factor in self._servos:
-        data.ctrl[actuator] = float(targets[output][column]) * factor
-      for output, column, actuator, q, v, joint in self._drives:
-        effort = (joint.stiffness or 0.0) * (targets[output][column] - data.qpos[q]) - (
-          joint.damping or 0.0
-        ) * data.qvel[v]
-        limit = joint.effort_limit
-        data.ctrl[actuator] = effort if limit is None else min(max(effort, -limit), limit)
+      effort = self._kp * (wanted - data.qpos[self._qpos]) - self._kd * data.qvel[self._qvel]
+      data.ctrl[self._actuators] = self._factor * wanted + np.clip(effort, -self._limit, self._limit)
       mujoco.mj_step(self.model, data)
 
   @property

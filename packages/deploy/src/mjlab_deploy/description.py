@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 FORMAT = 1
 """Version that this package writes, and the newest that it reads."""
 
@@ -49,6 +51,16 @@ class Robot:
   """"position_servo": effort = clamp(kp (target - q) - kd q'), which MuJoCo and a robot's drives compute."""
   delay_range: tuple[int, int] = (0, 0)
   """Delays of targets that the training drew [physics steps]; not part of the graph."""
+
+  @property
+  def joint_names(self) -> tuple[str, ...]:
+    """Names of the joints in their order."""
+    return tuple(joint.name for joint in self.joints)
+
+  def values(self, field: str, missing: float = 0.0) -> np.ndarray:
+    """Return a number of each joint, `missing` where it is None, (joints,)."""
+    found = [getattr(joint, field) for joint in self.joints]
+    return np.array([missing if value is None else value for value in found], dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True)

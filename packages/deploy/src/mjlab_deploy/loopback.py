@@ -89,13 +89,12 @@ class LoopbackRobot(RobotIO):
   def start(self) -> None:
     """Put the robot into its default pose, its root where the model has it."""
     mujoco.mj_resetData(self.model, self.data)
-    for joint, column in zip(self.description.robot.joints, self._loop.sensors.qpos, strict=True):
-      self.data.qpos[column] = joint.default_position
+    self.data.qpos[self._loop.sensors.qpos] = self.description.robot.values("default_position")
     mujoco.mj_forward(self.model, self.data)
 
   def info(self) -> RobotInfo:
     return RobotInfo(
-      joint_names=tuple(joint.name for joint in self.description.robot.joints),
+      joint_names=self.description.robot.joint_names,
       rate=self.rate,
       readings=(*self._extra, *(item.name for item in self._cameras.inputs)),
     )

@@ -36,16 +36,16 @@ def onnx_metadata(description: Description) -> dict[str, str]:
 
   Such a file takes the observation that this package's graph assembles, and returns raw actions.
   """
-  joints = description.robot.joints
+  robot = description.robot
   terms = description.observations
   names = [command.name for command in description.commands]
   names += [description.motion.name] if description.motion is not None else []
   metadata = {
     "run_path": str(description.training.get("checkpoint", "")),
-    "joint_names": ",".join(joint.name for joint in joints),
-    "joint_stiffness": _csv(joint.stiffness or 0.0 for joint in joints),
-    "joint_damping": _csv(joint.damping or 0.0 for joint in joints),
-    "default_joint_pos": _csv(joint.default_position for joint in joints),
+    "joint_names": ",".join(robot.joint_names),
+    "joint_stiffness": _csv(robot.values("stiffness")),
+    "joint_damping": _csv(robot.values("damping")),
+    "default_joint_pos": _csv(robot.values("default_position")),
     "command_names": ",".join(names),
     "observation_names": ",".join(term.name for term in terms),
     "observation_terms_scale": ";".join(_csv(_scales(term)) for term in terms),
@@ -67,7 +67,7 @@ def unitree_deploy_yaml(description: Description) -> str:
     DeployError: The policy observes or does something that the runner does not know; the message names it.
   """
   robot = description.robot
-  names = [joint.name for joint in robot.joints]
+  names = list(robot.joint_names)
   motors = next((order for order in MOTORS if sorted(order) == sorted(names)), None)
   if motors is None:
     raise DeployError("Unitree's deploy.yaml: the joints are not those of a G1 with 29 joints, nor of a quadruped")
@@ -75,14 +75,14 @@ def unitree_deploy_yaml(description: Description) -> str:
     raise DeployError("Unitree's deploy.yaml: actions must be scale * action + offset to joint positions")
   driven = list(description.targets[0].joints)
   # Its runner sends the gains to the motors as they stand; everything else is in the policy's order.
-  at_motor = [robot.joints[names.index(name)] for name in motors]
-  offsets = {joint.name: joint.default_position for joint in robot.joints}
+  at_motor = [names.index(name) for name in motors]
+  default = robot.values("default_position")
   lines = [
     f"joint_ids_map: {[motors.index(name) for name in names]}",
     f"step_dt: {description.timing.control_dt!r}",
-    f"stiffness: {_list(joint.stiffness or 0.0 for joint in at_motor)}",
-    f"damping: {_list(joint.damping or 0.0 for joint in at_motor)}",
-    f"default_joint_pos: {_list(joint.default_position for joint in robot.joints)}",
+    f"stiffness: {_list(robot.values('stiffness')[at_motor])}",
+    f"damping: {_list(robot.values('damping')[at_motor])}",
+    f"default_joint_pos: {_list(default)}",
     "commands:",
     "  base_velocity:",
     "    ranges:",
@@ -97,7 +97,7 @@ def unitree_deploy_yaml(description: Description) -> str:
     "    clip: null",
     "    joint_names: ['.*']",
     f"    scale: {_list(description.action_scale)}",
-    f"    offset: {_list(offsets[name] for name in driven)}",
+    f"    offset: {_list(default[names.index(name)] for name in driven)}",
     f"    joint_ids: {'null' if driven == names else [names.index(name) for name in driven]}",
     "observations:",
   ]

@@ -43,12 +43,10 @@ class Runner:
     self.motion = MotionPlayer(bundle) if self.description.motion is not None else None
     if problem := next(self._problems(), ""):
       raise DeployError(f"refused: {problem}")
-    joints = self.description.robot.joints
-    names = [joint.name for joint in joints]
-    self._default = np.array([joint.default_position for joint in joints])
-    self._stiffness = np.array([joint.stiffness or 0.0 for joint in joints])
-    self._damping = np.array([joint.damping if joint.damping is not None else _DAMPING for joint in joints])
-    self._columns = [names.index(name) for name in self.description.targets[0].joints]
+    described = self.description.robot
+    self._default = described.values("default_position")
+    self._stiffness, self._damping = described.values("stiffness"), described.values("damping", _DAMPING)
+    self._columns = [described.joint_names.index(name) for name in self.description.targets[0].joints]
     self.safety = Safety(self.description, limits or SafetyLimits())
     self.phase: Phase = "damping"
     """Present phase."""
@@ -62,7 +60,7 @@ class Runner:
     self._sequence: int | None = None
     self._phase_start = self._next_step = self._now = 0.0
     self._from = self._default
-    self._held = np.zeros(len(joints))
+    self._held = np.zeros_like(self._default)
 
   def _width(self, name: str) -> int:
     return next(math.prod(item.shape) for item in self.description.inputs if item.name == name)
@@ -70,7 +68,7 @@ class Runner:
   def _problems(self) -> Iterator[str]:
     """Yield a line for each reason not to move the robot."""
     info, robot, timing = self.robot.info(), self.description.robot, self.description.timing
-    names = tuple(joint.name for joint in robot.joints)
+    names = robot.joint_names
     for i, (ours, theirs) in enumerate(zip(names, info.joint_names, strict=False)):
       if ours != theirs:
         yield f"joint {i} is '{ours}' in the bundle and '{theirs}' on the robot"

@@ -40,15 +40,12 @@ class Safety:
 
   def __init__(self, description: Description, limits: SafetyLimits) -> None:
     self.limits = limits
-    joints = description.robot.joints
-    self._names = [joint.name for joint in joints]
-    self._is_floating = description.robot.is_floating
-    ranges = [joint.position_range or (-math.inf, math.inf) for joint in joints]
+    robot = description.robot
+    self._names, self._is_floating = robot.joint_names, robot.is_floating
+    ranges = [joint.position_range or (-math.inf, math.inf) for joint in robot.joints]
     self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
-    self._speed = _numbers([joint.velocity_limit for joint in joints], math.inf)
-    kp = _numbers([joint.stiffness for joint in joints], 0.0)
-    damping = _numbers([joint.damping for joint in joints], 0.0)
-    effort = _numbers([joint.effort_limit for joint in joints], math.inf)
+    self._speed, effort = robot.values("velocity_limit", math.inf), robot.values("effort_limit", math.inf)
+    kp, damping = robot.values("stiffness"), robot.values("damping")
     with np.errstate(divide="ignore", invalid="ignore"):
       # Beyond this distance the servo is saturated.
       self._reach = np.where(kp > 0.0, effort / kp, math.inf)
@@ -107,7 +104,3 @@ class Safety:
     centre = state.position + self._brake * state.velocity
     targets = np.clip(targets, centre - self._reach, centre + self._reach)
     return np.clip(targets, self._low, self._high)
-
-
-def _numbers(values: list[float | None], default: float) -> np.ndarray:
-  return np.array([default if value is None else value for value in values], dtype=float)

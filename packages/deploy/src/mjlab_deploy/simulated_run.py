@@ -122,7 +122,7 @@ class SimulatedRun:
       DeployError: The file cannot be written.
     """
     if path.endswith(".mcap"):
-      write_mcap(Path(path), self._joints(), self._log())
+      write_mcap(Path(path), self.runner.description.robot.joint_names, self._log())
     else:
       write_arrays(Path(path), self._log())
 
@@ -132,10 +132,7 @@ class SimulatedRun:
     Raises:
       DeployError: Matplotlib is not installed, or the picture cannot be written.
     """
-    plot_joints(Path(path), self._joints(), self._log())
-
-  def _joints(self) -> list[str]:
-    return [joint.name for joint in self.runner.description.robot.joints]
+    plot_joints(Path(path), self.runner.description.robot.joint_names, self._log())
 
   def _log(self) -> dict[str, np.ndarray]:
     names = self._rows[0] if self._rows else ()

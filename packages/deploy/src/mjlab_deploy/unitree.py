@@ -5,7 +5,6 @@ imported only there.
 """
 
 import importlib
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -75,9 +74,9 @@ class UnitreeRobot(RobotIO):
       check_known(f"motor of the {model}", name, self.model.motors)
     self._motor = [self.model.motors.index(name) for name in self._joints]
     self._make_command, self._checksum, self._send, self._clock = make_command, checksum, send, clock
-    self._lock = threading.Lock()
     self._state: RobotState | None = None
     self._tick: int | None = None
+    self._sequence = 0
     self._mode_machine = 0
     self.channels: tuple[Any, ...] = ()
     """Channels of the SDK, kept alive with the robot."""
@@ -101,23 +100,19 @@ class UnitreeRobot(RobotIO):
       gyro=np.array(message.imu_state.gyroscope, dtype=float),
       orientation=np.array(message.imu_state.quaternion, dtype=float),
     )
-    with self._lock:
-      self._state = state
-      self._mode_machine = int(getattr(message, "mode_machine", 0))
+    self._mode_machine = int(getattr(message, "mode_machine", 0))
+    # Another thread reads the state, which is replaced at once.
+    self._state = state
 
   def _number(self, tick: int) -> int:
     """Return the number of a message; `tick` counts milliseconds, so a gap of two periods is one lost message."""
-    before = self._state.sequence if self._state is not None else 0
-    if self._tick is None:
-      step = 1
-    else:
-      step = max(1, round(((tick - self._tick) & 0xFFFFFFFF) * 1e-3 * RATE))
+    passed = 0 if self._tick is None else (tick - self._tick) & 0xFFFFFFFF
     self._tick = tick
-    return before + step
+    self._sequence += max(1, round(passed * 1e-3 * RATE))
+    return self._sequence
 
   def read(self) -> RobotState | None:
-    with self._lock:
-      return self._state
+    return self._state
 
   def write(self, command: RobotCommand) -> None:
     message = self._make_command()

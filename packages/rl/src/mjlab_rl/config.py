@@ -117,12 +117,9 @@ class RslRlPpoAlgorithmCfg(Config):
 
   def to_rsl_rl(self) -> dict[str, Any]:
     """Return the arguments of the algorithm class, without the optional parts that are off."""
-    algorithm = dict(vars(self))
+    algorithm = {name: value for name, value in vars(self).items() if value is not None}
     if self.class_name == "PPO":
       algorithm["class_name"] = "mjlab_rl.captured_ppo:CapturedPPO"
-    for name in ("rnd_cfg", "symmetry_cfg"):
-      if algorithm[name] is None:
-        del algorithm[name]
     return algorithm
 
 
@@ -162,7 +159,7 @@ class RslRlBaseRunnerCfg(Config):
   """Name of the network that acts, in `obs_groups`, in checkpoints and among the fields."""
 
   seed: int = 42
-  """Seed of the learner, and of the environment where that has none of its own."""
+  """Seed of the learner, and of the environment where that has none."""
   num_steps_per_env: PositiveCount = 24
   """Environment steps per world and iteration."""
   max_iterations: PositiveCount = 300
@@ -236,7 +233,7 @@ class RslRlBaseRunnerCfg(Config):
     """
 
   def prepare_env(self, cfg: Any) -> None:
-    """Set what the learner needs in the configuration of an environment to train in."""
+    """Set the options that the learner needs in the configuration of its environment."""
 
   def for_inference(self) -> Self:
     """Return a copy for a policy that only acts, in any number of worlds, with the smallest storage.
@@ -276,12 +273,8 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
       )
 
   def to_rsl_rl(self) -> dict[str, Any]:
-    config = super().to_rsl_rl()
-    return config | {
-      "actor": self.actor.to_rsl_rl(),
-      "critic": self.critic.to_rsl_rl(),
-      "algorithm": self.algorithm.to_rsl_rl(),
-    }
+    parts = ("actor", "critic", "algorithm")
+    return super().to_rsl_rl() | {name: getattr(self, name).to_rsl_rl() for name in parts}
 
   def check_samples(self, num_envs: int) -> None:
     steps, count = self.num_steps_per_env, self.algorithm.num_mini_batches
