@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import torch
 
-
-class Policy(Protocol):
-  """Actions for observations. A recurrent policy also has `reset(dones)`, with a bool mask (num_envs,) or None."""
-
-  def __call__(self, observations: Any, /) -> torch.Tensor: ...
+Policy: TypeAlias = Callable[[Any], torch.Tensor]
+"""Actions for observations. A recurrent policy also has `reset(dones)`, with a bool mask (num_envs,) or None."""
 
 
 class ZeroPolicy:

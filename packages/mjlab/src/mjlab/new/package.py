@@ -11,12 +11,9 @@ from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import Any
 
 from mjlab_core import AtomicWrite, UsageError, safe_name
-
-if TYPE_CHECKING:
-  from _typeshed import DataclassInstance
 
 _WIDTH = 100
 
@@ -67,7 +64,7 @@ def source(value: object) -> str:
   return repr(float(f"{value:.6g}")) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
-def call_source(cfg: "DataclassInstance") -> str:
+def call_source(cfg: Any) -> str:
   """Return Python source of a dataclass, with the fields that differ from their defaults."""
   values = {field.name: (getattr(cfg, field.name), field.default) for field in dataclasses.fields(cfg)}
   arguments = [f"{name}={source(value)}" for name, (value, default) in values.items() if value != default]

@@ -138,7 +138,7 @@ class feet_swing_height(ManagerTermBase):
     super().__init__(env)
     self._sensor, self._heights, self._command = sensor, env.scene[heights], command
     self._threshold, self._target = threshold, target
-    feet = env.scene[sensor].num_primaries
+    feet = len(env.scene[sensor].primary_names)
     self._peak = self.state((feet,), dtype=env.sim.dtype)
 
   def __call__(self) -> torch.Tensor:
