@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from mjlab_core import Stateful
 from mjlab_managers import ManagerBase
 from mjlab_managers.binding import Term, call_terms
 from mjlab_managers.watch import PlainTensors, Watch
@@ -29,7 +28,7 @@ class CompiledTerms:
   """
 
   def __init__(self, sim: Simulation, rng: torch.Generator, manager: ManagerBase[Any]) -> None:
-    self._sim, self._rng, self._label = sim, rng, manager.label
+    self._sim, self._rng, self._manager = sim, rng, manager
     self._programs: dict[tuple[Any, ...], Callable[[], Values]] = {}
     manager.evaluate = self
 
@@ -48,7 +47,7 @@ class CompiledTerms:
 
   def _compile(self, terms: Sequence[Term]) -> Callable[[], Values]:
     arrays = PlainTensors()
-    with torch.no_grad(), self._undone(terms):
+    with torch.no_grad(), self._undone():
       own = [term for term in terms if not self._is_pure(term, arrays)]
       pure = [term for term in terms if term not in own]
       arrays.make_plain()
@@ -57,7 +56,7 @@ class CompiledTerms:
     self._sim.expire()
     compiled = torch.compile(graph, fullgraph=True, dynamic=False)
     names = f"; as they are: {', '.join(term.name for term in own)}" if own else ""
-    _log.info("%s: %d terms compiled%s", self._label, len(pure), names)
+    _log.info("%s: %d terms compiled%s", self._manager.label, len(pure), names)
 
     def evaluate() -> Values:
       values = dict(zip(pure, compiled(), strict=True))
@@ -86,11 +85,9 @@ class CompiledTerms:
     return make_fx(values)()
 
   @contextmanager
-  def _undone(self, terms: Sequence[Term]) -> Generator[None]:
-    """Restore the state of terms and of the generator afterwards."""
-    owners: list[Any] = [term.func for term in terms if isinstance(term.func, Stateful)]
-    states, generator = [owner.state_dict() for owner in owners], self._rng.get_state()
+  def _undone(self) -> Generator[None]:
+    """Restore the state of the manager and of the generator afterwards."""
+    put_back, generator = self._manager.remember(), self._rng.get_state()
     yield
-    for owner, state in zip(owners, states, strict=True):
-      owner.restore(state)
+    put_back()
     self._rng.set_state(generator)

@@ -111,16 +111,18 @@ class DifferentialIKAction(DrivenTargets):
 
   def _moving_dofs(self, cfg: DifferentialIKActionCfg) -> list[int]:
     """Return the degrees of freedom of the driven joints; each joint must move the frame."""
-    model = self._sim.mj_model
-    carriers, body = set[int](), self._body
-    while body:
-      carriers.add(body)
-      body = int(model.body_parentid[body])
-    joints = [model.joint(self._entity.prefix + name).id for name in self.target_names]
-    bodies = dict(zip(self.target_names, model.jnt_bodyid[joints], strict=True))
-    if idle := [name for name, carrier in bodies.items() if carrier not in carriers]:
+    model, carriers = self._sim.mj_model, set[int]()
+    # The last degree of freedom that moves the body leads to those before it.
+    moving = model.body_weldid[self._body]
+    dof = int(model.body_dofadr[moving] + model.body_dofnum[moving]) - 1
+    while dof >= 0:
+      carriers.add(dof)
+      dof = int(model.dof_parentid[dof])
+    columns = self._entity.indexing.qvel_of_joint
+    dofs = {name: columns[joint][0] for name, joint in zip(self.target_names, self._ids, strict=True)}
+    if idle := [name for name, dof in dofs.items() if dof not in carriers]:
       raise MjlabError(f"{self._owner}: {', '.join(idle)} in actuators cannot move {cfg.frame_type} '{cfg.frame_name}'")
-    return [int(model.jnt_dofadr[joint]) for joint in joints]
+    return list(dofs.values())
 
   def _posture_target(self, cfg: DifferentialIKActionCfg) -> torch.Tensor:
     if cfg.posture_target is None:
