@@ -18,15 +18,16 @@ _GROUPS = {
 }
 
 _HEAD = """\
-# What can be randomised
+# Randomisable fields
 
 Written by `tools/write_catalogue.py` from the one table in `mjlab_dr.catalogue`; every row is tested by itself against
 a model recompiled with its values. Use any row as `randomize_field(field, pattern, values)`; options are one element,
 `".*"`.
 
-Operations are `absolute`, `add` and `scale`, from the compiled default every time; the one listed is the default. What
-MuJoCo keeps for each degree of freedom is drawn once for a joint. What *follows* gets a value per world together with
-the field, and is derived anew after every change; "bookkeeping" is MuJoCo's own, such as bounds of bodies.
+Operations are `absolute`, `add` and `scale`, from the compiled default every time; the table lists the default one.
+Fields with a value for each degree of freedom are drawn once for a joint. Fields that *follow* get a value per world
+together with the field, and are derived again after every change; "bookkeeping" is MuJoCo's own, such as bounds of
+bodies.
 
 A body is *simple* where MuJoCo's compiler finds its part of the inertia matrix diagonal and constant: a free box, or a
 puck of two slides and a hinge. Both engines then store the diagonal alone, so fields that would add to the rest act

@@ -59,14 +59,14 @@ class RandomizeField:
 
   Args:
     cfg: the randomiser.
-    sim: the fields.
+    sim: the model fields of the worlds.
     generator: source of the draws, on the device of `sim`; None is torch's global one.
-    names: names that the pattern is matched against; None is all of the model that the field makes sense for.
+    names: names to match the pattern against; None is all elements of the model with this field.
     ids: the element of the model, or the column of `target`, behind each of `names`; None counts from 0.
-    target: for fields that MjModel does not have, the tensor (num_envs, ...) to be written, in fixed memory, or the
-      quantity, whose elements are then all drawn.
-    prefix: prefix that names of materials and textures may lack.
-    upon: fields and columns that an earlier randomiser writes; draws start from its result instead of the default.
+    target: for fields that MjModel does not have: the tensor (num_envs, ...) to write, in fixed memory, or a quantity,
+      all elements of which are drawn.
+    prefix: prefix that names of materials and textures may omit.
+    earlier: fields and columns that earlier randomisers write; draws start from their results instead of the default.
     owner: name of the owner in error messages.
 
   Raises:
@@ -83,7 +83,7 @@ class RandomizeField:
     ids: Sequence[int] | None = None,
     target: Tensor | Quantity | None = None,
     prefix: str = "",
-    upon: Container[tuple[str, int]] = (),
+    earlier: Container[tuple[str, int]] = (),
     owner: str = "",
   ) -> None:
     self.cfg, self.needs_constants = cfg, needs_constants(cfg.field)
@@ -97,7 +97,7 @@ class RandomizeField:
     else:
       elements = [(name, i) for i, name in enumerate(self._quantity.names)]
     defaults = self._default_rows(cfg.shown_in).cpu().numpy()
-    elements, idle = with_effect(cfg, model, elements, defaults, upon, in_model=target is None, owner=owner)
+    elements, idle = with_effect(cfg, model, elements, defaults, earlier, in_model=target is None, owner=owner)
     self.element_names = tuple(name for name, _ in elements)
     """Names of the elements that it changes."""
     self.components = components_of(cfg, model, elements, idle)
@@ -106,12 +106,12 @@ class RandomizeField:
     self.distributions = dict(zip(cfg.values, distributions, strict=True))
     """Distribution of each axis, with the ids of this model in place of names."""
     self._strength: Tensor | None = None
-    self._find_columns(upon)
+    self._find_columns(earlier)
     for problem in result_problems(cfg, self.components, self.default.double().cpu().numpy(), model):
       raise MjlabError(f"{owner}: {problem}")
     self._prepare_draws(distributions)
 
-  def _find_columns(self, upon: Container[tuple[str, int]]) -> None:
+  def _find_columns(self, earlier: Container[tuple[str, int]]) -> None:
     """Find the columns of each field that are written, and of the one that moves along; expand fields of the model."""
     sim, target, fields = self._sim, self._target, list(dict.fromkeys(component.field for component in self.components))
     follower = FIELDS[self.cfg.field].moves_with
@@ -124,7 +124,7 @@ class RandomizeField:
         return (target if isinstance(target, Tensor) else getattr(sim.model, field)).view(sim.num_envs, -1)
 
       flat = [column for component in components for column in component.columns]
-      is_written = [(field, column) in upon for column in flat]
+      is_written = [(field, column) in earlier for column in flat]
       return _Columns(rows, flat, self._default_rows(field), sim.num_envs, is_written)
 
     self._writes: list[Quantity | _Columns]
@@ -181,7 +181,7 @@ class RandomizeField:
     For curricula: written in place it widens every range. Ask for it before the first step is recorded.
 
     Raises:
-      MjlabError: the field is a choice, of which there is no part.
+      MjlabError: the field is a choice.
     """
     if FIELDS[self.cfg.field].integer:
       raise MjlabError(f"{self.cfg.label}: it is a choice, which cannot be widened.")

@@ -50,7 +50,7 @@ def matched(
   Args:
     cfg: the randomiser.
     model: the compiled model.
-    names: names that the pattern is matched against; None is all of the model.
+    names: names to match the pattern against; None is all of the model.
     ids: the id behind each of `names`; None counts from 0.
     owner: name of the owner in messages.
 
@@ -59,7 +59,7 @@ def matched(
   """
   kind = FIELDS[cfg.field].kind
   if names is None:
-    # The world is no body that moves.
+    # The world does not move.
     ids = range(1 if kind == "body" else 0, count(model, kind))
     names = element_names(model, kind)[ids.start :]
   ids = range(len(names)) if ids is None else ids
@@ -71,7 +71,7 @@ def with_effect(
   model: mujoco.MjModel,
   elements: Elements,
   defaults: np.ndarray,
-  upon: Container[tuple[str, int]],
+  earlier: Container[tuple[str, int]],
   *,
   in_model: bool,
   owner: str,
@@ -83,7 +83,7 @@ def with_effect(
     model: the compiled model.
     elements: the elements that its pattern matches.
     defaults: values of the field to start from, (1 or num_envs, number of columns).
-    upon: fields and columns that an earlier randomiser writes.
+    earlier: fields and columns that earlier randomisers write.
     in_model: True if MjModel has the field.
     owner: name of the owner in messages.
 
@@ -101,7 +101,7 @@ def with_effect(
   if cfg.operation == "scale":
     for i, axis in product(ids, axes):
       columns = [row * field.width + axis for row in rows(model, field, i)]
-      is_written = any((cfg.shown_in, column) in upon for column in columns)
+      is_written = any((cfg.shown_in, column) in earlier for column in columns)
       if not (is_written or defaults[:, columns].any()):
         reasons.setdefault((i, axis), "is zero, as is every multiple")
   for pattern in cfg.patterns:
@@ -158,10 +158,10 @@ def _number_names(name: str) -> tuple[str, ...]:
 
 
 def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: str) -> list[Distribution]:
-  """Return the distributions of a randomiser, with ids in place of names, which may lack `prefix`.
+  """Return the distributions of a randomiser, with ids in place of names. Names may omit `prefix`.
 
   Raises:
-    MjlabError: a name that does not exist, or a number that is no id.
+    MjlabError: a name that does not exist, or a number that is not an id.
   """
   field = FIELDS[cfg.field]
   known = element_names(model, field.names) if field.names else []

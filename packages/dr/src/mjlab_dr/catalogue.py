@@ -66,18 +66,18 @@ def _parameter(unit: str, **more) -> Field:
 
 FIELDS: dict[str, Field] = {
   # Options
-  "opt.timestep": _at_least_zero("option", "s", positive=True, note="environments go on counting in the compiled one"),
+  "opt.timestep": _at_least_zero("option", "s", positive=True, note="environments count time in the compiled one"),
   "opt.gravity": Field("option", "m/s^2", axes=_XYZ, note="world frame"),
   "opt.wind": Field("option", "m/s", axes=_XYZ, note="world frame; needs a density or viscosity"),
   "opt.density": _at_least_zero("option", "kg/m^3", from_zero=False),
   "opt.viscosity": _at_least_zero("option", "Pa s", from_zero=False),
-  "opt.magnetic": Field("option", "T", axes=_XYZ, note="world frame; what magnetometers see"),
+  "opt.magnetic": Field("option", "T", axes=_XYZ, note="world frame; read by magnetometers"),
   # Bodies
   "body_mass": _at_least_zero(
     "body",
     "kg",
     positive=True,
-    note="inertia stays as it is; `pseudo_inertia` changes both as one",
+    note="inertia stays as it is; `pseudo_inertia` changes both together",
   ),
   "body_inertia": _at_least_zero(
     "body",
@@ -94,10 +94,10 @@ FIELDS: dict[str, Field] = {
     form="pseudo_inertia",
     operation="add",
     fields=("body_mass", "body_ipos", "body_inertia", "body_iquat"),
-    note="mass, centre of mass and inertia as one, always physical; of simple bodies alpha and d alone",
+    note="mass, centre of mass and inertia together, always physical; of simple bodies alpha and d alone",
   ),
-  "body_pos": _position("body", note="of bodies whose pose is no state"),
-  "body_quat": _rotation("body", note="of bodies whose pose is no state"),
+  "body_pos": _position("body", note="not of floating and mocap bodies"),
+  "body_quat": _rotation("body", note="not of floating and mocap bodies"),
   "body_gravcomp": Field("body", from_zero=False, note="1 makes it float"),
   # Joints
   "qpos0": Field(
@@ -106,14 +106,14 @@ FIELDS: dict[str, Field] = {
     at="qpos",
     operation="add",
     moves_with="qpos_spring",
-    note="what the joint reads where the model was drawn, joints of one coordinate; its spring moves along",
+    note="reading of the joint in the pose of the MJCF, joints of one coordinate; its spring moves along",
   ),
   "qpos_spring": Field(
     "joint",
     "rad or m",
     at="qpos",
     operation="add",
-    note="where the spring is at rest, joints of one coordinate",
+    note="rest position of the spring, joints of one coordinate",
   ),
   "jnt_pos": _position("joint", note="anchor in the body frame; not of simple bodies with several degrees of freedom"),
   "jnt_axis": Field(
@@ -192,7 +192,7 @@ FIELDS: dict[str, Field] = {
   "light_diffuse": _at_least_zero("light", "1", axes=_RGBA[:3]),
   "light_specular": _at_least_zero("light", "1", axes=_RGBA[:3]),
   # Materials
-  "mat_rgba": _share("material", _RGBA, note="of geoms without a colour of their own"),
+  "mat_rgba": _share("material", _RGBA, note="of geoms without a separate colour"),
   "mat_emission": _at_least_zero("material", "1"),
   "mat_specular": _share("material"),
   "mat_shininess": _share("material"),
@@ -273,9 +273,9 @@ FIELDS: dict[str, Field] = {
   "actuator_damping": _at_least_zero("actuator", "N m s/rad or N s/m", from_zero=False),
   "actuator_dampingpoly": Field("actuator", axes=_POLY, from_zero=False),
   "actuator_delay": _at_least_zero("actuator", "s", note="up to what its buffer of samples holds"),
-  # Outside of MjModel
+  # Outside MjModel
   "encoder_bias": Field("joint", "rad or m", in_model=False, note="reading minus truth"),
-  # Of actuator models, for each joint, tendon or site that they drive
+  # Actuator models, for each joint, tendon or site that they drive
   "stiffness": _parameter("N m/rad or N/m"),
   "damping": _parameter("N m s/rad or N s/m"),
   "effort_limit": _parameter("N m or N", note="limits that the MJCF puts on the joint or tendon follow"),
@@ -284,8 +284,8 @@ FIELDS: dict[str, Field] = {
 """Every randomisable field by its name."""
 
 _DERIVED = "follows from other fields"
-_LAYOUT = "says where buffers are in memory"
-_ACCURACY = "is the accuracy of the solver, no property of the world"
+_LAYOUT = "is the place of buffers in memory"
+_ACCURACY = "is the accuracy of the solver, not a property of the world"
 
 LEFT_OUT: dict[str, str] = {
   **dict.fromkeys(
@@ -299,7 +299,7 @@ LEFT_OUT: dict[str, str] = {
   **dict.fromkeys(("actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"), _LAYOUT),
   **dict.fromkeys((f"opt.{x}tolerance" for x in ("", "ls_", "noslip_", "ccd_", "sleep_")), _ACCURACY),
   "opt.impratio_invsqrt": "belongs to the solver, and MuJoCo Warp alone stores it in this form",
-  "sensor_delay": "is a property of the reader: observation terms have a delay of their own",
+  "sensor_delay": "is a property of the reader: observation terms have a separate delay",
   "sensor_interval": "fixes how many samples a buffer holds, which is decided when the model is compiled",
   "light_type": "decides which code draws it, when the picture's context is made",
   "geom_dataid": "decides mesh, mass and bounds at once, which is what `VariantEntityCfg` of mjlab-scene is for",

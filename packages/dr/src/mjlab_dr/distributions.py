@@ -55,7 +55,7 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class _Bounded:
-  """A distribution within [lo, hi], its last two fields."""
+  """Distribution within [lo, hi], its last two fields."""
 
   def check(self, name: str) -> None:
     """Raise ConfigError, beginning with `name`, if the parameters are impossible."""
@@ -70,7 +70,7 @@ class _Bounded:
 
 @dataclass(frozen=True)
 class _Parametric(_Bounded):
-  """A distribution of numbers whose draw is a function of them in their order."""
+  """Distribution with a draw that is a function of its parameters in their order."""
 
   _draw: ClassVar[Callable[..., Tensor]]
 
@@ -121,13 +121,13 @@ class Gaussian(_Parametric):
 
 @dataclass(frozen=True)
 class Categorical:
-  """One of these values, as likely as its weight says; or of these names, where a field refers to named things."""
+  """One of several values, or of several names where a field refers to named elements, with a weight for each."""
 
   values: Annotated[tuple[float | str, ...], Limits()]
   weights: Annotated[tuple[float, ...] | None, Limits(ge=0)] = None
 
   def check(self, name: str) -> None:
-    """Raise MjlabError if there is nothing to choose from, or weights do not fit it."""
+    """Raise MjlabError if there are no values, or if the weights do not fit them."""
     check_fields(self, name)
     weights = (1.0,) * len(self.values) if self.weights is None else self.weights
     if len(weights) != len(self.values) or not sum(weights):
@@ -135,7 +135,7 @@ class Categorical:
 
   @property
   def has_names(self) -> bool:
-    """True if some are given by name."""
+    """True if some values are names."""
     return any(isinstance(x, str) for x in self.values)
 
   def support(self) -> tuple[float, float]:
@@ -174,7 +174,7 @@ class Categorical:
 class Custom(_Bounded):
   """Draws of a function, which must stay within [lo, hi].
 
-  It runs inside a captured step: it must draw from the generator it is given, and not wait for the device.
+  It runs inside a captured step: it must draw from the given generator, and not wait for the device.
   """
 
   function: SampleFunction
@@ -190,7 +190,7 @@ class Custom(_Bounded):
 
 def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) -> Any:
   """Return the distribution of a pair of numbers; anything else is returned as it is, for `check_distribution`."""
-  # A list is what comes from files.
+  # Files give lists.
   is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
   return kind(*values) if is_pair else values
 

@@ -1,4 +1,4 @@
-"""Check that a change of a model field has an effect, by MuJoCo itself where it can tell."""
+"""Elements and numbers of a model in which a change has no effect, found by MuJoCo itself where possible."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOTOR_STATES = {*(("actuator_dynprm", axis) for axis in (0, 2, 5, 7)), ("actuat
 
 _INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "pseudo_inertia"}
 _PROBED = {"body", "joint", "tendon", "actuator", "equality"}
-# Plastic springs yield over time; the others have a reason of their own.
+# Plastic springs yield over time; `_element_reason` has the reasons of the others.
 _UNPROBED = _INERTIAL | {"jnt_springyield", "tendon_springyield", "actuator_delay", "actuator_kp"}
 _PROBED_AXES = {"geom_size", "eq_data", "actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm"}
 _USUAL = {
@@ -50,7 +50,7 @@ _USUAL = {
 
 SIMPLE = (
   "compiled as simple: MuJoCo keeps its inertia matrix diagonal, whatever this field says. Scenes of mjlab compile no "
-  'body so; elsewhere set simple="false" on it before compiling (`MjSpec.body(name).simple = False`)'
+  'body as simple; elsewhere set simple="false" on it before compiling (`MjSpec.body(name).simple = False`)'
 )
 """Reason of a body with several degrees of freedom that the compiler found to be independent.
 
@@ -86,7 +86,7 @@ def _reason(name: str) -> str:
 
 
 def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
-  """Return why a change of an element has no effect where a step of MuJoCo cannot tell; "" if there is no reason."""
+  """Return why a change of an element has no effect, as far as a step of MuJoCo does not show it; "" if it has."""
   field = FIELDS[name]
   if name in ("body_ipos", "body_iquat") and model.body_simple[i]:
     return f"was {SIMPLE}"
@@ -130,7 +130,7 @@ def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
 
 
 def _axis_reason(model: mujoco.MjModel, name: str, i: int, axis: int) -> str:
-  """Return why a change of one axis has no effect, or is not allowed, where a step of MuJoCo cannot tell."""
+  """Return why a change of one axis has no effect, as far as a step of MuJoCo does not show it, or is not allowed."""
   if name in _CONDIM:
     condim = _condim(model, i) if name == "geom_friction" else int(model.pair_dim[i])
     if condim < (needed := _CONDIM[name][axis]):
@@ -151,7 +151,7 @@ def _condim(model: mujoco.MjModel, i: int) -> int:
   if not len(touched):
     # Geoms that it is to touch may be elsewhere.
     return int(model.geom_condim.max())
-  # Of two geoms the one with the higher priority decides, and of equals the larger condim.
+  # The geom with the higher priority decides; between equals, the larger condim.
   equal = touched[model.geom_priority[touched] == model.geom_priority[i]]
   return max(int(model.geom_condim[i]), *model.geom_condim[equal].tolist(), 0)
 

@@ -59,7 +59,7 @@ class Field:
   """True for a choice rather than a quantity: it is only replaced, and only by whole numbers."""
 
   names: Kind | Literal["texture"] | None = None
-  """Of a choice: kind of the elements that its numbers are ids of, so that names can be given."""
+  """Kind of the elements that the numbers of a choice are ids of, so that names can be given."""
 
   form: Form = "plain"
   """`direction`: written with unit length. `rotation`: axes are angles about the parent's x, y and z, written as a
@@ -67,17 +67,17 @@ class Field:
   feedback on position. `pseudo_inertia`: the ten log-Cholesky parameters, written as the `fields` of a body."""
 
   fields: tuple[str, ...] = ()
-  """Fields of MjModel that it writes, if other than the one of its own name."""
+  """Fields of MjModel that it writes; empty for the field with its name."""
 
   moves_with: str = ""
-  """A field that is moved by as much, so that one stays where it was relative to the other."""
+  """Field that moves by the same amount, so that the distance between the two stays."""
 
   at: Literal["element", "dof", "qpos", "ctrl", "out"] = "element"
   """Rows of an element: its own, or those of its degrees of freedom, coordinates, controls or outputs, which share a
   draw."""
 
   from_zero: bool = True
-  """True if an element that was compiled with zeros alone can be given a value; engines leave out what is off."""
+  """True if an element compiled with zeros only can get a value; engines leave out parts that are off."""
 
   operation: Operation = "absolute"
   """Default operation of a draw."""

@@ -32,7 +32,7 @@ def perturb_inertia(
 
   Computed in float64, without a host sync, and on a GPU in one launch where Warp is installed. Principal axes turn as
   little as they can: nothing is reordered for small perturbations, and equal moments are no special case. A body
-  without mass stays without. Batch dimensions broadcast. Gradients are finite where no two moments are equal.
+  without mass keeps none. Batch dimensions broadcast. Gradients are finite where no two moments are equal.
 
   Args:
     mass: (...) [kg].
@@ -92,7 +92,7 @@ def inertia_perturbation(
 ) -> Tensor:
   """Return the ten parameters that turn the first four inertial parameters into the last four, (..., 10), in float64.
 
-  The inverse of `perturb_inertia`. NaN unless both have mass and volume: for a planar body there is no one answer.
+  The inverse of `perturb_inertia`. NaN unless both have mass and volume: a planar body has several answers.
   """
   before, after = second_moments(inertia, quat), second_moments(to_inertia, to_quat)
   ratio = to_mass.double() / mass.double()
@@ -136,8 +136,8 @@ def _upper_factor(matrix: Tensor) -> Tensor:
 def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Return the eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors, (..., 4).
 
-  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and orders what should stay in its place. Written for few
-  operations rather than for few numbers.
+  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and reorders eigenvalues that should stay in place. This code
+  has few operations rather than few numbers.
   """
   diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
   # The entry opposite of each diagonal one: 12, 02, 01.
@@ -157,7 +157,7 @@ def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
       sine = tangent * cosine
       diagonal[p] = torch.addcmul(diagonal[p], tangent, entry)
       diagonal[q] = torch.addcmul(diagonal[q], tangent, entry, value=-1.0)
-      # Of the two other entries, that of row p becomes a mixture of both, and so does that of row q.
+      # The two other entries become mixtures of both.
       first, second = off[q], off[p]
       off[q] = (cosine * first).addcmul_(sine, second)
       off[p] = (cosine * second).addcmul_(sine, first, value=-1.0)

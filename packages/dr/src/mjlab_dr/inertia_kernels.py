@@ -1,4 +1,4 @@
-"""`perturb_inertia` as one Warp kernel, for GPUs where Warp is installed: by torch it is hundreds."""
+"""`perturb_inertia` as one Warp kernel, for GPUs where Warp is installed; torch launches hundreds."""
 
 import functools
 import math
@@ -52,7 +52,7 @@ def vector(x: wp.array3d[Any], i: int, j: int, first: int):
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-  """Return the kernel for wp.float32 or wp.float64, each in a module of its own: loading one unloads no other."""
+  """Return the kernel for wp.float32 or wp.float64, in separate modules: loading one does not unload the other."""
 
   @wp.kernel(enable_backward=False, module="unique")
   def perturb_inertia(
@@ -134,13 +134,13 @@ def launch(
   wp.init()
   grid = (math.prod(batch[:-1]), math.prod(batch[-1:]))
   tails = ((), (3,), (3,), (4,), (10,))
-  # Views: what worlds share is there once.
+  # Views: values that worlds share stay in memory once.
   given = [
     x.expand((*batch, *tail)).reshape(*grid, *tail)
     for x, tail in zip((mass, com, inertia, quat, parameters), tails, strict=True)
   ]
   results = [x.new_empty(x.shape) for x in given[:4]]
-  # Who records a stream has made it Warp's too.
+  # A recorded stream is already Warp's current stream.
   is_own = mass.is_cuda and not torch.cuda.is_current_stream_capturing()
   wp.launch(
     kernel(wp.dtype_from_torch(mass.dtype)),

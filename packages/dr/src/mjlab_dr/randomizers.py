@@ -164,8 +164,8 @@ def randomize_field(
     values: a pair, a `Distribution`, or a mapping from axes, by number or name, to these. A pair is (lo, hi), or
       (mean, std) for "gaussian".
     axes: the axes that unmapped `values` apply to; None is all.
-    operation: what a draw does to the compiled default; None is the default of the field.
-    distribution: how pairs are read.
+    operation: effect of a draw on the compiled default; None is the default of the field.
+    distribution: meaning of pairs.
     shared: one draw for all elements of a world.
     isotropic: one draw for all axes of an element.
 
@@ -217,7 +217,7 @@ def geom_friction(
 ) -> FieldRandomizer:
   """Return a randomiser of the friction of geoms: sliding [1] by default, or also torsional and rolling [m].
 
-  Of two geoms in contact MuJoCo takes the one with the higher priority, or else the larger friction of both.
+  Between two geoms in contact, MuJoCo takes the friction of the one with the higher priority, or else the larger one.
   """
   if axes is None and not isinstance(values, Mapping):
     axes = (0,)
@@ -258,7 +258,7 @@ def pseudo_inertia(
     d: stretch of each body axis by e^d, about the body's origin.
     s: shear of each plane.
     t: shift of the centre of mass along each body axis [m].
-    options: `distribution`, as pairs are read, and `shared`, True for one draw for all bodies of a world.
+    options: `distribution`, the meaning of pairs, and `shared`, True for one draw for all bodies of a world.
 
   Raises:
     MjlabError: nothing is given, or an impossible range.

@@ -185,7 +185,7 @@ def _bind(
   for cfg in randomizers:
     if FIELDS[cfg.field].kind == "target":
       raise MjlabError(f"{cfg.label}: it belongs to actuator models, which a model alone does not have.")
-    term = RandomizeField(cfg, fields, generator=generator, upon=writer)
+    term = RandomizeField(cfg, fields, generator=generator, earlier=writer)
     for key, element in term.written().items():
       if key in writer and not cfg.composes:
         kind = FIELDS[cfg.field].kind

@@ -24,7 +24,7 @@ class CompiledTerms:
   Args:
     sim: the simulation that terms read.
     rng: source of randomness of the terms.
-    manager: the manager, whose `evaluate` this object becomes.
+    manager: the manager; this object becomes its `evaluate`.
   """
 
   def __init__(self, sim: Simulation, rng: torch.Generator, manager: ManagerBase[Any]) -> None:

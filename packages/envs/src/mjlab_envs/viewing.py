@@ -40,7 +40,7 @@ class ViewableEnv(ManagerBasedEnv):
       elif value.dim() == 2:
         shapes = zip(manager.active_terms[group], manager.group_obs_term_dim[group], strict=True)
         names = [name for term, shape in shapes for name in _numbered(term, math.prod(shape))]
-        # Parts that are joined along another axis than the last have no names of their own.
+        # Terms that are joined along another axis than the last have no names for columns.
         found[f"observations {group}"] = (names, value) if len(names) == value.shape[1] else _columns(group, value)
     return found
 

@@ -188,7 +188,7 @@ class Worlds:
     row = FIELDS[term.field]
     by_axis = {row.axes.index(axis): distribution for axis, distribution in given.items()}
     cfg = randomize_field(term.field, term.pattern, by_axis, operation=operation, shared=term.shared)
-    bound = RandomizeField(cfg, self.sim, upon=self._written, owner="fit")
+    bound = RandomizeField(cfg, self.sim, earlier=self._written, owner="fit")
     for key, element in bound.written().items():
       if key in self._written and not cfg.composes:
         raise MjlabError(f"fit: {term.field} of '{element}' is also written by {self._written[key]}; fit one of them")

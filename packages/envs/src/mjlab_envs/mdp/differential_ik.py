@@ -34,15 +34,15 @@ AboveZero = Annotated[float, Limits(gt=0, finite=False)]
 class DifferentialIKActionCfg(DrivenTargetsCfg):
   """Action that moves a frame of the robot by position targets of the joints that carry it.
 
-  The goal of the frame is fixed once for each environment step; towards it, before every physics substep, dq of
+  The goal of the frame is fixed once for each environment step. Before every physics substep, dq of
 
     (wp^2 Jp'Jp + wo^2 Jr'Jr + wl^2 diag(v) + wq^2 I + damping^2 I) dq
       = wp^2 Jp'ep + wo^2 Jr'er + wl^2 v r + wq^2 (p - q)
 
-  is limited to `max_dq` joint by joint, and q + dq becomes the set-point, within `clip`. Jp and Jr are the frame's
+  is limited to `max_dq` joint by joint, and q + dq becomes the target, within `clip`. Jp and Jr are the frame's
   Jacobians, ep and er the way to the goal, v marks joints outside their soft limits, r is the way back inside, p the
-  posture. All of it is what a controller behind biased encoders believes: q is what they read, and the frame is where
-  that puts it, to first order of the bias.
+  posture. A controller behind biased encoders computes the same: q is their reading, and the frame is where
+  this reading puts it, to first order of the bias.
 
   Columns: the change of position (3) and the rotation vector of the change of orientation (3), both along the axes of
   the entity's root; or, in absolute mode, position (3) and quaternion (4) in the root's frame. Without an orientation

@@ -94,7 +94,7 @@ class reset_joints_by_offset(ManagerTermBase):
 class push_by_setting_velocity(ManagerTermBase):
   """Add a uniform twist to the root's velocity, world frame; ranges by axis as in `reset_root_state_uniform`.
 
-  Works on state alone, so that a push costs no forward pass of its own.
+  Works on state alone, so that a push costs no separate forward pass.
   """
 
   env: "ManagerBasedEnv"

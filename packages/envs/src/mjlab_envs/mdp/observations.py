@@ -116,7 +116,7 @@ class projected_gravity_from_sensor(ManagerTermBase):
     self._is_imu = isinstance(env.scene[sensor], ImuSensor)
     if not (self._is_imu or self._is_vertical()):
       raise MjlabError(
-        f"sensor '{sensor}' does not tell the vertical; give an ImuSensorCfg, or BuiltinSensorCfg(sensor_type="
+        f"sensor '{sensor}' does not measure the vertical; give an ImuSensorCfg, or BuiltinSensorCfg(sensor_type="
         "'framezaxis', obj=ObjRef(type='xbody', name='world'), ref=ObjRef(type='site', ...))"
       )
 

@@ -93,7 +93,7 @@ class widen_randomization(ManagerTermBase):
   ) -> None:
     super().__init__(env)
     self._begin, self._end = steps
-    # The term, whose parts are made again when its parameters change.
+    # The term; its parts are made again when its parameters change.
     self._event = _randomize_event(env, event)
     _ = self.strength  # Some draws have no strength.
     if env.event_manager.get_term_cfg(event).mode == "startup":

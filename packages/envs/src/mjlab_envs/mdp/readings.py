@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
   from mjlab_envs.env import ManagerBasedRlEnv
 
-# Native sensors that robots have under another name than their own.
+# Native sensors that have another name on robots.
 _NAMES = {
   "GYRO": ("imu/gyro", "rad/s"),
   "ACCELEROMETER": ("imu/accelerometer", "m/s^2"),
@@ -58,7 +58,7 @@ def pose_of(
     read: Returns its present value.
     quantity: "position" or "orientation", a quaternion (w, x, y, z).
     of: "body" or "site", and its name in the model.
-    frame: Body in whose frame it is, its name in the model; empty: the world.
+    frame: Name in the model of the body that is the frame; empty: the world.
   """
   return Reading(
     name=name,
