@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypedDict, Unpack, get_args
 
@@ -25,7 +25,7 @@ DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
 ByAxis = Mapping[int, Values] | Mapping[str, Values]
 
-_BY_NAME: dict[str, type[Uniform] | type[LogUniform] | type[Gaussian]] = {
+_BY_NAME: dict[str, Callable[..., Distribution]] = {
   "uniform": Uniform,
   "log_uniform": LogUniform,
   "gaussian": Gaussian,

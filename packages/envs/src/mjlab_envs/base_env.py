@@ -126,13 +126,9 @@ class ManagerBasedEnv:
     The logger "mjlab" warns of buffers that overflowed, with the setting to raise, and of worlds that diverged, with
     the place where each divergence began.
     """
-    names: list[str] = []
-    values: list[torch.Tensor] = []
-    for manager in self.managers.values():
-      manager_names, manager_values = manager.log_tensors()
-      names += manager_names
-      values.append(manager_values)
-    numbers = torch.cat(values).tolist() if names else []
+    logs = [manager.log_tensors() for manager in self.managers.values()]
+    names = [name for of_manager, _ in logs for name in of_manager]
+    numbers = torch.cat([values for _, values in logs]).tolist()
     for manager in self.managers.values():
       manager.clear_log()
     self._warn(self.sim.overflow_report())

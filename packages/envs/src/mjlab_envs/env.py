@@ -1,5 +1,6 @@
 """The manager-based environment and its step."""
 
+import contextlib
 import copy
 import math
 from collections.abc import Sequence
@@ -46,11 +47,12 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
     if device == "auto":
       device = "cuda" if torch.cuda.is_available() else "cpu"
     self._closed = False
+    self._resources = contextlib.ExitStack()
     problems = [f"env: {problem}" for problem in self.cfg.problems()]
     try:
       self._build(device, problems)
     except Exception as error:
-      self._abandon()
+      self.close()
       parts = [(kind, getattr(cfg, part)) for part, (_, kind) in MANAGERS.items()]
       unread = [line for kind, terms in parts if isinstance(terms, dict) for line in kind.check(terms)]
       if not (problems or unread):
@@ -59,22 +61,16 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
         problems.append(str(error))
       raise ConfigError(*problems, *(line for line in unread if line not in problems)) from error
     if problems:
-      self._abandon()
+      self.close()
       raise ConfigError(*problems)
     self.event_manager.apply("startup")
-
-  def _abandon(self) -> None:
-    """Release the resources of a failed build."""
-    self._closed = True
-    for part in ("recorder_manager", "sim"):
-      if part in vars(self):
-        vars(self)[part].close()
 
   def _build(self, device: str | torch.device, problems: list[str]) -> None:
     """Build all parts; add a line to `problems` for each mistake that does not prevent building the rest."""
     self.seed = draw_seed() if self.cfg.seed is None else self.cfg.seed
     self.scene = Scene(self.cfg.scene, self.cfg.decimation, problems=problems)
     self.sim = Simulation(self.cfg.scene.num_envs, self.scene.spec, self.cfg.sim, device)
+    self._resources.callback(self.sim.close)
     self.device = self.sim.device
     self.num_envs = self.sim.num_envs
     self.rng = make_generator(self.device, self.seed)
@@ -104,6 +100,8 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
     self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
 
     self._load_managers(problems)
+    self._resources.callback(self._warn_of_divergence)
+    self._resources.callback(self.recorder_manager.close)
     self._action = torch.zeros(n, self.action_manager.total_action_dim, device=device)
     self._rehearse(problems)
     if self.cfg.compile_terms:
@@ -115,14 +113,15 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
 
   def _load_managers(self, problems: list[str]) -> None:
     terminations = dict(self.cfg.terminations)
-    detectors = [name for name, term in terminations.items() if term is not None and term.func is nan_detection]
-    if not detectors and "nan_detection" not in terminations:
+    given = (name for name, term in terminations.items() if term is not None and term.func is nan_detection)
+    self._nan_detector = next(given, "")
+    if not self._nan_detector and "nan_detection" not in terminations:
       # Without a termination, a world that diverged would never be reset.
+      self._nan_detector = "nan_detection"
       terminations["nan_detection"] = TerminationTermCfg(nan_detection)
-      detectors = ["nan_detection"]
     guard = self.cfg.sim.nan_guard
-    self.nan_guard = NanGuard(self.sim, self.cfg.decimation, guard) if guard.enabled and detectors else None
-    self._nan_detector = detectors[0] if detectors else ""
+    is_guarded = guard.enabled and self._nan_detector
+    self.nan_guard = NanGuard(self.sim, self.cfg.decimation, guard) if is_guarded else None
     parts = vars(self.cfg) | {"terminations": terminations}
     self.managers = {}
     options = {
@@ -305,15 +304,8 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
 
   def close(self) -> None:
     """Release recorders, threads and graphs. Calling it again does nothing."""
-    if not self._closed:
-      self._closed = True
-      if self._camera is not None:
-        self._camera.close()
-      try:
-        self.recorder_manager.close()
-        self._warn_of_divergence()
-      finally:
-        self.sim.close()
+    self._closed = True
+    self._resources.close()
 
   def render(self) -> np.ndarray | None:
     """Return a picture of the first worlds side by side, (height, width, 3) uint8; None if `render_mode` is None.
@@ -328,6 +320,7 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
       return None
     if self._camera is None:
       self._camera = viewing.Camera(self, self.cfg.viewer)
+      self._resources.callback(self._camera.close)
     return self._camera.picture()
 
   def __enter__(self) -> "ManagerBasedRlEnv":

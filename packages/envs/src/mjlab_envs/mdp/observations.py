@@ -112,21 +112,18 @@ class projected_gravity_from_sensor(ManagerTermBase):
 
   def __init__(self, env: "ManagerBasedRlEnv", *, sensor: str) -> None:
     super().__init__(env)
-    self._sensor = sensor
-    self._is_imu = isinstance(env.scene[sensor], ImuSensor)
-    if not (self._is_imu or self._is_vertical()):
+    self._sensor, found = sensor, env.scene[sensor]
+    self._is_imu = isinstance(found, ImuSensor)
+    is_vertical = False
+    if isinstance(found, BuiltinSensor):
+      native = env.sim.mj_model.sensor(found.cfg.element or sensor)
+      is_axis = native.type[0] == mujoco.mjtSensor.mjSENS_FRAMEZAXIS
+      is_vertical = is_axis and native.objid[0] == 0 and native.refid[0] >= 0
+    if not (self._is_imu or is_vertical):
       raise MjlabError(
         f"sensor '{sensor}' does not measure the vertical; give an ImuSensorCfg, or BuiltinSensorCfg(sensor_type="
         "'framezaxis', obj=ObjRef(type='xbody', name='world'), ref=ObjRef(type='site', ...))"
       )
-
-  def _is_vertical(self) -> bool:
-    """Return True for a native sensor of the world's z axis in the frame of a site."""
-    found = self.env.scene[self._sensor]
-    if not isinstance(found, BuiltinSensor):
-      return False
-    native = self.env.sim.mj_model.sensor(found.cfg.element or self._sensor)
-    return native.type[0] == mujoco.mjtSensor.mjSENS_FRAMEZAXIS and native.objid[0] == 0 and native.refid[0] >= 0
 
   def __call__(self) -> torch.Tensor:
     data = self.env.scene[self._sensor].data

@@ -68,11 +68,6 @@ class randomize(ManagerTermBase):
     """Descriptions of the numbers that it writes; the event manager refuses a second writer."""
     self.needs_constants = self.field.needs_constants
 
-  @property
-  def strength(self) -> torch.Tensor:
-    """Share of the way from the default, 0, to the drawn values, 1, as `RandomizeField.strength`, ()."""
-    return self.field.strength
-
   def __call__(self, mask: torch.Tensor) -> None:
     # The event manager recomputes derived fields once for all randomisers that fired.
     self.field.apply(mask, recompute=False)
@@ -95,20 +90,15 @@ class widen_randomization(ManagerTermBase):
     self._begin, self._end = steps
     # The term; its parts are made again when its parameters change.
     self._event = _randomize_event(env, event)
-    _ = self.strength  # Some draws have no strength.
+    _ = self._event.field.strength  # Some draws have no strength.
     if env.event_manager.get_term_cfg(event).mode == "startup":
       raise MjlabError(f"event '{event}' fires once, at startup, before its strength grows; give it another mode")
     self(env.reset_buf)
 
-  @property
-  def strength(self) -> torch.Tensor:
-    """Present strength, ()."""
-    return self._event.strength
-
   def __call__(self, mask: torch.Tensor) -> torch.Tensor:
     del mask  # All worlds share the strength.
     share = (self.env.common_step_counter - self._begin) / (self._end - self._begin)
-    return self.strength.copy_(share.clamp(0.0, 1.0)).clone()
+    return self._event.field.strength.copy_(share.clamp(0.0, 1.0)).clone()
 
 
 class randomized_values(ManagerTermBase):

@@ -29,14 +29,17 @@ def action_rate_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
 
 def action_acc_l2(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return |a_t - 2 a_{t-1} + a_{t-2}|^2 of raw actions, (num_envs,)."""
-  manager = env.action_manager
-  return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).square().sum(-1)
+  return _action_acc(env).square().sum(-1)
 
 
 def mean_action_acc(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return mean_j |a_t - 2 a_{t-1} + a_{t-2}| of raw actions, (num_envs,)."""
+  return _action_acc(env).abs().mean(-1)
+
+
+def _action_acc(env: "ManagerBasedRlEnv") -> torch.Tensor:
   manager = env.action_manager
-  return (manager.action - 2.0 * manager.prev_action + manager.prev_prev_action).abs().mean(-1)
+  return manager.action - 2.0 * manager.prev_action + manager.prev_prev_action
 
 
 def joint_torques_l2(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:

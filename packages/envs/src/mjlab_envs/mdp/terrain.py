@@ -67,9 +67,8 @@ class terrain_edge_reached(ManagerTermBase):
     missing = "the terrain has no tiles; give the scene a TerrainGridCfg"
     levels = require(env.scene.terrain_levels, TerrainLevels, missing)
     self._entity, self._fraction = env.scene[asset.name], threshold_fraction
-    self._size = torch.tensor(levels.tile_size, device=env.device, dtype=env.sim.dtype)
     middle = (0.5 * (levels.num_rows - 1), 0.5 * (levels.num_columns - 1))
-    self._middle = torch.tensor(middle, device=env.device, dtype=env.sim.dtype)
+    self._size, self._middle = torch.tensor((levels.tile_size, middle), device=env.device, dtype=env.sim.dtype)
 
   def __call__(self) -> torch.Tensor:
     levels = self.env.scene.terrain_levels
