@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import accumulate
 from numbers import Real
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol, Unpack
 
 import torch
 from mjlab_core import (
@@ -23,17 +23,14 @@ from mjlab_core import (
   truncated_normal,
   uniform,
 )
+from mjlab_core.sampling import Options
 from torch import Tensor
 
+SampleFunction = Callable[..., Tensor]
+"""Function `(shape, *, generator, device, dtype)` that returns independent draws of `shape`.
 
-class SampleFunction(Protocol):
-  """Function that returns independent draws, without a host sync, from the same amount of randomness every time."""
-
-  def __call__(
-    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
-  ) -> Tensor:
-    """Return a tensor of `shape`."""
-    ...
+It draws without a host sync, from the same amount of randomness every time.
+"""
 
 
 class Distribution(Protocol):
@@ -47,9 +44,10 @@ class Distribution(Protocol):
     """Return the smallest and largest value that may be drawn."""
     ...
 
-  @property
-  def sample(self) -> SampleFunction:
-    """Method that draws."""
+  def sample(
+    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
+  ) -> Tensor:
+    """Return independent draws of this shape, without a host sync, from the same amount of randomness every time."""
     ...
 
 
@@ -77,11 +75,9 @@ class _Parametric(_Bounded):
   def parameters(self) -> tuple[float, ...]:
     return tuple(getattr(self, f.name) for f in fields(self))
 
-  def sample(
-    self, shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
-  ) -> Tensor:
+  def sample(self, shape: Sequence[int], **options: Unpack[Options]) -> Tensor:
     """Return independent draws of this shape."""
-    return type(self)._draw(*self.parameters(), shape, generator=generator, device=device, dtype=dtype)
+    return type(self)._draw(*self.parameters(), shape, **options)
 
 
 @dataclass(frozen=True)
@@ -160,10 +156,7 @@ class Categorical:
     # The last edge is left out, so that rounding cannot reach beyond the table.
     edges = torch.tensor(list(accumulate(w / sum(weights) for w in weights))[:-1], device=device, dtype=torch.float64)
 
-    def sample(
-      shape: Sequence[int], *, generator: torch.Generator | None, device: torch.device, dtype: torch.dtype
-    ) -> Tensor:
-      del dtype
+    def sample(shape: Sequence[int], *, generator: torch.Generator | None, **_: Any) -> Tensor:
       u = torch.rand(tuple(shape), generator=generator, device=device, dtype=torch.float64)
       return table[torch.bucketize(u, edges, right=True)]
 
