@@ -21,7 +21,7 @@ STATE = (
   "userdata",
   "history",
 )
-"""Fields that a step reads and that anybody may write; all others are outputs of the engine."""
+"""Fields that a step reads and that any code may write; all others are outputs of the engine."""
 
 _REFERENCE = ("tendon_length0", "eq_data", "cam_pos0", "cam_poscom0", "cam_mat0")
 CONSTANTS: dict[str, frozenset[str]] = {
@@ -56,7 +56,7 @@ def owner_of(model: Any, name: str) -> tuple[Any, str]:
 
 
 def put(owner: Any, name: str, value: np.ndarray) -> None:
-  """Write one world's value of a field of an `MjData`, `MjModel` or `MjOption`, in whatever shape an engine has it."""
+  """Write one world's value of a field of an `MjData`, `MjModel` or `MjOption`, in any shape of the same size."""
   target = getattr(owner, name)
   if np.ndim(target):
     target[:] = value.reshape(np.shape(target))

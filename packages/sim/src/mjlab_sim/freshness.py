@@ -43,7 +43,7 @@ class Freshness:
     self._replaced: list[tuple[str, torch.Tensor, int]] = []
 
   def close(self, closed: Engine) -> None:
-    """Let go of the engine. Whatever is read from now on asks `closed`, which refuses it."""
+    """Replace the engine by `closed`, which refuses all calls. Every later read calls it."""
     self.engine = closed
     self.model_fields.clear()
     self._watched.clear()

@@ -1,4 +1,4 @@
-"""Rays: what they can hit, what they hit, and ground as triangles.
+"""Rays: their targets, their hits, and ground as triangles.
 
 MuJoCo casts a ray against one geom after another, and a terrain has hundreds. Those that never move and have flat faces
 are turned into triangles once, when a caster is made, and an engine then looks them up in a tree.
@@ -16,14 +16,10 @@ from numpy.typing import NDArray
 
 _Geom = mujoco.mjtGeom
 
-# Corners of a cube from -1 to 1, x fastest, and its faces seen counter-clockwise from outside.
+# Corners of a cube from -1 to 1, x fastest, its sides seen counter-clockwise from outside, and two triangles of each.
 _CORNERS = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], dtype=np.float64)
-_FACES = np.array(
-  [
-    *[(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)],
-    *[(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)],
-  ]
-)
+_SIDES = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
+_FACES = _SIDES[:, (0, 1, 2, 0, 2, 3)].reshape(-1, 3)
 
 Geoms = NDArray[np.int32]
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -130,7 +126,7 @@ def fixed_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def triangulate(model: mujoco.MjModel, geoms: Geoms) -> tuple[Mesh, Geoms]:
-  """Surfaces of fixed geoms, one at least, just as `mj_ray` sees them.
+  """Return the surfaces of fixed geoms, at least one, as `mj_ray` sees them.
 
   Returns:
     Vertices in the world (num_vertices, 3) [m] with triangles (num_triangles, 3), counter-clockwise from outside,
@@ -156,7 +152,7 @@ def _surface(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 def asset_surface(model: mujoco.MjModel, kind: int, number: int) -> Mesh:
-  """Surface of a mesh or a height field in the frame of its geoms."""
+  """Return the surface of a mesh or a height field in the frame of its geoms."""
   if kind == _Geom.mjGEOM_HFIELD:
     return _hfield_surface(model, number)
   first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
@@ -171,7 +167,7 @@ def heights_of(model: mujoco.MjModel, hfield: int) -> NDArray[np.float32]:
 
 
 def _hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
-  """Surface of a height field in the frame of its geoms, just as `mj_ray` sees it.
+  """Return the surface of a height field in the frame of its geoms, as `mj_ray` sees it.
 
   It includes the box that the field stands on, whose top is seen from inside of the field.
   """

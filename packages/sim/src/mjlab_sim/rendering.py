@@ -1,4 +1,4 @@
-"""Images of every world, as the cameras of the model see it: what is asked for, and what was drawn."""
+"""Images of every world, as the cameras of the model see it: requests and results."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -188,7 +188,7 @@ class Simulation:
     self.keep_buffer_sizes(state)
     self.expand_model_fields(state["model"])
     if self._fields.load(state):
-      # Engines derive more than they show. What was saved counts to the last bit.
+      # Engines derive more than they show; the saved values are then restored to the last bit.
       self.recompute_constants()
       self._fields.load_model(state)
 
@@ -233,7 +233,7 @@ class Simulation:
       bodyexclude: A body that rays pass through, or one for each ray, -1 for none.
       exclude_trees: Rays pass through the whole kinematic tree of that body: all of a robot.
       max_distance: How far rays see [m].
-      geomid: Whether hits tell their geom. On a CPU terrains of many geoms are faster without.
+      geomid: Identify the geom of each hit. On a CPU terrains of many geoms are faster without.
     """
     check_value("max_distance", max_distance, Annotated[float, Limits(gt=0, finite=False)])
     targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude, exclude_trees)
@@ -332,7 +332,7 @@ class Simulation:
   def graph_break(self, fn: Callable[[], object]) -> None:
     """Inside a step graph: call `fn` eagerly at this point of every replay. Elsewhere simply call it.
 
-    What `fn` reads is up to date, and so is what is recorded behind it, whatever state it wrote.
+    Quantities that `fn` reads are up to date, and so is the recording behind it after any write of `fn`.
     """
     self._recordings.interrupt(fn)
 

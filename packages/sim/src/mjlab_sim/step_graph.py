@@ -121,7 +121,7 @@ class StepGraph:
   def _record(self) -> None:
     from mjlab_sim.warp.recorder import Recorder
 
-    # What is recorded may itself ask for a new recording, which drops this one.
+    # The recorded function may ask for a new recording, which drops this one.
     recorder = self._recorder = self._recordings.recorder = Recorder(self._device, self._generators)
     # Nothing cached before may be left out of the recording, and nothing recorded may be taken for computed.
     self._fresh.version += 1

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 import torch
 
 PRIVATE = {
-  "torch.Tensor._version": "tells that a tensor was written in place; without it every read computes again",
+  "torch.Tensor._version": "counts in-place writes to a tensor; without it every read computes again",
   "torch._C._disabled_torch_function_impl": "makes results plain tensors; without it they are TorchArrays, too",
 }
 
@@ -55,5 +55,5 @@ class TorchArray(torch.Tensor):
 
 
 def plain(field: TorchArray) -> torch.Tensor:
-  """Return the same memory and version counter as a plain tensor, which tells its version in half the time."""
+  """Return the same memory and version counter as a plain tensor, whose version is read in half the time."""
   return field.as_subclass(torch.Tensor)

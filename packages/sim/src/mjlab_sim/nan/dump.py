@@ -1,4 +1,4 @@
-"""Files of worlds that diverged: what was first, and whether MuJoCo C diverges from there too."""
+"""Files of worlds that diverged: the first bad number, and a replay in MuJoCo C."""
 
 import contextlib
 import copy
@@ -21,9 +21,8 @@ FORMAT = "mjlab NaN dump 1"
 
 # State that a physics step computes; the rest is only ever written from outside.
 _INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
-# What MuJoCo takes for a bad state (mjMAXVAL).
+# MuJoCo's limit for a bad state (mjMAXVAL).
 _BOUND = 1e10
-_BAD = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -31,11 +30,11 @@ class Replay:
   """Stored steps of a diverged world, run again in MuJoCo C."""
 
   diverged_at: int | None
-  """Physics step after which MuJoCo C's state was not finite either; None where it stayed finite."""
+  """Physics step after which MuJoCo C's state was not finite, or beyond 1e10, either; None if there is none."""
   qpos: np.ndarray
   """Positions after each physics step, (steps, nq)."""
   error: float
-  """Largest difference of a position to the recorded one while both were finite."""
+  """Largest difference of a position to the recorded one, over steps after which both are good."""
 
 
 class DivergedWorld:
@@ -55,7 +54,7 @@ class DivergedWorld:
     decimation = dump.decimation
     fields = dump.split(dump.contents["states"][row])
     time = fields["time"].reshape(-1, decimation)[:, 0]
-    # What is from before the run began has no state at all; what is from before a reset has a later time.
+    # Steps before the begin of the run have no state. Steps before a reset have a later time.
     begins = np.flatnonzero(np.diff(time) <= 0) + 1
     first = max(begins.max(initial=0), len(time) - self.env_step) * decimation
     self.states = {name: values[first:] for name, values in fields.items()}
@@ -66,7 +65,7 @@ class DivergedWorld:
     self.model_fields = {
       name.removeprefix("model/"): values[row] for name, values in dump.contents.items() if name.startswith("model/")
     }
-    """Model fields that this world had values of its own of."""
+    """Model fields that were expanded, with the values of this world."""
 
   @property
   def num_steps(self) -> int:
@@ -101,7 +100,7 @@ class DivergedWorld:
     return said
 
   def when(self, step: int) -> str:
-    """When a stored step was, in words; the number of stored steps is the result of the last."""
+    """Return in words when a stored step was; the number of stored steps stands for the result of the last."""
     decimation = self._dump.decimation
     if step == self.num_steps:
       return f"after physics step {decimation} of {decimation} of environment step {self.env_step}"
@@ -124,11 +123,11 @@ class DivergedWorld:
         stack.callback(mujoco.set_mju_user_warning, mujoco.get_mju_user_warning())
         mujoco.set_mju_user_warning(lambda _: None)
         mujoco.mj_step(model, data)
-      finite = bool(np.isfinite(np.concatenate((data.qpos, data.qvel, data.qacc))).all())
+      is_good = (np.abs(np.concatenate((data.qpos, data.qvel, data.qacc))) <= _BOUND).all()
       after = self.states["qpos"][step + 1] if step + 1 < self.num_steps else self.result["qpos"]
-      if finite and np.isfinite(after).all():
+      if is_good and np.isfinite(after).all():
         error = max(error, float(np.abs(data.qpos - after).max()))
-      if diverged_at is None and (not finite or any(data.warning[kind].number for kind in _BAD)):
+      if diverged_at is None and not is_good:
         diverged_at = step
       qpos.append(data.qpos.copy())
     return Replay(diverged_at=diverged_at, qpos=np.array(qpos), error=error)
@@ -159,7 +158,7 @@ class NanDump:
       FileError: there is no such file, it is no dump, or MuJoCo is of another version than the one it is from.
     """
     with reading("NaN dump", path):
-      # NumPy would take anything else for a pickle, and tell how to load it unsafely.
+      # NumPy would take anything else for a pickle, and advise to load it unsafely.
       if not zipfile.is_zipfile(path):
         raise FileError("not an .npz file")
       with np.load(path, allow_pickle=False) as file:
@@ -183,7 +182,7 @@ class NanDump:
       put(*owner_of(model, name), value)
     recomputed = copy.copy(model)
     mujoco.mj_setConst(recomputed, mujoco.MjData(recomputed))
-    # The one derived constant that engines do not show per world: it follows where the others were recomputed.
+    # Engines do not show this derived constant per world. It follows if the others were recomputed.
     if np.allclose(recomputed.dof_invweight0, model.dof_invweight0, rtol=1e-4):
       model.dof_M0[:] = recomputed.dof_M0
     return model

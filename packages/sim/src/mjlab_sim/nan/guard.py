@@ -16,7 +16,7 @@ from mjlab_sim.tensors import plain
 
 
 class NanGuard:
-  """Keeps on the device what is needed to replay a divergence, and writes it to a file when somebody asks.
+  """Memory on the device for the replay of a divergence, written to a file on request.
 
   `record` stores the state and controls that a physics step starts from; `keep` copies the memory of worlds that
   diverged, with their model fields, before they restart. Neither waits for the device. `report` does: it is called
@@ -51,9 +51,9 @@ class NanGuard:
       self._since_report = torch.zeros(n, dtype=torch.bool)
       self._order = torch.arange(cfg.buffer_size)
       self._ranks = torch.arange(min(slots, n))
-      # Of many worlds the first by number are found.
+      # Among many worlds the first by number are found.
       self._priority = torch.arange(n, 0, -1)
-    # Where the host may look which slot is due, a state goes straight to it, by numpy, which begins sooner than torch.
+    # On a CPU the host knows the slot that is due. NumPy writes straight to it, and starts faster than torch.
     self._on_host = sim.device.type == "cpu"
     if self._on_host:
       self._host_fields = [field.numpy() for field in self._fields]
@@ -64,11 +64,11 @@ class NanGuard:
 
   @property
   def num_bytes(self) -> int:
-    """Memory that it takes on the device."""
+    """Memory on the device [B]."""
     return sum(value.nbytes for value in vars(self).values() if isinstance(value, torch.Tensor))
 
   def record(self, substep: int) -> None:
-    """Store what physics step `substep` of an environment step starts from; the last one completes the step."""
+    """Store the state before physics step `substep` of an environment step; the last one completes the step."""
     is_last = substep == len(self._step) - 1
     if self._on_host:
       np.concatenate(self._host_fields, axis=1, out=self._host_slots[0][substep])
@@ -112,7 +112,7 @@ class NanGuard:
     self._num_kept += fresh.sum()
 
   def report(self, run_dir: Path | None = None) -> list[str]:
-    """Return what diverged since the last report, one sentence each, and write a file where there is a folder for it.
+    """Return one sentence for each divergence since the last report, and write a file if there is a folder for it.
 
     Reads the device. A file that cannot be written is a sentence, not an error. After `max_dumps` reports there are
     no more.

@@ -105,7 +105,7 @@ class NativeEngine:
       array = self._batch.bind(name)
       if name not in STATE:
         array = _writable(array)
-        # An output bound between calls holds nothing until the next one.
+        # An output that is bound between calls is empty until the next call.
         self._batch.forward(stage=_VEL)
       self._data[name] = TorchArray.over(lambda: torch.from_numpy(_shaped(array, name)))
     return self._data[name]

@@ -1,5 +1,7 @@
 """Rays on a CPU: MuJoCo's own, and fewer geoms for them to search."""
 
+import functools
+
 import mujoco
 import numpy as np
 import torch
@@ -23,7 +25,7 @@ class NativeRayCaster:
     targets: What rays can hit.
     max_distance: How far they see [m].
     ground: Fixed geoms by themselves, in as many worlds (`ground_model`); None casts against all geoms alike, and hits
-      then tell their geom.
+      then have a geom.
   """
 
   def __init__(
@@ -64,23 +66,21 @@ class NativeRayCaster:
   def _against_all(
     self, origins: NDArray[np.float64], directions: NDArray[np.float64], *, flg_static: bool
   ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    distance, geomid, normal = self._worlds.ray(
-      origins, directions, self._groups, flg_static, self._targets.bodyexclude, normal=True
+    cast = functools.partial(
+      self._worlds.ray,
+      geomgroup=self._groups,
+      flg_static=flg_static,
+      bodyexclude=self._targets.bodyexclude,
+      normal=True,
     )
+    distance, geomid, normal = cast(origins, directions)
     # MuJoCo's rays pass through one body. To pass through more, those that hit them go on behind what they hit.
     own = self._hits_own(geomid)
     while own.any():
       worlds = np.flatnonzero(own.any(axis=1))
       passed = np.where(own, distance + _SKIN, 0.0)[worlds]
-      further, geom, surface = self._worlds.ray(
-        origins[worlds] + passed[..., None] * directions[worlds],
-        directions[worlds],
-        self._groups,
-        flg_static,
-        self._targets.bodyexclude,
-        ids=worlds,
-        normal=True,
-      )
+      start = origins[worlds] + passed[..., None] * directions[worlds]
+      further, geom, surface = cast(start, directions[worlds], ids=worlds)
       again = own[worlds]
       distance[worlds] = np.where(again, np.where(further < 0.0, -1.0, passed + further), distance[worlds])
       geomid[worlds] = np.where(again, geom, geomid[worlds])
@@ -101,7 +101,7 @@ def ground_model(model: mujoco.MjModel, targets: RayTargets) -> mujoco.MjModel |
   """
   ground, rest = targets.ground, targets.others
   merged = ground[np.isin(model.geom_type[ground], (_Geom.mjGEOM_BOX, _Geom.mjGEOM_MESH))]
-  # Rays tell moving geoms from others by their weld, so that what is neither ground nor moving would be lost.
+  # MuJoCo finds moving geoms by their weld: a geom that is neither ground nor moving would be lost.
   passed = np.isin(targets.owner, targets.exclude) & ~np.isin(model.geom_bodyid, targets.bodyexclude)
   gains = len(merged) >= _MANY or passed.any()
   if not (gains and len(ground)) or (model.body_weldid[model.geom_bodyid[rest]] == 0).any():

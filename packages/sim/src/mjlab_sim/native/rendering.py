@@ -1,4 +1,4 @@
-"""The batch renderer on a CPU, fed with what MuJoCo's own engine computes."""
+"""The batch renderer on a CPU, fed with results of MuJoCo's own engine."""
 
 import copy
 from collections.abc import Callable
@@ -19,7 +19,7 @@ wp.config.log_level = wp.LOG_WARNING
 _DRAWN = """geom_dataid geom_matid geom_size geom_rgba cam_fovy cam_intrinsic light_type light_castshadow light_active
 light_attenuation light_cutoff light_exponent light_ambient light_diffuse light_specular mat_texid mat_texuniform
 mat_texrepeat mat_emission mat_specular mat_shininess mat_rgba""".split()
-"""Per-world fields of the model that an image depends on, beside those that it sees as poses."""
+"""Per-world fields of the model that an image depends on, without those that become poses."""
 
 _POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos")
 """Fields of the data that MuJoCo Warp's renderer reads."""
@@ -42,7 +42,7 @@ def native_renderers(
   """
   wp.init()
   device, worlds, model = wp.get_device("cpu"), batched.nsim, copy.copy(model)
-  # Nothing is stepped here: how it would be must not keep a model from being drawn.
+  # Nothing is stepped here: options of a step must not keep a model from being drawn.
   for name in _OPTIONS:
     setattr(model.opt, name, getattr(mujoco.MjOption(), name))
   with wp.ScopedDevice(device):

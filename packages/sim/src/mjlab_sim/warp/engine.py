@@ -61,7 +61,7 @@ class WarpEngine:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
       raise MjlabError("the model asks for integrator RK4; " + RK4_REFUSED)
-    # It would tell whether a frame is inside instead of how far a body reaches out.
+    # Otherwise the sensor would report whether a frame is inside instead of how far a body reaches out.
     enclosed = (model.sensor_type == mujoco.mjtSensor.mjSENS_INSIDESITE) & (model.sensor_intprm[:, 0] != 0)
     for sensor in np.flatnonzero(enclosed):
       raise MjlabError(
@@ -117,9 +117,9 @@ class WarpEngine:
 
   def _load_kernels(self) -> None:
     stages = [self._forward, self._step, self._reset]
-    # Most environments change a constant at their first reset, and what is loaded beside the rest costs no time.
+    # Most environments change a constant at their first reset; loading these kernels beside the rest costs no time.
     stages.append(lambda: self._recompute(list(CONSTANTS), places=True))
-    # Copies and fills are no kernels, and do happen meanwhile.
+    # Copies and fills are not kernels, and do happen.
     with self._launcher.stream(), self._launcher.preserved():
       load_kernels(stages, self._wp_device)
 
@@ -158,7 +158,7 @@ class WarpEngine:
     self._run("step", self._step)
 
   def forward(self, model_changed: bool) -> None:
-    # Every world is recomputed; one that nothing wrote to gets the values it had.
+    # Every world is recomputed; a world without writes gets the same values.
     places = model_changed and self._has_moved()
     self._run(f"forward {places}", lambda: self._forward(places))
 
@@ -215,7 +215,7 @@ class WarpEngine:
     if places:
       self._place()
     # step1 clears all of sensordata and fills in only what follows from positions and velocities. The rest belongs
-    # to the substep just done: it is put aside and written back.
+    # to the substep just done: it is copied and written back.
     if self._has_acceleration_sensors:
       wp.copy(self._saved_sensors, self._d.sensordata)
     with self._ours():
@@ -248,7 +248,7 @@ class WarpEngine:
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
       self._place()
-    # What it leaves of kinematics at qpos0 is recomputed by the forward pass that follows.
+    # Kinematics are left at qpos0; the forward pass that follows recomputes them.
     is_ours = internals.IS_TESTED and "INERT0" in groups
     bits = sum(int(mjw.SetConstGroup[name]) for name in groups if not (is_ours and name == "INERT0"))
     mjw.set_const(self._m, self._d, groups=bits, restore=False)

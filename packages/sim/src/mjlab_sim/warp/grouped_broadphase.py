@@ -1,7 +1,7 @@
 """Broad phase for robots among many geoms that stay in place, such as boxes of a terrain.
 
-MuJoCo Warp tests every pair of geoms in every world, nearly all in vain where the ground has hundreds of geoms. Here
-the geoms of a robot are put into small groups. Each geom that stays is tested against the boxes around groups, and
+MuJoCo Warp tests every pair of geoms in every world. Where the ground has hundreds of geoms, nearly no pair touches.
+Here the geoms of a robot are put into small groups. Each geom that stays is tested against the boxes around groups, and
 only where these meet, the pairs are tested, by MuJoCo Warp's own tests. The pairs found are the same. Poses are read in
 every step, so a geom that stays may also be moved by writes.
 """
@@ -27,7 +27,7 @@ def grouped_broadphase(model: mujoco.MjModel, m: mjw.Model, d: mjw.Data) -> "Gro
   """Return a broad phase for this model; None where MuJoCo Warp's own is as good or must be taken.
 
   It saves nothing without many pairs of one robot and geoms that stay, such as for loose objects, each of which is a
-  group of its own. It knows no sleeping bodies and no other tests of pairs than MuJoCo Warp's default.
+  separate group. It does not support sleeping bodies, nor tests of pairs other than MuJoCo Warp's default.
   """
   sleeps = bool(m.opt.enableflags & mjw.EnableBit.SLEEP)
   has_tests = m.opt.broadphase_filter & _NEEDED == _NEEDED
@@ -52,7 +52,7 @@ class GroupedBroadphase:
     stays = model.body_dofnum[model.body_weldid[model.geom_bodyid]] == 0
     fixed = np.where(stays[geoms[:, 0]], geoms[:, 0], geoms[:, 1])
     moving = geoms.sum(1) - fixed
-    # Explicit pairs have margins of their own, and pairs of a distance sensor are always kept.
+    # Explicit pairs have separate margins, and pairs of a distance sensor are always kept.
     in_rows = (stays[geoms].sum(1) == 1) & (pairid == -1).all(1)
     member = np.unique(moving[in_rows])
     tree = model.body_treeid[model.geom_bodyid[member]]

@@ -12,7 +12,7 @@ from mjlab_sim.warp.structs import with_arrays
 
 FAR = wp.constant(float(mujoco.mjMAXVAL))
 ROUNDING = wp.constant(1e-5)
-"""Share of the places and sizes of two boxes by which their distance may be wrong; a hundred roundings."""
+"""Error of the distance of two boxes, as a share of their places and sizes: a hundred roundings."""
 
 
 @wp.struct

@@ -153,7 +153,7 @@ def _is_clear(prism: _mat63, geom: Any, kind: int, clear: float):
 def _may_touch(prism: _mat63, geom: Any, kind: int, lowest: float, clear: float):
   if prism[3, 2] < lowest and prism[4, 2] < lowest and prism[5, 2] < lowest:
     return False
-  # The support of a mesh is a search, as dear as the collision of a prism that is clear.
+  # The support of a mesh is a search. It costs as much as the collision of a prism that is clear.
   return kind == MESH or not _is_clear(prism, geom, kind, clear)
 
 

@@ -35,7 +35,7 @@ PRIVATE = {
   "mujoco_warp._src.math.make_frame": "makes a contact's frame from its normal, as for other contacts",
   "mujoco_warp._src.math.upper_trid_index": "finds how many pairs of two types a model has",
   "mujoco_warp._src.ray.ray_geom": "casts a ray against one primitive inside a kernel; else `mjw.rays` casts all",
-  "mujoco_warp._src.render_util.compute_ray": "gives the ray of a pixel for distance images; else there are none",
+  "mujoco_warp._src.render_util.compute_ray": "gives the ray of a pixel for distance images; else they are missing",
   "mujoco_warp._src.solver.solve": "gives way to the fused solver inside of a step; else MuJoCo Warp solves",
   "mujoco_warp._src.smooth.tendon_armature": "completes the inertia at qpos0; else `mjw.set_const` solves row by row",
 }
@@ -44,14 +44,14 @@ IS_TESTED = mjw.__version__.startswith(TESTED + ".")
 
 
 _FOUND: dict[str, Any] = {}
-# Found once: `stepping_with` replaces some of them meanwhile.
+# Found once: inside of `stepping_with` some are replaced.
 for _path in PRIVATE:
   _module, _, _name = _path.rpartition(".")
   _FOUND[_name.lstrip("_")] = getattr(importlib.import_module(_module), _name) if IS_TESTED else None
 
 
 def __getattr__(name: str) -> Any:
-  """Return what has a name of `PRIVATE`, without its underscore; None if MuJoCo Warp is of another minor."""
+  """Return an object of `PRIVATE` by its name without underscore; None if MuJoCo Warp is of another minor."""
   if name not in _FOUND:
     raise AttributeError(name)
   return _FOUND[name]
@@ -63,7 +63,7 @@ def stepping_with(
   broadphase: Callable[..., None] | None,
   narrowphase: Callable[..., None] | None,
 ) -> Generator[None]:
-  """Have steps of MuJoCo Warp call these meanwhile, instead of its own solver and collisions; None keeps its own."""
+  """Have steps of MuJoCo Warp call these instead of its own solver and collisions; None keeps its own."""
   with contextlib.ExitStack() as stack:
     for module, name, call in (
       ("solver", "solve", solve),

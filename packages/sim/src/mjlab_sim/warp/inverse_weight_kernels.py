@@ -16,7 +16,7 @@ BALL = wp.constant(int(mujoco.mjtJoint.mjJNT_BALL))
 
 @wp.func_native("WP_TILE_SYNC();")
 def sync() -> None:
-  """Wait for the other threads of the block; what each wrote before, all see afterwards."""
+  """Wait for the other threads of the block, and make their writes visible."""
 
 
 @wp.kernel(enable_backward=False)
@@ -92,7 +92,7 @@ def invert_inertia(w: Worlds):
 
 @wp.func
 def respond(w: Worlds, world: int, i: int, j: int) -> float:
-  """inv(M)[i, j]: rows of R have in common what they begin with, their ancestors."""
+  """Return inv(M)[i, j]: two rows of R have their first entries in common, those of shared ancestors."""
   total = wp.float32(0.0)
   for k in range(w.num_shared[i, j]):
     total += w.root[world, w.M_rowadr[i] + k] * w.root[world, w.M_rowadr[j] + k]
@@ -101,13 +101,13 @@ def respond(w: Worlds, world: int, i: int, j: int) -> float:
 
 @wp.func
 def slider_weight(w: Worlds, world: int, body: int) -> float:
-  """Inverse mass, which MuJoCo gives to bodies that only slide, armature or not."""
+  """Return the inverse mass, which MuJoCo gives to bodies that only slide, armature or not."""
   return 1.0 / w.body_mass[world % w.body_mass.shape[0], body]
 
 
 @wp.kernel(enable_backward=False)
 def weigh_dofs(w: Worlds):
-  """Of the three dofs that turn a body, or move it, each has their mean."""
+  """Write the inverse weight of each dof; the three that turn a body, or move it, have their mean."""
   world, dof = wp.tid()
   if not w.mask[world]:
     return
@@ -129,7 +129,7 @@ def weigh_dofs(w: Worlds):
 
 @wp.kernel(enable_backward=False)
 def weigh_bodies(w: Worlds):
-  """Mean over the axes of (translation, rotation) at the body's centre of mass; 0 for bodies that never move."""
+  """Write the mean over the axes of (translation, rotation) at each body's centre of mass; 0 for fixed bodies."""
   world, body = wp.tid()
   if not w.mask[world]:
     return
@@ -176,7 +176,7 @@ def weigh_tendons(w: Worlds):
 
 @wp.kernel(enable_backward=False)
 def accelerate(w: Worlds):
-  """Length of the joint acceleration that one unit of the actuator's force makes."""
+  """Write the length of the joint acceleration that one unit of each actuator's force makes."""
   world, actuator = wp.tid()
   if not w.mask[world]:
     return

@@ -43,7 +43,7 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
     headers_shared(),
     ThreadPoolExecutor(cores) as pool,
   ):
-    # What ends last is to begin first.
+    # The longest begin first.
     modules = sorted(variants, key=_work, reverse=True)
 
     def load(module: Any) -> None:
@@ -65,12 +65,12 @@ def _digest(variants: _Variants, device: Any) -> str:
 
 @contextmanager
 def _once_per_cache(digest: str) -> Generator[None]:
-  """Let one process fill the cache, while others wait that need the same kernels; all of these then load at once."""
+  """Let one process fill the cache while others that need the same kernels wait; these then load at once."""
   cache = wp.config.kernel_cache_dir
   try:
     file = (Path(cache) / f"mjlab_{digest}.lock").open("ab") if fcntl is not None and cache else None
   except OSError:
-    # The cache is read-only, so that nothing is compiled into it.
+    # The cache is read-only: nothing is compiled into it.
     file = None
   if file is None or fcntl is None:
     yield
@@ -89,7 +89,7 @@ def _once_per_cache(digest: str) -> Generator[None]:
 
 
 def _work(module: Any) -> tuple[bool, int]:
-  """Grows with the time that a module takes: modules with tiles wait for solvers, in others code counts."""
+  """Return a key that grows with the time a module takes: first tiles, which wait for solvers, then code."""
   sources = [kernel.adj.source for kernel in module.kernels.values()]
   return any("tile_" in source for source in sources), sum(map(len, sources))
 
@@ -101,7 +101,7 @@ def _launching_nothing(variants: _Variants) -> Generator[None]:
     variants.setdefault(module, {})[block_dim] = None
 
   def suggest(kernel: Any, device: Any = None) -> tuple[int, int]:
-    # A GPU has to have loaded a kernel to tell; whatever is said, nothing is launched.
+    # A GPU can only answer for a loaded kernel. Any answer will do: nothing is launched.
     if wp.get_device(device).is_cuda:
       note(kernel.module, device)
     return 1, 1

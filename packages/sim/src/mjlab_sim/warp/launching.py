@@ -28,7 +28,7 @@ class Stage:
   device: Any
   """Warp's device."""
   run: Callable[[str, Callable[[], None]], None]
-  """Runs launches under a name, by which they may be recorded and replayed."""
+  """Runs launches under a name; they may be recorded and replayed under it."""
   refresh: Callable[[], None] = lambda: None
   """Brings `m` and `d` up to date."""
 

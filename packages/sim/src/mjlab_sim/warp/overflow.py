@@ -32,7 +32,7 @@ class Overflow:
   """High-water marks since the simulation was made.
 
   Each line of advice is twice the high-water mark. The next line follows only when the mark has outgrown it. Sizes that
-  are "auto" follow the demand instead: a GPU is not waited for, what it noted arrives some steps later.
+  are "auto" follow the demand instead. A GPU is not waited for: its marks arrive some steps later.
   """
 
   def __init__(self, d: mjw.Data, cfg: SimulationCfg) -> None:
@@ -55,7 +55,7 @@ class Overflow:
     self._said: set[int] = set()
 
   def count(self) -> None:
-    """Note what the physics step just done wanted."""
+    """Note the demand of the physics step just done."""
     d = self._d
     wp.launch(
       kernels.count_overflow,
@@ -74,8 +74,10 @@ class Overflow:
     if not self._growing:
       return {}
     demand = self._demand()
-    sizes = {name: max(grown(self._fits[name], demand[name]), at_least.get(name, 0)) for name in self._growing}
-    return {**self.sizes, **sizes} if any(size > self._fits[name] for name, size in sizes.items()) else {}
+    sizes = self.sizes
+    for name in self._growing:
+      sizes[name] = max(grown(sizes[name], demand[name]), at_least.get(name, 0))
+    return sizes if sizes != self.sizes else {}
 
   def note_growth(self, sizes: Mapping[str, int]) -> None:
     """Note the present sizes; reads the device."""
@@ -85,7 +87,7 @@ class Overflow:
         changes.append(f"{name} from {self._fits[name]} to {sizes[name]}")
         lost = max(lost, _count(seen, _BUFFERS[name][0]))
         seen &= ~int(_BUFFERS[name][0])
-    # What did not fit since the last physics step is computed again before it is used.
+    # Contacts that did not fit since the last physics step are computed again before they are used.
     self._d.overflow.zero_()
     self._seen.assign(seen)
     self._fits |= sizes

@@ -50,7 +50,7 @@ class _Scene:
   _numbers = itertools.count()
 
   name = ""
-  """Another one whenever contexts are made: what was recorded with the old ones is not for them."""
+  """Name of the graphs; a new one whenever contexts are made, since recordings use the old ones."""
 
   def __init__(self, stage: Stage) -> None:
     self._stage = stage
@@ -95,7 +95,7 @@ class _Scene:
         use_precomputed_rays=False,
         render_skybox=True,
       )
-    # What is left out of the kernel because no light of the compiled model has it could not be randomised later.
+    # Otherwise the kernel would leave out features that no light of the compiled model has; randomisation may add them.
     whole.light_attenuation_is_default, whole.has_spot_lights = False, True
     self._whole = whole
     self.name = f"scene {next(self._numbers)}"
@@ -137,7 +137,7 @@ class WarpRenderer:
 
   def draw(self, version: int, mask: torch.Tensor | None) -> None:
     """Draw the worlds in a mask, all for None, as they are at a version of the simulation."""
-    # On a CPU it costs nothing to see that no world is to be drawn; a GPU would have to be waited for.
+    # Looking at the mask is free on a CPU; a GPU would have to be waited for.
     if mask is not None and mask.device.type == "cpu" and not mask.any():
       return
     context = self._scene.context(self._number, version)

@@ -12,15 +12,10 @@ import mujoco_warp as mjw
 import warp as wp
 
 _PARTS = {"contact": mjw.Contact, "efc": mjw.Constraint}
-
-
-def _types(owner: Any) -> dict[str, Any]:
-  return {field.name: field.type for field in dataclasses.fields(owner)}
-
-
-_TYPES = _types(mjw.Option) | _types(mjw.Data) | _types(mjw.Model)
-for _part, _owner in _PARTS.items():
-  _TYPES |= {f"{_part}_{name}": kind for name, kind in _types(_owner).items()}
+_TYPES: dict[str, Any] = {
+  field.name: field.type for owner in (mjw.Option, mjw.Data, mjw.Model) for field in dataclasses.fields(owner)
+}
+_TYPES |= {f"{part}_{field.name}": field.type for part, owner in _PARTS.items() for field in dataclasses.fields(owner)}
 
 
 def with_arrays(names: str) -> Callable[[type], Any]:

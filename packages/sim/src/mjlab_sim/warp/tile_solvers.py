@@ -1,7 +1,7 @@
 """Solvers that tile kernels are linked with, made by other processes.
 
 Warp makes one, say a Cholesky factorisation of 35 x 35, while it writes the source of a kernel that calls it. It holds
-a lock meanwhile that every other module's source waits for, and libmathdx, which does the work, lets no two threads in.
+a lock that the sources of all other modules wait for, and libmathdx, which does the work, serves one thread at a time.
 A humanoid needs seven, of two seconds each. Here the source of such a kernel is written twice: once to learn what it is
 linked with, and again when other processes have put that into Warp's cache.
 """
@@ -32,7 +32,7 @@ PRIVATE = {
 
 @contextmanager
 def replaced(owner: Any, name: str, value: object) -> Generator[None]:
-  """Give an attribute another value meanwhile."""
+  """Give an attribute another value inside the context."""
   before = getattr(owner, name)
   setattr(owner, name, value)
   try:
@@ -43,7 +43,7 @@ def replaced(owner: Any, name: str, value: object) -> Generator[None]:
 
 @contextmanager
 def headers_shared() -> Generator[None]:
-  """Let threads that compile for a CPU meanwhile use the precompiled headers of this thread.
+  """Let threads that compile for a CPU inside the context use the precompiled headers of this thread.
 
   Making them takes three seconds of a core. The compiler renames a finished file into its place.
   """
@@ -58,14 +58,14 @@ def headers_shared() -> Generator[None]:
 
 @contextmanager
 def made_elsewhere(processes: int) -> Generator[None]:
-  """Modules that compile for a GPU meanwhile, in whatever thread, have their solvers made by `processes` at once."""
+  """Make the solvers of modules that compile for a GPU inside the context, in any thread, in several `processes`."""
   write, make = getattr(wp.Module, "_run_codegen", None), getattr(build, "build_lto_solver", None)
   if write is None or make is None or not wp.__version__.startswith(TESTED + "."):
     # Another Warp, which makes its solvers one by one.
     yield
     return
   parameters = inspect.signature(make)
-  # What the source that this thread writes is linked with; None while it is written for good.
+  # Solvers of the source that this thread writes; None in the second, final writing.
   wanted = threading.local()
   started: dict[str, Future[None]] = {}
   lock = threading.Lock()
@@ -104,7 +104,7 @@ def _make(solver: str) -> None:
   # The folder of Warp's version is the process's own to add. It needs no GPU.
   cache = os.path.dirname(wp.config.kernel_cache_dir or "")
   env = {**os.environ, "WARP_CACHE_PATH": cache, "CUDA_VISIBLE_DEVICES": ""}
-  # What could not be made there is made here, and says what is wrong.
+  # A solver that could not be made there is made here, with its error.
   with contextlib.suppress(OSError, subprocess.SubprocessError):
     # -P: this folder holds modules of mjlab_sim, which are not to be found by short names.
     subprocess.run([sys.executable, "-P", __file__, solver], env=env, capture_output=True, timeout=300)
