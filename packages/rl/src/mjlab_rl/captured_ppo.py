@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Generator
-from itertools import chain
 from typing import Any
 
 import torch
@@ -42,8 +41,6 @@ class CapturedPPO(PPO):
         parameter.grad = place.view_as(parameter)
     self._differentiate = Recorded(self._compute_gradients, device)
     self._apply = Recorded(self._apply_gradients, device)
-    self._buffers: dict[tuple[nn.Module, str], Tensor] = {}
-    self._keep_buffers()
 
   @property
   def _parameters(self) -> list[Tensor]:
@@ -87,9 +84,13 @@ class CapturedPPO(PPO):
         (self._sums.double(), self._rate.double()[None])
       ).tolist()
     observations = storage.observations.flatten(0, 1)
+    modules = [*self.actor.modules(), *self.critic.modules()]
+    buffers = [(module, name, buffer) for module in modules for name, buffer in module.named_buffers(recurse=False)]
     self.actor.update_normalization(observations)
     self.critic.update_normalization(observations)
-    self._keep_buffers()
+    # rsl-rl assigns new tensors; a graph reads the memory of the first ones.
+    for module, name, buffer in buffers:
+      setattr(module, name, buffer.copy_(getattr(module, name)))
     storage.clear()
     steps = self.num_learning_epochs * self.num_mini_batches
     return {"value": value / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
@@ -108,14 +109,6 @@ class CapturedPPO(PPO):
     finally:
       for group in self.optimizer.param_groups:
         group |= {"lr": self.learning_rate, "capturable": False, "fused": None}
-
-  def _keep_buffers(self) -> None:
-    """Write buffers that were assigned anew, such as a normaliser's deviation, into the memory of the first ones."""
-    for module in chain(self.actor.modules(), self.critic.modules()):
-      for name, buffer in module.named_buffers(recurse=False):
-        first = self._buffers.setdefault((module, name), buffer)
-        if first is not buffer:
-          setattr(module, name, first.copy_(buffer))
 
   def _compute_gradients(self) -> None:
     """Compute the gradients of the loss on the rows in `_rows`, and the KL divergence."""

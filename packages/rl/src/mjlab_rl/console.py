@@ -85,13 +85,7 @@ class Console:
       from mjlab_rl.live_table import LiveTable
 
       self._table = LiveTable(self._stream)
-    self._table.show(
-      done=report.iteration + 1,
-      total=report.end,
-      eta=duration(report.eta),
-      line="  ".join(_figures(report)),
-      scalars=report.scalars,
-    )
+    self._table.show(report, eta=duration(report.eta), line="  ".join(_figures(report)))
 
 
 class _Surviving:

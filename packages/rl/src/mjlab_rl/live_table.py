@@ -1,6 +1,5 @@
 """Live display of a training in a terminal, drawn by rich."""
 
-import itertools
 from collections.abc import Mapping
 from typing import TextIO
 
@@ -11,18 +10,19 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from mjlab_rl.scalar_log import IterationReport
+
 _BAR = 40
-# Tags that the first lines show, or that only log files need.
-_HIDDEN = {"Perf", "Train"}
-_NAMES = {
+# Titles of the tables by the first part of their tags. First what is watched most, because a low terminal shows the
+# first tables only. The lines above the tables show "Perf" and "Train".
+_TITLES = {
   "Episode_Reward": "reward terms",
   "Episode_Metrics": "metrics",
-  "Episode_Termination": "terminations",
   "Metrics": "commands",
+  "Episode_Termination": "terminations",
+  "Curriculum": "curriculum",
   "Nonfinite": "not finite",
 }
-# First what is watched most, because a low terminal shows the first tables only.
-_ORDER = ("Episode_Reward", "Episode_Metrics", "Metrics", "Episode_Termination", "Curriculum", "Nonfinite")
 
 
 class LiveTable:
@@ -44,45 +44,29 @@ class LiveTable:
     """Write text above the display."""
     self._console.print(Text(text), soft_wrap=True)
 
-  def show(self, *, done: int, total: int, eta: str, line: str, scalars: Mapping[str, float]) -> None:
-    """Draw the state after an iteration.
-
-    Args:
-      done: Iterations done.
-      total: Iterations in all.
-      eta: Remaining time.
-      line: Figures below the bar.
-      scalars: Logged values by tag; the part before the first slash names the table. Values of missing tags stay.
-    """
+  def show(self, report: IterationReport, *, eta: str, line: str) -> None:
+    """Draw the state after an iteration, with the remaining time and a line of figures below the bar."""
     # Means over episodes are missing while no episode ends; the last ones stay.
-    self._values |= scalars
+    self._values |= report.scalars
+    done, total = report.iteration + 1, report.end
     bar = Table.grid(padding=(0, 2))
     bar.add_row(f"{done}/{total}", ProgressBar(total, done, _BAR), f"{100 * done // total} %", f"ETA {eta}")
-    tables = Columns([_table(group, values) for group, values in _groups(self._values)], padding=(0, 4))
-    self._live.update(Group(bar, Text(line), tables), refresh=True)
+    groups: dict[str, dict[str, float]] = {group: {} for group in _TITLES}
+    for tag, value in self._values.items():
+      group, _, name = tag.partition("/")
+      groups.setdefault(group, {})[name] = value
+    tables = [_table(group, values) for group, values in groups.items() if values and group not in ("Perf", "Train")]
+    self._live.update(Group(bar, Text(line), Columns(tables, padding=(0, 4))), refresh=True)
 
   def close(self) -> None:
     """Leave the last state on the terminal; later text begins below it."""
     self._live.stop()
 
 
-def _groups(scalars: Mapping[str, float]) -> list[tuple[str, dict[str, float]]]:
-  """Return the values of each table, the tables in the order of their use."""
-
-  def place(tag: str) -> tuple[int, str]:
-    group = tag.partition("/")[0]
-    return (_ORDER.index(group) if group in _ORDER else len(_ORDER), group)
-
-  shown = sorted((tag for tag in scalars if tag.partition("/")[0] not in _HIDDEN), key=place)
-  return [
-    (group, {tag.partition("/")[2]: scalars[tag] for tag in tags})
-    for group, tags in itertools.groupby(shown, key=lambda tag: tag.partition("/")[0])
-  ]
-
-
 def _table(group: str, values: Mapping[str, float]) -> Table:
-  table = Table(box=None, pad_edge=False, show_header=False, title=_NAMES.get(group, group.lower()))
-  table.title_justify = "left"
+  table = Table(
+    box=None, pad_edge=False, show_header=False, title=_TITLES.get(group, group.lower()), title_justify="left"
+  )
   table.add_column(no_wrap=True, overflow="ellipsis", max_width=32)
   table.add_column(justify="right", no_wrap=True)
   for name, value in values.items():

@@ -13,6 +13,7 @@ from mjlab_core import printable
 from mjlab_rl.checkpoint import refuse
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.episode_statistics import EpisodeStatistics
+from mjlab_rl.ranks import Ranks
 
 
 class ProcessState:
@@ -39,33 +40,42 @@ class ProcessState:
       "rng": _rng_state(self._device),
     }
 
-  def check(self, state: Mapping[str, Any], num_envs: int) -> None:
-    """Compare the hidden states with the networks.
+  def load(self, saved: Sequence[Mapping[str, Any]], num_envs: int, ranks: Ranks) -> str:
+    """Restore the worlds; if they do not fit, all worlds start new, with the saved counters and past episodes.
+
+    Args:
+      saved: States of the processes of a run.
+      num_envs: Number of worlds in each of them.
+      ranks: Place of this process; every process must call it.
+
+    Returns:
+      The reason if the worlds of a process do not fit.
 
     Raises:
-      FileError: They do not fit; nothing has been changed then.
+      FileError: The hidden states do not fit the networks; nothing has been changed then.
     """
-    refuse("its world state", _hidden_state_problems(state["hidden_states"], self._networks, num_envs))
-
-  def load_worlds(self, state: Mapping[str, Any]) -> str:
-    """Restore the worlds; return the reason if they do not fit."""
-    try:
-      self._env.load_state_dict(state["env"])
-    except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
-      return printable(error)
-    return ""
-
-  def load_rest(self, state: Mapping[str, Any]) -> None:
-    """Restore what belongs to the worlds that `load_worlds` has restored."""
-    self._statistics.load_state_dict(state["statistics"])
-    _restore_hidden_states(state["hidden_states"], self._networks, self._device)
-    _restore_rng_state(state["rng"], self._device)
-
-  def load_progress(self, state: Mapping[str, Any]) -> None:
-    """Restore counters and past episodes alone; all worlds start new."""
-    self._env.reset()
-    self._env.load_progress(state["env"])
-    self._statistics.load_state_dict(state["statistics"], same_worlds=False)
+    was, now, reason = len(saved), ranks.world_size, ""
+    if was != now:
+      reason = f"it was saved by {was} process{'es' * (was > 1)}, there {'are' if now > 1 else 'is'} {now} now"
+    elif num_envs != self._env.num_envs:
+      reason = f"it was saved with {num_envs} worlds, there are {self._env.num_envs} now"
+    own = saved[0 if reason else ranks.rank]
+    refuse("its world state", _hidden_state_problems(own["hidden_states"], self._networks, num_envs))
+    if not reason:
+      try:
+        self._env.load_state_dict(own["env"])
+      except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
+        reason = printable(error)
+    # All processes or none, because they share the counters.
+    reason = next(filter(None, ranks.gather(reason)), "")
+    if reason:
+      self._env.reset()
+      self._env.load_progress(own["env"])
+    else:
+      _restore_hidden_states(own["hidden_states"], self._networks, self._device)
+      _restore_rng_state(own["rng"], self._device)
+    self._statistics.load_state_dict(own["statistics"], same_worlds=not reason)
+    return reason
 
 
 def pack(state: dict[str, Any]) -> bytes:

@@ -332,21 +332,9 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     checkpoint.check_network(path, name, groups, (shapes, self._shapes_seen[name]), (weights, present))
 
   def _load_worlds(self, state: dict[str, Any]) -> None:
-    saved = [state, *state.get("other_ranks", [])]
-    was, now, reason = len(saved), self.ranks.world_size, ""
-    if was != now:
-      reason = f"it was saved by {was} process{'es' * (was > 1)}, there {'are' if now > 1 else 'is'} {now} now"
-    elif state["num_envs"] != self.env.num_envs:
-      reason = f"it was saved with {state['num_envs']} worlds, there are {self.env.num_envs} now"
-    own = state if reason else saved[self.ranks.rank]
-    self._process.check(own, state["num_envs"])
-    # All processes or none, because they share the counters.
-    reasons = self.ranks.gather(reason or self._process.load_worlds(own))
-    if reason := next(filter(None, reasons), ""):
-      self._process.load_progress(own)
+    reason = self._process.load([state, *state.get("other_ranks", [])], state["num_envs"], self.ranks)
+    if reason:
       self.console.say(f"World state was not restored: {reason}. Learner and counters were.")
-    else:
-      self._process.load_rest(own)
     self.is_world_state_restored = not reason
     self._elapsed = state["elapsed"]
     self._total_steps = state["total_steps"]

@@ -20,7 +20,8 @@ class RslRlVecEnvWrapper(VecEnv):
   """
 
   def __init__(self, env: RlEnv, *, clip_actions: float | None = None):
-    self.env = env
+    self.unwrapped = env
+    """The environment itself."""
     self.num_envs = env.num_envs
     self.num_actions = env.action_manager.total_action_dim
     self.max_episode_length = env.max_episode_length
@@ -34,20 +35,15 @@ class RslRlVecEnvWrapper(VecEnv):
     env.reset()
 
   @property
-  def unwrapped(self) -> RlEnv:
-    """The environment itself."""
-    return self.env
-
-  @property
   def episode_length_buf(self) -> torch.Tensor:
     """Steps since the last reset, (num_envs,) int64; assigning copies into the environment's memory."""
-    return self.env.episode_length_buf
+    return self.unwrapped.episode_length_buf
 
   @episode_length_buf.setter
   def episode_length_buf(  # pyright: ignore[reportIncompatibleVariableOverride]
     self, value: torch.Tensor
   ) -> None:
-    self.env.episode_length_buf.copy_(value)
+    self.unwrapped.episode_length_buf.copy_(value)
 
   def select(self, obs_groups: Mapping[str, Sequence[str]]) -> dict[str, list[list[int]]]:
     """Pass on only the observation groups of some networks; return the shapes of each network's, for one world.
@@ -55,7 +51,7 @@ class RslRlVecEnvWrapper(VecEnv):
     Raises:
       UnknownNameError: The environment has no such group.
     """
-    seen = self.env.get_observations()
+    seen = self.unwrapped.get_observations()
     for network, groups in obs_groups.items():
       for group in groups:
         check_name("observation group", group, seen, f"agent.obs_groups['{network}']")
@@ -65,12 +61,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
   def get_observations(self) -> TensorDict:
     """Return the current observations, batch size (num_envs,)."""
-    return self._batch(self.env.get_observations())
-
-  def reset(self) -> tuple[TensorDict, dict[str, Any]]:
-    """Reset all worlds; return (observations, info)."""
-    observations, info = self.env.reset()
-    return self._batch(observations), info
+    return self._batch(self.unwrapped.get_observations())
 
   def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Advance all worlds by one step.
@@ -84,7 +75,7 @@ class RslRlVecEnvWrapper(VecEnv):
     """
     if self.clip_actions is not None:
       actions = actions.clamp(-self.clip_actions, self.clip_actions)
-    observations, reward, terminated, truncated, extras = self.env.step(actions)
+    observations, reward, terminated, truncated, extras = self.unwrapped.step(actions)
     dones = (terminated | truncated).to(torch.int64)
     extras = dict(extras)
     if not self._is_finite_horizon:
@@ -93,11 +84,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
   def drain_log(self) -> dict[str, float]:
     """Return the means of the environment's log values since the last call."""
-    return self.env.drain_log()
-
-  def close(self) -> None:
-    """Close the environment."""
-    self.env.close()
+    return self.unwrapped.drain_log()
 
   def _batch(self, observations: Mapping[str, Any]) -> TensorDict:
     handed_on = {name: seen for name, seen in observations.items() if self.groups is None or name in self.groups}

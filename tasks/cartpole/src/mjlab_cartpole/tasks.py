@@ -17,12 +17,11 @@ from mjlab_managers import (
 from mjlab_rl import (
   OffPolicyRunnerCfg,
   RslRlBaseRunnerCfg,
-  RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
   RslRlPpoAlgorithmCfg,
   TaskCfg,
 )
-from mjlab_rl.offpolicy import fastsac, flashsac
+from mjlab_rl.offpolicy import PRESETS
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 
@@ -48,24 +47,18 @@ def cartpole_spec() -> mujoco.MjSpec:
 
 def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task whose pole starts upright and is kept there."""
-  return TaskCfg(
-    env=_env(hinge=0.0, slider_range=BALANCE_SLIDER),
-    play=_play,
-    agent=_agent(),
-    agents=_agents(),
-    evaluator=CartpoleEvaluation(),
-  )
+  return _task(_env(hinge=0.0, slider_range=BALANCE_SLIDER))
 
 
 def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task whose pole hangs at the start, is swung up, and kept upright."""
-  return TaskCfg(
-    env=_env(hinge=math.pi, slider_range=SWINGUP_SLIDER),
-    play=_play,
-    agent=_agent(),
-    agents=_agents(),
-    evaluator=CartpoleEvaluation(),
-  )
+  return _task(_env(hinge=math.pi, slider_range=SWINGUP_SLIDER))
+
+
+def _task(env: ManagerBasedRlEnvCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  # Small networks and batches suit a CPU and few worlds.
+  agents: dict[str, RslRlBaseRunnerCfg] = {name: _small(preset(_agent())) for name, preset in PRESETS.items()}
+  return TaskCfg(env=env, play=_play, agent=_agent(), agents=agents, evaluator=CartpoleEvaluation())
 
 
 def _env(*, hinge: float, slider_range: tuple[float, float]) -> ManagerBasedRlEnvCfg:
@@ -122,28 +115,19 @@ def _play(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
 
 
 def _agent() -> RslRlOnPolicyRunnerCfg:
-  actor = RslRlModelCfg(
-    hidden_dims=(64, 64),
-    distribution_cfg={"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"},
-  )
-  return RslRlOnPolicyRunnerCfg(
+  agent = RslRlOnPolicyRunnerCfg(
     experiment_name="cartpole",
-    actor=actor,
-    critic=RslRlModelCfg(hidden_dims=(64, 64)),
     algorithm=RslRlPpoAlgorithmCfg(entropy_coef=0.01),
     num_steps_per_env=32,
     max_iterations=500,
     save_interval=50,
   )
+  agent.actor.hidden_dims = agent.critic.hidden_dims = (64, 64)
+  return agent
 
 
-def _agents() -> dict[str, RslRlBaseRunnerCfg]:
-  """Return the off-policy learners, with small networks and batches that suit a CPU and few worlds."""
-  return {"fastsac": _small(fastsac(_agent()), (32, 32)), "flashsac": _small(flashsac(_agent()), (32, 32))}
-
-
-def _small(agent: OffPolicyRunnerCfg, hidden: tuple[int, ...]) -> OffPolicyRunnerCfg:
-  agent.actor.hidden_dims = agent.critic.hidden_dims = hidden
+def _small(agent: OffPolicyRunnerCfg) -> OffPolicyRunnerCfg:
+  agent.actor.hidden_dims = agent.critic.hidden_dims = (32, 32)
   agent.num_steps_per_env, agent.max_iterations, agent.save_interval, agent.save_replay = 50, 200, 20, True
   algorithm = agent.algorithm
   algorithm.batch_size, algorithm.learning_rate, algorithm.learning_starts = 128, 1e-3, 20

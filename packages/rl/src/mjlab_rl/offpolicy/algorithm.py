@@ -60,7 +60,11 @@ class OffPolicyAlgorithm(ABC):
     self.actor.squash.bound.copy_(action_bounds(env.unwrapped, env.num_actions, cfg))
     self.replay = Replay(env.num_envs, cfg.replay_steps, ends[-1], env.num_actions, device, is_half=cfg.replay_half)
     self.noise = RepeatedNoise(env.num_envs, env.num_actions, cfg.noise_repetition, device)
-    self.scale = ReturnScale(env.num_envs, cfg.gamma, cfg.value_limit).to(device) if cfg.return_scaling else None
+    self.modules: dict[str, torch.nn.Module] = {}
+    """Parts with state besides actor and critic."""
+    self.scale: ReturnScale | None = None
+    if cfg.return_scaling:
+      self.scale = self.modules["scale"] = ReturnScale(env.num_envs, cfg.gamma, cfg.value_limit).to(device)
     self.reflection: Reflection | None = None
     if cfg.symmetry is not None:
       self.reflection = Reflection(cfg.symmetry(env.unwrapped), self._groups, device)
@@ -205,35 +209,18 @@ class OffPolicyAlgorithm(ABC):
     running = {} if self.scale is None else {"running": self.scale.running}
     return {"noise": self.noise.noise, "left": self.noise.left, **running}
 
-  @property
-  def modules(self) -> dict[str, torch.nn.Module]:
-    """Parts with state besides actor and critic."""
-    return {} if self.scale is None else {"scale": self.scale}
-
-  def state_dict(self) -> dict[str, Any]:
-    """Return the state without the replay memory."""
-    return {
-      "rounds_done": self.rounds_done,
-      "due": self._due,
-      "steps_done": self.steps_done,
-      "modules": {name: part.state_dict() for name, part in self.modules.items()},
-    }
-
-  def load_state_dict(self, state: Mapping[str, Any]) -> None:
-    """Restore a `state_dict`."""
-    self.rounds_done, self._due = int(state["rounds_done"]), float(state["due"])
-    self.steps_done = int(state["steps_done"])
-    self.set_learning_rate()
-    for name, part in self.modules.items():
-      part.load_state_dict(state["modules"][name])
-
   def save(self) -> dict[str, Any]:
-    """Return the state of networks, optimiser and algorithm."""
+    """Return the state without the replay memory."""
     return {
       "actor_state_dict": self.actor.state_dict(),
       "critic_state_dict": self.critic.state_dict(),
       "optimizer_state_dict": self.optimizer.state_dict(),
-      "algorithm_state_dict": self.state_dict(),
+      "algorithm_state_dict": {
+        "rounds_done": self.rounds_done,
+        "due": self._due,
+        "steps_done": self.steps_done,
+        "modules": {name: part.state_dict() for name, part in self.modules.items()},
+      },
     }
 
   def load(self, state: Mapping[str, Any], load_cfg: Mapping[str, bool] | None, strict: bool) -> bool:
@@ -249,7 +236,11 @@ class OffPolicyAlgorithm(ABC):
       for group in self.optimizer.param_groups:
         # Loading copies the tensor that a recording reads.
         group["lr"] = self._lr
-      self.load_state_dict(state["algorithm_state_dict"])
+      own = state["algorithm_state_dict"]
+      self.rounds_done, self._due, self.steps_done = own["rounds_done"], own["due"], own["steps_done"]
+      self.set_learning_rate()
+      for name, part in self.modules.items():
+        part.load_state_dict(own["modules"][name])
     self._recorded_round.clear()
     return bool(wanted.get("iteration"))
 

@@ -20,7 +20,7 @@ class OffPolicyModelCfg(RslRlModelCfg):
   """Widths of the hidden layers; with unit layers the width of each block, the same for all."""
   activation: Activation = "swish"
   """Activation function by rsl-rl's name."""
-  layers: Literal["plain", "layer_norm", "unit"] = "layer_norm"
+  layers: Literal["layer_norm", "unit"] = "layer_norm"
   """layer_norm: LayerNorm after each layer (FastSAC); unit: batch-normalised residual blocks with weights of unit norm
   (FlashSAC)."""
   class_name: str = "mjlab_rl.offpolicy.networks:Actor"
@@ -98,7 +98,8 @@ class SacCfg(Config):
   """Class of the algorithm, "module:Class"."""
 
 
-def _bounded(log_std_range: tuple[float, float]) -> dict[str, Any]:
+def bounded_gaussian(log_std_range: tuple[float, float]) -> dict[str, Any]:
+  """Return the `distribution_cfg` of a policy; the range is that of the logarithm of the deviation before tanh."""
   return {"class_name": "mjlab_rl.offpolicy.networks:TanhGaussian", "log_std_range": log_std_range}
 
 
@@ -111,7 +112,7 @@ class OffPolicyRunnerCfg(RslRlBaseRunnerCfg):
   obs_groups: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"actor": ("actor",), "critic": ("critic",)})
   """Observation groups that each network sees."""
   actor: OffPolicyModelCfg = field(
-    default_factory=lambda: OffPolicyModelCfg(obs_normalization=True, distribution_cfg=_bounded((-5.0, 0.0)))
+    default_factory=lambda: OffPolicyModelCfg(obs_normalization=True, distribution_cfg=bounded_gaussian((-5.0, 0.0)))
   )
   """The policy."""
   critic: OffPolicyModelCfg = field(

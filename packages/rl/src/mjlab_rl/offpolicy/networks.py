@@ -12,7 +12,7 @@ from rsl_rl.utils import resolve_nn_activation
 from torch import distributed, nn
 from torch.nn import functional
 
-Layers = Literal["plain", "layer_norm", "unit"]
+Layers = Literal["layer_norm", "unit"]
 
 
 class Normalizer(EmpiricalNormalization):
@@ -203,8 +203,8 @@ def stack(
   """Return a network of hidden layers and a linear output.
 
   Args:
-    layers: "plain"; "layer_norm": LayerNorm before each activation (FastSAC, arXiv:2512.01996); "unit": residual blocks
-      of batch-normalised layers whose weights keep unit norm (FlashSAC, arXiv:2604.04539), one block for each width.
+    layers: "layer_norm": LayerNorm before each activation (FastSAC, arXiv:2512.01996); "unit": residual blocks of
+      batch-normalised layers whose weights keep unit norm (FlashSAC, arXiv:2604.04539), one block for each width.
     width: Width of the input.
     hidden_dims: Widths of the hidden layers.
     output_dim: Width of the output.
@@ -221,9 +221,7 @@ def stack(
     return net
   parts: list[nn.Module] = []
   for inputs, outputs in zip((width, *hidden_dims), hidden_dims, strict=False):
-    parts += [nn.Linear(inputs, outputs)]
-    parts += [nn.LayerNorm(outputs)] if layers == "layer_norm" else []
-    parts += [resolve_nn_activation(activation)]
+    parts += [nn.Linear(inputs, outputs), nn.LayerNorm(outputs), resolve_nn_activation(activation)]
   last = nn.Linear(hidden_dims[-1], output_dim)
   if zero_output:
     nn.init.zeros_(last.weight)

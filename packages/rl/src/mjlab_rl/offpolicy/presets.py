@@ -1,5 +1,6 @@
 """Off-policy learners by name, in their published settings."""
 
+import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +9,7 @@ from mjlab_core.constraints import require
 from mjlab_core.names import check_name
 
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg
-from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
+from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg, bounded_gaussian
 
 # Entropy of a Gaussian with standard deviation 0.15, FlashSAC's target for one action: log(0.15 sqrt(2 pi e)) [nat].
 _ENTROPY = -0.47818
@@ -22,7 +23,7 @@ def fastsac(base: RslRlBaseRunnerCfg) -> OffPolicyRunnerCfg:
   Args:
     base: Learner of the task, whose experiment, observation groups, seed and logs are kept.
   """
-  return _like(base, "fastsac", num_steps_per_env=25, max_iterations=2000)
+  return _like(base, "fastsac")
 
 
 def flashsac(base: RslRlBaseRunnerCfg) -> OffPolicyRunnerCfg:
@@ -34,9 +35,10 @@ def flashsac(base: RslRlBaseRunnerCfg) -> OffPolicyRunnerCfg:
   Args:
     base: Learner of the task, whose experiment, observation groups, seed and logs are kept.
   """
-  agent = _like(base, "flashsac", num_steps_per_env=25, max_iterations=2000)
-  bounded = {"class_name": "mjlab_rl.offpolicy.networks:TanhGaussian", "log_std_range": (-10.0, 2.0)}
-  agent.actor = OffPolicyModelCfg(hidden_dims=(128, 128), activation="relu", layers="unit", distribution_cfg=bounded)
+  agent = _like(base, "flashsac")
+  agent.actor = OffPolicyModelCfg(
+    hidden_dims=(128, 128), activation="relu", layers="unit", distribution_cfg=bounded_gaussian((-10.0, 2.0))
+  )
   agent.critic = OffPolicyModelCfg(
     hidden_dims=(256, 256), activation="relu", layers="unit", class_name="mjlab_rl.offpolicy.networks:Critic"
   )
@@ -84,20 +86,11 @@ def with_agent(task: TaskCfg[Any], name: str) -> TaskCfg[Any]:
   return dataclasses.replace(task, agent=PRESETS[name](agent))
 
 
-def _like(base: RslRlBaseRunnerCfg, name: str, *, num_steps_per_env: int, max_iterations: int) -> OffPolicyRunnerCfg:
-  agent = OffPolicyRunnerCfg(
-    num_steps_per_env=num_steps_per_env,
-    max_iterations=max_iterations,
-    save_interval=200,
-    save_replay=False,
-    run_name=name,
-    seed=base.seed,
-    experiment_name=base.experiment_name,
-    logger=base.logger,
-    wandb_project=base.wandb_project,
-    wandb_tags=base.wandb_tags,
-    upload_model=base.upload_model,
-  )
+def _like(base: RslRlBaseRunnerCfg, name: str) -> OffPolicyRunnerCfg:
+  kept = ("seed", "experiment_name", "logger", "wandb_project", "wandb_tags", "upload_model")
   if set(base.obs_groups) == {"actor", "critic"}:
-    agent.obs_groups = dict(base.obs_groups)
-  return agent
+    kept += ("obs_groups",)
+  agent = OffPolicyRunnerCfg(
+    num_steps_per_env=25, max_iterations=2000, save_interval=200, save_replay=False, run_name=name
+  )
+  return dataclasses.replace(agent, **{field: copy.copy(getattr(base, field)) for field in kept})

@@ -59,20 +59,17 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
   def __init__(self, *args: Any, **options: Any) -> None:
     super().__init__(*args, **options)
     self._spans: list[Callable[[], float]] = []
-
-  @property
-  def algorithm(self) -> OffPolicyAlgorithm:
-    """The algorithm."""
-    return cast("OffPolicyAlgorithm", self.alg)
-
-  def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
     replay, cfg = self.algorithm.replay, self.agent_cfg.algorithm
     saved = "saved with checkpoints" if self.agent_cfg.save_replay else "not saved"
     self.console.say(
       f"replay memory: {replay.num_steps} steps of {replay.num_envs} worlds, {replay.num_bytes / 1e9:.2f} GB on "
       f"{self.device}, {saved}; {cfg.updates_per_step:g} updates of {cfg.batch_size} transitions a step"
     )
-    super().learn(num_learning_iterations, init_at_random_ep_len)
+
+  @property
+  def algorithm(self) -> OffPolicyAlgorithm:
+    """The algorithm."""
+    return cast("OffPolicyAlgorithm", self.alg)
 
   def _collect(self, obs: TensorDict) -> TensorDict:
     self._spans.clear()

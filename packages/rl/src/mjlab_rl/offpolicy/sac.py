@@ -2,7 +2,6 @@
 
 import copy
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -26,6 +25,7 @@ class Sac(OffPolicyAlgorithm):
     self.target = copy.deepcopy(self.critic).requires_grad_(False)
     # One normaliser: the statistics of a copy would stay those of the start.
     self.target.obs_normalizer = self.critic.obs_normalizer
+    self.modules |= {"target": self.target, "temperature": torch.nn.ParameterDict({"log": self.log_temperature})}
     self._figures = {name: torch.zeros((), device=self.device) for name in _FIGURES}
     self._actor_parameters = list(self.actor.parameters())
     self._critic_parameters: list[torch.Tensor] = list(self.critic.parameters())
@@ -111,14 +111,3 @@ class Sac(OffPolicyAlgorithm):
     surplus = -log_prob.detach().mean() - self.cfg.target_entropy * self.actor.squash.output_dim
     self.step(self.log_temperature.exp() * surplus, [self.log_temperature])
     self._figures["temperature"].copy_(self.log_temperature.detach().exp())
-
-  @property
-  def modules(self) -> dict[str, torch.nn.Module]:
-    return super().modules | {"target": self.target}
-
-  def state_dict(self) -> dict[str, Any]:
-    return super().state_dict() | {"log_temperature": self.log_temperature.detach()}
-
-  def load_state_dict(self, state: Mapping[str, Any]) -> None:
-    super().load_state_dict(state)
-    self.log_temperature.data.copy_(state["log_temperature"])
