@@ -66,15 +66,15 @@ def test_errors_and_power_are_their_closed_forms(env: ManagerBasedRlEnv) -> None
     velocity, turn = data.root_link_lin_vel_b[world], data.root_link_ang_vel_b[world, 2]
     vx, vy, wz = GRID[world % 2]
     linear = (velocity[0] - vx) ** 2 + (velocity[1] - vy) ** 2
-    assert linear_error_squared(env, command="twist", entity="robot")[world] == pytest.approx(linear.item(), rel=1e-5)
-    found = turning_error_squared(env, command="twist", entity="robot")[world]
+    assert linear_error_squared(env, command="twist")[world] == pytest.approx(linear.item(), rel=1e-5)
+    found = turning_error_squared(env, command="twist")[world]
     assert found == pytest.approx((turn - wz).item() ** 2, rel=1e-5)
     # What the actuators did, by MuJoCo's own account.
     force = env.sim.data.qfrc_actuator[world, 6:]
     power = (force * env.sim.data.qvel[world, 6:]).abs().sum()
-    assert mechanical_power(env, entity="robot")[world] == pytest.approx(power.item(), rel=1e-6)
+    assert mechanical_power(env)[world] == pytest.approx(power.item(), rel=1e-6)
     torque = force.square().mean().item()
-    assert torque_squared(env, entity="robot")[world] == pytest.approx(torque, rel=1e-6)
+    assert torque_squared(env)[world] == pytest.approx(torque, rel=1e-6)
     assert action_change_squared(env)[world] == pytest.approx(1.0)
 
 

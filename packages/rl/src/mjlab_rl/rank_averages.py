@@ -1,12 +1,12 @@
 """Averages over the ranks of a run, in one message per iteration."""
 
-import contextlib
 import functools
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import torch
 from rsl_rl.models import MLPModel
+from tensordict import TensorDict
 
 from mjlab_rl.ranks import Ranks
 from mjlab_rl.stop_signals import SIGNALS
@@ -18,32 +18,22 @@ Figures: TypeAlias = dict[str, float]
 class RankAverages:
   """Averages of figures and of the moments of observations, which rsl-rl would send for each normaliser.
 
+  With several ranks, `update_normalization` of the networks keeps the moments for `reduce`, and does nothing else.
+
   Args:
     networks: Networks of the learner.
     ranks: Place of this process.
     device: Device of the learner.
   """
 
-  def __init__(self, networks: Mapping[str, MLPModel], ranks: Ranks, device: torch.device):
+  def __init__(self, networks: Mapping[str, Any], ranks: Ranks, device: torch.device):
     self._ranks, self._device = ranks, device
-    self._normalizers: list[Any] = [n.obs_normalizer for n in networks.values() if n.obs_normalization]
     self._moments: dict[Any, torch.Tensor] = {}
     self._tags: list[str] = []
-
-  @contextlib.contextmanager
-  def replacing(self) -> Generator[None]:
-    """Keep the normalisers' moments during an update instead of sending them; `reduce` must follow."""
-    if self._ranks.world_size == 1:
-      yield
-      return
-    for normalizer in self._normalizers:
-      normalizer.update = functools.partial(self._note, normalizer)
-    try:
-      yield
-    finally:
-      # The methods of the classes are in effect again.
-      for normalizer in self._normalizers:
-        del normalizer.update
+    if ranks.world_size > 1:
+      for network in networks.values():
+        if network.obs_normalization:
+          network.update_normalization = functools.partial(self._note, network)
 
   def reduce(self, own: Figures, signal: str | None) -> tuple[Figures, str | None]:
     """Update the normalisers with the observations of all ranks, and average the figures of an iteration.
@@ -81,13 +71,14 @@ class RankAverages:
     means = {tag: total / times for tag, total, times in found if times}
     return means, next((name for name in SIGNALS if means.pop(name, None)), None)
 
-  def _note(self, normalizer: Any, seen: torch.Tensor) -> None:
+  def _note(self, network: MLPModel, obs: TensorDict) -> None:
     """Keep the moments of this rank's observations about the mean so far, (3, dim), for `reduce`."""
-    if normalizer.training:
-      offset = seen - dict(normalizer.named_buffers())["_mean"]
-      total = offset.sum(0, dtype=torch.float64)
-      square = offset.square_().sum(0, dtype=torch.float64)
-      self._moments[normalizer] = torch.stack((torch.full_like(total, len(seen)), total, square))
+    normalizer = network.obs_normalizer
+    seen = torch.cat([obs[group] for group in network.obs_groups], -1)
+    offset = seen - dict(normalizer.named_buffers())["_mean"]
+    total = offset.sum(0, dtype=torch.float64)
+    square = offset.square_().sum(0, dtype=torch.float64)
+    self._moments[normalizer] = torch.stack((torch.full_like(total, len(seen)), total, square))
 
 
 def _learn(normalizer: Any, moments: torch.Tensor) -> None:

@@ -44,14 +44,13 @@ class Ranks:
     """
     if "RANK" not in os.environ and int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1:
       _translate_slurm()
-    texts = {name: os.environ.get(name.upper(), default) for name, default in (("rank", "0"), ("world_size", "1"))}
-    texts["local_rank"] = os.environ.get("LOCAL_RANK", texts["rank"])
-    wrong = [f"{name.upper()}={printable(text, 40)}" for name, text in texts.items() if not text.isdecimal()]
-    numbers = {} if wrong else {name: int(text) for name, text in texts.items()}
-    if wrong or numbers["rank"] >= numbers["world_size"]:
-      given = ", ".join(wrong) or f"RANK={texts['rank']} with WORLD_SIZE={texts['world_size']}"
+    texts = {"rank": "0", "local_rank": os.environ.get("RANK", "0"), "world_size": "1"}
+    texts |= {name: os.environ[name.upper()] for name in texts if name.upper() in os.environ}
+    is_decimal = all(text.isdecimal() for text in texts.values())
+    if not is_decimal or int(texts["rank"]) >= int(texts["world_size"]):
+      given = ", ".join(f"{name.upper()}={printable(text, 40)}" for name, text in texts.items())
       raise ConfigError(f"{given}: the launcher must number the processes from 0 to WORLD_SIZE - 1")
-    return cls(**numbers)
+    return cls(**{name: int(text) for name, text in texts.items()})
 
   @classmethod
   def current(cls) -> Self:

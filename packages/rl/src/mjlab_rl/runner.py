@@ -5,7 +5,7 @@ import io
 import math
 import os
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,7 +27,7 @@ from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
 from mjlab_rl.rank_averages import Figures, RankAverages
 from mjlab_rl.ranks import Patience, Ranks
-from mjlab_rl.scalar_log import IterationReport, ScalarLog, open_logs
+from mjlab_rl.scalar_log import IterationReport, RunLogs
 from mjlab_rl.stop_signals import StopSignals
 from mjlab_rl.teachers import single_networks
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -124,7 +124,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     if self.ranks.world_size > 1:
       self.alg.broadcast_parameters()
     with (
-      open_logs(self.log_dir if self.ranks.is_first else None, self.agent_cfg, self.cfg) as logs,
+      RunLogs(self.log_dir if self.ranks.is_first else None, self.agent_cfg, self.cfg) as logs,
       StopSignals() as stop,
       self.console.live(),
     ):
@@ -139,8 +139,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         running = time.perf_counter() - started
         self._elapsed = before + running
         report = self._report(figures, end, eta=running / (done - start) * (end - done))
-        for log in logs:
-          log.write(report)
+        logs.write(report)
         self.console.show(report)
         self._check_finite(report, figures)
         # Read once: a later signal waits for the next iteration, which saves before it stops.
@@ -182,13 +181,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       scalars=scalars | {"Perf/total_fps": steps / seconds},
     )
 
-  def _save_with_logs(self, logs: Sequence[ScalarLog]) -> None:
+  def _save_with_logs(self, logs: RunLogs) -> None:
     # The disk of the first process, for which the others wait, may be slow.
     with self.patience.suspended():
       self._last_saved = path = self.checkpoint_path()
       self.save(str(path))
-      for log in logs:
-        log.save_file(path)
+      logs.save_file(path)
       if self.after_save is not None:
         self.after_save(path)
       self.ranks.gather(None)
@@ -365,7 +363,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     with torch.no_grad():
       self.alg.compute_returns(obs)
     held = actor_held(self.alg) if self._is_warming_up else contextlib.nullcontext()
-    with held, self._update_precision(), self._averages.replacing():
+    with held, self._update_precision():
       losses = self.alg.update()
     return losses | {"learning_rate": self.alg.learning_rate}
 

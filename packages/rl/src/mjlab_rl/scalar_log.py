@@ -1,14 +1,11 @@
 """Figures of each iteration, and the logs that keep them: progress.csv, tensorboard, Weights & Biases."""
 
-import contextlib
 import csv
 import io
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from mjlab_core.files import AtomicWrite
 
@@ -65,21 +62,7 @@ class IterationReport:
     )
 
 
-class ScalarLog(ABC):
-  """Log that receives one report per iteration."""
-
-  @abstractmethod
-  def write(self, report: IterationReport) -> None:
-    """Write the figures of one iteration."""
-
-  def save_file(self, path: Path) -> None:  # noqa: B027
-    """Take note of a checkpoint."""
-
-  def close(self) -> None:  # noqa: B027
-    """Write what is buffered."""
-
-
-class CsvLog(ScalarLog):
+class CsvLog:
   """One row per iteration in `progress.csv`; a reader never sees half a row.
 
   A value that first appears in a later iteration widens the table: the file is replaced by one with the new column.
@@ -90,6 +73,7 @@ class CsvLog(ScalarLog):
     self._columns: list[str] = []
 
   def write(self, report: IterationReport) -> None:
+    """Write the figures of one iteration."""
     row: dict[str, Any] = {
       "iteration": report.iteration,
       "total_steps": report.total_steps,
@@ -117,60 +101,57 @@ class CsvLog(ScalarLog):
       writer.writerows(rows)
 
 
-class TensorboardLog(ScalarLog):
-  """Scalars under rsl-rl's tags, so that its curves and ours lie in one plot."""
+class RunLogs:
+  """Logs of a run: progress.csv always, and what `cfg.logger` names; wandb also writes tensorboard files.
 
-  def __init__(self, directory: Path):
-    from torch.utils.tensorboard import SummaryWriter
+  Args:
+    directory: Run directory; None: nothing is written.
+    cfg: Configuration of the learner.
+    config: The same as plain values, for Weights & Biases.
+  """
 
-    self._writer = SummaryWriter(log_dir=str(directory), flush_secs=10)
-
-  def write(self, report: IterationReport) -> None:
-    # Reward and length once more over seconds.
-    for tag, value in report.scalars.items():
-      self._writer.add_scalar(tag, value, report.iteration)
-    if report.mean_reward is not None:
-      self._writer.add_scalar("Train/mean_reward/time", report.mean_reward, int(report.elapsed))
-      self._writer.add_scalar("Train/mean_episode_length/time", report.mean_episode_length, int(report.elapsed))
-
-  def close(self) -> None:
-    self._writer.close()
-
-
-class WandbLog(ScalarLog):
-  """Scalars, configuration and checkpoints in a Weights & Biases run; wandb is imported here and nowhere else."""
-
-  def __init__(self, directory: Path, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]):
-    import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
-
-    self._run = wandb.init(
-      project=cfg.wandb_project, name=directory.name, dir=str(directory), tags=list(cfg.wandb_tags), config=config
-    )
+  def __init__(self, directory: Path | None, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]):
+    self._csv: CsvLog | None = None
+    self._tensorboard: Any = None
+    self._wandb: Any = None
     self._uploads = cfg.upload_model
+    if directory is None:
+      return
+    self._csv = CsvLog(directory / "progress.csv")
+    if cfg.logger == "wandb":
+      import wandb  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
+
+      self._wandb = wandb.init(
+        project=cfg.wandb_project, name=directory.name, dir=str(directory), tags=list(cfg.wandb_tags), config=config
+      )
+    if cfg.logger in ("tensorboard", "wandb"):
+      from torch.utils.tensorboard import SummaryWriter
+
+      self._tensorboard = SummaryWriter(log_dir=str(directory), flush_secs=10)
+
+  def __enter__(self) -> Self:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    if self._tensorboard is not None:
+      self._tensorboard.close()
+    if self._wandb is not None:
+      self._wandb.finish()
 
   def write(self, report: IterationReport) -> None:
-    self._run.log(report.scalars, step=report.iteration)
+    """Write the figures of one iteration, under rsl-rl's tags."""
+    if self._csv is not None:
+      self._csv.write(report)
+    if self._wandb is not None:
+      self._wandb.log(report.scalars, step=report.iteration)
+    if self._tensorboard is not None:
+      for tag, value in report.scalars.items():
+        self._tensorboard.add_scalar(tag, value, report.iteration)
+        if tag.startswith("Train/"):
+          # Reward and length once more over seconds.
+          self._tensorboard.add_scalar(f"{tag}/time", value, int(report.elapsed))
 
   def save_file(self, path: Path) -> None:
-    if self._uploads:
-      self._run.save(str(path), base_path=str(path.parent))
-
-  def close(self) -> None:
-    self._run.finish()
-
-
-@contextlib.contextmanager
-def open_logs(directory: Path | None, cfg: RslRlBaseRunnerCfg, config: dict[str, Any]) -> Generator[list[ScalarLog]]:
-  """Open the logs of a run: progress.csv always, and what `cfg.logger` names; none without a directory."""
-  logs: list[ScalarLog] = []
-  if directory is not None:
-    logs.append(CsvLog(directory / "progress.csv"))
-    if cfg.logger == "wandb":
-      logs.append(WandbLog(directory, cfg, config))
-    if cfg.logger in ("tensorboard", "wandb"):
-      logs.append(TensorboardLog(directory))
-  try:
-    yield logs
-  finally:
-    for log in logs:
-      log.close()
+    """Upload a checkpoint to Weights & Biases if that is wanted."""
+    if self._wandb is not None and self._uploads:
+      self._wandb.save(str(path), base_path=str(path.parent))

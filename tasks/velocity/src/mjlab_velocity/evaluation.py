@@ -68,16 +68,15 @@ class push_by_level(ManagerTermBase):
 
   env: "ManagerBasedRlEnv"
 
-  def __init__(self, env: "ManagerBasedRlEnv", *, levels: tuple[float, ...], block: int, entity: str = "robot") -> None:
+  def __init__(self, env: "ManagerBasedRlEnv", *, levels: tuple[float, ...], block: int) -> None:
     super().__init__(env)
     self._size = in_turn(torch.tensor(levels, device=env.device, dtype=env.sim.dtype), env.num_envs, block)
-    self._entity = entity
 
   def __call__(self, mask: torch.Tensor) -> None:
-    env, entity = self.env, self._entity
+    env = self.env
     angle = 2.0 * torch.pi * torch.rand(env.num_envs, generator=env.rng, device=env.device, dtype=env.sim.dtype)
     push = torch.stack((angle.cos(), angle.sin()), 1) * self._size[:, None]
-    robot = env.scene[entity]
+    robot = env.scene["robot"]
     velocity = torch.cat((robot.data.root_link_lin_vel_w, robot.data.root_link_ang_vel_w), -1)
     robot.write_root_velocity(velocity + torch.nn.functional.pad(push, (0, 4)), mask)
 
@@ -114,7 +113,6 @@ class VelocityEvaluation:
   """Seed of randomisation, starts, noise and directions of pushes."""
   command: str = "twist"
   """Name of the velocity command."""
-  entity: str = "robot"
   feet: str = "feet_ground_contact"
   """Contact sensor of the feet; without it there is no `foot_impact`."""
 
@@ -138,15 +136,14 @@ class VelocityEvaluation:
       push_by_level,
       mode="interval",
       interval_range_s=(self.push_interval, self.push_interval),
-      params={"levels": self.pushes, "block": len(self.grid), "entity": self.entity},
+      params={"levels": self.pushes, "block": len(self.grid)},
     )
-    params = {"command": self.command, "entity": self.entity}
     cfg.metrics = {
-      "lin_vel_error2": MetricsTermCfg(linear_error_squared, params=dict(params)),
-      "yaw_rate_error2": MetricsTermCfg(turning_error_squared, params=dict(params)),
-      "power": MetricsTermCfg(mechanical_power, params={"entity": self.entity}),
-      "speed": MetricsTermCfg(horizontal_speed, params={"entity": self.entity}),
-      "torque2": MetricsTermCfg(torque_squared, params={"entity": self.entity}),
+      "lin_vel_error2": MetricsTermCfg(linear_error_squared, params={"command": self.command}),
+      "yaw_rate_error2": MetricsTermCfg(turning_error_squared, params={"command": self.command}),
+      "power": MetricsTermCfg(mechanical_power),
+      "speed": MetricsTermCfg(horizontal_speed),
+      "torque2": MetricsTermCfg(torque_squared),
       "action_change2": MetricsTermCfg(action_change_squared),
     }
     if cfg.scene.sensors.get(self.feet) is not None:
@@ -185,9 +182,8 @@ class VelocityEvaluation:
     )
     groups = self._groups(env.num_envs)
     wanted = in_turn(torch.tensor(self.grid, dtype=torch.float64)[:, :2].norm(dim=-1), env.num_envs)
-    entity = env.scene[self.entity]
     # Masses may be randomised.
-    mass = env.sim.model.body_subtreemass[:, entity.indexing.root_body].double().cpu()
+    mass = env.sim.model.body_subtreemass[:, env.scene["robot"].indexing.root_body].double().cpu()
     weight = mass * GRAVITY
     cost = played.mean("power") / (weight * played.mean("speed"))
     metrics = {
@@ -224,20 +220,20 @@ def _said(command: Command) -> str:
   return " ".join(parts) or "stand"
 
 
-def mechanical_power(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+def mechanical_power(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return the sum over joints of |torque x velocity|, (num_envs,) [W]."""
-  data = env.scene[entity].data
+  data = env.scene["robot"].data
   return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
 
 
-def horizontal_speed(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+def horizontal_speed(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return the horizontal speed of the root, (num_envs,) [m/s]."""
-  return torch.linalg.vector_norm(env.scene[entity].data.root_link_lin_vel_w[:, :2], dim=-1)
+  return torch.linalg.vector_norm(env.scene["robot"].data.root_link_lin_vel_w[:, :2], dim=-1)
 
 
-def torque_squared(env: "ManagerBasedRlEnv", *, entity: str) -> torch.Tensor:
+def torque_squared(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return the mean over joints of the squared torque, (num_envs,) [N^2 m^2]."""
-  return env.scene[entity].data.qfrc_actuator.square().mean(-1)
+  return env.scene["robot"].data.qfrc_actuator.square().mean(-1)
 
 
 def action_change_squared(env: "ManagerBasedRlEnv") -> torch.Tensor:

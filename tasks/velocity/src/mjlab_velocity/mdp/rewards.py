@@ -32,13 +32,13 @@ def track_angular_velocity(
   return torch.exp((error + tumbling) / -(std**2))
 
 
-def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+def linear_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str = "robot") -> torch.Tensor:
   """Return |v_xy - u_xy|^2 in the root frame, (num_envs,) [m^2/s^2]."""
   velocity = env.scene[entity].data.root_link_lin_vel_b
   return (velocity[:, :2] - env.command_manager.get_command(command)[:, :2]).square().sum(-1)
 
 
-def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str) -> torch.Tensor:
+def turning_error_squared(env: "ManagerBasedRlEnv", *, command: str, entity: str = "robot") -> torch.Tensor:
   """Return (w_z - u_z)^2 in the root frame, (num_envs,) [rad^2/s^2]."""
   velocity = env.scene[entity].data.root_link_ang_vel_b
   return (velocity[:, 2] - env.command_manager.get_command(command)[:, 2]).square()
