@@ -117,7 +117,8 @@ class ImageModel(CNNModel):
 
   def as_onnx(self, verbose: bool = False) -> nn.Module:
     """Return a copy for ONNX: observations, image groups and hidden states are inputs, actions and states outputs."""
-    return super().as_onnx(verbose) if self.rnn is None else _OnnxModel(self)
+    plain = super().as_onnx(verbose)
+    return plain if self.rnn is None else _OnnxModel(self.rnn, plain)
 
 
 def largest_weights(networks: Mapping[str, nn.Module]) -> dict[str, float]:
@@ -129,32 +130,31 @@ def largest_weights(networks: Mapping[str, nn.Module]) -> dict[str, float]:
 
 
 class _OnnxModel(nn.Module):
-  """The model as a function of the observations, images and hidden state of one world."""
+  """The model as a function of the observations, images and hidden state of one world.
 
-  def __init__(self, model: ImageModel) -> None:
+  Args:
+    rnn: Recurrent layer of the model.
+    plain: rsl-rl's copy of the model without a recurrent layer, which is put before its hidden layers.
+  """
+
+  def __init__(self, rnn: RNN, plain: Any) -> None:
     super().__init__()
-    assert model.rnn is not None
     # Without the hidden state, whose gradients cannot be copied.
-    self.rnn: nn.GRU | nn.LSTM = copy.deepcopy(model.rnn.rnn)
-    self.obs_normalizer = copy.deepcopy(model.obs_normalizer)
-    self.cnns = nn.ModuleList([copy.deepcopy(model.cnns[group]) for group in model.obs_groups_2d])
-    self.mlp = copy.deepcopy(model.mlp)
-    distribution = model.distribution
-    self.output = nn.Identity() if distribution is None else distribution.as_deterministic_output_module()
+    self.rnn: nn.GRU | nn.LSTM = copy.deepcopy(rnn.rnn)
+    self.mlp, self.output = plain.mlp, plain.deterministic_output
+    plain.mlp = plain.deterministic_output = nn.Identity()
+    self.encoders = plain
     names = ("h", "c") if isinstance(self.rnn, nn.LSTM) else ("h",)
-    self.input_names = ["obs", *model.obs_groups_2d, *(f"{name}_in" for name in names)]
-    self.output_names = ["actions", *(f"{name}_out" for name in names)]
-    sizes = zip(model.obs_channels_2d, model.obs_dims_2d, strict=True)
-    images = [torch.zeros(1, channels, *size) for channels, size in sizes]
+    self.input_names = [*plain.input_names, *(f"{name}_in" for name in names)]
+    self.output_names = [*plain.output_names, *(f"{name}_out" for name in names)]
     # The exporter would take one tensor for one input.
     memory = [torch.zeros(self.rnn.num_layers, 1, self.rnn.hidden_size) for _ in names]
-    self._inputs = (torch.zeros(1, model.obs_dim), *images, *memory)
+    self._inputs = (*plain.get_dummy_inputs(), *memory)
 
   def forward(self, obs: torch.Tensor, *rest: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    count = len(self.cnns)
-    seen = [self.obs_normalizer(obs), *(cnn(image) for cnn, image in zip(self.cnns, rest, strict=False))]
+    count = len(self.encoders.cnns)
     memory: Any = rest[count:] if isinstance(self.rnn, nn.LSTM) else rest[count]
-    latent, following = self.rnn(torch.cat(seen, dim=-1).unsqueeze(0), memory)
+    latent, following = self.rnn(self.encoders(obs, *rest[:count]).unsqueeze(0), memory)
     states = following if isinstance(following, tuple) else (following,)
     return self.output(self.mlp(latent.squeeze(0))), *states
 

@@ -5,15 +5,13 @@ from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg
 from mjlab_robots import G1_ACTION_SCALE, g1
 from mjlab_sensors import ContactMatch, RingPatternCfg
-from mjlab_sim import SimulationCfg
 
-from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, flat_env
+from mjlab_velocity.legged import LeggedRobot, flat_env, physics
 from mjlab_velocity.rough import rough_env, self_collision
 from mjlab_velocity.symmetry import left_right
 from mjlab_velocity.tasks import RobotTasks
 
 # Allowed deviation of joints from the default pose [rad]
-STD_STANDING = {".*": 0.05}
 STD_WALKING = {
   ".*_hip_pitch_joint": 0.3,
   ".*_hip_(roll|yaw)_joint": 0.15,
@@ -55,14 +53,10 @@ _ROBOT = LeggedRobot(
   ),
   foot_rays=RingPatternCfg(radius=0.03, num_samples=6),
   foot_friction=(geom_friction(".*_foot[1-7]_collision", (0.3, 1.2), axes=(0,), shared=True),),
-  start_height=(0.01, 0.05),
-  std_standing=STD_STANDING,
   std_walking=STD_WALKING,
   std_running=STD_RUNNING,
   weights={"body_ang_vel": -0.05, "angular_momentum": -0.02},
-  sim=SimulationCfg(
-    timestep=PHYSICS_DT, cone="pyramidal", impratio=1.0, iterations=10, ls_iterations=20, ccd_iterations=50
-  ),
+  sim=physics(cone="pyramidal", impratio=1.0, ccd_iterations=50),
 )
 
 

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from mjlab_dr import FieldRandomizer, body_com_offset, encoder_bias
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -60,6 +61,11 @@ PUSH = {
 NOISE = {"base_lin_vel": 0.5, "base_ang_vel": 0.2, "projected_gravity": 0.05, "joint_pos": 0.01, "joint_vel": 1.5}
 
 
+def physics(**options: Any) -> SimulationCfg:
+  """Return the time step and the solver of all velocity tasks, with other options of a robot."""
+  return SimulationCfg(timestep=PHYSICS_DT, iterations=10, ls_iterations=20, **options)
+
+
 @dataclass(kw_only=True)
 class LeggedRobot:
   """Numbers of a robot that the velocity tasks need.
@@ -90,9 +96,7 @@ class LeggedRobot:
   """Allowed deviation while running, likewise."""
   weights: dict[str, float] = field(default_factory=dict)
   """Reward weights that differ from those of the family."""
-  sim: SimulationCfg = field(
-    default_factory=lambda: SimulationCfg(timestep=PHYSICS_DT, iterations=10, ls_iterations=20)
-  )
+  sim: SimulationCfg = field(default_factory=physics)
   """Solver and buffers; its time step is that of the tasks, `PHYSICS_DT`."""
 
 

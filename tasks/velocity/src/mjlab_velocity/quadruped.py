@@ -9,10 +9,9 @@ from mjlab_managers import RewardTermCfg, TerminationTermCfg
 from mjlab_robots import GO1_ACTION_SCALE, GO2_ACTION_SCALE, go1, go2
 from mjlab_scene import EntityCfg
 from mjlab_sensors import ContactMatch, RingPatternCfg
-from mjlab_sim import SimulationCfg
 
 from mjlab_velocity import mdp as velocity
-from mjlab_velocity.legged import PHYSICS_DT, LeggedRobot, flat_env
+from mjlab_velocity.legged import LeggedRobot, flat_env, physics
 from mjlab_velocity.rough import ground_contact, rough_env, self_collision
 from mjlab_velocity.tasks import RobotTasks
 
@@ -53,9 +52,7 @@ def _quadruped(
     std_standing=STD_STANDING,
     std_walking=STD_MOVING,
     std_running=STD_MOVING,
-    sim=SimulationCfg(
-      timestep=PHYSICS_DT, cone="elliptic", impratio=10.0, iterations=10, ls_iterations=20, ccd_iterations=50
-    ),
+    sim=physics(cone="elliptic", impratio=10.0, ccd_iterations=50),
   )
 
 
