@@ -18,8 +18,8 @@ class CapturedPPO(PPO):
   The first graph computes the gradients and the KL divergence, the second applies them. Several processes have both in
   one message, which is summed between the graphs.
 
-  The results are those of rsl-rl's PPO within float rounding. Recurrent and compiled networks, curiosity, symmetry, and
-  optimisers other than Adam use rsl-rl's own update. The arguments are those of rsl-rl's PPO.
+  It takes the arguments of rsl-rl's PPO and gives the same results within float rounding. Recurrent and compiled
+  networks, curiosity, symmetry, and optimisers other than Adam use rsl-rl's own update.
   """
 
   def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -34,17 +34,15 @@ class CapturedPPO(PPO):
     size = self.storage.num_envs * self.storage.num_transitions_per_env // self.num_mini_batches
     self._rows = torch.zeros(size, dtype=torch.int64, device=device)
     # Gradients of several processes, and the KL divergence.
-    sizes = [parameter.numel() for parameter in self._parameters] if self.is_multi_gpu else []
+    parameters = (
+      [part for group in self.optimizer.param_groups for part in group["params"]] if self.is_multi_gpu else []
+    )
+    sizes = [parameter.numel() for parameter in parameters]
     self._message = torch.zeros(sum(sizes) + 1, device=device)
-    if self.is_multi_gpu:
-      for parameter, place in zip(self._parameters, self._message[:-1].split(sizes), strict=True):
-        parameter.grad = place.view_as(parameter)
+    for parameter, place in zip(parameters, self._message[:-1].split(sizes), strict=True):
+      parameter.grad = place.view_as(parameter)
     self._differentiate = Recorded(self._compute_gradients, device)
     self._apply = Recorded(self._apply_gradients, device)
-
-  @property
-  def _parameters(self) -> list[Tensor]:
-    return [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
 
   @property
   def is_covered(self) -> bool:

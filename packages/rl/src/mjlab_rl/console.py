@@ -35,7 +35,7 @@ class Console:
     self._table: LiveTable | None = None
     self._last_shown = -_PLAIN_INTERVAL
     self.on_report: list[Callable[[IterationReport], None]] = []
-    """Functions called with every report, such as that of a page; also of a quiet console."""
+    """Functions called with every report, also by a quiet console."""
 
   @property
   def is_verbose(self) -> bool:
@@ -43,7 +43,7 @@ class Console:
     return self._verbosity == "verbose"
 
   def say(self, text: str) -> None:
-    """Write one message on lines of its own, above a live display."""
+    """Write a message on separate lines, above a live display."""
     if self._verbosity == "quiet":
       return
     if self._table is not None:
@@ -89,7 +89,7 @@ class Console:
 
 
 class _Surviving:
-  """Stream whose end, a closed terminal or the reader of a pipe that is gone, does not end the run."""
+  """Stream that ignores a closed terminal and a closed pipe, so that they do not end the run."""
 
   def __init__(self, stream: TextIO) -> None:
     self._inner: TextIO | None = stream

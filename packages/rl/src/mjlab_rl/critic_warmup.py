@@ -11,7 +11,7 @@ import torch
 def actor_held(algorithm: Any) -> Generator[None]:
   """Put the actor back on leaving: its weights and normaliser, its part of the optimiser's state, and the step size.
 
-  The update itself is that of any other iteration, so that it can be a CUDA graph: all is written in place.
+  The update is the same as in other iterations, and everything is written in place, so that it can be a CUDA graph.
   """
   kept = {name: value.clone() for name, value in algorithm.actor.state_dict().items()}
   rate = algorithm.learning_rate
@@ -19,7 +19,7 @@ def actor_held(algorithm: Any) -> Generator[None]:
   with torch.no_grad():
     for name, value in algorithm.actor.state_dict().items():
       value.copy_(kept[name])
-    # Whatever the optimiser remembers of the actor comes from updates that were put back.
+    # The optimiser's state of the actor comes from updates that were put back.
     for parameter in algorithm.actor.parameters():
       for value in algorithm.optimizer.state.get(parameter, {}).values():
         if isinstance(value, torch.Tensor):

@@ -13,8 +13,8 @@ from rich.text import Text
 from mjlab_rl.scalar_log import IterationReport
 
 _BAR = 40
-# Titles of the tables by the first part of their tags. First what is watched most, because a low terminal shows the
-# first tables only. The lines above the tables show "Perf" and "Train".
+# Titles of the tables by the first part of their tags. A low terminal shows the first tables only. The lines above the
+# tables show "Perf" and "Train".
 _TITLES = {
   "Episode_Reward": "reward terms",
   "Episode_Metrics": "metrics",

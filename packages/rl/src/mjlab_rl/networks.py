@@ -68,11 +68,11 @@ class ImageModel(CNNModel):
         encoders = {group: self.make_encoder(image, **cnn_cfg.get(group, cnn_cfg)) for group, image in images.items()}
       except TypeError as error:
         raise ConfigError(f"cnn_cfg: {error}") from error
-    # The parent says that encoders it is given are shared.
+    # The parent prints that given encoders are shared.
     with contextlib.redirect_stdout(io.StringIO()):
       super().__init__(obs, obs_groups, obs_set, output_dim, cnns=encoders, **options)
     if cnns is not None:
-      # An optimiser of two networks that both have them as modules would step them twice.
+      # An optimiser would step modules of two networks twice.
       del self.cnns
       object.__setattr__(self, "cnns", cnns)
     self.rnn = None
@@ -139,7 +139,7 @@ class _OnnxModel(nn.Module):
 
   def __init__(self, rnn: RNN, plain: Any) -> None:
     super().__init__()
-    # Without the hidden state, whose gradients cannot be copied.
+    # Gradients of the hidden state cannot be copied.
     self.rnn: nn.GRU | nn.LSTM = copy.deepcopy(rnn.rnn)
     self.mlp, self.output = plain.mlp, plain.deterministic_output
     plain.mlp = plain.deterministic_output = nn.Identity()
@@ -147,7 +147,7 @@ class _OnnxModel(nn.Module):
     names = ("h", "c") if isinstance(self.rnn, nn.LSTM) else ("h",)
     self.input_names = [*plain.input_names, *(f"{name}_in" for name in names)]
     self.output_names = [*plain.output_names, *(f"{name}_out" for name in names)]
-    # The exporter would take one tensor for one input.
+    # Separate tensors: the exporter takes one tensor for one input.
     memory = [torch.zeros(self.rnn.num_layers, 1, self.rnn.hidden_size) for _ in names]
     self._inputs = (*plain.get_dummy_inputs(), *memory)
 

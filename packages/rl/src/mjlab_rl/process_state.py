@@ -17,7 +17,7 @@ from mjlab_rl.ranks import Ranks
 
 
 class ProcessState:
-  """All that a process has besides the learner, which all processes share.
+  """State of a process besides the learner, which all processes share.
 
   Args:
     env: Its environment.
@@ -32,7 +32,7 @@ class ProcessState:
     self._env, self._statistics, self._networks, self._device = env, statistics, networks, device
 
   def state_dict(self) -> dict[str, Any]:
-    """Return everything, as tensors and plain values."""
+    """Return the state as tensors and plain values."""
     return {
       "env": self._env.state_dict(),
       "statistics": self._statistics.state_dict(),
@@ -92,17 +92,12 @@ def unpack(packed: bytes) -> dict[str, Any]:
 
 def _hidden_state_problems(saved: Sequence[Any], networks: Mapping[str, Any], num_envs: int) -> Iterator[str]:
   """Yield a line for each network that its saved hidden state does not fit."""
-  if len(saved) != len(networks):
-    yield f"{len(saved)} hidden states for {len(networks)} networks"
-    return
   for hidden, (name, network) in zip(saved, networks.items(), strict=True):
     rnn = getattr(getattr(network, "rnn", None), "rnn", None)
     parts = hidden if isinstance(hidden, (tuple, list)) else (hidden,)
-    shape = None if rnn is None else (rnn.num_layers, num_envs, rnn.hidden_size)
     count = 2 if isinstance(rnn, torch.nn.LSTM) else 1
-    if hidden is not None and (
-      shape is None or len(parts) != count or any(getattr(part, "shape", None) != shape for part in parts)
-    ):
+    shapes = [] if rnn is None else [(rnn.num_layers, num_envs, rnn.hidden_size)] * count
+    if hidden is not None and [getattr(part, "shape", None) for part in parts] != shapes:
       yield f"hidden state of {name}"
 
 
@@ -115,11 +110,11 @@ def _restore_hidden_states(saved: Sequence[Any], networks: Mapping[str, Any], de
 
 
 def _rng_state(device: torch.device) -> dict[str, Any]:
-  """Return the state of every generator: torch on the host and on `device`, NumPy's and Python's global ones."""
-  name, keys, position, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002
+  """Return the state of the generators of torch, on the host and on `device`, of NumPy and of Python."""
+  name, keys, *others = np.random.get_state(legacy=True)  # noqa: NPY002
   state: dict[str, Any] = {
     "torch": torch.get_rng_state(),
-    "numpy": (name, torch.from_numpy(np.asarray(keys, dtype=np.int64)), int(position), int(has_gauss), float(cached)),
+    "numpy": (name, torch.from_numpy(np.asarray(keys, dtype=np.int64)), *others),
     "python": random.getstate(),
   }
   if device.type == "cuda":
@@ -128,10 +123,10 @@ def _rng_state(device: torch.device) -> dict[str, Any]:
 
 
 def _restore_rng_state(state: dict[str, Any], device: torch.device) -> None:
-  """Restore every generator; the generator of a device of another kind is left unchanged."""
+  """Restore every generator, except the generator of a device of another kind."""
   torch.set_rng_state(state["torch"])
-  name, keys, position, has_gauss, cached = state["numpy"]
-  np.random.set_state((name, keys.numpy().astype(np.uint32), position, has_gauss, cached))  # noqa: NPY002
+  name, keys, *others = state["numpy"]
+  np.random.set_state((name, keys.numpy().astype(np.uint32), *others))  # noqa: NPY002
   version, internal, gauss = state["python"]
   random.setstate((version, tuple(internal), gauss))
   if device.type == "cuda" and "cuda" in state:

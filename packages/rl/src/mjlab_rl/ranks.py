@@ -26,7 +26,7 @@ _PARENT = os.getppid()
 
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
-  """Place of this process among those of the run."""
+  """Place of this process in the run."""
 
   rank: int = 0
   """Number of this process."""
@@ -37,7 +37,7 @@ class Ranks:
 
   @classmethod
   def launched(cls) -> Self:
-    """Return the place that the launcher gave this process in `RANK`, `LOCAL_RANK` and `WORLD_SIZE`, or that of `srun`.
+    """Read the place from `RANK`, `LOCAL_RANK` and `WORLD_SIZE` of a launcher, or from the variables of `srun`.
 
     Raises:
       ConfigError: A variable is not such a number.
@@ -65,17 +65,12 @@ class Ranks:
     """True for the process that writes files and shows progress."""
     return self.rank == 0
 
-  def for_rsl_rl(self) -> dict[str, int] | None:
-    """Return rsl-rl's description of the processes; None for one."""
-    ranks = {"global_rank": self.rank, "local_rank": self.local_rank, "world_size": self.world_size}
-    return ranks if self.world_size > 1 else None
-
   def device(self, device: str) -> str:
     """Return the device of this process; each of several processes on GPUs has its own."""
     return f"cuda:{self.local_rank}" if self.world_size > 1 and device.startswith("cuda") else device
 
   def seed(self, seed: int) -> int:
-    """Return the seed of this process, derived from that of the run; rank 0 has the seed of the run."""
+    """Return the seed of this process, derived from the seed of the run; rank 0 has the seed of the run."""
     return seed if self.is_first else int(np.random.SeedSequence([seed, self.rank]).generate_state(1)[0])
 
   @contextlib.contextmanager
@@ -91,7 +86,7 @@ class Ranks:
     # The store of torchrun outlives a restart, with the old addresses in it.
     prefix: Any = getattr(distributed, "PrefixStore")  # noqa: B009 - public, but without a type
     store = prefix(f"attempt_{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
-    # NCCL connects at once to the device that it is told; else it would guess one in barriers.
+    # With a device NCCL connects at once; without one it would guess a device in barriers.
     how: dict[str, Any] = {"backend": "nccl", "device_id": torch.device(device)} if is_cuda else {"backend": "gloo"}
     distributed.init_process_group(**how, store=store, rank=self.rank, world_size=self.world_size)
     is_failed = True
@@ -99,7 +94,7 @@ class Ranks:
       yield
       is_failed = False
     finally:
-      # NCCL would wait for messages that another process may never send.
+      # After an error NCCL would wait for messages that another process may never send.
       if not (is_failed and is_cuda):
         faulthandler.cancel_dump_traceback_later()
         distributed.destroy_process_group()
@@ -149,7 +144,7 @@ class Patience:
   is_begun: bool = False
 
   def begin(self) -> None:
-    """Set the limit, once all processes have compiled what they need."""
+    """Set the limit, after all processes have compiled their kernels."""
     if self.seconds is not None and not self.is_begun and distributed.is_initialized():
       self.is_begun = True
       _limit_messages(timedelta(seconds=self.seconds))
@@ -182,9 +177,9 @@ def _limit_messages(limit: timedelta) -> None:
 
 
 def _translate_slurm() -> None:
-  """Set the variables that torch reads from those of `srun`; those that are set stay.
+  """Set missing variables of torch from the variables of `srun`.
 
-  The processes meet at the first node of a batch job, on a port that follows from the job's number.
+  The processes meet at the first node of a batch job, on a port derived from the job's number.
   """
   names = {"RANK": "SLURM_PROCID", "LOCAL_RANK": "SLURM_LOCALID", "WORLD_SIZE": "SLURM_STEP_NUM_TASKS"}
   found = {name: os.environ[slurm] for name, slurm in names.items() if slurm in os.environ}

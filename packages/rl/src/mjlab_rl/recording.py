@@ -43,7 +43,7 @@ class Recorded:
       current.wait_stream(self._stream)
     else:
       self._graph = torch.cuda.CUDAGraph()
-      # Other threads, such as those of viewers and of NCCL, may use the device meanwhile.
+      # Other threads, for instance of viewers and NCCL, may use the device meanwhile.
       with torch.cuda.graph(self._graph, stream=self._stream, capture_error_mode="thread_local"):
         self._function()
       self._graph.replay()

@@ -49,7 +49,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     env: The wrapped environment.
     cfg: Learner configuration.
     log_dir: Run directory, for checkpoints and logs; None: nothing is written.
-    device: Device of the learner, that of the environment.
+    device: Device of the learner and of the environment.
     console: Output of progress; None: standard output.
   """
 
@@ -74,10 +74,11 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self.console = console if console is not None else Console()
     self.log_dir = None if log_dir is None else Path(log_dir)
     self.ranks = Ranks.current()
-    """Place of this process among those of the run."""
+    """Place of this process in the run."""
     self.env, self.device = env, str(device)
     # Not by rsl-rl's constructor, which connects processes by itself, and only on GPUs.
-    self.cfg: dict[str, Any] = cfg.to_rsl_rl() | {"torch_compile_mode": None, "multi_gpu": self.ranks.for_rsl_rl()}
+    processes = vars(self.ranks) | {"global_rank": self.ranks.rank} if self.ranks.world_size > 1 else None
+    self.cfg: dict[str, Any] = cfg.to_rsl_rl() | {"torch_compile_mode": None, "multi_gpu": processes}
     algorithm: Any = resolve_callable(self.cfg["algorithm"]["class_name"])
     with contextlib.redirect_stdout(io.StringIO()) as chatter:
       self.alg = algorithm.construct_algorithm(env.get_observations(), env, self.cfg, self.device)
@@ -193,7 +194,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
 
   @contextlib.contextmanager
   def _emergency_checkpoint(self) -> Generator[None]:
-    """Save the learner and the worlds of this process if a step or an update fails; the error goes on."""
+    """Save the learner and the worlds of this process if a step or an update fails, and raise the error again."""
     try:
       yield
     except Exception as error:
@@ -211,8 +212,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     learned = {tag: value for tag, value in figures.items() if tag.startswith(("Loss/", "Policy/", _WEIGHTS))}
     if broken := [tag.partition("/")[2] for tag, value in learned.items() if not math.isfinite(value)]:
       last = f"; the last checkpoint is {self._last_saved}" if self._last_saved else ""
-      what = f"iteration {report.iteration + 1}: {', '.join(broken)} not finite"
-      raise DivergedError(f"{what}, so the state is not saved{last}. {report.cause_of_divergence()}")
+      found = f"iteration {report.iteration + 1}: {', '.join(broken)} not finite"
+      raise DivergedError(f"{found}, so the state is not saved{last}. {report.cause_of_divergence()}")
 
   def checkpoint_path(self) -> Path:
     """Return the path of a checkpoint of the current iteration."""
@@ -262,8 +263,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     Args:
       path: Checkpoint file.
       load_cfg: Parts to load: names of `networks`, "optimizer", "iteration", "rnd"; None: everything, worlds included.
-      strict: Whether names must match exactly.
-      map_location: Not needed: tensors go to the device of what they fill.
+      strict: Require the same names in file and networks.
+      map_location: Ignored; tensors are copied to the device of the learner.
 
     Returns:
       The values saved with it.

@@ -14,7 +14,7 @@ from mjlab_rl.config import RslRlBaseRunnerCfg
 
 @dataclass(kw_only=True)
 class IterationReport:
-  """Figures of one training iteration, for everything that shows or stores progress."""
+  """Figures of one training iteration."""
 
   iteration: int
   """Index of the iteration, from 0 over all resumes."""
@@ -102,7 +102,7 @@ class CsvLog:
 
 
 class RunLogs:
-  """Logs of a run: progress.csv always, and what `cfg.logger` names; wandb also writes tensorboard files.
+  """Logs of a run: progress.csv, and those of `cfg.logger`; wandb also writes tensorboard files.
 
   Args:
     directory: Run directory; None: nothing is written.

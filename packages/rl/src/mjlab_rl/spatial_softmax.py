@@ -1,4 +1,4 @@
-"""Image encoder whose features are positions in the image."""
+"""Image encoder with positions in the image as features."""
 
 from typing import Any, cast
 

@@ -5,13 +5,12 @@ import os
 import signal
 import threading
 import time
-from types import FrameType, TracebackType
 from typing import Any, Self
 
 _MESSAGE = b"\nStopping after this iteration; once more to quit at once.\n"
 _LAST_WORD = b"\nStopped at once; progress since the last checkpoint is lost.\n"
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Ctrl-C, the signal of schedulers, and that of a closing terminal."""
+"""Signals of Ctrl-C, of schedulers, and of a closing terminal."""
 # Launchers repeat a Ctrl-C that the terminal has sent to all processes; within this time it counts once [s].
 _ECHO = 0.5
 
@@ -35,16 +34,13 @@ class StopSignals:
           self._previous[number] = signal.signal(number, self._on_signal)
     return self
 
-  def __exit__(
-    self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-  ) -> None:
+  def __exit__(self, *_: object) -> None:
     for number, handler in self._previous.items():
       # None: the handler before ours was not set from Python.
       signal.signal(number, signal.SIG_DFL if handler is None else handler)
     self._previous.clear()
 
-  def _on_signal(self, number: int, frame: FrameType | None) -> None:
-    del frame
+  def _on_signal(self, number: int, _frame: object) -> None:
     now = time.monotonic()
     if self.received is None:
       self.received = signal.Signals(number).name

@@ -69,11 +69,11 @@ def train(
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
     teacher: Checkpoint of the policy to imitate in a distillation, or of several that share the worlds; a resumed run
       has its own.
-    init_from: Checkpoint whose policy the run starts from, with its normaliser and standard deviation of actions; the
-      optimiser, the critic and the counters start new.
+    init_from: Checkpoint of the policy to start from, with its normaliser and standard deviation of actions. The
+      optimiser, the critic and the counters start from the beginning.
     console: Output of progress; None: standard output.
     command: Command line, for the manifest.
-    code: File of the task's code, whose commit goes into the manifest.
+    code: File of the task's code; its commit goes into the manifest.
     rank_timeout: Time after which several processes end if one of them makes no progress [s]; None: never.
     on_ready: Called with the environment and the run directory before the first iteration.
     watch: Called with the same arguments; the function that it returns is called after every step.
@@ -91,7 +91,9 @@ def train(
   if resume is not None and (teachers or init_from is not None):
     raise ConfigError(f"a resumed run keeps its {'teacher' if teachers else 'policy'}: {resume}")
   teaching = _teachers(task, teachers, resume)
-  beginning = _beginning(task, init_from)
+  beginning = None if init_from is None else read_trained_policy(init_from)
+  if beginning is not None:
+    beginning.check_beginning(task.env, agent)
   agent.to_rsl_rl()
   kind: type[MjlabOnPolicyRunner] = task.runner or runner_class(agent)
   if teaching and not issubclass(kind, MjlabDistillationRunner):
@@ -136,7 +138,7 @@ def train(
 
 
 def _teachers(task: TaskCfg[Any], given: Sequence[Path], resume: Path | None) -> list[TrainedPolicy]:
-  """Return the teachers of a distillation, or those of a resumed one as one, and describe them in the learner."""
+  """Read the teachers of a distillation, or a resumed one, and put their network into the configuration."""
   agent = task.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if given:
@@ -155,15 +157,6 @@ def _teachers(task: TaskCfg[Any], given: Sequence[Path], resume: Path | None) ->
     found.check(task.env, agent)
     agent.teacher = copy.deepcopy(found.network(agent))
   return teaching
-
-
-def _beginning(task: TaskCfg[Any], init_from: Path | None) -> TrainedPolicy | None:
-  """Return the trained policy to start from."""
-  if init_from is None:
-    return None
-  found = read_trained_policy(init_from)
-  found.check_beginning(task.env, task.agent)
-  return found
 
 
 def _manifest(
@@ -198,7 +191,7 @@ def _manifest(
 def _load(
   runner: MjlabOnPolicyRunner, resume: Path | None, teaching: Sequence[TrainedPolicy], beginning: TrainedPolicy | None
 ) -> int:
-  """Load what the run continues or starts from; return the iterations that are left."""
+  """Load the checkpoints of a run; return the remaining iterations."""
   if resume is not None:
     runner.load(str(resume))
   elif teaching and isinstance(runner, MjlabDistillationRunner):

@@ -46,12 +46,12 @@ def cartpole_spec() -> mujoco.MjSpec:
 
 
 def balance() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the task whose pole starts upright and is kept there."""
+  """Return the task of keeping the pole upright."""
   return _task(_env(hinge=0.0, slider_range=BALANCE_SLIDER))
 
 
 def swingup() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return the task whose pole hangs at the start, is swung up, and kept upright."""
+  """Return the task of swinging the pole up and keeping it upright."""
   return _task(_env(hinge=math.pi, slider_range=SWINGUP_SLIDER))
 
 

@@ -77,7 +77,7 @@ class LeggedRobot:
   action_scale: dict[str, float]
   """Shift of the target per unit of action by joint pattern [rad]."""
   torso: str
-  """Body that the reward keeps upright and whose centre of mass is randomised."""
+  """Body with a reward for its upright orientation and a randomised centre of mass."""
   feet: tuple[str, ...]
   """Sites of the feet."""
   foot_contact: ContactMatch
@@ -95,9 +95,9 @@ class LeggedRobot:
   std_running: dict[str, float] = field(default_factory=lambda: {".*": 0.5})
   """Allowed deviation while running, likewise."""
   weights: dict[str, float] = field(default_factory=dict)
-  """Reward weights that differ from those of the family."""
+  """Reward weights that differ from the family's."""
   sim: SimulationCfg = field(default_factory=physics)
-  """Solver and buffers; its time step is that of the tasks, `PHYSICS_DT`."""
+  """Solver and buffers, made by `physics`."""
 
 
 def flat_env(robot: LeggedRobot) -> ManagerBasedRlEnvCfg:

@@ -23,7 +23,7 @@ class ByWorld(Categorical):
   block: int = 1
 
   def prepared(self, *, device: torch.device, dtype: torch.dtype) -> SampleFunction:
-    """Return a function whose first axis is that of the worlds."""
+    """Return a function of shapes with the worlds as first axis."""
     table = torch.tensor(self.values, device=device, dtype=dtype)
 
     def sample(shape: Any, *, generator: Any, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
@@ -57,7 +57,7 @@ def add_axis(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...]) ->
 
   Raises:
     UnknownNameError: There is no such axis.
-    ConfigError: The task lacks what it changes.
+    ConfigError: The task has no event with the inertia of its torso.
   """
   check_name("event", name, [*_drawn(cfg), "actuator_delay", "payload"])
   if name == "actuator_delay":
@@ -74,10 +74,10 @@ def add_axis(cfg: ManagerBasedRlEnvCfg, name: str, values: tuple[float, ...]) ->
 
 
 def torso_pattern(cfg: ManagerBasedRlEnvCfg) -> str:
-  """Return the body whose inertia the task draws.
+  """Return the body with a randomised inertia.
 
   Raises:
-    ConfigError: It draws none.
+    ConfigError: The task has no event that randomises it.
   """
   for name in ("base_com", "torso_inertia"):
     if (event := cfg.events.get(name)) is not None:

@@ -1,4 +1,4 @@
-"""Velocity tasks of the Unitree Go1 and Go2, whose bodies and geoms have the same names."""
+"""Velocity tasks of the Unitree Go1 and Go2. Bodies and geoms of both have the same names."""
 
 from collections.abc import Callable
 from functools import partial

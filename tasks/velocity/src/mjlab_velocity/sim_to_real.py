@@ -1,4 +1,4 @@
-"""Velocity tasks for robots: actors that see what sensors measure, and a preset of randomisation and delays."""
+"""Velocity tasks for real robots: actors with measurable observations, and a preset of randomisation and delays."""
 
 from collections.abc import Callable, Iterable
 
@@ -31,7 +31,7 @@ MEASURED = ("base_ang_vel", "projected_gravity", "joint_pos", "joint_vel")
 def sim_to_real(
   task: TaskCfg[ManagerBasedRlEnvCfg], parts: Iterable[str] | None = None
 ) -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return a velocity task that trains for a robot rather than for one model of it. The task is changed in place.
+  """Change a velocity task in place, so that it trains for a real robot and not for one model of it.
 
   | part | change |
   |---|---|
@@ -39,7 +39,7 @@ def sim_to_real(
   | `gains` | gains of each joint between 0.9 and 1.1 of their own |
   | `actuator_delay` | targets arrive up to 20 ms late, constant in a world |
   | `sensor_delay` | encoders and IMU up to one step of the policy late, constant in a world |
-  | `torque_speed` | native servos become DC motors whose torque falls to 0 at the top speed |
+  | `torque_speed` | native servos become DC motors; their torque falls to 0 at the top speed |
   | `pushes` | twice as large |
 
   Friction of the feet and errors of encoders are drawn by the task already.
@@ -50,7 +50,7 @@ def sim_to_real(
 
   Raises:
     UnknownNameError: There is no such part.
-    ConfigError: The task lacks what a part changes; the message names it.
+    ConfigError: The task has no event that a part changes; the message names it.
   """
   for name in PARTS if parts is None else parts:
     check_name("part of sim_to_real", name, PARTS)
@@ -128,9 +128,9 @@ PARTS: dict[str, Callable[[ManagerBasedRlEnvCfg], None]] = {
 
 
 def blind(task: TaskCfg[ManagerBasedRlEnvCfg]) -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """Return a velocity task whose actor sees `HISTORY` frames of encoders, IMU, command and its own actions.
+  """Change a velocity task in place: its actor sees `HISTORY` frames of encoders, IMU, command and its own actions.
 
-  The critic still sees everything. The task is changed in place.
+  The critic still sees everything.
 
   Raises:
     ConfigError: The task has no observation group "actor" or another kind of learner.

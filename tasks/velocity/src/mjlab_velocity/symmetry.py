@@ -1,4 +1,4 @@
-"""Mirror images of observations and actions of velocity tasks, for robots whose left and right sides are alike.
+"""Mirror images of observations and actions of velocity tasks, for robots with equal left and right sides.
 
 The plane of the mirror is the robot's own, between left and right. Vectors keep x and z; axes of rotation keep y. The
 Go1 measures linear velocities 7 cm beside this plane, so their mirror image is only right where it does not turn.

@@ -22,10 +22,10 @@ from mjlab_rl.recording import Recorded
 
 
 class OffPolicyAlgorithm(ABC):
-  """Algorithm that learns from a replay memory: `collect` a step, `update`, `state_dict`.
+  """Algorithm that learns from a replay memory.
 
-  A subclass gives `round`, the updates for one update of the policy, and its own state. A round has fixed shapes and
-  reads nothing back, because a GPU records it as one graph.
+  A subclass defines `round`, the updates for one update of the policy, `parameter_groups` and `figures`, and adds its
+  parts with state to `modules`. A round has fixed shapes and reads nothing back, because a GPU records it as one graph.
 
   Args:
     actor: The policy.
@@ -177,7 +177,7 @@ class OffPolicyAlgorithm(ABC):
     return _take(obs, self._critic_columns)
 
   def step(self, loss: torch.Tensor, parameters: Sequence[torch.Tensor]) -> None:
-    """Follow the gradient of a loss, averaged over all processes, for these parameters alone."""
+    """Step these parameters along the gradient of a loss, averaged over all processes."""
     gradients = torch.autograd.grad(loss, parameters)
     if distributed.is_initialized():
       gradients = averaged(gradients)
@@ -201,7 +201,7 @@ class OffPolicyAlgorithm(ABC):
     self.learning_rate = last + 0.5 * (start - last) * (1.0 + math.cos(math.pi * progress))
     self._lr.fill_(self.learning_rate)
 
-  # State; the names are those of rsl-rl's algorithms.
+  # State, under the names of rsl-rl's algorithms.
 
   @property
   def worlds(self) -> dict[str, torch.Tensor]:
@@ -249,7 +249,7 @@ class OffPolicyAlgorithm(ABC):
     return self.actor
 
   def train_mode(self) -> None:  # noqa: B027
-    """Do nothing: updates and collection choose the mode themselves."""
+    """Do nothing; updates and collection set the mode."""
 
   def eval_mode(self) -> None:
     """Put both networks into evaluation mode."""
@@ -257,7 +257,7 @@ class OffPolicyAlgorithm(ABC):
     self.critic.eval()
 
   def compile(self, mode: str | None) -> None:  # noqa: B027
-    """Do nothing: a GPU records the updates as a graph."""
+    """Do nothing; a GPU records the updates as a graph."""
 
   def broadcast_parameters(self) -> None:
     """Give all processes the networks of the first."""

@@ -38,7 +38,7 @@ class OffPolicyModelCfg(RslRlModelCfg):
 class SacCfg(Config):
   """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) for thousands of worlds.
 
-  The defaults are those of FastSAC (Seo et al. 2025, arXiv:2512.01996).
+  The defaults are the settings of FastSAC (Seo et al. 2025, arXiv:2512.01996).
   """
 
   batch_size: PositiveCount = 8192
@@ -99,7 +99,7 @@ class SacCfg(Config):
 
 
 def bounded_gaussian(log_std_range: tuple[float, float]) -> dict[str, Any]:
-  """Return the `distribution_cfg` of a policy; the range is that of the logarithm of the deviation before tanh."""
+  """Return the `distribution_cfg` of a policy, with the range of the logarithm of the deviation before tanh."""
   return {"class_name": "mjlab_rl.offpolicy.networks:TanhGaussian", "log_std_range": log_std_range}
 
 

@@ -16,9 +16,9 @@ Layers = Literal["layer_norm", "unit"]
 
 
 class Normalizer(EmpiricalNormalization):
-  """rsl-rl's EmpiricalNormalization whose update neither waits for the device nor replaces a tensor.
+  """rsl-rl's EmpiricalNormalization with an update that does not wait for the device.
 
-  A recorded graph reads the statistics at their old address.
+  The update writes in place, because a recorded graph reads the statistics at a fixed address.
   """
 
   count: torch.Tensor
@@ -27,7 +27,7 @@ class Normalizer(EmpiricalNormalization):
   _std: torch.Tensor
 
   def update(self, x: torch.Tensor) -> None:
-    """Learn from a batch, (batch, width), together with those of the other processes."""
+    """Learn from a batch, (batch, width), and from the batches of the other processes."""
     count, mean = x.shape[0], x.mean(0, keepdim=True)
     var = x.var(0, unbiased=False, keepdim=True)
     if distributed.is_initialized():
@@ -46,7 +46,7 @@ class Normalizer(EmpiricalNormalization):
 class TanhGaussian(Distribution):
   """Gaussian squashed by tanh to [-bound, bound], with a standard deviation that depends on the state.
 
-  Probabilities are those of the action itself, so that entropies do not depend on the bounds.
+  Densities are densities of the action after tanh and bound.
 
   Args:
     output_dim: Number of actions.
@@ -101,7 +101,7 @@ class TanhGaussian(Distribution):
 
 
 class _Model(MLPModel):
-  """rsl-rl's model whose normaliser is `Normalizer`."""
+  """rsl-rl's model with a `Normalizer`."""
 
   def __init__(self, *args: Any, layers: Layers, **options: Any) -> None:
     # The parent's hidden layers are replaced; they are built as small as possible.
@@ -132,11 +132,11 @@ class Actor(_Model):
     return cast("TanhGaussian", self.distribution)
 
   def output(self, obs: torch.Tensor) -> torch.Tensor:
-    """Return what the distribution reads, (batch, 2, num_actions)."""
+    """Return the input of the distribution, (batch, 2, num_actions)."""
     return self.mlp(self.obs_normalizer(obs))
 
   def as_onnx(self, verbose: bool = False) -> nn.Module:
-    """Return a copy for ONNX whose parameters have the names that they have here."""
+    """Return a copy for ONNX with the same names of parameters."""
     return _OnnxActor(self)
 
 
@@ -204,7 +204,7 @@ def stack(
 
   Args:
     layers: "layer_norm": LayerNorm before each activation (FastSAC, arXiv:2512.01996); "unit": residual blocks of
-      batch-normalised layers whose weights keep unit norm (FlashSAC, arXiv:2604.04539), one block for each width.
+      batch-normalised layers with weights of unit norm (FlashSAC, arXiv:2604.04539), one block for each width.
     width: Width of the input.
     hidden_dims: Widths of the hidden layers.
     output_dim: Width of the output.

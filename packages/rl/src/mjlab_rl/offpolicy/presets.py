@@ -21,7 +21,7 @@ def fastsac(base: RslRlBaseRunnerCfg) -> OffPolicyRunnerCfg:
   Its 50 000 steps of all worlds are iterations of 25 steps.
 
   Args:
-    base: Learner of the task, whose experiment, observation groups, seed and logs are kept.
+    base: Learner of the task; its experiment, observation groups, seed and logs are kept.
   """
   return _like(base, "fastsac")
 
@@ -33,7 +33,7 @@ def flashsac(base: RslRlBaseRunnerCfg) -> OffPolicyRunnerCfg:
   all actions by 1 (`joint_limits=False`); here joints have the bounds of FastSAC.
 
   Args:
-    base: Learner of the task, whose experiment, observation groups, seed and logs are kept.
+    base: Learner of the task; its experiment, observation groups, seed and logs are kept.
   """
   agent = _like(base, "flashsac")
   agent.actor = OffPolicyModelCfg(

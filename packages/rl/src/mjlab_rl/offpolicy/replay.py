@@ -24,16 +24,16 @@ class Transitions:
   discount: torch.Tensor
   """Weight of the value at the end: gamma^m after m steps, 0 after a termination, (batch,)."""
   next_obs: torch.Tensor
-  """Observation at the end, that of before the reset where an episode ran out of time, (batch, obs width) float32."""
+  """Observation at the end, before a reset, (batch, obs width) float32."""
 
 
 class Replay:
   """The last steps of all worlds as rows, time-major: row t * num_envs + w is step t of world w.
 
-  A row holds the observation before a step, the action, the reward and marks. The observation after the step is that of
-  the next row of the world, so that each is stored once. Only the last observation of an episode that ran out of time
-  is followed by none: it has a row of its own, which starts no transition. Worlds therefore have pointers of their own.
-  Nothing waits for the device, and all shapes are fixed, so that a CUDA graph can record `sample`.
+  A row holds the observation before a step, the action, the reward and marks. The next row of the world has the
+  observation after the step, so that each is stored once. The last observation of an episode that ran out of time has
+  an additional row, which starts no transition. Therefore each world has a separate pointer. Nothing waits for the
+  device, and all shapes are fixed, so that a CUDA graph can record `sample`.
 
   Args:
     num_envs: Number of worlds.
@@ -86,8 +86,8 @@ class Replay:
       action: Actions, (num_envs, num_actions).
       reward: Rewards, (num_envs,).
       next_obs: Observations after it, before the reset where `timed_out`; elsewhere the next call gives them again.
-      terminated: Worlds whose episode truly ended, bool (num_envs,).
-      timed_out: Worlds whose episode was cut and not terminated, bool (num_envs,).
+      terminated: Worlds with a terminated episode, bool (num_envs,).
+      timed_out: Worlds with an episode that was cut and not terminated, bool (num_envs,).
     """
     row = self._row(self._count)
     following = self._row(self._count + 1)

@@ -51,7 +51,7 @@ class _ReplayFile(Struct):
 class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
   """`MjlabOnPolicyRunner` for an `OffPolicyAlgorithm`: updates follow each step of all worlds.
 
-  An iteration is `num_steps_per_env` steps with their updates; the device is waited for at its end.
+  An iteration is `num_steps_per_env` steps with their updates, and one synchronisation at its end.
   """
 
   agent_cfg: OffPolicyRunnerCfg
@@ -84,7 +84,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     return obs, rewards, dones
 
   def _time(self, update: Callable[[], None]) -> None:
-    """Call a function, and keep how its time [s] is read once the device has been waited for."""
+    """Call a function, and keep a function that returns its time [s] after a synchronisation."""
     if self._torch_device.type != "cuda":
       start = time.perf_counter()
       update()
@@ -123,7 +123,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     infos = super()._load(path, load_cfg, strict)
     if load_cfg is None and not self._load_replay(path):
       steps = max(self.agent_cfg.algorithm.learning_starts, self.agent_cfg.algorithm.n_step)
-      self.console.say(f"Learning goes on after {steps} steps, with a new replay memory.")
+      self.console.say(f"The replay memory is new; updates begin again after {steps} steps.")
     return infos
 
   def _check_algorithm(self, path: Path) -> None:
@@ -144,7 +144,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
       found: Mapping[str, Any] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
       msgspec.convert(found, _ReplayFile, dec_hook=checkpoint.as_tensor)
       if found["checkpoint"] != checkpoint_path.name:
-        self.console.say(f"{path} is that of {printable(found['checkpoint'], 60)}, so it is not loaded.")
+        self.console.say(f"{path} belongs to {printable(found['checkpoint'], 60)} and is not loaded.")
         return False
       if problem := self.algorithm.replay.problem(found["replay"]):
         self.console.say(f"{path} does not fit and is not loaded: {problem}.")

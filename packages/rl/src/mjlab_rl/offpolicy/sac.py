@@ -23,7 +23,7 @@ class Sac(OffPolicyAlgorithm):
     super().__init__(*args)
     self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(self.cfg.temperature), device=self.device))
     self.target = copy.deepcopy(self.critic).requires_grad_(False)
-    # One normaliser: the statistics of a copy would stay those of the start.
+    # One normaliser, because only the critic's learns.
     self.target.obs_normalizer = self.critic.obs_normalizer
     self.modules |= {"target": self.target, "temperature": torch.nn.ParameterDict({"log": self.log_temperature})}
     self._figures = {name: torch.zeros((), device=self.device) for name in _FIGURES}

@@ -58,7 +58,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
   debug_vis: bool = True
   ranges: VelocityRanges = field(default_factory=VelocityRanges)
   standing_fraction: Share = 0.1
-  """Share of draws whose command is zero."""
+  """Share of draws with a command of zero."""
   heading_fraction: Share = 0.3
   """Share of draws that turn towards a heading target instead of at a drawn rate."""
   forward_fraction: Share = 0.2
@@ -66,7 +66,7 @@ class UniformVelocityCommandCfg(CommandTermCfg):
   min_forward_speed: float = 0.3
   """Least speed of draws that go straight ahead [m/s]."""
   world_fraction: Share = 0.0
-  """Share of draws whose velocity is along the axes of the world, whatever way the root turns."""
+  """Share of draws with a velocity along the axes of the world."""
   initial_velocity_fraction: Share = 0.0
   """Share of episodes that begin with the robot at the drawn velocity."""
   heading_stiffness: float = 0.5
@@ -142,7 +142,7 @@ class UniformVelocityCommand(CommandTerm):
     torch.add(torch.linalg.vector_norm(command[:, :2], dim=-1), command[:, 2].abs(), out=self._speed)
 
   def _follow(self) -> None:
-    """Write what was drawn into the command, as the root is turned now."""
+    """Write the drawn values into the command, in the present frame of the root."""
     error = wrap_to_pi(self._heading_target - heading(self._robot.data.root_link_quat_w))
     turn = (self.cfg.heading_stiffness * error).clamp(self.ranges[2, 0], self.ranges[2, 1])
     command = self._command

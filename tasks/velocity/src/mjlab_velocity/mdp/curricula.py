@@ -18,7 +18,7 @@ _ROWS = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 @dataclass(kw_only=True)
 class VelocityStage:
-  """Ranges from an environment step on; None keeps those of the stage before."""
+  """Ranges from an environment step on; None keeps the range of the stage before."""
 
   step: int
   lin_vel_x: Range | None = None

@@ -71,7 +71,7 @@ class out_of_terrain_bounds(ManagerTermBase):
 class upright_on_terrain(ManagerTermBase):
   """exp(-|t_xy|^2 / std^2), t the ground's normal in the root frame, (num_envs,).
 
-  The normal is that of the least-squares plane through every sixth hit of a height scan. It is vertical if fewer than
+  The normal belongs to the least-squares plane through every sixth hit of a height scan. It is vertical if fewer than
   three rays hit, or if all hits lie on a line.
   """
 
