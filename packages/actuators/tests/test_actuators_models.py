@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from actuator_models import build
+from actuator_models import build, chain
 from mjlab_actuators import (
   ActuatorCfg,
   ActuatorCmd,
@@ -226,7 +226,7 @@ def test_a_raised_effort_limit_reaches_the_joint() -> None:
 @pytest.mark.parametrize("worlds", [1, 2])
 def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -> None:
   cfg = pd(target_names_expr=("a",), stiffness=1.0, damping=1.0)
-  law = cfg.build(target_names=["a"], num_envs=worlds, device="cpu", dtype=torch.float64)
+  (law,) = build(chain("a"), cfg, num_envs=worlds)[1].groups
   assert law.state_dict() == {}
   law.expand("stiffness")
   assert set(law.state_dict()) == {"stiffness"}
@@ -259,9 +259,9 @@ def test_expanded_limits_clamp_where_there_was_no_limit() -> None:
   assert actuators.compute(*columns(cmd)).abs().max() <= 0.01
 
 
-def test_a_law_works_without_a_model() -> None:
+def test_a_law_computes_without_its_set() -> None:
   cfg = pd(stiffness={"x": 1.0, "y": 2.0}, damping=0.0, delay_max_lag=0)
-  law = cfg.build(target_names=["x", "y"], num_envs=4, device="cpu", dtype=torch.float64)
+  (law,) = build(chain("x", "y"), cfg, num_envs=4)[1].groups
   cmd = random_command(n=2)
   expected = torch.tensor([1.0, 2.0]) * (cmd.position_target - cmd.position) + cmd.effort_target
   torch.testing.assert_close(law.compute(cmd), expected)

@@ -42,7 +42,7 @@ def enveloped(envelope: Any = ENVELOPE) -> EnvelopedPdActuatorCfg:
 
 def given(cfg: ActuatorCfg, wanted: float, velocity: float) -> float:
   """The effort that a motor of one joint gives when `wanted` is asked of it at `velocity`."""
-  law = cfg.build(target_names=["x"], num_envs=1, device="cpu", dtype=torch.float64)
+  (law,) = build(chain("x"), cfg)[1].groups
   zero = torch.zeros(1, 1, dtype=torch.float64)
   return law.compute(ActuatorCmd(zero, zero, zero + wanted, zero, zero + velocity)).item()
 

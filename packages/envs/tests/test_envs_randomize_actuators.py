@@ -187,11 +187,11 @@ def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
   names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
   env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)), begun=False)
   parameter = env.event_manager.get_term_cfg("kp").func.field._quantity
-  assert torch.equal(parameter.factors(), torch.ones(WORLDS, len(names)))
+  assert torch.equal(parameter.values(), parameter.default.expand(WORLDS, -1))
   factor = torch.linspace(0.5, 2.0, WORLDS * len(names)).view(WORLDS, -1)
   parameter.scale(factor, torch.tensor([True, True, False, True]))
   factor[2] = 1.0
-  torch.testing.assert_close(parameter.factors(), factor.to(parameter.default.dtype))
+  torch.testing.assert_close(parameter.values(), factor.to(parameter.default.dtype) * parameter.default)
 
 
 def test_a_curriculum_widens_the_range_of_a_gain(make: Make) -> None:

@@ -151,8 +151,11 @@ def test_the_learned_motor_moves_a_joint_as_the_real_one_does_on_targets_never_s
 def test_the_stored_network_gives_the_very_efforts_that_were_reported(fitted: MotorFit, tmp_path: Path) -> None:
   fitted.save(tmp_path / "motor.pt")
   assert [path.name for path in tmp_path.iterdir()] == ["motor.pt"]
-  cfg = LearnedMlpActuatorCfg(target_names_expr=("x",), network_file=tmp_path / "motor.pt", history_length=4)
-  law: Any = cfg.build(target_names=["x"], num_envs=1, device="cpu", dtype=torch.float32)
+  cfg = LearnedMlpActuatorCfg(target_names_expr=("hinge",), network_file=tmp_path / "motor.pt", history_length=4)
+  spec, actuators = mujoco.MjSpec.from_string(PENDULUM), ActuatorSet([cfg])
+  actuators.edit_spec(spec)
+  actuators.build(spec.compile(), num_envs=1, device="cpu", dtype=torch.float32)
+  law: Any = actuators.groups[0]
   rows = torch.randn(5, 8)
   torch.testing.assert_close(law.network(rows), fitted.network(rows))
 

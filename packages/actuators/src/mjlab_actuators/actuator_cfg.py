@@ -1,16 +1,17 @@
 """Base of all actuator configs: common fields, their checks, and the MuJoCo elements that a config adds."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import mujoco
-import torch
 from mjlab_core import (
   Config,
   Count,
   Limits,
+  MjlabError,
   check_fields,
   check_name,
   match_names,
@@ -32,11 +33,6 @@ EffortLimit = Annotated[PerTarget | None, Limits(gt=0, finite=False)]
 """Positive numbers; None or infinity for no limit."""
 Gear = Annotated[float, Limits(nonzero=True)]
 """Finite number other than 0."""
-
-
-def is_zero(values: PerTarget) -> bool:
-  """Return True if a number is zero for all targets."""
-  return not any(values.values()) if isinstance(values, Mapping) else values == 0.0
 
 
 @dataclass(kw_only=True)
@@ -148,49 +144,52 @@ class ActuatorCfg(Config):
 
   def _reads_position(self) -> bool:
     """Return True if the actuator model needs the position of its target."""
-    return False
+    stiffness: PerTarget = getattr(self, "stiffness", 1.0)
+    is_stiff = any(stiffness.values()) if isinstance(stiffness, Mapping) else stiffness != 0.0
+    return is_stiff and "position_target" in self.command_fields
 
   def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
     """Return the constants of the actuator model for each target."""
     rows = self._numbers(target_names, *self.number_fields)
     return [dict(zip(self.number_fields, row, strict=True)) for row in rows]
 
-  @property
-  def ctrl_gear(self) -> float:
-    """Gear between targets and ctrl, for targets that pass unchanged."""
-    return 1.0
-
-  @property
-  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
-    """Targets that each ctrl of an actuator takes."""
+  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
+    """Return the targets that each ctrl of an actuator of a compiled model takes."""
     return (self.command_fields,)
 
+  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
+    """Return the gear between the targets and ctrl of an actuator, for targets that pass unchanged."""
+    return 1.0
+
   def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
-    """Return the groups of this config in a compiled model, one for each ctrl of an actuator.
+    """Return the groups of this config in a compiled model, one for each set of targets that a ctrl takes.
 
     Args:
       model: The compiled model.
       elements: Ids of the actuators of each target by name.
-    """
-    first = [int(model.actuator_ctrladr[index]) for (index,) in elements.values()]
-    return [
-      self._group(list(elements), [index + offset for index in first], fields)
-      for offset, fields in enumerate(self.ctrl_fields)
-    ]
 
-  def build(
-    self,
-    *,
-    target_names: Sequence[str],
-    num_envs: int,
-    device: torch.device | str,
-    dtype: torch.dtype,
-    generator: torch.Generator | None = None,
-  ) -> Actuator:
-    """Return the actuator model alone, for n = len(target_names) targets; `ActuatorSet` is for a whole model."""
-    self.validate(target_names)
-    group = self._group(target_names, [-1] * len(target_names), self.ctrl_fields[0])
-    return self.actuator_model(group, num_envs=num_envs, device=device, dtype=dtype, generator=generator)
+    Raises:
+      MjlabError: Two actuators on one site would get the same target for different wrenches.
+    """
+    found: dict[tuple[CommandField, ...], list[Column]] = defaultdict(list)
+    for (name, ids), numbers in zip(elements.items(), self.parameters(list(elements)), strict=True):
+      target = Target(self.transmission_type, name)
+      for element in ids:
+        first, gear = int(model.actuator_ctrladr[element]), self.ctrl_gear(model, element)
+        for ctrl, fields in enumerate(self.ctrl_fields(model, element), first):
+          if target.transmission == "site" and any(column.target == target for column in found[fields]):
+            raise MjlabError(
+              f"{type(self).__name__}: site {name!r} has one {fields[0]}, but several actuators that take one; give "
+              "each a separate site, or leave the site out and write its ctrl"
+            )
+          found[fields].append(Column(target, numbers, ctrl, gear))
+    settings = {name: getattr(self, name) for name in (*_DELAY_FIELDS, *self.setting_fields)}
+    return [
+      ActuatorGroup(
+        actuator_model=self.actuator_model, command_fields=fields, settings=settings, columns=tuple(columns)
+      )
+      for fields, columns in found.items()
+    ]
 
   def velocity_limits(self, target_names: Sequence[str]) -> dict[Target, float]:
     """Return the top speeds of the targets that have one [m/s or rad/s]."""
@@ -217,23 +216,6 @@ class ActuatorCfg(Config):
       )
       for name, direction in zip(target_names, directions, strict=True)
     ]
-
-  def _group(
-    self, target_names: Sequence[str], ctrl: Sequence[int], command_fields: tuple[CommandField, ...]
-  ) -> ActuatorGroup:
-    rows = zip(target_names, self.parameters(target_names), ctrl, strict=True)
-    columns = [
-      Column(Target(self.transmission_type, name), numbers, index, self.ctrl_gear) for name, numbers, index in rows
-    ]
-    return self._group_of(columns, command_fields)
-
-  def _group_of(self, columns: Sequence[Column], command_fields: tuple[CommandField, ...]) -> ActuatorGroup:
-    return ActuatorGroup(
-      actuator_model=self.actuator_model,
-      command_fields=command_fields,
-      settings={name: getattr(self, name) for name in (*_DELAY_FIELDS, *self.setting_fields)},
-      columns=tuple(columns),
-    )
 
   def _numbers(self, target_names: Sequence[str], *names: str) -> list[tuple[float, ...]]:
     """Return the numbers of the fields `names` for each target; infinity where a limit is None."""

@@ -91,19 +91,15 @@ class ActuatorParameter:
       flat = self._flat(owner, field)
       flat.index_copy_(1, columns, where_(flat.index_select(1, columns), mask, values))
 
-  def factors(self) -> torch.Tensor:
-    """Return the present factor of every target, (num_envs, num_targets), in new memory."""
-    out = self.default.new_ones(self._sim.num_envs, len(self.targets))
+  def values(self) -> torch.Tensor:
+    """Return the present values of all targets, (num_envs, num_targets), in new memory."""
+    factors = self.default.new_ones(self._sim.num_envs, len(self.targets))
     for (owner, field), (columns, of_target, default) in self._places.items():
       # Zeros stay zeros: the factor is seen where its target has another number.
       seen = default[0] != 0.0
       ratio = self._flat(owner, field).index_select(1, columns[seen]) / default[:, seen]
-      out.index_copy_(1, of_target[seen], ratio.to(out.dtype))
-    return out
-
-  def values(self) -> torch.Tensor:
-    """Return the present values of all targets, (num_envs, num_targets), in new memory."""
-    return self.factors() * self.default
+      factors.index_copy_(1, of_target[seen], ratio.to(factors.dtype))
+    return factors * self.default
 
   def write(self, values: torch.Tensor, mask: torch.Tensor) -> None:
     """Write values, (num_envs, num_targets), into the worlds of `mask`, bool (num_envs,)."""

@@ -190,12 +190,19 @@ class ActuatorSet(Stateful):
     self, model: mujoco.MjModel, targets: Sequence[Target], of_actuator: Sequence[Target | None], prefix: str
   ) -> list[ActuatorGroup]:
     """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
+    # The elements that edit_spec added are behind the MJCF's own.
+    last = {target: index for index, target in enumerate(of_actuator)}
     own: dict[Target, int] = {}
     for cfg in self.cfgs:
       for name in () if cfg.of_mjcf else self._match(cfg, targets, set()):
-        target = Target(cfg.transmission_type, name)
-        own[target] = _added_element(model, of_actuator, target, prefix, type(cfg).__name__)
-    # The elements that edit_spec added are not the MJCF's: wrapping everything must leave them alone.
+        target, wanted = Target(cfg.transmission_type, name), prefix + name
+        found = last.get(target)
+        if found is None or model.actuator(found).name not in (wanted, f"{wanted}_{target.transmission}"):
+          raise MjlabError(
+            f"{type(cfg).__name__}: the model has no actuator {wanted!r}; call edit_spec before it is compiled"
+          )
+        own[target] = found
+    # Wrapping everything must leave the added elements alone.
     of_mjcf: dict[Target | None, list[int]] = defaultdict(list)
     for index, target in enumerate(of_actuator):
       if index not in own.values():
@@ -268,17 +275,6 @@ class _Route:
     else:
       selected = torch.stack(read).index_select(2, columns).unbind(0)
     return replace(cmd, **dict(zip(fields, selected, strict=True)))
-
-
-def _added_element(
-  model: mujoco.MjModel, of_actuator: Sequence[Target | None], target: Target, prefix: str, owner: str
-) -> int:
-  """Return the id of the actuator that `ActuatorCfg.edit_spec` added for `target`."""
-  names = (prefix + target.name, f"{prefix}{target.name}_{target.transmission}")
-  for index, of in enumerate(of_actuator):
-    if of == target and model.actuator(index).name in names:
-      return index
-  raise MjlabError(f"{owner}: the model has no actuator {names[0]!r}; call edit_spec before it is compiled")
 
 
 def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, Target]:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 
 from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup
-from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, NonNegativePerTarget, is_zero
+from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, NonNegativePerTarget
 
 
 class Pd(Actuator, ABC):
@@ -66,9 +66,6 @@ class PdActuatorCfg(ActuatorCfg):
   """kd [N s/m or N m s/rad]."""
 
   number_fields: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
-
-  def _reads_position(self) -> bool:
-    return not is_zero(self.stiffness)
 
 
 @dataclass(kw_only=True)

@@ -151,9 +151,6 @@ class LearnedMlpActuatorCfg(ActuatorCfg):
     except ValueError as error:
       yield str(error)
 
-  def _reads_position(self) -> bool:
-    return True
-
   def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
     """Return the groups of this config, if the network was trained at the timestep of the model."""
     timestep = model.opt.timestep

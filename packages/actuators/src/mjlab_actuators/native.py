@@ -14,7 +14,6 @@ from mjlab_actuators.actuator_cfg import (
   Gear,
   NonNegativePerTarget,
   PositivePerTarget,
-  is_zero,
 )
 from mjlab_actuators.transmission import Target, limit_force, range_of
 
@@ -57,9 +56,8 @@ class GearedActuatorCfg(NativeActuatorCfg):
   gear: Gear = 1.0
   """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
 
-  @property
-  def ctrl_gear(self) -> float:
-    """The gear."""
+  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
+    """Return the gear."""
     return self.gear
 
 
@@ -79,9 +77,6 @@ class NativePositionActuatorCfg(NativeActuatorCfg):
   """Largest force [N or N m]; None for no limit."""
 
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
-
-  def _reads_position(self) -> bool:
-    return not is_zero(self.stiffness)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     elements = self._bare_elements(spec, target_names)

@@ -89,16 +89,17 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
   def _reads_position(self) -> bool:
     return self.stiffness > 0.0
 
-  @property
-  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
-    """Targets that are handed over, in the order of MuJoCo's inputs."""
+  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
+    """Return the targets that are handed over, in the order of MuJoCo's inputs."""
     fields = ("effort_target",) if self.inputs == "voltage" else self.inputs
-    return tuple((field,) for field in COMMAND_FIELDS if field in fields)
+    return [(field,) for field in COMMAND_FIELDS if field in fields]
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     volts = self.voltage_limit or 0.0
     controlled = self.inputs != "voltage"
-    bits = [INPUTS[field] for (field,) in self.ctrl_fields] if controlled else [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
+    bits = [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
+    if self.inputs != "voltage":
+      bits = [INPUTS[field] for field in self.inputs]
     # A motor with a controller is written as it is felt at the joint, so that its inputs are the joint's.
     turn = math.copysign(1.0, self.gear) if controlled else 1.0
     ratio = abs(self.gear) if controlled else 1.0

@@ -66,9 +66,8 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
     kinds = ((self.gain_type, self.gain_prm), (self.bias_type, self.bias_prm))
     return any(kind == "affine" and _padded(numbers)[1] != 0.0 for kind, numbers in kinds)
 
-  @property
-  def ctrl_fields(self) -> tuple[tuple[CommandField, ...], ...]:
-    """The target that is handed over."""
+  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
+    """Return the target that is handed over."""
     return ((self.command_field,),)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:

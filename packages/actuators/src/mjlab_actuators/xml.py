@@ -1,17 +1,15 @@
 """Actuators that the MJCF declares itself, kept exactly as they are written."""
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
 from mjlab_core import MjlabError
 
-from mjlab_actuators.actuator import ActuatorGroup, Column, CommandField
+from mjlab_actuators.actuator import CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.native_dc_motor import INPUTS
-from mjlab_actuators.transmission import Target
 
 
 @dataclass(kw_only=True)
@@ -36,37 +34,29 @@ class XmlActuatorCfg(ActuatorCfg):
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     pass
 
-  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
-    """Return one group per kind of target among these actuators.
+  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
+    """Return the target of each input of an actuator.
 
     Raises:
-      MjlabError: The kind of target of an actuator is unknown and `command_field` is not given, or two on one site
-        would get the same target for different wrenches.
+      MjlabError: The kind of target is unknown, and `command_field` is not given.
     """
-    found: dict[CommandField, list[Column]] = defaultdict(list)
-    for name, ids in elements.items():
-      target = Target(self.transmission_type, name)
-      for element in ids:
-        first = int(model.actuator_ctrladr[element])
-        for ctrl, field in enumerate(self._fields(model, element), first):
-          if target.transmission == "site" and any(column.target == target for column in found[field]):
-            raise MjlabError(
-              f"XmlActuatorCfg: site {name!r} has one {field}, but several actuators that take one; give each a "
-              "separate site, or leave the site out and write its ctrl"
-            )
-          found[field].append(Column(target, {}, ctrl, _gear(model, element)))
-    return [self._group_of(columns, (field,)) for field, columns in found.items()]
-
-  def _fields(self, model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
-    width = int(model.actuator_ctrlnum[actuator])
-    fields = (self.command_field,) if self.command_field is not None else command_fields_of(model, actuator)
+    width = int(model.actuator_ctrlnum[element])
+    fields = (self.command_field,) if self.command_field is not None else command_fields_of(model, element)
     if len(fields) != width:
-      name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
       raise MjlabError(
-        f"XmlActuatorCfg: cannot tell which target actuator {name!r} takes ({width} inputs, "
+        f"XmlActuatorCfg: cannot tell which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
         f"recognised: {', '.join(fields) or 'none'}); set command_field, or leave the actuator out"
       )
-    return fields
+    return [(field,) for field in fields]
+
+  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
+    """Return the gear of an actuator: 1 for volts, activations of muscles, and wrenches at sites."""
+    kind = mujoco.mjtGain(model.actuator_gaintype[element])
+    volts = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
+    is_voltage = kind == mujoco.mjtGain.mjGAIN_DCMOTOR and bool(int(model.actuator_ctrlspec[element]) & volts)
+    gear = float(model.actuator_gear[model.actuator_outadr[element], 0])
+    is_plain = is_voltage or kind == mujoco.mjtGain.mjGAIN_MUSCLE or self.transmission_type == "site"
+    return 1.0 if is_plain or gear == 0.0 else gear
 
 
 def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
@@ -101,13 +91,3 @@ def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandFiel
     if on_length == 0.0 and on_velocity == -gain:
       return ("velocity_target",)
   return ()
-
-
-def _gear(model: mujoco.MjModel, actuator: int) -> float:
-  """Return the gear between targets and ctrl: 1 for volts, activations of muscles, and wrenches at sites."""
-  kind = mujoco.mjtGain(model.actuator_gaintype[actuator])
-  volts = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
-  is_voltage = kind == mujoco.mjtGain.mjGAIN_DCMOTOR and bool(int(model.actuator_ctrlspec[actuator]) & volts)
-  at_site = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_SITE)
-  gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
-  return 1.0 if is_voltage or at_site or kind == mujoco.mjtGain.mjGAIN_MUSCLE or gear == 0.0 else gear

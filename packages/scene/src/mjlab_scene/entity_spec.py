@@ -10,16 +10,14 @@ from mjlab_core import MjlabError, match_names
 
 from mjlab_scene.collision import CollisionCfg, apply_collisions
 from mjlab_scene.edits import SpecEdit, apply_edits
-from mjlab_scene.initial_state import InitialState, InitialStateCfg, read_initial_state
+from mjlab_scene.indexing import KINDS, find_elements
+from mjlab_scene.initial_state import InitialStateCfg, read_initial_state
 
 FREE_JOINT = "floating_base_joint"
 """Name given to an unnamed free joint."""
 
 MOCAP_BASE = "mocap_base"
 """Body that the scene puts above a fixed base, to place it per world."""
-
-KINDS = ("body", "joint", "geom", "site", "tendon", "actuator", "camera", "light", "material")
-"""Kinds of element that an entity lists by name."""
 
 Found = tuple[list[int], list[str]]
 
@@ -105,11 +103,9 @@ class EntitySpec:
     if actuators is not None:
       actuators.edit_spec(spec)
       name_everything(spec)
-    self.initial_state: InitialState = read_initial_state(
-      spec, init_state, self.root_body_name, root is not None, self.owner
-    )
+    model, self.initial_state = read_initial_state(spec, init_state, self.root_body_name, root is not None, self.owner)
     """State that the entity is reset to, by local name."""
-    names = {kind: _spec_names(spec, kind) for kind in KINDS}
+    names = {kind: tuple(find_elements(model, kind).values()) for kind in KINDS}
     if root is None:
       names["body"] = (MOCAP_BASE, *names["body"])
     self._set_names(names)
@@ -247,12 +243,3 @@ def _name(elements: Sequence[Any], kind: str, propose: Callable[[Any], str], tak
         name, number = f"{proposal}_{number}", number + 1
       element.name = name
       used.add(name)
-
-
-def _spec_names(spec: mujoco.MjSpec, kind: str) -> tuple[str, ...]:
-  """Return the names of all elements of one of `KINDS`, in compiled order, without world body and free joints."""
-  if kind == "body":
-    return tuple(body.name for body in spec.bodies[1:])
-  if kind == "joint":
-    return tuple(joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE)
-  return tuple(element.name for element in getattr(spec, f"{kind}s"))

@@ -10,7 +10,8 @@ import torch
 from mjlab_core import Index, Limits, MjlabError, as_index, check_value, select, where_
 from mjlab_core.model_fields import element_names
 
-from mjlab_scene.entity_spec import KINDS
+KINDS = ("body", "joint", "geom", "site", "tendon", "actuator", "camera", "light", "material")
+"""Kinds of element that an entity lists by name."""
 
 Selection = slice | torch.Tensor | Sequence[int] | None
 """Elements of one kind of an entity: all (None), a slice, an int64 tensor or a list of entity-local ids."""
@@ -66,7 +67,7 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     root: Full name of the entity's root body.
     device: Where index tensors live.
   """
-  found = {kind: _elements(model, kind, prefix) for kind in KINDS}
+  found = {kind: find_elements(model, kind, prefix) for kind in KINDS}
   names = {kind: tuple(of_kind.values()) for kind, of_kind in found.items()}
   ids = {kind: np.array(list(of_kind), dtype=np.int64) for kind, of_kind in found.items()}
   root_body = int(model.body(root).id)
@@ -105,14 +106,14 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
   )
 
 
-def _elements(model: mujoco.MjModel, kind: str, prefix: str) -> dict[int, str]:
+def find_elements(model: mujoco.MjModel, kind: str, prefix: str = "") -> dict[int, str]:
   """Return local names by global id; the world and free joints left out."""
   names = enumerate(element_names(model, kind))
   found = {i: name.removeprefix(prefix) for i, name in names if name and name.startswith(prefix)}
-  if kind == "body":
-    found.pop(0, None)
-  is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
-  return {i: name for i, name in found.items() if not (kind == "joint" and is_free[i])}
+  left_out = [0] if kind == "body" else []
+  if kind == "joint":
+    left_out = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).tolist()
+  return {i: name for i, name in found.items() if i not in left_out}
 
 
 def _ranges(starts: Sequence[int] | np.ndarray, widths: Sequence[int] | np.ndarray) -> tuple[range, ...]:

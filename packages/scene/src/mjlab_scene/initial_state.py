@@ -65,12 +65,12 @@ class InitialState:
 
 def read_initial_state(
   spec: mujoco.MjSpec, cfg: InitialStateCfg, root: str, has_root: bool, owner: str
-) -> InitialState:
-  """Return the initial state of the entity that `spec` describes: its reference or keyframe, changed by `cfg`.
+) -> tuple[mujoco.MjModel, InitialState]:
+  """Return the model of an entity alone, and its initial state: the reference or a keyframe, changed by `cfg`.
 
   Args:
     spec: The entity alone, every element named.
-    cfg: Overrides what the spec says.
+    cfg: Changes of the state.
     root: Name of the root body.
     has_root: True if the spec has this body, with a free joint or as mocap body; False for a fixed base.
     owner: Beginning of error messages.
@@ -102,7 +102,7 @@ def read_initial_state(
       inputs[:] = [length if field == "position_target" else 0.0 for field in command_fields_of(model, i)] or 0.0
   _set(ctrl, cfg.ctrl, "actuator", owner, "ctrl")
   at_site = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE)
-  return InitialState(
+  return model, InitialState(
     root=root,
     root_pose=pose,
     root_velocity=velocity,
