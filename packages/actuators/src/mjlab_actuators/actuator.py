@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import torch
 from mjlab_core import DelayBuffer, Stateful, check_name
@@ -13,7 +13,7 @@ from mjlab_actuators.transmission import Target
 CommandField = Literal["position_target", "velocity_target", "effort_target"]
 """One of the three targets of a joint, tendon or site."""
 
-COMMAND_FIELDS: tuple[CommandField, ...] = ("position_target", "velocity_target", "effort_target")
+COMMAND_FIELDS: tuple[CommandField, ...] = get_args(CommandField)
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import mujoco
 from mjlab_core import (
@@ -201,21 +201,19 @@ class ActuatorCfg(Config):
     self._bare_elements(spec, target_names)
 
   def _bare_elements(
-    self, spec: mujoco.MjSpec, target_names: Sequence[str], gear: float = 1.0
-  ) -> list[mujoco.MjsActuator]:
-    """Add an actuator to each target, whose effort is `gear` times its force, and return them."""
+    self, spec: mujoco.MjSpec, target_names: Sequence[str], *fields: str, gear: float = 1.0
+  ) -> list[tuple[Any, ...]]:
+    """Add an actuator to each target, whose effort is `gear` times its force; return each with its `fields`."""
     scalar = [(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)] * len(target_names)
     directions = self._by_target("site_gear", target_names) if self.transmission_type == "site" else scalar
-    return [
-      add_element(
-        spec,
-        type(self).__name__,
-        Target(self.transmission_type, name),
-        gear=[gear * part for part in direction],
-        refsite=self.refsite,
+    out = []
+    for name, direction, numbers in zip(target_names, directions, self._numbers(target_names, *fields), strict=True):
+      target = Target(self.transmission_type, name)
+      element = add_element(
+        spec, type(self).__name__, target, gear=[gear * part for part in direction], refsite=self.refsite
       )
-      for name, direction in zip(target_names, directions, strict=True)
-    ]
+      out.append((element, *numbers))
+    return out
 
   def _numbers(self, target_names: Sequence[str], *names: str) -> list[tuple[float, ...]]:
     """Return the numbers of the fields `names` for each target; infinity where a limit is None."""

@@ -2,7 +2,7 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -27,7 +27,6 @@ class ActuatorSet(Stateful):
     groups: The actuator models, one per class, settings and delay.
     targets: Joints, tendons and sites of the columns.
     ctrl_ids: Indices into the model's ctrl that this set drives, ascending.
-    ctrl_targets: Name of the target of each driven ctrl, in the order of `ctrl_ids`.
     site_outputs: For each driven site, where `actuator_length` and `actuator_velocity` hold its position and velocity
       along the wrench.
     ctrl: Commands of the last substep, (num_envs, len(ctrl_ids)), fixed memory; a view of the simulation's ctrl where
@@ -39,7 +38,6 @@ class ActuatorSet(Stateful):
   groups: tuple[Actuator, ...]
   targets: tuple[Target, ...]
   ctrl_ids: tuple[int, ...]
-  ctrl_targets: tuple[str, ...]
   site_outputs: tuple[int, ...]
   ctrl: torch.Tensor
   velocity_limits: dict[Target, float]
@@ -94,14 +92,18 @@ class ActuatorSet(Stateful):
     """
     self.num_envs = num_envs
     targets, of_actuator = targets_of(model, prefix), targets_of_actuators(model, prefix)
-    groups = self._groups(model, targets, of_actuator, prefix)
-    target_of = _target_of_ctrl(groups, self.owner)
+    # Elements that edit_spec added are behind the MJCF's own, which need no measurement.
+    last = {target: index for index, target in enumerate(of_actuator)}
+    groups = self._groups(model, targets, of_actuator, last, prefix)
+    target_of: dict[int, Target] = {}
+    for column in (column for group in groups for column in group.columns):
+      if column.ctrl in target_of:
+        kind, name = column.target
+        raise MjlabError(f"{self.owner}: {kind} {name!r} is driven by two actuator configs".removeprefix(": "))
+      target_of[column.ctrl] = column.target
     self._driven = set(target_of.values())
     self.targets = tuple(target for target in targets if target.transmission == "joint" or target in self._driven)
     self.ctrl_ids = tuple(sorted(target_of))
-    self.ctrl_targets = tuple(target_of[index].name for index in self.ctrl_ids)
-    # The MJCF's own elements come first, and none of them needs a measurement.
-    last = {target: index for index, target in enumerate(of_actuator)}
     self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self.driven("site"))
     place = as_slice(self.ctrl_ids)
     self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
@@ -187,11 +189,14 @@ class ActuatorSet(Stateful):
       raise
 
   def _groups(
-    self, model: mujoco.MjModel, targets: Sequence[Target], of_actuator: Sequence[Target | None], prefix: str
+    self,
+    model: mujoco.MjModel,
+    targets: Sequence[Target],
+    of_actuator: Sequence[Target | None],
+    last: Mapping[Target | None, int],
+    prefix: str,
   ) -> list[ActuatorGroup]:
-    """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
-    # The elements that edit_spec added are behind the MJCF's own.
-    last = {target: index for index, target in enumerate(of_actuator)}
+    """Return the groups of all configs, for actuators with these targets, and the last actuator of each target."""
     own: dict[Target, int] = {}
     for cfg in self.cfgs:
       for name in () if cfg.of_mjcf else self._match(cfg, targets, set()):
@@ -275,16 +280,3 @@ class _Route:
     else:
       selected = torch.stack(read).index_select(2, columns).unbind(0)
     return replace(cmd, **dict(zip(fields, selected, strict=True)))
-
-
-def _target_of_ctrl(groups: Sequence[ActuatorGroup], owner: str) -> dict[int, Target]:
-  target_of: dict[int, Target] = {}
-  for group in groups:
-    for column in group.columns:
-      target, ctrl = column.target, column.ctrl
-      if ctrl in target_of:
-        raise MjlabError(
-          f"{owner + ': ' if owner else ''}{target.transmission} {target.name!r} is driven by two actuator configs"
-        )
-      target_of[ctrl] = target
-  return target_of

@@ -79,12 +79,10 @@ class NativePositionActuatorCfg(NativeActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("position_target",)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    elements = self._bare_elements(spec, target_names)
-    numbers = self._numbers(target_names, "stiffness", "damping", "effort_limit")
-    for name, element, (kp, kd, limit) in zip(target_names, elements, numbers, strict=True):
+    for element, kp, kd, limit in self._bare_elements(spec, target_names, "stiffness", "damping", "effort_limit"):
       element.set_to_position(kp=kp, kv=kd)
       limit_force(element, limit)
-      low, high = range_of(spec, Target(self.transmission_type, name))
+      low, high = range_of(spec, Target(self.transmission_type, element.target))
       # Beyond this range the force is saturated for every position in the joint's own: what sliders and spaces use.
       if high > low and kp > 0.0 and limit < float("inf"):
         element.ctrlrange = [low - limit / kp, high + limit / kp]
@@ -102,8 +100,7 @@ class NativeVelocityActuatorCfg(NativeActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("velocity_target",)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    numbers = self._numbers(target_names, "damping", "effort_limit")
-    for element, (kd, limit) in zip(self._bare_elements(spec, target_names), numbers, strict=True):
+    for element, kd, limit in self._bare_elements(spec, target_names, "damping", "effort_limit"):
       element.set_to_velocity(kv=kd)
       limit_force(element, limit)
 
@@ -118,8 +115,7 @@ class NativeMotorActuatorCfg(GearedActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    elements = self._bare_elements(spec, target_names, self.gear)
-    for element, (limit,) in zip(elements, self._numbers(target_names, "effort_limit"), strict=True):
+    for element, limit in self._bare_elements(spec, target_names, "effort_limit", gear=self.gear):
       limit_force(element, limit)
       element.ctrlrange = element.forcerange
 

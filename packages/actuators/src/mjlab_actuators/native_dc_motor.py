@@ -107,8 +107,8 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
     voltage, torque, speed = self.nominal or (0.0, 0.0, 0.0)
     amplitude, periods, phase = self.cogging or (0.0, 0.0, 0.0)
     bristle_stiffness, bristle_damping, coulomb, static, stribeck = self.lugre or (0.0,) * 5
-    elements = self._bare_elements(spec, target_names, 1.0 if controlled else self.gear)
-    for element, (limit,) in zip(elements, self._numbers(target_names, "effort_limit"), strict=True):
+    gear = 1.0 if controlled else self.gear
+    for element, limit in self._bare_elements(spec, target_names, "effort_limit", gear=gear):
       element.set_to_dcmotor(
         motorconst=[constant, constant],
         resistance=self.resistance or 0.0,

@@ -72,7 +72,7 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    for element in self._bare_elements(spec, target_names, self.gear):
+    for (element,) in self._bare_elements(spec, target_names, gear=self.gear):
       element.gaintype = getattr(mujoco.mjtGain, f"mjGAIN_{self.gain_type.upper()}")
       element.biastype = getattr(mujoco.mjtBias, f"mjBIAS_{self.bias_type.upper()}")
       element.dyntype = getattr(mujoco.mjtDyn, f"mjDYN_{self.dyn_type.upper()}")

@@ -1,5 +1,6 @@
 """MuJoCo's muscle: activation dynamics, and force by length and velocity."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -60,13 +61,12 @@ class NativeMuscleActuatorCfg(NativeActuatorCfg):
     return True
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    elements = self._bare_elements(spec, target_names, self.gear)
-    for name, element, force in zip(target_names, elements, self._by_target("force", target_names), strict=True):
+    for element, force in self._bare_elements(spec, target_names, "force", gear=self.gear):
       element.set_to_muscle(
         timeconst=list(self.time_constants),
         tausmooth=self.smoothing,
         range=list(self.range),
-        force=-1.0 if force is None else force,
+        force=force if math.isfinite(force) else -1.0,
         scale=self.scale,
         lmin=self.lmin,
         lmax=self.lmax,
@@ -76,7 +76,7 @@ class NativeMuscleActuatorCfg(NativeActuatorCfg):
       )
       element.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
       element.ctrlrange = [0.0, 1.0]
-      element.lengthrange = sorted(self._length_range(spec, name))
+      element.lengthrange = sorted(self._length_range(spec, element.target))
 
   def _length_range(self, spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     if self.length_range is not None:

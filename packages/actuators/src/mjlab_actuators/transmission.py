@@ -35,14 +35,13 @@ class Target(NamedTuple):
 def targets_of(source: mujoco.MjSpec | mujoco.MjModel, prefix: str = "") -> list[Target]:
   """Return all hinges and slides, then tendons, then sites, prefix removed, in the source's order."""
   if isinstance(source, mujoco.MjSpec):
-    joints = [joint.name for joint in source.joints if joint.type in _SCALAR]
-    tendons, sites = ([element.name for element in of] for of in (source.tendons, source.sites))
+    types = [joint.type for joint in source.joints]
+    names = {kind: [element.name for element in getattr(source, f"{kind}s")] for kind in TRANSMISSIONS}
   else:
-    types = map(mujoco.mjtJoint, source.jnt_type)
-    joints = [name for name, kind in zip(element_names(source, "joint"), types, strict=True) if kind in _SCALAR]
-    tendons, sites = element_names(source, "tendon"), element_names(source, "site")
-  names = zip(TRANSMISSIONS, (joints, tendons, sites), strict=True)
-  found = [_local(kind, name, prefix) for kind, of_kind in names for name in of_kind]
+    types = [mujoco.mjtJoint(kind) for kind in source.jnt_type]
+    names = {kind: element_names(source, kind) for kind in TRANSMISSIONS}
+  names["joint"] = [name for name, kind in zip(names["joint"], types, strict=True) if kind in _SCALAR]
+  found = [_local(kind, name, prefix) for kind in TRANSMISSIONS for name in names[kind]]
   return [target for target in found if target is not None]
 
 

@@ -27,16 +27,6 @@ Share = Annotated[float, Limits(ge=0, le=1)]
 Counts = Annotated[tuple[int, int], Limits(ge=1)]
 Mode = Literal["fixed", "track", "trackcom", "targetbody", "targetbodycom"]
 
-_ENUMS: dict[tuple[str, str], str] = {
-  ("texture", "type"): "mjtTexture.mjTEXTURE_",
-  ("texture", "builtin"): "mjtBuiltin.mjBUILTIN_",
-  ("texture", "mark"): "mjtMark.mjMARK_",
-  ("light", "type"): "mjtLightType.mjLIGHT_",
-  ("light", "mode"): "mjtCamLight.mjCAMLIGHT_",
-  ("camera", "mode"): "mjtCamLight.mjCAMLIGHT_",
-  ("mesh", "inertia"): "mjtMeshInertia.mjMESH_INERTIA_",
-}
-
 
 @dataclass(kw_only=True)
 class SpecEdit(Config):
@@ -46,10 +36,8 @@ class SpecEdit(Config):
   `SceneCfg.edits`.
   """
 
-  kind: ClassVar[str]
-  """Kind of the edited element, as MjSpec calls it."""
   stage: ClassVar[int] = 2
-  """Edits of a lower stage come first: textures, then materials, then what uses them."""
+  """Order of edits: textures are 0, materials 1, and the others 2."""
 
   @abstractmethod
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
@@ -61,9 +49,13 @@ class SpecEdit(Config):
       value = getattr(self, field.name)
       if value is None or field.name in ("name", "names", *without):
         continue
-      if (enum := _ENUMS.get((self.kind, field.name))) is not None:
-        group, prefix = enum.split(".")
-        value = getattr(getattr(mujoco, group), prefix + value.upper())
+      present = getattr(element, field.name)
+      if isinstance(value, str) and not isinstance(present, str):
+        # A member of an enumeration: "checker" is mjBUILTIN_CHECKER.
+        members = type(present).__members__.items()
+        value = next(member for name, member in members if name.endswith(f"_{value.upper()}"))
+      elif field.name == "quat":
+        element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
       setattr(element, field.name, value)
 
 
@@ -71,7 +63,6 @@ class SpecEdit(Config):
 class TextureCfg(SpecEdit):
   """Texture, new or changed. A new one has `builtin` or `file`."""
 
-  kind: ClassVar[str] = "texture"
   stage: ClassVar[int] = 0
 
   name: str
@@ -101,7 +92,6 @@ class TextureCfg(SpecEdit):
 class MaterialCfg(SpecEdit):
   """Material, new or changed, and the geoms that wear it."""
 
-  kind: ClassVar[str] = "material"
   stage: ClassVar[int] = 1
 
   name: str
@@ -116,7 +106,7 @@ class MaterialCfg(SpecEdit):
   shininess: Share | None = None
   reflectance: Share | None = None
   geoms: str | tuple[str, ...] | None = None
-  """Patterns of geoms that get it; each must match one. Their own colour gives way to that of the material."""
+  """Patterns of geoms that get it; each must match one. The colour of the material replaces their own."""
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
     found = spec.material(self.name) or spec.add_material(name=self.name)
@@ -125,16 +115,12 @@ class MaterialCfg(SpecEdit):
       check_name("texture", self.texture, [texture.name for texture in spec.textures], owner)
       found.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = self.texture
     if self.geoms is not None:
-      for geom in _matched(spec.geoms, self.geoms, "geom", owner):
-        geom.material = self.name
-        geom.rgba = _DEFAULT_RGBA
+      GeomCfg(names=self.geoms, material=self.name).apply(spec, owner)
 
 
 @dataclass(kw_only=True)
 class MeshCfg(SpecEdit):
   """Change of meshes that the model has."""
-
-  kind: ClassVar[str] = "mesh"
 
   names: str | tuple[str, ...] = ".*"
   """Patterns; each must match a mesh."""
@@ -152,8 +138,6 @@ class MeshCfg(SpecEdit):
 @dataclass(kw_only=True)
 class GeomCfg(SpecEdit):
   """Change of the looks of geoms; contact parameters are those of `CollisionCfg`."""
-
-  kind: ClassVar[str] = "geom"
 
   names: str | tuple[str, ...]
   """Patterns; each must match a geom."""
@@ -174,6 +158,9 @@ class GeomCfg(SpecEdit):
 @dataclass(kw_only=True)
 class _Mounted(SpecEdit):
   """Light or camera on a body, new or changed."""
+
+  kind: ClassVar[str]
+  """Kind of the element, as MjSpec calls it."""
 
   name: str
   body: str | None = None
@@ -238,14 +225,9 @@ class CameraCfg(_Mounted):
   resolution: Counts | None = None
   """Width and height [pixels]."""
 
-  def _write(self, element: Any, *without: str) -> None:
-    super()._write(element, *without)
-    if self.quat is not None:
-      element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
 
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""A geom of this colour, MuJoCo's default, has that of its material."""
+"""MuJoCo's default colour, of geoms that have the colour of their material."""
 _AIMED = (mujoco.mjtCamLight.mjCAMLIGHT_TARGETBODY, mujoco.mjtCamLight.mjCAMLIGHT_TARGETBODYCOM)
 
 

@@ -1,8 +1,8 @@
-"""Overlay file: values of a robot that were identified, which take the place of those in its model and actuators.
+"""Overlay file: identified values of a robot, which replace those of its model and actuators.
 
 A JSON object with the keys `model` (values by field of MjModel, then by element; that of options is "option"),
 `actuators` (values of `stiffness`, `damping` and `effort_limit` by joint), `delay` [s] and `encoder_bias` [rad or m] by
-joint, and `timestep` [s], in whose steps delays act. Others are ignored.
+joint, and `timestep` [s], in whose steps delays act. Other keys are ignored.
 `Identified.save` of mjlab-sysid writes it.
 """
 
@@ -76,11 +76,11 @@ class Overlay:
   actuators: dict[str, dict[str, float]] = field(default_factory=dict)
   """Gains and limits by joint."""
   delay: dict[str, float] = field(default_factory=dict)
-  """Delay of set-points by joint [s]."""
+  """Delay of targets by joint [s]."""
   encoder_bias: dict[str, float] = field(default_factory=dict)
   """Reading minus truth by joint [rad or m]."""
   timestep: float = 0.0
-  """Timestep of the simulation that the values are for [s]; it matters for delays alone."""
+  """Timestep of the simulation that the values are for [s]; only delays need it."""
 
   def check_timestep(self, timestep: float) -> None:
     """Raise MjlabError unless delays are in steps of `timestep` [s]."""
@@ -94,8 +94,10 @@ class Overlay:
       UnknownNameError: An element does not exist.
       MjlabError: A field has another number of values, or the compiled model would not have these values.
     """
+    if not self.model:
+      return
     given = [(name, element, numbers) for name, of in self.model.items() for element, numbers in of.items()]
-    before = spec.copy().compile() if given else None
+    before = spec.copy().compile()
     for name, element, numbers in given:
       kind, attribute = MODEL_FIELDS[name]
       known = ["option"] if kind == "option" else [item.name for item in getattr(spec, _PLURAL.get(kind, f"{kind}s"))]
@@ -103,18 +105,15 @@ class Overlay:
       count = compiled_values(before, name, element).size
       check_value(f"{self.source}: {name}", numbers, Annotated[list[float], Items(ge=count, le=count)])
       _set(spec.option if kind == "option" else getattr(spec, kind)(element), kind, attribute, numbers, before)
-    after = spec.copy().compile() if given else None
+    after = spec.copy().compile()
     for name, element, numbers in given:
-      self._check_compiled(name, element, np.array(numbers), compiled_values(after, name, element))
-
-  def _check_compiled(self, name: str, element: str, wanted: np.ndarray, has: np.ndarray) -> None:
-    """Raise MjlabError unless a compiled element has the wanted values."""
-    sign = np.sign(has @ wanted) if name.endswith("quat") else 1.0
-    if not np.allclose(sign * has, wanted, rtol=1e-6, atol=1e-9):
-      raise MjlabError(
-        f"{self.source}: {name} of '{element}' cannot be {wanted.tolist()}: a frame, a mesh or another attribute of "
-        f"the model makes it {has.tolist()}"
-      )
+      has = compiled_values(after, name, element)
+      sign = np.sign(has @ numbers) if name.endswith("quat") else 1.0
+      if not np.allclose(sign * has, numbers, rtol=1e-6, atol=1e-9):
+        raise MjlabError(
+          f"{self.source}: {name} of '{element}' cannot be {numbers}: a frame, a mesh or another attribute of the "
+          f"model makes it {has.tolist()}"
+        )
 
   def edited(self, actuators: Sequence[ActuatorCfg], spec: mujoco.MjSpec) -> tuple[ActuatorCfg, ...]:
     """Return actuator configs with the gains, limits and delays in place.

@@ -263,10 +263,3 @@ class Scene(Stateful):
     yield from self.sensors
     if self.terrain is not None:
       yield TERRAIN
-
-  def __len__(self) -> int:
-    return len(list(iter(self)))
-
-  def keys(self) -> list[str]:
-    """Names that the scene can be asked for."""
-    return list(self)

@@ -7,7 +7,6 @@ with a body of no mass there, whose joint rests. Rigid objects are one body, "ob
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -16,6 +15,7 @@ from mjlab_core import ConfigError, MjlabError
 from numpy.typing import NDArray
 
 from mjlab_scene.entity_spec import FREE_JOINT, name_everything
+from mjlab_scene.indexing import find_elements
 
 Numbers = NDArray[np.float64]
 
@@ -38,52 +38,33 @@ _REST = {"dof_armature": 1.0, "dof_damping": 1e3, "dof_frictionloss": 0.0, "jnt_
 _CONFIGURED = ("dof_armature", "dof_damping", "dof_frictionloss")
 
 
-@dataclass
-class Skeleton:
-  """Bodies, joints and sites of all variants, and the numbers that each variant has for them.
+def numbers_of(
+  alone: mujoco.MjModel | None, model: mujoco.MjModel, prefix: str, rest: Mapping[str, Numbers]
+) -> dict[str, Numbers]:
+  """Return the fields of a variant in the layout of `model`, which has the merged spec under `prefix`.
 
-  Geoms, cameras and lights are those of one variant each, called "<variant>/<name>".
+  Args:
+    alone: The variant, compiled alone; None for an absent object.
+    model: Compiled model of the scene.
+    prefix: What precedes the entity's names in the model.
+    rest: Positions by joint, where joints that the variant lacks stay.
   """
-
-  models: dict[str, mujoco.MjModel]
-  """Each variant, compiled alone; absent objects left out."""
-  bodies: list[str]
-  joints: list[str]
-  """Names of the joints, without a free one."""
-  sites: list[str]
-
-  def numbers(
-    self, model: mujoco.MjModel, prefix: str, variant: str, rest: Mapping[str, Numbers]
-  ) -> dict[str, Numbers]:
-    """Return the fields of one variant in the layout of `model`, which has the skeleton under `prefix`.
-
-    `rest` has the positions of joints by name, where those that the variant lacks stay.
-    """
-    out = {name: np.array(getattr(model, name), dtype=np.float64) for name in FIELDS}
-    alone = self.models.get(variant)
-    if alone is None:
-      # Gravity leaves an absent object where it is.
-      out["body_gravcomp"][model.body(prefix + OBJECT).id] = 1.0
-      return out
-    for kind, names, fields in (
-      ("body", self.bodies, _BODY),
-      ("joint", self.joints, _JOINT),
-      ("site", self.sites, _SITE),
-    ):
-      for name in names:
-        here, there = _id(model, kind, prefix + name), _id(alone, kind, name)
-        if there >= 0:
-          for of in fields:
-            out[of][here] = getattr(alone, of)[there]
-        elif kind == "body":
-          out["body_mass"][here], out["body_inertia"][here] = 0.0, 0.0
-        if kind == "joint":
-          _move_joint(out, model, here, alone, there, rest[name])
+  out = {name: np.array(getattr(model, name), dtype=np.float64) for name in FIELDS}
+  if alone is None:
+    # Gravity leaves an absent object where it is.
+    out["body_gravcomp"][model.body(prefix + OBJECT).id] = 1.0
     return out
-
-  def has_joint(self, variant: str, name: str) -> bool:
-    """Return True if a variant has the joint `name`."""
-    return _id(self.models[variant], "joint", name) >= 0
+  for kind, fields in (("body", _BODY), ("joint", _JOINT), ("site", _SITE)):
+    for here, name in find_elements(model, kind, prefix).items():
+      there = find(alone, kind, name)
+      if there >= 0:
+        for of in fields:
+          out[of][here] = getattr(alone, of)[there]
+      elif kind == "body":
+        out["body_mass"][here], out["body_inertia"][here] = 0.0, 0.0
+      if kind == "joint":
+        _move_joint(out, model, here, alone, there, rest[name])
+  return out
 
 
 def _move_joint(
@@ -113,13 +94,17 @@ def _columns(model: mujoco.MjModel, joint: int) -> tuple[slice, slice]:
   return slice(q, q + nq), slice(v, v + nv)
 
 
-def _id(model: mujoco.MjModel, kind: str, name: str) -> int:
+def find(model: mujoco.MjModel, kind: str, name: str) -> int:
   """Return the id of an element, negative if the model has none of this name."""
   return mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
 
 
-def merge_variants(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> tuple[mujoco.MjSpec, Skeleton]:
-  """Return the spec with all variants, and their numbers; None stands for an absent object.
+def merge_variants(
+  variants: Mapping[str, mujoco.MjSpec | None], owner: str
+) -> tuple[mujoco.MjSpec, dict[str, mujoco.MjModel]]:
+  """Return the spec with all variants, and each variant compiled alone; None stands for an absent object.
+
+  Geoms, cameras and lights are those of one variant each, called "<variant>/<name>".
 
   Raises:
     MjlabError: A variant has parts that variants cannot have, or variants differ in something that all worlds share.
@@ -143,7 +128,9 @@ def merge_variants(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> 
     found = list(_part_problems(spec))
     if not found:
       models[name] = _prepare(spec, name, is_rigid, not fixed)
-      found += _top_problems(spec, merged)
+      top, others = spec.worldbody.first_body().name, merged.worldbody.first_body()
+      if others is not None and others.name != top:
+        found.append(f"its body on top is '{top}', that of another variant is '{others.name}'")
     if not found:
       for body in spec.bodies[1:]:
         dummies += _add_body(merged, spec, body, models[name], found)
@@ -160,12 +147,7 @@ def merge_variants(variants: Mapping[str, mujoco.MjSpec | None], owner: str) -> 
     merged.delete(merged.joint(dummy))
   for body in merged.bodies[1:]:
     _set_inertia(body, models)
-  return merged, Skeleton(
-    models=models,
-    bodies=[body.name for body in merged.bodies[1:]],
-    joints=[joint.name for joint in merged.joints if joint.type != _FREE],
-    sites=[site.name for site in merged.sites],
-  )
+  return merged, models
 
 
 def _prepare(spec: mujoco.MjSpec, variant: str, is_rigid: bool, floats: bool) -> mujoco.MjModel:
@@ -190,12 +172,6 @@ def _prepare(spec: mujoco.MjSpec, variant: str, is_rigid: bool, floats: bool) ->
 def _place_at_origin(body: mujoco.MjsBody) -> None:
   body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
   body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
-
-def _top_problems(spec: mujoco.MjSpec, merged: mujoco.MjSpec) -> Iterator[str]:
-  top, others = spec.worldbody.first_body().name, merged.worldbody.first_body()
-  if others is not None and others.name != top:
-    yield f"its body on top is '{top}', that of another variant is '{others.name}'"
 
 
 def _part_problems(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -290,7 +266,7 @@ def _add_parts(merged: mujoco.MjSpec, spec: mujoco.MjSpec, name: str, variant: s
 
 def _set_inertia(body: mujoco.MjsBody, models: Mapping[str, mujoco.MjModel]) -> None:
   """Give a body the inertia of the heaviest variant: a body compiled as weightless stays so."""
-  twins = [model.body(body.name) for model in models.values() if _id(model, "body", body.name) >= 0]
+  twins = [model.body(body.name) for model in models.values() if find(model, "body", body.name) >= 0]
   twin: Any = max(twins, key=lambda twin: twin.mass[0])
   body.explicitinertial, body.mass = True, twin.mass[0]
   body.ipos, body.inertia, body.iquat = twin.ipos, twin.inertia, twin.iquat

@@ -13,7 +13,7 @@ from mjlab_core import MjlabError, check_name
 from mjlab_terrain.terrain import apportion
 
 from mjlab_scene.entity import Entity, EntityCfg
-from mjlab_scene.skeleton import FIELDS, merge_variants
+from mjlab_scene.skeleton import FIELDS, find, merge_variants, numbers_of
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -69,8 +69,8 @@ class VariantEntity(Entity):
 
   def __init__(self, cfg: VariantEntityCfg, name: str) -> None:
     specs = {name: None if make is None else make() for name, make in cfg.variants.items()}
-    spec, self._skeleton = merge_variants(specs, f"entity '{name}'")
-    models = self._skeleton.models
+    spec, self._models = merge_variants(specs, f"entity '{name}'")
+    models = self._models
     self.variant_names = tuple(cfg.variants)
     self._contents = {name: _content(models[name]) if name in models else {} for name in self.variant_names}
     self._assignment, self._seed = cfg.assignment, cfg.seed
@@ -97,7 +97,7 @@ class VariantEntity(Entity):
       else:
         sim.model.geom_size[:, geom] = torch.where(is_there[:, None], sim.model.geom_size[:, geom], _TINY)
     names = self.indexing.names["joint"]
-    there = [[self._skeleton.has_joint(of, name) for name in names] for of in self.variant_names]
+    there = [[find(self._models[of], "joint", name) >= 0 for name in names] for of in self.variant_names]
     self._joints_of_variant = torch.tensor(there, dtype=torch.bool, device=sim.device)
     sim.recompute_constants()
     sim.rebase_default_fields(fields)
@@ -110,7 +110,7 @@ class VariantEntity(Entity):
   def _differences(self, sim: Simulation) -> dict[str, tuple[list[int], torch.Tensor]]:
     """Return rows of model fields that are not as compiled in every variant, and their values in every world."""
     model, rest = sim.mj_model, self.initial_state.joint_pos
-    variants = [self._skeleton.numbers(model, self.prefix, name, rest) for name in self.variant_names]
+    variants = [numbers_of(self._models.get(name), model, self.prefix, rest) for name in self.variant_names]
     out: dict[str, tuple[list[int], torch.Tensor]] = {}
     for name in FIELDS:
       table = np.array([numbers[name] for numbers in variants])
