@@ -65,12 +65,12 @@ def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   assert ["nothing", "step", "-", "NOTHING", "CHANGED"] in rows
   # An event without distributions shows its parameters and what it wrote.
   (raised,) = [row for row in rows if row[0] == "raise"]
-  assert raised == "raise reset qvel 1 height: 2 to 3 2 2.5 3 differs between worlds".split()
+  assert raised == "raise reset qvel 1 height: (2.0, 3.0) 2 2.5 3 differs between worlds".split()
   (effort,) = [row for row in rows if row[0] == "effort"]
-  assert effort[1:6] == ["reset", "effort_limit", "hinge", "scale", "Uniform(0.8,"]
+  assert effort[1:6] == ["reset", "effort_limit", "hinge", "scale", "Uniform(lo=0.8,"]
   assert 0.8 <= float(effort[-5]) < 0.81 < 1.19 < float(effort[-3]) <= 1.2
   (late,) = [line for line in shown.splitlines() if line.startswith("late ")]
-  assert "absolute Categorical((1, 2, 3), None)" in late
+  assert "absolute Categorical(values=(1, 2, 3), weights=None)" in late
   assert late.split()[-5::2] == ["1", "3", "asked"]
   assert "as compiled 0.2" in shown
   assert picture.read_bytes().startswith(b"\x89PNG")

@@ -8,6 +8,7 @@ import torch
 from mjlab_core.tables import table
 from mjlab_dr import FIELDS, Distribution, RandomizeField, agreement, drawn_values
 from mjlab_envs import mdp
+from mjlab_managers import EventTermCfg
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
@@ -21,29 +22,15 @@ class AxisReport:
   """One axis of one randomised field, all of its elements together."""
 
   field: str
-  axis: str
+  """Name of the field, and of the axis if the field has several."""
   unit: str
-  elements: tuple[str, ...]
+  elements: list[str]
   operation: str
   asked: Distribution
   drawn: torch.Tensor
   """Drawn values, finite ones only, (number of draws,)."""
-  probability: float
-  """Probability of draws like these if they follow `asked`."""
-  values: torch.Tensor
-  """Values written for this axis, (num_envs, number of elements)."""
-  compiled: torch.Tensor
-  """Values before the event, (1 or num_envs, number of elements)."""
-
-  @property
-  def verdict(self) -> str:
-    """In words: as asked, or what is wrong."""
-    lo, hi = self.asked.support()
-    if self.values.numel() and not (self.values - self.compiled).any():
-      return "NOTHING CHANGES"
-    if self.values.numel() and not (self.values - self.values[:1]).any() and lo != hi:
-      return "NOTHING DIFFERS"
-    return "as asked" if self.probability > _UNLIKELY else "NOT AS ASKED"
+  verdict: str
+  """In words: as asked, or what is wrong."""
 
 
 @dataclass(kw_only=True)
@@ -61,14 +48,12 @@ class EventReport:
 
 @dataclass(kw_only=True)
 class InertiaReport:
-  """Mass of every entity, and shape of the bodies whose inertia differs between worlds."""
+  """Masses of entities, and inertias of bodies that differ between worlds; the first row of each is as compiled."""
 
   masses: dict[str, torch.Tensor]
-  """Total mass by entity, (num_envs,) [kg]."""
-  compiled: dict[str, float]
-  """The same as compiled."""
+  """Total mass by entity, (num_envs + 1,) [kg]."""
   bodies: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
-  """Centre of mass, principal moments and axes by body, (num_envs + 1, 3 or 4); the first is as compiled."""
+  """Centre of mass, principal moments per mass and their axes by body, (num_envs + 1, 3 or 4)."""
 
 
 def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
@@ -81,29 +66,29 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
   for _ in range(3):
     # So that there is something to reset.
     env.step(actions.uniform_(-1.0, 1.0))
-  reports = []
   manager = env.event_manager
-  for name in manager.active_terms:
-    cfg = manager.get_term_cfg(name)
-    report = EventReport(name=name, mode=cfg.mode)
-    reports.append(report)
-    if isinstance(cfg.func, mdp.randomize):
-      term = cfg.func.field
-      if not FIELDS[term.cfg.field].integer:
-        term.strength.fill_(1.0)
-      manager.fire(name)
-      report.axes = _axes(term)
-      continue
-    before = _snapshot(env)
-    manager.fire(name)
-    report.params = dict(cfg.params)
-    for what, now in _snapshot(env).items():
-      flat = now.reshape(len(now), -1)
-      old = before.get(what)
-      kept = torch.ones_like(flat[0], dtype=torch.bool) if old is None else (flat != old.reshape(flat.shape)).any(0)
-      if kept.any():
-        report.changed[what] = flat[:, kept]
-  return reports
+  return [_fired(env, name, manager.get_term_cfg(name)) for name in manager.active_terms]
+
+
+def _fired(env: "ManagerBasedRlEnv", name: str, cfg: EventTermCfg) -> EventReport:
+  """Fire an event and return its effect."""
+  report = EventReport(name=name, mode=cfg.mode)
+  if isinstance(cfg.func, mdp.randomize):
+    term = cfg.func.field
+    if not FIELDS[term.cfg.field].integer:
+      term.strength.fill_(1.0)
+    env.event_manager.fire(name)
+    report.axes = _axes(term)
+    return report
+  before = _snapshot(env)
+  env.event_manager.fire(name)
+  report.params = dict(cfg.params)
+  for what, now in _snapshot(env).items():
+    is_other = now != before[what] if what in before else torch.ones_like(now, dtype=torch.bool)
+    kept = is_other.reshape(len(now), -1).any(0)
+    if kept.any():
+      report.changed[what] = now.reshape(len(now), -1)[:, kept]
+  return report
 
 
 def _snapshot(env: "ManagerBasedRlEnv") -> dict[str, torch.Tensor]:
@@ -125,49 +110,56 @@ def _tensors(state: Any, path: str = "") -> dict[str, torch.Tensor]:
 
 
 def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
-  """Masses and inertias of an environment's worlds as they are."""
+  """Return masses and inertias of an environment's worlds as they are."""
   sim = env.sim
-  report = InertiaReport(masses={}, compiled={}, bodies={})
+  report = InertiaReport(masses={}, bodies={})
   fields = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
-  default = {name: sim.default_field(name)[:1] for name in fields}
-  now = {name: sim.model[name].expand(env.num_envs, *default[name].shape[1:]) for name in fields}
+  defaults = [sim.default_field(name)[:1] for name in fields]
+  # Worlds that share a field have one row.
+  now = [sim.model[name].expand(env.num_envs, *first.shape[1:]) for name, first in zip(fields, defaults, strict=True)]
+  mass, com, moments, quat = map(torch.cat, zip(defaults, now, strict=True))
   for name, entity in env.scene.entities.items():
     ids = entity.indexing.ids["body"].tolist()
-    mass = now["body_mass"][:, ids].sum(-1)
-    if not mass.any():
+    if not mass[1:, ids].any():
       continue
-    report.masses[name], report.compiled[name] = mass, float(default["body_mass"][0, ids].sum())
+    report.masses[name] = mass[:, ids].sum(-1)
     for body, local in zip(ids, entity.indexing.names["body"], strict=True):
-      if any((now[part][:, body] != default[part][:, body]).any() for part in fields):
-        rows = [torch.cat([default[part][:, body], now[part][:, body]]) for part in fields]
-        mass, com, moments, quat = rows
-        report.bodies[f"{name}/{local}"] = com, moments / mass[:, None].clamp_min(1e-12), quat
+      if any((rows[:, body] != rows[:1, body]).any() for rows in (mass, com, moments, quat)):
+        per_mass = moments[:, body] / mass[:, body, None].clamp_min(1e-12)
+        report.bodies[f"{name}/{local}"] = com[:, body], per_mass, quat[:, body]
   return report
 
 
 def _axes(term: RandomizeField) -> list[AxisReport]:
   cfg, info = term.cfg, FIELDS[term.cfg.field]
-  values, compiled, reports = term.values(), term.default, []
+  values, default, reports = term.values(), term.default, []
   for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), term.distributions.items(), strict=True):
     columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.shown_in]
-    finite = drawn[drawn.isfinite()]
+    columns = columns or list(range(values.shape[1]))
     # One draw for all elements is one draw.
     sample = drawn[:, :1] if cfg.shared else drawn
     reports.append(
       AxisReport(
-        field=cfg.field,
-        axis=name,
+        field=f"{cfg.field} {name}".strip(),
         unit="1" if cfg.operation == "scale" else info.unit_of(axis),
-        elements=tuple(term.element_names),
+        elements=list(term.element_names),
         operation=cfg.operation,
         asked=asked,
-        drawn=finite,
-        probability=agreement(sample, asked),
-        values=values[:, columns] if columns else values,
-        compiled=compiled[:, columns] if columns else compiled,
+        drawn=drawn[drawn.isfinite()],
+        verdict=_verdict(sample, asked, values[:, columns], default[:, columns]),
       )
     )
   return reports
+
+
+def _verdict(drawn: torch.Tensor, asked: Distribution, values: torch.Tensor, default: torch.Tensor) -> str:
+  """Return whether draws are as asked, from the values of an axis before and after the event."""
+  lo, hi = asked.support()
+  if values.numel() and torch.equal(values, default.expand_as(values)):
+    return "NOTHING CHANGES"
+  if values.numel() and lo != hi and not (values != values[:1]).any():
+    return "NOTHING DIFFERS"
+  return "as asked" if agreement(drawn, asked) > _UNLIKELY else "NOT AS ASKED"
 
 
 def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
@@ -183,15 +175,16 @@ def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
       rows.append((*lead, what, str(values.shape[1]), _given(report.params), *_span(values), differs))
       lead = ("", "")
     for axis in report.axes:
-      what = f"{axis.field} {axis.axis}".strip()
-      rows.append((*lead, what, _listed(axis.elements), _asked(axis), *_span(axis.drawn), axis.verdict))
+      more = f" and {len(axis.elements) - 1} more" if len(axis.elements) > 1 else ""
+      rows.append(
+        (*lead, axis.field, axis.elements[0] + more, f"{axis.operation} {axis.asked}", *_span(axis.drawn), axis.verdict)
+      )
       lead = ("", "")
   lines = [table(head, rows)]
-  for name, mass in inertia.masses.items():
-    lines.append(
-      f"total mass of {name}: {mass.min():.4g} to {mass.max():.4g} kg, mean {mass.mean():.4g}; "
-      f"as compiled {inertia.compiled[name]:.4g}"
-    )
+  for name, masses in inertia.masses.items():
+    compiled, mass = masses[0], masses[1:]
+    span = f"{mass.min():.4g} to {mass.max():.4g} kg, mean {mass.mean():.4g}"
+    lines.append(f"total mass of {name}: {span}; as compiled {compiled:.4g}")
   return "\n".join(lines)
 
 
@@ -203,23 +196,5 @@ def _span(values: torch.Tensor) -> list[str]:
 
 def _given(params: Mapping[str, Any]) -> str:
   """Return the numbers among the parameters of an event, such as ranges."""
-
-  def shown(value: Any) -> str:
-    if isinstance(value, Mapping):
-      return ", ".join(f"{key} {text}" for key, item in value.items() if (text := shown(item)))
-    if isinstance(value, tuple | list) and value and all(isinstance(item, float | int) for item in value):
-      return " to ".join(f"{item:g}" for item in value)
-    return f"{value:g}" if isinstance(value, float | int) else ""
-
-  texts = {name: shown(value) for name, value in params.items()}
-  return "; ".join(f"{name}: {text}" for name, text in texts.items() if text) or "as written"
-
-
-def _asked(axis: AxisReport) -> str:
-  parameters: dict[str, Any] = getattr(axis.asked, "__dict__", {})
-  numbers = ", ".join(f"{value:g}" if isinstance(value, float | int) else str(value) for value in parameters.values())
-  return f"{axis.operation} {type(axis.asked).__name__}({numbers})"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-  return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+  kinds = (float, int, tuple, list, Mapping)
+  return "; ".join(f"{name}: {value}" for name, value in params.items() if isinstance(value, kinds)) or "as written"

@@ -6,8 +6,8 @@ from typing import Annotated
 from mjlab_core.constraints import Items
 
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
-from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
-from mjlab.cli._sysid import iteration_text, robot_of, task_ranges
+from mjlab.cli._progress import stop_on_ctrl_c
+from mjlab.cli._sysid import print_iteration, robot_of, task_ranges
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -70,14 +70,14 @@ def run(wanted: Arguments, _: TaskLine) -> int:
   cfg = ExcitationCfg(period=1.0 / wanted.rate, **{field: getattr(wanted, field) for field in names})
   terms = [parse_term(text) for text in wanted.fit]
   robot = robot_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
-  with ProgressLine() as line, stop_on_ctrl_c() as stopped:
+  with stop_on_ctrl_c() as stopped:
     found = design_excitation(
       robot,
       terms,
       cfg,
       joints=wanted.joints,
       ranges=task_ranges(wanted.env),
-      on_iteration=lambda seen: line.show(iteration_text(seen, "smallest singular value")) or bool(stopped),
+      on_iteration=lambda seen: print_iteration(seen, "smallest singular value") or bool(stopped),
     )
   if found.stopped:
     print("stopped (Ctrl-C) before the search ended")

@@ -117,15 +117,15 @@ def _draw_axis(panel: Any, report: "EventReport", axis: "AxisReport") -> None:
   if drawn.size:
     panel.hist(drawn, color=_BLUE, histtype="step", linewidth=1.5, **span)
   color = "black" if axis.verdict == "as asked" else "#c0392b"
-  what = f"{axis.field} {axis.axis}".strip()
-  panel.set_title(f"{report.name} ({report.mode})\n{what}: {axis.verdict}", color=color)
+  panel.set_title(f"{report.name} ({report.mode})\n{axis.field}: {axis.verdict}", color=color)
   panel.set_xlabel(label)
   _show_no_density(panel)
 
 
 def _draw_mass(panel: Any, name: str, inertia: "InertiaReport") -> None:
-  panel.hist(inertia.masses[name].double().cpu().numpy(), bins=40, color=_BLUE)
-  panel.axvline(inertia.compiled[name], color="black", linestyle=":", linewidth=1)
+  compiled, *masses = inertia.masses[name].tolist()
+  panel.hist(masses, bins=40, color=_BLUE)
+  panel.axvline(compiled, color="black", linestyle=":", linewidth=1)
   panel.set_title(f"total mass of {name}")
   panel.set_xlabel("[kg]")
   _show_no_density(panel)

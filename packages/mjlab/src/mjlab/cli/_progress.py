@@ -1,4 +1,4 @@
-"""Progress of commands: bars, lines, and an end by Ctrl-C."""
+"""Progress of commands: a bar, and an end by Ctrl-C."""
 
 import signal
 import sys
@@ -66,28 +66,6 @@ class ProgressBar:
       eta = timedelta(seconds=round((now - self._began) * (self._total - done) / done))
       parts = [f"{100 * done / self._total:.0f} %", *([note] if note else []), f"ETA {eta}"]
       print(f"{self._label}: {', '.join(parts)}", file=sys.stderr, flush=True)
-
-
-class ProgressLine:
-  """Line on standard output that is rewritten in place on a terminal; elsewhere a line for every call."""
-
-  def __init__(self) -> None:
-    self._is_live = sys.stdout.isatty()
-    self._is_begun = False
-
-  def __enter__(self) -> Self:
-    return self
-
-  def __exit__(
-    self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-  ) -> None:
-    if self._is_live and self._is_begun:
-      print()
-
-  def show(self, text: str) -> None:
-    """Show a text in place of the one before."""
-    self._is_begun = True
-    print(f"\r\033[K{text}" if self._is_live else text, end="" if self._is_live else "\n", flush=True)
 
 
 @contextmanager

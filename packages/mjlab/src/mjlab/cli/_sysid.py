@@ -10,7 +10,7 @@ from mjlab_core.names import check_name
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
-from mjlab.cli._progress import ProgressLine, stop_on_ctrl_c
+from mjlab.cli._progress import stop_on_ctrl_c
 from mjlab.registry import load_task
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def run(wanted: Arguments, paths: list[str]) -> int:
   describe_records([*records, *held_out])
   robot = robot_of(env, wanted.entity, height=wanted.height, floor=wanted.floor, base=wanted.base, imu=wanted.imu)
   kept = Path(f"{output}.progress")
-  with warnings.catch_warnings(record=True) as caught, ProgressLine() as line, stop_on_ctrl_c() as stopped:
+  with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
     warnings.simplefilter("always")
     found = identify(
       robot,
@@ -103,7 +103,7 @@ def run(wanted: Arguments, paths: list[str]) -> int:
       cfg,
       held_out=held_out,
       ranges=task_ranges(env),
-      on_iteration=lambda seen: line.show(iteration_text(seen, "cost")) or bool(stopped),
+      on_iteration=lambda seen: print_iteration(seen, "cost") or bool(stopped),
       progress=kept,
       resume=wanted.resume,
     )
@@ -119,9 +119,9 @@ def run(wanted: Arguments, paths: list[str]) -> int:
   return 0
 
 
-def iteration_text(seen: "Progress", value: str) -> str:
-  """Return a line about an iteration of a fit or a design, whose cost is called `value`."""
-  return f"{seen.stage}: iteration {seen.iteration}, {value} {seen.cost:.5g}"
+def print_iteration(seen: "Progress", value: str) -> None:
+  """Print a line about an iteration of a fit or a design, whose cost is called `value`."""
+  print(f"{seen.stage}: iteration {seen.iteration}, {value} {seen.cost:.5g}", flush=True)
 
 
 def describe_records(records: "list[Record]") -> None:

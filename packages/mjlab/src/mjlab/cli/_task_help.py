@@ -1,23 +1,20 @@
 """Help of the flags of a task, kept in a file so that it appears without importing the task.
 
-The file is used as long as no module changed that was imported to build the task. It holds text only.
+The file is used as long as no module changed that was imported to build the task.
 """
 
+import contextlib
 import hashlib
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib import metadata
 from pathlib import Path
-from typing import Any
 
-from mjlab_core import AtomicWrite, MjlabError, UsageError, nearest, printable
+import msgspec
+from mjlab_core import AtomicWrite, MjlabError, UsageError, nearest
 
 from mjlab.cli._help import FlagRow, flags_help
 from mjlab.registry import task_entries
-
-_LONGEST = 2000  # characters of a text from the file
 
 
 def task_help(
@@ -51,55 +48,41 @@ def task_help(
   return flags_help(f"{command} {task} [flags]", about, shown, notes="" if word else notes)
 
 
+class _Kept(msgspec.Struct):
+  """Contents of a file: the flags of a task, and size and time of the modules that they were read from."""
+
+  files: dict[str, tuple[int, int]]
+  flags: list[FlagRow]
+
+
 def _path(command: str, task: str, given: Sequence[str]) -> Path | None:
   """Return the file of a task of an installed package; None for one that a script registered."""
-  found = [entry.package for entry in task_entries() if entry.name == task]
-  if len(found) != 1 or found[0] == "(registered)":
+  if any(entry.name == task and entry.package == "(registered)" for entry in task_entries()):
     return None
   root = os.environ.get("XDG_CACHE_HOME")
   folder = Path(root) if root else Path.home() / ".cache"
   # Several environments may have tasks of one name.
-  parts = (command, task, *given, sys.prefix, sys.version, metadata.version("mjlab"), metadata.version(found[0]))
-  return folder / "mjlab" / "help" / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.json"
+  key = hashlib.sha256(repr((command, task, *given, sys.prefix)).encode()).hexdigest()
+  return folder / "mjlab" / "help" / f"{key[:32]}.json"
 
 
 def _read(path: Path) -> list[FlagRow] | None:
   try:
-    kept = json.loads(path.read_text(encoding="utf-8"))
-    if any(_stamp(file) != stamp for file, stamp in kept["files"].items()):
-      return None
-    return [FlagRow(*(printable(text, _LONGEST) for text in row)) for row in kept["flags"]]
-  except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    kept = msgspec.json.decode(path.read_bytes(), type=_Kept)
+    return kept.flags if all(_stamp(file) == stamp for file, stamp in kept.files.items()) else None
+  except (OSError, msgspec.MsgspecError):
     return None
 
 
 def _write(path: Path, rows: list[FlagRow]) -> None:
-  files = {file: _stamp(file) for file in _sources()}
-  try:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with AtomicWrite(path) as temporary:
-      temporary.write_text(json.dumps({"files": files, "flags": rows}), encoding="utf-8")
-  except (OSError, MjlabError):
-    # Only the next help takes longer.
-    return
+  found = {str(getattr(module, "__file__", None)) for module in list(sys.modules.values())}
+  # torch has modules whose files have made-up names.
+  files = {file: _stamp(file) for file in found if os.path.isfile(file)}
+  # Without the file only the next help takes longer.
+  with contextlib.suppress(OSError, MjlabError), AtomicWrite(path) as temporary:
+    temporary.write_bytes(msgspec.json.encode(_Kept(files, rows)))
 
 
-def _sources() -> list[str]:
-  """Return the files of all loaded modules of mjlab and of tasks; other packages do not change the flags of a task."""
-  task_packages = {"mjlab", *(entry.package.replace("-", "_").lower() for entry in task_entries())}
-  files: list[str] = []
-  for name, module in list(sys.modules.items()):
-    file: Any = getattr(module, "__file__", None)
-    package = name.partition(".")[0]
-    is_own = package.startswith("mjlab") or package.lower() in task_packages
-    # torch has modules whose files have made-up names.
-    if (
-      isinstance(file, str) and os.path.isfile(file) and (is_own or not file.startswith((sys.prefix, sys.base_prefix)))
-    ):
-      files.append(file)
-  return files
-
-
-def _stamp(file: str) -> list[int]:
+def _stamp(file: str) -> tuple[int, int]:
   found = os.stat(file)
-  return [found.st_mtime_ns, found.st_size]
+  return found.st_mtime_ns, found.st_size
