@@ -1,5 +1,6 @@
 """Environments of tasks, and the devices to run them on."""
 
+import copy
 import os
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +43,7 @@ def standard_env(cfg: Any, *, device: str) -> "ManagerBasedRlEnv":
 
 def for_watching(parts: "TaskCfg[Any] | RunManifest") -> Any:
   """Return the configuration for watching of a task or a run; that of its training if it has no other."""
-  return parts.env if parts.play is None else parts.play(parts.env)
+  return parts.env if parts.play is None else parts.play(copy.deepcopy(parts.env))
 
 
 def resolve_device(device: str) -> str:

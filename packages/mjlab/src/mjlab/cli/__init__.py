@@ -15,25 +15,25 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Sequence
 
-_COMMANDS: dict[str, tuple[str, str, str]] = {
-  # name: (module, words, summary)
-  "train": ("_train", "TASK [flags]", "train a policy"),
-  "play": ("_play", "TASK [flags]", "watch a policy"),
-  "demo": ("_demo", "[flags]", "watch a trained robot and steer it"),
-  "evaluate": ("_evaluate", "TASK [flags]", "measure a policy"),
-  "convert-motion": ("_convert_motion", "CLIP ... [flags]", "check motion clips and convert them"),
-  "record-motion": ("_record_motion", "TASK [flags]", "record a policy as a motion clip"),
-  "list-envs": ("_list_envs", "[KEYWORD]", "list the tasks"),
-  "inspect-dr": ("_inspect_dr", "TASK [flags]", "show what the events of a task randomise"),
-  "visualize-terrain": ("_visualize_terrain", "[TYPE ...] [flags]", "show terrain"),
-  "export": ("_export", "RUN|CHECKPOINT [flags]", "write a policy as a bundle for robots"),
-  "export-scene": ("_export_scene", "TASK [flags]", "write the model of a task with its assets"),
-  "viz-nan": ("_viz_nan", "FILE [flags]", "report why environments diverged"),
-  "sysid": ("_sysid", "RECORDS ... [flags]", "fit parameters of a robot to its records"),
-  "design-excitation": ("_design_excitation", "TASK --fit ... [flags]", "design motions that records should hold"),
-  "sweep": ("_sweep", "TASK [flags]", "train a task with many values of its configuration"),
-  "new": ("_new", "robot FILE|task NAME [flags]", "write a package for a robot or a task"),
-  "train-actuator": ("_train_actuator", "RECORDS ... [flags]", "fit an actuator network to records of a motor"),
+_COMMANDS: dict[str, tuple[str, str]] = {
+  # name: (words, summary)
+  "train": ("TASK [flags]", "train a policy"),
+  "play": ("TASK [flags]", "watch a policy"),
+  "demo": ("[flags]", "watch a trained robot and steer it"),
+  "evaluate": ("TASK [flags]", "measure a policy"),
+  "convert-motion": ("CLIP ... [flags]", "check motion clips and convert them"),
+  "record-motion": ("TASK [flags]", "record a policy as a motion clip"),
+  "list-envs": ("[KEYWORD]", "list the tasks"),
+  "inspect-dr": ("TASK [flags]", "show what the events of a task randomise"),
+  "visualize-terrain": ("[TYPE ...] [flags]", "show terrain"),
+  "export": ("RUN|CHECKPOINT [flags]", "write a policy as a bundle for robots"),
+  "export-scene": ("TASK [flags]", "write the model of a task with its assets"),
+  "viz-nan": ("FILE [flags]", "report why environments diverged"),
+  "sysid": ("RECORDS ... [flags]", "fit parameters of a robot to its records"),
+  "design-excitation": ("TASK --fit ... [flags]", "design motions that records should hold"),
+  "sweep": ("TASK [flags]", "train a task with many values of its configuration"),
+  "new": ("robot FILE|task NAME [flags]", "write a package for a robot or a task"),
+  "train-actuator": ("RECORDS ... [flags]", "fit an actuator network to records of a motor"),
 }
 
 _CONFIGS = ("--env.", "--agent.", "--eval.")
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _overview() -> str:
-  lines = [(f"{name} {words}", summary) for name, (_, words, summary) in _COMMANDS.items()]
+  lines = [(f"{name} {words}", summary) for name, (words, summary) in _COMMANDS.items()]
   width = max(len(left) for left, _ in lines)
   listing = "\n".join(f"  {left:<{width}}   {summary}" for left, summary in lines)
   return (
@@ -86,7 +86,7 @@ def __getattr__(name: str) -> Callable[..., int]:
 def _run(name: str, words: list[str]) -> int:
   # Most of what a start makes stays, and Python would search it for garbage 700 times.
   gc.set_threshold(50_000)
-  return _guarded(importlib.import_module(f"mjlab.cli.{_COMMANDS[name][0]}").run, words)
+  return _guarded(importlib.import_module(f"mjlab.cli._{name.replace('-', '_')}").run, words)
 
 
 def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:

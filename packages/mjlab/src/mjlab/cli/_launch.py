@@ -31,32 +31,37 @@ def launch(wanted: Any, line: TaskLine) -> int:
   gpus = _gpus(wanted.gpus or "all", device)
   hosts = wanted.hosts.split(",") if wanted.hosts else []
   train = ["train", line.name, *_without_launch(line.given)]
-  command = _torchrun(len(gpus), hosts, wanted.max_restarts)
+  processes = ["--nproc-per-node", str(len(gpus))]
+  if wanted.max_restarts:
+    processes += ["--max-restarts", str(wanted.max_restarts)]
+  # The words of torchrun for each host.
+  launches = [["--standalone", *processes]]
+  if hosts:
+    meeting = ["--nnodes", str(len(hosts)), "--master-addr", hosts[0], "--master-port", str(_PORT)]
+    meeting += ["--rdzv-id", f"mjlab-{int(time.time())}", *processes]
+    launches = [[*meeting, "--node-rank", str(number)] for number in range(len(hosts))]
+  lines = [["torchrun", *words, "--no-python", *train] for words in launches]
   num_envs = wanted.env.scene.num_envs
   if not any(word.startswith("--env.scene.num-envs") for word in line.given):
     num_envs = environments.default_num_envs(device, num_envs)
   if wanted.dry_run:
-    for rank in range(len(gpus) * max(1, len(hosts))):
+    for rank in range(len(gpus) * len(launches)):
       place = f"{hosts[rank // len(gpus)]} " if hosts else ""
-      print(f"rank {rank}: {place}{_device(gpus[rank % len(gpus)])}, {num_envs} environments")
-    for number in range(max(1, len(hosts))):
-      print(shlex.join(_on_host(command, number, hosts, ["--no-python", *train])))
+      gpu = gpus[rank % len(gpus)]
+      print(f"rank {rank}: {place}{gpu if gpu == 'cpu' else f'cuda:{gpu}'}, {num_envs} environments")
+    print("\n".join(map(shlex.join, lines)))
     return 0
   environment = {} if device == "cpu" else {"CUDA_VISIBLE_DEVICES": ",".join(gpus)}
   if hosts:
     variables = [f"{key}={value}" for key, value in environment.items()]
-    lines = [
-      shlex.join(["env", *variables, *_on_host(command, number, hosts, ["--no-python", *train])])
-      for number in range(len(hosts))
-    ]
-    return _over_ssh(hosts, lines)
+    return _over_ssh(hosts, [shlex.join(["env", *variables, *words]) for words in lines])
   if environment and (visible := os.environ.get("CUDA_VISIBLE_DEVICES")):
     # The numbers count the GPUs that this process sees.
     names = visible.split(",")
     environment["CUDA_VISIBLE_DEVICES"] = ",".join(names[int(gpu)] for gpu in gpus)
   os.environ.update(environment)
   os.environ.setdefault("OMP_NUM_THREADS", str(max(1, environments.cpu_cores() // len(gpus))))
-  return _locally([*command[1:], "--no-python", sys.executable, "-c", _PROGRAM, *train[1:]])
+  return _locally([*launches[0], "--no-python", sys.executable, "-c", _PROGRAM, *train[1:]])
 
 
 def _locally(words: list[str]) -> int:
@@ -90,7 +95,9 @@ def restarted_from(log_root: Path, experiment: str) -> Path | None:
 
 def _gpus(wanted: str, device: str) -> list[str]:
   """Return the numbers of the GPUs that `--gpus` names; with a CPU as device, those of the processes."""
-  count = 0 if device == "cpu" else _gpu_count()
+  import torch
+
+  count = 0 if device == "cpu" else torch.cuda.device_count()
   if wanted == "all":
     numbers = list(range(count or 1))
   elif wanted.isdecimal():
@@ -105,32 +112,11 @@ def _gpus(wanted: str, device: str) -> list[str]:
   return [str(number) if device != "cpu" else "cpu" for number in numbers]
 
 
-def _gpu_count() -> int:
-  import torch
-
-  return torch.cuda.device_count()
-
-
-def _device(gpu: str) -> str:
-  return gpu if gpu == "cpu" else f"cuda:{gpu}"
-
-
 def _without_launch(given: list[str]) -> list[str]:
   """Return the words without the flags of the launch."""
   for flag in _OURS:
     _, given = take(given, flag)
   return given
-
-
-def _torchrun(processes: int, hosts: list[str], restarts: int) -> list[str]:
-  meeting = ["--nnodes", str(len(hosts)), "--master-addr", *hosts[:1], "--master-port", str(_PORT)]
-  where = [*meeting, "--rdzv-id", f"mjlab-{int(time.time())}"] if hosts else ["--standalone"]
-  again = ["--max-restarts", str(restarts)] if restarts else []
-  return ["torchrun", *where, "--nproc-per-node", str(processes), *again]
-
-
-def _on_host(command: list[str], number: int, hosts: list[str], words: list[str]) -> list[str]:
-  return [*command, *(["--node-rank", str(number)] if hosts else []), *words]
 
 
 def _over_ssh(hosts: list[str], lines: list[str]) -> int:

@@ -1,6 +1,5 @@
 """Values that a sweep tries, and what its trials share."""
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -14,14 +13,6 @@ from msgspec import Meta
 from mjlab.registry import load_task
 
 Scalar = float | int | bool | str
-
-
-@dataclasses.dataclass(kw_only=True)
-class Parts:
-  """Configurations whose values a sweep can set."""
-
-  agent: Any
-  env: Any
 
 
 class Range(msgspec.Struct, forbid_unknown_fields=True):
@@ -112,10 +103,10 @@ def check(sweep: Sweep) -> None:
   space = sweep.space
   choices = {name: [x.low, x.high] if isinstance(x, Range) else x for name, x in space.values.items()}
   task = load_task(sweep.task)
-  wanted = parts = Parts(agent=task.agent, env=task.env)
+  wanted = task
   for i in range(max(map(len, choices.values()))):
     values = {name: values[min(i, len(values) - 1)] for name, values in choices.items()}
-    wanted = parse(parts, [*sweep.flags, *trial_flags(values)])
+    wanted = parse(task, [*sweep.flags, *trial_flags(values)])
   if sweep.scheduler == "pbt":
     _check_perturbed(space, wanted.agent)
 

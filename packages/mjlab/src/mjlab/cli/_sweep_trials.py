@@ -1,6 +1,5 @@
 """Trials of `sweep`, in processes of Ray Tune. Needs the extra `sweep`."""
 
-import dataclasses
 import os
 import random
 import shutil
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from mjlab_core import MjlabError
 
-from mjlab.cli._sweep_space import Parts, Range, Scalar, Space, Sweep, Trial, trial_flags
+from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, trial_flags
 
 if TYPE_CHECKING:
   from mjlab_rl import TaskCfg
@@ -201,10 +200,10 @@ def _task_of(sweep: Sweep, values: dict[str, Scalar], device: str) -> "TaskCfg[A
 
   task = load_task(sweep.task)
   num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
-  parts = Parts(agent=task.agent, env=replaced(task.env, ("scene", "num_envs"), num_envs))
-  flags = parse(parts, [*sweep.flags, *trial_flags(values)])
-  flags.agent.save_interval, flags.agent.logger = _interval(sweep), "none"
-  return dataclasses.replace(task, agent=flags.agent, env=flags.env)
+  task = replaced(task, ("env", "scene", "num_envs"), num_envs)
+  task = parse(task, [*sweep.flags, *trial_flags(values)])
+  task.agent.save_interval, task.agent.logger = _interval(sweep), "none"
+  return task
 
 
 class _Reports:

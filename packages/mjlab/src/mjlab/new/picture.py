@@ -23,45 +23,32 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
     RenderingError: OpenGL does not work.
   """
   model = home.model
-  left = _render(home)
-  soles = {name for foot in feet for name in foot.geoms}
-  solid = set(colliding(model))
-  for i in range(model.ngeom):
-    if not model.geom(i).name.startswith("robot/"):
-      continue
-    body = model.body(model.geom_bodyid[i]).name
-    is_sole = model.geom(i).name.removeprefix("robot/") in soles
-    model.geom_group[i] = 0 if i in solid else _HIDDEN_GROUP
-    model.geom_matid[i] = -1
-    model.geom_rgba[i] = _FOOT if is_sole else _TORSO if body == f"robot/{torso}" else _SOLID
-  right = _render(home)
+  has_visuals = bool((model.geom_group == 2).any())
+  left = _render(home, (True, True, True, not has_visuals, False, False))
+  of_robot = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+  model.geom_group[of_robot] = _HIDDEN_GROUP
+  model.geom_group[colliding(model)] = 0
+  model.geom_matid[of_robot] = -1
+  model.geom_rgba[of_robot] = _SOLID
+  model.geom_rgba[model.geom_bodyid == model.body(f"robot/{torso}").id] = _TORSO
+  for name in (name for foot in feet for name in foot.geoms):
+    model.geom(f"robot/{name}").rgba[:] = _FOOT
+  right = _render(home, (True, False, False, False, False, False))
   image = Image.fromarray(np.hstack((left, right)))
   draw, font = ImageDraw.Draw(image), ImageFont.load_default(18)
   draw.text((12, 10), "home pose", fill="black", font=font, stroke_width=2, stroke_fill="white")
   labels = [("colliding geoms", _SOLID), (f"torso: {torso}", _TORSO), *((f"foot: {foot.body}", _FOOT) for foot in feet)]
-  for row, (text, colour) in enumerate(labels):
-    top = 10 + 24 * row
-    fill = tuple(round(255 * part) for part in colour[:3])
-    draw.rectangle((WIDTH + 12, top + 3, WIDTH + 28, top + 19), fill=fill, outline="black")
-    draw.text((WIDTH + 36, top), text[:50], fill="black", font=font, stroke_width=2, stroke_fill="white")
+  for row, (text, color) in enumerate(labels):
+    fill = tuple(round(255 * part) for part in color[:3])
+    place = (WIDTH + 12, 10 + 24 * row)
+    draw.text(place, text[:50], fill=fill, font=font, stroke_width=2, stroke_fill="white")
   file = io.BytesIO()
   image.save(file, format="PNG", optimize=True)
   return file.getvalue()
 
 
-def _render(home: Home) -> np.ndarray:
-  model, data = home.model, mujoco.MjData(home.model)
-  data.qpos[:] = home.qpos
-  mujoco.mj_forward(model, data)
-  points = [data.geom_xpos[i] for i in range(model.ngeom) if model.geom(i).name.startswith("robot/")]
-  low, high = np.min(points, axis=0), np.max(points, axis=0)
-  x, y, z = 0.5 * (low + high)
-  distance = max(0.3, 1.9 * float(np.linalg.norm(high - low)))
-  cfg = PictureCfg(
-    width=WIDTH,
-    height=HEIGHT,
-    camera=CameraCfg(lookat=(x, y, z), distance=distance, azimuth=130.0, elevation=-18.0),
-    geom_groups=(True, True, True, not (model.geom_group == 2).any(), False, False),
-  )
-  with OffscreenRenderer(model, cfg) as renderer:
-    return renderer.render(SnapshotTaker(Replay(model, {"qpos": home.qpos[None, None]}, 1.0)).take([0]))
+def _render(home: Home, geom_groups: tuple[bool, ...]) -> np.ndarray:
+  camera = CameraCfg(distance=2.0 * home.model.stat.extent, azimuth=130.0, elevation=-18.0)
+  cfg = PictureCfg(width=WIDTH, height=HEIGHT, camera=camera, geom_groups=geom_groups)
+  with OffscreenRenderer(home.model, cfg) as renderer:
+    return renderer.render(SnapshotTaker(Replay(home.model, {"qpos": home.qpos[None, None]}, 1.0)).take([0]))
