@@ -92,7 +92,7 @@ def test_a_urdf_floats_if_two_chains_end_in_it_and_takes_its_effort_limits(
 ) -> None:
   file = written("Two Legs!.urdf", BIPED_URDF)
   assert main(["new", "robot", str(file)]) == 0
-  assert "a URDF does not say it: the base is floating" in capsys.readouterr().out
+  assert "the base is a guess from the URDF: floating" in capsys.readouterr().out
   robot = module("two_legs", monkeypatch)
   assert robot.FOOT_BODIES == ("left_leg", "right_leg")
   assert [joint.type for joint in robot.two_legs_spec().bodies[1].joints] == [mujoco.mjtJoint.mjJNT_FREE]

@@ -1,4 +1,4 @@
-"""Modules of mjlab 1.x, which are packages of their own here: importing one names its new place."""
+"""Former modules of mjlab 1.x, which are separate packages now: importing one names its new place."""
 
 import sys
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ MOVED = {
 
 
 class MovedModules(MetaPathFinder):
-  """Finder that is asked last, for modules that no other finder has found."""
+  """Finder for modules that no other finder has found."""
 
   def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> None:
     """Name the new places of all modules in a package that moved; Python imports it before them."""
@@ -43,6 +43,6 @@ class MovedModules(MetaPathFinder):
 
 
 def announce_moved_modules() -> None:
-  """Let imports of former modules say where they are."""
+  """Make imports of former modules name the new ones."""
   if not any(isinstance(finder, MovedModules) for finder in sys.meta_path):
     sys.meta_path.append(MovedModules())

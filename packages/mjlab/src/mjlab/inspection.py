@@ -30,7 +30,7 @@ class AxisReport:
   drawn: torch.Tensor
   """Drawn values, finite ones only, (number of draws,)."""
   verdict: str
-  """In words: as asked, or what is wrong."""
+  """Either "as asked" or the problem in capitals."""
 
 
 @dataclass(kw_only=True)
@@ -41,9 +41,9 @@ class EventReport:
   mode: str
   axes: list[AxisReport] = field(default_factory=list)
   changed: dict[str, torch.Tensor] = field(default_factory=dict)
-  """Of an event without distributions: the numbers that it changed, (num_envs, how many), by what they belong to."""
+  """Numbers that an event without distributions changed, (num_envs, count), by quantity."""
   params: dict[str, Any] = field(default_factory=dict)
-  """Parameters of such an event."""
+  """Parameters of an event without distributions."""
 
 
 @dataclass(kw_only=True)
@@ -59,12 +59,12 @@ class InertiaReport:
 def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
   """Fire every event of an environment in all worlds, one after the other, at full strength.
 
-  The environment is used up by it: its state is whatever the events made of it.
+  The environment keeps the state that the events leave.
   """
   env.reset()
   actions = torch.zeros(env.num_envs, env.action_manager.total_action_dim, device=env.device)
   for _ in range(3):
-    # So that there is something to reset.
+    # Events of mode reset need a state other than the initial one.
     env.step(actions.uniform_(-1.0, 1.0))
   manager = env.event_manager
   return [_fired(env, name, manager.get_term_cfg(name)) for name in manager.active_terms]
@@ -92,7 +92,7 @@ def _fired(env: "ManagerBasedRlEnv", name: str, cfg: EventTermCfg) -> EventRepor
 
 
 def _snapshot(env: "ManagerBasedRlEnv") -> dict[str, torch.Tensor]:
-  """All that an event may have changed, by name: state, model fields that differ between worlds, actuators, sensors."""
+  """Return all quantities that an event can change: state, model fields of each world, actuators and sensors."""
   found = {name: value for name in _STATE if (value := getattr(env.sim.data, name)).numel()}
   found |= {name: env.sim.model[name] for name in env.sim.expanded_fields if name in FIELDS}
   return {name: value.detach().clone() for name, value in (found | _tensors(env.scene.state_dict())).items()}

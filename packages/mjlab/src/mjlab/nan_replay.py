@@ -50,8 +50,8 @@ def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str,
 
 def _broken(fields: dict[str, np.ndarray]) -> list[list[str]]:
   """Return for each step the fields that cannot be shown."""
-  bad = {name: [not (np.abs(value) <= _BOUND).all() for value in values] for name, values in fields.items()}
-  return [[name for name in bad if bad[name][step]] for step in range(len(fields["time"]))]
+  steps = range(len(fields["time"]))
+  return [[name for name, values in fields.items() if not (np.abs(values[step]) <= _BOUND).all()] for step in steps]
 
 
 def _shown(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

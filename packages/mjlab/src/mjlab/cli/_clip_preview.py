@@ -1,5 +1,6 @@
 """Clips in a viewer or a film: a robot takes one pose after another, without physics."""
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -29,16 +30,20 @@ class Preview:
   """
 
   def __init__(self, spec: mujoco.MjSpec) -> None:
-    has_ground = any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.worldbody.geoms)
-    robot = EntityCfg(spec_fn=spec.copy)
-    self.model = Scene(SceneCfg(terrain=None if has_ground else PlaneCfg(), entities={"robot": robot})).spec.compile()
-    self._kinematics = Kinematics(self.model, "robot/")
+    self._spec = spec
+
+  @functools.cached_property
+  def model(self) -> mujoco.MjModel:
+    """The scene, compiled when it is read first."""
+    has_ground = any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in self._spec.worldbody.geoms)
+    terrain, robot = None if has_ground else PlaneCfg(), EntityCfg(spec_fn=self._spec.copy)
+    return Scene(SceneCfg(terrain=terrain, entities={"robot": robot})).spec.compile()
 
   def replay(self, motion: Motion) -> "Replay":
     """Return the clip as an environment that viewers play, with one world."""
     from mjlab_viewer import Replay
 
-    model, robot = self.model, self._kinematics
+    model, robot = self.model, Kinematics(self.model, "robot/")
     qpos = np.tile(model.qpos0, (motion.num_frames, 1))
     root = int(model.jnt_qposadr[model.body_jntadr[model.body(f"robot/{robot.root_body}").id]])
     qpos[:, root : root + 7] = torch.cat((motion.root_pos, motion.root_quat), 1)

@@ -5,7 +5,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
@@ -17,7 +17,6 @@ from mjlab.cli._progress import ProgressBar
 if TYPE_CHECKING:
   import mujoco
   from mjlab_motions import Kinematics, Motion, Statement
-  from mjlab_viewer import OffscreenRenderer
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -102,40 +101,36 @@ def run(wanted: Arguments, clips: list[str]) -> int:
     _targets(flag, motions, ending, wanted)
     for flag, ending in (("output", ".npz"), ("report", ".png"), ("video", ".mp4"))
   )
-  preview = Preview(spec) if wanted.preview or wanted.video is not None else None
-  # Opened before anything is written: without OpenGL no part of the work is done.
-  with (
-    contextlib.nullcontext() if preview is None or wanted.video is None else _renderer(preview.model) as renderer,
-    ProgressBar("converting", len(motions)) as bar,
-  ):
-    has_errors = False
+  preview, has_errors = Preview(spec), False
+  with contextlib.ExitStack() as opened:
+    renderer: Any = None
+    if wanted.video is not None:
+      from mjlab_viewer import OffscreenRenderer
+
+      # Opened before anything is written: without OpenGL no part of the work is done.
+      renderer = opened.enter_context(OffscreenRenderer(preview.model))
+    bar = opened.enter_context(ProgressBar("converting", len(motions)))
     for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
       bar.show(index, motion.name)
       has_errors |= not _write(motion, robot, target, picture, wanted)
-      if preview is not None and renderer is not None and film is not None:
+      if film is not None:
         preview.film(motion, film, renderer, lambda share, done=index: bar.show(done + share, "filming"))
         print(f"filmed {film}")
       print()
-  if preview is not None and wanted.preview:
+  if wanted.preview:
     preview.browse(motions[0], host=wanted.host, port=wanted.port)
   return int(has_errors)
-
-
-def _renderer(model: "mujoco.MjModel") -> "OffscreenRenderer":
-  from mjlab_viewer import OffscreenRenderer
-
-  return OffscreenRenderer(model)
 
 
 def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Motion]":
   """Return the edited clips."""
   from mjlab_motions import concatenate, read_motion
 
-  said = _statement(wanted)
+  stated_facts = _statement(wanted)
   motions: list[Motion] = []
   with ProgressBar("reading", len(clips)) as bar:
     for clip in clips:
-      motion = read_motion(_found(clip), robot, said)
+      motion = read_motion(_found(clip), robot, stated_facts)
       with as_usage():
         motions.append(_edited(motion, robot, wanted))
       bar.show(len(motions), motions[-1].name)
@@ -235,11 +230,8 @@ def _finished(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Moti
     motion = smooth(motion, wanted.smooth)
   if wanted.ground:
     motion = to_ground(motion, robot)
-  if wanted.source is not None:
-    motion = motion.changed("source stated", source=wanted.source)
-  if wanted.license is not None:
-    motion = motion.changed("licence stated", license=wanted.license)
-  return motion
+  stated = {name: text for name in ("source", "license") if (text := getattr(wanted, name)) is not None}
+  return motion.changed(f"{' and '.join(stated)} stated", **stated) if stated else motion
 
 
 def _targets(flag: str, motions: "Sequence[Motion]", ending: str, wanted: Arguments) -> list[Path | None]:

@@ -30,7 +30,7 @@ class Arguments(CommonArguments):
   steps: Count = 500
   """Steps of the record golden.npz; 0: none."""
   task: str | None = None
-  """Task of the policy; None: what the manifest of its run says."""
+  """Task of the policy; None: that of the manifest of its run."""
   others: bool = False
   """Also write OUTPUT-others: policy.onnx with the metadata of mjlab 1.x and BeyondMimic, motion.npz for LeRobot, and
   deploy.yaml for Unitree's runner."""
@@ -115,10 +115,7 @@ def _training(checkpoint: Path, parts: Any) -> dict[str, Any]:
 
 def _evaluation(checkpoint: Path) -> dict[str, Any]:
   path = checkpoint.parent / "evaluation" / checkpoint.stem / "evaluation.json"
-  try:
-    return dict(json.loads(path.read_text(encoding="utf-8")).get("groups", {}))
-  except (OSError, ValueError, AttributeError, TypeError):
-    return {}
+  return json.loads(path.read_text(encoding="utf-8"))["groups"] if path.is_file() else {}
 
 
 def _picture(env: Any) -> bytes | None:

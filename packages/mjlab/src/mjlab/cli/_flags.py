@@ -175,7 +175,7 @@ def _hints(cls: type) -> dict[str, Any]:
   try:
     return typing.get_type_hints(cls)
   except (NameError, TypeError, AttributeError):
-    # Types that only the type checker imports; the present values say enough.
+    # Some types are imported for the type checker only; the types of the present values are used instead.
     return {}
 
 

@@ -21,9 +21,9 @@ class RobotArguments(CommonArguments):
   output: str | None = None
   """Folder to write, which must not exist; None: the name of the package."""
   base: Literal["file", "floating", "fixed"] = "file"
-  """Base of the robot; "file" takes what an MJCF says, and guesses for a URDF."""
+  """Base of the robot; "file" takes that of an MJCF, and guesses that of a URDF."""
   motors: tuple[str, ...] = ()
-  """PATTERN=EFFORT[,ARMATURE[,SPEED]] of joints [N m, kg m^2, rad/s], in place of what the file says."""
+  """PATTERN=EFFORT[,ARMATURE[,SPEED]] of joints [N m, kg m^2, rad/s], in place of those of the file."""
   home: tuple[str, ...] = ()
   """PATTERN=POSITION of joints [rad, m]; others take the file's first keyframe."""
   torso: str = ""
@@ -60,8 +60,8 @@ _TASK = CommandLine(
   name="new task",
   words="NAME",
   purpose=(
-    "Writes a Python package with a task: environment, a term of its own, learner, the entry point that offers it to "
-    "train and the other commands, a README, and a test that trains for two iterations. The package my_walk offers "
+    "Writes a Python package with a task: environment, an example of a term, learner, the entry point that offers it "
+    "to train and the other commands, a README, and a test that trains for two iterations. The package my_walk offers "
     "the task My-Walk."
   ),
   arguments=TaskArguments,
@@ -76,14 +76,14 @@ def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
   name = wanted.name or package_name(file.stem)
   folder = Path(wanted.output or name)
   check_new_package(name, folder)
-  from mjlab.new.robot import read_robot, robot_files
+  from mjlab.new.robot import read_robot, robot_files, write_model
 
   with building(from_file=True):
     new = read_robot(
       file, base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
     )
     made = robot_files(new, name)
-  write_package(folder, made)
+    write_package(folder, made, lambda root: write_model(new.spec, root / "src" / name / "model"))
   for line in new.report():
     print(line)
   if "robot.png" in made:

@@ -1,5 +1,6 @@
 """Plots of evaluations, of inspected events and of sweeps."""
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,8 @@ _STYLE: Any = {
   "font.size": 7,
   "axes.titlesize": 8,
   "axes.labelsize": 8,
+  "axes.spines.top": False,
+  "axes.spines.right": False,
   "grid.alpha": 0.3,
   "savefig.dpi": 110,
   "figure.constrained_layout.use": True,
@@ -90,13 +93,10 @@ def plot_inspection(reports: "list[EventReport]", inertia: "InertiaReport", titl
   left_out = max(0, len(drawings) - _MOST_PANELS)
   drawings = drawings[:_MOST_PANELS]
   columns = min(5, max(1, len(drawings)))
-  lines = -(-len(drawings) // columns) or 1
+  lines = max(1, math.ceil(len(drawings) / columns))
   figure = Figure(figsize=(3.4 * columns, 2.7 * lines + 0.5))
-  panels = figure.subplots(lines, columns, squeeze=False).ravel()
-  for panel, draw in zip(panels, drawings, strict=False):
-    draw(panel)
-  for panel in panels[len(drawings) :]:
-    panel.set_axis_off()
+  for number, draw in enumerate(drawings, 1):
+    draw(figure.add_subplot(lines, columns, number))
   more = f" ({left_out} more panels left out)" if left_out else ""
   figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
   _save(figure, path)
@@ -119,7 +119,7 @@ def _draw_axis(panel: Any, report: "EventReport", axis: "AxisReport") -> None:
   color = "black" if axis.verdict == "as asked" else "#c0392b"
   panel.set_title(f"{report.name} ({report.mode})\n{axis.field}: {axis.verdict}", color=color)
   panel.set_xlabel(label)
-  _show_no_density(panel)
+  panel.set_yticks([])
 
 
 def _draw_mass(panel: Any, name: str, inertia: "InertiaReport") -> None:
@@ -128,7 +128,7 @@ def _draw_mass(panel: Any, name: str, inertia: "InertiaReport") -> None:
   panel.axvline(compiled, color="black", linestyle=":", linewidth=1)
   panel.set_title(f"total mass of {name}")
   panel.set_xlabel("[kg]")
-  _show_no_density(panel)
+  panel.set_yticks([])
 
 
 def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
@@ -147,12 +147,6 @@ def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
   panel.set_aspect("equal", adjustable="datalim")
   panel.set_title(f"{name}: inertia ellipsoids, 30 worlds")
   panel.set_xlabel("x [m]; upwards z [m]")
-
-
-def _show_no_density(panel: Any) -> None:
-  panel.set_yticks([])
-  panel.locator_params(axis="x", nbins=6)
-  panel.spines[["top", "right", "left"]].set_visible(False)
 
 
 @rc_context(_STYLE)

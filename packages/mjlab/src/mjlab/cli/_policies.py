@@ -95,7 +95,7 @@ def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -
     say(f"{source.parent} has no manifest: the configuration of {task} is used.")
     return None
   if run.task != task:
-    say(f"{source} is of {run.task}: the configuration of {task} is used.")
+    say(f"{source} belongs to {run.task}: the configuration of {task} is used.")
     return None
   return run
 

@@ -17,7 +17,7 @@ INTERVAL = 10.0
 
 
 class ProgressBar:
-  """Bar with the remaining time on a terminal, gone when the work is done; elsewhere a plain line now and then.
+  """Bar with the remaining time on a terminal, removed at the end; elsewhere a plain line every 10 s.
 
   It writes to standard error, so that results on standard output can be piped. On a terminal, text that the command
   prints meanwhile appears above it.
@@ -60,7 +60,7 @@ class ProgressBar:
       self._rich.update(self._rich.task_ids[0], completed=done, note=note)
       return
     now = time.monotonic()
-    # The result says that all is done.
+    # The last part needs no line, because the result follows.
     if now - self._last_line >= INTERVAL and 0 < done < self._total:
       self._last_line = now
       eta = timedelta(seconds=round((now - self._began) * (self._total - done) / done))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Statistics of use are not sent, and processes have the environment of this one, also under `uv run`.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
-# Ray writes tables of its own otherwise.
+# Otherwise Ray prints its own tables.
 os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
 
 import ray  # pyright: ignore[reportMissingImports]  # ty: ignore[import-not-found]
@@ -33,7 +33,7 @@ from ray.tune.search.basic_variant import (  # pyright: ignore[reportMissingImpo
   BasicVariantGenerator,
 )
 
-# A trial that begins again counts its checkpoints anew, so that Ray may put one into the folder of another.
+# A restarted trial numbers its checkpoints from zero, so Ray may put one into the folder of another.
 _CHECKPOINT, _REPORT = "model.pt", "report.json"
 # Time for a cluster to answer [s].
 _REACHED = 10.0
@@ -43,13 +43,11 @@ class _Progress(tune.Callback):
   """One line for every trial that ends."""
 
   def on_trial_complete(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
-    del iteration, info
     ended = sum(other is trial or other.status in ("TERMINATED", "ERROR") for other in trials)
     reward = (trial.last_result or {}).get("reward")
     print(f"trial {trial.trial_id} ended: reward {reward}; {ended} of {len(trials)} are done", flush=True)
 
   def on_trial_error(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
-    del iteration, trials, info
     print(f"trial {trial.trial_id} failed: {trial.error_file}", flush=True)
 
 
@@ -83,7 +81,7 @@ def _connect(address: str | None) -> None:
     own: dict[str, Any] = {"include_dashboard": False} if address is None else {}
     ray.init(address=address or "local", log_to_driver=False, configure_logging=False, **own)
   except (OSError, ValueError) as error:
-    # Of the system's errors, which have a number, none is about a token.
+    # Errors of the operating system have a number; they do not concern tokens.
     is_refused = getattr(error, "errno", None) is None and "RAY_AUTH_MODE" not in os.environ
     token = "; a cluster with a token needs RAY_AUTH_MODE=token" if port.isdigit() and is_refused else ""
     raise MjlabError(f"--address {address}: {error}{token}") from error
@@ -224,7 +222,7 @@ class _Reports:
       self._pending = {"reward": report.mean_reward, "iteration": iteration, "steps": report.total_steps}
 
   def send(self) -> None:
-    """Tell Ray what was kept, if anything, with the checkpoint of that iteration if there is one."""
+    """Report the kept values to Ray, with the checkpoint of that iteration if there is one."""
     if (metrics := self._pending) is None or self.directory is None:
       return
     self._pending = None

@@ -64,8 +64,8 @@ _LINE = CommandLine(
   words="RECORD [RECORD ...]",
   purpose=(
     "Fits parameters of a robot to records of its commands and motion. Writes an overlay file that any task applies, "
-    "and a report. Parameters that the records cannot tell are named and stay at their prior. Ctrl-C ends the fit and "
-    "writes what was found; a second Ctrl-C writes nothing. Either can be continued with --resume."
+    "and a report. Parameters that the records do not determine are named and stay at their prior. Ctrl-C ends the "
+    "fit and writes what was found; a second Ctrl-C writes nothing. Either can be continued with --resume."
   ),
   arguments=Arguments,
   notes="""\

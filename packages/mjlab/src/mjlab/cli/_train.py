@@ -184,7 +184,7 @@ def _check_combinations(wanted: Arguments) -> None:
 def _run(
   name: str, wanted: Arguments, console: "Console", *, is_watched: bool, is_from_file: bool, **options: Any
 ) -> int:
-  """Train with viewers and films, and say how it went; return the exit code."""
+  """Train with viewers and films, and print the result; return the exit code."""
   watchers = Watchers(wanted, name, console)
   # This import takes seconds, so it comes after the checks.
   from mjlab_rl import train
@@ -277,12 +277,12 @@ def _environment_line(env: Any) -> str:
   sim = getattr(env, "sim", None)
   if sim is None:
     return f"environment {type(env).__name__}"
-  how = "every step runs eagerly"
-  if sim.cfg.capture and sim.engine == "warp":
-    how = "physics replayed as recorded graphs, the rest of every step runs eagerly"
-    if sim.device.type == "cuda":
-      how = "every step replayed as one recorded graph"
-  return f"engine {sim.engine}, {how}"
+  recorded = {
+    "cuda": "every step replayed as one recorded graph",
+    "cpu": "physics replayed as recorded graphs, the rest of every step runs eagerly",
+  }
+  is_recorded = sim.cfg.capture and sim.engine == "warp"
+  return f"engine {sim.engine}, {recorded[sim.device.type] if is_recorded else 'every step runs eagerly'}"
 
 
 def _versions_line() -> str:

@@ -62,7 +62,7 @@ def run(words: list[str]) -> int:
   from mjlab_terrain import all_types
 
   types = textwrap.fill(f"types (default: walking): all, walking, {', '.join(all_types())}", 120)
-  # Of a flag that is given again only the last counts otherwise.
+  # All --set count, unlike other flags, whose last one counts.
   settings, words = take(words, "--set", nargs="*", action="extend")
   words += ["--set", *settings] if settings else []
   return dataclasses.replace(_LINE, notes=f"{types}\n").command(_show)(words)

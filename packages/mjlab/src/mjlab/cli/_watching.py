@@ -1,5 +1,6 @@
 """Viewers that run until Ctrl-C, and viewer and films of a training."""
 
+import contextlib
 import os
 import signal
 from collections.abc import Callable
@@ -43,7 +44,7 @@ class Watchers:
 
       check_address(wanted.viewer_host, wanted.viewer_port)
     self._wanted, self._name, self._console = wanted, name, console
-    self._open: list[Any] = []
+    self._open = contextlib.ExitStack()
 
   def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
     """Open viewer and films; return the function to call after every step."""
@@ -65,13 +66,13 @@ class Watchers:
       print(f"watch at {viewer.url}", flush=True)
       if (panel := viewer.training) is not None:
         self._console.on_report.append(lambda report: _show_on_page(panel, report))
-      self._open.append(viewer)
+      self._open.callback(viewer.close)
       calls.append(viewer.update)
     if wanted.video and directory is not None:
       interval, length = wanted.video_interval, wanted.video_length
       picture = None if look is None else look.picture()
       video = TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
-      self._open.append(video)
+      self._open.callback(video.close)
       calls.append(video.after_step)
 
     def after_step() -> None:
@@ -82,8 +83,7 @@ class Watchers:
 
   def close(self) -> None:
     """Close viewer and films."""
-    while self._open:
-      self._open.pop().close()
+    self._open.close()
 
 
 def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:

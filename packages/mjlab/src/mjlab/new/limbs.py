@@ -87,7 +87,7 @@ def posed(robot: RobotModel, qpos: np.ndarray) -> tuple[mujoco.MjModel, mujoco.M
 
 
 def find_torso(robot: RobotModel, given: str) -> str:
-  """Return the body named by the user, or the heaviest.
+  """Return the body that the user names, or the heaviest.
 
   Raises:
     UsageError: There is no such body.
@@ -169,7 +169,7 @@ def bend_legs(robot: RobotModel, qpos: np.ndarray, feet: Sequence[Foot]) -> np.n
       columns.append(np.concatenate([0.05 * (point - start), 10.0 * moved.ravel() / length, 0.5 * turned.ravel()]))
     return np.stack(columns, axis=1)
 
-  # A stretched leg does not say which way it bends, so that several starts are tried.
+  # A stretched leg can bend both ways, so several starts are tried.
   rng, tried = np.random.default_rng(0), []
   for _ in range(STARTS):
     begin = np.clip(start + rng.uniform(-0.6, 0.6, len(at)), low, high)

@@ -20,14 +20,14 @@ JOINT_KINDS = {mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE}
 
 @dataclass(kw_only=True)
 class RobotModel:
-  """Robot as a spec that still has the actuators and keyframes of its file."""
+  """Spec of a robot with the actuators and keyframes of its file."""
 
   spec: mujoco.MjSpec
   source: str
   """Name of the file, safe to print."""
   is_floating: bool
   notes: list[str] = field(default_factory=list)
-  """Lines for the report: what was changed or guessed."""
+  """Lines for the report: changes and guesses."""
 
   @property
   def joints(self) -> list[mujoco.MjsJoint]:
@@ -71,7 +71,7 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
 
   Args:
     path: The file.
-    base: "file" takes what an MJCF says; the base of a URDF floats if two or more chains of joints end in its links.
+    base: "file" takes the base of an MJCF; the base of a URDF floats if two or more chains of joints end in its links.
 
   Raises:
     FileError: There is no such file, or MuJoCo cannot read or compile it.
@@ -84,7 +84,7 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
   model = RobotModel(spec=spec, source=printable(path.name), is_floating=False)
   _keep_only_the_robot(model)
   _set_base(model, base, is_urdf=path.suffix.lower() == ".urdf")
-  # Entities name what has no name; their spec is the one to write.
+  # Entities name all elements.
   try:
     model.spec = EntityCfg(spec_fn=lambda: spec).build("robot").spec
     model.compiled()
@@ -95,7 +95,7 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
 
 def _keep_only_the_robot(model: RobotModel) -> None:
   spec = model.spec
-  roots = [body for body in spec.bodies[1:] if body.parent.name == "world"]
+  roots = spec.worldbody.bodies
   if len(roots) != 1:
     names = ", ".join(f"'{printable(body.name)}'" for body in roots[:8]) or "none"
     raise MjlabError(f"{model.source}: expected one body at the top level, the robot; there are: {names}")
@@ -107,14 +107,14 @@ def _keep_only_the_robot(model: RobotModel) -> None:
 
 
 def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
-  root = next(body for body in model.spec.bodies[1:] if body.parent.name == "world")
+  root = model.spec.worldbody.bodies[0]
   free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
   floats = bool(free)
   if base != "file":
     floats = base == "floating"
   elif is_urdf and not floats:
     floats = len(last_links(model.spec)) > 1
-    model.notes.append(f"a URDF does not say it: the base is {'floating' if floats else 'fixed'} (--base changes it)")
+    model.notes.append(f"the base is a guess from the URDF: {'floating' if floats else 'fixed'} (--base changes it)")
   if floats and not free:
     if root.joints:
       raise MjlabError(f"{model.source}: body '{printable(root.name)}' has joints, so that its base cannot float")
@@ -122,7 +122,7 @@ def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
   for joint in free if not floats else []:
     model.spec.delete(joint)
   if floats != bool(free):
-    # Keyframes have other lengths then.
+    # Keyframes of the file have another length.
     for key in list(model.spec.keys):
       model.spec.delete(key)
   model.is_floating = floats

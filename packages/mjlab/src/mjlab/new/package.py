@@ -6,7 +6,7 @@ import keyword
 import re
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,14 +44,17 @@ def filled(template: str, **values: str) -> str:
   return Template(text).substitute(values)
 
 
-def write_package(folder: Path, files: Mapping[str, str | bytes]) -> None:
-  """Write a package whole, or nothing."""
+def write_package(
+  folder: Path, files: Mapping[str, str | bytes], write_more: Callable[[Path], None] = lambda folder: None
+) -> None:
+  """Write a package whole, or nothing; `write_more` adds files to a folder that becomes the package."""
   folder.parent.mkdir(parents=True, exist_ok=True)
   with AtomicWrite(folder) as made:
     for name, content in files.items():
       path = made / name
       path.parent.mkdir(parents=True, exist_ok=True)
       path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    write_more(made)
 
 
 def source(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Picture of a robot in its home pose, as drawn and as its collision set with the guesses in colours."""
+"""Picture of a robot in its home pose, with its visual geoms and with its collision set, the guesses in colors."""
 
 import io
 from collections.abc import Sequence

@@ -1,15 +1,13 @@
 """Package of a robot: entity config, model, picture and test from a model file."""
 
 import dataclasses
-import os
-import tempfile
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_core import MjlabError, RenderingError, printable
+from mjlab_core import RenderingError, printable
 from mjlab_scene.export import write_spec
 
 from mjlab.new.limbs import Foot, bend_legs, colliding, find_feet, find_torso, home_pose
@@ -93,8 +91,8 @@ def _settled(spec: mujoco.MjSpec, drives: Drives, qpos: np.ndarray) -> tuple[Dri
 
 
 def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
-  """Return the files of the package `name`."""
-  files: dict[str, str | bytes] = {f"src/{name}/{path}": content for path, content in _model_files(new.spec).items()}
+  """Return the files of the package `name`, except its model."""
+  files: dict[str, str | bytes] = {}
   try:
     files["robot.png"] = robot_picture(new.home, new.torso, new.feet)
   except RenderingError as error:
@@ -116,7 +114,7 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
     **{key: source(value) for key, value in values.items()},
     collision=textwrap.indent(source(tuple(pattern(model.geom(i).name) for i in solid)), "  ").lstrip(),
     imports=", ".join(sorted({type(cfg).__name__ for cfg in configs})),
-    # The friction of feet counts, unless the file says otherwise.
+    # The friction of feet has priority, unless the file gives priorities.
     priority="{}" if model.geom_priority[solid].any() else "dict.fromkeys(FOOT_GEOMS, 1)",
     actuators=textwrap.indent("".join(f"{call_source(cfg)},\n" for cfg in configs), "  "),
   )
@@ -158,17 +156,10 @@ def _add_motion_sensors(robot: RobotModel) -> None:
       spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)
 
 
-def _model_files(spec: mujoco.MjSpec) -> dict[str, bytes]:
-  """Return the MJCF and its assets by path below "model"."""
-  with tempfile.TemporaryDirectory() as folder:
-    try:
-      written = write_spec(spec.copy(), Path(folder) / "model").parent
-    except (ValueError, OSError) as error:
-      raise MjlabError(f"the model cannot be written: {' '.join(str(error).split())}") from error
-    os.rename(written / "scene.xml", written / "robot.xml")
-    return {
-      path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(written.rglob("*")) if path.is_file()
-    }
+def write_model(spec: mujoco.MjSpec, folder: Path) -> None:
+  """Write robot.xml and its assets."""
+  path = write_spec(spec.copy(), folder)
+  path.rename(path.with_name("robot.xml"))
 
 
 def _test(new: NewRobot) -> dict[str, str]:

@@ -16,7 +16,7 @@ from mjlab_core import MjlabError, UsageError, printable
 
 from mjlab.new.model_file import RobotModel, pattern
 
-# A servo whose gains nobody gives
+# Numbers of a servo without given gains
 FULL_EFFORT_ERROR = {mujoco.mjtJoint.mjJNT_HINGE: 1.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """Position error at which it gives its full effort [rad, m]."""
 FULL_EFFORT_SPEED = 10.0
@@ -24,7 +24,7 @@ FULL_EFFORT_SPEED = 10.0
 SERVO_FREQUENCY, SERVO_DAMPING_RATIO = 10.0, 2.0
 """Servo on a known rotor inertia: natural frequency [Hz] and damping ratio."""
 ACTION_EFFORT_SHARE = 0.25
-"""Share of the effort limit that action 1 asks for from rest."""
+"""Share of the effort limit that action 1 requests from rest."""
 ACTION_RANGE = 0.25
 """Action 1 of a servo without effort limit [rad, m]."""
 
@@ -39,7 +39,7 @@ class Drives:
   servos: dict[str, ServoCfg]
   """By joint."""
   guessed: frozenset[str]
-  """Joints of which only the effort is known."""
+  """Joints whose stiffness is a guess, because only the effort is known."""
   kept: tuple[XmlActuatorCfg, ...]
   """Actuators that stay as the file has them."""
   replaced: frozenset[str]
@@ -92,7 +92,7 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
   if any(number <= 0 for numbers in given.values() for number in numbers):
     raise UsageError("--motors: efforts, armatures and speeds must be positive numbers")
   found: dict[str, ServoCfg] = {}
-  # Of these motors only data is known: effort, and perhaps armature and speed.
+  # Effort of a motor, and its armature and speed if they are known.
   motor_data = {joint: tuple(numbers) for joint, numbers in given.items()}
   kept: list[XmlActuatorCfg] = []
   targets: list[str] = []
@@ -176,7 +176,7 @@ def _motor(
   armature: float | None = None,
   speed: float | None = None,
 ) -> ServoCfg:
-  """Return the servo of a motor of which only data is known."""
+  """Return the servo of a motor from its data."""
   if is_wheel:
     damping = effort / FULL_EFFORT_SPEED
     return NativeVelocityActuatorCfg(target_names_expr=(), damping=damping, effort_limit=effort, armature=armature)

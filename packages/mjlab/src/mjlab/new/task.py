@@ -37,7 +37,7 @@ def task_files(name: str, like: Family, robot: str) -> dict[str, str | bytes]:
   packages = ["mjlab", "mjlab-envs", "mjlab-managers", "mjlab-rl", *_PACKAGES[like], "torch"]
   values = {}
   if like == "velocity":
-    # Own packages come in a group of their own below the others.
+    # Imports of first-party packages form a separate group.
     own = f"\nfrom {robot} import ACTION_SCALE, FEET, FOOT_BODIES, TORSO, {robot}\n"
     values["imports"] = own if robot else "from mjlab_robots import GO1_ACTION_SCALE, go1\n"
     values["robot"] = filled("task/robot_own.txt", robot=robot) if robot else filled("task/robot_go1.txt")
