@@ -1,4 +1,4 @@
-"""Bundles of policies that others exported, on a robot in MJCF."""
+"""Bundles of policies of other projects, on a robot in MJCF."""
 
 import contextlib
 import tempfile
@@ -14,13 +14,12 @@ from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.bundle import MAX_BYTES, Bundle, write_description
 from mjlab_deploy.description import Command, Description, Input, Joint, Motion, Origin, Robot, Target, Timing
 from mjlab_deploy.errors import DeployError, check_known, read_limited, reading
-from mjlab_deploy.model_readings import actuators_of
+from mjlab_deploy.model_readings import actuators_of, joint_facts
 from mjlab_deploy.network_graph import NetworkGraph
-from mjlab_deploy.network_metadata import NetworkMetadata, read_metadata
+from mjlab_deploy.network_metadata import NetworkMetadata, find_deploy_yaml, read_deploy_yaml, read_metadata
 from mjlab_deploy.onnx_graph import OnnxGraph
 from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
 from mjlab_deploy.scene import write_scene
-from mjlab_deploy.unitree_policy import find_deploy_yaml, read_deploy_yaml
 
 _ROBOT = "robot"
 _MAX_FRAMES = 100_000
@@ -102,10 +101,9 @@ def _scene(path: Path, joints: tuple[Joint, ...]) -> mujoco.MjSpec:
   there = [joint.name.removeprefix(prefix) for joint in spec.joints if joint.name.startswith(prefix)]
   for joint in joints:
     check_known(f"{path}: joint", joint.name, there)
-    name, kp, kd = prefix + joint.name, joint.stiffness or 0.0, joint.damping or 0.0
+    name = prefix + joint.name
     servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = kp, -kp, -kd
+    servo.set_to_position(kp=joint.stiffness or 0.0, kv=joint.damping or 0.0)
     if efforts := _effort_limits(model, model.joint(name).id):
       servo.forcelimited, servo.forcerange = True, (-min(efforts), min(efforts))
   return spec
@@ -122,13 +120,12 @@ def _robot(model: mujoco.MjModel, joints: tuple[Joint, ...]) -> Robot:
   """Return the robot of a scene, whose joints get their facts of the model."""
   found = []
   for joint in joints:
-    element, servo = model.joint(f"{_ROBOT}/{joint.name}"), model.actuator(f"{_ROBOT}/{joint.name}")
+    servo = model.actuator(f"{_ROBOT}/{joint.name}")
     found.append(
       replace(
         joint,
-        armature=float(model.dof_armature[element.dofadr[0]]),
         effort_limit=float(servo.forcerange[1]) if servo.forcelimited[0] else None,
-        position_range=(float(element.range[0]), float(element.range[1])) if element.limited[0] else None,
+        **joint_facts(model, f"{_ROBOT}/{joint.name}"),
       )
     )
   root = model.body_rootid[model.jnt_bodyid[model.joint(f"{_ROBOT}/{joints[0].name}").id]]

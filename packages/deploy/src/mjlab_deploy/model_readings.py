@@ -1,5 +1,7 @@
 """Readings of a bundle's inputs from a MuJoCo model."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -78,6 +80,15 @@ def actuators_of(model: mujoco.MjModel, joint: int) -> list[int]:
   """Return the numbers of the actuators of a joint."""
   is_of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
   return np.flatnonzero(is_of_joint).tolist()
+
+
+def joint_facts(model: mujoco.MjModel, name: str) -> dict[str, Any]:
+  """Return armature and position range of a joint, as fields of `Joint`."""
+  joint = model.joint(name)
+  return {
+    "armature": float(model.dof_armature[joint.dofadr[0]]),
+    "position_range": tuple(joint.range.tolist()) if joint.limited[0] else None,
+  }
 
 
 def joint_id(model: mujoco.MjModel, name: str) -> int:

@@ -1,4 +1,4 @@
-"""Networks of others, from observations to actions, behind the inputs and outputs of a bundle's graph.
+"""Networks of other projects, from observations to actions, with the inputs and outputs of a bundle's graph.
 
 Observations are assembled here, in NumPy, as the description of the bundle says.
 """
@@ -19,7 +19,7 @@ _SIX = (0, 1, 3, 4, 6, 7)
 
 
 class NetworkGraph:
-  """A network as a graph from readings to joint targets, which keeps its memory itself.
+  """Network as a graph from readings to joint targets, which keeps its memory itself.
 
   Args:
     network: The network.

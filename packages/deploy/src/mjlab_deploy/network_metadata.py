@@ -1,12 +1,14 @@
-"""Metadata of the networks of others, as mjlab 1.x and BeyondMimic write it."""
+"""Metadata of networks of other projects: of mjlab 1.x and BeyondMimic in the file, of Unitree in `deploy.yaml`."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mjlab_deploy.description import Joint, Observation
-from mjlab_deploy.errors import DeployError, check_known
+from mjlab_deploy.errors import DeployError, check_known, library, read_limited, reading
+from mjlab_deploy.other_formats import MOTORS
 
 GROUP = "actor"
 """Name of the only observation group."""
@@ -30,6 +32,8 @@ _SOURCES_WITH_CLIP = _SOURCES | {
   "motion_anchor_ori_b": ("motion/anchor_orientation", "imu/BODY/orientation"),
 }
 _WIDTHS = {"motion_anchor_pos_b": 3, "motion_anchor_ori_b": 6}
+_MAX_BYTES = 2**20
+_KEYS = ("joint_ids_map", "step_dt", "stiffness", "damping", "default_joint_pos", "actions", "observations")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +72,15 @@ def read_metadata(metadata: Mapping[str, str], *, follows_clip: bool) -> Network
     parts = parts if len(parts) == len(terms) else [""] * len(terms)
     settings.append([_parsed(f"observation_terms_{key}", part) for part in parts])
   return NetworkMetadata(
-    joints=driven_joints(names, default, stiffness, damping),
+    joints=_joints(names, default, stiffness, damping),
     action_scale=tuple(scale),
-    observations=observations(zip(terms, *settings, strict=True), len(names), anchor if follows_clip else None),
+    observations=_observations(zip(terms, *settings, strict=True), len(names), anchor if follows_clip else None),
     bodies=tuple(bodies),
     anchor=anchor,
   )
 
 
-def driven_joints(*columns: Iterable[Any]) -> tuple[Joint, ...]:
+def _joints(*columns: Iterable[Any]) -> tuple[Joint, ...]:
   """Return joints for their names, default positions, kp and kd."""
   return tuple(
     Joint(name=name, default_position=default, is_driven=True, stiffness=kp, damping=kd)
@@ -84,7 +88,7 @@ def driven_joints(*columns: Iterable[Any]) -> tuple[Joint, ...]:
   )
 
 
-def observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | None = None) -> tuple[Observation, ...]:
+def _observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | None = None) -> tuple[Observation, ...]:
   """Return the observations of a network in the order of its input.
 
   Args:
@@ -148,3 +152,54 @@ def _parsed(key: str, text: str) -> list[float]:
   if any(map(math.isnan, values)):
     raise DeployError(f"metadata '{key}' has a value that is not a number: {text[:80]}")
   return values
+
+
+def find_deploy_yaml(policy: Path) -> Path | None:
+  """Return the `deploy.yaml` of a network: beside it, or in the folder `params` as trainings write it."""
+  places = (policy.parent / "deploy.yaml", policy.parent.parent / "params" / "deploy.yaml")
+  return next((place for place in places if place.is_file()), None)
+
+
+def read_deploy_yaml(path: Path) -> NetworkMetadata:
+  """Return the metadata of a network that a `deploy.yaml` describes.
+
+  Raises:
+    DeployError: It cannot be read, lacks a key, or describes an unsupported policy.
+  """
+  yaml = library("yaml", "the extra 'yaml' of mjlab-deploy")
+  with reading(path, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError, IndexError):
+    data = yaml.safe_load(read_limited(path, _MAX_BYTES))
+    if missing := [key for key in _KEYS if not isinstance(data, dict) or key not in data]:
+      raise DeployError(f"it has no '{missing[0]}'")
+    return _metadata(data)
+
+
+def _metadata(data: Mapping[str, Any]) -> NetworkMetadata:
+  motors = [int(number) for number in data["joint_ids_map"]]
+  known = {len(names): names for names in (*MOTORS, data.get("motor_names", ()))}
+  if sorted(motors) != list(range(len(motors))) or len(motors) not in known:
+    raise DeployError(f"joint_ids_map has {len(motors)} motors, not those of a G1 with 29, a quadruped, or motor_names")
+  names = known[len(motors)]
+  default = [float(value) for value in data["default_joint_pos"]]
+  ((kind, action),) = data["actions"].items()
+  offset = _spread(action.get("offset") or 0.0, len(motors))
+  if kind != "JointPositionAction" or action.get("joint_ids") is not None or action.get("clip") is not None:
+    raise DeployError(f"action {kind!s:.60} is not one of all joints without a clip")
+  if not all(math.isclose(one, other, abs_tol=1e-6) for one, other in zip(offset, default, strict=True)):
+    raise DeployError("the offset of its action is not the default pose")
+  keys = ("scale", "clip", "history_length")
+  rows = [(name, *(_spread(term.get(key) or (), 1) for key in keys)) for name, term in data["observations"].items()]
+  # Gains are in the order of the motors, everything else in that of the policy.
+  stiffness, damping = ([float(data[gain][i]) for i in motors] for gain in ("stiffness", "damping"))
+  return NetworkMetadata(
+    joints=_joints([names[i] for i in motors], default, stiffness, damping),
+    action_scale=tuple(_spread(action.get("scale") or 1.0, len(motors))),
+    observations=_observations(rows, len(motors)),
+    rate=1.0 / float(data["step_dt"]),
+  )
+
+
+def _spread(value: Any, count: int) -> list[float]:
+  """Return a list of numbers; one number stands for `count`."""
+  values = value if isinstance(value, Sequence) else [value] * count
+  return [float(number) for number in values]

@@ -1,4 +1,4 @@
-"""A policy's description in the words of other runners."""
+"""Description of a policy in the formats of other runners."""
 
 from collections.abc import Iterable
 

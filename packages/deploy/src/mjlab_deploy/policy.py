@@ -31,7 +31,7 @@ class Step:
 
 
 class Policy:
-  """A policy that turns readings into targets, and keeps its memory.
+  """Policy that turns readings into targets, and keeps its memory.
 
   Args:
     bundle: The bundle.

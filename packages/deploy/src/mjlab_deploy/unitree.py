@@ -23,7 +23,7 @@ _ENABLE, _GO_SERVO = 1, 0x01
 
 @dataclass(frozen=True, kw_only=True)
 class UnitreeModel:
-  """Facts of the messages of a robot."""
+  """Messages of a robot."""
 
   messages: str
   """Family of the messages: "unitree_hg" of humanoids, "unitree_go" of quadrupeds."""

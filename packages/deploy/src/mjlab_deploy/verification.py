@@ -97,7 +97,7 @@ def _run_beside(bundle: Bundle, golden: Arrays, engine: str, report: Report) -> 
   known = {item.name for item in loop.sensors.inputs}
   replayed = [item.name for item in bundle.description.inputs if item.name not in known]
   starts = np.flatnonzero(golden["episode_start"])
-  # Only the first episode: MuJoCo C does not know how the training resets.
+  # Only the first episode, because MuJoCo C cannot repeat the resets of the training.
   end = int(starts[1]) if len(starts) > 1 else len(golden["action"])
   with reading("golden.npz does not fit scene.xml", ValueError, LookupError):
     loop.start(golden["state/qpos"][0].astype(float), golden["state/qvel"][0].astype(float))

@@ -1,4 +1,4 @@
-"""Policies of bundles, in the environment of their task."""
+"""Policies of bundles in the environment of their task."""
 
 import contextlib
 import copy
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def is_bundle(path: Path) -> bool:
-  """Return True if a path is that of a bundle: a folder with `bundle.json`, or a zip."""
+  """Return True for the path of a bundle: a folder with `bundle.json`, or a zip."""
   return (path / "bundle.json").is_file() or (path.suffix == ".zip" and path.is_file())
 
 
@@ -35,8 +35,8 @@ def task_of_bundle(path: Path) -> str:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> "Generator[Bundle]":
-  """Open a bundle; errors inside are the file's."""
-  # ONNX Runtime, which is not for viewers of checkpoints.
+  """Open a bundle; errors inside become `FileError`."""
+  # ONNX Runtime is not needed to view checkpoints.
   from mjlab_deploy import DeployError, open_bundle
 
   try:

@@ -40,7 +40,7 @@ class _Rank(Struct, kw_only=True):
 
 
 class _Worlds(_Rank, kw_only=True):
-  """State of the first process, what is common to all, and the state of the others."""
+  """State of the first process, state common to all, and the state of the others."""
 
   format: Literal[1]
   num_envs: _Count
@@ -105,11 +105,10 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     try:
       state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-      reason = _first_line(error)
-      # torch words its refusal of any file this way, also of a text.
-      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in reason):
-        reason = "holds objects other than tensors and plain values, not loaded"
-      raise FileError(reason if "not loaded" in reason else f"damaged or not a checkpoint ({reason})") from error
+      # torch uses these words for any file, also for a text.
+      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in _first_line(error)):
+        raise FileError("holds objects other than tensors and plain values, not loaded") from error
+      raise FileError(f"damaged or not a checkpoint ({_first_line(error)})") from error
     wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
     if not isinstance(state, dict) or not any(name in state for name in wanted):
       found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
@@ -137,7 +136,7 @@ def as_tensor(kind: type, value: Any) -> Any:
 
 
 def restore_step_counter(state: Mapping[str, Any], env: Any) -> int | None:
-  """Give an environment the steps, on which curricula depend, of a checkpoint of mjlab 1.x; None if either has none."""
+  """Restore the step counter of a checkpoint of mjlab 1.x, for curricula; return it, or None if either has none."""
   infos, counter = msgspec.convert(state.get("infos"), _Infos | None), getattr(env, "common_step_counter", None)
   if infos is None or infos.env_state is None or infos.env_state.common_step_counter is None or counter is None:
     return None
@@ -146,11 +145,11 @@ def restore_step_counter(state: Mapping[str, Any], env: Any) -> int | None:
 
 
 def read_policy(path: Path, policy: str) -> tuple[dict[str, Any], Shapes | None]:
-  """Read the weights of the policy in a checkpoint, of a run by reinforcement, "actor", or distilled, "student".
+  """Read the weights of the policy in a checkpoint: "actor" of reinforcement learning, "student" of distillation.
 
   Args:
     path: The file.
-    policy: Which of the two it is where there are both.
+    policy: Name of the policy if the file has both.
 
   Returns:
     The weights, and the result of `shapes_seen`.
@@ -224,7 +223,7 @@ def check_network(
   shapes: tuple[Shapes | None, Shapes],
   weights: tuple[Mapping[str, Any], Mapping[str, Any]],
 ) -> None:
-  """Compare a network of a checkpoint, and the observations of its training, with a network that is there.
+  """Compare a network of a checkpoint, and the observations of its training, with a present network.
 
   Args:
     path: The checkpoint, for the message.

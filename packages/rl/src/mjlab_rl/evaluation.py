@@ -39,7 +39,7 @@ class FinitePolicy:
 
   @property
   def num_broken(self) -> int:
-    """Number of actions, one per world and step, of which a part was not finite."""
+    """Number of actions, one per world and step, that were not finite."""
     return int(self._count)
 
   def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
@@ -306,7 +306,7 @@ class Threshold:
     return cls(match["group"] or "all", match["metric"], match["sign"] == ">=", bound)
 
   def check(self, evaluation: Evaluation) -> tuple[bool, str]:
-    """Return whether the mean reaches the limit, and a line for the reader.
+    """Return True if the mean reaches the limit, and a line for the reader.
 
     Raises:
       UnknownNameError: There is no such group or metric.

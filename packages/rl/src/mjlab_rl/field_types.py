@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import inspect
-import numbers
 import re
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -11,7 +10,7 @@ from pathlib import PurePath
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from mjlab_core import printable
-from mjlab_core.constraints import Ascending, Limits, field_hints
+from mjlab_core.constraints import field_hints, field_problem
 
 _SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
 _SETS = (set, frozenset)
@@ -38,12 +37,13 @@ def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
   """Yield one line for each part of `value` that does not fit a type."""
   origin, arguments = get_origin(hint), get_args(hint)
   if origin is Annotated:
-    kind, *rules = arguments
-    found = list(problems(value, kind, where))
-    if not found and value is not None:
-      broken = [rule.problem(value) for rule in rules if isinstance(rule, Limits | Ascending)]
-      found = [f"{where}: must {rule}, got {_shown(value)}" for rule in broken if rule]
+    found = list(problems(value, arguments[0], where))
+    if not found and (problem := field_problem(value, hint)):
+      found = [f"{where} {problem}"]
     yield from found
+  elif origin is Literal or hint in (bool, float, int, str):
+    if problem := field_problem(value, hint):
+      yield f"{where} {problem}"
   elif origin in (Union, types.UnionType):
     if value is None and type(None) in arguments:
       return
@@ -52,9 +52,6 @@ def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
       yield from arms[0] if len(arms) == 1 else [_mismatch(value, hint, where)]
   elif origin is Callable or hint is Callable:
     yield from callable_problems(value, arguments, where)
-  elif origin is Literal:
-    if not any(value == choice and type(value) is type(choice) for choice in arguments):
-      yield f"{where}: expected one of {', '.join(map(repr, arguments))}, got {_shown(value)}"
   elif (origin or hint) in (dict, Mapping, *_SEQUENCES, *_SETS):
     yield from _container_problems(value, origin or hint, arguments, where)
   elif not _is_instance(value, origin or hint, arguments):
@@ -71,9 +68,6 @@ def _is_instance(value: Any, kind: Any, arguments: tuple[Any, ...]) -> bool:
     return value is None
   if not isinstance(kind, type) or kind in (Any, object) or getattr(kind, "_is_protocol", False):
     return True
-  if kind in (int, float):
-    number = numbers.Integral if kind is int else numbers.Real
-    return isinstance(value, number) and not isinstance(value, bool)
   return isinstance(value, PurePath if issubclass(kind, PurePath) else kind)
 
 

@@ -1,7 +1,7 @@
 """Run manifest: a JSON file from which a run's configuration is rebuilt, equal to the last bit.
 
 Configurations are data; functions and classes are names ("module:name") of trusted packages. Reading a manifest
-resolves names and calls none of them. The README lists which files of a stranger are safe to load.
+resolves names and calls none of them. The README lists the files that are safe to load from untrusted sources.
 """
 
 import dataclasses

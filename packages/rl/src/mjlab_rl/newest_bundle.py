@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class NewestBundle:
   """Keeper of `bundle` beside the checkpoints of a training, with the newest policy and without a record.
 
-  The first one is written with the first checkpoint at `agent.save_interval`: it takes seconds, those that follow a
-  fraction of one. `export` writes one for a shorter training.
+  The first one is written with the first checkpoint at `agent.save_interval`: it takes seconds, later ones a fraction
+  of one. `export` writes one for a shorter training.
 
   Args:
     env: Environment of the training.

@@ -1,4 +1,4 @@
-"""Comparison of an exported network's metadata with the environment that it is to act in.
+"""Comparison of an exported network's metadata with its environment.
 
 The keys and formats are those of mjlab 1.x: lists are joined by commas, nested lists by semicolons, numbers have three
 decimals. Keys that are missing in the file are not compared.
@@ -27,7 +27,7 @@ def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence
     groups: Observation groups that the policy sees.
 
   Raises:
-    FileError: A value has another form than its key says.
+    FileError: A value is malformed.
   """
   yield from _observation_differences(metadata, env, groups)
   if (commands := getattr(env, "command_manager", None)) is not None:
@@ -151,7 +151,7 @@ def _rows(metadata: Mapping[str, str], key: str) -> list[Sequence[float]]:
       found.append(absent if is_absent else [_WORDS[word] if word in _WORDS else float(word) for word in words])
   except ValueError as error:
     raise FileError(f"metadata {key!r} has a value that is not a number: {printable(text, 80)}") from error
-  # A history of no frames has the present one.
+  # A history of 0 frames is the present frame.
   return [np.maximum(row, 1.0).tolist() for row in found] if key.endswith("history_length") else found
 
 

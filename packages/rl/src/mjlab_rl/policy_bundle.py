@@ -1,4 +1,4 @@
-"""Export of policies as bundles, which mjlab-deploy reads."""
+"""Export of policies as bundles for mjlab-deploy."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -28,6 +28,7 @@ from mjlab_deploy import (
   write_description,
 )
 from mjlab_deploy.arrays import write_arrays
+from mjlab_deploy.model_readings import joint_facts
 from mjlab_deploy.policy import EPISODE_START
 from mjlab_deploy.scene import write_scene
 
@@ -41,7 +42,7 @@ GOLDEN_STEPS = 500
 
 
 class BundleWriter:
-  """Writer of a run's newest policy. The graph is traced once; later bundles take only the new weights.
+  """Writer of bundles. The graph is traced once; later bundles take only the new weights.
 
   Args:
     env: Environment that the policy acts in.
@@ -67,7 +68,7 @@ class BundleWriter:
     golden: Mapping[str, np.ndarray] | None = None,
     picture: bytes | None = None,
   ) -> Description:
-    """Write a bundle into a folder, which replaces an existing one.
+    """Write a bundle into a folder; an existing one is replaced.
 
     Args:
       folder: The folder.
@@ -171,32 +172,28 @@ def _scale(actions: Sequence[GraphAction]) -> tuple[float, ...] | None:
 
 
 def _robot(env: Any, name: str, driven: set[str]) -> Robot:
-  entity, model = env.scene[name], env.sim.mj_model
+  entity = env.scene[name]
   names = list(entity.joint_names)
-  numbers = {
-    field: configured(entity, field, names) for field in ("stiffness", "damping", "effort_limit", "velocity_limit")
-  }
+  fields = ("stiffness", "damping", "effort_limit", "velocity_limit")
+  numbers: dict[str, Any] = {field: configured(entity, field, names) for field in fields}
   pose = entity.data.default_joint_pos[0].tolist()
-  joints = []
-  for i, joint in enumerate(names):
-    element = model.joint(entity.prefix + joint)
-    joints.append(
-      Joint(
-        name=joint,
-        default_position=pose[i] if len(pose) == len(names) else 0.0,
-        is_driven=joint in driven,
-        armature=float(model.dof_armature[element.dofadr[0]]),
-        position_range=(float(element.range[0]), float(element.range[1])) if element.limited[0] else None,
-        **{field: values[i] for field, values in numbers.items()},
-      )
+  joints = tuple(
+    Joint(
+      name=joint,
+      default_position=pose[i] if len(pose) == len(names) else 0.0,
+      is_driven=joint in driven,
+      **joint_facts(env.sim.mj_model, entity.prefix + joint),
+      **{field: values[i] for field, values in numbers.items()},
     )
+    for i, joint in enumerate(names)
+  )
   actuators = entity.cfg.articulation.actuators if entity.cfg.articulation is not None else ()
   # MuJoCo, or a drive of a robot, computes this model from a position target.
   is_servo = {type(cfg).__name__ for cfg in actuators} == {"NativePositionActuatorCfg"}
   delays = [(cfg.delay_min_lag, cfg.delay_max_lag) for cfg in actuators] or [(0, 0)]
   return Robot(
     name=name,
-    joints=tuple(joints),
+    joints=joints,
     root_body=entity.root_body_name,
     is_floating=entity.is_floating,
     actuator_model="position_servo" if is_servo else "other",
@@ -278,7 +275,7 @@ def record(
     the state before each step, "state/qpos" and "state/qvel".
 
   Raises:
-    MjlabError: The environment observes something else than the graph, so the declared source of a term is wrong.
+    MjlabError: Environment and graph observe different values, so the declared source of a term is wrong.
   """
   graph = PolicyGraph(env, agent, network)
   rows: dict[str, list[np.ndarray]] = {}
@@ -298,11 +295,11 @@ def record(
       row |= {name: value[0] for name, value in outputs.items() if not name.endswith("/next")}
       row |= {"state/qpos": env.sim.data.qpos[0].double(), "state/qvel": env.sim.data.qvel[0].double()}
       row["episode_start"] = torch.tensor(float(start))
-      # The policy as it was trained acts.
+      # The trained network acts, not its graph.
       action = policy(observations)
       row["action"] = action[0]
       if f"memory/{LAST_ACTION}" in memories:
-        # The environment observes the action that acted; feedback would amplify the rounding of the graph's own.
+        # The environment observes this action. Feedback would amplify the rounding of the graph's own action.
         memories[f"memory/{LAST_ACTION}"] = action[:1].detach().cpu().float()
       for name, value in row.items():
         rows.setdefault(name, []).append(value.detach().cpu().numpy().copy())
@@ -326,7 +323,7 @@ def _check_observations(
 
 
 def without_noise(env: Any) -> Any:
-  """Turn an environment's configuration into one for `record`: one world, nothing drawn but resets and commands."""
+  """Turn an environment's configuration into one for `record`: one world, and only resets and commands at random."""
   env.scene.num_envs = 1
   for group in env.observations.values():
     if group is not None:
@@ -338,7 +335,7 @@ def without_noise(env: Any) -> Any:
   env.curriculum = {}
   env.recorders = {}
   if hasattr(env.scene.terrain, "rows"):
-    # The easiest row stands for all.
+    # One row, the easiest, is enough.
     env.scene.terrain.rows, env.scene.max_init_terrain_level = 1, None
   for entity in env.scene.entities.values():
     for actuator in getattr(getattr(entity, "articulation", None), "actuators", ()):

@@ -17,7 +17,7 @@ from torch import nn
 from mjlab_rl.config import RslRlBaseRunnerCfg
 
 LAST_ACTION = "last_action"
-"""Name of the reading that is the raw action of the last step; a memory of the graph."""
+"""Reading with the raw action of the last step; a memory of the graph."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class GraphAction:
 class PolicyGraph(nn.Module):
   """Observations, network and actions of an environment in one module, for one world.
 
-  Noise and delays are left out: they belong to the robot. NaN is not replaced: a runner stops on it.
+  The graph has no noise and no delays; the robot has them. NaN is not replaced, because a runner stops on it.
 
   Args:
     env: Environment with an observation and an action manager.

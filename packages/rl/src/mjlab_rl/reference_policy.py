@@ -16,11 +16,11 @@ from mjlab_rl.policy_graph import export_onnx
 
 
 def write_for_others(folder: Path, env: Any, network: Any, description: Description) -> Path:
-  """Write files that runners of others read.
+  """Write files for other runners.
 
   `policy.onnx` has the metadata of mjlab 1.x. If the policy follows a clip, the network also takes `time_step` and
   returns the clip's frame, as BeyondMimic's does, and `motion.npz` holds the clip for runners that take a pair of
-  files, such as LeRobot's. `deploy.yaml` is written if Unitree's runner knows all that the policy needs.
+  files, such as LeRobot's. `deploy.yaml` is written if Unitree's runner has all terms of the policy.
 
   Args:
     folder: Folder to write; replaced.

@@ -55,7 +55,7 @@ def reference(value: Any, where: str) -> str:
   except FileError as error:
     raise ConfigError(f"{error}, so the run could not be loaded again") from error
   if found != value:
-    raise ConfigError(f"{where}: '{module}:{name}' is not what importing that name gives.")
+    raise ConfigError(f"{where}: '{module}:{name}' is another object than the one of that name.")
   return f"{module}:{name}"
 
 

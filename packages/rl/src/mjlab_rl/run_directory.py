@@ -17,7 +17,7 @@ _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 def create_run_directory(log_root: Path, experiment: str, run_name: str = "") -> Path:
   """Make a new directory named after the current time; two runs of one second get two.
 
-  Names may come from a stranger's configuration, so each becomes one safe file name. Temporary files of killed runs of
+  Names may come from an untrusted configuration, so each becomes one safe file name. Temporary files of killed runs of
   the experiment are removed.
   """
   stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")

@@ -14,7 +14,7 @@ GROUP = "teacher_index"
 
 
 class Teachers(nn.ModuleList):
-  """Networks of one kind, of which each world learns the actions of one.
+  """Networks of one kind; each world learns the actions of one of them.
 
   Without the key `teacher_index` in `obs_groups`, worlds take turns: of two teachers, the first has worlds 0, 2, 4 and
   so on. All networks see all worlds, so memory and work are fixed, and the choice is a mask.
@@ -60,7 +60,7 @@ class Teachers(nn.ModuleList):
   """Teachers no longer learn from observations."""
 
   def forward(self, obs: TensorDict) -> torch.Tensor:
-    """Return the action of each world's teacher, (num_envs, num_actions); the first for a number that none has."""
+    """Return the action of each world's teacher, (num_envs, num_actions); the first for an unknown number."""
     index = self._turns if self._group is None else obs[self._group]
     first, *others = [network(obs) for network in self]
     for number, actions in enumerate(others, 1):

@@ -1,4 +1,4 @@
-"""Trained policies that a run learns or starts from: reading, and comparison with the new run."""
+"""Trained policies as teachers or beginnings of a run, and their comparison with the new run."""
 
 import dataclasses
 import hashlib
@@ -20,7 +20,7 @@ _CORRUPTION = ("noise", "corrupt", "nan_policy")
 
 @dataclasses.dataclass(kw_only=True)
 class TrainedPolicy:
-  """A trained policy; `read_trained_policy` makes one."""
+  """Trained policy; `read_trained_policy` makes one."""
 
   path: Path
   """Its checkpoint."""
@@ -100,7 +100,7 @@ class TrainedPolicy:
         differences.append(unknown("observation group", own, [name for name in groups if groups[name] is not None]))
       else:
         trained, now = _observations(self.run.env, group), _observations(env, own)
-        # Terms of one side alone show in the order of terms.
+        # Terms of only one side are reported as a difference in the order of terms.
         both = [key for key in trained if key in now]
         trained, now = ({key: side[key] for key in both} for side in (trained, now))
         differences += _differences(trained, now, f"observations.{own}")
@@ -162,10 +162,13 @@ def _observations(env: Any, group: str) -> dict[str, Json]:
 def _control(env: Any) -> Json:
   """Return the actions, their order and their period."""
   actions = getattr(env, "actions", None) or {}
-  control: dict[str, Json] = {"order of actions": [name for name, action in actions.items() if action is not None]}
-  control |= {name: encode(getattr(env, name, None)) for name in ("actions", "decimation")}
-  control["sim.timestep"] = encode(getattr(getattr(env, "sim", None), "timestep", None))
-  return _bare(control)
+  control = {
+    "order of actions": [name for name, action in actions.items() if action is not None],
+    "actions": actions,
+    "decimation": getattr(env, "decimation", None),
+    "sim.timestep": getattr(getattr(env, "sim", None), "timestep", None),
+  }
+  return _encoded(control)
 
 
 def _encoded(value: object) -> Any:
@@ -173,7 +176,7 @@ def _encoded(value: object) -> Any:
 
 
 def _bare(data: Json) -> Json:
-  """Return encoded data without tags, so that a path into it reads like a flag."""
+  """Return encoded data without tags, so that paths into it look like flags."""
   match data:
     case list():
       return [_bare(item) for item in data]
