@@ -144,6 +144,7 @@ class DelayBuffer(_Ring):
     self.hold_prob, self.update_period = hold_prob, update_period
     self._generator, self._per_env, self._per_env_phase = generator, per_env, per_env_phase
     self._varies = min_lag < max_lag
+    self._draws = (num_envs if per_env else 1,)
     self._lag = self.state(dtype=torch.int64, fill=min_lag)
     # Pushes to the next draw, this one included.
     self._until_draw = self.state(dtype=torch.int64, fill=update_period + 1)
@@ -213,10 +214,6 @@ class DelayBuffer(_Ring):
       due = moves if due is None else due & moves
     assert due is not None
     where_(self._lag, due, lags)
-
-  @property
-  def _draws(self) -> tuple[int]:
-    return (self.num_envs,) if self._per_env else (1,)
 
   def _draw_lags(self) -> Tensor:
     lags = torch.randint(

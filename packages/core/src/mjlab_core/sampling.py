@@ -65,29 +65,20 @@ def truncated_normal(
   lo: Tensor | float,
   hi: Tensor | float,
   shape: Sequence[int],
-  *,
-  generator: torch.Generator | None = None,
-  device: torch.device | str | None = None,
-  dtype: torch.dtype = torch.float32,
+  **like: Unpack[Options],
 ) -> Tensor:
   """Draw from the normal distribution conditioned on [lo, hi], of shape `shape`, by inversion.
 
   Works in float64 inside. An interval more than five standard deviations above the mean loses resolution.
   """
-
-  def wide(x: Tensor | float) -> Tensor | float:
-    return x.double() if isinstance(x, Tensor) else x
-
-  mean, std, lo, hi = wide(mean), wide(std), wide(lo), wide(hi)
-  safe = std.clamp_min(1e-300) if isinstance(std, Tensor) else max(std, 1e-300)
-  u = torch.rand(tuple(shape), generator=generator, device=device, dtype=torch.float64)
-  below = torch.special.ndtr(torch.zeros_like(u).add_(lo).sub_(mean).div_(safe))
-  above = torch.special.ndtr(torch.zeros_like(u).add_(hi).sub_(mean).div_(safe))
+  wide: Options = {**like, "dtype": torch.float64}
+  u = torch.rand(tuple(shape), **wide)
+  low, high = torch.zeros_like(u).add_(lo), torch.zeros_like(u).add_(hi)
+  safe = std.double().clamp_min(1e-300) if isinstance(std, Tensor) else max(std, 1e-300)
+  below, above = (torch.special.ndtr((bound - mean) / safe) for bound in (low, high))
   z = torch.special.ndtri(below + u * (above - below))
   x = torch.nan_to_num_(z, posinf=40.0, neginf=-40.0).mul_(std).add_(mean)
-  x = x.clamp_(min=lo) if not isinstance(lo, Tensor) else torch.maximum(x, lo)
-  x = x.clamp_(max=hi) if not isinstance(hi, Tensor) else torch.minimum(x, hi)
-  return x.to(dtype)
+  return x.clamp_(low, high).to(like.get("dtype", torch.float32))
 
 
 def call_where(mask: Tensor, fn: Callable[[Tensor], object], generator: torch.Generator) -> None:

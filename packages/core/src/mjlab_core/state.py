@@ -23,7 +23,7 @@ class _Declared:
   """One tensor of state."""
 
   tensor: Tensor
-  fill: Tensor | float | None
+  fill: Tensor | None
   """Value after a reset; None leaves a reset to the owner."""
   shared: bool
 
@@ -78,12 +78,8 @@ class Stateful:
       tensor = torch.empty(size, device=self.device, dtype=dtype)
     except AttributeError as error:
       raise MjlabError(f"{_label(self)}: call super().__init__(env) before declaring state.") from error
-    if isinstance(fill, Tensor):
-      fill = fill.detach().to(tensor).clone()
-      tensor.copy_(fill)
-    else:
-      tensor.fill_(fill)
-    return self._declare(tensor, fill, shared)
+    initial = torch.as_tensor(fill).detach().to(tensor).clone()
+    return self._declare(tensor.copy_(initial), initial, shared)
 
   def state_of(self, memory: Tensor, *, shared: bool = False) -> Tensor:
     """Declare existing memory, to be assigned to an attribute, as state that only the owner resets.
@@ -94,7 +90,7 @@ class Stateful:
     """
     return self._declare(memory, None, shared)
 
-  def _declare(self, tensor: Tensor, fill: Tensor | float | None, shared: bool) -> Tensor:
+  def _declare(self, tensor: Tensor, fill: Tensor | None, shared: bool) -> Tensor:
     _registry(self).made[id(tensor)] = _Declared(tensor, fill, shared)
     setattr(tensor, _MARK, True)
     return tensor

@@ -88,7 +88,7 @@ class CameraNoise(NoiseModel):
     where_(self._drawn, mask, torch.lerp(lo, hi, u))
 
   def apply_(self, x: torch.Tensor) -> None:
-    gain, gamma, bias, color_std, *of_depth = self._drawn[:, :, None, None, None].unbind(1)
+    gain, gamma, bias, color_std, *depth_noise = self._drawn[:, :, None, None, None].unbind(1)
     if self._color is not None:
       color = x[:, self._color]
       y = color.clamp(0.0, 1.0).pow(gamma).mul_(gain).add_(bias)
@@ -96,7 +96,7 @@ class CameraNoise(NoiseModel):
         y.addcmul_(self._normal(y), color_std)
       color.copy_(y.clamp_(0.0, 1.0))
     if self._depth is not None:
-      self._worsen(x, x[:, self._depth], *of_depth)
+      self._worsen(x, x[:, self._depth], *depth_noise)
 
   def _worsen(
     self, x: torch.Tensor, depth: torch.Tensor, std: torch.Tensor, step: torch.Tensor, share: torch.Tensor
@@ -105,8 +105,9 @@ class CameraNoise(NoiseModel):
     if "depth_std" in self._active:
       y = torch.addcmul(y, self._normal(y) * y.square(), std)
     if "disparity_step" in self._active:
-      whole = (1.0 / (y.clamp(min=_SMALLEST) * step.clamp(min=_SMALLEST))).round_().clamp_(min=1.0)
-      y = torch.where(step > 0.0, 1.0 / (whole * step.clamp(min=_SMALLEST)), y)
+      size = step.clamp(min=_SMALLEST)
+      whole = (1.0 / (y.clamp(min=_SMALLEST) * size)).round_().clamp_(min=1.0)
+      y = torch.where(step > 0.0, 1.0 / (whole * size), y)
     if "hole_share" in self._active:
       holes = self._holes(depth) < share
       far = far | holes
