@@ -157,7 +157,7 @@ def test_a_preview_shows_the_frames_ahead_and_holds_the_last(folder: Path) -> No
   command(cfg).preview = (1, 10)
   command(cfg).sampling = "start"
   env, term = make(cfg)
-  assert env.observation_manager.group_obs_dim["actor"] == (160 + 2 * 58,)
+  assert sum(width for (width,) in env.observation_manager.group_obs_term_dim["actor"]) == 160 + 2 * 58
   for _ in range(28):
     env.step(zeros(env))
   for i, ahead in enumerate((0, 1, 10)):

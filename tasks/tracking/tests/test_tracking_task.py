@@ -60,12 +60,16 @@ def test_observations_have_the_terms_and_widths_of_the_reference() -> None:
     terms = env.observation_manager.active_terms
     assert terms["actor"] == list(ACTOR)
     assert terms["critic"] == [*list(ACTOR)[:3], "body_pos", "body_ori", *list(ACTOR)[3:]]
-    assert env.observation_manager.group_obs_dim == {"actor": (160,), "critic": (286,)}
+    assert widths_of(env) == {"actor": 160, "critic": 286}
     widths = env.observation_manager.group_obs_term_dim["actor"]
     assert [width for (width,) in widths] == list(ACTOR.values())
   blind = g1_flat_no_state_estimation().env
   with ManagerBasedRlEnv(still_task(blind), device="cpu") as env:
-    assert env.observation_manager.group_obs_dim == {"actor": (154,), "critic": (286,)}
+    assert widths_of(env) == {"actor": 154, "critic": 286}
+
+
+def widths_of(env: ManagerBasedRlEnv) -> dict[str, int]:
+  return {group: sum(w for (w,) in shapes) for group, shapes in env.observation_manager.group_obs_term_dim.items()}
 
 
 def still_task(cfg: Any) -> Any:

@@ -65,7 +65,7 @@ class CameraNoise(NoiseModel):
   """Noise of one camera, built by `CameraNoiseCfg`."""
 
   def __init__(self, cfg: CameraNoiseCfg, shape: tuple[int, ...], env: ManagerEnv) -> None:
-    super().__init__(env)
+    super().__init__(cfg, env)
     if len(shape) != 3:
       raise ValueError(f"CameraNoiseCfg: needs images (channels, height, width), not {shape}.")
     check_fields(cfg, "CameraNoiseCfg")

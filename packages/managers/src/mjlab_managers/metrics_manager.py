@@ -41,7 +41,8 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     ranks = {name: _REDUCTIONS.index(self._cfgs[name].reduce) for name in self._terms}
     self._names = sorted(ranks, key=lambda name: ranks[name])
     counts = [list(ranks.values()).count(rank) for rank in range(len(_REDUCTIONS))]
-    self._num_mean, self._num_added, self._max_start, _ = itertools.accumulate(counts)
+    num_mean, self._num_added, self._max_start, _ = itertools.accumulate(counts)
+    self._is_mean = torch.arange(len(self._names), device=self.device) < num_mean
     self._substep_columns = [i for i, name in enumerate(self._names) if self._cfgs[name].per_substep]
     self._substeps = round(self.env.step_dt / self.env.physics_dt)
 
@@ -50,7 +51,7 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     self._episode = self.state((len(self._names),), fill=self._initial)
     self._steps = self.state(dtype=torch.int64)
     self._substep_sums = self.state((len(self._substep_columns),))
-    self._lay_out("metrics", "Episode_Metrics")
+    self._lay_out("metrics")
     self._shown = self._values
 
   def compute_substep(self) -> None:
@@ -93,13 +94,8 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     """Log the metrics of the worlds in `mask`, bool (N,), that had a step, and reset them there."""
     if not self._terms:
       return
-    episode = self._episode
-    if self._num_mean:
-      # Means divide by the steps, the rest by one.
-      steps = self._steps.clamp(min=1)[:, None]
-      means = episode[:, : self._num_mean] / steps
-      episode = torch.cat([means, episode[:, self._num_mean :]], dim=1)
-    self._log.add(episode, mask & (self._steps > 0))
+    divisors = torch.where(self._is_mean, self._steps[:, None], 1)
+    self._log.add(self._episode / divisors, mask & (self._steps > 0))
     where_(self._episode, mask, self._initial)
     fill_(self._steps, mask, 0)
     if self._substep_columns:

@@ -69,8 +69,8 @@ class GaussianNoiseCfg(NoiseCfg):
 class NoiseModel(Stateful, ABC):
   """Noise for one shape of term with state for each episode, built by a `NoiseModelCfg`."""
 
-  def __init__(self, env: ManagerEnv) -> None:
-    self.num_envs, self.device, self.rng = env.num_envs, env.device, env.rng
+  def __init__(self, cfg: NoiseModelCfg, env: ManagerEnv) -> None:
+    self.cfg, self.num_envs, self.device, self.rng = cfg, env.num_envs, env.device, env.rng
 
   @abstractmethod
   def reset(self, mask: torch.Tensor) -> None:
@@ -110,7 +110,7 @@ class NoiseModelWithAdditiveBiasCfg(NoiseModelCfg):
 
 class _AdditiveBias(NoiseModel):
   def __init__(self, cfg: NoiseModelWithAdditiveBiasCfg, width: int, env: ManagerEnv) -> None:
-    super().__init__(env)
+    super().__init__(cfg, env)
     check_fields(cfg, "NoiseModelWithAdditiveBiasCfg")
     self._per_component, whole = cfg.sample_bias_per_component, slice(0, width)
     self._bias_noise = FusedNoise([(whole, cfg.bias_noise_cfg)], env)

@@ -124,7 +124,7 @@ class ObservationManager(ManagerBase[Any]):
     self._frame = torch.zeros(self.num_envs, slots[-1].frame.stop if slots else 0, device=self.device)
     self._clean = torch.zeros_like(self._frame)
     self._out = self.state((slots[-1].out.stop if slots else 0,))
-    self._processing = Processing((), self.env)
+    self._processing = Processing({}, self.env)
     self._process(None)
     self._memory = Memory(slots, self.env)
     self._share()
@@ -134,7 +134,7 @@ class ObservationManager(ManagerBase[Any]):
   def _process(self, before: Processing | None) -> None:
     """Compile the present options, or note the mistakes in them."""
     try:
-      self._processing = Processing(list(self._slots.values()), self.env, before)
+      self._processing = Processing(self._slots, self.env, before)
     except ConfigError as error:
       self._problems += error.problems
 
@@ -170,14 +170,6 @@ class ObservationManager(ManagerBase[Any]):
   def active_terms(self) -> dict[str, list[str]]:
     """Names of the terms of each group in order."""
     return {group: [slot.name for slot in slots] for group, slots in self._by_group.items()}
-
-  @property
-  def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
-    """Shape of the observation of one world by group; a list of shapes if terms are not concatenated."""
-    return {
-      group: tuple(view.shape[1:]) if isinstance(view, torch.Tensor) else [tuple(v.shape[1:]) for v in view.values()]
-      for group, view in self.buffers.items()
-    }
 
   @property
   def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,7 +55,7 @@ class Processing(Stateful):
   """Processing of the frame, the columns of all terms side by side, float32 (N, W), with the present options.
 
   Args:
-    slots: the terms and their columns.
+    slots: the terms and their columns by path.
     env: the environment.
     before: processing with earlier options. Noise models with the same config keep their state.
 
@@ -63,11 +63,11 @@ class Processing(Stateful):
     ConfigError: an option does not fit its term.
   """
 
-  def __init__(self, slots: Sequence[Slot], env: ManagerEnv, before: Processing | None = None) -> None:
+  def __init__(self, slots: Mapping[str, Slot], env: ManagerEnv, before: Processing | None = None) -> None:
     self.num_envs, self.device = env.num_envs, env.device
     self._env, self._slots = env, slots
-    self._options = [option for slot in slots for option in slot.options()]
-    width = slots[-1].frame.stop if slots else 0
+    self._options = self._read_options()
+    width = sum(slot.width for slot in slots.values())
     counts = torch.zeros(width, dtype=torch.int64, device=self.device) if before is None else before.nonfinite
     self.nonfinite = self.state_of(counts, shared=True)
     """NaN or infinite entries per column since `clear_log`, int64 (W,)."""
@@ -76,16 +76,15 @@ class Processing(Stateful):
     checked = torch.zeros(1, width, dtype=torch.bool)
     noises: list[tuple[slice, NoiseCfg]] = []
     self._models: StatefulDict[NoiseModel] = StatefulDict()
-    self._modelled: dict[str, tuple[NoiseModelCfg, Slot]] = {}
     problems: list[str] = []
-    for slot in slots:
+    for path, slot in slots.items():
       cfg, columns = slot.cfg, slot.frame
       try:
         self._add_noise(slot, noises, before)
       except (TypeError, ValueError) as error:
-        problems.append(f"term '{slot.path}': noise: {error}")
+        problems.append(f"term '{path}': noise: {error}")
       if wrong := _number_problem(slot):
-        problems.append(f"term '{slot.path}': {wrong}")
+        problems.append(f"term '{path}': {wrong}")
         continue
       if cfg.clip is not None:
         lo[0, columns], hi[0, columns] = cfg.clip
@@ -94,7 +93,7 @@ class Processing(Stateful):
       checked[0, columns] = slot.group_cfg.nan_policy != "disabled"
     if problems:
       raise ConfigError(*problems)
-    self._strict = [slot for slot in slots if slot.group_cfg.nan_policy == "error"]
+    self._strict = [slot for slot in slots.values() if slot.group_cfg.nan_policy == "error"]
     self._noise = FusedNoise(noises, env) if noises else None
     clips = bool(torch.isfinite(lo).any() or torch.isfinite(hi).any())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
@@ -110,16 +109,17 @@ class Processing(Stateful):
       # The noise of all terms is made together; here it is checked.
       FusedNoise(noises[-1:], self._env)
       return
-    if before is not None and before._modelled.get(slot.path, (None,))[0] is noise:
-      self._models[slot.path] = before._models[slot.path]
-    else:
-      self._models[slot.path] = noise.build(slot.frame_shape, self._env)
-    self._modelled[slot.path] = noise, slot
+    model = before._models.get(slot.path) if before is not None else None
+    self._models[slot.path] = (
+      model if model is not None and model.cfg is noise else noise.build(slot.frame_shape, self._env)
+    )
 
   def is_current(self) -> bool:
     """Return True if no option was replaced."""
-    now = (option for slot in self._slots for option in slot.options())
-    return all(new is old for new, old in zip(now, self._options, strict=True))
+    return all(new is old for new, old in zip(self._read_options(), self._options, strict=True))
+
+  def _read_options(self) -> list[Any]:
+    return [option for slot in self._slots.values() for option in slot.options()]
 
   def redraw(self, mask: torch.Tensor) -> None:
     """Draw the episode noise of the worlds in `mask`, bool (N,)."""
@@ -133,8 +133,9 @@ class Processing(Stateful):
     """
     if self._noise is not None:
       self._noise.apply_(frame)
-    for path, (_, slot) in self._modelled.items():
-      self._models[path].apply_(frame[:, slot.frame].unflatten(1, slot.frame_shape))
+    for path, model in self._models.items():
+      slot = self._slots[path]
+      model.apply_(frame[:, slot.frame].unflatten(1, slot.frame_shape))
     if self._lo is not None:
       torch.clamp(frame, self._lo, self._hi, out=frame)
     if self._scale is not None:

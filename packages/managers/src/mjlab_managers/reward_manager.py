@@ -61,7 +61,7 @@ class RewardManager(VectorManager[RewardTermCfg]):
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
     self._names = self.active_terms
-    self._lay_out("reward", "Episode_Reward")
+    self._lay_out("reward")
     self._shown = self._weighted = torch.zeros_like(self._values)
     self._episode_sums = self.state((len(self._terms),))
 

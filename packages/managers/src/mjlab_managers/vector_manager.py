@@ -71,14 +71,14 @@ class VectorManager(ManagerBase[CfgT]):
     values = dict(zip(self._names, self._shown[env_idx].tolist(), strict=True))
     return [(name, [float(values[name])]) for name in self._terms]
 
-  def _lay_out(self, kind: str, log_key: str) -> None:
+  def _lay_out(self, kind: str) -> None:
     """Make memory and logs for the values of the terms, side by side."""
     names = self._names
     self._raw = torch.zeros(self.num_envs, len(names), device=self.device)
     self._values = torch.zeros_like(self._raw)
     self._nonfinite = torch.zeros(len(names), dtype=torch.int64, device=self.device)
     self._nonfinite_keys = [f"Nonfinite/{kind}/{name}" for name in names]
-    self._log = LogBuffer([f"{log_key}/{name}" for name in names], self.device)
+    self._log = LogBuffer([f"Episode_{kind.capitalize()}/{name}" for name in names], self.device)
 
   def _put(self, columns: Sequence[torch.Tensor]) -> torch.Tensor:
     """Return the values of all terms, (N,) each, as (N, K). NaN and infinite ones become 0 and are counted."""
