@@ -58,7 +58,6 @@ class CommandTerm(ManagerTermBase, ABC):
     super().__init__(env)
     self.cfg = cfg
     self.metrics = Metrics()
-    self._metric_values = torch.zeros(self.num_envs, 0, device=self.device)
     # The manager resets both.
     self.time_left = self.state_of(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
     """Time to the next draw, float64 (N,) [s]; zero if only resets draw."""
@@ -154,19 +153,19 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     for metric, value in term.metrics.items():
       if value.shape != (self.num_envs,):
         return f"metric '{metric}' must be ({self.num_envs},), is {tuple(value.shape)}."
-    if term.metrics:
-      # One block per term: one operation to log it, one to reset it.
-      term._metric_values = term.state_of(torch.stack(list(term.metrics.values()), dim=1))
-      for column, metric in enumerate(term.metrics):
-        dict.__setitem__(term.metrics, metric, term._metric_values[:, column])
     return ""
 
   def _make(self) -> None:
     self.fresh = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
     """Worlds that do not advance in the current `compute`, bool (N,)."""
     self._none = self.fresh
-    names = [f"Metrics/{name}/{metric}" for name, term in self._terms.items() for metric in term.metrics]
-    self._log = LogBuffer(names, self.device)
+    columns = [(name, term.metrics, metric) for name, term in self._terms.items() for metric in term.metrics]
+    # One block for the metrics of all terms: one operation to log it, one to reset it.
+    self._metric_values = self.state((len(columns),))
+    for (_, metrics, metric), values in zip(columns, self._metric_values.unbind(1), strict=True):
+      values.copy_(metrics[metric])
+      dict.__setitem__(metrics, metric, values)
+    self._log = LogBuffer([f"Metrics/{name}/{metric}" for name, _, metric in columns], self.device)
 
   def _rehearse(self, term: CommandTerm) -> None:
     with self._trial(term):
@@ -210,17 +209,13 @@ class CommandManager(ManagerBase[CommandTermCfg]):
     """Log the metrics of the worlds in `mask`, bool (N,), set them to zero, and draw new commands there."""
     if not self._terms:
       return
-    terms = list(self._terms.values())
     if self._log.names:
-      blocks = [term._metric_values for term in terms if term.metrics]
-      values = blocks[0] if len(blocks) == 1 else torch.cat(blocks, dim=1)
-      # One world that went wrong must not spoil the mean of all.
       played = mask & (self.env.episode_length_buf > 0)
-      self._log.add(values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), played)
+      # One world that diverged must not change the mean of all.
+      self._log.add(self._metric_values.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0), played)
+      fill_(self._metric_values, mask, 0.0)
     super().reset(mask)
     for name, term in self._terms.items():
-      if term.metrics:
-        fill_(term._metric_values, mask, 0.0)
       term.command_counter.masked_fill_(mask, 0)
       call_named(self.label, name, term._renew, mask)
 

@@ -56,7 +56,7 @@ class CurriculumManager(ManagerBase[CurriculumTermCfg]):
     return ""
 
   def _rehearse(self, term: Term) -> None:
-    self._try(term, torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._everywhere)
+    self._try(term, self._all_worlds(term))
 
   def _try(self, term: Term, worlds: torch.Tensor) -> None:
     """Call a term on trial, and make memory for its log entries."""

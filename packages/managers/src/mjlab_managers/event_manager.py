@@ -98,7 +98,7 @@ class EventManager(ManagerBase[EventTermCfg]):
     return f"writes model fields {', '.join(unknown)}, which must be known at build." if unknown else ""
 
   def _rehearse(self, term: Term) -> None:
-    self._tried(term, torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._everywhere)
+    self._tried(term, self._all_worlds(term))
 
   @staticmethod
   def _written_fields(terms: Iterable[Term]) -> tuple[str, ...]:

@@ -263,6 +263,10 @@ class ManagerBase(Stateful, Generic[CfgT]):
       self._stateful_terms[term.name] = obj
       obj.state_dict()
 
+  def _all_worlds(self, term: Term) -> torch.Tensor:
+    """Return all worlds as a term takes them: as indices or as a mask."""
+    return torch.arange(self.num_envs, device=self.device) if term.wants_ids else self._everywhere
+
   def _with_params(self, name: str) -> Term:
     return require(self.term(name), Term, f"{self.label}: term '{name}' has no parameters.")
 
@@ -305,9 +309,9 @@ class ManagerBase(Stateful, Generic[CfgT]):
         obj.restore(state)
 
   @contextmanager
-  def _trial(self, obj: Any) -> Generator[None]:
-    """Refuse writes to undeclared tensors, and undo all others."""
-    with self._undone(obj), placed("in a trial call"), only_declared(obj):
+  def _trial(self, term: ManagerTermBase) -> Generator[None]:
+    """Refuse writes to undeclared tensors of a term, and undo all others."""
+    with self._undone(self), placed("in a trial call"), only_declared(term):
       yield
 
   def _tried(self, term: Term, *worlds: torch.Tensor) -> Any:

@@ -66,8 +66,6 @@ def is_number(value: Any) -> bool:
 
 def _parameters(func: Any) -> list[inspect.Parameter]:
   try:
-    if isinstance(func, type):
-      return list(inspect.signature(func.__init__).parameters.values())[1:]
     return list(inspect.signature(func).parameters.values())
   except (ValueError, TypeError):
     return list(inspect.signature(lambda *args, **kwargs: None).parameters.values())
