@@ -117,17 +117,18 @@ def test_documented_shapes_are_the_real_ones(world: World, name: str) -> None:
   sensor: Any = world.sensors[name]
   world.step()
   sizes = {"num_envs": NUM_ENVS, "3": 3, "4": 4, "dim": 3}
-  sizes |= {
-    size: getattr(sensor, size) for size in ("num_frames", "num_rays", "num_primaries") if hasattr(sensor, size)
-  }
+  if hasattr(sensor, "num_frames"):
+    sizes |= {"num_frames": sensor.num_frames, "rays_per_frame": sensor.rays_per_frame}
+    sizes["num_rays"] = sensor.num_frames * sensor.rays_per_frame
   if hasattr(sensor, "contact_shape"):
     sizes |= {"num_contacts": int(np.prod(sensor.contact_shape)), "history_length": sensor.history_length}
+    sizes["num_primaries"] = sensor.contact_shape[0]
   for field, value in values(sensor.data).items():
     doc = documentation(type(sensor.data), field) if field else inspect.getdoc(type(sensor))
     assert doc is not None
     shapes = re.findall(r"\((num_envs[^()]*)\)", doc)
-    if doc.endswith("`heights`."):  # Of the shape of another field.
-      shapes = [", ".join(("num_envs", "num_frames", "num_rays")[: value.ndim])]
+    if doc.endswith("`heights`."):  # The shape of another field.
+      shapes = [", ".join(("num_envs", "num_frames", "rays_per_frame")[: value.ndim])]
     real = [tuple(sizes[size.strip()] for size in shape.split(",")) for shape in shapes]
     assert tuple(value.shape) in real, field
     assert value.dtype in (torch.bool, torch.int32, world.sim.dtype), field

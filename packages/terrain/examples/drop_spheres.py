@@ -1,4 +1,4 @@
-"""Adds a curriculum of terrain to a model of its own and drops 200 spheres on it, in plain MuJoCo.
+"""Curriculum of terrain in a separate model, and 200 spheres that fall on it, in plain MuJoCo.
 
 It needs nothing but this package:
 `uv run --no-project --with ./packages/terrain python packages/terrain/examples/drop_spheres.py`.

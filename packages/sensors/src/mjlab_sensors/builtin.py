@@ -83,7 +83,7 @@ class ObjRef(Config):
   """Kind of element. A "body" is measured at its centre of mass, in its inertial axes; an "xbody" at its frame."""
   name: str
   entity: str | None = None
-  """Entity whose element it is; without one, `name` is the full name in the scene."""
+  """Entity of the element; without one, `name` is the full name in the scene."""
 
   def __post_init__(self) -> None:
     check_fields(self, f"ObjRef '{self.name}'")
@@ -115,8 +115,8 @@ class BuiltinSensorCfg(SensorCfg):
   """Quantities that a rangefinder measures for each of its rays, in this order: distance [m], -1 without a hit;
   direction; origin, hit point and normal in the world frame [m]; depth along the axis of a camera [m]."""
   enclosed: bool = False
-  """Let "insidesite" measure the distance by which an object reaches out of the site [m]; False measures if the
-  object's frame is inside."""
+  """True: "insidesite" measures how far an object reaches out of the site [m]. False: it measures if the object's frame
+  is inside."""
 
   def problems(self) -> Iterator[str]:
     if self.element is not None:

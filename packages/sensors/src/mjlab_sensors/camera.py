@@ -33,18 +33,18 @@ _ORTHOGRAPHIC = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC
 
 @dataclass(kw_only=True)
 class CameraSensorCfg(SensorCfg):
-  """Images of a camera that the scene has (`camera`), or of a new one that is called like the sensor.
+  """Images of a camera of the scene (`camera`), or of a new camera with the name of the sensor.
 
-  Several sensors may look through one camera, each with its own size, data and rate.
+  Several sensors may use one camera, each with separate size, data and rate.
   """
 
   camera: str | None = None
   """Full name of a camera of the scene, such as `robot/head`. It excludes body, pos, quat and orthographic, which
-  describe a new camera. With `fovy`, a copy of it that is called like the sensor has that field of view; fields that
-  are randomised are then those of the copy."""
+  describe a new camera. With `fovy`, the sensor uses a copy with that field of view and the name of the sensor; the
+  fields of the copy are those to randomise."""
   body: str | None = None
-  """Full name of the body that a new camera is fixed to; None is the world, in whose coordinates the worlds of a scene
-  have different origins."""
+  """Full name of the body that a new camera is fixed to; None is the world, where each world of a scene has another
+  origin."""
   pos: tuple[float, float, float] = (0.0, 0.0, 0.0)
   """Position in the frame of the body [m]."""
   quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class CameraSensorCfg(SensorCfg):
   data_types: Annotated[tuple[DataType, ...], Items(ge=1)] = ("rgb",)
   """Images to draw: "rgb", "depth" along the optical axis, "distance" along each pixel's ray, "segmentation"."""
   update_period: Count = 0
-  """Physics steps from one image to the next, which is held in between; 0 draws every state. A world that was reset
+  """Physics steps from one image to the next; 0 draws every state. In between the image is held. A world that was reset
   gets an image at once, and counts from there."""
   geom_groups: GeomGroups = (0, 1, 2)
   """Geom groups that are drawn; None for all."""
@@ -123,7 +123,7 @@ class CameraSensor(Sensor[CameraData]):
 
   They are drawn when the data are first read after a change of state, in the worlds that are due. Textures, colours,
   lights, sizes of geoms, poses and fields of view are those of each world. Surfaces are visible from outside only, so
-  that a camera looks out through the shell that it is built into. Nothing is visible beyond the model's far plane,
+  a camera inside a shell looks through it. Nothing is visible beyond the model's far plane,
   `vis.map.zfar * stat.extent`. A height field shows its surface, without its walls.
   """
 
@@ -163,7 +163,8 @@ class CameraSensor(Sensor[CameraData]):
     super().initialize(sim, entities)
     cfg = self.cfg
     self._frame = FrameSet(sim, "camera", (self.camera_name,))
-    self._camera = mujoco.mj_name2id(sim.mj_model, mujoco.mjtObj.mjOBJ_CAMERA, self.camera_name)
+    self._camera = sim.mj_model.camera(self.camera_name).id
+    self._is_orthographic = sim.mj_model.cam_projection[self._camera] == _ORTHOGRAPHIC
     self._renderer = sim.make_renderer(
       self._camera,
       self.width,
@@ -204,15 +205,19 @@ class CameraSensor(Sensor[CameraData]):
     Raises:
       MjlabError: the camera is orthographic.
     """
-    sim, model = self.sim, self.sim.mj_model
-    if model.cam_projection[self._camera] == _ORTHOGRAPHIC:
+    if self._is_orthographic:
       raise MjlabError(f"{self.label}: camera {self.camera_name!r} is orthographic, and has no intrinsic matrix")
-    sensor = model.cam_sensorsize[self._camera]
-    if sensor[1] > 0.0:
-      fx, fy, cx, cy = physical_intrinsics(sim.model.cam_intrinsic[:, self._camera], sensor, self.width, self.height)
+    return self._image_matrix()
+
+  def _image_matrix(self) -> torch.Tensor:
+    """Return the intrinsic matrix; of an orthographic camera fx and fy are in pixels per metre."""
+    sim, sensor = self.sim, self.sim.mj_model.cam_sensorsize[self._camera]
+    if sensor[1] > 0.0 and not self._is_orthographic:
+      intrinsic = sim.model.cam_intrinsic[:, self._camera]
+      fx, fy, cx, cy = physical_intrinsics(intrinsic, sensor, self.width, self.height)
     else:
-      half = torch.deg2rad(sim.model.cam_fovy[:, self._camera]) / 2.0
-      fx = fy = self.height / (2.0 * torch.tan(half))
+      fovy = sim.model.cam_fovy[:, self._camera]
+      fx = fy = self.height / (fovy if self._is_orthographic else 2.0 * torch.tan(torch.deg2rad(fovy) / 2.0))
       cx, cy = self.width / 2.0, self.height / 2.0
     matrix = torch.zeros(self.num_envs, 3, 3, dtype=sim.dtype, device=sim.device)
     matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 2, 2] = fx, fy, 1.0
@@ -221,23 +226,17 @@ class CameraSensor(Sensor[CameraData]):
 
   def debug_draw(self, draw: DebugDraw) -> None:
     """Draw the camera's frame, and a pyramid from it to the corners of its image; an orthographic one as a box."""
-    sim, worlds, length = self.sim, list(draw.worlds), 10.0 * self._draw_size
-    _ = sim.version
+    worlds, length = list(draw.worlds), 10.0 * self._draw_size
+    _ = self.sim.version
     pos, mat = (value[worlds] for value in self._pose())
     draw.frames(pos, quat_from_matrix(mat), 3.0 * self._draw_size)
-    size = mat.new_tensor((self.width, self.height))
-    pixel = mat.new_tensor(((0, 0), (1, 0), (1, 1), (0, 1))) * size
-    is_orthographic = sim.mj_model.cam_projection[self._camera] == _ORTHOGRAPHIC
-    if is_orthographic:
-      metres = sim.model.cam_fovy[:, self._camera].expand(self.num_envs)[worlds, None, None] / self.height
-      image = (pixel - size / 2.0) * metres
-    else:
-      matrix = self.intrinsic_matrix[worlds]
-      image = (pixel - matrix[:, None, :2, 2]) / matrix[:, None, (0, 1), (0, 1)] * length
+    width, height, matrix = self.width, self.height, self._image_matrix()[worlds, None]
+    pixel = mat.new_tensor(((0, 0), (width, 0), (width, height), (0, height)))
+    image = (pixel - matrix[..., :2, 2]) / matrix[..., (0, 1), (0, 1)] * (1.0 if self._is_orthographic else length)
     local = torch.stack((image[..., 0], -image[..., 1], torch.full_like(image[..., 0], -length)), dim=-1)
     end = pos[:, None] + (mat[:, None] * local[:, :, None]).sum(-1)
     # The camera looks along its negative z axis.
-    start = end + length * mat[:, None, :, 2] if is_orthographic else pos[:, None].expand_as(end)
+    start = end + length * mat[:, None, :, 2] if self._is_orthographic else pos[:, None].expand_as(end)
     edges = torch.cat((start, end), dim=1), torch.cat((end, end.roll(-1, dims=1)), dim=1)
     draw.lines(edges[0].flatten(0, 1), edges[1].flatten(0, 1), (1.0, 0.8, 0.1, 1.0), 0.1 * self._draw_size)
 

@@ -46,9 +46,9 @@ class ContactSensorCfg(SensorCfg):
   """Contacts of each primary with each secondary."""
 
   primary: ContactMatch
-  """Elements whose contacts are reported, one by one."""
+  """Elements with reported contacts, each separately."""
   secondary: ContactMatch | None = None
-  """Elements that they touch, one by one; None for all elements together. A subtree may be its own secondary."""
+  """Elements that they touch, each separately; None for all elements together. A subtree may be its own secondary."""
   fields: Annotated[tuple[ContactField, ...], Items(ge=0, unique=True)] = ("found", "force")
   """Fields of the reading. `track_air_time` adds "found"."""
   reduce: ContactReduce = "maxforce"
@@ -61,7 +61,7 @@ class ContactSensorCfg(SensorCfg):
   track_air_time: bool = False
   """Measure the times in the air and in contact."""
   history_length: Count | Literal["decimation"] = 0
-  """Number of past substeps whose force is kept; "decimation" for the substeps of one environment step."""
+  """Number of past substeps in the force history; "decimation" for the substeps of one environment step."""
 
   def problems(self) -> Iterator[str]:
     if not self.fields and not self.track_air_time:
@@ -102,17 +102,17 @@ class ContactData:
   tangent: torch.Tensor | None = None
   """First unit tangent, world frame; the second is normal x tangent, (num_envs, num_contacts, 3)."""
   current_air_time: torch.Tensor | None = None
-  """Time that the primary has been in the air, 0 in contact with any secondary, (num_envs, num_primaries) [s]."""
+  """Time in the air so far, 0 in contact with any secondary, (num_envs, num_primaries) [s]."""
   last_air_time: torch.Tensor | None = None
-  """Length of the air phase that the last landing ended, 0 before one since the reset, (num_envs, num_primaries)
+  """Length of the air phase before the last landing, 0 without a landing since the reset, (num_envs, num_primaries)
   [s]."""
   current_contact_time: torch.Tensor | None = None
-  """Time that the primary has been in contact, 0 in the air, (num_envs, num_primaries) [s]."""
+  """Time in contact so far, 0 in the air, (num_envs, num_primaries) [s]."""
   last_contact_time: torch.Tensor | None = None
-  """Length of the contact phase that the last take-off ended, 0 before one since the reset, (num_envs, num_primaries)
+  """Length of the contact phase before the last take-off, 0 without one since the reset, (num_envs, num_primaries)
   [s]."""
   force_history: torch.Tensor | None = None
-  """Force of the last substeps, newest first, zero for those before the reset,
+  """Force of the last substeps, newest first, zero before the reset,
   (num_envs, num_contacts, history_length, 3) [N]."""
 
 
@@ -124,7 +124,7 @@ class ContactSensor(Sensor[ContactData]):
 
   A phase of contact or air lasts from the substep at which it is first seen; the substep of a landing is counted in
   both the air time that ends and the contact time that begins. The phase that a world is reset into begins at the
-  reset: a foot that starts on the ground has not landed, and no air time is credited to it.
+  reset: a foot that starts on the ground has not landed and has no air time.
   """
 
   cfg: ContactSensorCfg
@@ -135,7 +135,7 @@ class ContactSensor(Sensor[ContactData]):
     self.secondary_names: tuple[str, ...] = ()
     """Full names of the secondaries; empty if all elements count."""
     self.history_length = 0
-    """Number of past substeps whose force is kept."""
+    """Number of past substeps in the force history."""
     self._fields = {*cfg.fields, *(["found"] if cfg.track_air_time else [])}
     # The sum of all contacts is in the world frame already.
     self._is_turned = cfg.global_frame and cfg.reduce != "netforce"

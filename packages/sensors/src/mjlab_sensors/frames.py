@@ -26,7 +26,7 @@ POSES = {
 
 _BODY_OF = {"site": "site_bodyid", "geom": "geom_bodyid", "camera": "cam_bodyid"}
 
-# Below this length of its projection to the ground, a frame's x axis no longer gives its heading.
+# Least length of the projection of a frame's x axis to the ground that still gives the heading.
 _SHORT = 0.1
 
 
@@ -42,7 +42,7 @@ class FrameMatch(ElementMatch):
 class FrameSet:
   """The frames of a `FrameMatch` in a simulation.
 
-  It reads the simulation's memory, which the reader makes current beforehand by reading `sim.version`.
+  It reads the simulation's memory. Read `sim.version` before, which makes that memory current.
   """
 
   def __init__(self, sim: Simulation, frame_type: FrameType, names: tuple[str, ...]) -> None:
@@ -54,7 +54,7 @@ class FrameSet:
     self._index = torch.tensor(ids, device=sim.device)
     self._all_positions: torch.Tensor = getattr(sim.data, position)[:]
     self._all_rotations: torch.Tensor = getattr(sim.data, rotation)[:]
-    # Of each row-major matrix x and y of the x axis, then of the y axis turned back by 90 degrees but for a sign.
+    # In each row-major matrix: x and y of the x axis, then of the y axis turned back by 90 degrees, up to the sign.
     columns = 9 * self._index[:, None] + torch.tensor((0, 3, 4, 1), device=sim.device)
     self._columns = columns.flatten()
     self._signs = torch.tensor(((1, 1), (1, -1)), dtype=sim.dtype, device=sim.device)
@@ -78,7 +78,7 @@ class FrameSet:
   def headings(self) -> torch.Tensor:
     """Unit heading of the frames on the ground, world frame, (num_envs, num_frames, 2).
 
-    It is the x axis projected to the ground, or, where that is nearly vertical, the y axis turned back by 90 degrees.
+    It is the x axis projected to the ground, or the y axis turned back by 90 degrees if x is nearly vertical.
     """
     axes = self._all_rotations.flatten(1).index_select(1, self._columns).unflatten(1, (-1, 2, 2)) * self._signs
     length = torch.linalg.vector_norm(axes, dim=-1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Inertial measurement unit with biases of its own in each world."""
+"""Inertial measurement unit with separate biases in each world."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _ELEMENTS = {
 class ImuSensorCfg(SensorCfg):
   """Gyro, accelerometer and orientation of a site, each with a bias.
 
-  A reset draws the bias of a world, as switching a device on does: each axis uniformly from plus or minus the given
-  magnitude. The bias of gyro and accelerometer may also walk from there. A bias with neither stays as an event has set
-  it (`set_bias`). White noise and delay belong to the observation manager.
+  A reset draws the bias of a world, as when a device is switched on: each axis uniformly from plus or minus the given
+  magnitude. The biases of gyro and accelerometer may also walk from there. Without both, a bias keeps the value that an
+  event has set (`set_bias`). White noise and delay belong to the observation manager.
   """
 
   site: ObjRef
@@ -51,9 +51,9 @@ class ImuSensorCfg(SensorCfg):
   orientation_bias: NonNegative = 0.0
   """Largest component of the rotation vector from the true to the measured orientation [rad]."""
   gyro_walk: NonNegative = 0.0
-  """Random walk of the gyro's bias: its standard deviation after one second [rad/s / sqrt(s)]."""
+  """Random walk of the gyro's bias: standard deviation after one second [rad/s / sqrt(s)]."""
   accelerometer_walk: NonNegative = 0.0
-  """Random walk of the accelerometer's bias, likewise [m/s^2 / sqrt(s)]."""
+  """Random walk of the accelerometer's bias: standard deviation after one second [m/s^2 / sqrt(s)]."""
 
   def problems(self) -> Iterator[str]:
     if self.site.type != "site":
@@ -70,12 +70,12 @@ class ImuData:
   angular_velocity: torch.Tensor
   """Angular velocity in the axes of the site, (num_envs, 3) [rad/s]."""
   linear_acceleration: torch.Tensor
-  """Acceleration in the axes of the site, including that against gravity: at rest it points up. It is that of the
-  substep just done; without bias it is zero in worlds just reset, (num_envs, 3) [m/s^2]."""
+  """Acceleration relative to free fall, in the axes of the site: at rest it points up. It is that of the substep just
+  done; without bias it is zero in worlds just reset, (num_envs, 3) [m/s^2]."""
   orientation: torch.Tensor
   """Unit quaternion (w, x, y, z) from the site to the world, (num_envs, 4)."""
   projected_gravity: torch.Tensor
-  """Unit vector down according to `orientation`, in the axes of the site, (num_envs, 3)."""
+  """Unit vector that points down according to `orientation`, in the axes of the site, (num_envs, 3)."""
 
 
 class ImuSensor(Sensor[ImuData]):
@@ -135,9 +135,9 @@ class ImuSensor(Sensor[ImuData]):
 
     Args:
       mask: worlds to set, (num_envs,) bool.
-      gyro: of the angular velocity, (num_envs, 3) [rad/s].
-      accelerometer: of the acceleration, (num_envs, 3) [m/s^2].
-      orientation: rotation vector of the axes, (num_envs, 3) [rad].
+      gyro: bias of the angular velocity, (num_envs, 3) [rad/s].
+      accelerometer: bias of the acceleration, (num_envs, 3) [m/s^2].
+      orientation: bias of the orientation, a rotation vector, (num_envs, 3) [rad].
     """
     for bias, value in zip(self._biases, (gyro, accelerometer, orientation), strict=True):
       if value is not None:

@@ -38,7 +38,7 @@ class RayPatternCfg(Config, ABC):
     """Return starting points and unit directions in the frame, both (num_rays, 3), float64 [m]."""
 
   def resolve(self, model: mujoco.MjModel) -> RayPatternCfg:
-    """Return the pattern with all values that it takes from the compiled model."""
+    """Return the pattern with all values that come from the compiled model."""
     del model
     return self
 
@@ -57,7 +57,7 @@ class RingPatternCfg(RayPatternCfg):
   num_samples: Count = 8
   """Number of rays on the circle."""
   include_center: bool = True
-  """Put one more ray, the first, at the frame itself."""
+  """Add a ray at the frame itself, before the others."""
 
   def problems(self) -> Iterator[str]:
     if self.num_samples + self.include_center < 1:
@@ -73,9 +73,9 @@ class RingPatternCfg(RayPatternCfg):
 class LidarPatternCfg(RayPatternCfg):
   """Rays from one point through a field of view of equal angles, row by row from the top, each from left to right.
 
-  It is the order of an image: ray `row * columns + column`. Angle 0 looks along the frame's x axis, y is to its left
-  and z up. Rows and columns reach both ends of their field of view, but a full turn of columns does not come to the
-  same ray twice; a single row or column looks through the middle.
+  The order is that of an image: ray `row * columns + column`. Angle 0 is along the frame's x axis, with y to the left
+  and z up. Rows and columns reach both ends of their field of view, but a full turn has no ray twice. A single row or
+  column looks through the middle.
   """
 
   rows: PositiveCount = 16
@@ -85,7 +85,7 @@ class LidarPatternCfg(RayPatternCfg):
   vertical_fov: Annotated[tuple[float, float], Limits(ge=-90, le=90), Ascending()] = (-15.0, 15.0)
   """Lowest and highest angle above the horizontal plane of the frame [deg]."""
   horizontal_fov: Annotated[tuple[float, float], Limits(ge=-360, le=360), Ascending()] = (-180.0, 180.0)
-  """Rightmost and leftmost angle, counted to the left from the frame's x axis [deg]."""
+  """Rightmost and leftmost angle from the frame's x axis, positive to the left [deg]."""
 
   def problems(self) -> Iterator[str]:
     right, left = self.horizontal_fov
@@ -112,7 +112,7 @@ def _spread(low: float, high: float, count: int, *, full_turn: bool) -> np.ndarr
 class GridPatternCfg(RayPatternCfg):
   """Parallel rays from a grid centred on the frame: straight down, or forward along the frame's x axis.
 
-  Of a downward grid x runs fastest, then y; of a forward one y, then z; all from negative to positive.
+  In a downward grid x runs fastest, then y; in a forward grid y, then z; all from negative to positive.
 
   A side holds as many steps as fit: (1.6, 1.0) at 0.1 is 17 x 11 rays, 1.0 at 0.3 is -0.45, -0.15, 0.15, 0.45.
   """

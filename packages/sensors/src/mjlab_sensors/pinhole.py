@@ -15,7 +15,7 @@ from mjlab_sensors.patterns import RayPatternCfg
 
 
 def resolution_problems(width: int, height: int, camera: str | None) -> Iterator[str]:
-  """Yield the mistake in an image without pixels; zeros take the resolution of `camera`."""
+  """Yield a problem if an image has no pixels; zeros take the resolution of `camera`."""
   if (width == 0 or height == 0) and (camera is None or width != height):
     yield f"width and height must be at least 1, got {width} and {height}"
 
@@ -52,11 +52,11 @@ def physical_intrinsics(intrinsic: Any, sensor: np.ndarray, width: int, height: 
 class PinholeCameraPatternCfg(RayPatternCfg):
   """One ray through the centre of each pixel of a camera, row by row from the top, each from left to right.
 
-  It is the order of a rendered image: ray `row * width + column` belongs to the pixel `image[row, column]`. The camera
-  looks along the frame's negative z axis, x points right and y up in the image, as MuJoCo's cameras do.
+  The order is that of a rendered image: ray `row * width + column` belongs to the pixel `image[row, column]`. As with
+  MuJoCo's cameras, the camera looks along the frame's negative z axis, x points right and y up in the image.
 
-  Distances are measured along the rays. The depth that a rendered image has in the same pixel is measured along the
-  optical axis: the distance times -z of the ray's direction.
+  Distances are measured along the rays. The depth of a rendered image is measured along the optical axis: it is the
+  distance times -z of the ray's direction.
 
   Pixel coordinates count from the corner of the image: the centre of its first pixel is (0.5, 0.5), and the middle of
   the image (width / 2, height / 2).
@@ -73,7 +73,7 @@ class PinholeCameraPatternCfg(RayPatternCfg):
   center: tuple[float, float] | None = None
   """Pixel on the optical axis, cx from the image's left and cy from its top [pixel]; None is the middle."""
   camera: str | None = None
-  """Full name of a camera of the scene whose intrinsics replace all above but the resolution."""
+  """Full name of a camera of the scene. Its intrinsics replace all fields above except the resolution."""
 
   @classmethod
   def from_mujoco_camera(cls, camera: str, *, width: int = 0, height: int = 0) -> Self:
@@ -93,7 +93,7 @@ class PinholeCameraPatternCfg(RayPatternCfg):
     """Return the pixels of a camera with K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], as 3 x 3 or 9 numbers [pixel].
 
     Raises:
-      MjlabError: another shape, or entries that are not those of such a camera.
+      MjlabError: the matrix has another shape or other entries.
     """
     k = np.asarray(matrix, dtype=np.float64)
     k = k.reshape(3, 3) if k.size == 9 else k

@@ -20,7 +20,7 @@ class RayCastSensorCfg(RaySensorCfg):
   """Hits of a pattern of rays from each of several frames."""
 
   identify_geoms: bool = False
-  """Return the geoms that are hit. On a CPU that is slower on terrain of many geoms."""
+  """Return the geoms that are hit. This is slower on a CPU with terrain of many geoms."""
 
   def _make(self, name: str) -> RayCastSensor:
     return RayCastSensor(name, self)
@@ -30,7 +30,7 @@ class RayCastSensorCfg(RaySensorCfg):
 class RayCastData:
   """Hits of the rays of a `RayCastSensor`, frame by frame.
 
-  Ray r of frame f is number f * rays_per_frame + r, and num_rays counts all. The tensors are the sensor's own memory.
+  Ray r of frame f is number f * rays_per_frame + r. The tensors are the sensor's own memory.
   """
 
   distances: torch.Tensor
@@ -41,8 +41,8 @@ class RayCastData:
   hit_pos_w: torch.Tensor
   """Point that is hit, world frame; the start of the ray without a hit, (num_envs, num_rays, 3) [m]."""
   normals_w: torch.Tensor
-  """Surface normal at the hit, world frame; along the ray if it leaves a geom that it started in, and zero without a
-  hit, (num_envs, num_rays, 3)."""
+  """Surface normal at the hit, world frame; along the ray if it started inside the geom, and zero without a hit,
+  (num_envs, num_rays, 3)."""
   frame_pos_w: torch.Tensor
   """Origins of the frames, world frame, (num_envs, num_frames, 3) [m]."""
   frame_mat_w: torch.Tensor

@@ -1,4 +1,4 @@
-"""Base of sensors made of rays: one pattern of rays at each of several frames, all cast together."""
+"""Base of ray sensors: one pattern of rays at each of several frames, all cast together."""
 
 from __future__ import annotations
 
@@ -33,17 +33,16 @@ class RaySensorCfg(SensorCfg):
   alignment: RayAlignment = "base"
   """Rotation of the pattern: with the frame ("base"), with the frame's heading only ("yaw"), or none ("world")."""
   max_distance: RayReach = 10.0
-  """Range of a ray, from its point of the pattern [m]."""
+  """Range of a ray from its point of the pattern [m]."""
   start_height: NonNegative = 0.0
-  """Distance behind the points of the pattern, against their direction, at which rays start [m]. Rays of a height scan
-  that start at the frame itself start inside terrain that is higher than the frame; rays that start above all terrain
-  around it hit that terrain."""
+  """Distance from the points of the pattern back to the start of the rays, against their direction [m]. The rays of a
+  height scan miss terrain that is higher than their start."""
   geom_groups: GeomGroups = (0, 1, 2)
   """Geom groups that rays see; None for all. Geoms of zero alpha are never seen."""
   exclude_parent_body: bool = True
   """Rays of a frame pass through the geoms of the body that carries it."""
   exclude_own_tree: bool = False
-  """Rays of a frame pass through everything that moves with it: all bodies of its kinematic tree, such as a robot."""
+  """Rays of a frame pass through all bodies of its kinematic tree, such as a whole robot."""
 
 
 class RaySensor(Sensor[T]):

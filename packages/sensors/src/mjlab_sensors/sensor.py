@@ -31,7 +31,7 @@ class SensorCfg(Config, ABC):
   """Configuration of a sensor."""
 
   name: str = ""
-  """Name of the sensor in its scene. May be left to the scene, which passes its own key to `build`."""
+  """Name of the sensor in its scene; empty for the name that the scene passes to `build`."""
   debug_vis: bool = False
   """Draw the sensor in a viewer from the start."""
 
@@ -39,7 +39,7 @@ class SensorCfg(Config, ABC):
     self.validate()
 
   def validate(self) -> None:
-    """Raise ConfigError for values that are wrong in every scene. Runs when made, and again at `build`."""
+    """Raise ConfigError for values that are wrong in every scene. Runs when the config is made and at `build`."""
     check_fields(self, self.label, self.problems())
 
   def problems(self) -> Iterator[str]:
@@ -55,7 +55,7 @@ class SensorCfg(Config, ABC):
     """Return the sensor, not yet part of any spec.
 
     Args:
-      name: the name it has in its scene; needed only where the configuration does not give one.
+      name: name in the scene; needed only if the configuration has none.
 
     Raises:
       MjlabError: the configuration is wrong, or it has no name, or two different ones.
@@ -72,7 +72,7 @@ class SensorCfg(Config, ABC):
 
 
 class Sensor(Stateful, ABC, Generic[T]):
-  """Something that is read from a simulation.
+  """Reading of a simulation.
 
   A scene calls, in this order: `edit_spec` before the model is compiled, `initialize` once there is a simulation, then
   `update` after every substep and `reset` for the worlds that restart. Terms read `data`; a viewer calls `debug_draw`
@@ -117,7 +117,7 @@ class Sensor(Stateful, ABC, Generic[T]):
     self._read_at = None
 
   def update(self, dt: float) -> None:
-    """Process the substep just done, of `dt` [s]. The default does nothing."""
+    """Process the last substep of `dt` [s]. The default does nothing."""
     del dt
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -130,7 +130,7 @@ class Sensor(Stateful, ABC, Generic[T]):
 
   @property
   def _draw_size(self) -> float:
-    """Size of a small thing in this model's picture [m]."""
+    """Size of a small drawing in this model [m]."""
     return 0.5 * float(self.sim.mj_model.stat.meansize)
 
   def _draw_direction(self, draw: DebugDraw, place: torch.Tensor, vector: torch.Tensor) -> None:
@@ -142,9 +142,8 @@ class Sensor(Stateful, ABC, Generic[T]):
   def data(self) -> T:
     """Reading for the present state.
 
-    It is computed at the first access after anything that it depends on has changed, so it is never stale and a second
-    access costs nothing. The tensors are the sensor's own memory: do not write them, and clone them to keep them for
-    longer than the step.
+    It is computed at the first access after a change of state, so it is never stale and a second access costs nothing.
+    The tensors are the sensor's own memory: do not write them, and clone them to keep them for longer than the step.
     """
     now = self.sim.version, self._version()
     if now != self._read_at or self._reading is None:
@@ -164,7 +163,7 @@ class Sensor(Stateful, ABC, Generic[T]):
     return self._sim
 
   def _version(self) -> int:
-    """Return a number that changes when the sensor's own memory, which its reading follows from, is written."""
+    """Return a number that changes with each write of the sensor's own memory."""
     return 0
 
   @abstractmethod

@@ -28,13 +28,13 @@ class TerrainHeightSensorCfg(RaySensorCfg):
   pattern: RayPatternCfg = field(default_factory=RingPatternCfg)
   alignment: RayAlignment = "yaw"
   reduction: HeightReduction = "min"
-  """One height from the rays of a frame: over the highest ground ("min"), over the lowest ("max"), or the mean; "none"
-  keeps the height of each ray."""
+  """Reduction of the rays of a frame to one height: above the highest ground ("min"), above the lowest ("max"), or the
+  mean; "none" keeps the height of each ray."""
   max_distance: RayReach = 1.0
   """Range of the rays below their frame [m], and the reading where no ray hits ground."""
   start_height: NonNegative = 0.1
-  """Distance behind the frame, against their direction, at which rays start [m]; they hit ground up to so far above
-  the frame."""
+  """Distance from the frame back to the start of the rays, against their direction [m]. Ground up to this far above the
+  frame is hit."""
   geom_groups: GeomGroups = (0,)
   """Geom groups that count as ground; None for all."""
   exclude_parent_body: bool = False
@@ -51,14 +51,14 @@ class TerrainHeightData:
   """Height of each frame above the ground, 0 inside the ground and `max_distance` where no ray hits any,
   (num_envs, num_frames) [m]; of each ray, (num_envs, num_frames, rays_per_frame), without reduction."""
   valid: torch.Tensor
-  """True where any ray of the frame hit ground, or the ray itself without reduction, bool, shaped as `heights`."""
+  """True if a ray of the frame hit ground, or the ray itself without reduction, bool, shaped as `heights`."""
 
 
 class TerrainHeightSensor(RaySensor[TerrainHeightData]):
   """Height of frames above the ground: z of the frame less z of the point that a ray hits.
 
-  Rays that hit nothing within `max_distance` take no part in the reduction. Above a level plane that never moves, rays
-  straight down are not cast: they would measure the height above the plane.
+  Rays that hit nothing within `max_distance` are left out of the reduction. Above one fixed level plane, rays straight
+  down are not cast: the reading is the height above the plane.
   """
 
   cfg: TerrainHeightSensorCfg

@@ -39,7 +39,7 @@ def add_tiles(
     color: Meaning of the color.
     friction: Friction of all geoms.
     light: True adds a light.
-    described: Fields of the terrain that do not follow from its tiles.
+    described: Other fields of the terrain.
 
   Raises:
     ValueError: the model already has a body or a geom of a name that is needed; it is unchanged.
@@ -73,7 +73,7 @@ def add_tiles(
 def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[tuple[Solid, int]]:
   """Return all solids in the world frame with their type; boxes that are level with each other become one.
 
-  Where a pit reaches the rim of its tile, everything around it becomes deep enough to have no hollow below it.
+  If a pit reaches the rim of its tile, the ground around it becomes deeper, so that it has no hollow below it.
   """
   rim = min(tile.lowest_points[1] for tile in tiles)
   bottom = rim - GROUND_DEPTH if rim < 0.0 else np.inf
@@ -99,7 +99,7 @@ def merge_boxes(boxes: Sequence[tuple[Box, int]]) -> list[tuple[Box, int]]:
       # Corners of neighbouring tiles agree but for rounding.
       low, high = ([round(1e6 * at) for at in corner.tolist()] for corner in (box.low, box.high))
       start, end = low.pop(axis), high.pop(axis)
-      # A key has the end of a box, for the box that starts there.
+      # Keys have the end of a box, to be found by the box that starts there.
       before, _ = merged.pop((start, kind, *low, *high), (box, kind))
       merged.setdefault((end, kind, *low, *high), (box_between(before.low, box.high), kind))
     boxes = list(merged.values())
@@ -107,7 +107,7 @@ def merge_boxes(boxes: Sequence[tuple[Box, int]]) -> list[tuple[Box, int]]:
 
 
 def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoco.MjsBody:
-  """Return a new static body, whose geoms will have these names.
+  """Return a new static body for geoms of these names.
 
   Raises:
     ValueError: the model already has an element of such a name; it is unchanged.
@@ -122,7 +122,7 @@ def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoc
 
 
 def add_geom(body: mujoco.MjsBody, name: str, friction: tuple[float, float, float], **fields: Any) -> None:
-  """Add a geom of group 0 that collides with everything, whatever the defaults of the model are."""
+  """Add a geom of group 0 that collides with all geoms, independent of the defaults of the model."""
   body.add_geom(name=name, friction=friction, condim=3, contype=1, conaffinity=1, group=0, mass=0.0, **fields)
 
 

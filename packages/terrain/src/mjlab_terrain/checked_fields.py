@@ -12,13 +12,13 @@ import numpy as np
 def scaled(
   ends: tuple[float, float], *, harder: Literal["more", "less"], least: float = 0.0, most: float = math.inf
 ) -> Any:
-  """Declare a setting that difficulty changes: its value at difficulty 0 and at 1. `harder` is its direction."""
+  """Declare a setting that difficulty changes: its values at difficulty 0 and 1. `harder` is the direction."""
   order = "grow with difficulty" if harder == "more" else "fall with difficulty"
   return _field(ends, least=least, most=most, parts="easiest, hardest", order=order)
 
 
 def drawn(ends: tuple[float, float], *, least: float = 0.0, most: float = math.inf, inside: bool = False) -> Any:
-  """Declare a range, lowest and highest value, that a value is drawn from or may be in; for `inside`, see `number`."""
+  """Declare a range of random or allowed values: lowest and highest. `inside` is that of `number`."""
   return _field(ends, least=least, most=most, parts="lowest, highest", order="go from low to high", inside=inside)
 
 
@@ -32,8 +32,8 @@ def number(
 ) -> Any:
   """Declare a number, or a tuple of independent numbers.
 
-  If the default is a whole number, or with `whole`, so is the value; if it is None, the value may be None; a tuple
-  keeps its length. With `inside`, it is a length that fits inside the border of a tile.
+  The value must be a whole number with `whole`, or if the default is one. It may be None if the default is None. A
+  tuple keeps its length. With `inside`, the value is a length that fits inside the border of a tile.
   """
   return _field(value, least=least, most=most, inside=inside, whole=whole or isinstance(value, int))
 

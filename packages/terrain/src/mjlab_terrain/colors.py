@@ -58,11 +58,11 @@ def picture_of(field: HeightField, color: GroundColor, kind: int) -> bytes:
 def _png(pixels: NDArray[np.uint8]) -> bytes:
   """Return `pixels`, (height, width, 3), as a PNG file.
 
-  MuJoCo writes no XML of a texture without a file, and a terrain needs no library for pictures. All other pictures are
-  written with Pillow.
+  MuJoCo cannot write textures without a file as XML, and terrain does not depend on a library for pictures. All other
+  pictures are written with Pillow.
   """
   height, width, _ = pixels.shape
-  # Each line starts with its filter: 0, none.
+  # Each line starts with the number of its filter: 0, none.
   lines = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1).tobytes()
   header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
   chunks = (b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")

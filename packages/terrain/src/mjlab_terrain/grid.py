@@ -19,7 +19,7 @@ from mjlab_terrain.terrain import Terrain, apportion
 from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import TileCfg, tile_rng
 
-# Uses of a seed besides tiles, whose key is their row and column.
+# Keys of other uses of a seed. The key of a tile is its row and column.
 _LAYOUT, _PATCHES = 0, 1
 
 
@@ -35,7 +35,7 @@ class TerrainGridCfg:
   """Name of the body; geoms and their assets are called "<name>_<number>"."""
 
   types: dict[str, TileCfg] = field(default_factory=walking_types)
-  """Types of tile by name. One with share 0 is left out."""
+  """Types of tile by name. Types with share 0 are left out."""
 
   tile_size: tuple[float, float] = number((8.0, 8.0), least=0.5)
   """Extent of a tile along x and y [m]."""
@@ -44,10 +44,10 @@ class TerrainGridCfg:
   """Number of tiles along x."""
 
   columns: int | None = number(None, least=1, whole=True)
-  """Number of tiles along y. None is one for each type in a curriculum, as many as rows in a random layout."""
+  """Number of tiles along y; None for one of each type in a curriculum, and for as many as rows in a random layout."""
 
   layout: Literal["curriculum", "random"] = choice("curriculum", "random")
-  """In a curriculum, rows go from easy to hard and each type has columns by its share; or all is drawn at random."""
+  """Curriculum: rows go from easy to hard, and each type has columns by its share. Random: all is drawn."""
 
   difficulty: tuple[float, float] = drawn((0.0, 1.0), most=1.0)
   """Difficulty of the easiest and the hardest tiles, in [0, 1]."""
@@ -59,13 +59,13 @@ class TerrainGridCfg:
   """Width of the level ground around the grid [m]."""
 
   color: GroundColor = "height"
-  """Meaning of the color; or one color for all, red, green and blue in [0, 1]."""
+  """Meaning of the color, or one color for all: red, green and blue in [0, 1]."""
 
   friction: tuple[float, float, float] = number(FRICTION)
   """Sliding, torsional and rolling friction [1, m, m]."""
 
   flat_patches: dict[str, FlatPatchCfg] = field(default_factory=dict)
-  """Level places to look for on every tile, by name."""
+  """Sets of level places that are searched on every tile, by name."""
 
   light: bool = True
   """True adds a directional light from above."""

@@ -17,14 +17,14 @@ EVERYWHERE = (-math.inf, math.inf)
 
 @dataclass(kw_only=True)
 class FlatPatchCfg:
-  """Round places on which the ground is nearly level; they may overlap."""
+  """Round places of nearly level ground; they may overlap."""
 
   count: int = number(10, least=1)
   """Number of places on each tile."""
   radius: float = number(0.5, least=0.01)
-  """Radius of a place [m]; all of it lies on the tile."""
+  """Radius of a place [m]; a place is entirely on its tile."""
   max_height_difference: float = number(0.05)
-  """Between the highest and the lowest point of a place [m]."""
+  """Largest difference between the highest and the lowest point of a place [m]."""
   x_range: tuple[float, float] = drawn(EVERYWHERE, least=-math.inf)
   """Range of centres along x, from the tile's centre [m]."""
   y_range: tuple[float, float] = drawn(EVERYWHERE, least=-math.inf)
@@ -35,10 +35,10 @@ class FlatPatchCfg:
   """Distance between the points at which the ground is sampled [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
-    """Check that a tile of this size can have such places; `name` is their name in messages.
+    """Check that a tile of this size has room for such places; `name` is their name in messages.
 
     Raises:
-      ValueError: it cannot, or a setting is out of its range.
+      ValueError: it has none, or a setting is out of its range.
     """
     check_fields(self, name)
     tile = f"a tile of {size[0]:g} x {size[1]:g} m"
@@ -54,7 +54,7 @@ class FlatPatchCfg:
   def find(self, tile: Tile, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return centres of places drawn at random, on the surface, in the tile's frame, to `resolution`, (count, 3) [m].
 
-    Where a tile has fewer places, they repeat; where it has none, all are at the most level place.
+    If a tile has fewer places, they repeat; if it has none, all are at the most level place.
     """
     # An even number of steps, so that the middle of the tile is among the points.
     axes = [np.linspace(-0.5 * s, 0.5 * s, 2 * max(math.ceil(0.5 * s / self.resolution), 1) + 1) for s in tile.size]
@@ -68,7 +68,7 @@ class FlatPatchCfg:
       reach = 0.5 * extent - self.radius
       low, high = max(-reach, low), min(reach, high)
       there = (low - 1e-9 <= at) & (at <= high + 1e-9)
-      # A range between two points of the grid takes the nearer one.
+      # If no point of the grid is in the range, the nearest is.
       there[np.argmin(np.abs(at - 0.5 * (low + high)))] |= not there.any()
       inside.append(there)
     allowed = np.logical_and.outer(*inside)

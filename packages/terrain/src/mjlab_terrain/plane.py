@@ -1,4 +1,4 @@
-"""Flat ground without end."""
+"""Infinite flat ground."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PlaneCfg:
   """Infinite plane at height zero with a checkered look."""
 
   name: str = "terrain"
-  """Name of the body, of its geom, and of the light, material and texture that come with it."""
+  """Name of the body, and of its geom, light, material and texture."""
 
   friction: tuple[float, float, float] = number(FRICTION)
   """Sliding, torsional and rolling friction [1, m, m]."""
@@ -29,10 +29,10 @@ class PlaneCfg:
   """Colors of the squares, red, green and blue in [0, 1]."""
 
   line_color: Rgb | None = (0.80, 0.80, 0.80)
-  """Color of the lines around each pair of squares; None draws none."""
+  """Color of the lines around each pair of squares; None for no lines."""
 
   reflectance: float = number(0.2, most=1.0)
-  """Share of the light that the ground mirrors, in [0, 1]."""
+  """Share of the light that the ground reflects, in [0, 1]."""
 
   light: bool = True
   """True adds a directional light from above."""

@@ -1,4 +1,4 @@
-"""Sets of types of tile with useful settings, and changes of settings that are given as text."""
+"""Sets of types of tile with useful settings, and changes of settings given as text."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def all_types() -> dict[str, TileCfg]:
 
 
 def walking_types() -> dict[str, TileCfg]:
-  """Return a mix to learn walking on: level ground, stairs and slopes up and down, rough ground and waves."""
+  """Return a mix for learning to walk: level ground, stairs and slopes up and down, rough ground and waves."""
   return {
     "flat": FlatCfg(share=0.2),
     "stairs_up": PyramidStairsCfg(share=0.2),
@@ -77,15 +77,21 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
 
 
 def _read(text: str, present: Any, assignment: str) -> Any:
-  """Return the value that `text` gives, of the same kind as the present one."""
+  """Return the value of `text`, of the same kind as the present value."""
   try:
     if isinstance(present, bool):
       return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
     if isinstance(present, str):
       return text
-    values = [int(part) if part.strip().lstrip("-").isdigit() else float(part) for part in text.split(",")]
-    if isinstance(present, tuple) != (len(values) == 2):
-      raise ValueError
+    wanted = present if isinstance(present, tuple) else (present,)
+    values = [_number(part) for part, _ in zip(text.split(","), wanted, strict=True)]
   except (KeyError, ValueError):
     raise ValueError(f"'{assignment}': the value must be like {present!r}, without brackets.") from None
   return tuple(values) if isinstance(present, tuple) else values[0]
+
+
+def _number(text: str) -> float:
+  try:
+    return int(text)
+  except ValueError:
+    return float(text)

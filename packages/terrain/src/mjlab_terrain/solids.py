@@ -1,4 +1,4 @@
-"""Solids of the ground: boxes, whose tops may slope, and height fields."""
+"""Solids of the ground: boxes with level or sloping tops, and height fields."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 MIN_THICKNESS = 0.05
-"""Least extent of a geom in any direction [m]; contact solvers lose thinner ones."""
+"""Least extent of a geom in any direction [m]. Contact solvers miss thinner geoms."""
 
 GROUND_DEPTH = 1.0
 """Depth of the ground below its lowest surface [m]."""
 
 FLAT = 1e-3
-"""Least height of a feature [m]; a lower one is left out."""
+"""Least height of a feature [m]. Lower features are left out."""
 
 EDGE = 1e-9
-"""Points this close to an edge belong to the solid [m]."""
+"""Points closer to an edge than this belong to the solid [m]."""
 
 Interval = tuple[float, float]
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ class SolidBase(ABC):
   def top(self, x: Floats, y: Floats) -> Floats:
     """Return its height at the grid of points `x` (nx,) and `y` (ny,) inside its bounds, (nx, ny) [m].
 
-    It is -inf where it has none.
+    The height is -inf beside the solid.
     """
 
   @cached_property
@@ -66,11 +66,11 @@ class SolidBase(ABC):
 
   @property
   def thickness(self) -> float:
-    """Least extent, between the lowest point of its top and its bottom too [m]."""
+    """Least extent, including that between bottom and the lowest point of the top [m]."""
     return float(np.min((*np.multiply(self.half, 2.0), self.center[2] + self.top_range[0] - self.bottom)))
 
   def ticks(self, axis: int) -> Floats:
-    """Return coordinates along an axis at which a surface may be lowest: both sides of its edges, (n,) [m]."""
+    """Return coordinates along an axis where the surface may be lowest: both sides of each edge, (n,) [m]."""
     edges = np.array((self.low[axis], self.high[axis]))
     return np.concatenate((edges - 1e-6, edges + 1e-6))
 
@@ -81,7 +81,7 @@ class SolidBase(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box(SolidBase):
-  """Upright box, whose top may slope."""
+  """Upright box with a level or sloping top."""
 
   slope: tuple[float, float] = (0.0, 0.0)
   """Rise of its top along its own x and y [1]."""
@@ -110,7 +110,7 @@ class Box(SolidBase):
 
   @property
   def corners(self) -> Floats:
-    """Corners, for each of four the one at the bottom and the one at the top, (8, 3) [m]."""
+    """Corners: four pairs, each of a bottom corner and the top corner above it, (8, 3) [m]."""
     own = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * self.half
     out = np.repeat(np.column_stack((self.center[:2] + own @ self.axes.T, own @ self.slope)), 2, axis=0)
     out[::2, 2], out[1::2, 2] = self.bottom, out[1::2, 2] + self.center[2]
@@ -125,7 +125,7 @@ class Box(SolidBase):
 
 
 def box_between(low: ArrayLike, high: ArrayLike, *, slope: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Box:
-  """Return a box between two corners, (3,) [m]; the highest gives the height of the middle of its top."""
+  """Return a box between its lowest and highest corner, (3,) [m]; the z of `high` is that of the middle of the top."""
   (x, y, bottom), (far_x, far_y, top) = np.asarray(low).tolist(), np.asarray(high).tolist()
   center, half = np.array((0.5 * (x + far_x), 0.5 * (y + far_y), top)), (0.5 * (far_x - x), 0.5 * (far_y - y))
   return Box(center=center, half=half, bottom=bottom, slope=slope, yaw=yaw)

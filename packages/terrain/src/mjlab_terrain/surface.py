@@ -12,7 +12,7 @@ from mjlab_terrain.solids import EDGE, Floats, Solid
 def surface(solids: Sequence[Solid], x: Floats, y: Floats) -> Floats:
   """Return the height of the highest surface at the grid of `x` (nx,) and `y` (ny,), both ascending, (nx, ny) [m].
 
-  It is -inf where there is nothing. A ray that falls down in MuJoCo hits the same heights.
+  It is -inf beside all solids. Rays straight down in MuJoCo hit the same heights.
   """
   top = np.full((len(x), len(y)), -np.inf)
   for solid in solids:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 class Terrain:
   """Terrain that has been added to an `MjSpec`: tiles in rows, which run along x, and columns, which run along y.
 
-  A plane is one tile without end. In a curriculum, rows go from easy to hard and a column has one type.
+  A plane is one infinite tile. In a curriculum, rows go from easy to hard and a column has one type.
   """
 
   name: str
-  """Name of its body, which is static and holds all its geoms."""
+  """Name of its static body, which has all its geoms."""
 
   geom_names: tuple[str, ...]
   """Names of its geoms."""
@@ -38,7 +38,7 @@ class Terrain:
   """Type of each tile, an index into `type_names`, (rows, columns)."""
 
   column_shares: NDArray[np.float64] = field(default_factory=lambda: np.ones(1))
-  """Share of all worlds that belongs on each column, (columns,); they sum to 1."""
+  """Share of all worlds on each column, (columns,); shares sum to 1."""
 
   flat_patches: dict[str, NDArray[np.float64]] = field(default_factory=dict)
   """Centres of flat places of each tile, on the surface, by name, world frame, (rows, columns, count, 3) [m]."""
@@ -71,7 +71,7 @@ class Terrain:
 
 
 def apportion(shares: NDArray[np.float64], num: int) -> NDArray[np.int64]:
-  """Return `num` things divided among shares, which sum to 1, by largest remainder, (len(shares),)."""
+  """Divide `num` things among shares, which sum to 1, by largest remainder, (len(shares),)."""
   exact = shares * num
   counts = np.floor(exact + 1e-9).astype(np.int64)
   # Stable, so that of equal remainders the first is served.

@@ -1,4 +1,4 @@
-"""Geometry of one tile, and the tools that a type builds it with."""
+"""Geometry of one tile, and the tools to build it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Tile:
     self.difficulty = difficulty
     """From 0, easiest, to 1, hardest."""
     self.rng = rng
-    """Source of all randomness. Draw the same numbers at any difficulty, and scale them: then features grow with it."""
+    """Source of all randomness. Draw the same numbers at any difficulty and scale them: then features grow with it."""
     self.place = place
     """Row and column in its grid."""
     self.kind = kind
@@ -87,13 +87,13 @@ class Tile:
       y: Lowest and highest y.
       z: Bottom, and height of the middle of the top.
       slope: Rise of the top along x and y [1].
-      yaw: Angle by which the box is turned about its middle [rad].
+      yaw: Angle of the box about the vertical through its middle [rad].
     """
     low, high = zip(x, y, z, strict=True)
     self.add(box_between(low, high, slope=slope, yaw=yaw))
 
   def block(self, border: float, z: Interval) -> None:
-    """Add a box that leaves a border of this width free [m]."""
+    """Add a box over the whole tile except a border of this width [m]."""
     x, y = np.multiply(0.5, self.inner(border)).tolist()
     self.box((-x, x), (-y, y), z)
 
@@ -102,9 +102,9 @@ class Tile:
     self.block(0.0, (top - GROUND_DEPTH, top))
 
   def ring(self, outer: float, inner: float, z: Interval, arms: float | None = None) -> None:
-    """Add four boxes that leave a border of width `outer` free, and everything inside one of width `inner` [m].
+    """Add four boxes around the middle, between a border of width `outer` and one of width `inner` [m].
 
-    With `arms` they are only the middle of each side, of that width [m].
+    With `arms` each box is only the middle of its side, of that width [m].
     """
     if inner - outer < 1e-9:
       return
@@ -148,7 +148,7 @@ class Tile:
   def spawn_on_top(self, search: float = 1.0, radius: float = 0.4) -> None:
     """Set the spawn point to the nearest place above which nothing within `radius` [m] rises.
 
-    The search ends `search` [m] from the centre along x and y; without such a place, the best one is taken.
+    The search ends `search` [m] from the centre along x and y. If there is no such place, take the best one.
     """
     spacing = 0.05
     counts = [int(min(search + radius, 0.5 * extent) / spacing) for extent in self.size]

@@ -20,11 +20,11 @@ from mjlab_terrain.tile import Tile
 class TileCfg(ABC):
   """Type of tile. A new type is a dataclass with `build`; fields from `scaled`, `drawn` and `number` are checked.
 
-  The rim of a tile is at height 0, so that neighbours meet, and a flat place or a crest is there to spawn on.
+  The rim of a tile is at height 0, so that neighbours meet. A tile has a flat place or a crest to spawn on.
   """
 
   share: float = number(1.0)
-  """Share of the grid that is of this type, relative to the shares of the other types."""
+  """Share of this type in a grid, relative to the shares of the other types."""
 
   @abstractmethod
   def build(self, tile: Tile) -> None:
@@ -84,7 +84,7 @@ class TileCfg(ABC):
 
 @dataclass(kw_only=True)
 class BorderedTileCfg(TileCfg):
-  """Type of tile with a level rim; its field `platform`, if any, is the edge of what is level in the middle."""
+  """Type of tile with a level rim; its field `platform`, if any, is the edge of the level square in the middle."""
 
   border: float = number(0.25)
   """Width of the level rim [m]."""
@@ -108,5 +108,5 @@ class BorderedTileCfg(TileCfg):
 
 
 def tile_rng(seed: int, *key: int) -> np.random.Generator:
-  """Return the random numbers of a tile, given by its row and column, or of another use of a seed."""
+  """Return the random numbers of a tile, with its row and column as key, or of another use of a seed."""
   return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

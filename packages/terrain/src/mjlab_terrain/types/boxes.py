@@ -37,9 +37,9 @@ class _ColumnsCfg(BorderedTileCfg):
 
 
 def in_platform(x: list[Interval], y: list[Interval], platform: float) -> NDArray[np.bool_]:
-  """Return a mask of the cells whose centre is on a central square of edge `platform`, (cells_x, cells_y).
+  """Return a mask of the cells with their centre on a central square of edge `platform`, (cells_x, cells_y).
 
-  Along each axis there is at least one, or two if the number of cells is even, unless `platform` is 0.
+  Each axis has at least one such cell, or two if the number of cells is even, unless `platform` is 0.
   """
   inside = []
   for cells in (x, y):
@@ -53,11 +53,11 @@ class RandomGridCfg(_ColumnsCfg):
   """Square columns of random heights around a level platform. Harder: larger differences."""
 
   height: tuple[float, float] = scaled((0.0, 0.3), harder="more")
-  """Columns are up to this much higher or lower than the rim [m]."""
+  """Largest height of a column above or below the rim [m]."""
   cell: float = number(0.4, least=MIN_THICKNESS, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
   levels: int | None = number(None, least=2, whole=True)
-  """Number of different heights; neighbours of equal height become one geom. None draws from all heights."""
+  """Number of different heights; neighbours of equal height become one geom. None allows all heights."""
   holes: bool = False
   """True leaves only a cross as wide as the platform, with a pit between its arms."""
   pit_depth: float = number(2.0, least=MIN_THICKNESS)
@@ -92,7 +92,7 @@ class RandomBoxesCfg(BorderedTileCfg):
   """Boxes of random size scattered over level ground, turned at random. Harder: more and higher boxes."""
 
   num_boxes: tuple[int, int] = scaled((40, 80), harder="more")
-  """Number of boxes; those that would lie on the platform are left out."""
+  """Number of boxes; boxes on the platform are left out."""
   width: tuple[float, float] = drawn((0.1, 1.0), least=MIN_THICKNESS)
   """Width of a box [m]."""
   length: tuple[float, float] = drawn((0.1, 2.0), least=MIN_THICKNESS)
@@ -119,7 +119,7 @@ class RandomBoxesCfg(BorderedTileCfg):
       )
 
   def build(self, tile: Tile) -> None:
-    # All are drawn, so that an easier tile has the same boxes, only fewer and lower ones.
+    # The same random numbers at any difficulty: an easier tile has the same boxes, only fewer and lower ones.
     most = round(max(self.num_boxes))
     half = 0.5 * np.stack([tile.rng.uniform(*ends, most) for ends in (self.width, self.length)], axis=-1)
     tops = tile.rng.uniform(*self.height, most) * tile.scaled(self.scale)
@@ -148,13 +148,13 @@ def overlap_free(center: NDArray[np.float64], half: NDArray[np.float64], yaw: fl
 class TiltedGridCfg(_ColumnsCfg):
   """Square columns with sloping tops around a level platform. Harder: steeper and more uneven.
 
-  Their sides are vertical, so that nothing can get under a neighbour's edge.
+  Sides are vertical, so that nothing can get under the edge of a column.
   """
 
   tilt: tuple[float, float] = scaled((0.0, 15.0), harder="more", most=40.0)
-  """Tops slope by up to this along x and along y, either way [deg]."""
+  """Largest slope of a top along x and along y [deg]."""
   height: tuple[float, float] = scaled((0.0, 0.1), harder="more")
-  """Middles of tops differ by up to this much [m]."""
+  """Largest difference between the middles of tops [m]."""
   cell: float = number(1.0, least=0.2, inside=True)
   """Least edge of a column [m]; columns are as wide as needed to fill the tile."""
 

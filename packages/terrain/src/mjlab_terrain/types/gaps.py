@@ -28,13 +28,13 @@ class SteppingStonesCfg(_PitCfg):
   stone_size: tuple[float, float] = scaled((0.8, 0.4), harder="less", least=0.1)
   """Edge of a stone [m]."""
   stone_distance: float = number(0.2)
-  """Least gap between the largest stones [m]; the lattice never changes, so gaps grow as stones shrink."""
+  """Least gap between the largest stones [m]. The lattice stays the same, so gaps grow as stones shrink."""
   height_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
-  """Stones are up to this much higher or lower than the rim [m]."""
+  """Largest height of a stone above or below the rim [m]."""
   size_variation: tuple[float, float] = scaled((0.0, 0.1), harder="more")
-  """Edges are up to this much longer or shorter [m]."""
+  """Largest change of the length of an edge [m]."""
   displacement: tuple[float, float] = scaled((0.0, 0.1), harder="more")
-  """Stones are up to this far from their place on the lattice, along x and along y [m]."""
+  """Largest distance of a stone from its place on the lattice, along x and along y [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
   """Least edge of the platform [m]; it grows towards the nearest whole stones."""
 
@@ -68,7 +68,7 @@ class SteppingStonesCfg(_PitCfg):
 class NarrowBeamsCfg(_PitCfg):
   """Beams from a platform to the rim over a pit, like the spokes of a wheel. Harder: narrower beams.
 
-  Their tops are 1 mm below the platform and the rim, so that a foot where they meet touches only one of them.
+  Their tops are 1 mm below platform and rim, so that a foot touches only one of the two where they meet.
   """
 
   num_beams: int = number(12, least=1)
@@ -84,7 +84,7 @@ class NarrowBeamsCfg(_PitCfg):
       self.refuse(
         name, f"beam_width {self.beam_width[0]:g} m is wider than the platform; at most {self.platform:g} m would work"
       )
-    # Where even the narrowest beams touch one another all the way, difficulty would have no effect.
+    # Difficulty has no effect if even the narrowest beams touch each other all the way.
     room, half = 0.5 * min(size) - self.border - MIN_THICKNESS, 0.5 * self.beam_width[1]
     most = int(math.pi / math.asin(half / room)) if half < room else 2
     if self.num_beams > max(most, 2):
@@ -123,13 +123,13 @@ class NestedRingsCfg(_PitCfg):
   """Square rings over a pit, around a platform. Harder: narrower rings and wider gaps."""
 
   num_rings: int = number(8, least=1)
-  """Greatest number of rings; fewer where the tile has no room for them at some difficulty."""
+  """Greatest number of rings; fewer if the tile has too little room at some difficulty."""
   ring_width: tuple[float, float] = scaled((0.6, 0.3), harder="less", least=MIN_THICKNESS)
   """Width of a ring [m]."""
   gap: tuple[float, float] = scaled((0.1, 0.4), harder="more")
   """Width of the gaps [m]."""
   platform: float = number(1.0, least=MIN_THICKNESS)
-  """Least edge of the platform, which fills what the rings leave [m]."""
+  """Least edge of the platform, which fills the space inside the rings [m]."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)

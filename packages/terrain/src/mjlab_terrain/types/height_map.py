@@ -16,17 +16,20 @@ from mjlab_terrain.tile_cfg import BorderedTileCfg
 
 @dataclass(kw_only=True)
 class HeightMapCfg(BorderedTileCfg):
-  """Height map, stretched over the tile. Harder: higher, if `height` says so; by default, difficulty has no effect."""
+  """Height map, stretched over the tile.
+
+  Harder: higher, if the two values of `height` differ; by default, difficulty has no effect.
+  """
 
   source: ArrayLike | str | Path
   """Heights at the vertices of a regular grid, first index along x, second along y, (nx, ny); or the file of a picture,
-  seen with x to the right and y up, whose grey is from 0, black, to 1, white."""
+  with x to the right, y up, and grey from 0, black, to 1, white."""
   height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
   """Height of the value 1 of `source` [m]."""
   border: float = number(0.0)
   """Width of the level rim at height 0 [m]."""
   blend: float = number(0.0)
-  """Width over which the heights grow from the border inwards [m]; without border and blend they are left alone."""
+  """Width over which the heights grow from the border inwards [m]. Without border and blend they do not change."""
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)

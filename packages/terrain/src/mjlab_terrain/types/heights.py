@@ -65,9 +65,9 @@ class RandomRoughCfg(_HeightsCfg):
   amplitude: tuple[float, float] = scaled((0.0, 0.05), harder="more")
   """Heights differ from the rim by up to this much [m]."""
   step: float | None = number(None, least=0.001)
-  """Heights are multiples of it [m]; None draws from all heights."""
+  """Heights are multiples of this step [m]; None allows all heights."""
   spacing: float = number(0.1, least=0.01)
-  """Distance between the points whose heights are drawn [m]; between them the ground is smooth."""
+  """Distance between points of random height [m]; between them the ground is smooth."""
   blend: float = number(0.25)
   """Width over which the heights grow from the rim inwards [m]."""
 
@@ -160,11 +160,11 @@ class PerlinNoiseCfg(_HeightsCfg):
   wavelength: float = number(1.6, least=0.1)
   """Size of the largest features [m]."""
   octaves: int = number(4, least=1, most=12)
-  """Number of noises that are added; those with features smaller than a cell are left out."""
+  """Number of noises in the sum; noises with features smaller than a cell are left out."""
   persistence: float = number(0.3, most=1.0)
-  """Amplitude of each noise relative to that before it."""
+  """Amplitude of each noise relative to the one before."""
   lacunarity: float = number(2.0, least=1.0)
-  """Frequency of each noise relative to that before it."""
+  """Frequency of each noise relative to the one before."""
   blend: float = number(0.5)
   """Width over which the heights grow from the rim inwards [m]."""
 

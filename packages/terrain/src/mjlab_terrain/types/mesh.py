@@ -21,21 +21,21 @@ from mjlab_terrain.types.height_map import source_name
 
 @dataclass(kw_only=True)
 class MeshCfg(TileCfg):
-  """Mesh, whose surface as seen from above becomes ground; space below an overhang is filled.
+  """Mesh as ground: its surface as seen from above. Space below an overhang is filled.
 
-  Harder: higher, if `height` says so; by default, difficulty has no effect. MuJoCo would collide with the convex hull
-  of a mesh, so a height field carries it, with sides as steep as one cell allows.
+  Harder: higher, if the two factors of `height` differ; by default, difficulty has no effect. MuJoCo collides with the
+  convex hull of a mesh. The ground is therefore a height field, with sides as steep as one cell allows.
   """
 
   source: str | Path | tuple[ArrayLike, ArrayLike]
-  """A file of any format that `trimesh` reads; or vertices, (n, 3) [m], and triangles, (m, 3), in indices. z is up; the
-  middle of the mesh, seen from above, becomes the middle of the tile."""
+  """File of any format that `trimesh` reads; or vertices, (n, 3) [m], and triangles, (m, 3), as indices of vertices. z
+  is up. The middle of the mesh, seen from above, becomes the middle of the tile."""
   scale: float = number(1.0, least=1e-6)
   """Factor on all lengths of the mesh."""
   height: tuple[float, float] = scaled((1.0, 1.0), harder="more")
-  """Factor on its heights besides."""
+  """Additional factor on the heights of the mesh."""
   floor: float = number(0.0, least=-math.inf)
-  """Height of the ground where the mesh has nothing [m]."""
+  """Height of the ground beside the mesh [m]."""
   resolution: float = number(0.05, least=0.005)
   """Distance between the vertices of the height field [m]."""
 

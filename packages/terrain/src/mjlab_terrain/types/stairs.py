@@ -17,7 +17,7 @@ class _StairsCfg(BorderedTileCfg):
   """Stairs on all four sides of a platform."""
 
   platform: float = number(1.0, least=MIN_THICKNESS)
-  """Edge of the platform [m]; it grows by what is left when no whole step fits any more."""
+  """Least edge of the platform [m]; it grows by the space that is too narrow for a step."""
 
   def num_steps(self, tile: Tile, width: float) -> int:
     """Return the number of steps of this width that fit on each side of the platform."""
@@ -33,7 +33,7 @@ class PyramidStairsCfg(_StairsCfg):
   step_width: float = number(0.3, least=MIN_THICKNESS)
   """Depth of each tread [m]."""
   platform: float = number(3.0, least=MIN_THICKNESS)
-  """Edge of the platform [m]; it grows by what is left when no whole step fits any more."""
+  """Least edge of the platform [m]; it grows by the space that is too narrow for a step."""
   border: float = number(1.0)
   """Width of the level rim [m]."""
   inverted: bool = False
@@ -73,7 +73,7 @@ class PyramidStairsCfg(_StairsCfg):
 class OpenStairsCfg(_StairsCfg):
   """Stairs of thin treads with open risers, on all four sides. Harder: higher and narrower steps.
 
-  An open riser is a slot one tread deep, whose floor is level with the tread in front of it. A foot can slip under a
+  An open riser is a slot one tread deep; its floor is level with the tread in front of it. A foot can slip under a
   tread, but it cannot fall.
   """
 
@@ -113,7 +113,7 @@ class OpenStairsCfg(_StairsCfg):
 
 @dataclass(kw_only=True)
 class RandomStairsCfg(_StairsCfg):
-  """Stairs up to a platform, each step of another height. Harder: higher steps."""
+  """Stairs up to a platform with steps of random height. Harder: higher steps."""
 
   step_height: tuple[float, float] = drawn((0.1, 0.3))
   """Rise of each step [m], before it is scaled."""
@@ -128,7 +128,7 @@ class RandomStairsCfg(_StairsCfg):
     tile.slab()
     below = 0.0
     for k, top in enumerate(tops.tolist()):
-      # A step too low to be felt is left to the next one.
+      # A step that is too low becomes part of the next one.
       if top - below >= FLAT:
         tile.block(self.border + k * self.step_width, (-GROUND_DEPTH, top))
         below = top

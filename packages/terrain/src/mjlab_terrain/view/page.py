@@ -57,7 +57,7 @@ class Page:
     self._choose()
 
   def _choose(self) -> None:
-    """Take over the chosen types, with controls for the settings of a single one."""
+    """Show the chosen types, with controls for the settings of a single one."""
     self._types = {name: dataclasses.replace(cfg) for name, cfg in self._sets[self._choice.value].items()}
     for control in self._settings.values():
       control.remove()
@@ -71,7 +71,7 @@ class Page:
     self.draw()
 
   def _add_control(self, cfg: TileCfg, setting: dataclasses.Field[Any]) -> None:
-    """Add a control for a setting, but not for a share, a file, or a number that is None."""
+    """Add a control for a setting, except for a share, a file, or a number that is None."""
     gui, label = self._server.gui, setting.name.replace("_", " ")
     value, rule = getattr(cfg, setting.name), rule_of(setting)
     if isinstance(value, bool):
@@ -93,7 +93,7 @@ class Page:
     self._settings[setting.name] = control
 
   def draw(self) -> None:
-    """Build the terrain and show it, or show why it cannot be built."""
+    """Build the terrain and show it, or the reason why that fails."""
     columns = self._given.columns if self._choice.value == _GIVEN else None
     values = {name: control.value for name, control in self._controls.items()}
     cfg = dataclasses.replace(self._given, types=self._types, columns=columns, **values)
@@ -122,7 +122,7 @@ class Page:
 def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
   """Serve a page of `cfg`, at the next free port if this one is taken, and return its server."""
   logging.getLogger("websockets.server").addFilter(_is_no_failed_handshake)
-  # viser prints a greeting, but standard output belongs to the caller.
+  # viser prints a greeting, but standard output is for the caller.
   with contextlib.redirect_stdout(io.StringIO()):
     server = viser.ViserServer(host=host, port=port, label="terrain", verbose=False)
   server.scene.set_up_direction("+z")
@@ -145,5 +145,5 @@ def serve(cfg: TerrainGridCfg, port: int, host: str = "127.0.0.1") -> None:
 
 
 def _is_no_failed_handshake(record: logging.LogRecord) -> bool:
-  """Leave out the traceback of connections that are not from a browser, such as scans of ports."""
+  """Suppress the traceback of connections that are not from a browser, such as port scans."""
   return record.getMessage() != "opening handshake failed"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -37,7 +36,7 @@ def render(
   """Return a picture of the whole terrain under a pale sky, (height, width, 3).
 
   Args:
-    cfg: Its light is left out.
+    cfg: The terrain.
     size: Width and height [pixels].
     azimuth: Direction of view, from x [deg].
     elevation: Direction of view, from the horizontal [deg].
@@ -47,10 +46,13 @@ def render(
     Exception: there is no OpenGL; the kind of the exception depends on the system.
   """
   spec = mujoco.MjSpec()
-  terrain = replace(cfg, light=False).add_to(spec)
+  terrain = cfg.add_to(spec)
   extent = np.multiply(terrain.difficulty.shape, cfg.tile_size) + 2.0 * cfg.border_width
-  _light(spec, 0.6 * math.hypot(*extent))
+  paper, builtin = np.array(PAPER) / 255.0, mujoco.mjtBuiltin.mjBUILTIN_FLAT
+  sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
+  spec.add_texture(name="sky", type=sky, builtin=builtin, rgb1=paper, rgb2=paper, width=8, height=48)
   width, height = spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+  spec.visual.global_.fovy, spec.visual.quality.shadowsize = _FOVY, 8192
   model = spec.compile()
   data = mujoco.MjData(model)
   mujoco.mj_forward(model, data)
@@ -82,42 +84,6 @@ def _add_names(scene: mujoco.MjvScene, terrain: Terrain) -> None:
     mujoco.mjv_initGeom(geom, label, np.zeros(3), place, turn, white)
     geom.label = name
     scene.ngeom += 1
-
-
-def _light(spec: mujoco.MjSpec, reach: float) -> None:
-  """Put a terrain that reaches this far [m] under a pale sky, in two lights of which the first casts shadows."""
-  paper = np.array(PAPER) / 255.0
-  spec.add_texture(
-    name="sky",
-    type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-    builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-    rgb1=paper,
-    rgb2=paper,
-    width=8,
-    height=48,
-  )
-  for direction, diffuse, shadow in (
-    (np.array([-0.4, 0.3, -1.0]), (0.62, 0.6, 0.56), True),
-    (np.array([0.7, -0.2, -0.6]), (0.16, 0.18, 0.2), False),
-  ):
-    spec.worldbody.add_light(
-      type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-      # Shadows are sharpest when the light stands over what casts them.
-      pos=-reach * direction,
-      dir=direction,
-      castshadow=shadow,
-      diffuse=diffuse,
-      specular=(0, 0, 0),
-    )
-  spec.visual.headlight.ambient = (0.38, 0.38, 0.4)
-  spec.visual.headlight.diffuse = (0.1, 0.1, 0.1)
-  spec.visual.headlight.specular = (0, 0, 0)
-  spec.visual.quality.shadowsize = 8192
-  spec.stat.extent, spec.stat.center = reach, (0, 0, 0)
-  spec.visual.map.shadowclip = 1.0
-  # No farther than needed: the depth of shadows shares the range.
-  spec.visual.map.znear, spec.visual.map.zfar = 0.1, 10.0
-  spec.visual.global_.fovy = _FOVY
 
 
 def _distance(extent: NDArray[np.float64], aspect: float, azimuth: float, elevation: float) -> float:
