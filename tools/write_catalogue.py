@@ -6,7 +6,7 @@ A test holds the file against what this would write.
 import math
 from pathlib import Path
 
-from mjlab_dr import FIELDS, LEFT_OUT, Field, followers_of, needs_constants
+from mjlab_dr import FIELDS, Field, followers_of, needs_constants
 
 FILE = Path(__file__).parents[1] / "packages" / "dr" / "CATALOGUE.md"
 
@@ -16,6 +16,29 @@ _GROUPS = {
   "*cameras*": ("cam_poscom0", "cam_pos0", "cam_mat0"),
   "*lights*": ("light_poscom0", "light_pos0", "light_dir0"),
 }
+
+_DERIVED = "follows from other fields"
+_LAYOUT = "is the place of buffers in memory"
+_ACCURACY = "is the accuracy of the solver, not a property of the world"
+
+LEFT_OUT: dict[str, str] = {
+  **dict.fromkeys(
+    (
+      *("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "tendon_length0"),
+      *("actuator_acc0", "geom_aabb", "geom_rbound", "cam_poscom0", "cam_pos0", "cam_mat0"),
+      *("light_poscom0", "light_pos0", "light_dir0"),
+    ),
+    _DERIVED,
+  ),
+  **dict.fromkeys(("actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"), _LAYOUT),
+  **dict.fromkeys((f"opt.{x}tolerance" for x in ("", "ls_", "noslip_", "ccd_", "sleep_")), _ACCURACY),
+  "opt.impratio_invsqrt": "belongs to the solver, and MuJoCo Warp alone stores it in this form",
+  "sensor_delay": "is a property of the reader: observation terms have a separate delay",
+  "sensor_interval": "fixes how many samples a buffer holds, which is decided when the model is compiled",
+  "light_type": "decides which code draws it, when the picture's context is made",
+  "geom_dataid": "decides mesh, mass and bounds at once, which is what `VariantEntityCfg` of mjlab-scene is for",
+}
+"""Reasons, by field, why a field that MuJoCo Warp can hold per world is not randomised."""
 
 _HEAD = """\
 # Randomisable fields
@@ -51,7 +74,7 @@ def table() -> str:
     lines.append("| " + " | ".join(cells) + " |")
   lines += [
     "",
-    "## What MuJoCo Warp can hold per world but is not in the table",
+    "## Fields that MuJoCo Warp can hold per world, and that are not randomised",
     "",
     "| field | because it |",
     "|---|---|",

@@ -2,7 +2,7 @@
 
 from mjlab_dr.apply import Quantity, RandomizeField, apply_all
 from mjlab_dr.binding import Component
-from mjlab_dr.catalogue import FIELDS, LEFT_OUT, followers_of, needs_constants
+from mjlab_dr.catalogue import FIELDS, followers_of, needs_constants
 from mjlab_dr.distributions import (
   Categorical,
   Custom,
@@ -27,7 +27,6 @@ from mjlab_dr.standalone import Change, Randomization, RandomizedTensors, random
 
 __all__ = [
   "FIELDS",
-  "LEFT_OUT",
   "Categorical",
   "Change",
   "Component",

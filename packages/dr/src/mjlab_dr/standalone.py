@@ -250,15 +250,15 @@ class _BatchedFields:
     worlds = range(self.num_envs) if mask is None else mask.nonzero().flatten().tolist()
     fields: dict[str, Tensor] = vars(self.model)
     derived = [name for source in self.written for name in followers(source) if name in fields]
-    host = {name: fields[name].cpu().numpy() for name in self.written}
-    found = {name: fields[name].cpu().numpy().copy() for name in derived}
+    # On a CPU these share the memory of the tensors.
+    host = {name: tensor.cpu().numpy() for name, tensor in fields.items()}
     scratch = copy.copy(self.mj_model)
     data = mujoco.MjData(scratch)
     for world in worlds:
-      for name, values in host.items():
-        _put(scratch, name, values[world])
+      for name in self.written:
+        _put(scratch, name, host[name][world])
       mujoco.mj_setConst(scratch, data)
-      for name, values in found.items():
-        values[world] = getattr(scratch, name)
-    for name, values in found.items():
-      fields[name].copy_(torch.from_numpy(values))
+      for name in derived:
+        host[name][world] = getattr(scratch, name)
+    for name in derived:
+      fields[name].copy_(torch.from_numpy(host[name]))
