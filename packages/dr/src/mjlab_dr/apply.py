@@ -94,10 +94,11 @@ class RandomizeField:
     model = sim.mj_model
     if self._quantity is None:
       elements = matched(cfg, model, names, ids, owner)
+      defaults = self._default_rows(cfg.shown_in).cpu().numpy()
+      elements, idle = with_effect(cfg, model, elements, defaults, earlier, in_model=target is None, owner=owner)
     else:
-      elements = [(name, i) for i, name in enumerate(self._quantity.names)]
-    defaults = self._default_rows(cfg.shown_in).cpu().numpy()
-    elements, idle = with_effect(cfg, model, elements, defaults, earlier, in_model=target is None, owner=owner)
+      # A quantity checks its values itself, and takes all of them.
+      elements, idle = [(name, i) for i, name in enumerate(self._quantity.names)], ()
     self.element_names = tuple(name for name, _ in elements)
     """Names of the elements that it changes."""
     self.components = components_of(cfg, model, elements, idle)

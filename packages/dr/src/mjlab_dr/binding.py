@@ -107,7 +107,7 @@ def with_effect(
   for pattern in cfg.patterns:
     matches = [(name, i) for name, i in elements if re.fullmatch(pattern, name)]
     for group in [axes] if cfg.every_axis else [[axis] for axis in axes]:
-      if matches and all(number in reasons for number in product([i for _, i in matches], group)):
+      if all(number in reasons for number in product([i for _, i in matches], group)):
         (name, i), axis = matches[0], group[0]
         which = f"{field.axes[axis]} of " if field.axes[axis] and not cfg.every_axis else ""
         what = f"a change of {which}{field.kind} {name!r} would do nothing, for it {reasons[i, axis]}."
