@@ -186,8 +186,7 @@ class NativeEngine:
     self._stale |= True if worlds is None else worlds
     one = 0 if worlds is None else int(worlds.argmax())
     for name, field in self._model_fields.items():
-      rows = self._batch.expanded(name)
-      if field.rows is None and rows is not None:
+      if field.rows is None and (rows := self._batch.expanded(name)) is not None:
         field.tensor.numpy()[0] = _shaped(rows, name)[one]
 
   def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:

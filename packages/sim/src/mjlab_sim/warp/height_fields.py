@@ -5,6 +5,7 @@ another. Few threads have such a pair, and the busiest decide how long all take.
 listed first, and then each is the work of one thread. The contacts are the same.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,9 +29,8 @@ def height_field_collisions(m: mjw.Model, d: mjw.Data) -> "HeightFields | None":
   """Return the collisions of a model with its height fields; None if it has none, or MuJoCo Warp is another one."""
   if not internals.IS_TESTED:
     return None
-  counts = m.geom_pair_type_count
-  index = {kind: internals.upper_trid_index(len(mjw.GeomType), int(kernels.HFIELD), int(kind)) for kind in _KINDS}
-  kinds = [kind for kind in _KINDS if counts[index[kind]]]
+  index = functools.partial(internals.upper_trid_index, len(mjw.GeomType), int(kernels.HFIELD))
+  kinds = [kind for kind in _KINDS if m.geom_pair_type_count[index(int(kind))]]
   return HeightFields(m, d, kinds) if kinds else None
 
 

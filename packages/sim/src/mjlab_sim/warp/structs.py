@@ -26,7 +26,8 @@ def with_arrays(names: str) -> Callable[[type], Any]:
   """
 
   def decorate(cls: type) -> Any:
-    cls.__annotations__ = {name: _TYPES[name] for name in names.split()} | cls.__annotations__
+    # A name that another minor of MuJoCo Warp lacks is an error where the struct is used, not where it is imported.
+    cls.__annotations__ = {name: _TYPES[name] for name in names.split() if name in _TYPES} | cls.__annotations__
     return wp.struct(cls)
 
   return decorate
