@@ -25,6 +25,24 @@ class Gaussian(GaussianDistribution):
       return torch.randn_like(self.mean).mul_(self.std).add_(self.mean)
 
 
+def merge_moments(normalizer: Any, count: Any, delta: torch.Tensor, variance: torch.Tensor) -> None:
+  """Update a normaliser of rsl-rl with new observations, in place and without a wait for the device.
+
+  Args:
+    normalizer: The normaliser.
+    count: Number of observations.
+    delta: Their mean minus the normaliser's, (1, dim).
+    variance: Their variance, (1, dim).
+  """
+  mean, var, std = (dict(normalizer.named_buffers())[name] for name in ("_mean", "_var", "_std"))
+  normalizer.count += count
+  rate = count / normalizer.count
+  change = rate * delta
+  mean += change
+  var += rate * (variance - var + delta * (delta - change))
+  std.copy_(var.sqrt())
+
+
 class ImageModel(CNNModel):
   """rsl-rl's CNNModel with an optional recurrent layer between the encoders and the hidden layers.
 

@@ -8,6 +8,7 @@ import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
+from mjlab_rl.networks import merge_moments
 from mjlab_rl.ranks import Ranks
 from mjlab_rl.stop_signals import SIGNALS
 
@@ -63,8 +64,10 @@ class RankAverages:
       # Once, in the first iteration and when a log has a new tag.
       self._tags = list(dict.fromkeys(tag for tags in self._ranks.gather(list(own)) for tag in tags))
     parts = summed[len(head) :].split([len(part) for part in moments])
-    for (normalizer, shaped), part in zip(self._moments.items(), parts, strict=True):
-      _learn(normalizer, part.view_as(shaped))
+    for normalizer, part in zip(self._moments, parts, strict=True):
+      times, total, square = part.view(3, 1, -1)
+      delta = total / times
+      merge_moments(normalizer, times[0, 0].long(), delta, square / times - delta.square())
     self._moments.clear()
     count = len(self._tags)
     found = zip(self._tags, figures[:count], figures[count:], strict=True)
@@ -79,16 +82,3 @@ class RankAverages:
     total = offset.sum(0, dtype=torch.float64)
     square = offset.square_().sum(0, dtype=torch.float64)
     self._moments[normalizer] = torch.stack((torch.full_like(total, len(seen)), total, square))
-
-
-def _learn(normalizer: Any, moments: torch.Tensor) -> None:
-  """Update a normaliser of rsl-rl with moments of new observations about its mean, (3, dim)."""
-  mean, variance, std = (dict(normalizer.named_buffers())[name] for name in ("_mean", "_var", "_std"))
-  count = moments[:1]
-  offset = moments[1:2] / count
-  normalizer.count += count[0, 0].to(normalizer.count.dtype)
-  rate = count / normalizer.count
-  change = rate * offset
-  mean += change.to(mean.dtype)
-  variance += (rate * (moments[2:3] / count - offset * change - variance)).to(variance.dtype)
-  std.copy_(variance.sqrt())

@@ -1,7 +1,5 @@
 """Velocity task on rough ground: terrain, height scan, terrain levels."""
 
-import copy
-
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import (
   CurriculumTermCfg,
@@ -25,7 +23,7 @@ from mjlab_velocity.legged import LeggedRobot, flat_env, play_flat
 
 RIM = 0.2  # m, level edge of tiles made of height fields
 SCAN_DISTANCE = 5.0  # m
-SCAN_NOISE = UniformNoiseCfg(n_min=-0.1, n_max=0.1)  # m, before scaling
+SCAN_NOISE = 0.1  # m, before scaling
 
 
 def rough_terrain() -> TerrainGridCfg:
@@ -63,11 +61,13 @@ def rough_env(robot: LeggedRobot, *, scan_body: str) -> ManagerBasedRlEnvCfg:
     start_height=1.0,
     geom_groups=(0,),
   )
-  for name, noise in (("actor", SCAN_NOISE), ("critic", None)):
-    group = cfg.observations[name]
+  for group in cfg.observations.values():
     assert group is not None
     group.terms["height_scan"] = ObservationTermCfg(
-      mdp.height_scan, noise=copy.copy(noise), scale=1.0 / SCAN_DISTANCE, params={"sensor": "terrain_scan"}
+      mdp.height_scan,
+      noise=UniformNoiseCfg(n_min=-SCAN_NOISE, n_max=SCAN_NOISE),
+      scale=1.0 / SCAN_DISTANCE,
+      params={"sensor": "terrain_scan"},
     )
   cfg.terminations["out_of_terrain_bounds"] = TerminationTermCfg(velocity.out_of_terrain_bounds, time_out=True)
   cfg.curriculum["terrain_levels"] = CurriculumTermCfg(velocity.terrain_levels, params={"command": "twist"})

@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import partial
 from typing import Any, Literal, cast
 
 import torch
@@ -12,6 +13,8 @@ from rsl_rl.utils import resolve_nn_activation
 from torch import distributed, nn
 from torch.nn import functional
 
+from mjlab_rl.networks import merge_moments
+
 Layers = Literal["layer_norm", "unit"]
 
 
@@ -21,10 +24,7 @@ class Normalizer(EmpiricalNormalization):
   The update writes in place, because a recorded graph reads the statistics at a fixed address.
   """
 
-  count: torch.Tensor
   _mean: torch.Tensor
-  _var: torch.Tensor
-  _std: torch.Tensor
 
   def update(self, x: torch.Tensor) -> None:
     """Learn from a batch, (batch, width), and from the batches of the other processes."""
@@ -35,12 +35,7 @@ class Normalizer(EmpiricalNormalization):
       distributed.all_reduce(moments)
       mean, square = moments / distributed.get_world_size()
       var, count = (square - mean.square()).clamp(min=0.0), count * distributed.get_world_size()
-    self.count += count
-    rate = count / self.count
-    delta = mean - self._mean
-    self._mean += rate * delta
-    self._var += rate * (var - self._var + delta * (mean - self._mean))
-    self._std.copy_(self._var.sqrt())
+    merge_moments(self, count, mean - self._mean, var)
 
 
 class TanhGaussian(Distribution):
@@ -103,9 +98,10 @@ class TanhGaussian(Distribution):
 class _Model(MLPModel):
   """rsl-rl's model with a `Normalizer`."""
 
-  def __init__(self, *args: Any, layers: Layers, **options: Any) -> None:
+  def __init__(self, *args: Any, layers: Layers, hidden_dims: Any, activation: str, **options: Any) -> None:
     # The parent's hidden layers are replaced; they are built as small as possible.
-    super().__init__(*args, hidden_dims=(1,), **options)
+    super().__init__(*args, hidden_dims=(1,), activation=activation, **options)
+    self._stack = partial(stack, layers, hidden_dims=hidden_dims, activation=activation)
     self.is_unit = layers == "unit"
     """True if batches are normalised, and weights after each step."""
     if self.obs_normalization:
@@ -120,10 +116,10 @@ class _Model(MLPModel):
 class Actor(_Model):
   """Policy with a bounded Gaussian; `output` takes the observations of its groups side by side."""
 
-  def __init__(self, *args: Any, layers: Layers, hidden_dims: Any, activation: str, **options: Any) -> None:
-    super().__init__(*args, activation=activation, layers=layers, **options)
+  def __init__(self, *args: Any, **options: Any) -> None:
+    super().__init__(*args, **options)
     rows, columns = self.squash.input_dim
-    inner = stack(layers, self.obs_dim, hidden_dims, rows * columns, activation, zero_output=not self.is_unit)
+    inner = self._stack(self.obs_dim, output_dim=rows * columns, zero_output=not self.is_unit)
     self.mlp: nn.Module = nn.Sequential(inner, nn.Unflatten(-1, (rows, columns)))
 
   @property
@@ -164,25 +160,13 @@ class Critic(_Model):
     num_actions: Number of actions, an input.
     num_atoms: Number of values.
     value_limit: The values reach from -value_limit to value_limit.
-    layers: Kind of hidden layers.
-    hidden_dims: Widths of the hidden layers.
-    activation: Activation function by rsl-rl's name.
+    **options: Other options of a model, such as `layers` and `hidden_dims`.
   """
 
-  def __init__(
-    self,
-    *args: Any,
-    num_actions: int,
-    num_atoms: int,
-    value_limit: float,
-    layers: Layers,
-    hidden_dims: Any,
-    activation: str,
-    **options: Any,
-  ) -> None:
-    super().__init__(*args, num_atoms, activation=activation, layers=layers, **options)
+  def __init__(self, *args: Any, num_actions: int, num_atoms: int, value_limit: float, **options: Any) -> None:
+    super().__init__(*args, num_atoms, **options)
     width = self.obs_dim + num_actions
-    nets = [stack(layers, width, hidden_dims, num_atoms, activation, zero_output=False) for _ in range(2)]
+    nets = [self._stack(width, output_dim=num_atoms, zero_output=False) for _ in range(2)]
     self.mlp: nn.Module = nn.ModuleList(nets)
     self.support: torch.Tensor
     self.register_buffer("support", torch.linspace(-value_limit, value_limit, num_atoms))
