@@ -72,7 +72,7 @@ SensorType = Literal[
 
 RayDataField = Literal["dist", "dir", "origin", "point", "normal", "depth"]
 # In the order in which MuJoCo lays them out for each ray.
-_RAY_FIELDS: tuple[str, ...] = get_args(RayDataField)
+_RAY_FIELDS = get_args(RayDataField)
 
 
 @dataclass(kw_only=True, frozen=True)

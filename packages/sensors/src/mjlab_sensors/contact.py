@@ -23,7 +23,7 @@ ContactField = Literal["found", "force", "torque", "dist", "pos", "normal", "tan
 ContactReduce = Literal["none", "mindist", "maxforce", "netforce"]
 
 # In the order in which MuJoCo lays them out within a slot, with their widths.
-_WIDTHS: dict[str, int] = {"found": 1, "force": 3, "torque": 3, "dist": 1, "pos": 3, "normal": 3, "tangent": 3}
+_WIDTHS = {"found": 1, "force": 3, "torque": 3, "dist": 1, "pos": 3, "normal": 3, "tangent": 3}
 _OBJECTS = {
   "geom": mujoco.mjtObj.mjOBJ_GEOM,
   "body": mujoco.mjtObj.mjOBJ_BODY,

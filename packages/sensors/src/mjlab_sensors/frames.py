@@ -50,7 +50,7 @@ class FrameSet:
     model = sim.mj_model
     ids = [getattr(model, frame_type)(name).id for name in names]
     bodies = np.arange(model.nbody) if frame_type == "body" else getattr(model, _BODY_OF[frame_type])
-    self.body_ids: list[int] = [int(bodies[index]) for index in ids]
+    self.body_ids = [int(bodies[index]) for index in ids]
     self._index = torch.tensor(ids, device=sim.device)
     self._all_positions: torch.Tensor = getattr(sim.data, position)[:]
     self._all_rotations: torch.Tensor = getattr(sim.data, rotation)[:]

@@ -19,7 +19,7 @@ GroundColor = Literal["height", "type"] | Rgb
 _PICTURE = 96
 
 # Height [m] and color: deep water, slate, stone at the rim's height, sand, clay.
-_GRADIENT: tuple[tuple[float, Rgb], ...] = (
+_GRADIENT = (
   (-2.0, (0.08, 0.11, 0.17)),
   (-1.0, (0.13, 0.24, 0.36)),
   (-0.4, (0.24, 0.43, 0.52)),

@@ -38,7 +38,7 @@ class Page:
     self._choice = gui.add_dropdown("Terrain", tuple(self._sets), initial_value=_GIVEN)
     color = "type" if cfg.color == "type" else "height"
     # Controls of fields of the grid, by name.
-    self._controls: dict[str, Any] = {
+    self._controls = {
       "difficulty": gui.add_multi_slider("Difficulty", min=0.0, max=1.0, step=0.01, initial_value=cfg.difficulty),
       "rows": gui.add_slider("Rows", min=1, max=20, step=1, initial_value=min(cfg.rows, 20)),
       "seed": gui.add_number("Seed", cfg.seed, min=0, step=1),
@@ -125,7 +125,6 @@ def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
   # viser prints a greeting, but standard output is for the caller.
   with contextlib.redirect_stdout(io.StringIO()):
     server = viser.ViserServer(host=host, port=port, label="terrain", verbose=False)
-  server.scene.set_up_direction("+z")
   extent = max(cfg.tile_size[0] * cfg.rows, cfg.tile_size[1] * (cfg.columns or len(cfg.types)))
   server.initial_camera.position = (-0.8 * extent, -0.5 * extent, 0.7 * extent)
   server.initial_camera.look_at = (0.0, 0.0, 0.0)

@@ -15,9 +15,18 @@ from mjlab_terrain.tile import Tile
 # Sides of a box as two triangles each: indices of its corners, counter-clockwise as seen from outside.
 _SIDES = np.array(
   [
-    *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),
-    *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),
-    *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
+    [0, 1, 3],
+    [0, 3, 2],
+    [4, 6, 7],
+    [4, 7, 5],
+    [0, 4, 5],
+    [0, 5, 1],
+    [2, 3, 7],
+    [2, 7, 6],
+    [0, 2, 6],
+    [0, 6, 4],
+    [1, 5, 7],
+    [1, 7, 3],
   ]
 )
 
