@@ -119,6 +119,30 @@ def test_a_name_that_is_gone_is_named() -> None:
 
 
 @pytest.mark.parametrize(
+  "value",
+  [
+    {"$tuple": 3},
+    {"$set": {"a": 1}},
+    {"$set": [[1]]},
+    {"$range": [1, 2]},
+    {"$range": [1.5, 2, 1]},
+    {"$float": "1.0"},
+    {"$path": 3},
+    {"$dict": [1]},
+    {"$partial": "rl_point_env:point_reward", "args": [], "keywords": {}},
+    {"$array": [1], "dtype": "O", "shape": [1]},
+    {"$array": [1], "dtype": "float32", "shape": [10**12]},
+    {"$array": [1], "shape": [1]},
+    {"$colour": "red"},
+  ],
+  ids=str,
+)
+def test_an_unknown_or_malformed_value_is_refused_with_its_field(value: Any) -> None:
+  with pytest.raises(FileError, match=r"^env\.f: \$"):
+    decode({"f": value}, "env")
+
+
+@pytest.mark.parametrize(
   ("text", "message"),
   [
     ("", ""),
