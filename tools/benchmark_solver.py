@@ -193,19 +193,20 @@ def timed(step: Callable[[], None], steps: int, repeats: int, device: torch.devi
 def one_solve(engine: Any, fused: FusedNewton | None) -> dict[str, Any]:
   """Return the time of one solve in the worlds' present state, and how far it is from MuJoCo Warp's solution."""
   m, d = engine._m, engine._d
+  device = torch.device(wp.device_to_torch(engine._wp_device))
   row: dict[str, Any] = {}
   solve = fused.solve if fused is not None else mjw.solve
-  synchronize(engine._device)
+  synchronize(device)
   # On Warp's own stream: torch's default one cannot be captured.
   with wp.ScopedDevice(engine._wp_device):
     mjw.step1(m, d)
     mjw.fwd_actuation(m, d)
     mjw.fwd_acceleration(m, d)
     mjw.solve(m, d)
-    synchronize(engine._device)
+    synchronize(device)
     reference = wp.to_torch(d.qacc).clone()
-    row["solve_us"] = round(solve_time(lambda: solve(m, d), engine._device), 1)
-    synchronize(engine._device)
+    row["solve_us"] = round(solve_time(lambda: solve(m, d), device), 1)
+    synchronize(device)
     found = wp.to_torch(d.qacc)
     scale = reference.abs().amax(1) + 1
     relative = (found - reference).abs().amax(1) / scale
