@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from mjlab_scene import EntityArticulationCfg, EntityCfg, EntityData, InitialStateCfg, Scene
-from mjlab_scene.quantities import cached_quantity
 from mjlab_sim import Simulation
 
 # The free joint is not the first, one joint is a ball, and geoms and sites are turned against their bodies.
@@ -212,7 +211,7 @@ def _quantities() -> dict[str, str]:
   found: dict[str, str] = {}
   for cls in EntityData.__mro__:
     for name, member in vars(cls).items():
-      if isinstance(member, property | cached_quantity) and not name.startswith("_"):
+      if isinstance(member, property) and not name.startswith("_"):
         found[name] = member.__doc__ or ""
     if cls.__module__.startswith("mjlab_scene"):
       fields = r'^  (\w+)(?:: torch\.Tensor| = forwarded\("[\w.]+"\))\n  """(.*?)"""'

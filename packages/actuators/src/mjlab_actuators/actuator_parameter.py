@@ -21,6 +21,8 @@ _DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm
 _PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)}
 
 
+_Field = tuple[Actuator | None, str]
+"""Parameter of an actuator model, or field of the MuJoCo model."""
 _Place = tuple[Actuator | None, str, int]
 """Number of one target: of an actuator model, by parameter and column; or of a model field, by column of its rows."""
 
@@ -64,7 +66,7 @@ class ActuatorParameter:
     self.names = tuple(target.name for target in self.targets)
     self._sim = sim
     self.claims = _claims(name, self.targets)
-    found: dict[tuple[Actuator | None, str], list[tuple[int, int]]] = defaultdict(list)
+    found: dict[_Field, list[tuple[int, int]]] = defaultdict(list)
     nominal: list[float] = []
     for index, target in enumerate(self.targets):
       value, places = _find(actuators, sim.mj_model, name, target)
@@ -74,7 +76,7 @@ class ActuatorParameter:
         if owner is None:
           self.claims[field, column] = f"{field} of {_described(target)}"
     sim.expand_model_fields([field for owner, field in found if owner is None])
-    self._places: dict[tuple[Actuator | None, str], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+    self._places: dict[_Field, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
     for (owner, field), pairs in found.items():
       columns, of_target = torch.tensor(pairs, device=sim.device).unbind(1)
       default = sim.default_field(field) if owner is None else owner.nominal(field)

@@ -1,12 +1,11 @@
 """Contact presets: the geoms of an entity that collide, and their contact parameters."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import mujoco
-from mjlab_core import Config, Items, Limits, NonNegative, check_fields, match_names, match_values
+from mjlab_core import Config, Items, Limits, NonNegative, check_fields, match_names, match_values_full
 
 Bits = Annotated[int, Limits(ge=0)]
 Condim = Annotated[int, Limits(ge=1, le=6)]
@@ -18,11 +17,10 @@ Solimp = Annotated[tuple[float, ...], Items(le=mujoco.mjNIMP)]
 
 @dataclass(kw_only=True)
 class CollisionCfg(Config):
-  """Sets contact parameters of the geoms whose names match.
+  """Contact parameters of the geoms whose names match.
 
-  Each parameter is one value for all matched geoms or a dict from pattern to value; a geom that no pattern of a dict
-  names keeps what the model says. None leaves a parameter alone. A vector shorter than MuJoCo's sets its leading
-  elements only.
+  Each parameter is one value for all matched geoms, or a dict from pattern to value; geoms that no pattern matches keep
+  the value of the model. None leaves a parameter unchanged. A vector shorter than MuJoCo's sets its leading elements.
   """
 
   geom_names_expr: str | tuple[str, ...]
@@ -41,17 +39,17 @@ class CollisionCfg(Config):
   """Additional distance at which a contact is detected [m]."""
   solmix: Share | Mapping[str, Share] | None = None
   disable_other_geoms: bool = True
-  """Geoms of the entity that none of its presets names do not collide."""
+  """True: geoms of the entity that no preset names do not collide."""
 
 
 _PARAMETERS = "contype conaffinity condim priority margin gap solmix friction solref solimp".split()
 
 
 def apply_collisions(spec: mujoco.MjSpec, presets: Sequence[CollisionCfg], owner: str) -> None:
-  """Write `presets` into `spec` in order; presets compose, one never disables the geoms of another.
+  """Write `presets` into `spec` in order; presets compose, and none disables the geoms of another.
 
   Raises:
-    MjlabError: a pattern matches no geom, or MuJoCo does not accept a value.
+    MjlabError: A pattern matches no geom, or MuJoCo does not accept a value.
   """
   geoms = {geom.name: geom for geom in spec.geoms}
   touched: set[str] = set()
@@ -60,13 +58,11 @@ def apply_collisions(spec: mujoco.MjSpec, presets: Sequence[CollisionCfg], owner
     _, matched = match_names(preset.geom_names_expr, list(geoms), what="geom", owner=owner)
     touched.update(matched)
     for name in _PARAMETERS:
-      setting = getattr(preset, name)
-      if not isinstance(setting, Mapping):
-        setting = {} if setting is None else dict.fromkeys(map(re.escape, matched), setting)
-      for geom, value in zip(*match_values(setting, matched, what="geom", owner=f"{owner}, {name}")[1:], strict=True):
+      values = match_values_full(getattr(preset, name), matched, what="geom", owner=f"{owner}, {name}", default=None)
+      for geom, value in zip(matched, values, strict=True):
         if isinstance(value, Sequence):
           getattr(geoms[geom], name)[: len(value)] = value
-        else:
+        elif value is not None:
           setattr(geoms[geom], name, value)
   if any(preset.disable_other_geoms for preset in presets):
     for name, geom in geoms.items():

@@ -188,8 +188,12 @@ class EntitySpec:
       setattr(self, f"{kind}_names", names[kind])
 
 
+def _is_free(joint: mujoco.MjsJoint) -> bool:
+  return joint.type == mujoco.mjtJoint.mjJNT_FREE
+
+
 def _floats(body: mujoco.MjsBody) -> bool:
-  return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+  return any(map(_is_free, body.joints))
 
 
 def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
@@ -211,12 +215,8 @@ def name_everything(spec: mujoco.MjSpec) -> None:
   appended where that name is taken.
   """
   _name(spec.bodies[1:], "body", lambda body: f"{body.parent.name}_body", taken=["world"])
-  for joint in spec.joints:
-    if joint.type == mujoco.mjtJoint.mjJNT_FREE and not joint.name:
-      taken = [other.name for other in spec.joints]
-      _name([joint], "joint", lambda _: FREE_JOINT, taken)
+  _name(spec.joints, "joint", lambda joint: FREE_JOINT if _is_free(joint) else f"{joint.parent.name}_joint")
   for kind, elements in (
-    ("joint", spec.joints),
     ("geom", spec.geoms),
     ("site", spec.sites),
     ("camera", spec.cameras),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from mjlab_core import quat_mul, select
@@ -37,39 +37,22 @@ class QuantityCache:
     return value
 
 
-class cached_quantity:
-  """Decorator of a method without arguments, of an object that has a `QuantityCache` as `cache`.
+def cached_quantity(compute: Callable[[Any], torch.Tensor]) -> torch.Tensor:
+  """Decorate a method without arguments, of an object that has a `QuantityCache` as `cache`, to be a cached property.
 
   All readers of a state may share the tensor, so it must not be written to.
   """
+  name = getattr(compute, "__name__", "")
 
-  def __init__(self, compute: Callable[[Any], torch.Tensor]) -> None:
-    self._compute = compute
-    self._name = getattr(compute, "__name__", "")
-    self.__doc__ = compute.__doc__
+  def read(owner: Any) -> torch.Tensor:
+    return owner.cache.get(name, compute, owner)
 
-  @overload
-  def __get__(self, instance: None, owner: type) -> cached_quantity: ...
-  @overload
-  def __get__(self, instance: Any, owner: type | None = None) -> torch.Tensor: ...
-  def __get__(self, instance: Any, owner: type | None = None) -> torch.Tensor | cached_quantity:
-    if instance is None:
-      return self
-    return instance.cache.get(self._name, self._compute, instance)
+  return cast("torch.Tensor", property(read, doc=compute.__doc__))
 
 
-class forwarded:
-  """Attribute that reads a quantity of a part of its object: `forwarded("_links.pos")` reads `self._links.pos`."""
-
-  def __init__(self, path: str) -> None:
-    self._read: Callable[[Any], torch.Tensor] = operator.attrgetter(path)
-
-  @overload
-  def __get__(self, instance: None, owner: type) -> forwarded: ...
-  @overload
-  def __get__(self, instance: Any, owner: type | None = None) -> torch.Tensor: ...
-  def __get__(self, instance: Any, owner: type | None = None) -> torch.Tensor | forwarded:
-    return self if instance is None else self._read(instance)
+def forwarded(path: str) -> torch.Tensor:
+  """Return a property that reads a part of its object: `forwarded("_links.pos")` reads `self._links.pos`."""
+  return cast("torch.Tensor", property(operator.attrgetter(path)))
 
 
 class Frames:
